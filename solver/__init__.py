@@ -1,0 +1,1 @@
+"""Numbers only: anatomy, scans, mechanics, fitting and the rig."""

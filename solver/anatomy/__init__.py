@@ -1,0 +1,1 @@
+"""Template anatomies, their transfer to a subject, tetrahedra and muscle weights."""

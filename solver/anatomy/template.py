@@ -1,0 +1,175 @@
+"""The template anatomy: skull, jaw and muscles inside one skin topology.
+
+A registered scan of any person has the template's skin topology (same vertex count and order), so
+the template's anatomy can be carried into that person by correspondence. A template is stored as
+one NPZ file without pickles.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from solver.errors import InputError
+from solver.surface import Floats, Ints, Surface
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Muscle:
+    """One muscle: a closed-enough ``surface`` in mm and its main ``fibre`` direction, unit (3,).
+
+    ``fibre`` points from origin (bone) to insertion (skin); ``origin`` and ``insertion`` (3,) are
+    the centres of the two attachments, in mm.
+    """
+
+    name: str
+    surface: Surface
+    fibre: Floats
+    origin: Floats
+    insertion: Floats
+
+
+@dataclass(frozen=True)
+class Template:
+    """Template anatomy in mm; x to the subject's left, y up, z forward.
+
+    skin
+        The whole registered-scan topology at rest: every vertex a scan must have.
+    flesh_faces
+        (k,) numbers of skin faces that bound the flesh (face, neck, lips, lining of mouth and
+        eyelids), as opposed to eyeballs, teeth, tongue and lashes.
+    face_vertices
+        (k,) skin vertices that are fitted and on which errors are reported (the face skin).
+    attached_cranium, attached_mandible
+        Skin vertices that move rigidly with a bone: eyes, upper teeth, back of the head; lower
+        teeth, tongue.
+    parting
+        (n, 3) displacement of the skin that parts the closed lips (and lids) enough to mesh them.
+    cranium, mandible
+        Watertight bone surfaces that bound the flesh from inside.
+    condyles
+        (2, 3) centres of the left and right mandibular condyle.
+    landmarks
+        Name -> skin vertex.
+    regions
+        Name -> skin vertices, for reports by region.
+    back_z, bottom_y
+        Planes behind and below which there is no flesh: its tets end there, held fixed.
+    """
+
+    name: str
+    version: str
+    source: str
+    skin: Surface
+    flesh_faces: Ints
+    face_vertices: Ints
+    attached_cranium: Ints
+    attached_mandible: Ints
+    parting: Floats
+    cranium: Surface
+    mandible: Surface
+    muscles: tuple[Muscle, ...]
+    condyles: Floats
+    back_z: float
+    bottom_y: float
+    landmarks: dict[str, int] = field(default_factory=dict)
+    regions: dict[str, Ints] = field(default_factory=dict)
+
+    def save(self, path: Path) -> str:
+        """Write the template as NPZ and return the sha256 of the file."""
+        arrays: dict[str, np.ndarray] = {
+            "skin_vertices": self.skin.vertices,
+            "skin_faces": self.skin.faces,
+            "flesh_faces": self.flesh_faces,
+            "face_vertices": self.face_vertices,
+            "attached_cranium": self.attached_cranium,
+            "attached_mandible": self.attached_mandible,
+            "parting": self.parting,
+            "cranium_vertices": self.cranium.vertices,
+            "cranium_faces": self.cranium.faces,
+            "mandible_vertices": self.mandible.vertices,
+            "mandible_faces": self.mandible.faces,
+            "condyles": self.condyles,
+            "planes": np.array([self.back_z, self.bottom_y]),
+        }
+        for number, muscle in enumerate(self.muscles):
+            arrays[f"muscle_{number}_vertices"] = muscle.surface.vertices
+            arrays[f"muscle_{number}_faces"] = muscle.surface.faces
+            arrays[f"muscle_{number}_axis"] = np.stack(
+                [muscle.fibre, muscle.origin, muscle.insertion]
+            )
+        for name, ids in self.regions.items():
+            arrays[f"region_{name}"] = ids
+        header = {
+            "format": FORMAT,
+            "name": self.name,
+            "version": self.version,
+            "source": self.source,
+            "muscles": [muscle.name for muscle in self.muscles],
+            "landmarks": self.landmarks,
+        }
+        arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
+        with path.open("wb") as stream:
+            np.savez_compressed(stream, allow_pickle=False, **arrays)
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+
+    @classmethod
+    def load(cls, path: Path) -> Template:
+        """Read a template written by :meth:`save`.
+
+        Raises :class:`InputError` (``template.unreadable``) if the file is not one.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                header = json.loads(bytes(data["header"]))
+                if header["format"] != FORMAT:
+                    raise InputError(
+                        "template.format",
+                        f"{path.name} has template format {header['format']}, not {FORMAT}",
+                        file=path.name,
+                    )
+                return cls._from_arrays(header, dict(data))
+        except (OSError, KeyError, ValueError, EOFError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(
+                "template.unreadable", f"{path.name} is not a template: {error}", file=path.name
+            ) from error
+
+    @classmethod
+    def _from_arrays(cls, header: dict, data: dict[str, np.ndarray]) -> Template:
+        muscles = []
+        for number, name in enumerate(header["muscles"]):
+            fibre, origin, insertion = data[f"muscle_{number}_axis"]
+            surface = Surface(data[f"muscle_{number}_vertices"], data[f"muscle_{number}_faces"])
+            muscles.append(Muscle(name, surface, fibre, origin, insertion))
+        back_z, bottom_y = data["planes"]
+        return cls(
+            name=header["name"],
+            version=header["version"],
+            source=header["source"],
+            skin=Surface(data["skin_vertices"], data["skin_faces"]),
+            flesh_faces=data["flesh_faces"],
+            face_vertices=data["face_vertices"],
+            attached_cranium=data["attached_cranium"],
+            attached_mandible=data["attached_mandible"],
+            parting=data["parting"],
+            cranium=Surface(data["cranium_vertices"], data["cranium_faces"]),
+            mandible=Surface(data["mandible_vertices"], data["mandible_faces"]),
+            muscles=tuple(muscles),
+            condyles=data["condyles"],
+            back_z=float(back_z),
+            bottom_y=float(bottom_y),
+            landmarks=header["landmarks"],
+            regions={
+                key.removeprefix("region_"): ids
+                for key, ids in data.items()
+                if key.startswith("region_")
+            },
+        )

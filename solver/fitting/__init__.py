@@ -1,0 +1,1 @@
+"""Targets, regularisers and the solvers that fit activations and muscle geometry."""

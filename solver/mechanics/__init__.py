@@ -1,0 +1,1 @@
+"""Energies, assembly, factorisation and equilibrium."""

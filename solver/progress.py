@@ -1,0 +1,37 @@
+"""How a long computation tells what it is doing, without knowing who listens."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
+
+
+@dataclass(frozen=True)
+class Step:
+    """One report of progress.
+
+    ``phase`` is a short stable key (``mesh``, ``muscles``, ``geometry`` ...), ``fraction`` of the
+    whole job in [0, 1]; the rest is given where it has a meaning.
+    """
+
+    phase: str
+    fraction: float
+    iteration: int | None = None
+    residual: float | None = None
+    mean_error_mm: float | None = None
+    message: str | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the step as JSON values, without the fields that were not given."""
+        return {key: value for key, value in asdict(self).items() if value is not None}
+
+
+class Progress(Protocol):
+    """Anything that takes a :class:`Step`."""
+
+    def __call__(self, step: Step, /) -> None:
+        """Take one report of progress."""
+
+
+def silent(_step: Step, /) -> None:
+    """Listen to nothing."""

@@ -1,0 +1,1 @@
+"""The result of a fit, its exports and its pictures."""
