@@ -1,0 +1,154 @@
+"""The face as a function: activations a, jaw b and muscle geometry S give the skin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from solver.errors import SolveError
+from solver.mechanics import equilibrium, jaw
+from solver.mechanics.equilibrium import Equilibrium
+from solver.mechanics.flesh import IDENTITY, Flesh, Material
+from solver.mechanics.linear import LinearSolver, analyse
+from solver.model import SubjectModel
+from solver.surface import Floats
+
+SMALLEST_FRACTION = 2.0**-6
+"""How far the way to a new pose is cut before it counts as out of reach."""
+
+
+@dataclass(frozen=True)
+class Pose:
+    """What drives the face: muscle activations ``a`` (m, 6) and the jaw ``b`` (5,)."""
+
+    a: Floats
+    b: Floats
+
+    def toward(self, other: Pose, fraction: float) -> Pose:
+        """Return the pose ``fraction`` of the way to another one."""
+        return Pose(
+            self.a + fraction * (other.a - self.a), self.b + fraction * (other.b - self.b)
+        )
+
+
+@dataclass(frozen=True)
+class State:
+    """A pose with the equilibrium it leads to."""
+
+    pose: Pose
+    equilibrium: Equilibrium
+
+    @property
+    def x(self) -> Floats:
+        """Return the vertices (p, 3)."""
+        return self.equilibrium.x
+
+
+class Face:
+    """A subject's flesh with its bones and skin; all fits talk to this.
+
+    ``linear`` names the linear solver (None: the fastest installed), ``tolerance`` is the
+    equilibrium's relative residual.
+    """
+
+    def __init__(
+        self,
+        model: SubjectModel,
+        *,
+        material: Material | None = None,
+        linear: str | None = None,
+        tolerance: float = equilibrium.TOLERANCE,
+    ) -> None:
+        self.model = model
+        # sliding vertices are held until sliding is solved for (see the model's docstring)
+        held = np.concatenate([model.cranium, model.mandible, model.cut, model.sliding])
+        self.flesh = Flesh(model.rest, model.tets, np.unique(held), material)
+        self.tolerance = tolerance
+        rest = self.flesh.hessian(model.rest, self.flesh.passive())
+        self.linear: LinearSolver = analyse(rest, linear)
+        row = np.full(len(model.skin.vertices), -1)
+        row[model.embedded] = np.arange(len(model.embedded))
+        self.face_embedding = sp.csr_array(model.embedding[row[model.face]])
+        self.face_offset = model.offset[row[model.face]]
+        self.face_by_free = sp.csr_array(
+            sp.kron(self.face_embedding[:, self.flesh.free], sp.eye_array(3))
+        )
+
+    def rest_pose(self) -> Pose:
+        """Return the pose of the neutral face."""
+        return Pose(np.tile(IDENTITY, (self.model.muscle_count, 1)), np.zeros(5))
+
+    def rest_state(self, S: sp.csr_array) -> State:
+        """Return the neutral face as an equilibrium."""
+        return self.settle(S, self.rest_pose(), self.model.rest)
+
+    def tet_activations(self, S: sp.csr_array, a: Floats) -> Floats:
+        """Return A_i = sum_j s_ij a_j, (n, 6), with a_0 = a_I for the passive column."""
+        return np.ascontiguousarray(S @ np.vstack([IDENTITY, a]))
+
+    def settle(self, S: sp.csr_array, pose: Pose, x: Floats) -> State:
+        """Find the equilibrium of a pose from ``x`` (p, 3), the mandible being put where b says."""
+        x = x.copy()
+        x[self.model.mandible] = self.mandible(pose.b)
+        result = equilibrium.solve(
+            self.flesh, self.linear, x, self.tet_activations(S, pose.a), tolerance=self.tolerance
+        )
+        return State(pose, result)
+
+    def move(self, S: sp.csr_array, start: State, pose: Pose) -> State:
+        """Go from a settled state to another pose, in as few steps as stay free of inversion.
+
+        Each step first carries the flesh along linearly with the jaw. Raises the last
+        :class:`SolveError` if the pose can not be reached.
+        """
+        done, fraction = 0.0, 1.0
+        state = start
+        while done < 1.0:
+            goal = min(1.0, done + fraction)
+            target = start.pose.toward(pose, goal) if goal < 1.0 else pose
+            try:
+                state = self.settle(S, target, self._carried(S, state, target))
+            except SolveError:
+                fraction *= 0.5
+                if fraction < SMALLEST_FRACTION:
+                    raise
+                continue
+            done = goal
+        return state
+
+    def mandible(self, b: Floats) -> Floats:
+        """Return where the mandible's vertices are for b, (k, 3)."""
+        return jaw.move(self.model.jaw, self.model.rest[self.model.mandible], b)
+
+    def mandible_jacobian(self, b: Floats) -> Floats:
+        """Return dx/db of all vertices as far as it is direct: (p, 3, 5), zero off the mandible."""
+        out = np.zeros((*self.model.rest.shape, jaw.DEGREES_OF_FREEDOM))
+        points = self.model.rest[self.model.mandible]
+        out[self.model.mandible] = jaw.jacobian(self.model.jaw, points, b)
+        return out
+
+    def face_points(self, x: Floats) -> Floats:
+        """Return the face skin's vertices (k, 3): M x."""
+        return self.face_embedding @ x + self.face_offset
+
+    def whole_skin(self, x: Floats, b: Floats) -> Floats:
+        """Return every vertex of the scan topology (V, 3), rigid parts with their bone."""
+        skin = self.model.skin.vertices.copy()
+        attached = self.model.attached_mandible
+        skin[attached] = jaw.move(self.model.jaw, skin[attached], b)
+        skin[self.model.embedded] = self.model.embedding @ x + self.model.offset
+        return skin
+
+    def _carried(self, S: sp.csr_array, state: State, target: Pose) -> Floats:
+        """Predict x at ``target``: the linear response to the jaw's motion, if that inverts none."""
+        motion = np.zeros_like(self.model.rest)
+        mandible = self.model.mandible
+        motion[mandible] = self.mandible(target.b) - state.x[mandible]
+        if np.abs(motion).max(initial=0.0) < 1e-12:
+            return state.x
+        a = self.tet_activations(S, state.pose.a)
+        pull = self.flesh.coupling(state.x, a, motion[:, :, None])
+        motion[self.flesh.free] = -state.equilibrium.factor.solve(pull)[:, 0].reshape(-1, 3)
+        return state.x + motion

@@ -1,0 +1,91 @@
+"""How the equilibrium answers to activations, jaw and muscle geometry.
+
+grad_x E(x; theta) = 0 makes x an implicit function of theta, with dx/dtheta = -H^-1 d(grad E)/dtheta.
+One factorisation of H serves the dense Jacobian by (a, b) and the products with the Jacobian by S.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numba as nb
+import numpy as np
+import scipy.sparse as sp
+
+from solver.fitting.face import Face, State
+from solver.mechanics.flesh import IDENTITY
+from solver.surface import Floats, Ints
+
+
+class Sensitivity:
+    """The derivatives of the face points M x at one state."""
+
+    def __init__(self, face: Face, S: sp.csr_array, state: State) -> None:
+        self._face = face
+        self._S = S
+        self._state = state
+        self._tet_a = face.tet_activations(S, state.pose.a)
+        self._by_tet = face.flesh.forces_by_activation(state.x, self._tet_a)
+
+    def by_pose(self) -> Floats:
+        """Return d(M x)/d(a, b), shape (3 k, 6 m + 5); a muscle by muscle, six entries each."""
+        face, state = self._face, self._state
+        direct = face.mandible_jacobian(state.pose.b)
+        columns = 6 * face.model.muscle_count
+        pull = np.zeros((face.flesh.size, columns + direct.shape[2]), order="F")
+        _add_by_muscle(
+            self._by_tet,
+            face.flesh.free_numbers[face.flesh.tets],
+            self._S.indptr,
+            self._S.indices,
+            self._S.data,
+            pull,
+        )
+        pull[:, columns:] = face.flesh.coupling(state.x, self._tet_a, direct)
+        response = -state.equilibrium.factor.solve(pull)
+        out = face.face_by_free @ response
+        rigid = face.face_embedding @ direct.reshape(len(direct), -1)
+        out[:, columns:] += rigid.reshape(len(out), -1)
+        return np.asarray(out)
+
+    def by_geometry(self, change: Floats) -> Floats:
+        """Return the face points' change (3 k,) for a change of S's values (nnz,)."""
+        delta = sp.csr_array((change, self._S.indices, self._S.indptr), shape=self._S.shape)
+        tet_change = delta @ self._columns
+        forces = np.einsum("eviq,eq->evi", self._by_tet, tet_change)
+        response = -self._state.equilibrium.factor.solve(self._face.flesh.scatter(forces))
+        return np.asarray(self._face.face_by_free @ response)
+
+    def by_geometry_adjoint(self, residual: Floats) -> Floats:
+        """Return the transpose of :meth:`by_geometry` applied to (3 k,): shape (nnz,)."""
+        flesh = self._face.flesh
+        pulled = self._state.equilibrium.factor.solve(self._face.face_by_free.T @ residual)
+        adjoint = np.zeros_like(flesh.rest)
+        adjoint[flesh.free] = pulled.reshape(-1, 3)
+        per_tet = -np.einsum("eviq,evi->eq", self._by_tet, adjoint[flesh.tets])
+        rows = np.repeat(np.arange(len(flesh.tets)), np.diff(self._S.indptr))
+        return np.asarray(np.einsum("eq,eq->e", per_tet[rows], self._columns[self._S.indices]))
+
+    @cached_property
+    def _columns(self) -> Floats:
+        return np.vstack([IDENTITY, self._state.pose.a])
+
+
+@nb.njit(cache=True)
+def _add_by_muscle(
+    by_tet: Floats, number: Ints, indptr: Ints, indices: Ints, weights: Floats, out: Floats
+) -> None:
+    """Add s_ij d(forces of tet i)/dA_i into the six columns of muscle j, (size, 6 m + ...)."""
+    for tet in range(len(by_tet)):
+        for entry in range(indptr[tet], indptr[tet + 1]):
+            first = 6 * (indices[entry] - 1)
+            weight = weights[entry]
+            if first < 0 or weight == 0.0:
+                continue
+            for q in range(6):
+                for v in range(4):
+                    row = 3 * number[tet, v]
+                    if row < 0:
+                        continue
+                    for i in range(3):
+                        out[row + i, first + q] += weight * by_tet[tet, v, i, q]

@@ -1,0 +1,113 @@
+"""Quasi-static equilibrium: grad_x E(x; A, b) = 0 by Newton's method.
+
+The raw Hessian is tried first and gives quadratic convergence; only where it is not positive
+definite is the projected one used. A line search keeps the energy finite, hence every tet upright.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from solver.errors import SolveError
+from solver.mechanics.flesh import Flesh
+from solver.mechanics.linear import Factor, LinearSolver, NotPositiveDefinite
+from solver.surface import Floats
+
+TOLERANCE = 1e-8
+"""Residual |grad E| over the nodal forces at unit strain."""
+
+MAX_ITERATIONS = 60
+ARMIJO = 1e-4
+SHORTEST_STEP = 2.0**-30
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """A solution x (p, 3) with the factorised Hessian there.
+
+    ``residual`` is |grad E| over the nodal forces at unit strain, ``iterations`` counts Newton steps,
+    ``minimum`` tells that the Hessian at x is positive definite (else ``factor`` is projected).
+    """
+
+    x: Floats
+    factor: Factor
+    residual: float
+    iterations: int
+    minimum: bool
+
+
+def factorise(flesh: Flesh, linear: LinearSolver, x: Floats, a: Floats) -> tuple[Factor, bool]:
+    """Factorise the Hessian at x, projected if need be; tell whether the raw one was taken."""
+    try:
+        return linear.factor(flesh.hessian(x, a).data), True
+    except NotPositiveDefinite:
+        pass
+    matrix = flesh.hessian(x, a, project=True)
+    # a projected element may be semi-definite: a trace of stiffness keeps the sum definite
+    shift = 1e-6 * matrix.diagonal().mean()
+    rows = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+    matrix.data[matrix.indices == rows] += shift
+    try:
+        return linear.factor(matrix.data), False
+    except NotPositiveDefinite as error:
+        raise SolveError(
+            "solve.singular", "the flesh's stiffness is singular: a part of it is held by nothing"
+        ) from error
+
+
+def solve(
+    flesh: Flesh,
+    linear: LinearSolver,
+    x: Floats,
+    a: Floats,
+    *,
+    tolerance: float = TOLERANCE,
+    max_iterations: int = MAX_ITERATIONS,
+) -> Equilibrium:
+    """Minimise E over the free vertices from ``x`` (p, 3), held vertices staying where they are.
+
+    Raises :class:`SolveError`: ``solve.inverted`` if a tet is inverted at the start,
+    ``solve.no_convergence`` if the residual stays above ``tolerance``.
+    """
+    energy = flesh.energy(x, a)
+    if not np.isfinite(energy):
+        raise SolveError(
+            "solve.inverted", f"{flesh.inverted(x)} tetrahedra are inverted before the first step"
+        )
+    for iteration in range(max_iterations + 1):
+        gradient = flesh.gradient(x, a)
+        residual = float(np.linalg.norm(gradient)) / flesh.force_scale
+        factor, raw = factorise(flesh, linear, x, a)
+        if residual <= tolerance or iteration == max_iterations:
+            break
+        direction = -factor.solve(gradient)
+        slope = float(gradient @ direction)
+        step = _line_search(flesh, x, a, direction, energy, slope)
+        if step is None:
+            break
+        x, energy = step
+    if residual > max(tolerance, 1e-5):
+        raise SolveError(
+            "solve.no_convergence",
+            f"equilibrium stopped at a residual of {residual:.1e} after {iteration} steps",
+            residual=residual,
+        )
+    return Equilibrium(x, factor, residual, iteration, raw)
+
+
+def _line_search(
+    flesh: Flesh, x: Floats, a: Floats, direction: Floats, energy: float, slope: float
+) -> tuple[Floats, float] | None:
+    """Halve the step until the energy falls enough (Armijo); None if it does not fall at all."""
+    step = 1.0
+    while step > SHORTEST_STEP:
+        trial = x.copy()
+        trial[flesh.free] += step * direction.reshape(-1, 3)
+        value = flesh.energy(trial, a)
+        # rounding decides once the predicted decrease is below the energy's last digits
+        if value <= energy + ARMIJO * step * slope + 1e-13 * abs(energy):
+            return trial, value
+        step *= 0.5
+    return None

@@ -1,0 +1,206 @@
+"""The flesh as a whole: energy, gradient and Hessian over the mesh.
+
+Vertices are held (bones, cuts) or free; gradients and Hessians are taken by the free ones, in the
+order of their vertex numbers, three coordinates each. Stress is in units of mu, lengths in mm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from solver.errors import InputError
+from solver.mechanics import elements
+from solver.surface import Floats, Ints
+
+IDENTITY = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
+"""The activation a_I of passive flesh: S(a_I) = I."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """Lame-like parameters of the flesh: ``mu`` and ``lam`` in stress units, and the barrier's."""
+
+    mu: float = 1.0
+    lam: float = 1.0
+    barrier: float = 5.0
+
+
+def shape_gradients(rest: Floats, tets: Ints) -> tuple[Floats, Floats]:
+    """Return the linear shape functions' gradients (n, 4, 3) in 1/mm and rest volumes (n,) in mm^3.
+
+    Raises :class:`InputError` (``mesh.inverted``) naming the first tet whose volume is not positive.
+    """
+    corners = rest[tets]
+    edges = corners[:, 1:] - corners[:, :1]
+    volumes = np.linalg.det(edges) / 6.0
+    bad = np.flatnonzero(~(volumes > 0.0))
+    if len(bad):
+        raise InputError(
+            "mesh.inverted",
+            f"{len(bad)} tetrahedra have no positive rest volume, the first is number {bad[0]}",
+            tet=int(bad[0]),
+        )
+    inverse = np.linalg.inv(edges)
+    gradients = np.empty((len(tets), 4, 3))
+    gradients[:, 1:] = inverse.transpose(0, 2, 1)
+    gradients[:, 0] = -gradients[:, 1:].sum(axis=1)
+    return gradients, volumes
+
+
+class Flesh:
+    """Elastic, active tetrahedra with some vertices held.
+
+    Parameters
+    ----------
+    rest
+        (p, 3) rest vertices, mm.
+    tets
+        (n, 4) vertex numbers with positive rest volumes.
+    held
+        Numbers of the vertices that do not move freely.
+    material
+        One material for all tets.
+
+    ``free`` lists the free vertices, ``free_numbers`` (p,) has each vertex's place in that list or
+    -1.
+    """
+
+    def __init__(
+        self, rest: Floats, tets: Ints, held: Ints, material: Material | None = None
+    ) -> None:
+        material = material or Material()
+        self.rest = np.ascontiguousarray(rest, dtype=np.float64)
+        self.tets = np.ascontiguousarray(tets, dtype=np.int64)
+        self.gradients, self.volumes = shape_gradients(self.rest, self.tets)
+        count = len(self.tets)
+        self.mu = np.full(count, material.mu)
+        self.lam = np.full(count, material.lam)
+        self.barrier = np.full(count, material.barrier)
+        is_free = np.ones(len(self.rest), dtype=bool)
+        is_free[held] = False
+        self.free = np.flatnonzero(is_free)
+        self.free_numbers = np.full(len(self.rest), -1)
+        self.free_numbers[self.free] = np.arange(len(self.free))
+
+    @property
+    def size(self) -> int:
+        """Return the number of free coordinates, three per free vertex."""
+        return 3 * len(self.free)
+
+    @cached_property
+    def force_scale(self) -> float:
+        """Return the size of the nodal forces at unit strain: what a residual is measured by."""
+        steepness = np.linalg.norm(self.gradients, axis=(1, 2))
+        return float(np.linalg.norm(self.mu * self.volumes * steepness))
+
+    def passive(self) -> Floats:
+        """Return the activations (n, 6) of a face at rest."""
+        return np.tile(IDENTITY, (len(self.tets), 1))
+
+    def energy(self, x: Floats, a: Floats) -> float:
+        """Return E(x, a); infinite if a tet is inverted."""
+        out = np.empty(len(self.tets))
+        elements.energies(*self._state(x, a), self.lam, self.barrier, out)
+        return float(out.sum())
+
+    def gradient(self, x: Floats, a: Floats) -> Floats:
+        """Return dE/dx by the free coordinates, shape (size,)."""
+        return self.scatter(self.forces(x, a))
+
+    def forces(self, x: Floats, a: Floats) -> Floats:
+        """Return every tet's gradient by its four vertices, (n, 4, 3)."""
+        out = np.empty((len(self.tets), 4, 3))
+        elements.forces(*self._state(x, a), self.lam, self.barrier, out)
+        return out
+
+    def scatter(self, per_tet: Floats) -> Floats:
+        """Sum (n, 4, 3, ...) over the tets of each free vertex: (size, ...)."""
+        return self._incidence @ per_tet.reshape(12 * len(self.tets), *per_tet.shape[3:])
+
+    def hessian(self, x: Floats, a: Floats, *, project: bool = False) -> sp.csr_array:
+        """Return d2E/dx2 by the free coordinates; ``project`` makes it positive semi-definite."""
+        blocks = np.empty((len(self.tets), 4, 4, 3, 3))
+        elements.stiffness_blocks(*self._state(x, a), self.lam, self.barrier, project, blocks)
+        pattern, slots, row_length = self._pattern
+        data = np.empty(len(pattern.indices))
+        elements.scatter_blocks(blocks, slots, row_length, data)
+        return sp.csr_array((data, pattern.indices, pattern.indptr), shape=pattern.shape)
+
+    def coupling(self, x: Floats, a: Floats, motion: Floats) -> Floats:
+        """Return the free gradient's change as held vertices move by ``motion`` (p, 3, k).
+
+        Only tets with a moving vertex are visited; the result is (size, k).
+        """
+        moving = np.abs(motion).max(axis=(1, 2)) > 0.0
+        touched = np.flatnonzero(moving[self.tets].any(axis=1))
+        state = (np.ascontiguousarray(x), self.tets[touched], self.gradients[touched])
+        state += (self.volumes[touched], a[touched], self.mu[touched])
+        blocks = np.empty((len(touched), 4, 4, 3, 3))
+        elements.stiffness_blocks(
+            *state, self.lam[touched], self.barrier[touched], False, blocks
+        )
+        local = np.einsum("euvij,evjk->euik", blocks, motion[self.tets[touched]])
+        out = np.zeros((len(self.rest), 3, motion.shape[2]))
+        np.add.at(out, self.tets[touched], local)
+        return out[self.free].reshape(self.size, -1)
+
+    def forces_by_activation(self, x: Floats, a: Floats) -> Floats:
+        """Return the derivative of :meth:`forces` by each tet's activation, (n, 4, 3, 6)."""
+        out = np.empty((len(self.tets), 4, 3, 6))
+        elements.forces_by_activation(*self._state(x, a), out)
+        return out
+
+    def deformation_gradients(self, x: Floats) -> Floats:
+        """Return F of every tet, (n, 3, 3)."""
+        out = np.empty((len(self.tets), 3, 3))
+        elements.deformation_gradients(
+            np.ascontiguousarray(x), self.tets, self.gradients, out
+        )
+        return out
+
+    def inverted(self, x: Floats) -> int:
+        """Return how many tets have det F <= 0."""
+        return int((np.linalg.det(self.deformation_gradients(x)) <= 0.0).sum())
+
+    def _state(self, x: Floats, a: Floats) -> tuple[np.ndarray, ...]:
+        positions = np.ascontiguousarray(x)
+        return positions, self.tets, self.gradients, self.volumes, a, self.mu
+
+    @cached_property
+    def _incidence(self) -> sp.csr_array:
+        """The 0/1 matrix (size, 12 n) that sums element contributions into free coordinates."""
+        number = self.free_numbers[self.tets].ravel()
+        kept = np.flatnonzero(number >= 0)
+        ones = np.ones(len(kept))
+        vertex = sp.csr_array((ones, (number[kept], kept)), shape=(len(self.free), number.size))
+        return sp.csr_array(sp.kron(vertex, sp.eye_array(3)))
+
+    @cached_property
+    def _pattern(self) -> tuple[sp.csr_array, Ints, Ints]:
+        """The Hessian's CSR pattern, and where each tet's blocks go in its data."""
+        number = self.free_numbers[self.tets]
+        row = np.repeat(number, 4, axis=1).ravel()
+        column = np.tile(number, (1, 4)).ravel()
+        both = (row >= 0) & (column >= 0)
+        count = len(self.free)
+        graph = sp.csr_array(
+            (np.ones(both.sum()), (row[both], column[both])), shape=(count, count)
+        )
+        graph.sum_duplicates()
+        graph.sort_indices()
+        length = np.diff(graph.indptr)
+        place = sp.csr_array(
+            (np.arange(graph.nnz) - np.repeat(graph.indptr[:-1], length), graph.indices, graph.indptr),
+            shape=graph.shape,
+        )
+        slots = np.full(row.shape, -1, dtype=np.int64)
+        within = np.asarray(place[row[both], column[both]]).ravel().astype(np.int64)
+        slots[both] = 9 * graph.indptr[row[both]].astype(np.int64) + 3 * within
+        row_length = np.where(number >= 0, 3 * length[np.maximum(number, 0)], 0)
+        pattern = sp.csr_array(sp.kron(graph, np.ones((3, 3)), format="csr"))
+        pattern.sort_indices()
+        return pattern, slots.reshape(-1, 4, 4), row_length.astype(np.int64)
