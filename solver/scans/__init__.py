@@ -1,1 +1,1 @@
-"""Reading and checking scans."""
+"""Reading and checking scans: strict, because vertex order and count are the product."""

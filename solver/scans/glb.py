@@ -1,0 +1,148 @@
+"""Binary glTF 2.0 (GLB): the positions of its one mesh, as stored.
+
+The few fields that are needed are read here, because every one must be checked before it is
+trusted, and a general loader's conveniences (merging, welding) would change the vertex order.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+
+from solver.scans.faults import empty, truncated, unreadable, unsupported
+from solver.surface import Floats
+
+MM_PER_METRE = 1000.0
+FLOAT = 5126
+JSON_CHUNK, BINARY_CHUNK = b"JSON", b"BIN\0"
+MAX_DEPTH = 64
+
+
+def read_glb(file: str, content: bytes) -> Floats:
+    """Return the vertices (n, 3) of GLB ``content`` in mm; glTF's unit is the metre.
+
+    The scene must show one mesh, whose parts share one list of positions; the transform of its
+    node is applied.
+    """
+    document, binary = _chunks(file, content)
+    try:
+        mesh, transform = _only_mesh(file, document)
+        positions = {part["attributes"]["POSITION"] for part in mesh["primitives"]}
+        if len(positions) != 1:
+            raise unsupported(file, "the parts of the mesh do not share one list of positions")
+        vertices = _floats3(file, document, binary, positions.pop())
+    except (KeyError, IndexError, TypeError, AttributeError, OverflowError) as error:
+        raise unreadable(file, f"the glTF description is not valid ({error!r})") from None
+    with np.errstate(all="ignore"):  # what overflows is refused as not finite by the caller
+        return np.asarray(vertices @ transform[:3, :3].T + transform[:3, 3]) * MM_PER_METRE
+
+
+def _chunks(file: str, content: bytes) -> tuple[dict[str, Any], bytes]:
+    if not content:
+        raise empty(file)
+    if content[:4] != b"glTF" or content[4:8] != (2).to_bytes(4, "little"):
+        raise unreadable(file, "not a binary glTF 2.0 file")
+    length = int.from_bytes(content[8:12], "little")
+    if len(content) < length or len(content) < 20:
+        raise truncated(
+            file,
+            f"the header announces {length} bytes, found {len(content)}",
+            expected=length,
+            found=len(content),
+        )
+    parts: dict[bytes, bytes] = {}
+    position = 12
+    while position + 8 <= len(content):
+        size = int.from_bytes(content[position : position + 4], "little")
+        kind = content[position + 4 : position + 8]
+        if position + 8 + size > len(content):
+            raise truncated(file, f"a chunk of {size} bytes runs past the end of the file")
+        parts.setdefault(kind, content[position + 8 : position + 8 + size])
+        position += 8 + size
+    try:
+        document = json.loads(parts.get(JSON_CHUNK, b""))
+    except (ValueError, RecursionError):
+        raise unreadable(file, "the description is not valid JSON") from None
+    if not isinstance(document, dict):
+        raise unreadable(file, "the description is not a JSON object")
+    return document, parts.get(BINARY_CHUNK, b"")
+
+
+def _only_mesh(file: str, document: dict[str, Any]) -> tuple[dict[str, Any], Floats]:
+    """Return the one mesh that the scene shows and the (4, 4) transform of its node."""
+    found: list[tuple[int, Floats]] = []
+    seen: set[int] = set()
+
+    def visit(number: int, parent: Floats, depth: int) -> None:
+        if depth > MAX_DEPTH or number in seen:
+            raise unsupported(file, "the scene is not a tree of reasonable depth")
+        seen.add(number)
+        node = _item(document["nodes"], number)
+        transform = parent @ _transform(file, node)
+        if "mesh" in node:
+            found.append((node["mesh"], transform))
+        for child in node.get("children", []):
+            visit(child, transform, depth + 1)
+
+    for root in _item(document["scenes"], document.get("scene", 0))["nodes"]:
+        visit(root, np.eye(4), 0)
+    if len(found) != 1:
+        raise unsupported(file, f"the scene must show exactly one mesh, found {len(found)}")
+    number, transform = found[0]
+    return _item(document["meshes"], number), transform
+
+
+def _item(items: list[Any], number: int) -> Any:
+    """Return an item by its glTF number: Python's negative numbers mean nothing there."""
+    if not isinstance(number, int) or number < 0:
+        raise IndexError(number)
+    return items[number]
+
+
+def _transform(file: str, node: dict[str, Any]) -> Floats:
+    try:
+        if "matrix" in node:
+            return np.array(node["matrix"], np.float64).reshape(4, 4).T
+        x, y, z, w = (float(value) for value in node.get("rotation", (0, 0, 0, 1)))
+        rotation = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        transform = np.eye(4)
+        transform[:3, :3] = rotation * np.array(node.get("scale", (1, 1, 1)), np.float64)
+        transform[:3, 3] = np.array(node.get("translation", (0, 0, 0)), np.float64)
+    except ValueError:
+        raise unreadable(file, "the transform of a node is not valid") from None
+    return transform
+
+
+def _floats3(file: str, document: dict[str, Any], binary: bytes, number: int) -> Floats:
+    accessor = _item(document["accessors"], number)
+    if accessor["type"] != "VEC3" or accessor["componentType"] != FLOAT:
+        raise unsupported(file, "the positions are not stored as 32-bit floats")
+    if "sparse" in accessor or "bufferView" not in accessor:
+        raise unsupported(file, "sparse or compressed positions are not supported")
+    view = _item(document["bufferViews"], accessor["bufferView"])
+    if _item(document["buffers"], view["buffer"]).get("uri") is not None:
+        raise unsupported(file, "the positions lie in another file")
+    count, stride = accessor["count"], view.get("byteStride", 12)
+    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    if not all(isinstance(value, int) and value >= 0 for value in (count, stride, start)):
+        raise unreadable(file, "the counts and offsets of the positions are not valid")
+    if count == 0:
+        raise empty(file)
+    expected = start + (count - 1) * stride + 12
+    if stride < 12 or expected > len(binary):
+        raise truncated(
+            file,
+            f"the positions need {expected} bytes, found {len(binary)}",
+            expected=expected,
+            found=len(binary),
+        )
+    rows = np.ndarray((count, 3), "<f4", binary, start, (stride, 4))
+    return rows.astype(np.float64)

@@ -1,0 +1,81 @@
+"""Reading a registered scan: a mesh with the template's vertices, in the template's order."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from solver.errors import InputError
+from solver.scans.faults import check_finite, empty, wrong_vertex_count
+from solver.scans.glb import read_glb
+from solver.scans.obj import read_obj
+from solver.scans.plausible import check_alignment, check_scale, check_vertex_order
+from solver.scans.ply import read_ply
+from solver.scans.stl import read_stl
+from solver.surface import Floats, Ints
+
+FORMATS = (".obj", ".ply", ".stl", ".glb")
+MAX_BYTES = 256 * 2**20
+
+
+def read_registered(
+    path: Path, faces: Ints, vertex_count: int, *, neutral: Floats | None = None
+) -> Floats:
+    """Return the vertices (vertex_count, 3) of a registered scan, in mm.
+
+    The format follows the file's suffix. OBJ, PLY and STL carry no unit and must be in mm; GLB is
+    in metres, as glTF demands. ``faces`` (f, 3) are the template's; an expression is checked
+    against ``neutral`` (vertex_count, 3).
+
+    Raises :class:`InputError`: ``scan.format``, ``scan.too_large``, ``scan.empty``,
+    ``scan.unreadable``, ``scan.truncated``, ``scan.nan``, ``scan.vertex_count``,
+    ``scan.vertex_order``, ``scan.unit`` or ``scan.misaligned``, each with ``file`` and, where it
+    helps, ``line``, ``vertex``, ``expected`` and ``found``.
+    """
+    file, suffix = path.name, path.suffix.lower()
+    if suffix not in FORMATS:
+        known = ", ".join(FORMATS)
+        raise InputError(
+            "scan.format",
+            f"{file}: unknown suffix {suffix!r}; a scan is one of {known}",
+            file=file,
+            expected=list(FORMATS),
+            found=suffix,
+        )
+    content = _content(path)
+    if suffix == ".obj":
+        vertices = read_obj(file, content)
+    elif suffix == ".ply":
+        vertices = read_ply(file, content)
+    elif suffix == ".stl":
+        vertices = read_stl(file, content, faces, vertex_count)
+    else:
+        vertices = read_glb(file, content)
+    if len(vertices) != vertex_count:
+        raise wrong_vertex_count(file, vertex_count, len(vertices))
+    check_finite(file, vertices)
+    check_scale(file, vertices)
+    check_vertex_order(file, vertices, faces)
+    if neutral is not None:
+        check_alignment(file, vertices, neutral)
+    return vertices
+
+
+def _content(path: Path) -> bytes:
+    try:
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise InputError(
+                "scan.too_large",
+                f"{path.name} has {size} bytes; a registered scan has at most {MAX_BYTES}",
+                file=path.name,
+                expected=MAX_BYTES,
+                found=size,
+            )
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(
+            "scan.unreadable", f"{path.name} can not be read: {error.strerror}", file=path.name
+        ) from None
+    if not content.strip():
+        raise empty(path.name)
+    return content

@@ -1,0 +1,98 @@
+"""STL (ascii and binary): loose triangles, given vertex numbers through the template's faces."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from solver.errors import InputError
+from solver.scans.faults import check_finite, empty, truncated, unreadable, unsupported
+from solver.surface import Floats, Ints
+
+HEADER_BYTES = 84
+FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+SAME_PLACE_MM = 0.01
+
+
+def read_stl(file: str, content: bytes, faces: Ints, vertex_count: int) -> Floats:
+    """Return the vertices (n, 3) of STL ``content`` in the template's order.
+
+    STL shares no vertices, so its facets must be the template's ``faces`` (f, 3) in the same order;
+    corners that are one vertex in the template must lie in one place.
+    """
+    if not content:
+        raise empty(file)
+    corners = _ascii(file, content) if _is_ascii(content) else _binary(file, content)
+    if len(corners) == 0:
+        raise empty(file)
+    if len(corners) != len(faces):
+        raise InputError(
+            "scan.vertex_count",
+            f"{file} has {len(corners)} triangles; the template has {len(faces)}",
+            file=file,
+            expected=len(faces),
+            found=len(corners),
+        )
+    check_finite(file, corners.reshape(-1, 3))
+    return _numbered(file, corners, faces, vertex_count)
+
+
+def _numbered(file: str, corners: Floats, faces: Ints, vertex_count: int) -> Floats:
+    vertices = np.full((vertex_count, 3), np.nan)
+    vertices[faces.ravel()] = corners.reshape(-1, 3)
+    loose = np.flatnonzero(np.isnan(vertices[:, 0]))
+    if len(loose):
+        raise unsupported(
+            file,
+            f"STL can not carry vertex {loose[0]}, which is in no triangle: use OBJ, PLY or GLB",
+            vertex=int(loose[0]),
+        )
+    apart = np.abs(vertices[faces] - corners).max(axis=(1, 2))
+    if apart.max() > SAME_PLACE_MM:
+        triangle = int(np.argmax(apart > SAME_PLACE_MM))
+        raise InputError(
+            "scan.vertex_order",
+            f"{file}: triangle {triangle} does not meet its neighbours as in the template; "
+            "the triangles must be the template's, in the same order",
+            file=file,
+            triangle=triangle,
+        )
+    return vertices
+
+
+def _is_ascii(content: bytes) -> bool:
+    """Tell ascii from binary; some binary files start with the word 'solid' too."""
+    return content[:5].lower() == b"solid" and b"\0" not in content[:1024]
+
+
+def _binary(file: str, content: bytes) -> Floats:
+    if len(content) < HEADER_BYTES:
+        raise truncated(file, f"{len(content)} bytes are not even the header of an STL file")
+    count = int.from_bytes(content[80:84], "little")
+    expected = HEADER_BYTES + count * FACET.itemsize
+    if len(content) < expected:
+        raise truncated(
+            file,
+            f"{count} triangles take {expected} bytes, found {len(content)}",
+            expected=expected,
+            found=len(content),
+        )
+    facets = np.frombuffer(content, FACET, count=count, offset=HEADER_BYTES)
+    return facets["corners"].astype(np.float64)
+
+
+def _ascii(file: str, content: bytes) -> Floats:
+    corners: list[list[float]] = []
+    ended = False
+    for line, row in enumerate(content.splitlines(), start=1):
+        words = row.split()
+        if words[:1] == [b"vertex"]:
+            try:
+                corners.append([float(word) for word in words[1:]])
+            except ValueError:
+                raise unreadable(file, "not three numbers", line=line) from None
+            if len(corners[-1]) != 3:
+                raise unreadable(file, "a vertex needs 3 numbers", line=line)
+        ended = words[:1] == [b"endsolid"]
+    if not ended or len(corners) % 3:
+        raise truncated(file, "the last line is not 'endsolid'")
+    return np.array(corners, dtype=np.float64).reshape(-1, 3, 3)
