@@ -5,11 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
+from solver.scans.obj import write_obj
 from solver.surface import Surface
-
-OBJ_DECIMALS = 6
 
 
 @dataclass(frozen=True)
@@ -32,13 +29,3 @@ class CaptureSet:
         for name, scan in scans.items():
             write_obj(paths[name], scan)
         return paths
-
-
-def write_obj(path: Path, surface: Surface) -> None:
-    """Write triangles as Wavefront OBJ, in mm with six decimals."""
-    with path.open("w", encoding="ascii") as stream:
-        stream.write("# units: mm\n")
-        np.savetxt(
-            stream, surface.vertices, fmt=f"v %.{OBJ_DECIMALS}f %.{OBJ_DECIMALS}f %.{OBJ_DECIMALS}f"
-        )
-        np.savetxt(stream, surface.faces + 1, fmt="f %d %d %d")
