@@ -1,0 +1,249 @@
+"""The service from Python: subjects, scans, jobs and rigs over HTTP.
+
+with Client("http://127.0.0.1:8765") as client:
+    subject = client.create_subject("Ada")
+    client.add_capture(subject.id, Path("neutral.obj"), role="neutral")
+    job = client.wait(client.submit("build_model", subject.id).id)
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+import httpx
+from httpx_sse import ServerSentEvent, connect_sse
+
+from myoface import transfer
+from myoface.errors import ApiError
+from myoface.resources import (
+    FINAL_STATES,
+    Artifact,
+    Capture,
+    Job,
+    Kind,
+    LogLine,
+    Progress,
+    Resource,
+    Rig,
+    Role,
+    Subject,
+    Template,
+    Upload,
+)
+from myoface.transfer import Patience, Transferred, checked, unheard
+
+DEFAULT_URL = "http://127.0.0.1:8765"
+TIMEOUT = httpx.Timeout(30.0)
+# The service sends a comment line at least this often while a job has nothing to tell.
+EVENTS_TIMEOUT = httpx.Timeout(30.0, read=60.0)
+
+R = TypeVar("R", bound=Resource)
+Watcher = Callable[[Job], None]
+"""Called with the job whenever its state or progress has changed."""
+
+
+def unwatched(_job: Job, /) -> None:
+    """Let a job run without looking."""
+
+
+class Client:
+    """One service. Every method raises :class:`ApiError` with the service's problem document."""
+
+    def __init__(self, url: str = DEFAULT_URL) -> None:
+        self.http = httpx.Client(base_url=url, timeout=TIMEOUT, trust_env=False)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        _kind: type[BaseException] | None,
+        _error: BaseException | None,
+        _trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the connections."""
+        self.http.close()
+
+    # Templates and subjects
+
+    def create_template(
+        self, name: str, path: Path, *, progress: Transferred = unheard
+    ) -> Template:
+        """Upload a template anatomy (NPZ) and register it."""
+        upload = self.upload(path, progress=progress)
+        return self._post("/v1/templates", Template, name=name, upload_id=upload.id)
+
+    def templates(self) -> list[Template]:
+        """Return all template anatomies."""
+        return self._list("/v1/templates", Template)
+
+    def create_subject(self, name: str, *, template_id: str | None = None) -> Subject:
+        """Register a person; without a template the built-in anatomy is used."""
+        return self._post("/v1/subjects", Subject, name=name, template_id=template_id)
+
+    def subjects(self) -> list[Subject]:
+        """Return all subjects."""
+        return self._list("/v1/subjects", Subject)
+
+    def subject(self, subject_id: str) -> Subject:
+        """Return one subject."""
+        return self._get(f"/v1/subjects/{subject_id}", Subject)
+
+    def delete_subject(self, subject_id: str) -> None:
+        """Delete a subject with all its scans, jobs and rigs."""
+        self._send("DELETE", f"/v1/subjects/{subject_id}")
+
+    # Files
+
+    def upload(
+        self,
+        path: Path,
+        *,
+        resume: str | None = None,
+        started: Callable[[str], None] | None = None,
+        progress: Transferred = unheard,
+    ) -> Upload:
+        """Send a file, resuming over broken connections; see :func:`myoface.transfer.upload`."""
+        return transfer.upload(self.http, path, resume=resume, started=started, progress=progress)
+
+    def download(self, artifact: Artifact, path: Path, *, progress: Transferred = unheard) -> None:
+        """Fetch an artifact, resumed and checked; see :func:`myoface.transfer.download`."""
+        transfer.download(self.http, artifact, path, progress=progress)
+
+    def add_capture(
+        self,
+        subject_id: str,
+        path: Path,
+        *,
+        role: Role = "expression",
+        name: str | None = None,
+        resume: str | None = None,
+        started: Callable[[str], None] | None = None,
+        progress: Transferred = unheard,
+    ) -> Capture:
+        """Upload a scan and add it to a subject, named like the file unless ``name`` is given."""
+        sent = self.upload(path, resume=resume, started=started, progress=progress)
+        return self._post(
+            f"/v1/subjects/{subject_id}/captures",
+            Capture,
+            name=name or path.stem,
+            role=role,
+            upload_id=sent.id,
+        )
+
+    def captures(self, subject_id: str) -> list[Capture]:
+        """Return a subject's scans."""
+        return self._list(f"/v1/subjects/{subject_id}/captures", Capture)
+
+    # Jobs
+
+    def submit(
+        self,
+        kind: Kind,
+        subject_id: str,
+        *,
+        captures: Iterable[str] = (),
+        rig_id: str | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> Job:
+        """Queue a job. The id is made here, so that a repeated request can not queue it twice."""
+        body = {
+            "kind": kind,
+            "subject_id": subject_id,
+            "captures": list(captures),
+            "rig_id": rig_id,
+            "options": options,
+        }
+        body = {key: value for key, value in body.items() if value}
+        url = f"/v1/jobs/{uuid.uuid4()}"
+        patience = Patience()
+        while True:
+            with patience.retrying():
+                return Job.model_validate(self._send("PUT", url, json=body).json())
+
+    def job(self, job_id: str) -> Job:
+        """Return a job as it stands."""
+        return self._get(f"/v1/jobs/{job_id}", Job)
+
+    def jobs(self, **filters: str | None) -> list[Job]:
+        """Return jobs, filtered by ``subject_id``, ``state`` or ``kind``."""
+        return self._list("/v1/jobs", Job, **filters)
+
+    def log(self, job_id: str, *, after: int = 0) -> list[LogLine]:
+        """Return what the solver printed, the lines numbered higher than ``after``."""
+        return self._list(f"/v1/jobs/{job_id}/log", LogLine, after=after)
+
+    def cancel(self, job_id: str, reason: str) -> Job:
+        """Ask for a job to be stopped."""
+        return self._post(f"/v1/jobs/{job_id}/cancel", Job, reason=reason)
+
+    def wait(self, job_id: str, watch: Watcher = unwatched) -> Job:
+        """Follow a job by its events until it has ended, through broken connections.
+
+        Returns the succeeded job; raises :class:`ApiError` with the job's own error document
+        if it failed or was canceled.
+        """
+        patience = Patience()
+        last_event: str | None = None
+        while True:
+            with patience.retrying():
+                job = self.job(job_id)
+                watch(job)
+                if job.state in FINAL_STATES:
+                    return _succeeded(job)
+                for event in self._events(job_id, last_event):
+                    patience.reset()
+                    last_event = event.id or last_event
+                    if event.event != "progress":
+                        break  # the state has changed: read the whole job again
+                    watch(
+                        job.model_copy(update={"progress": Progress.model_validate(event.json())})
+                    )
+
+    def _events(self, job_id: str, last_event: str | None) -> Iterator[ServerSentEvent]:
+        headers = {"Last-Event-ID": last_event} if last_event else {}
+        url = f"/v1/jobs/{job_id}/events"
+        with connect_sse(self.http, "GET", url, headers=headers, timeout=EVENTS_TIMEOUT) as source:
+            checked(source.response)
+            yield from source.iter_sse()
+
+    # Rigs
+
+    def rigs(self, *, subject_id: str | None = None) -> list[Rig]:
+        """Return rigs, those of one subject if it is given."""
+        return self._list("/v1/rigs", Rig, subject_id=subject_id)
+
+    def rig(self, rig_id: str) -> Rig:
+        """Return one rig."""
+        return self._get(f"/v1/rigs/{rig_id}", Rig)
+
+    # Requests
+
+    def _send(self, method: str, url: str, **request: Any) -> httpx.Response:
+        return checked(self.http.request(method, url, **request))
+
+    def _get(self, url: str, kind: type[R]) -> R:
+        return kind.model_validate(self._send("GET", url).json())
+
+    def _post(self, url: str, kind: type[R], **body: Any) -> R:
+        given = {key: value for key, value in body.items() if value is not None}
+        return kind.model_validate(self._send("POST", url, json=given).json())
+
+    def _list(self, url: str, kind: type[R], **query: Any) -> list[R]:
+        given = {key: value for key, value in query.items() if value is not None}
+        body = self._send("GET", url, params=given).json()
+        return [kind.model_validate(item) for item in body["items"]]
+
+
+def _succeeded(job: Job) -> Job:
+    if job.state == "succeeded":
+        return job
+    ended = {"code": f"job.{job.state}", "detail": f"{job.kind} job {job.id} was {job.state}"}
+    raise ApiError(job.error or ended)

@@ -1,0 +1,51 @@
+"""What can go wrong between a client and the service."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import httpx
+
+LOCATING_KEYS = ("file", "line", "vertex", "expected", "found", "field")
+
+
+class ApiError(Exception):
+    """The service refused a request, a job failed, or nobody answered.
+
+    ``problem`` is the problem document (RFC 9457): ``code`` is stable, ``title`` and ``detail``
+    are for people, and other members locate the fault.
+    """
+
+    def __init__(self, problem: dict[str, Any]) -> None:
+        super().__init__(describe(problem))
+        self.problem = problem
+
+    @property
+    def code(self) -> str:
+        """The stable, machine-readable code."""
+        return str(self.problem.get("code", "unknown"))
+
+    @property
+    def status(self) -> int | None:
+        """The HTTP status, where there was an answer."""
+        return self.problem.get("status")
+
+    @classmethod
+    def from_response(cls, response: httpx.Response) -> ApiError:
+        """Read the problem document of an error answer (or make one of another server's page)."""
+        try:
+            problem = response.json()
+        except ValueError:
+            problem = None
+        if not isinstance(problem, dict) or "code" not in problem:
+            detail = f"{response.request.method} {response.request.url}: {response.text[:200]}"
+            problem = {"code": f"http.{response.status_code}", "detail": detail}
+        return cls({"status": response.status_code, **problem})
+
+
+def describe(problem: dict[str, Any]) -> str:
+    """Return a problem document as one line: what, where, code."""
+    text = str(problem.get("detail") or problem.get("message") or problem.get("title") or "failed")
+    where = [f"{key} {problem[key]}" for key in LOCATING_KEYS if problem.get(key) is not None]
+    code = problem.get("code", "unknown")
+    return f"{text} ({', '.join([*where, str(code)])})"

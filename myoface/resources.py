@@ -1,0 +1,124 @@
+"""What the API returns, as typed values; fields this client does not know are ignored."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict
+
+Role = Literal["neutral", "expression"]
+Kind = Literal["build_model", "fit_geometry", "fit_activations"]
+State = Literal["queued", "running", "canceling", "succeeded", "failed", "canceled"]
+
+FINAL_STATES: frozenset[State] = frozenset({"succeeded", "failed", "canceled"})
+
+
+class Resource(BaseModel):
+    """A value of the API."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+
+class Upload(Resource):
+    """A resumable upload: ``offset`` of ``size`` bytes have arrived."""
+
+    id: str
+    filename: str
+    size: int
+    offset: int
+    sha256: str | None = None
+    state: Literal["open", "complete"]
+
+
+class Template(Resource):
+    """A template anatomy."""
+
+    id: str
+    name: str
+    sha256: str | None = None
+    created_at: datetime | None = None
+
+
+class Subject(Resource):
+    """A person."""
+
+    id: str
+    name: str
+    template_id: str | None = None
+    created_at: datetime | None = None
+
+
+class Capture(Resource):
+    """A named scan of a subject."""
+
+    id: str
+    name: str
+    role: Role
+    filename: str | None = None
+    sha256: str | None = None
+    created_at: datetime | None = None
+
+
+class Artifact(Resource):
+    """A file that a job left; ``size`` in bytes."""
+
+    id: str
+    name: str
+    size: int
+    sha256: str
+    media_type: str
+
+
+class Progress(Resource):
+    """Where a running job is; ``fraction`` of the whole job in [0, 1]."""
+
+    phase: str
+    fraction: float
+    iteration: int | None = None
+    residual: float | None = None
+    mean_error_mm: float | None = None
+    message: str | None = None
+
+
+class Result(Resource):
+    """What a succeeded job left."""
+
+    rig_id: str | None = None
+    artifacts: list[Artifact] = []
+
+
+class Job(Resource):
+    """A piece of work."""
+
+    id: str
+    subject_id: str
+    kind: Kind
+    state: State
+    attempt: int
+    progress: Progress | None = None
+    error: dict[str, Any] | None = None
+    result: Result | None = None
+    created_at: datetime | None = None
+    started_at: datetime | None = None
+    finished_at: datetime | None = None
+
+
+class LogLine(Resource):
+    """A line that the solver printed."""
+
+    number: int
+    attempt: int | None = None
+    text: str
+
+
+class Rig(Resource):
+    """A fitted face."""
+
+    id: str
+    subject_id: str
+    parent_id: str | None = None
+    expressions: list[Any] = []
+    summary: dict[str, Any] = {}
+    artifacts: list[Artifact] = []
+    created_at: datetime | None = None

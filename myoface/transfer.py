@@ -1,0 +1,177 @@
+"""Files to and from the service: uploads and downloads that survive a broken connection."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx
+
+from myoface.errors import ApiError
+from myoface.resources import Artifact, Upload
+
+CHUNK_BYTES = 4 * 1024 * 1024
+ATTEMPTS = 8
+FIRST_PAUSE_S = 0.1
+LONGEST_PAUSE_S = 8.0
+
+TUS = {"Tus-Resumable": "1.0.0"}
+TUS_CONTENT = "application/offset+octet-stream"
+# Another offset than the service has, or a broken connection's lock that is not free yet.
+NOT_IN_STEP = frozenset({httpx.codes.CONFLICT, httpx.codes.LOCKED})
+
+Transferred = Callable[[int, int], None]
+"""Called with the bytes done and the bytes in all."""
+
+
+def unheard(_done: int, _total: int, /) -> None:
+    """Tell nobody how far a transfer is."""
+
+
+class Patience:
+    """Waits longer after each failure in a row and gives up after ``ATTEMPTS``."""
+
+    def __init__(self) -> None:
+        self.failures = 0
+
+    def reset(self) -> None:
+        """Forget the failures: something went through."""
+        self.failures = 0
+
+    def failed(self, error: ApiError) -> None:
+        """Pause after a failure, or raise ``error`` if there were too many."""
+        self.failures += 1
+        if self.failures >= ATTEMPTS:
+            raise error
+        time.sleep(min(FIRST_PAUSE_S * 2**self.failures, LONGEST_PAUSE_S))
+
+    @contextmanager
+    def retrying(self) -> Iterator[None]:
+        """Turn a transport failure into a pause; the last one into an :class:`ApiError`."""
+        try:
+            yield
+        except httpx.TransportError as error:
+            self.failed(unreachable(error))
+
+
+def unreachable(error: httpx.TransportError) -> ApiError:
+    """Return the error of a service that does not answer."""
+    detail = f"no answer from {error.request.url}: {str(error) or type(error).__name__}"
+    return ApiError({"code": "client.unreachable", "detail": detail})
+
+
+def checked(response: httpx.Response) -> httpx.Response:
+    """Return ``response``, or raise its problem as :class:`ApiError`."""
+    if response.is_error:
+        response.read()
+        raise ApiError.from_response(response)
+    return response
+
+
+def sha256_of(path: Path) -> str:
+    """Return the hex digest of a file."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def upload(
+    http: httpx.Client,
+    path: Path,
+    *,
+    resume: str | None = None,
+    started: Callable[[str], None] | None = None,
+    progress: Transferred = unheard,
+) -> Upload:
+    """Send a file by tus 1.0 and return the complete upload.
+
+    ``resume`` continues an upload of the same file that was interrupted; ``started`` gets the id
+    that a later ``resume`` needs. Raises :class:`ApiError`: ``client.changed`` if the file is not
+    the one that ``resume`` began with, or the service's refusal.
+    """
+    size, digest = path.stat().st_size, sha256_of(path)
+    if resume is None:
+        upload_id = _start(http, path.name, size, digest)
+    else:
+        begun = Upload.model_validate(checked(http.get(f"/v1/uploads/{resume}")).json())
+        if (begun.size, begun.sha256) != (size, digest):
+            detail = f"{path.name} is not the file that upload {resume} began with"
+            raise ApiError({"code": "client.changed", "detail": detail, "file": path.name})
+        upload_id = begun.id
+    if started is not None:
+        started(upload_id)
+    _send(http, f"/v1/uploads/{upload_id}", path, progress)
+    return Upload.model_validate(checked(http.get(f"/v1/uploads/{upload_id}")).json())
+
+
+def _start(http: httpx.Client, name: str, size: int, digest: str) -> str:
+    def encoded(text: str) -> str:
+        return base64.b64encode(text.encode()).decode()
+
+    metadata = f"filename {encoded(name)},sha256 {encoded(digest)}"
+    headers = TUS | {"Upload-Length": str(size), "Upload-Metadata": metadata}
+    response = checked(http.post("/v1/uploads", headers=headers))
+    return response.headers["Location"].rstrip("/").rsplit("/", 1)[-1]
+
+
+def _send(http: httpx.Client, url: str, path: Path, progress: Transferred) -> None:
+    size = path.stat().st_size
+    patience = Patience()
+    offset: int | None = None  # None: ask the service how much it has
+    with path.open("rb") as stream:
+        while offset != size:
+            with patience.retrying():
+                if offset is None:
+                    response = http.head(url, headers=TUS)
+                else:
+                    stream.seek(offset)
+                    headers = TUS | {"Upload-Offset": str(offset), "Content-Type": TUS_CONTENT}
+                    offset = None
+                    response = http.patch(url, content=stream.read(CHUNK_BYTES), headers=headers)
+                    if response.status_code in NOT_IN_STEP:
+                        patience.failed(ApiError.from_response(response))
+                        continue
+                    patience.reset()
+                offset = int(checked(response).headers["Upload-Offset"])
+                progress(offset, size)
+
+
+def download(
+    http: httpx.Client, artifact: Artifact, path: Path, *, progress: Transferred = unheard
+) -> None:
+    """Fetch an artifact into ``path``, checked against its sha256.
+
+    A part that is already there (``path`` + ``.part``) is continued; ``path`` itself appears only
+    when the whole file is right. Raises :class:`ApiError` (``client.checksum``) if it is not.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(path.name + ".part")
+    patience = Patience()
+    part.touch()
+    while (have := part.stat().st_size) < artifact.size:
+        with patience.retrying():
+            headers = {"Range": f"bytes={have}-", "If-Range": f'"{artifact.sha256}"'}
+            with http.stream("GET", f"/v1/artifacts/{artifact.id}", headers=headers) as response:
+                partial = checked(response).status_code == httpx.codes.PARTIAL_CONTENT
+                with part.open("ab" if partial else "wb") as stream:
+                    for block in response.iter_bytes():
+                        stream.write(block)
+                        progress(stream.tell(), artifact.size)
+                        patience.reset()
+    found = sha256_of(part)
+    if found != artifact.sha256:
+        part.unlink()
+        raise ApiError(
+            {
+                "code": "client.checksum",
+                "detail": f"{artifact.name} arrived damaged",
+                "file": artifact.name,
+                "expected": artifact.sha256,
+                "found": found,
+            }
+        )
+    os.replace(part, path)
