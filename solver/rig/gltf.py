@@ -1,0 +1,205 @@
+"""``rig.glb``: the skin with one morph target per expression, after the glTF 2.0 specification."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pygltflib as gl
+
+from solver.rig.normals import vertex_normals
+from solver.rig.parts import skin_parts
+from solver.rig.result import ExpressionFit, Rig
+from solver.surface import Floats, Ints
+
+METRES = 1e-3
+STILL_MM = 1e-3  # a vertex that moves less than a micrometre is left out of a sparse target
+STILL_NORMAL = 1e-3
+SPARSE_COST = 14 / 12  # bytes of a sparse entry by those of a dense one
+MOVE_SECONDS, HOLD_SECONDS = 0.6, 0.4
+GENERATOR = "Myoface"
+ERROR_ATTRIBUTE = "_ERROR_MM"
+MATERIALS = {  # linear base colour and opacity, roughness
+    "skin": ((0.67, 0.40, 0.30, 1.0), 0.55),
+    "eyes": ((0.80, 0.80, 0.78, 1.0), 0.10),
+    "teeth": ((0.78, 0.72, 0.60, 1.0), 0.25),
+    "mouth": ((0.42, 0.10, 0.10, 1.0), 0.35),
+    "lashes": ((0.10, 0.07, 0.06, 0.15), 0.60),
+}
+
+
+def write_glb(path: Path, rig: Rig) -> None:
+    """Write the neutral skin (v, 3), its expressions as morph targets and an animation, in metres.
+
+    Every part of the skin (skin, eyes, teeth ...) is a primitive with its own material; they share
+    all vertex data, so that vertex numbers stay the scan's. ``_ERROR_MM`` is the greatest distance
+    to the scans over all expressions, mm, 0 where nothing was measured.
+    """
+    neutral = rig.model.skin
+    names = [fit.name for fit in rig.expressions]
+    buffer = _Buffer()
+    normals = vertex_normals(neutral)
+    attributes = gl.Attributes(
+        POSITION=buffer.dense(neutral.vertices * METRES, gl.VEC3, gl.ARRAY_BUFFER, bounds=True),
+        NORMAL=buffer.dense(normals, gl.VEC3, gl.ARRAY_BUFFER),
+    )
+    worst = _worst_error(rig.expressions, len(neutral.vertices))
+    setattr(attributes, ERROR_ATTRIBUTE, buffer.dense(worst, gl.SCALAR, gl.ARRAY_BUFFER))
+    targets = [
+        gl.Attributes(
+            POSITION=buffer.morph(
+                (fit.skin - neutral.vertices) * METRES, STILL_MM * METRES, bounds=True
+            ),
+            NORMAL=buffer.morph(vertex_normals(neutral.moved(fit.skin)) - normals, STILL_NORMAL),
+        )
+        for fit in rig.expressions
+    ]
+    parts = skin_parts(neutral)
+    document = gl.GLTF2(
+        asset=gl.Asset(version="2.0", generator=GENERATOR),
+        scene=0,
+        scenes=[gl.Scene(name="face", nodes=[0])],
+        nodes=[gl.Node(name="face", mesh=0)],
+        materials=[_material(part) for part in parts],
+        meshes=[
+            gl.Mesh(
+                name="face",
+                weights=[0.0] * len(names),
+                extras={"targetNames": names},
+                primitives=[
+                    gl.Primitive(
+                        attributes=attributes,
+                        indices=buffer.indices(neutral.faces[faces]),
+                        material=number,
+                        mode=gl.TRIANGLES,
+                        targets=targets,
+                    )
+                    for number, faces in enumerate(parts.values())
+                ],
+            )
+        ],
+        animations=[_animation(buffer, len(names))] if names else [],
+        accessors=buffer.accessors,
+        bufferViews=buffer.views,
+        buffers=[gl.Buffer(byteLength=len(buffer.content))],
+    )
+    document.set_binary_blob(bytes(buffer.content))
+    document.save_binary(str(path))
+
+
+def _worst_error(expressions: tuple[ExpressionFit, ...], vertices: int) -> Floats:
+    worst = np.zeros(vertices)
+    for fit in expressions:
+        worst = np.fmax(worst, fit.error_mm)
+    return worst
+
+
+def _material(part: str) -> gl.Material:
+    colour, roughness = MATERIALS[part]
+    return gl.Material(
+        name=part,
+        doubleSided=True,
+        alphaMode=gl.OPAQUE if colour[3] == 1.0 else gl.BLEND,
+        alphaCutoff=None,
+        pbrMetallicRoughness=gl.PbrMetallicRoughness(
+            baseColorFactor=list(colour), metallicFactor=0.0, roughnessFactor=roughness
+        ),
+    )
+
+
+def _animation(buffer: _Buffer, count: int) -> gl.Animation:
+    """Return neutral -> expression -> neutral for one expression after the other."""
+    period = 2 * MOVE_SECONDS + HOLD_SECONDS
+    times = [0.0]
+    weights = [np.zeros(count)]
+    for number, shape in enumerate(np.eye(count)):
+        start = number * period
+        times += [start + MOVE_SECONDS, start + MOVE_SECONDS + HOLD_SECONDS, start + period]
+        weights += [shape, shape, np.zeros(count)]
+    sampler = gl.AnimationSampler(
+        input=buffer.dense(np.array(times), gl.SCALAR, bounds=True),
+        output=buffer.dense(np.concatenate(weights), gl.SCALAR),
+        interpolation=gl.ANIM_LINEAR,
+    )
+    channel = gl.AnimationChannel(
+        sampler=0, target=gl.AnimationChannelTarget(node=0, path=gl.WEIGHTS)
+    )
+    return gl.Animation(name="expressions", samplers=[sampler], channels=[channel])
+
+
+class _Buffer:
+    """The one binary buffer, with its views and accessors as they are added."""
+
+    def __init__(self) -> None:
+        self.content = bytearray()
+        self.views: list[gl.BufferView] = []
+        self.accessors: list[gl.Accessor] = []
+
+    def dense(
+        self, values: Floats, kind: str, target: int | None = None, *, bounds: bool = False
+    ) -> int:
+        """Add values as 32-bit floats and return the accessor's number."""
+        stored = np.ascontiguousarray(values, dtype="<f4")
+        view = self._view(stored, target)
+        accessor = self._accessor(gl.FLOAT, len(stored), kind, bufferView=view)
+        if bounds:
+            _set_bounds(accessor, stored)
+        return len(self.accessors) - 1
+
+    def indices(self, faces: Ints) -> int:
+        """Add triangles and return the accessor's number."""
+        view = self._view(np.ascontiguousarray(faces, "<u4"), gl.ELEMENT_ARRAY_BUFFER)
+        self._accessor(gl.UNSIGNED_INT, faces.size, gl.SCALAR, bufferView=view)
+        return len(self.accessors) - 1
+
+    def morph(self, change: Floats, still: float, *, bounds: bool = False) -> int:
+        """Add a change (v, 3) of an attribute, sparse where that is smaller."""
+        moving = np.flatnonzero((np.abs(change) > still).any(axis=1))
+        if len(moving) * SPARSE_COST > len(change):
+            return self.dense(change, gl.VEC3, gl.ARRAY_BUFFER, bounds=bounds)
+        if len(moving) == 0:
+            moving = np.zeros(1, np.int64)  # glTF wants at least one sparse entry
+        values = np.ascontiguousarray(change[moving], "<f4")
+        short = len(change) <= 2**16
+        accessor = self._accessor(gl.FLOAT, len(change), gl.VEC3, bufferView=None)
+        accessor.sparse = gl.Sparse(
+            count=len(moving),
+            indices=gl.AccessorSparseIndices(
+                bufferView=self._view(moving.astype("<u2" if short else "<u4")),
+                componentType=gl.UNSIGNED_SHORT if short else gl.UNSIGNED_INT,
+            ),
+            values=gl.AccessorSparseValues(bufferView=self._view(values)),
+        )
+        if bounds:
+            whole = np.vstack([values, np.zeros((1, 3), "<f4")])
+            _set_bounds(accessor, values if len(values) == len(change) else whole)
+        return len(self.accessors) - 1
+
+    def _view(self, stored: np.ndarray, target: int | None = None) -> int:
+        self.content += b"\0" * (-len(self.content) % 4)
+        view = gl.BufferView(
+            buffer=0, byteOffset=len(self.content), byteLength=stored.nbytes, target=target
+        )
+        self.content += stored.tobytes()
+        self.views.append(view)
+        return len(self.views) - 1
+
+    def _accessor(
+        self, component: int, count: int, kind: str, *, bufferView: int | None
+    ) -> gl.Accessor:
+        accessor = gl.Accessor(
+            bufferView=bufferView,
+            byteOffset=0 if bufferView is not None else None,
+            componentType=component,
+            count=count,
+            type=kind,
+        )
+        self.accessors.append(accessor)
+        return accessor
+
+
+def _set_bounds(accessor: gl.Accessor, stored: np.ndarray) -> None:
+    """Set min and max, as glTF demands for positions and key times."""
+    table = stored.reshape(len(stored), -1)
+    accessor.min = table.min(axis=0).astype(float).tolist()
+    accessor.max = table.max(axis=0).astype(float).tolist()

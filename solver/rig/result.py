@@ -1,0 +1,199 @@
+"""The result of a fit: muscle activations per expression and the blending matrix S.
+
+``activations.npz`` and ``muscle_weights.npz`` are documented in docs/rig-format.md.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+import scipy.sparse as sp
+
+from solver.errors import InputError
+from solver.model import SubjectModel
+from solver.surface import Floats
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class ExpressionFit:
+    """One expression, fitted.
+
+    name, role
+        What the capture was called; ``train`` (its scan shaped S) or ``test`` (activations only).
+    activations
+        (m, 6) symmetric contraction of every muscle in the order xx, xy, xz, yy, yz, zz; a relaxed
+        muscle is (1, 0, 0, 1, 0, 1).
+    jaw
+        (5,) b of :class:`solver.model.JawFrame`, rad and mm.
+    skin, target
+        (v, 3) the whole scan topology in mm: as solved and as scanned.
+    error_mm
+        (v,) distance between them on the face's vertices, NaN elsewhere.
+    inverted
+        Number of tets with det F <= 0.
+    iterations, seconds, objective
+        How the solve went, and the value it ended with.
+    """
+
+    name: str
+    role: str
+    activations: Floats
+    jaw: Floats
+    skin: Floats
+    target: Floats
+    error_mm: Floats
+    inverted: int
+    iterations: int
+    seconds: float
+    objective: float
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Everything a fit hands over.
+
+    ``weights`` (n, m + 1) is the final S, ``seconds`` the time of each phase of the job.
+    """
+
+    model: SubjectModel
+    weights: sp.csr_array
+    expressions: tuple[ExpressionFit, ...]
+    seconds: dict[str, float]
+
+
+def save_activations(
+    path: Path, expressions: tuple[ExpressionFit, ...], model: SubjectModel
+) -> None:
+    """Write ``activations.npz``; lengths in mm, surfaces and errors in single precision."""
+    muscles, vertices = model.muscle_count, len(model.skin.vertices)
+
+    def stacked(field: str, shape: tuple[int, ...], dtype: type = np.float64) -> np.ndarray:
+        rows: np.ndarray = np.array([getattr(fit, field) for fit in expressions], dtype=dtype)
+        return rows.reshape(len(expressions), *shape)
+
+    with path.open("wb") as stream:
+        np.savez_compressed(
+            stream,
+            allow_pickle=False,
+            format=np.array(FORMAT),
+            muscles=np.array(model.muscle_names, dtype=np.str_),
+            names=np.array([fit.name for fit in expressions], dtype=np.str_),
+            roles=np.array([fit.role for fit in expressions], dtype=np.str_),
+            activations=stacked("activations", (muscles, 6)),
+            jaw=stacked("jaw", (5,)),
+            skin=stacked("skin", (vertices, 3), np.float32),
+            target=stacked("target", (vertices, 3), np.float32),
+            error_mm=stacked("error_mm", (vertices,), np.float32),
+            inverted=stacked("inverted", (), np.int64),
+            iterations=stacked("iterations", (), np.int64),
+            seconds=stacked("seconds", ()),
+            objective=stacked("objective", ()),
+        )
+
+
+def load_activations(path: Path, model: SubjectModel) -> tuple[ExpressionFit, ...]:
+    """Read ``activations.npz`` of a rig of ``model``.
+
+    Raises :class:`InputError`: ``rig.unreadable``, ``rig.format``, or ``rig.model`` if it belongs
+    to a model with other muscles or another skin.
+    """
+    with _reading(path), np.load(path, allow_pickle=False) as file:
+        data = dict(file)
+        _check_format(path, data)
+        if (
+            tuple(data["muscles"].tolist()) != model.muscle_names
+            or data["skin"].shape[1:] != model.skin.vertices.shape
+        ):
+            raise _other_model(path)
+        return tuple(
+            ExpressionFit(
+                name=str(data["names"][k]),
+                role=str(data["roles"][k]),
+                activations=data["activations"][k],
+                jaw=data["jaw"][k],
+                skin=data["skin"][k].astype(np.float64),
+                target=data["target"][k].astype(np.float64),
+                error_mm=data["error_mm"][k].astype(np.float64),
+                inverted=int(data["inverted"][k]),
+                iterations=int(data["iterations"][k]),
+                seconds=float(data["seconds"][k]),
+                objective=float(data["objective"][k]),
+            )
+            for k in range(len(data["names"]))
+        )
+
+
+def save_weights(path: Path, weights: sp.csr_array, model: SubjectModel) -> None:
+    """Write ``muscle_weights.npz``: S (n, m + 1) as CSR, explicit zeros kept."""
+    with path.open("wb") as stream:
+        np.savez_compressed(
+            stream,
+            allow_pickle=False,
+            format=np.array(FORMAT),
+            muscles=np.array(model.muscle_names, dtype=np.str_),
+            model=np.array(model_hash(model)),
+            data=weights.data,
+            indices=weights.indices,
+            indptr=weights.indptr,
+            shape=np.array(weights.shape),
+        )
+
+
+def load_weights(path: Path, model: SubjectModel) -> sp.csr_array:
+    """Read ``muscle_weights.npz`` (n, m + 1) for ``model``.
+
+    Raises :class:`InputError`: ``rig.unreadable``, ``rig.format``, or ``rig.model`` if S was fitted
+    on another model.
+    """
+    with _reading(path), np.load(path, allow_pickle=False) as file:
+        data = dict(file)
+        _check_format(path, data)
+        if str(data["model"]) != model_hash(model):
+            raise _other_model(path)
+        parts = (data["data"], data["indices"], data["indptr"])
+        return sp.csr_array(parts, shape=tuple(data["shape"].tolist()))
+
+
+def model_hash(model: SubjectModel) -> str:
+    """Return the sha256 of what S depends on: the tets at rest and the muscles' names."""
+    digest = hashlib.sha256("\n".join(model.muscle_names).encode())
+    digest.update(np.ascontiguousarray(model.rest, dtype="<f8").tobytes())
+    digest.update(np.ascontiguousarray(model.tets, dtype="<i8").tobytes())
+    return digest.hexdigest()
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except InputError:
+        raise
+    except (OSError, KeyError, IndexError, ValueError, EOFError, BadZipFile) as error:
+        raise InputError(
+            "rig.unreadable", f"{path.name} is not part of a rig: {error}", file=path.name
+        ) from error
+
+
+def _check_format(path: Path, data: dict[str, np.ndarray]) -> None:
+    if int(data["format"]) != FORMAT:
+        raise InputError(
+            "rig.format",
+            f"{path.name} has rig format {int(data['format'])}, not {FORMAT}",
+            file=path.name,
+            expected=FORMAT,
+            found=int(data["format"]),
+        )
+
+
+def _other_model(path: Path) -> InputError:
+    return InputError(
+        "rig.model", f"{path.name} belongs to a rig of another subject model", file=path.name
+    )

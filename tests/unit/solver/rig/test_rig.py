@@ -1,0 +1,183 @@
+"""The files of a rig: what is written is what was solved, and other programs can read it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pygltflib
+import pytest
+import scipy.sparse as sp
+
+from solver.errors import InputError
+from solver.model import SubjectModel
+from solver.rig.gltf import write_glb
+from solver.rig.gltf_check import validate_glb
+from solver.rig.parts import skin_parts
+from solver.rig.report import report, write_report
+from solver.rig.result import (
+    ExpressionFit,
+    Rig,
+    load_activations,
+    load_weights,
+    save_activations,
+    save_weights,
+)
+from solver.scans.read import read_registered
+from tests.fixtures import fixture_model, ict_capture
+
+NAMES = ["smile", "surprise", "ah"]
+SHARE = 0.9  # the made-up fits reach this much of each expression
+
+
+@pytest.fixture(scope="module")
+def model() -> SubjectModel:
+    """Return a subject model that carries the whole ICT topology."""
+    return replace(fixture_model("neutral_coarse"), skin=ict_capture("neutral"))
+
+
+@pytest.fixture(scope="module")
+def rig(model: SubjectModel) -> Rig:
+    rng = np.random.default_rng(4)
+    return Rig(
+        model=model,
+        weights=model.weights,
+        expressions=tuple(_fit(model, name, rng) for name in NAMES),
+        seconds={"geometry": 1.25},
+    )
+
+
+def _fit(model: SubjectModel, name: str, rng: np.random.Generator) -> ExpressionFit:
+    neutral, target = model.skin.vertices, ict_capture(name).vertices
+    skin = neutral + SHARE * (target - neutral)
+    error = np.full(len(skin), np.nan)
+    error[model.face] = np.linalg.norm(target - skin, axis=1)[model.face]
+    return ExpressionFit(
+        name=name,
+        role="test" if name == "ah" else "train",
+        activations=rng.standard_normal((model.muscle_count, 6)),
+        jaw=rng.standard_normal(5),
+        skin=skin,
+        target=target,
+        error_mm=error,
+        inverted=1,
+        iterations=7,
+        seconds=0.5,
+        objective=12.0,
+    )
+
+
+def test_activations_come_back(rig: Rig, tmp_path: Path) -> None:
+    path = tmp_path / "activations.npz"
+    save_activations(path, rig.expressions, rig.model)
+    loaded = load_activations(path, rig.model)
+    for before, after in zip(rig.expressions, loaded, strict=True):
+        assert (before.name, before.role, before.inverted) == (after.name, after.role, 1)
+        np.testing.assert_array_equal(before.activations, after.activations)
+        np.testing.assert_array_equal(before.jaw, after.jaw)
+        np.testing.assert_allclose(before.skin, after.skin, atol=1e-4)
+        np.testing.assert_allclose(before.error_mm, after.error_mm, atol=1e-5)
+
+
+def test_weights_come_back_with_their_zeros(rig: Rig, tmp_path: Path) -> None:
+    path = tmp_path / "muscle_weights.npz"
+    save_weights(path, rig.weights, rig.model)
+    loaded = load_weights(path, rig.model)
+    assert isinstance(loaded, sp.csr_array)
+    assert loaded.shape == rig.weights.shape
+    assert loaded.nnz == rig.weights.nnz
+    assert abs(loaded - rig.weights).max() == 0
+
+
+def test_files_of_another_model_or_of_none_are_refused(rig: Rig, tmp_path: Path) -> None:
+    weights, activations = tmp_path / "muscle_weights.npz", tmp_path / "activations.npz"
+    save_weights(weights, rig.weights, rig.model)
+    save_activations(activations, rig.expressions, rig.model)
+    moved = replace(rig.model, rest=rig.model.rest + 1.0)
+    other = replace(rig.model, muscle_names=rig.model.muscle_names[::-1])
+    for load in (
+        lambda: load_weights(weights, moved),
+        lambda: load_activations(activations, other),
+    ):
+        with pytest.raises(InputError) as caught:
+            load()
+        assert caught.value.code == "rig.model"
+    weights.write_bytes(weights.read_bytes()[:1000])
+    with pytest.raises(InputError) as caught:
+        load_weights(weights, rig.model)
+    assert caught.value.code == "rig.unreadable"
+
+
+def test_report_means_are_over_the_face_and_strict_json(rig: Rig, tmp_path: Path) -> None:
+    path = tmp_path / "report.json"
+    write_report(path, rig)
+    figures = json.loads(path.read_text(), parse_constant=pytest.fail)
+    moved = ict_capture("smile").vertices - ict_capture("neutral").vertices
+    expected = (1 - SHARE) * np.linalg.norm(moved[rig.model.face], axis=1).mean()
+    smile = figures["expressions"]["smile"]
+    assert smile["mean_mm"] == pytest.approx(expected, abs=1e-3)
+    assert smile["mean_mm"] < smile["p95_mm"] < smile["max_mm"]
+    assert set(smile["regions"]) == set(rig.model.regions)
+    train = [figures["expressions"][name]["mean_mm"] for name in ("smile", "surprise")]
+    assert figures["train_mean_mm"] == pytest.approx(np.mean(train), abs=1e-3)
+    assert figures["test_mean_mm"] == figures["expressions"]["ah"]["mean_mm"]
+    assert (figures["inverted"], figures["muscles"]) == (3, 43)
+    assert report(replace(rig, expressions=rig.expressions[:1]))["test_mean_mm"] is None
+
+
+def test_parts_of_the_topology(model: SubjectModel) -> None:
+    faces = model.skin.faces
+    used = {name: np.unique(faces[numbers]) for name, numbers in skin_parts(model.skin).items()}
+    assert used["skin"].max() == 14061
+    assert (used["eyes"].min(), used["eyes"].max()) == (21451, 24590)
+    assert (used["teeth"].min(), used["teeth"].max()) == (17039, 21450)
+    assert used["lashes"].min() == 24591
+
+
+def test_glb_holds_the_expressions_and_reads_back(rig: Rig, tmp_path: Path) -> None:
+    path = tmp_path / "rig.glb"
+    write_glb(path, rig)
+    assert validate_glb(path, NAMES) == []
+    skin = rig.model.skin
+    np.testing.assert_allclose(
+        read_registered(path, skin.faces, len(skin.vertices)), skin.vertices, atol=1e-4
+    )
+    document = pygltflib.GLTF2().load(str(path))
+    mesh = document.meshes[0]
+    assert mesh.extras["targetNames"] == NAMES
+    for number, fit in enumerate(rig.expressions):
+        change = _sparse(document, mesh.primitives[0].targets[number]["POSITION"])
+        np.testing.assert_allclose(
+            skin.vertices + 1000 * change, fit.skin, atol=2e-3, err_msg=fit.name
+        )
+    triangles = sum(document.accessors[part.indices].count for part in mesh.primitives) // 3
+    assert triangles == len(skin.faces)
+    weights = document.accessors[document.animations[0].samplers[0].output]
+    assert weights.count == (3 * len(NAMES) + 1) * len(NAMES)
+
+
+def _sparse(document: pygltflib.GLTF2, number: int) -> np.ndarray:
+    accessor = document.accessors[number]
+    blob = document.binary_blob()
+
+    def stored(view: int, kind: str) -> np.ndarray:
+        place = document.bufferViews[view]
+        return np.frombuffer(blob[place.byteOffset : place.byteOffset + place.byteLength], kind)
+
+    values = np.zeros((accessor.count, 3), "<f4")
+    rows = stored(accessor.sparse.indices.bufferView, "<u2")
+    values[rows] = stored(accessor.sparse.values.bufferView, "<f4").reshape(-1, 3)
+    return values
+
+
+def test_a_broken_glb_is_noticed(rig: Rig, tmp_path: Path) -> None:
+    path = tmp_path / "rig.glb"
+    write_glb(path, rig)
+    assert validate_glb(path, [*NAMES, "more"]) != []
+    content = bytearray(path.read_bytes())
+    start = 28 + int.from_bytes(content[12:16], "little")
+    content[start : start + 4] = np.float32(np.nan).tobytes()
+    path.write_bytes(content)
+    assert any("not finite" in fault for fault in validate_glb(path, NAMES))
