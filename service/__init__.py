@@ -1,1 +1,1 @@
-"""The HTTP API and the job table."""
+"""The HTTP API, the job table and the files; it never computes."""

@@ -1,1 +1,1 @@
-"""The Celery app: claim, supervise, commit."""
+"""The Celery app: claim a job, supervise its solver process, commit what it left."""

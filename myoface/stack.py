@@ -1,0 +1,236 @@
+"""The whole service on one machine: broker, API and workers as child processes, kept alive."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+import httpx
+import structlog
+
+from service.settings import Settings
+from service.store.broker import EmbeddedBroker
+from service.store.queue import QUEUES
+
+START_TIMEOUT = 60.0
+STOP_TIMEOUT = 8.0
+LONGEST_PAUSE = 30.0
+STEADY = 30.0  # seconds after which a restarted child counts as well
+
+log = structlog.get_logger()
+
+
+class StackError(RuntimeError):
+    """The service could not be started."""
+
+
+class Stack:
+    """Starts and stops the service; a child that dies is started again, with growing pauses.
+
+    One stack serves a data folder at a time. ``settings.port`` 0 takes a free port. Each child
+    logs to ``<data_dir>/logs/<name>.log``.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        port = settings.port or _free_port(settings.host)
+        self.settings = settings.model_copy(update={"port": port})
+        self.url = f"http://{settings.host}:{port}"
+        self._broker = (
+            None
+            if settings.broker_url
+            else EmbeddedBroker(settings.broker_socket.parent, settings.broker_socket)
+        )
+        environment = os.environ | self.settings.environment()
+        logs = settings.data_dir / "logs"
+        self._children = [
+            _Child("api", ["-m", "service"], logs, environment),
+            *(_Child(queue, ["-m", "worker", queue], logs, environment) for queue in QUEUES),
+        ]
+        self._stopping = threading.Event()
+        self._keeper = threading.Thread(target=self._keep, name="keeper", daemon=True)
+        self._lock: IO[str] | None = None
+
+    def start(self) -> None:
+        """Start everything and wait until the API and a worker per queue answer.
+
+        Raises
+        ------
+        StackError
+            If another stack has the data folder, the port is taken, or a part does not come up
+            within a minute; the message names the log to read.
+        BrokerNotFoundError
+            If there is no broker to start.
+        """
+        self._lock = _lock(self.settings.data_dir)
+        _check_port(self.settings.host, self.settings.port)
+        try:
+            if self._broker:
+                self._broker.start()
+            for child in self._children:
+                child.start()
+            self._keeper.start()
+            self._wait()
+        except BaseException:
+            self.stop()
+            raise
+
+    def stop(self) -> None:
+        """Stop everything; running jobs go back to the queue."""
+        self._stopping.set()
+        if self._keeper.is_alive():
+            self._keeper.join()
+        for child in self._children:
+            child.terminate()
+        for child in self._children:
+            child.wait(STOP_TIMEOUT)
+        if self._broker:
+            self._broker.stop()
+        if self._lock:
+            self._lock.close()
+
+    def pid(self, name: str) -> int:
+        """Return the process id of ``broker``, ``api``, ``short`` or ``long``."""
+        if name == "broker" and self._broker:
+            return self._broker.pid
+        return next(child.pid for child in self._children if child.name == name)
+
+    def __enter__(self) -> Stack:
+        self.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+
+    def _keep(self) -> None:
+        while not self._stopping.wait(0.2):
+            if self._broker and self._broker.has_died():
+                log.warning("broker.died")
+                self._broker.start()
+            for child in self._children:
+                child.revive()
+
+    def _wait(self) -> None:
+        deadline = time.monotonic() + START_TIMEOUT
+        while time.monotonic() < deadline:
+            if self._is_ready():
+                return
+            for child in self._children:
+                if child.restarts >= 3:
+                    raise StackError(f"{child.name} does not start; see {child.log}")
+            time.sleep(0.1)
+        raise StackError(f"the service did not come up; see {self.settings.data_dir / 'logs'}")
+
+    def _is_ready(self) -> bool:
+        try:
+            answer = httpx.get(f"{self.url}/readyz", timeout=5)
+            queues = {worker["queue"] for worker in answer.json()["workers"]}
+        except (httpx.HTTPError, ValueError, KeyError):
+            return False
+        return answer.status_code == 200 and queues >= set(QUEUES)
+
+
+@dataclass
+class _Child:
+    """A Python process that is started again when it dies."""
+
+    name: str
+    arguments: list[str]
+    logs: Path
+    environment: dict[str, str]
+    restarts: int = 0
+    _process: subprocess.Popen[bytes] | None = None
+    _started: float = 0.0
+    _due: float | None = field(default=None)
+
+    @property
+    def log(self) -> Path:
+        return self.logs / f"{self.name}.log"
+
+    @property
+    def pid(self) -> int:
+        assert self._process is not None
+        return self._process.pid
+
+    def start(self) -> None:
+        self.logs.mkdir(parents=True, exist_ok=True)
+        with self.log.open("ab") as output:
+            # A session of its own: Ctrl-C at the terminal is for the stack, which stops in order.
+            self._process = subprocess.Popen(
+                [sys.executable, *self.arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
+                env=self.environment,
+                start_new_session=True,
+            )
+        self._started = time.monotonic()
+        self._due = None
+
+    def revive(self) -> None:
+        """Start again if dead: at once the first time, then after pauses that double."""
+        if self._process is None or self._process.poll() is None:
+            return
+        now = time.monotonic()
+        if self._due is None:
+            if now - self._started > STEADY:
+                self.restarts = 0
+            pause = min(0.5 * (2**self.restarts - 1), LONGEST_PAUSE)
+            self._due = now + pause
+            log.warning("child.died", name=self.name, code=self._process.returncode, again_in=pause)
+        if now >= self._due:
+            self.restarts += 1
+            self.start()
+
+    def terminate(self) -> None:
+        if self._process and self._process.poll() is None:
+            self._process.terminate()
+
+    def wait(self, seconds: float) -> None:
+        if self._process is None:
+            return
+        try:
+            self._process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+def _lock(data_dir: Path) -> IO[str]:
+    data_dir.mkdir(parents=True, exist_ok=True)
+    lock = (data_dir / "stack.lock").open("w")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        lock.close()
+        raise StackError(f"a service is running in {data_dir} already") from error
+    return lock
+
+
+def _free_port(host: str) -> int:
+    with socket.socket() as probe:
+        probe.bind((host, 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def _check_port(host: str, port: int) -> None:
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            raise StackError(f"port {port} of {host} is taken; set MYOFACE_PORT") from error

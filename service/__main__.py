@@ -1,0 +1,27 @@
+"""``python -m service``: the API on ``MYOFACE_HOST`` and ``MYOFACE_PORT``."""
+
+from __future__ import annotations
+
+import uvicorn
+
+from service import logs
+from service.app import create_app
+from service.settings import Settings
+
+
+def main() -> None:
+    """Serve until interrupted."""
+    settings = Settings()
+    logs.configure(settings.log_json)
+    uvicorn.run(
+        create_app(settings),
+        host=settings.host,
+        port=settings.port,
+        log_config=None,
+        access_log=False,
+        timeout_graceful_shutdown=3,
+    )
+
+
+if __name__ == "__main__":
+    main()

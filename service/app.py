@@ -1,0 +1,75 @@
+"""The API as an application: `create_app` for uvicorn and the tests."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from importlib.metadata import PackageNotFoundError, version
+
+from anyio import to_thread
+from fastapi import FastAPI
+
+from service import errors
+from service.captures.routes import router as captures
+from service.jobs.routes import router as jobs
+from service.middleware import RequestContext
+from service.rigs.routes import router as rigs
+from service.settings import Settings
+from service.store.store import Store
+from service.subjects.routes import router as subjects
+from service.system.routes import router as system
+from service.templates.routes import router as templates
+from service.uploads.routes import router as uploads
+
+DESCRIPTION = """
+Registered 3D scans of one person in, a muscle-driven face out.
+
+Upload a neutral scan and a few expressions, make them captures of a subject, run `build_model`,
+`fit_geometry` and `fit_activations`, watch the jobs and download the rig. Lengths are millimetres,
+angles radians; the frame is x to the subject's left, y up, z forward.
+"""
+
+TAGS = [
+    {"name": "uploads", "description": "Resumable, checksummed (tus 1.0)."},
+    {"name": "subjects", "description": "The people."},
+    {"name": "captures", "description": "A subject's named scans."},
+    {"name": "templates", "description": "Anatomies that a studio brings."},
+    {"name": "jobs", "description": "The work: submit, watch, cancel."},
+    {"name": "rigs", "description": "The results and their files."},
+    {"name": "system", "description": "Health, limits and kinds of job."},
+]
+
+
+def create_app(settings: Settings | None = None) -> FastAPI:
+    """Return the application; without ``settings`` the environment's are used."""
+    settings = settings or Settings()
+    store = Store(settings.database, settings.files, settings.broker)
+
+    @asynccontextmanager
+    async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
+        await to_thread.run_sync(store.database.migrate)
+        yield
+        store.close()
+
+    app = FastAPI(
+        title="Myoface",
+        version=_version(),
+        description=DESCRIPTION,
+        openapi_tags=TAGS,
+        lifespan=lifespan,
+        license_info={"name": "MIT"},
+    )
+    app.state.settings = settings
+    app.state.store = store
+    errors.install(app)
+    for router in (uploads, subjects, captures, templates, jobs, rigs, system):
+        app.include_router(router)
+    app.add_middleware(RequestContext, allowed_hosts=settings.allowed_hosts)
+    return app
+
+
+def _version() -> str:
+    try:
+        return version("myoface")
+    except PackageNotFoundError:
+        return "0"

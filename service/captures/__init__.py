@@ -1,0 +1,1 @@
+"""Captures: a subject's named scans."""

@@ -1,0 +1,43 @@
+"""What routes ask for, by type."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated
+
+from fastapi import Depends, Query, Request
+from sqlalchemy.orm import Session
+
+from service.settings import Settings
+from service.store.store import Store
+
+
+def _settings(request: Request) -> Settings:
+    settings: Settings = request.app.state.settings
+    return settings
+
+
+def _store(request: Request) -> Store:
+    store: Store = request.app.state.store
+    return store
+
+
+SettingsDep = Annotated[Settings, Depends(_settings)]
+StoreDep = Annotated[Store, Depends(_store)]
+
+
+def _reading(store: StoreDep) -> Iterator[Session]:
+    with store.read() as session:
+        yield session
+
+
+def _writing(store: StoreDep) -> Iterator[Session]:
+    with store.write() as session:
+        yield session
+
+
+ReadSession = Annotated[Session, Depends(_reading, scope="function")]
+# "function": the commit, and the wake-up calls after it, come before the response.
+WriteSession = Annotated[Session, Depends(_writing, scope="function")]
+
+Limit = Annotated[int, Query(ge=1, le=1000, description="at most so many items")]

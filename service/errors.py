@@ -1,0 +1,122 @@
+"""Errors as problem documents (RFC 9457): a stable code, one plain sentence, what locates it."""
+
+from __future__ import annotations
+
+import errno
+from http import HTTPStatus
+from typing import Any
+
+import structlog
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.exceptions import HTTPException
+
+CHECKSUM_MISMATCH = 460  # tus 1.0, checksum extension
+
+log = structlog.get_logger()
+
+
+class Problem(Exception):  # noqa: N818 (the term of RFC 9457)
+    """A request that can not be served; ``context`` names what it is about."""
+
+    def __init__(self, status: int, code: str, detail: str, **context: Any) -> None:
+        super().__init__(detail)
+        self.status = status
+        self.code = code
+        self.detail = detail
+        self.context = context
+        self.headers: dict[str, str] = {}
+
+
+def unknown(what: str, identifier: str) -> Problem:
+    """Return the problem of an id that nothing has."""
+    return Problem(
+        404, f"{what}.unknown", f"there is no {what} {identifier}", **{f"{what}_id": identifier}
+    )
+
+
+class ProblemDocument(BaseModel):
+    """What an error looks like; further members name the fault (`file`, `line`, `found` ...)."""
+
+    model_config = ConfigDict(extra="allow")
+
+    type: str = Field(examples=["urn:myoface:problem:subject.unknown"])
+    title: str = Field(examples=["Not Found"])
+    status: int = Field(examples=[404])
+    detail: str = Field(examples=["there is no subject 4d8e0f9a-..."])
+    code: str = Field(examples=["subject.unknown"])
+    request_id: str
+
+
+def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Return the OpenAPI description of a route's errors."""
+    schema = {"$ref": "#/components/schemas/ProblemDocument"}
+    return {
+        status: {
+            "description": _title(status),
+            "content": {"application/problem+json": {"schema": schema}},
+        }
+        for status in statuses
+    }
+
+
+def install(app: FastAPI) -> None:
+    """Make ``app`` answer every error with a problem document."""
+    app.add_exception_handler(Problem, _on_problem)
+    app.add_exception_handler(HTTPException, _on_http)
+    app.add_exception_handler(RequestValidationError, _on_invalid)
+    app.add_exception_handler(OSError, _on_os_error)
+
+
+def render(request_id: str, problem: Problem) -> JSONResponse:
+    """Return the response for a problem."""
+    body = {
+        "type": f"urn:myoface:problem:{problem.code}",
+        "title": _title(problem.status),
+        "status": problem.status,
+        "detail": problem.detail,
+        "code": problem.code,
+        "request_id": request_id,
+    }
+    return JSONResponse(
+        {**body, **problem.context, **body},
+        problem.status,
+        headers=problem.headers,
+        media_type="application/problem+json",
+    )
+
+
+def _title(status: int) -> str:
+    return "Checksum Mismatch" if status == CHECKSUM_MISMATCH else HTTPStatus(status).phrase
+
+
+async def _on_problem(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, Problem)
+    return render(request.state.request_id, error)
+
+
+async def _on_http(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, HTTPException)
+    code = "http." + _title(error.status_code).lower().replace(" ", "_")
+    problem = Problem(error.status_code, code, str(error.detail))
+    problem.headers = dict(error.headers or {})
+    return render(request.state.request_id, problem)
+
+
+async def _on_invalid(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, RequestValidationError)
+    faults = [
+        {"where": "/".join(map(str, fault["loc"])), "message": fault["msg"]}
+        for fault in error.errors()
+    ]
+    detail = f"{faults[0]['where']}: {faults[0]['message']}" if faults else "invalid request"
+    return render(request.state.request_id, Problem(422, "request.invalid", detail, errors=faults))
+
+
+async def _on_os_error(request: Request, error: Exception) -> JSONResponse:
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+        problem = Problem(507, "storage.full", "there is no room left for files")
+        return render(request.state.request_id, problem)
+    raise error

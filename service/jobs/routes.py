@@ -1,0 +1,120 @@
+"""Routes of jobs."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Header, Query, Response
+from fastapi.sse import EventSourceResponse, ServerSentEvent
+from sqlalchemy.exc import IntegrityError
+
+from service.dependencies import Limit, ReadSession, SettingsDep, StoreDep, WriteSession
+from service.errors import problems
+from service.jobs import repository, service
+from service.jobs.events import stream
+from service.jobs.schemas import Cancel, JobView, LogView, NewJob
+from service.schemas import Id, Page
+from service.store.models import Job
+from service.store.transitions import State
+
+router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
+
+
+@router.post("", status_code=201, summary="Submit a job", responses=problems(404, 409, 422))
+def create(new: NewJob, session: WriteSession, settings: SettingsDep) -> JobView:
+    """Queue a piece of work; `PUT` is the same and can be repeated safely."""
+    job, _ = service.submit(session, new, settings.max_attempts)
+    return _view(session, job.id)
+
+
+@router.put(
+    "/{job_id}",
+    status_code=201,
+    summary="Submit a job under an id of your own",
+    responses={
+        200: {"model": JobView, "description": "The job was there already"},
+        **problems(404, 409, 422),
+    },
+)
+def put(
+    job_id: Id, new: NewJob, response: Response, store: StoreDep, settings: SettingsDep
+) -> JobView:
+    """Queue a piece of work once, however often it is asked for (a UUID made by the caller)."""
+    try:
+        with store.write() as session:
+            _, is_new = service.submit(session, new, settings.max_attempts, job_id)
+    except IntegrityError:  # another request with this id committed first: find its job
+        with store.write() as session:
+            _, is_new = service.submit(session, new, settings.max_attempts, job_id)
+    response.status_code = 201 if is_new else 200
+    with store.read() as session:
+        return _view(session, job_id)
+
+
+@router.get("", summary="List jobs", responses=problems(422))
+def index(
+    session: ReadSession,
+    subject_id: Annotated[Id | None, Query()] = None,
+    state: State | None = None,
+    kind: str | None = None,
+    limit: Limit = 100,
+) -> Page[JobView]:
+    """List jobs, newest first."""
+    jobs = repository.newest(session, subject_id=subject_id, state=state, kind=kind, limit=limit)
+    return Page(items=[JobView.of(job, repository.queue_position(session, job)) for job in jobs])
+
+
+@router.get("/{job_id}", summary="Show a job", responses=problems(404, 422))
+def show(job_id: Id, session: ReadSession) -> JobView:
+    """Show a job's state, progress, attempts, error and result."""
+    return _view(session, job_id)
+
+
+@router.post("/{job_id}/cancel", summary="Stop a job", responses=problems(404, 409, 422))
+def cancel(job_id: Id, session: WriteSession, order: Cancel | None = None) -> JobView:
+    """Stop a job: a running one is `canceling` until its solver is gone, a few seconds at most."""
+    service.cancel(session, job_id, order or Cancel())
+    return _view(session, job_id)
+
+
+def _existing(job_id: Id, session: ReadSession) -> str:
+    return repository.get(session, job_id).id
+
+
+ExistingJob = Annotated[str, Depends(_existing, scope="function")]
+
+
+@router.get(
+    "/{job_id}/events",
+    response_class=EventSourceResponse,
+    summary="Watch a job",
+    responses=problems(404, 422),
+)
+async def events(
+    job_id: ExistingJob,
+    store: StoreDep,
+    last_event_id: Annotated[int, Header(ge=0, description="go on after this event")] = 0,
+) -> AsyncIterator[ServerSentEvent]:
+    """Server-sent events: `state` (state, attempt, error) and `progress`, from the beginning.
+
+    The stream ends after a final state.
+    """
+    async for event in stream(store, job_id, last_event_id):
+        yield event
+
+
+@router.get("/{job_id}/log", summary="Read a job's log", responses=problems(404, 422))
+def log(
+    job_id: Id, session: ReadSession, after: Annotated[int, Query(ge=0)] = 0, limit: Limit = 1000
+) -> LogView:
+    """Read what the solver printed, by line, after line `after`."""
+    repository.get(session, job_id)
+    lines: Any = repository.log(session, job_id, after, limit)
+    return LogView(lines=lines, next=lines[-1].number if lines else after)
+
+
+def _view(session: ReadSession, job_id: str) -> JobView:
+    session.flush()
+    job: Job = repository.get(session, job_id)
+    return JobView.of(job, repository.queue_position(session, job))

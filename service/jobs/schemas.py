@@ -1,0 +1,143 @@
+"""What the API says about jobs."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+
+from service.rigs.schemas import ArtifactView
+from service.schemas import Body, Id, View
+from service.store.models import Job
+from service.store.transitions import State
+
+
+class NewJob(Body):
+    """A piece of work; which members a kind needs is in `GET /v1/solvers`."""
+
+    kind: str = Field(examples=["fit_geometry"])
+    subject_id: Id
+    captures: list[Id] = Field(
+        default=[], max_length=1000, description="ids of expression captures"
+    )
+    rig_id: Id | None = Field(default=None, description="the parent rig")
+    options: dict[str, Any] = Field(default={}, description="the kind's options")
+
+
+class Cancel(Body):
+    """Why a job is to stop."""
+
+    reason: Annotated[str, StringConstraints(strip_whitespace=True, max_length=500)] = ""
+    by: Annotated[str, StringConstraints(strip_whitespace=True, max_length=100)] = "api"
+
+
+class Progress(BaseModel):
+    """How far a job is: `fraction` of the whole in [0, 1]; the error is in millimetres."""
+
+    model_config = ConfigDict(extra="allow")
+
+    phase: str
+    fraction: float
+
+
+class AttemptView(View):
+    """One try by a worker."""
+
+    number: int
+    worker: str
+    started_at: datetime
+    finished_at: datetime | None
+    outcome: Literal["succeeded", "failed", "canceled", "lost", "released"] | None
+
+
+class CancelView(View):
+    """Who asked for the job to stop, and why."""
+
+    by: str
+    reason: str
+    requested_at: datetime
+
+
+class JobError(BaseModel):
+    """Why a job failed; further members name the fault."""
+
+    model_config = ConfigDict(extra="allow")
+
+    code: str
+    message: str
+
+
+class Result(View):
+    """What a finished job left."""
+
+    rig_id: str | None = None
+    artifacts: list[ArtifactView]
+
+
+class JobView(View):
+    """A job."""
+
+    id: str
+    kind: str
+    subject_id: str
+    captures: list[str]
+    rig_id: str | None
+    options: dict[str, Any]
+    state: State
+    attempt: int
+    max_attempts: int
+    queue_position: int | None = Field(description="1 is next; null when not queued")
+    phase: str | None
+    progress: Progress | None
+    error: JobError | None
+    result: Result | None
+    attempts: list[AttemptView]
+    cancel: CancelView | None
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+
+    @classmethod
+    def of(cls, job: Job, queue_position: int | None) -> JobView:
+        """Show a job."""
+        result = {"rig_id": job.rig.id if job.rig else None, "artifacts": job.artifacts}
+        return cls.model_validate(
+            {
+                **job.request,
+                **{name: getattr(job, name) for name in _COLUMNS},
+                "queue_position": queue_position,
+                "phase": job.progress["phase"] if job.progress else None,
+                "result": result if job.state is State.SUCCEEDED else None,
+            }
+        )
+
+
+_COLUMNS = (
+    "id",
+    "state",
+    "attempt",
+    "max_attempts",
+    "progress",
+    "error",
+    "attempts",
+    "cancel",
+    "created_at",
+    "started_at",
+    "finished_at",
+)
+
+
+class LogLineView(View):
+    """A line that the solver printed."""
+
+    number: int
+    attempt: int
+    text: str
+
+
+class LogView(BaseModel):
+    """Lines of a job's log; pass `next` as `after` to read on."""
+
+    lines: list[LogLineView]
+    next: int

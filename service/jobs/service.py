@@ -1,0 +1,74 @@
+"""What can be done with jobs."""
+
+from __future__ import annotations
+
+import json
+
+from sqlalchemy.orm import Session
+
+from service.errors import Problem
+from service.jobs import repository
+from service.jobs.inputs import resolve
+from service.jobs.schemas import Cancel, NewJob
+from service.kinds import KINDS, Kind
+from service.store import jobs
+from service.store.models import Job, new_id
+from service.store.transitions import FINAL
+
+
+def submit(
+    session: Session, new: NewJob, max_attempts: int, job_id: str | None = None
+) -> tuple[Job, bool]:
+    """Queue a job; returns it, and whether it is new.
+
+    With ``job_id`` the call can be repeated: the same request finds the same job.
+    """
+    request = new.model_dump()
+    if job_id and (job := session.get(Job, job_id)):
+        if job.request != request:
+            raise Problem(409, "job.conflict", "this id has another job already", job_id=job_id)
+        return job, False
+    kind = _kind(new)
+    inputs, model_job_id = resolve(session, kind, new)
+    job = Job(
+        id=job_id or new_id(),
+        subject_id=new.subject_id,
+        kind=kind.kind,
+        queue=kind.queue,
+        request=request,
+        inputs=inputs,
+        model_job_id=model_job_id,
+        max_attempts=max_attempts,
+    )
+    jobs.create(session, job)
+    return job, True
+
+
+def cancel(session: Session, job_id: str, order: Cancel) -> None:
+    """Ask for a job to stop; asking twice is as good as once."""
+    job = repository.get(session, job_id)
+    if job.state in FINAL:
+        raise Problem(
+            409, "job.finished", f"the job is {job.state.value}", job_id=job_id, state=job.state
+        )
+    jobs.cancel(session, job_id, order.by, order.reason)
+
+
+def _kind(new: NewJob) -> Kind:
+    kind = KINDS.get(new.kind)
+    if kind is None:
+        raise Problem(
+            422,
+            "job.kind",
+            f"there is no kind of job {new.kind!r}",
+            expected=sorted(KINDS),
+            found=new.kind,
+        )
+    try:
+        json.dumps(new.options, allow_nan=False)
+    except ValueError as error:
+        raise Problem(422, "job.options", "options hold NaN or an infinity") from error
+    if faults := kind.faults(new.options):
+        detail = f"{faults[0]['where']}: {faults[0]['message']}"
+        raise Problem(422, "job.options", detail, errors=faults)
+    return kind

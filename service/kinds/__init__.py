@@ -1,0 +1,46 @@
+"""The kinds of job: one JSON file each, with what it reads and the JSON Schema of its options."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any, Literal
+
+from jsonschema import Draft202012Validator
+
+Read = Literal["neutral", "captures", "model", "rig"]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of job.
+
+    ``reads`` names the inputs that are looked up at submission, ``options`` is a JSON Schema and
+    ``queue`` the Celery queue.
+    """
+
+    kind: str
+    title: str
+    description: str
+    queue: str
+    reads: list[Read]
+    leaves: Literal["model", "rig"]
+    options: dict[str, Any]
+
+    def faults(self, options: dict[str, Any]) -> list[dict[str, str]]:
+        """Return what is wrong with ``options``: where (a JSON path) and a sentence."""
+        errors = Draft202012Validator(self.options).iter_errors(options)
+        return [
+            {"where": error.json_path.replace("$", "options", 1), "message": error.message}
+            for error in sorted(errors, key=lambda error: error.json_path)
+        ]
+
+
+def _load() -> dict[str, Kind]:
+    files = sorted(resources.files(__name__).iterdir(), key=lambda file: file.name)
+    kinds = [Kind(**json.loads(file.read_text())) for file in files if file.name.endswith(".json")]
+    return {kind.kind: kind for kind in kinds}
+
+
+KINDS = _load()

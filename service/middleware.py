@@ -1,0 +1,77 @@
+"""What surrounds every request: an id, a line in the log, a check of the Host header."""
+
+from __future__ import annotations
+
+import re
+import time
+import uuid
+from collections.abc import Sequence
+
+import structlog
+from starlette.requests import Request
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.errors import Problem, render
+
+ACCEPTED_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+QUIET = frozenset({"/healthz", "/readyz"})
+
+log = structlog.get_logger()
+
+
+class RequestContext:
+    """Gives each request an id (the caller's ``X-Request-Id`` if it is harmless) and logs it.
+
+    A foreign Host header is refused: without keys, a web page that rebinds its name to this
+    machine must not read scans.
+    """
+
+    def __init__(self, app: ASGIApp, allowed_hosts: Sequence[str]) -> None:
+        self._app = app
+        self._allowed_hosts = frozenset(allowed_hosts)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        request = Request(scope)
+        given = request.headers.get("x-request-id", "")
+        request_id = given if ACCEPTED_ID.fullmatch(given) else uuid.uuid4().hex
+        request.state.request_id = request_id
+        status = 0
+        started = time.perf_counter()
+
+        async def send_with_id(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                message["headers"] = [
+                    *message["headers"],
+                    (b"x-request-id", request_id.encode()),
+                ]
+            await send(message)
+
+        structlog.contextvars.bind_contextvars(request_id=request_id)
+        try:
+            if request.url.hostname not in self._allowed_hosts:
+                problem = Problem(421, "request.host", "this service does not answer to that host")
+                await render(request_id, problem)(scope, receive, send_with_id)
+            else:
+                await self._app(scope, receive, send_with_id)
+        except Exception:
+            log.exception("request.failed", method=request.method, path=request.url.path)
+            if status:
+                raise  # the response has begun: only cutting it off tells the client
+            problem = Problem(500, "internal", "the service failed; its log has the request id")
+            await render(request_id, problem)(scope, receive, send_with_id)
+        finally:
+            if request.url.path not in QUIET:
+                log.info(
+                    "request",
+                    method=request.method,
+                    path=request.url.path,
+                    status=status,
+                    ms=round(1000 * (time.perf_counter() - started), 1),
+                )
+            structlog.contextvars.unbind_contextvars("request_id")

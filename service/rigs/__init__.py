@@ -1,0 +1,1 @@
+"""Rigs and the files that jobs leave."""

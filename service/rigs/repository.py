@@ -1,0 +1,45 @@
+"""The tables of rigs and artifacts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session, selectinload
+
+from service.errors import Problem, unknown
+from service.store.models import Artifact, Rig
+
+
+def get(session: Session, rig_id: str) -> Rig:
+    """Return a rig."""
+    rig = session.get(Rig, rig_id)
+    if rig is None:
+        raise unknown("rig", rig_id)
+    return rig
+
+
+def newest(session: Session, subject_id: str | None, limit: int) -> Sequence[Rig]:
+    """Return rigs, newest first."""
+    query = select(Rig).options(selectinload(Rig.artifacts)).order_by(Rig.created_at.desc())
+    if subject_id is not None:
+        query = query.where(Rig.subject_id == subject_id)
+    return session.scalars(query.limit(limit)).all()
+
+
+def artifact(session: Session, artifact_id: str) -> Artifact:
+    """Return an artifact."""
+    found = session.get(Artifact, artifact_id)
+    if found is None:
+        raise unknown("artifact", artifact_id)
+    return found
+
+
+def artifact_of_job(session: Session, job_id: str, name: str) -> Artifact:
+    """Return a job's artifact by its name."""
+    found = session.scalars(
+        select(Artifact).where(Artifact.job_id == job_id, Artifact.name == name)
+    ).one_or_none()
+    if found is None:
+        raise Problem(404, "artifact.unknown", f"there is no artifact {name}", job_id=job_id)
+    return found

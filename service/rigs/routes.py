@@ -1,0 +1,90 @@
+"""Routes of rigs and artifacts."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Header, Query, Response
+from fastapi.responses import FileResponse
+
+from service.dependencies import Limit, ReadSession, StoreDep
+from service.errors import problems
+from service.rigs import repository
+from service.rigs.schemas import RigView
+from service.schemas import Id, Page
+from service.store.models import Artifact
+from service.store.store import Store
+
+router = APIRouter(prefix="/v1", tags=["rigs"])
+
+IfNoneMatch = Annotated[str | None, Header()]
+FILE: dict[int | str, dict[str, Any]] = {
+    200: {"description": "The file", "content": {"application/octet-stream": {}}},
+    206: {"description": "A range of the file"},
+    304: {"description": "The caller's copy is the file"},
+    **problems(404, 416, 422),
+}
+
+
+@router.get("/rigs", response_model=Page[RigView], summary="List rigs")
+def index(
+    session: ReadSession, subject_id: Annotated[Id | None, Query()] = None, limit: Limit = 100
+) -> Any:
+    """List rigs, newest first."""
+    return {"items": repository.newest(session, subject_id, limit)}
+
+
+@router.get(
+    "/rigs/{rig_id}", response_model=RigView, summary="Show a rig", responses=problems(404, 422)
+)
+def show(rig_id: Id, session: ReadSession) -> Any:
+    """Show a rig's expressions, figures and files."""
+    return repository.get(session, rig_id)
+
+
+@router.get(
+    "/rigs/{rig_id}/artifacts/{name}",
+    response_class=FileResponse,
+    summary="Download a rig's file by name",
+    responses=FILE,
+)
+def download_by_name(
+    rig_id: Id,
+    name: str,
+    session: ReadSession,
+    store: StoreDep,
+    if_none_match: IfNoneMatch = None,
+) -> Response:
+    """Download for example `rig.glb`; `Range` and `If-None-Match` work."""
+    rig = repository.get(session, rig_id)
+    return _file(repository.artifact_of_job(session, rig.job_id, name), store, if_none_match)
+
+
+@router.get(
+    "/artifacts/{artifact_id}",
+    response_class=FileResponse,
+    summary="Download a file",
+    responses=FILE,
+)
+def download(
+    artifact_id: Id, session: ReadSession, store: StoreDep, if_none_match: IfNoneMatch = None
+) -> Response:
+    """Download an artifact; it never changes, so a copy can be kept for ever."""
+    return _file(repository.artifact(session, artifact_id), store, if_none_match)
+
+
+def _file(artifact: Artifact, store: Store, if_none_match: str | None) -> Response:
+    headers = {
+        "ETag": f'"{artifact.sha256}"',
+        "Cache-Control": "private, max-age=31536000, immutable",
+        "X-Content-Type-Options": "nosniff",
+    }
+    known = {tag.strip().removeprefix("W/") for tag in (if_none_match or "").split(",")}
+    if known & {headers["ETag"], "*"}:
+        return Response(status_code=304, headers=headers)
+    return FileResponse(
+        store.files.path(artifact.sha256),
+        headers=headers,
+        media_type=artifact.media_type,
+        filename=artifact.name,
+    )

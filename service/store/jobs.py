@@ -1,0 +1,209 @@
+"""The job table's rules: every change of state is one UPDATE that names the states it may leave.
+
+A worker's updates also name its attempt: a worker that lost its lease changes nothing any more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import Any
+
+from sqlalchemy import ColumnElement, func, literal, select, update
+from sqlalchemy.orm import Session
+
+from service.store.database import clock
+from service.store.models import Artifact, Attempt, Event, Job, LogLine, Rig, UtcDateTime
+from service.store.store import wake
+from service.store.transitions import HELD, State, before
+
+WORKER_LOST = "worker_lost"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A job as a worker holds it: ``attempt`` is the fence."""
+
+    job_id: str
+    attempt: int
+    kind: str
+    subject_id: str
+    inputs: list[dict[str, Any]]
+    options: dict[str, Any]
+    rig_id: str | None
+    model_job_id: str | None
+
+
+def create(session: Session, job: Job) -> None:
+    """Add a queued job and ask for its wake-up call."""
+    moment = clock(session)
+    job.created_at, job.sent_at, job.sends = moment, moment, 1
+    session.add(job)
+    session.flush()
+    _tell(session, job)
+    wake(session, job.id, job.queue)
+
+
+def claim(session: Session, job_id: str, worker: str, lease: float) -> Claim | None:
+    """Take a queued job, or one whose worker has lost its lease; None: it is not to be had."""
+    moment = clock(session)
+    expire(session, job_id, moment)
+    job = _step(
+        session,
+        job_id,
+        State.RUNNING,
+        attempt=Job.attempt + 1,
+        lease_owner=worker,
+        lease_until=moment + timedelta(seconds=lease),
+        started_at=func.coalesce(Job.started_at, literal(moment, UtcDateTime())),
+        progress=None,
+    )
+    if job is None:
+        return None
+    session.add(Attempt(job_id=job_id, number=job.attempt, worker=worker, started_at=moment))
+    return Claim(
+        job_id=job_id,
+        attempt=job.attempt,
+        kind=job.kind,
+        subject_id=job.subject_id,
+        inputs=job.inputs,
+        options=job.request["options"],
+        rig_id=job.request["rig_id"],
+        model_job_id=job.model_job_id,
+    )
+
+
+def beat(
+    session: Session,
+    job_id: str,
+    attempt: int,
+    lease: float,
+    *,
+    steps: Sequence[dict[str, Any]] = (),
+    lines: Sequence[str] = (),
+) -> State | None:
+    """Renew the lease and write down what the solver said since the last beat.
+
+    Returns ``running`` or ``canceling``; None: the attempt is no longer this worker's.
+    """
+    values: dict[str, Any] = {"lease_until": clock(session) + timedelta(seconds=lease)}
+    if steps:
+        values["progress"] = steps[-1]
+    state = session.execute(
+        update(Job)
+        .where(Job.id == job_id, Job.attempt == attempt, Job.state.in_(HELD))
+        .values(**values)
+        .returning(Job.state)
+    ).scalar_one_or_none()
+    if state is None:
+        return None
+    for step in steps:
+        session.add(Event(job_id=job_id, kind="progress", data={**step, "attempt": attempt}))
+    if lines:
+        last = session.scalar(select(func.max(LogLine.number)).where(LogLine.job_id == job_id)) or 0
+        for number, line in enumerate(lines, last + 1):
+            session.add(LogLine(job_id=job_id, number=number, attempt=attempt, text=line))
+    return state
+
+
+def succeed(
+    session: Session, job_id: str, attempt: int, artifacts: Sequence[Artifact], rig: Rig | None
+) -> bool:
+    """Commit the results of an attempt; False: it is not this worker's to commit."""
+    if _step(session, job_id, State.SUCCEEDED, Job.attempt == attempt, error=None) is None:
+        return False
+    session.add_all(artifacts)
+    if rig is not None:
+        session.add(rig)
+    return True
+
+
+def fail(session: Session, job_id: str, attempt: int, error: dict[str, Any]) -> bool:
+    """Give a job up for good; False: it is not this worker's."""
+    return _step(session, job_id, State.FAILED, Job.attempt == attempt, error=error) is not None
+
+
+def confirm_cancel(session: Session, job_id: str, attempt: int) -> bool:
+    """Say that the solver of a job being canceled has stopped."""
+    held = (Job.attempt == attempt, Job.state == State.CANCELING)
+    return _step(session, job_id, State.CANCELED, *held) is not None
+
+
+def release(session: Session, job_id: str, attempt: int) -> bool:
+    """Give a job back because the worker shuts down; that does not count as a try."""
+    held = (Job.attempt == attempt, Job.state == State.RUNNING)
+    more: dict[str, Any] = {"max_attempts": Job.max_attempts + 1}
+    return _step(session, job_id, State.QUEUED, *held, outcome="released", **more) is not None
+
+
+def lose(session: Session, job_id: str, attempt: int, error: dict[str, Any]) -> None:
+    """Say that an attempt came to nothing: back to the queue, or failed after the last one."""
+    _lose(session, job_id, error, Job.attempt == attempt, Job.state == State.RUNNING)
+
+
+def cancel(session: Session, job_id: str, by: str, reason: str) -> bool:
+    """Ask for a job to stop; a queued one has stopped. False: it is over, or being canceled."""
+    note = {"by": by, "reason": reason, "requested_at": clock(session).isoformat()}
+    return bool(
+        _step(session, job_id, State.CANCELED, Job.state == State.QUEUED, cancel=note)
+        or _step(session, job_id, State.CANCELING, cancel=note)
+    )
+
+
+def expire(session: Session, job_id: str, moment: datetime) -> None:
+    """Free a job whose lease has run out: back to the queue, given up, or canceled."""
+    ran_out = Job.lease_until < moment
+    _step(session, job_id, State.CANCELED, ran_out, Job.state == State.CANCELING, outcome="lost")
+    error = {"code": WORKER_LOST, "message": "the worker was lost, at every attempt"}
+    _lose(session, job_id, error, ran_out, Job.state == State.RUNNING)
+
+
+def _lose(
+    session: Session, job_id: str, error: dict[str, Any], *conditions: ColumnElement[bool]
+) -> None:
+    more_tries = Job.attempt < Job.max_attempts
+    if not _step(session, job_id, State.QUEUED, *conditions, more_tries, outcome="lost"):
+        _step(session, job_id, State.FAILED, *conditions, outcome="lost", error=error)
+
+
+def _step(
+    session: Session,
+    job_id: str,
+    to: State,
+    *conditions: ColumnElement[bool],
+    outcome: str | None = None,
+    **values: Any,
+) -> Job | None:
+    """Move a job to ``to`` if the table of transitions and ``conditions`` allow it.
+
+    Leaving a worker's hands closes its attempt with ``outcome`` (default: the new state).
+    """
+    if to not in HELD:
+        values |= {"lease_owner": None, "lease_until": None}
+        values |= {"sent_at": None, "sends": 0} if to is State.QUEUED else {}
+        values |= {"finished_at": clock(session)} if to is not State.QUEUED else {}
+    job = session.scalars(
+        update(Job)
+        .where(Job.id == job_id, Job.state.in_(before(to)), *conditions)
+        .values(state=to, **values)
+        .returning(Job)
+        .execution_options(synchronize_session=False, populate_existing=True)
+    ).one_or_none()
+    if job is None:
+        return None
+    if to not in HELD:
+        session.execute(
+            update(Attempt)
+            .where(Attempt.job_id == job_id, Attempt.outcome.is_(None))
+            .values(outcome=outcome or to.value, finished_at=clock(session))
+        )
+    _tell(session, job)
+    return job
+
+
+def _tell(session: Session, job: Job) -> None:
+    data: dict[str, Any] = {"state": job.state.value, "attempt": job.attempt}
+    if job.error:
+        data["error"] = job.error
+    session.add(Event(job_id=job.id, kind="state", data=data))

@@ -1,0 +1,46 @@
+"""Database, files and queue together, as the API and the worker hold them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+
+from sqlalchemy.orm import Session
+
+from service.store.database import Database
+from service.store.files import FileStore
+from service.store.queue import WakeUps
+
+WAKE = "wake"
+
+
+class Store:
+    """The data side: what a transaction wakes up is sent after its commit."""
+
+    def __init__(self, database_url: str, files: Path, broker_url: str) -> None:
+        self.database = Database(database_url)
+        self.files = FileStore(files)
+        self._wake_ups = WakeUps(broker_url)
+
+    def read(self) -> AbstractContextManager[Session]:
+        """Give a session for reading."""
+        return self.database.read()
+
+    @contextmanager
+    def write(self) -> Iterator[Session]:
+        """Give a session that commits at the end; then send the wake-up calls asked for in it."""
+        with self.database.write() as session:
+            yield session
+        for job_id, queue in session.info.pop(WAKE, []):
+            if not self._wake_ups.send(job_id, queue):
+                break  # the broker is away: the sweeper sends these when it is back
+
+    def close(self) -> None:
+        """Close the database's connections."""
+        self.database.close()
+
+
+def wake(session: Session, job_id: str, queue: str) -> None:
+    """Ask for a wake-up call for a job after this session's commit."""
+    session.info.setdefault(WAKE, []).append((job_id, queue))

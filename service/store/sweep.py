@@ -1,0 +1,96 @@
+"""What the sweeper repairs: lost messages, lost workers, abandoned uploads and files."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+from pathlib import Path
+
+from sqlalchemy import delete, insert, select, update
+from sqlalchemy.exc import IntegrityError
+from sqlalchemy.orm import Session
+
+from service.store.database import clock
+from service.store.jobs import expire
+from service.store.models import Artifact, Capture, Job, Lease, Template, Upload, Worker
+from service.store.store import Store, wake
+from service.store.transitions import FINAL, HELD, State
+
+LONGEST_PAUSE = timedelta(minutes=10)
+FORGET_WORKERS = timedelta(minutes=10)
+BATCH = 1000
+
+
+def hold_office(session: Session, office: str, holder: str, seconds: float) -> bool:
+    """Take or keep an office that one process holds at a time; False: somebody else has it."""
+    moment = clock(session)
+    until = moment + timedelta(seconds=seconds)
+    mine_or_free = (Lease.holder == holder) | (Lease.until < moment)
+    taken = session.execute(
+        update(Lease)
+        .where(Lease.office == office, mine_or_free)
+        .values(holder=holder, until=until)
+        .returning(Lease.office)
+    ).scalar_one_or_none()
+    if taken is None and session.get(Lease, office) is None:
+        try:
+            with session.begin_nested():
+                session.execute(insert(Lease).values(office=office, holder=holder, until=until))
+        except IntegrityError:
+            return False  # somebody else was faster
+        return True
+    return taken is not None
+
+
+def expire_leases(session: Session) -> None:
+    """Take jobs back from workers that have been silent for longer than their lease."""
+    moment = clock(session)
+    held = select(Job.id).where(Job.state.in_(HELD), Job.lease_until < moment).limit(BATCH)
+    for job_id in session.scalars(held).all():
+        expire(session, job_id, moment)
+
+
+def resend(session: Session, after: float, *, at_once: bool = False) -> None:
+    """Send again what is queued and was not picked up, with doubling pauses from ``after`` seconds.
+
+    ``at_once`` ignores the pauses: a worker that starts may have missed everything.
+    """
+    moment = clock(session)
+    queued = select(Job).where(Job.state == State.QUEUED).order_by(Job.created_at).limit(BATCH)
+    for job in session.scalars(queued):
+        if at_once or _is_due(job, moment, after):
+            job.sends, job.sent_at = job.sends + 1, moment
+            wake(session, job.id, job.queue)
+
+
+def _is_due(job: Job, moment: datetime, after: float) -> bool:
+    if job.sent_at is None:
+        return True
+    pause = min(timedelta(seconds=after) * 2 ** min(job.sends - 1, 20), LONGEST_PAUSE)
+    due: bool = job.sent_at + pause <= moment
+    return due
+
+
+def remove_expired_uploads(session: Session, folder: Path) -> None:
+    """Forget uploads past their date; captures made from them keep their file."""
+    gone = session.scalars(
+        delete(Upload).where(Upload.expires_at < clock(session)).returning(Upload.id)
+    ).all()
+    for upload_id in gone:
+        (folder / upload_id).unlink(missing_ok=True)
+
+
+def forget_workers(session: Session) -> None:
+    """Forget workers that have not been seen for a while."""
+    session.execute(delete(Worker).where(Worker.seen_at < clock(session) - FORGET_WORKERS))
+
+
+def collect_garbage(store: Store, age: float) -> int:
+    """Remove files that no row refers to; returns how many."""
+    referenced: set[str] = set()
+    with store.read() as session:
+        for table in (Artifact, Capture, Template, Upload):
+            referenced.update(filter(None, session.scalars(select(table.sha256).distinct())))
+        active = select(Job.inputs).where(Job.state.not_in(FINAL))
+        for inputs in session.scalars(active):
+            referenced.update(item["sha256"] for item in inputs)
+    return store.files.collect_garbage(referenced, age)

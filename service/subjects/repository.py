@@ -1,0 +1,32 @@
+"""The table of subjects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from service.errors import unknown
+from service.store.models import Job, Subject
+from service.store.transitions import FINAL
+
+
+def get(session: Session, subject_id: str) -> Subject:
+    """Return a subject."""
+    subject = session.get(Subject, subject_id)
+    if subject is None:
+        raise unknown("subject", subject_id)
+    return subject
+
+
+def newest(session: Session, limit: int) -> Sequence[Subject]:
+    """Return subjects, newest first."""
+    return session.scalars(select(Subject).order_by(Subject.created_at.desc()).limit(limit)).all()
+
+
+def active_jobs(session: Session, subject_id: str) -> Sequence[str]:
+    """Return the ids of a subject's jobs that are not over."""
+    return session.scalars(
+        select(Job.id).where(Job.subject_id == subject_id, Job.state.not_in(FINAL))
+    ).all()

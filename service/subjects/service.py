@@ -1,0 +1,40 @@
+"""What can be done with subjects."""
+
+from __future__ import annotations
+
+from sqlalchemy.orm import Session
+
+from service.errors import Problem
+from service.store.models import Subject
+from service.subjects import repository
+from service.subjects.schemas import NewSubject
+from service.templates import repository as templates
+
+
+def create(session: Session, new: NewSubject) -> Subject:
+    """Add a subject."""
+    if new.template_id is not None:
+        templates.get(session, new.template_id)
+    subject = Subject(name=new.name, template_id=new.template_id)
+    session.add(subject)
+    session.flush()
+    return subject
+
+
+def refuse_while_busy(session: Session, subject_id: str) -> None:
+    """Raise a problem while jobs read the subject's files."""
+    if jobs := repository.active_jobs(session, subject_id):
+        raise Problem(
+            409,
+            "subject.busy",
+            "the subject has jobs that are not over; cancel them first",
+            subject_id=subject_id,
+            job_ids=list(jobs),
+        )
+
+
+def delete(session: Session, subject_id: str) -> None:
+    """Delete a subject with all that is its own; the sweeper removes the files."""
+    subject = repository.get(session, subject_id)
+    refuse_while_busy(session, subject_id)
+    session.delete(subject)

@@ -1,0 +1,48 @@
+"""What the API says about itself."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any, Literal
+
+from pydantic import BaseModel
+
+from service.schemas import View
+
+
+class Limits(BaseModel):
+    """What this service accepts and how long it keeps things (bytes, seconds)."""
+
+    max_upload_bytes: int
+    upload_ttl: float
+    scan_formats: list[str]
+    max_attempts: int
+
+
+class KindView(View):
+    """A kind of job; `options` is a JSON Schema."""
+
+    kind: str
+    title: str
+    description: str
+    queue: str
+    reads: list[str]
+    leaves: str
+    options: dict[str, Any]
+
+
+class WorkerView(View):
+    """A living worker."""
+
+    name: str
+    queue: str
+    started_at: datetime
+    seen_at: datetime
+
+
+class Readiness(BaseModel):
+    """Whether the parts answer; without a worker jobs wait, which is not an error."""
+
+    ready: bool
+    checks: dict[str, Literal["ok", "failed"]]
+    workers: list[WorkerView]

@@ -1,0 +1,1 @@
+"""Template anatomies that a studio brings."""

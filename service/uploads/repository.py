@@ -1,0 +1,35 @@
+"""The table of uploads."""
+
+from __future__ import annotations
+
+from sqlalchemy.orm import Session
+
+from service.errors import Problem, unknown
+from service.store.database import clock
+from service.store.models import Upload
+
+
+def get(session: Session, upload_id: str) -> Upload:
+    """Return an upload that is still there."""
+    upload = session.get(Upload, upload_id)
+    if upload is None:
+        raise unknown("upload", upload_id)
+    if upload.expires_at < clock(session):
+        raise Problem(410, "upload.expired", "the upload has expired", upload_id=upload_id)
+    return upload
+
+
+def get_complete(session: Session, upload_id: str) -> Upload:
+    """Return an upload whose bytes have all arrived."""
+    upload = get(session, upload_id)
+    if not upload.complete:
+        raise Problem(
+            409,
+            "upload.incomplete",
+            f"{upload.filename}: {upload.offset} of {upload.size} bytes have arrived",
+            upload_id=upload_id,
+            file=upload.filename,
+            expected=upload.size,
+            found=upload.offset,
+        )
+    return upload

@@ -1,0 +1,209 @@
+"""Receiving bytes: the offset in the table counts, under a lock per upload.
+
+Bytes are written and flushed before the offset moves, so a service that dies in between has lost
+at most the request that was under way, and a later request overwrites its bytes.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+from collections.abc import AsyncIterator, Iterator
+from contextlib import contextmanager
+from datetime import timedelta
+from pathlib import Path
+from typing import BinaryIO
+
+from anyio import to_thread
+from starlette.requests import ClientDisconnect
+
+from service.errors import CHECKSUM_MISMATCH, Problem
+from service.settings import Settings
+from service.store.database import clock
+from service.store.models import Upload
+from service.store.store import Store
+from service.uploads import repository
+from service.uploads.schemas import Checksum
+
+BUFFER = 1 << 20
+
+
+class UploadService:
+    """Uploads of one store; unfinished ones are files ``<id>`` in ``settings.uploads``."""
+
+    def __init__(self, store: Store, settings: Settings) -> None:
+        self._store = store
+        self._settings = settings
+        settings.uploads.mkdir(parents=True, exist_ok=True)
+
+    def create(self, filename: str, size: int, sha256: str | None) -> Upload:
+        """Start an upload of ``size`` bytes."""
+        if size > self._settings.max_upload_bytes:
+            raise Problem(
+                413,
+                "upload.too_large",
+                f"{filename} is larger than the limit",
+                file=filename,
+                expected=self._settings.max_upload_bytes,
+                found=size,
+            )
+        with self._store.write() as session:
+            until = clock(session) + timedelta(seconds=self._settings.upload_ttl)
+            upload = Upload(filename=filename, size=size, sha256=sha256, expires_at=until)
+            session.add(upload)
+            session.flush()
+            self._part(upload.id).touch()
+        return upload
+
+    def get(self, upload_id: str) -> Upload:
+        """Return an upload."""
+        with self._store.read() as session:
+            return repository.get(session, upload_id)
+
+    def settle(self, upload_id: str) -> Upload:
+        """Return an upload as it is when nobody is writing.
+
+        One whose last byte arrived just before the service died is completed here.
+        """
+        upload = self.get(upload_id)
+        if upload.complete:
+            return upload
+        with self._locked(upload_id):
+            upload = self.get(upload_id)
+            return self._complete(upload) if upload.offset == upload.size else upload
+
+    def delete(self, upload_id: str) -> None:
+        """Give an upload up; what was made from it stays."""
+        self.get(upload_id)
+        with self._store.write() as session:
+            session.delete(repository.get(session, upload_id))
+        self._part(upload_id).unlink(missing_ok=True)
+
+    async def receive(
+        self, upload_id: str, offset: int, checksum: Checksum | None, body: AsyncIterator[bytes]
+    ) -> Upload:
+        """Append ``body`` at ``offset``; what arrives before a client breaks off counts.
+
+        Raises
+        ------
+        Problem
+            409 for a wrong offset, 423 while another request writes, 413 for too many bytes,
+            460 for a wrong checksum: nothing of this request is kept then, and nothing at all if
+            it is the whole file's.
+        """
+        upload = await to_thread.run_sync(self.get, upload_id)
+        _check_offset(upload, offset)
+        with self._locked(upload_id) as part:
+            upload = await to_thread.run_sync(self.get, upload_id)
+            _check_offset(upload, offset)
+            digest = hashlib.new(checksum.algorithm) if checksum else None
+            part.seek(offset)
+            part.truncate()
+            received = await _write(part, body, digest, upload.size - offset)
+            if received is None:
+                raise Problem(
+                    413,
+                    "upload.overflow",
+                    f"{upload.filename}: more bytes than its {upload.size}",
+                    file=upload.filename,
+                    expected=upload.size - offset,
+                )
+            if checksum and digest and digest.digest() != checksum.digest:
+                raise Problem(
+                    CHECKSUM_MISMATCH,
+                    "upload.checksum",
+                    f"{upload.filename}: these bytes do not have the given checksum",
+                    file=upload.filename,
+                    expected=checksum.digest.hex(),
+                    found=digest.hexdigest(),
+                )
+            return await to_thread.run_sync(self._count, upload, offset + received)
+
+    def _count(self, upload: Upload, offset: int) -> Upload:
+        with self._store.write() as session:
+            upload = repository.get(session, upload.id)
+            upload.offset = offset
+        return self._complete(upload) if offset == upload.size else upload
+
+    def _complete(self, upload: Upload) -> Upload:
+        part = self._part(upload.id)
+        blob = self._store.files.put(part)
+        with self._store.write() as session:
+            upload = repository.get(session, upload.id)
+            if upload.sha256 in (None, blob.sha256):
+                upload.sha256, upload.complete = blob.sha256, True
+            else:
+                session.delete(upload)
+        part.unlink(missing_ok=True)
+        if not upload.complete:
+            raise Problem(
+                CHECKSUM_MISMATCH,
+                "upload.checksum",
+                f"{upload.filename} does not have the sha256 it was announced with",
+                file=upload.filename,
+                expected=upload.sha256,
+                found=blob.sha256,
+            )
+        return upload
+
+    def _part(self, upload_id: str) -> Path:
+        return self._settings.uploads / upload_id
+
+    @contextmanager
+    def _locked(self, upload_id: str) -> Iterator[BinaryIO]:
+        try:
+            part = self._part(upload_id).open("r+b")
+        except FileNotFoundError as error:
+            raise Problem(
+                409, "upload.closed", "the upload was completed or deleted", upload_id=upload_id
+            ) from error
+        with part:
+            try:
+                fcntl.flock(part, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise Problem(
+                    423, "upload.locked", "another request is writing", upload_id=upload_id
+                ) from error
+            yield part
+
+
+def _check_offset(upload: Upload, offset: int) -> None:
+    if upload.complete or upload.offset != offset:
+        raise Problem(
+            409,
+            "upload.offset",
+            f"{upload.filename}: the next byte is {upload.offset}, not {offset}",
+            file=upload.filename,
+            expected=upload.offset,
+            found=offset,
+        )
+
+
+async def _write(
+    part: BinaryIO, body: AsyncIterator[bytes], digest: hashlib._Hash | None, room: int
+) -> int | None:
+    """Write ``body``; returns the number of bytes, None if they are more than ``room``."""
+    received = 0
+    buffer = bytearray()
+
+    def flush() -> None:
+        if digest:
+            digest.update(buffer)
+        part.write(buffer)
+        buffer.clear()
+
+    try:
+        async for chunk in body:
+            received += len(chunk)
+            if received > room:
+                return None
+            buffer += chunk
+            if len(buffer) >= BUFFER:
+                await to_thread.run_sync(flush)
+    except ClientDisconnect:
+        pass  # what has arrived counts, unless a checksum says that it is not whole
+    await to_thread.run_sync(flush)
+    part.flush()
+    await to_thread.run_sync(os.fsync, part.fileno())
+    return received

@@ -1,0 +1,35 @@
+"""``python -m worker short|long``: a worker for one queue."""
+
+from __future__ import annotations
+
+import argparse
+
+from service import logs
+from service.store.queue import QUEUES
+from worker.app import app, settings
+
+
+def main() -> None:
+    """Work until told to stop."""
+    parser = argparse.ArgumentParser(prog="python -m worker", description=__doc__)
+    parser.add_argument("queue", choices=QUEUES)
+    queue = parser.parse_args().queue
+    logs.configure(settings.log_json)
+    concurrency = settings.short_workers if queue == "short" else settings.long_workers
+    # Threads: each only watches a solver process, and all end with this process.
+    app.worker_main(
+        [
+            "--quiet",
+            "worker",
+            "--pool=threads",
+            f"--concurrency={concurrency}",
+            f"--queues={queue}",
+            f"--hostname={queue}@%h",
+            "--without-gossip",
+            "--without-mingle",
+        ]
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,90 @@
+"""The folder of one attempt: the inputs under their users' names, the outputs, the verdict."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+from service.kinds import KINDS
+from service.store.files import FileStore
+from service.store.jobs import Claim
+from service.store.models import Artifact, Rig
+
+MEDIA_TYPES = {
+    ".glb": "model/gltf-binary",
+    ".npz": "application/x-npz",
+    ".json": "application/json",
+    ".png": "image/png",
+}
+
+
+class AttemptFolder:
+    """``<work>/<job>.<attempt>`` with ``job.json``, ``inputs/`` and ``out/``.
+
+    The solver leaves ``result.json`` or ``error.json`` beside them.
+    """
+
+    def __init__(self, work: Path, claim: Claim) -> None:
+        self.path = work / f"{claim.job_id}.{claim.attempt}"
+        self._claim = claim
+
+    def stage(self, files: FileStore) -> None:
+        """Fetch the inputs. Each has a folder of its own: two may have the same file name."""
+        (self.path / "out").mkdir(parents=True)
+        inputs = []
+        for number, item in enumerate(self._claim.inputs):
+            path = self.path / "inputs" / str(number) / item["filename"]
+            files.fetch(item["sha256"], path)
+            inputs.append({"role": item["role"], "name": item["name"], "path": str(path)})
+        job = {"kind": self._claim.kind, "inputs": inputs, "options": self._claim.options}
+        (self.path / "job.json").write_text(json.dumps(job))
+
+    def error(self) -> dict[str, Any] | None:
+        """Return the solver's error, if it reported one."""
+        return self._read("error.json")
+
+    def result(self) -> dict[str, Any] | None:
+        """Return the solver's result, if it finished."""
+        return self._read("result.json")
+
+    def store(self, files: FileStore) -> list[Artifact]:
+        """Put the outputs into the file store."""
+        artifacts = []
+        for path in sorted((self.path / "out").iterdir()):
+            blob = files.put(path)
+            artifacts.append(
+                Artifact(
+                    job_id=self._claim.job_id,
+                    name=path.name,
+                    size=blob.size,
+                    sha256=blob.sha256,
+                    media_type=MEDIA_TYPES.get(path.suffix, "application/octet-stream"),
+                )
+            )
+        return artifacts
+
+    def rig(self, result: dict[str, Any]) -> Rig | None:
+        """Return the rig, if this kind of job leaves one."""
+        if KINDS[self._claim.kind].leaves != "rig":
+            return None
+        return Rig(
+            subject_id=self._claim.subject_id,
+            job_id=self._claim.job_id,
+            model_job_id=self._claim.model_job_id,
+            parent_id=self._claim.rig_id,
+            expressions=result["expressions"],
+            summary=result["summary"],
+        )
+
+    def remove(self) -> None:
+        """Remove the folder."""
+        shutil.rmtree(self.path, ignore_errors=True)
+
+    def _read(self, name: str) -> dict[str, Any] | None:
+        try:
+            found: dict[str, Any] = json.loads((self.path / name).read_text())
+        except FileNotFoundError:
+            return None
+        return found

@@ -1,0 +1,125 @@
+"""A solver process: started apart, listened to, and stopped for certain."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from service.settings import Settings
+
+GRACE = 1.0
+LONGEST_LINE = 4000
+
+
+class SolverProcess:
+    """``python -m worker.solve <folder>`` in a session, and so a process group, of its own.
+
+    Started by exec, not by a bare fork: the numeric libraries' thread pools do not survive a fork.
+    """
+
+    def __init__(self, folder: Path, settings: Settings) -> None:
+        reading, writing = os.pipe()
+        (folder / "process.json").write_text(
+            json.dumps(
+                {
+                    "progress_fd": writing,
+                    "parent": os.getpid(),
+                    "memory_bytes": settings.solver_memory_mb * 1024**2,
+                }
+            )
+        )
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "worker.solve", str(folder)],
+            cwd=folder,
+            env=os.environ | _thread_counts(settings.solver_threads),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            pass_fds=[writing],
+            start_new_session=True,
+        )
+        os.close(writing)
+        assert self._process.stdout is not None
+        self._steps = _Lines(os.fdopen(reading, "rb"))
+        self._log = _Lines(self._process.stdout)
+
+    @property
+    def pid(self) -> int:
+        """The process id."""
+        return self._process.pid
+
+    def wait(self, seconds: float) -> int | None:
+        """Wait for the end; returns the exit code (negative: the signal), None if still running."""
+        try:
+            return self._process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            return None
+
+    def steps(self) -> list[dict[str, Any]]:
+        """Return the reports of progress since the last call, the newest of each phase."""
+        newest: dict[str, dict[str, Any]] = {}
+        for line in self._steps.take():
+            step = json.loads(line)
+            newest.pop(step["phase"], None)
+            newest[step["phase"]] = step
+        return list(newest.values())
+
+    def lines(self) -> list[str]:
+        """Return the lines printed since the last call."""
+        return [line.replace("\0", "")[:LONGEST_LINE] for line in self._log.take()]
+
+    def finish(self) -> None:
+        """End what is left of the process group, then read the last lines."""
+        _signal_group(self.pid, signal.SIGKILL)
+        self._process.wait()
+        self._steps.join()
+        self._log.join()
+
+    def stop(self) -> None:
+        """Stop the whole process group: TERM, one second, KILL."""
+        _signal_group(self.pid, signal.SIGTERM)
+        self.wait(GRACE)
+        self.finish()
+
+
+class _Lines:
+    """Reads lines in a thread, so that a full pipe never blocks the solver."""
+
+    def __init__(self, stream: Iterable[bytes]) -> None:
+        self._lines: list[str] = []
+        self._lock = threading.Lock()
+        self._thread = threading.Thread(target=self._read, args=(stream,), daemon=True)
+        self._thread.start()
+
+    def take(self) -> list[str]:
+        with self._lock:
+            lines, self._lines = self._lines, []
+        return lines
+
+    def join(self) -> None:
+        self._thread.join(timeout=GRACE)
+
+    def _read(self, stream: Any) -> None:
+        with stream:
+            for line in stream:
+                with self._lock:
+                    self._lines.append(line.decode(errors="replace").rstrip("\r\n"))
+
+
+def _signal_group(group: int, number: int) -> None:
+    try:
+        os.killpg(group, number)
+    except (ProcessLookupError, PermissionError):
+        return  # gone already (macOS says "permission" about a group of zombies)
+
+
+def _thread_counts(threads: int) -> dict[str, str]:
+    names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    return dict.fromkeys(names, str(threads)) | {"PYTHONUNBUFFERED": "1"}

@@ -1,0 +1,146 @@
+"""``python -m worker.solve <attempt folder>``: the solver process.
+
+Reads ``job.json``, calls `solver.pipeline` and writes ``result.json`` or ``error.json``; progress
+goes as JSON lines to a pipe, what the solver prints to standard output. It knows no database and
+no queue, so whatever happens to it costs an attempt at most.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import math
+import os
+import re
+import resource
+import signal
+import sys
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from solver.progress import Progress, Step
+
+PR_SET_PDEATHSIG = 1
+
+
+def main(folder: Path) -> int:
+    """Do the job in ``folder``; returns the exit code."""
+    process = json.loads((folder / "process.json").read_text())
+    confine(process["parent"], process["memory_bytes"])
+    from solver.errors import InputError, SolveError
+
+    try:
+        with os.fdopen(process["progress_fd"], "w", buffering=1) as pipe:
+            result = solve(folder, to_pipe(pipe.write))
+    except (InputError, SolveError) as error:
+        print(traceback.format_exc(), file=sys.stderr)  # noqa: T201 (the job's log)
+        _write(folder, "error.json", error.as_dict())
+        return 1
+    except MemoryError:
+        print(traceback.format_exc(), file=sys.stderr)  # noqa: T201
+        limit = process["memory_bytes"] // 1024**2
+        message = f"the solver needs more memory than its {limit} MB"
+        _write(folder, "error.json", {"code": "solver.memory", "message": message})
+        return 1
+    except Exception as error:
+        print(traceback.format_exc(), file=sys.stderr)  # noqa: T201
+        message = f"the solver failed: {type(error).__name__}: {error}"
+        _write(folder, "error.json", {"code": "solver.crash", "message": message})
+        return 1
+    _write(folder, "result.json", result)
+    return 0
+
+
+def confine(parent: int, memory_bytes: int) -> None:
+    """Die with the supervisor, and never take more memory than allowed."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:
+            sys.exit("the supervisor died before the solver began")
+    resource.setrlimit(resource.RLIMIT_DATA, (memory_bytes, memory_bytes))
+
+
+def solve(folder: Path, progress: Progress) -> dict[str, Any]:
+    """Call the pipeline; returns ``{expressions, summary}`` for a rig, nothing for a model."""
+    from solver import pipeline
+
+    job = json.loads((folder / "job.json").read_text())
+    out, options = folder / "out", job["options"]
+    captures: dict[str, Path] = {}
+    files: dict[str, Path] = {}
+    for item in job["inputs"]:
+        if item["role"] == "capture":
+            captures[item["name"]] = Path(item["path"])
+        else:
+            files[item["role"]] = Path(item["path"])
+
+    if job["kind"] == "build_model":
+        pipeline.build_model(
+            files["neutral"],
+            out,
+            template=files.get("template"),
+            options=options,
+            progress=progress,
+        )
+        return {}
+    if job["kind"] == "fit_geometry":
+        pipeline.fit_geometry(files["model"], captures, out, options=options, progress=progress)
+    else:
+        pipeline.fit_activations(
+            files["model"],
+            files["weights"],
+            captures,
+            out,
+            rig=files["rig"],
+            options=options,
+            progress=progress,
+        )
+    return _describe(out)
+
+
+def _describe(out: Path) -> dict[str, Any]:
+    report = json.loads((out / "report.json").read_text())
+    expressions = [expression["name"] for expression in report.pop("expressions")]
+    return {"expressions": expressions, "summary": report}
+
+
+def to_pipe(write: Callable[[str], Any]) -> Progress:
+    """Return a progress that writes JSON lines; a supervisor that is gone does not matter."""
+
+    def report(step: Step, /) -> None:
+        try:
+            write(json.dumps(_plain(step.as_dict())) + "\n")
+        except BrokenPipeError:
+            signal.raise_signal(signal.SIGTERM)
+
+    return report
+
+
+def _write(folder: Path, name: str, content: dict[str, Any]) -> None:
+    """Write a verdict, whole or not at all; the attempt's folders do not show in it."""
+    text = json.dumps(_plain(content))
+    text = re.sub(re.escape(f"{folder}/inputs/") + r"\d+/", "", text)
+    text = text.replace(f"{folder}/out/", "")
+    partial = folder / f"{name}.partial"
+    partial.write_text(text)
+    partial.replace(folder / name)
+
+
+def _plain(value: Any) -> Any:
+    """Return ``value`` as JSON values; what is not finite becomes null."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if hasattr(value, "tolist"):  # numpy's numbers and arrays
+        return _plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value if isinstance(value, (str, int, float, bool, type(None))) else str(value)
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1])))
