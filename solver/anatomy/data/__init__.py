@@ -1,0 +1,1 @@
+"""Readable tables behind the built-in face."""
