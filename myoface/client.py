@@ -176,9 +176,14 @@ class Client:
         """Return jobs, filtered by ``subject_id``, ``state`` or ``kind``."""
         return self._list("/v1/jobs", Job, **filters)
 
-    def log(self, job_id: str, *, after: int = 0) -> list[LogLine]:
-        """Return what the solver printed, the lines numbered higher than ``after``."""
-        return self._list(f"/v1/jobs/{job_id}/log", LogLine, after=after)
+    def log(self, job_id: str, *, after: int = 0) -> Iterator[LogLine]:
+        """Yield what the solver printed so far, the lines numbered higher than ``after``."""
+        while True:
+            page = self._send("GET", f"/v1/jobs/{job_id}/log", params={"after": after}).json()
+            yield from map(LogLine.model_validate, page["lines"])
+            if page["next"] == after:
+                return
+            after = page["next"]
 
     def cancel(self, job_id: str, reason: str) -> Job:
         """Ask for a job to be stopped."""

@@ -105,10 +105,10 @@ class Job(Resource):
 
 
 class LogLine(Resource):
-    """A line that the solver printed."""
+    """A line that the solver printed in its ``attempt``; ``number`` counts over all attempts."""
 
     number: int
-    attempt: int | None = None
+    attempt: int
     text: str
 
 
@@ -118,7 +118,7 @@ class Rig(Resource):
     id: str
     subject_id: str
     parent_id: str | None = None
-    expressions: list[Any] = []
+    expressions: list[str] = []
     summary: dict[str, Any] = {}
     artifacts: list[Artifact] = []
     created_at: datetime | None = None

@@ -1,0 +1,20 @@
+"""The root command, and options that several commands share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(
+    name="myoface",
+    help="Anatomical, muscle-driven faces from 3D scans.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+
+Url = Annotated[str, typer.Option("--url", envvar="MYOFACE_URL", help="the service")]
+Scan = Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="OBJ, PLY, GLB or STL")]
+NewFile = Annotated[Path, typer.Option("--output", "-o", dir_okay=False, help="file to write")]
+NewFolder = Annotated[Path, typer.Option("--output", "-o", file_okay=False, help="folder to fill")]

@@ -1,0 +1,251 @@
+"""Commands that talk to a service: subjects, templates, upload, jobs, rigs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, cast
+
+import typer
+
+from myoface.cli.app import NewFolder, Url
+from myoface.cli.console import JobView, err, out, show_table, transfer_bar
+from myoface.client import DEFAULT_URL, Client
+from myoface.errors import ApiError
+from myoface.resources import Job, Kind, Role
+
+subjects = typer.Typer(help="People.", no_args_is_help=True)
+templates = typer.Typer(help="Template anatomies of a service.", no_args_is_help=True)
+jobs = typer.Typer(help="Work: submit, follow, cancel.", no_args_is_help=True)
+rigs = typer.Typer(help="Fitted faces.", no_args_is_help=True)
+
+SubjectId = Annotated[str, typer.Argument(help="subject id")]
+JobId = Annotated[str, typer.Argument(help="job id")]
+RigId = Annotated[str, typer.Argument(help="rig id")]
+
+
+@subjects.command("list")
+def list_subjects(url: Url = DEFAULT_URL) -> None:
+    """List all subjects."""
+    with Client(url) as client:
+        rows = [(each.id, each.name, each.template_id or "built-in") for each in client.subjects()]
+    show_table(("id", "name", "template"), rows)
+
+
+@subjects.command("add")
+def add_subject(
+    name: str,
+    template: Annotated[str | None, typer.Option(help="template id; default: built-in")] = None,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Add a person and print the id."""
+    with Client(url) as client:
+        out.print(client.create_subject(name, template_id=template).id)
+
+
+@subjects.command("show")
+def show_subject(subject: SubjectId, url: Url = DEFAULT_URL) -> None:
+    """Show a subject's scans, jobs and rigs."""
+    with Client(url) as client:
+        found = client.subject(subject)
+        out.print(f"{found.name} ({found.id})")
+        captures = client.captures(subject)
+        show_table(
+            ("capture", "name", "role"), [(each.id, each.name, each.role) for each in captures]
+        )
+        _show_jobs(client.jobs(subject_id=subject))
+        _show_rigs(client, subject)
+
+
+@subjects.command("delete")
+def delete_subject(
+    subject: SubjectId,
+    yes: Annotated[bool, typer.Option("--yes", help="do not ask")] = False,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Delete a subject with all its scans, jobs and rigs."""
+    if not yes:
+        typer.confirm(f"Delete subject {subject} and everything of it?", abort=True)
+    with Client(url) as client:
+        client.delete_subject(subject)
+
+
+@templates.command("list")
+def list_templates(url: Url = DEFAULT_URL) -> None:
+    """List the service's template anatomies."""
+    with Client(url) as client:
+        show_table(
+            ("id", "name", "sha256"),
+            [(each.id, each.name, each.sha256) for each in client.templates()],
+        )
+
+
+@templates.command("add")
+def add_template(
+    file: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="NPZ template")],
+    name: Annotated[str | None, typer.Option(help="default: the file's name")] = None,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Upload a template anatomy and print the id."""
+    with Client(url) as client, transfer_bar(file.name) as progress:
+        out.print(client.create_template(name or file.stem, file, progress=progress).id)
+
+
+def upload(
+    subject: SubjectId,
+    files: Annotated[
+        list[Path], typer.Argument(exists=True, dir_okay=False, help="OBJ, PLY, GLB or STL")
+    ],
+    neutral: Annotated[bool, typer.Option("--neutral", help="this is the neutral scan")] = False,
+    resume: Annotated[str | None, typer.Option(help="upload id of an interrupted upload")] = None,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Upload a subject's scans, each named like its file, and print the capture ids."""
+    if len(files) > 1 and (neutral or resume):
+        raise typer.BadParameter("--neutral and --resume take one file")
+    with Client(url) as client:
+        for file in files:
+            _upload_one(client, subject, file, "neutral" if neutral else "expression", resume)
+
+
+def _upload_one(client: Client, subject: str, file: Path, role: Role, resume: str | None) -> None:
+    begun = [resume] if resume else []
+    try:
+        with transfer_bar(file.name) as progress:
+            capture = client.add_capture(
+                subject, file, role=role, resume=resume, started=begun.append, progress=progress
+            )
+    except (ApiError, KeyboardInterrupt):
+        if begun:
+            err.print(f"{file.name}: go on with `myoface upload ... --resume {begun[-1]}`")
+        raise
+    out.print(f"{capture.id}  {capture.name}")
+
+
+@jobs.command("list")
+def list_jobs(
+    subject: Annotated[str | None, typer.Option(help="subject id")] = None,
+    state: Annotated[str | None, typer.Option(help="queued, running, succeeded ...")] = None,
+    kind: Annotated[str | None, typer.Option(help="build_model, fit_geometry ...")] = None,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """List jobs."""
+    with Client(url) as client:
+        _show_jobs(client.jobs(subject_id=subject, state=state, kind=kind))
+
+
+@jobs.command("submit")
+def submit_job(
+    kind: Annotated[str, typer.Argument(help="build_model, fit_geometry or fit_activations")],
+    subject: SubjectId,
+    capture: Annotated[
+        list[str] | None, typer.Option(help="name or id of a capture; repeat")
+    ] = None,
+    rig: Annotated[str | None, typer.Option(help="rig id, for fit_activations")] = None,
+    options: Annotated[str, typer.Option(help="JSON, see /v1/solvers")] = "{}",
+    wait: Annotated[bool, typer.Option(help="follow the job until it ends")] = True,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Submit a job; without --capture a fit takes all the subject's expressions."""
+    with Client(url) as client:
+        known = {
+            each.name: each.id for each in client.captures(subject) if each.role == "expression"
+        }
+        names = [] if kind == "build_model" else capture or list(known)
+        job = client.submit(
+            cast(Kind, kind),
+            subject,
+            captures=[known.get(name, name) for name in names],
+            rig_id=rig,
+            options=_read_options(options),
+        )
+        out.print(job.id)
+        if wait:
+            _follow(client, job)
+
+
+def _read_options(text: str) -> dict[str, Any]:
+    try:
+        options = json.loads(text)
+    except ValueError as error:
+        raise typer.BadParameter(f"--options is not JSON: {error}") from error
+    if not isinstance(options, dict):
+        raise typer.BadParameter("--options must be a JSON object")
+    return options
+
+
+@jobs.command("wait")
+def wait_for_job(job: JobId, url: Url = DEFAULT_URL) -> None:
+    """Follow a job until it ends."""
+    with Client(url) as client:
+        _follow(client, client.job(job))
+
+
+def _follow(client: Client, job: Job) -> None:
+    with JobView(job.kind) as view:
+        ended = client.wait(job.id, view.watch)
+    attempts = "" if ended.attempt == 1 else f" at attempt {ended.attempt}"
+    out.print(f"{ended.kind} succeeded{attempts}")
+    if ended.result is not None and ended.result.rig_id:
+        out.print(f"rig {ended.result.rig_id}")
+
+
+@jobs.command("log")
+def show_log(job: JobId, url: Url = DEFAULT_URL) -> None:
+    """Print what the solver printed."""
+    with Client(url) as client:
+        for line in client.log(job):
+            out.print(line.text, markup=False)
+
+
+@jobs.command("cancel")
+def cancel_job(
+    job: JobId,
+    reason: Annotated[str, typer.Option(help="why, for the record")] = "by the command line",
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Stop a job."""
+    with Client(url) as client:
+        out.print(client.cancel(job, reason).state)
+
+
+def _show_jobs(found: list[Job]) -> None:
+    rows = [
+        (
+            each.id,
+            each.kind,
+            each.state,
+            each.attempt,
+            each.progress and f"{each.progress.phase} {each.progress.fraction:.0%}",
+            each.error and each.error.get("detail"),
+        )
+        for each in found
+    ]
+    show_table(("job", "kind", "state", "attempt", "progress", "error"), rows)
+
+
+@rigs.command("list")
+def list_rigs(
+    subject: Annotated[str | None, typer.Option(help="subject id")] = None, url: Url = DEFAULT_URL
+) -> None:
+    """List rigs."""
+    with Client(url) as client:
+        _show_rigs(client, subject)
+
+
+@rigs.command("download")
+def download_rig(rig: RigId, output: NewFolder = Path("rig"), url: Url = DEFAULT_URL) -> None:
+    """Download a rig's files, checked and resumed where an earlier download broke off."""
+    with Client(url) as client:
+        for artifact in client.rig(rig).artifacts:
+            with transfer_bar(artifact.name) as progress:
+                client.download(artifact, output / artifact.name, progress=progress)
+            out.print(f"{output / artifact.name}")
+
+
+def _show_rigs(client: Client, subject: str | None) -> None:
+    rows = [
+        (each.id, ", ".join(each.expressions), each.parent_id)
+        for each in client.rigs(subject_id=subject)
+    ]
+    show_table(("rig", "expressions", "parent"), rows)

@@ -1,0 +1,129 @@
+"""What the command line shows: tables, progress bars, and errors on one line."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import (
+    BarColumn,
+    DownloadColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TransferSpeedColumn,
+)
+from rich.table import Table
+
+from myoface.resources import Job
+from myoface.transfer import Transferred
+from solver.progress import Step
+
+out = Console(highlight=False, soft_wrap=True)
+err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+def complain(message: str) -> None:
+    """Show an error."""
+    err.print(f"[bold red]error:[/] {escape(message)}")
+
+
+def show_table(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Show rows under column names."""
+    table = Table(*columns, box=None, pad_edge=False, header_style="bold")
+    for row in rows:
+        table.add_row(*("" if cell is None else escape(str(cell)) for cell in row))
+    out.print(table)
+
+
+@contextmanager
+def transfer_bar(title: str) -> Iterator[Transferred]:
+    """Show a bar for bytes; yields what tells it how many are done, and of how many."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        DownloadColumn(),
+        TransferSpeedColumn(),
+    )
+    with Progress(*columns, console=out, transient=True) as bars:
+        task = bars.add_task(escape(title), total=None)
+        yield lambda done, total: bars.update(task, completed=done, total=total)
+
+
+class JobView:
+    """Shows a job's phase, iteration and mean error while it runs, and times its phases.
+
+    On a terminal it is a live bar; elsewhere (a log, CI) one line per phase. ``phases`` holds
+    phase -> seconds afterwards.
+    """
+
+    def __init__(self, title: str) -> None:
+        self.title = title
+        self.phases: dict[str, float] = {}
+        self._phase = "queued"
+        self._since = time.monotonic()
+        self._bars = Progress(
+            TextColumn("{task.fields[title]}"),
+            BarColumn(),
+            TaskProgressColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.description}"),
+            console=out,
+            transient=True,
+            disable=not out.is_terminal,
+        )
+        self._task = self._bars.add_task("queued", total=1.0, title=escape(title))
+
+    def __enter__(self) -> Self:
+        self._bars.start()
+        return self
+
+    def __exit__(
+        self,
+        _kind: type[BaseException] | None,
+        _error: BaseException | None,
+        _trace: TracebackType | None,
+    ) -> None:
+        self._turn("end")
+        self._bars.stop()
+
+    def watch(self, job: Job) -> None:
+        """Take a job's news (a :data:`myoface.client.Watcher`)."""
+        if job.state == "queued" or job.progress is None:
+            self._show(Step(job.state, 0.0))
+        else:
+            self._show(Step(**job.progress.model_dump()))
+
+    def __call__(self, step: Step, /) -> None:
+        """Take the news of a computation in this process (a :class:`solver.progress.Progress`)."""
+        self._show(step)
+
+    def _show(self, step: Step) -> None:
+        if step.phase != self._phase:
+            self._turn(step.phase)
+            if not out.is_terminal:
+                out.print(f"{self.title}: {step.phase}")
+        self._bars.update(self._task, completed=step.fraction, description=summary(step))
+
+    def _turn(self, phase: str) -> None:
+        moment = time.monotonic()
+        self.phases[self._phase] = self.phases.get(self._phase, 0.0) + moment - self._since
+        self._phase, self._since = phase, moment
+
+
+def summary(step: Step) -> str:
+    """Return a step as a few words: phase, iteration, mean error."""
+    words = [step.phase]
+    if step.iteration is not None:
+        words.append(f"iteration {step.iteration}")
+    if step.mean_error_mm is not None:
+        words.append(f"mean {step.mean_error_mm:.3f} mm")
+    if step.message:
+        words.append(step.message)
+    return escape(" · ".join(words))

@@ -1,0 +1,151 @@
+"""The command that shows what the product is for."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.markup import escape
+
+from myoface.cli.console import complain, out, show_table
+from myoface.client import Client
+from myoface.demo.gltf import khronos_validation, structural_faults
+from myoface.demo.outcome import Bars, Outcome
+from service import logs
+from service.settings import Settings
+
+if TYPE_CHECKING:
+    from solver.anatomy.capture_set import CaptureSet
+
+BUILTIN_BARS = Bars(train_mm=0.9, test_mm=1.0)
+ICT_BARS = Bars(train_mm=0.85, test_mm=0.90)
+QUICK_EDGE_MM = 16.0
+
+Folder = Annotated[Path | None, typer.Option(exists=True, file_okay=False)]
+
+
+def demo(
+    output: Annotated[Path, typer.Option("--output", "-o", file_okay=False)] = Path("demo-output"),
+    anatomy: Folder = None,
+    faces: Folder = None,
+    subject: Annotated[str, typer.Option(help="with --faces: a subject of the capture sets")] = "A",
+    capture_sets: Annotated[Path | None, typer.Option(exists=True, dir_okay=False)] = None,
+    url: Annotated[str | None, typer.Option(help="a running service; default: starts one")] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="a coarse mesh, figures not judged")
+    ] = False,
+    json_file: Annotated[Path | None, typer.Option("--json", help="figures; - prints them")] = None,
+) -> None:
+    """Fit a face: the built-in one, or with --anatomy and --faces one of your folders."""
+    from myoface.demo.page import write_page
+    from myoface.demo.session import Session
+
+    if (anatomy is None) != (faces is None):
+        raise typer.BadParameter("--anatomy and --faces go together")
+    title = "Myoface: the built-in face" if faces is None else f"Myoface: subject {subject}"
+    output.mkdir(parents=True, exist_ok=True)
+    begun = time.monotonic()
+    template, captures = _inputs(output, anatomy, faces, subject, capture_sets)
+    preparing = time.monotonic() - begun
+
+    with _service(url) as client:
+        session = Session(client, output, {"prepare": preparing})
+        options = {"edge_mm": QUICK_EDGE_MM} if quick else {}
+        report = session.run(title, captures, template, options)
+    glb = output / "rig.glb"
+    outcome = Outcome(
+        report,
+        session.seconds,
+        structural_faults(glb, list(report["expressions"])),
+        khronos_validation(glb, _cache() / "gltf-validator"),
+        None if quick else ICT_BARS if faces else BUILTIN_BARS,
+    )
+    write_page(output / "report.html", title, outcome)
+    _tell(outcome, output)
+    if json_file is not None:
+        _write_json(json_file, outcome)
+    for failure in outcome.failures():
+        complain(failure)
+    if outcome.failures():
+        raise typer.Exit(1)
+
+
+def _inputs(
+    output: Path,
+    anatomy: Path | None,
+    faces: Path | None,
+    subject: str,
+    capture_sets: Path | None,
+) -> tuple[Path | None, CaptureSet]:
+    if anatomy is None or faces is None:
+        from solver.anatomy.builtin import builtin_capture_set
+
+        return None, builtin_capture_set()
+    from solver.anatomy.ict_captures import ict_capture_set
+    from solver.anatomy.ict_template import build_ict_template
+
+    captures = ict_capture_set(faces, subject, capture_sets)
+    template = output / "template.npz"
+    with out.status("building the template from the folders"):
+        build_ict_template(anatomy, faces).save(template)
+    return template, captures
+
+
+@contextmanager
+def _service(url: str | None) -> Iterator[Client]:
+    """Yield a client of the service at ``url``, or of one that is started for the block."""
+    if url is not None:
+        with Client(url) as client:
+            yield client
+        return
+    from myoface.stack import Stack
+
+    logs.configure(json=False)
+    logging.getLogger().setLevel(logging.WARNING)
+    with tempfile.TemporaryDirectory(prefix="myoface-demo-") as data:
+        stack = Stack(Settings(data_dir=Path(data), port=0))
+        with stack, Client(stack.url) as client:
+            out.print(f"service on {stack.url}")
+            yield client
+
+
+def _cache() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "myoface"
+
+
+def _tell(outcome: Outcome, output: Path) -> None:
+    fits = outcome.report["expressions"].items()
+    columns = ("expression", "scan", "mean mm", "95 % mm", "max mm", "inverted")
+    rows = [(n, f["role"], f["mean_mm"], f["p95_mm"], f["max_mm"], f["inverted"]) for n, f in fits]
+    show_table(columns, rows)
+    out.print()
+    show_table(("phase", "seconds"), [(p, f"{s:.1f}") for p, s in outcome.seconds.items()])
+    out.print()
+    figures = outcome.as_dict()
+    out.print(f"training mean  {figures['train_mean_mm']:.3f} mm")
+    out.print(f"unseen mean    {figures['test_mean_mm']:.3f} mm")
+    out.print(f"inverted tets  {figures['inverted']} of {figures['tets']}")
+    out.print(f"muscles        {figures['muscles']}")
+    out.print(f"seconds        {figures['seconds']}")
+    errors = outcome.khronos.errors
+    khronos = outcome.khronos.note if errors is None else f"{errors} errors"
+    out.print(
+        f"rig.glb        {len(outcome.glb_faults)} faults; Khronos validator: {escape(khronos)}"
+    )
+    out.print(f"look at        {escape(str(output / 'report.html'))}")
+
+
+def _write_json(path: Path, outcome: Outcome) -> None:
+    text = json.dumps(outcome.as_dict(), indent=2, allow_nan=False) + "\n"
+    if str(path) == "-":
+        out.print(text, markup=False, end="")
+    else:
+        path.write_text(text, encoding="utf-8")

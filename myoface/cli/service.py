@@ -1,0 +1,51 @@
+"""Commands that run the service here and look at this machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.markup import escape
+
+from myoface.cli.console import out
+from myoface.doctor import Verdict, examine
+from service import logs
+from service.settings import Settings
+
+MARKS: dict[Verdict, str] = {
+    "ok": "[green]ok[/]     ",
+    "warning": "[yellow]warning[/]",
+    "fault": "[red]fault[/]  ",
+}
+
+Port = Annotated[int | None, typer.Option(help="0 takes a free one")]
+Data = Annotated[Path | None, typer.Option(help="folder for everything the service keeps")]
+
+
+def up(port: Port = None, data: Data = None) -> None:
+    """Run the service here: API, broker and worker, until Ctrl-C."""
+    from myoface.stack import Stack  # the service's parts take a second to load
+
+    settings = _settings(port, data)
+    logs.configure(settings.log_json)
+    with Stack(settings) as stack:
+        out.print(f"Myoface listens on {stack.url} (its API: {stack.url}/docs). Ctrl-C stops it.")
+        stack.wait()
+
+
+def doctor(port: Port = None, data: Data = None) -> None:
+    """Check this machine and say what to do where something is missing."""
+    faults = 0
+    for finding in examine(_settings(port, data)):
+        out.print(f"{MARKS[finding.verdict]} {finding.subject}: {escape(finding.found)}")
+        if finding.advice:
+            out.print(f"        {escape(finding.advice)}")
+        faults += finding.verdict == "fault"
+    if faults:
+        raise typer.Exit(1)
+
+
+def _settings(port: int | None, data: Path | None) -> Settings:
+    given: dict[str, Any] = {"port": port, "data_dir": data}
+    return Settings(**{key: value for key, value in given.items() if value is not None})

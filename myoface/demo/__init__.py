@@ -1,0 +1,1 @@
+"""The demonstration: one person's scans in over HTTP, a fitted rig and a report out."""

@@ -1,0 +1,59 @@
+"""What a demonstration comes to: figures, bars, and the checks of its files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from myoface.demo.gltf import Validation
+
+
+@dataclass(frozen=True)
+class Bars:
+    """Mean distances over the face skin, in mm, that a fit must not exceed."""
+
+    train_mm: float
+    test_mm: float
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A finished demonstration; ``report`` is the rig's report.json, ``seconds`` per phase."""
+
+    report: dict[str, Any]
+    seconds: dict[str, float]
+    glb_faults: list[str]
+    khronos: Validation
+    bars: Bars | None
+
+    def failures(self) -> list[str]:
+        """Return in words which bars are missed and which checks failed."""
+        failures = [f"rig.glb: {fault}" for fault in self.glb_faults]
+        if self.khronos.errors:
+            failures.append(
+                f"rig.glb: {self.khronos.errors} errors by Khronos: {self.khronos.note}"
+            )
+        if self.bars is None:
+            return failures
+        means = (
+            ("training", self.report["train_mean_mm"], self.bars.train_mm),
+            ("unseen", self.report["test_mean_mm"], self.bars.test_mm),
+        )
+        for title, mean, bar in means:
+            if not mean <= bar:
+                failures.append(f"{title} mean {mean:.3f} mm is over the bar of {bar} mm")
+        return failures
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures as JSON values (``seconds`` in all, ``phase_seconds`` each)."""
+        copied = ("train_mean_mm", "test_mean_mm", "inverted", "tets", "vertices", "muscles")
+        return {
+            **{key: self.report[key] for key in copied},
+            "seconds": round(sum(self.seconds.values()), 1),
+            "phase_seconds": {phase: round(spent, 2) for phase, spent in self.seconds.items()},
+            "expressions": self.report["expressions"],
+            "glb_faults": self.glb_faults,
+            "khronos_errors": self.khronos.errors,
+            "khronos_warnings": self.khronos.warnings,
+            "failures": self.failures(),
+        }

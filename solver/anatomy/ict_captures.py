@@ -1,0 +1,94 @@
+"""Registered scans of ICT-FaceKit subjects: the standard experiments' training and unseen sets.
+
+``capture_sets.json`` names subjects by the seed of their identity and expressions by weights of
+the model's expression shapes: a scan is neutral + sum(identity_i I_i) + sum(weight_e E_e).
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from solver.anatomy.capture_set import CaptureSet
+from solver.anatomy.ict_facekit import MM_PER_UNIT, FaceKit, read_facekit
+from solver.errors import InputError
+from solver.surface import Floats, Surface
+
+Weights = dict[str, float]
+
+
+def ict_capture_set(faces: Path, subject: str, capture_sets: Path | None = None) -> CaptureSet:
+    """Return the scans (mm) of one subject of a capture-sets file.
+
+    Parameters
+    ----------
+    faces
+        Folder of ICT-FaceKit.
+    subject
+        A subject's name in the file, such as ``A``.
+    capture_sets
+        The file; default: ``capture_sets.json`` in ``faces``.
+
+    Raises
+    ------
+    InputError
+        ``captures.unreadable``, ``captures.subject`` or ``captures.expression`` (a shape that
+        ICT-FaceKit does not have), or as :func:`~solver.anatomy.ict_facekit.read_facekit`.
+    """
+    path = capture_sets or faces / "capture_sets.json"
+    sets = _read(path)
+    if subject not in sets["subjects"]:
+        known = ", ".join(sets["subjects"])
+        raise InputError(
+            "captures.subject",
+            f"{path.name} has no subject {subject}, only {known}",
+            file=str(path),
+        )
+    kit = read_facekit(faces)
+    seed = sets["subjects"][subject]["identity_seed"]
+    neutral = kit.skin if seed is None else identity(faces, kit, seed)
+
+    def scans(expressions: dict[str, Weights]) -> dict[str, Surface]:
+        return {
+            name: neutral.moved(neutral.vertices + _displacement(kit, weights, path))
+            for name, weights in expressions.items()
+        }
+
+    return CaptureSet(neutral, scans(sets["train"]), scans(sets["test"]))
+
+
+def identity(faces: Path, kit: FaceKit, seed: int) -> Surface:
+    """Return a random person's neutral: standard normal identity coefficients by ``seed``."""
+    with np.load(faces / "ict_facekit.npz", allow_pickle=False) as data:
+        shapes = data["I"]
+    coefficients = np.random.default_rng(seed).standard_normal(len(shapes))
+    return kit.skin.moved(kit.skin.vertices + MM_PER_UNIT * np.tensordot(coefficients, shapes, 1))
+
+
+def _displacement(kit: FaceKit, weights: Weights, path: Path) -> Floats:
+    total = np.zeros_like(kit.skin.vertices)
+    for name, weight in weights.items():
+        if name not in kit.deltas:
+            raise InputError(
+                "captures.expression", f"ICT-FaceKit has no expression {name}", file=str(path)
+            )
+        total += weight * kit.deltas[name]
+    return total
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        sets: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        missing = {"subjects", "train", "test"} - sets.keys()
+    except (OSError, ValueError, AttributeError) as error:
+        raise InputError(
+            "captures.unreadable", f"{path} is not a capture-sets file: {error}", file=str(path)
+        ) from error
+    if missing:
+        raise InputError(
+            "captures.unreadable", f"{path} lacks {', '.join(sorted(missing))}", file=str(path)
+        )
+    return sets
