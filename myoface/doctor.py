@@ -70,9 +70,13 @@ def python() -> Finding:
 
 def packages() -> Finding:
     """Check that every required package is there, in a version that will do."""
-    faults = []
-    requirements = map(Requirement, importlib.metadata.requires("myoface") or [])
+    try:
+        lines = importlib.metadata.requires("myoface") or []
+    except importlib.metadata.PackageNotFoundError:
+        return Finding("packages", "fault", "myoface is not installed", "run `make setup`")
+    requirements = map(Requirement, lines)
     needed = [each for each in requirements if each.marker is None or each.marker.evaluate()]
+    faults = []
     for requirement in needed:
         try:
             version = importlib.metadata.version(requirement.name)
