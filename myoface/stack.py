@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -42,12 +43,12 @@ class Stack:
 
     def __init__(self, settings: Settings) -> None:
         port = settings.port or _free_port(settings.host)
-        self.settings = settings.model_copy(update={"port": port})
+        self.settings = settings.model_copy(update={"port": port, "stack_pid": os.getpid()})
         self.url = f"http://{settings.host}:{port}"
         self._broker = (
             None
             if settings.broker_url
-            else EmbeddedBroker(settings.broker_socket.parent, settings.broker_socket)
+            else EmbeddedBroker(settings.data_dir / "broker", settings.broker_socket)
         )
         environment = os.environ | self.settings.environment()
         logs = settings.data_dir / "logs"
@@ -75,10 +76,8 @@ class Stack:
         try:
             if self._broker:
                 self._broker.start()
-            for child in self._children:
-                child.start()
             self._keeper.start()
-            self._wait()
+            self._wait_until_ready()
         except BaseException:
             self.stop()
             raise
@@ -96,6 +95,13 @@ class Stack:
             self._broker.stop()
         if self._lock:
             self._lock.close()
+
+    def wait(self) -> None:
+        """Wait for Ctrl-C or SIGTERM."""
+        told = threading.Event()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: told.set())
+        told.wait()
 
     def pid(self, name: str) -> int:
         """Return the process id of ``broker``, ``api``, ``short`` or ``long``."""
@@ -116,6 +122,9 @@ class Stack:
         self.stop()
 
     def _keep(self) -> None:
+        """Start the children here: they end with the thread that started them."""
+        for child in self._children:
+            child.start()
         while not self._stopping.wait(0.2):
             if self._broker and self._broker.has_died():
                 log.warning("broker.died")
@@ -123,7 +132,7 @@ class Stack:
             for child in self._children:
                 child.revive()
 
-    def _wait(self) -> None:
+    def _wait_until_ready(self) -> None:
         deadline = time.monotonic() + START_TIMEOUT
         while time.monotonic() < deadline:
             if self._is_ready():

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import signal
+
 import uvicorn
 
 from service import logs
 from service.app import create_app
+from service.parent import die_with_parent
 from service.settings import Settings
 
 
 def main() -> None:
     """Serve until interrupted."""
     settings = Settings()
+    if settings.stack_pid:
+        die_with_parent(settings.stack_pid, signal.SIGTERM)
     logs.configure(settings.log_json)
     uvicorn.run(
         create_app(settings),

@@ -60,6 +60,7 @@ class Settings(BaseSettings):
     solver_memory_mb: int = Field(default=8192, gt=0)
 
     log_json: bool = False
+    stack_pid: int | None = Field(default=None, description="the launcher to end with, if any")
 
     @field_validator("data_dir", "files_dir", "work_dir")
     @classmethod

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import signal
 
 from service import logs
+from service.parent import die_with_parent
 from service.store.queue import QUEUES
 from worker.app import app, settings
 
@@ -15,6 +17,8 @@ def main() -> None:
     parser.add_argument("queue", choices=QUEUES)
     queue = parser.parse_args().queue
     logs.configure(settings.log_json)
+    if settings.stack_pid:
+        die_with_parent(settings.stack_pid, signal.SIGTERM)
     concurrency = settings.short_workers if queue == "short" else settings.long_workers
     # Threads: each only watches a solver process, and all end with this process.
     app.worker_main(

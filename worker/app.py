@@ -23,28 +23,30 @@ store = Store(settings.database, settings.files, settings.broker)
 stopping = threading.Event()
 
 
-@app.task(name=RUN_JOB)
 def run_job(job_id: str) -> None:
     """Do a job, if it is still to be had."""
     Supervisor(store, settings, NAME, stopping).run(job_id)
 
 
-@signals.worker_init.connect
 def _migrate(**_: Any) -> None:
     store.database.migrate()
 
 
-@signals.worker_ready.connect
 def _sweep(sender: Any, **_: Any) -> None:
     queue = ",".join(sender.app.amqp.queues.consume_from)
     Sweeper(store, settings, NAME, queue, stopping).start()
 
 
-@signals.worker_shutting_down.connect
 def _stop(**_: Any) -> None:
     stopping.set()
 
 
-@signals.setup_logging.connect
 def _leave_logging_alone(**_: Any) -> None:
     """Celery sets up logging unless somebody listens here; `service.logs` has done it."""
+
+
+app.task(name=RUN_JOB)(run_job)
+signals.worker_init.connect(_migrate)
+signals.worker_ready.connect(_sweep)
+signals.worker_shutting_down.connect(_stop)
+signals.setup_logging.connect(_leave_logging_alone)

@@ -7,7 +7,6 @@ no queue, so whatever happens to it costs an attempt at most.
 
 from __future__ import annotations
 
-import ctypes
 import json
 import math
 import os
@@ -20,16 +19,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from service.parent import die_with_parent
+
 if TYPE_CHECKING:
     from solver.progress import Progress, Step
-
-PR_SET_PDEATHSIG = 1
 
 
 def main(folder: Path) -> int:
     """Do the job in ``folder``; returns the exit code."""
     process = json.loads((folder / "process.json").read_text())
-    confine(process["parent"], process["memory_bytes"])
+    die_with_parent(process["parent"], signal.SIGKILL)
+    resource.setrlimit(resource.RLIMIT_DATA, (process["memory_bytes"],) * 2)
     from solver.errors import InputError, SolveError
 
     try:
@@ -52,15 +52,6 @@ def main(folder: Path) -> int:
         return 1
     _write(folder, "result.json", result)
     return 0
-
-
-def confine(parent: int, memory_bytes: int) -> None:
-    """Die with the supervisor, and never take more memory than allowed."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != parent:
-            sys.exit("the supervisor died before the solver began")
-    resource.setrlimit(resource.RLIMIT_DATA, (memory_bytes, memory_bytes))
 
 
 def solve(folder: Path, progress: Progress) -> dict[str, Any]:
@@ -103,7 +94,7 @@ def solve(folder: Path, progress: Progress) -> dict[str, Any]:
 
 def _describe(out: Path) -> dict[str, Any]:
     report = json.loads((out / "report.json").read_text())
-    expressions = [expression["name"] for expression in report.pop("expressions")]
+    expressions = list(report.pop("expressions"))
     return {"expressions": expressions, "summary": report}
 
 

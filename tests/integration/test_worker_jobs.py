@@ -1,0 +1,163 @@
+"""The life of a job through the real API, broker, workers and solver processes."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from myoface.stack import Stack
+from tests.service_client import Studio, running
+
+
+@pytest.fixture(scope="module")
+def stack_and_studio(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stack, Studio]]:
+    with running(tmp_path_factory.mktemp("stack")) as both:
+        yield both
+
+
+@pytest.fixture
+def studio(stack_and_studio: tuple[Stack, Studio]) -> Studio:
+    return stack_and_studio[1]
+
+
+def test_scans_become_a_rig_and_a_child_rig(studio: Studio) -> None:
+    subject = studio.modelled()
+    smile, pucker = studio.capture(subject, "smile"), studio.capture(subject, "pucker")
+    first = studio.finished(studio.submit("fit_geometry", subject, captures=[smile]))
+    assert first["state"] == "succeeded", first
+    assert [a["name"] for a in first["result"]["artifacts"]] == [
+        "activations.npz",
+        "muscle_weights.npz",
+        "report.json",
+        "rig.glb",
+    ]
+    assert [a["outcome"] for a in first["attempts"]] == ["succeeded"]
+    parent = first["result"]["rig_id"]
+    second = studio.finished(
+        studio.submit("fit_activations", subject, captures=[pucker], rig_id=parent)
+    )
+    rig = studio.get(f"/v1/rigs/{second['result']['rig_id']}")
+    assert rig["parent_id"] == parent
+    assert rig["expressions"] == ["smile", "pucker"]
+    assert rig["summary"] == {"train_mean_mm": 0.4}
+
+
+def test_artifacts_have_etags_and_ranges(studio: Studio) -> None:
+    subject = studio.modelled()
+    capture = studio.capture(subject, "smile")
+    job = studio.finished(studio.submit("fit_geometry", subject, captures=[capture]))
+    path = f"/v1/rigs/{job['result']['rig_id']}/artifacts/rig.glb"
+    glb = next(a for a in job["result"]["artifacts"] if a["name"] == "rig.glb")
+    whole = studio.http.get(path)
+    assert whole.headers["etag"] == f'"{glb["sha256"]}"'
+    assert whole.headers["content-type"] == "model/gltf-binary"
+    part = studio.http.get(path, headers={"Range": "bytes=4-9"})
+    assert (part.status_code, part.content) == (206, whole.content[4:10])
+    again = studio.http.get(path, headers={"If-None-Match": whole.headers["etag"]})
+    assert again.status_code == 304
+
+
+def test_events_tell_the_story_and_resume(studio: Studio) -> None:
+    job = studio.submit("build_model", studio.subject(seconds=1))
+    story = _events(studio, job)
+    states = [data["state"] for _, kind, data in story if kind == "state"]
+    assert states == ["queued", "running", "succeeded"]
+    progress = [data for _, kind, data in story if kind == "progress"]
+    assert progress
+    assert all(step["phase"] == "geometry" and step["attempt"] == 1 for step in progress)
+    assert _events(studio, job, after=story[-2][0]) == story[-1:]
+    assert _events(studio, job, after=story[-1][0]) == []
+    log = studio.get(f"/v1/jobs/{job}/log?after=3")
+    assert log["lines"][0]["text"] == "step 3 of neutral of Alex.obj"
+
+
+@pytest.mark.parametrize(
+    ("fault", "expected"),
+    [
+        (
+            "nan",
+            {
+                "code": "scan.nan",
+                "message": "neutral of Alex.obj has a NaN in line 3",
+                "file": "neutral of Alex.obj",
+                "line": 3,
+            },
+        ),
+        ("crash", {"code": "solver.crash"}),
+        ("memory", {"code": "solver.memory"}),
+    ],
+)
+def test_a_fault_fails_the_job_and_the_worker_lives_on(
+    studio: Studio, fault: str, expected: dict[str, object]
+) -> None:
+    job = studio.finished(studio.submit("build_model", studio.subject(fault=fault)))
+    assert (job["state"], job["attempt"]) == ("failed", 1)
+    assert job["error"].items() >= expected.items()
+    log = studio.get(f"/v1/jobs/{job['id']}/log")["lines"]
+    assert any("Traceback" in line["text"] for line in log)
+    studio.modelled()
+
+
+@pytest.mark.parametrize("fault", ["none", "deaf"])
+def test_cancel_stops_the_solver_within_five_seconds(
+    stack_and_studio: tuple[Stack, Studio], fault: str
+) -> None:
+    stack, studio = stack_and_studio
+    seconds = 0.1 if fault == "deaf" else 60
+    job = studio.submit("build_model", studio.subject(seconds=seconds, fault=fault))
+    _until_working(studio, job)
+    asked = time.monotonic()
+    studio.post(f"/v1/jobs/{job}/cancel", reason="the talent blinked", by="operator")
+    done = studio.until(job, "canceled", seconds=5)
+    assert time.monotonic() - asked < 5
+    assert not solvers(stack)
+    assert done["cancel"]["reason"] == "the talent blinked"
+    assert [a["outcome"] for a in done["attempts"]] == ["canceled"]
+    assert not list(stack.settings.work.iterdir())
+
+
+def test_a_stopped_stack_gives_its_jobs_back(tmp_path: Path) -> None:
+    with running(tmp_path) as (_, studio):
+        job = studio.submit("build_model", studio.subject(seconds=3))
+        _until_working(studio, job)
+        time.sleep(0.5)
+    with running(tmp_path) as (_, studio):
+        done = studio.finished(job)
+    assert done["state"] == "succeeded"
+    assert [a["outcome"] for a in done["attempts"]] == ["released", "succeeded"]
+
+
+def _until_working(studio: Studio, job: str) -> None:
+    deadline = time.monotonic() + 20
+    while not studio.job(job)["progress"]:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def solvers(stack: Stack) -> list[int]:
+    """Return the living solver processes of a stack."""
+    work = str(stack.settings.work).encode()
+    commands = {int(p.parent.name): p for p in Path("/proc").glob("[0-9]*/cmdline")}
+    return [pid for pid, path in commands.items() if work in _read(path)]
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError:
+        return b""
+
+
+def _events(studio: Studio, job: str, after: int = 0) -> list[tuple[int, str, dict]]:
+    headers = {"Last-Event-ID": str(after)}
+    text = studio.http.get(f"/v1/jobs/{job}/events", headers=headers).text
+    found = []
+    for block in text.strip().split("\n\n"):
+        fields = dict(line.split(": ", 1) for line in block.splitlines() if line)
+        if "event" in fields:
+            found.append((int(fields["id"]), fields["event"], json.loads(fields["data"])))
+    return found

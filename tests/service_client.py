@@ -1,0 +1,107 @@
+"""A studio in a test: a running stack with the stand-in pipeline, and short words to drive it."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from myoface.stack import Stack
+from service.settings import Settings
+
+ROOT = Path(__file__).parents[1]
+OFFSET_STREAM = "application/offset+octet-stream"
+QUICK = {"lease": 3.0, "beat": 0.2, "sweep": 0.5, "resend_after": 1.0, "port": 0}
+FINAL = {"succeeded", "failed", "canceled"}
+
+
+class Studio:
+    """The API, spoken directly."""
+
+    def __init__(self, http: httpx.Client) -> None:
+        self.http = http
+
+    def post(self, path: str, **body: Any) -> Any:
+        answer = self.http.post(path, json=body)
+        assert answer.is_success, answer.text
+        return answer.json()
+
+    def get(self, path: str) -> Any:
+        answer = self.http.get(path)
+        assert answer.is_success, answer.text
+        return answer.json()
+
+    def start_upload(self, name: str, size: int, sha256: str | None = None) -> str:
+        metadata = f"filename {_encode(name)}" + (f",sha256 {_encode(sha256)}" if sha256 else "")
+        headers = {"Upload-Length": str(size), "Upload-Metadata": metadata}
+        answer = self.http.post("/v1/uploads", headers=headers)
+        assert answer.status_code == 201, answer.text
+        return answer.headers["Location"]
+
+    def send(self, location: str, offset: int, content: bytes, **headers: str) -> httpx.Response:
+        headers |= {"Upload-Offset": str(offset), "Content-Type": OFFSET_STREAM}
+        return self.http.patch(location, content=content, headers=headers)
+
+    def upload(self, name: str, content: bytes) -> str:
+        location = self.start_upload(name, len(content), hashlib.sha256(content).hexdigest())
+        assert self.send(location, 0, content).status_code == 204
+        return location.rsplit("/", 1)[1]
+
+    def capture(self, subject_id: str, name: str, role: str = "expression", **orders: Any) -> str:
+        lines = [f"# {name}", *(f"#! {key} {value}" for key, value in orders.items())]
+        upload_id = self.upload(f"{name} of Alex.obj", "\n".join(lines).encode())
+        path = f"/v1/subjects/{subject_id}/captures"
+        return self.post(path, name=name, role=role, upload_id=upload_id)["id"]
+
+    def subject(self, **orders: Any) -> str:
+        subject_id: str = self.post("/v1/subjects", name="Alex")["id"]
+        self.capture(subject_id, "neutral", "neutral", **orders)
+        return subject_id
+
+    def modelled(self) -> str:
+        """Return a subject whose model is built."""
+        subject_id = self.subject()
+        job = self.finished(self.submit("build_model", subject_id))
+        assert job["state"] == "succeeded", job
+        return subject_id
+
+    def submit(self, kind: str, subject_id: str, **more: Any) -> str:
+        return self.post("/v1/jobs", kind=kind, subject_id=subject_id, **more)["id"]
+
+    def job(self, job_id: str) -> Any:
+        return self.get(f"/v1/jobs/{job_id}")
+
+    def until(self, job_id: str, *states: str, seconds: float = 30) -> Any:
+        deadline = time.monotonic() + seconds
+        while (job := self.job(job_id))["state"] not in states:
+            assert time.monotonic() < deadline, job
+            time.sleep(0.05)
+        return job
+
+    def finished(self, job_id: str, seconds: float = 30) -> Any:
+        return self.until(job_id, *FINAL, seconds=seconds)
+
+
+@contextmanager
+def running(data_dir: Path, **settings: Any) -> Iterator[tuple[Stack, Studio]]:
+    """Run a stack whose solver processes find the stand-in pipeline."""
+    path = os.pathsep.join([str(ROOT / "tests" / "standin"), str(ROOT)])
+    before = os.environ.get("PYTHONPATH")
+    os.environ["PYTHONPATH"] = path
+    try:
+        stack = Stack(Settings(data_dir=data_dir, **{**QUICK, **settings}))
+    finally:
+        os.environ.pop("PYTHONPATH") if before is None else os.environ.update(PYTHONPATH=before)
+    with stack, httpx.Client(base_url=stack.url, timeout=30) as http:
+        yield stack, Studio(http)
+
+
+def _encode(text: str) -> str:
+    return base64.b64encode(text.encode()).decode()

@@ -1,0 +1,69 @@
+"""A pipeline that solves nothing: what it does is written in the scans it is given.
+
+A scan's lines ``#! key value`` say it: ``seconds`` to take, ``fault`` to have.
+"""
+
+import json
+import os
+import signal
+import time
+
+from solver.errors import InputError
+from solver.progress import Step
+
+
+def build_model(neutral, out, *, template=None, options=None, progress):
+    _work([neutral], progress)
+    (out / "model.npz").write_bytes(b"model of " + neutral.read_bytes())
+    (out / "model.json").write_text(json.dumps({"template": template and template.name}))
+
+
+def fit_geometry(model, captures, out, *, options=None, progress):
+    assert model.read_bytes().startswith(b"model of")
+    _work(captures.values(), progress)
+    _leave_rig(out, list(captures))
+
+
+def fit_activations(model, weights, captures, out, *, rig=None, options=None, progress):
+    assert weights.name == "muscle_weights.npz"
+    _work(captures.values(), progress)
+    _leave_rig(out, [*json.loads(rig.read_text()), *captures])
+
+
+def _leave_rig(out, expressions):
+    (out / "rig.glb").write_bytes(b"glTF" + os.urandom(4096))
+    (out / "activations.npz").write_text(json.dumps(expressions))
+    (out / "muscle_weights.npz").write_bytes(b"S")
+    report = {"expressions": dict.fromkeys(expressions, {}), "train_mean_mm": 0.4}
+    (out / "report.json").write_text(json.dumps(report))
+
+
+def _work(scans, progress):
+    for scan in scans:
+        orders = dict(_orders(scan))
+        seconds = float(orders.get("seconds", 0))
+        for step in range(max(1, int(seconds / 0.1))):
+            progress(Step("geometry", 0.1 * step / max(seconds, 1), step, residual=float("nan")))
+            os.write(1, f"step {step} of {scan.name}\n".encode())
+            time.sleep(min(seconds, 0.1))
+        _fail(orders.get("fault"), scan)
+
+
+def _fail(fault, scan):
+    if fault == "nan":
+        raise InputError("scan.nan", f"{scan} has a NaN in line 3", file=str(scan), line=3)
+    if fault == "crash":
+        raise ZeroDivisionError("a bug")
+    if fault == "memory":
+        bytearray(1 << 36)
+    if fault == "deaf":  # a C library that hears no signal
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        time.sleep(120)
+    if fault == "poison":
+        os.kill(os.getppid(), signal.SIGKILL)
+
+
+def _orders(scan):
+    for line in scan.read_text().splitlines():
+        if line.startswith("#! "):
+            yield line[3:].split()
