@@ -97,6 +97,13 @@ class Face:
         )
         return State(pose, result)
 
+    def shifted(self, state: State, response: Floats, pose: Pose) -> Floats:
+        """Return x (p, 3) moved by a linear ``response`` (size,), the mandible where ``pose`` says."""
+        x = state.x.copy()
+        x[self.flesh.free] += response.reshape(-1, 3)
+        x[self.model.mandible] = self.mandible(pose.b)
+        return x
+
     def move(self, S: sp.csr_array, start: State, pose: Pose) -> State:
         """Go from a settled state to another pose, in as few steps as stay free of inversion.
 

@@ -6,6 +6,7 @@ One factorisation of H serves the dense Jacobian by (a, b) and the products with
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 
 import numba as nb
@@ -15,6 +16,14 @@ import scipy.sparse as sp
 from solver.fitting.face import Face, State
 from solver.mechanics.flesh import IDENTITY
 from solver.surface import Floats, Ints
+
+
+@dataclass(frozen=True)
+class PoseJacobian:
+    """d(M x)/d(a, b): ``skin`` (3 k, 6 m + 5), and the free vertices' ``flesh`` (size, 6 m + 5)."""
+
+    skin: Floats
+    flesh: Floats
 
 
 class Sensitivity:
@@ -27,8 +36,8 @@ class Sensitivity:
         self._tet_a = face.tet_activations(S, state.pose.a)
         self._by_tet = face.flesh.forces_by_activation(state.x, self._tet_a)
 
-    def by_pose(self) -> Floats:
-        """Return d(M x)/d(a, b), shape (3 k, 6 m + 5); a muscle by muscle, six entries each."""
+    def by_pose(self) -> PoseJacobian:
+        """Return the derivatives by (a, b); a muscle by muscle, six entries each."""
         face, state = self._face, self._state
         direct = face.mandible_jacobian(state.pose.b)
         columns = 6 * face.model.muscle_count
@@ -46,7 +55,7 @@ class Sensitivity:
         out = face.face_by_free @ response
         rigid = face.face_embedding @ direct.reshape(len(direct), -1)
         out[:, columns:] += rigid.reshape(len(out), -1)
-        return np.asarray(out)
+        return PoseJacobian(np.asarray(out), response)
 
     def by_geometry(self, change: Floats) -> Floats:
         """Return the face points' change (3 k,) for a change of S's values (nnz,)."""

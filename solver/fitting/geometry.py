@@ -1,0 +1,215 @@
+"""The multi-target problem (x, b, a, S): muscle geometry from several expressions at once.
+
+Block coordinate descent as published: activations and jaw of every expression with S held, then S
+with the activations held, the weights w_a and w_s falling from round to round. Both blocks are
+Gauss-Newton in the reduced space; the S block solves its normal equations by conjugate gradients
+with products only, on the tangent of the simplex.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from solver.errors import SolveError
+from solver.fitting import activation, simplex
+from solver.fitting.activation import ActivationOptions
+from solver.fitting.face import Face, State
+from solver.fitting.objective import Regulariser, Target, rest_prior
+from solver.fitting.sensitivity import Sensitivity
+from solver.surface import Floats
+
+HALVINGS = 5
+
+
+@dataclass(frozen=True)
+class GeometryOptions:
+    """The schedule of the rounds.
+
+    ``w_a`` and ``w_s`` are the weights of the first and last round, geometric in between; the
+    prior of both is where the round started. ``w_v`` weighs the muscles' volume.
+    """
+
+    rounds: int = 8
+    w_a: tuple[float, float] = (2e-2, 1e-3)
+    w_s: tuple[float, float] = (1e-4, 1e-6)
+    w_v: float = 1e-3
+    w_b: float = 1e-6
+    first_iterations: int = 8
+    activation_iterations: int = 3
+    geometry_iterations: int = 3
+    cg_iterations: int = 30
+    cg_tolerance: float = 0.05
+
+    def weights(self, number: int) -> tuple[float, float]:
+        """Return w_a and w_s of round ``number`` (from 0)."""
+        t = number / max(self.rounds - 1, 1)
+        a, s = (start * (end / start) ** t for start, end in (self.w_a, self.w_s))
+        return a, s
+
+
+@dataclass(frozen=True)
+class GeometryFit:
+    """S (n, m + 1) and the settled state of every expression."""
+
+    S: sp.csr_array
+    states: dict[str, State]
+
+
+Listener = Callable[[str, int, float], None]
+"""Called with the block (``activations`` or ``geometry``), the round and the mean error in mm."""
+
+
+def fit(
+    face: Face,
+    targets: Mapping[str, Target],
+    options: GeometryOptions | None = None,
+    listen: Listener = lambda block, number, error: None,
+) -> GeometryFit:
+    """Fit S, activations and jaws to all targets, from the model's initial S and the rest pose."""
+    options = options or GeometryOptions()
+    S = face.model.weights
+    rest = face.rest_state(S)
+    states = dict.fromkeys(targets, rest)
+    for number in range(options.rounds):
+        w_a, w_s = options.weights(number)
+        iterations = options.first_iterations if number == 0 else options.activation_iterations
+        for name, target in targets.items():
+            prior = rest_prior(face) if number == 0 else states[name].pose
+            regulariser = Regulariser(w_a, options.w_v, options.w_b, prior)
+            states[name] = activation.fit(
+                face, S, target, regulariser, states[name], ActivationOptions(iterations, 1e-3)
+            ).state
+            listen("activations", number, mean_error(face, targets, states))
+        S, states = _fit_weights(face, S, targets, states, w_s, options)
+        listen("geometry", number, mean_error(face, targets, states))
+    return GeometryFit(S, states)
+
+
+def mean_error(face: Face, targets: Mapping[str, Target], states: Mapping[str, State]) -> float:
+    """Return the mean distance over the face skin and the expressions, mm."""
+    errors = [
+        np.nanmean(target.distances(face.face_points(states[name].x)))
+        for name, target in targets.items()
+    ]
+    return float(np.mean(errors))
+
+
+def _fit_weights(
+    face: Face,
+    S: sp.csr_array,
+    targets: Mapping[str, Target],
+    states: dict[str, State],
+    w_s: float,
+    options: GeometryOptions,
+) -> tuple[sp.csr_array, dict[str, State]]:
+    """Improve S by projected Gauss-Newton steps, the poses held; return it with the new states."""
+    reference = S.data
+    value = _value(face, S, targets, states, w_s, reference)
+    for _ in range(options.geometry_iterations):
+        step = _gauss_newton_step(face, S, targets, states, w_s, reference, options)
+        found = None
+        for halving in range(HALVINGS):
+            values = simplex.project(S.data + 0.5**halving * step, S.indptr)
+            found = _settled(face, replace_values(S, values), states)
+            if found is None:
+                continue
+            trial = _value(face, *_with(found, targets), w_s, reference)
+            if trial < value:
+                break
+            found = None
+        if found is None:
+            break
+        gain = value - trial
+        (S, states), value = found, trial
+        if gain < 1e-3 * value:
+            break
+    return S, states
+
+
+def _with(found, targets):
+    S, states = found
+    return S, targets, states
+
+
+def replace_values(S: sp.csr_array, values: Floats) -> sp.csr_array:
+    """Return a matrix of S's pattern with other values (nnz,)."""
+    return sp.csr_array((values, S.indices, S.indptr), shape=S.shape)
+
+
+def _settled(
+    face: Face, S: sp.csr_array, states: Mapping[str, State]
+) -> tuple[sp.csr_array, dict[str, State]] | None:
+    """Settle every pose with a new S; None if one of them can not be."""
+    try:
+        return S, {name: face.settle(S, s.pose, s.x) for name, s in states.items()}
+    except SolveError:
+        return None
+
+
+def _value(
+    face: Face,
+    S: sp.csr_array,
+    targets: Mapping[str, Target],
+    states: Mapping[str, State],
+    w_s: float,
+    reference: Floats,
+) -> float:
+    """Return sum_k |M x_k - t_k|^2 + w_s/2 |S - S_ref|^2."""
+    value = 0.5 * w_s * float(np.sum((S.data - reference) ** 2))
+    for name, target in targets.items():
+        residual = target.residual(face.face_points(states[name].x))
+        value += float(residual @ residual)
+    return value
+
+
+def _gauss_newton_step(
+    face: Face,
+    S: sp.csr_array,
+    targets: Mapping[str, Target],
+    states: Mapping[str, State],
+    w_s: float,
+    reference: Floats,
+    options: GeometryOptions,
+) -> Floats:
+    """Return the change of S's values (nnz,) that minimises the linearised problem."""
+    responses = [Sensitivity(face, S, states[name]) for name in targets]
+    roots = [np.sqrt(np.repeat(target.weights, 3)) for target in targets.values()]
+    gradient = w_s * (S.data - reference)
+    for response, root, (name, target) in zip(responses, roots, targets.items(), strict=True):
+        residual = target.residual(face.face_points(states[name].x))
+        gradient += 2.0 * response.by_geometry_adjoint(root * residual)
+    free = simplex.free_entries(S.data, gradient, S.indptr)
+
+    def product(direction: Floats) -> Floats:
+        out = w_s * direction
+        for response, root in zip(responses, roots, strict=True):
+            out += 2.0 * response.by_geometry_adjoint(root**2 * response.by_geometry(direction))
+        return simplex.tangent(out, free, S.indptr)
+
+    right = -simplex.tangent(gradient, free, S.indptr)
+    return conjugate_gradients(product, right, options.cg_iterations, options.cg_tolerance)
+
+
+def conjugate_gradients(
+    product: Callable[[Floats], Floats], right: Floats, iterations: int, tolerance: float
+) -> Floats:
+    """Solve a symmetric positive semi-definite system given by its product, to a relative residual."""
+    x = np.zeros_like(right)
+    residual = right.copy()
+    direction = right.copy()
+    square = float(residual @ residual)
+    goal = tolerance**2 * square
+    for _ in range(iterations):
+        if square <= goal or square == 0.0:
+            break
+        image = product(direction)
+        length = square / float(direction @ image)
+        x += length * direction
+        residual -= length * image
+        previous, square = square, float(residual @ residual)
+        direction = residual + square / previous * direction
+    return x

@@ -1,0 +1,122 @@
+"""What a fit minimises: the distance to the target, and the regularisers on the activations.
+
+    f(a, b) = sum_v w_v |(M x)_v - t_v|^2 + w_a/2 |a - a_prior|^2 + w_v/2 sum_j (det S(a_j) - 1)^2
+              + w_b/2 |D (b - b_prior)|^2
+
+The vertex weights sum to one, so that the first term is a mean squared distance in mm^2 and the
+other weights do not depend on the scan's resolution (the published sums differ by that factor).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from solver.errors import InputError
+from solver.fitting.face import Face, Pose
+from solver.mechanics.flesh import IDENTITY
+from solver.surface import Floats
+
+JAW_UNITS = np.array([100.0, 100.0, 1.0, 1.0, 1.0])
+"""The diagonal of D: a radian of jaw counts as 100 mm, its motion at the chin."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where the face skin should be: ``points`` (k, 3) in mm and ``weights`` (k,) that sum to 1."""
+
+    points: Floats
+    weights: Floats
+
+    @classmethod
+    def from_points(cls, points: Floats, weights: Floats | None = None) -> Target:
+        """Normalise ``weights`` (k,), all equal if not given.
+
+        A point that is not finite counts as unseen (weight 0). Raises :class:`InputError`
+        (``target.no_weight``) if nothing is left to fit.
+        """
+        weights = np.ones(len(points)) if weights is None else weights.astype(np.float64)
+        seen = np.isfinite(points).all(axis=1)
+        weights = np.where(seen, weights, 0.0)
+        if not (np.isfinite(weights).all() and weights.min() >= 0.0 and weights.sum() > 0.0):
+            raise InputError("target.no_weight", "no point of the target has a positive weight")
+        return cls(np.where(seen[:, None], points, 0.0), weights / weights.sum())
+
+    def residual(self, points: Floats) -> Floats:
+        """Return sqrt(w_v) (p_v - t_v), shape (3 k,)."""
+        return ((points - self.points) * np.sqrt(self.weights)[:, None]).ravel()
+
+    def distances(self, points: Floats) -> Floats:
+        """Return |p_v - t_v|, (k,) mm; NaN where the target has no point."""
+        distance = np.linalg.norm(points - self.points, axis=1)
+        return np.where(self.weights > 0.0, distance, np.nan)
+
+
+@dataclass(frozen=True)
+class Regulariser:
+    """Weights of the activation's prior w_a, of the volume term w_v and of the jaw's prior w_b."""
+
+    w_a: float
+    w_v: float
+    w_b: float
+    prior: Pose
+
+    def value(self, pose: Pose) -> float:
+        """Return the regularisers' sum."""
+        det = determinants(pose.a) - 1.0
+        jaw = JAW_UNITS * (pose.b - self.prior.b)
+        return float(
+            0.5 * self.w_a * np.sum((pose.a - self.prior.a) ** 2)
+            + 0.5 * self.w_v * det @ det
+            + 0.5 * self.w_b * jaw @ jaw
+        )
+
+    def gradient(self, pose: Pose) -> Floats:
+        """Return the derivative by (a, b), shape (6 m + 5,)."""
+        det = determinants(pose.a) - 1.0
+        by_a = self.w_a * (pose.a - self.prior.a)
+        by_a = by_a + self.w_v * det[:, None] * determinant_gradients(pose.a)
+        by_b = self.w_b * JAW_UNITS**2 * (pose.b - self.prior.b)
+        return np.concatenate([by_a.ravel(), by_b])
+
+    def gauss_newton(self, pose: Pose) -> Floats:
+        """Return the Gauss-Newton Hessian by (a, b), (6 m + 5, 6 m + 5)."""
+        muscles = len(pose.a)
+        slopes = determinant_gradients(pose.a)
+        out = np.zeros((6 * muscles + 5, 6 * muscles + 5))
+        for j in range(muscles):
+            block = slice(6 * j, 6 * j + 6)
+            out[block, block] = self.w_v * np.outer(slopes[j], slopes[j])
+        diagonal = np.concatenate([np.full(6 * muscles, self.w_a), self.w_b * JAW_UNITS**2])
+        out[np.diag_indices_from(out)] += diagonal
+        return out
+
+
+def determinants(a: Floats) -> Floats:
+    """Return det S(a_j) for a of shape (m, 6)."""
+    xx, xy, xz, yy, yz, zz = a.T
+    return np.asarray(
+        xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    )
+
+
+def determinant_gradients(a: Floats) -> Floats:
+    """Return d det S(a_j)/da_j, (m, 6); an off-diagonal entry stands for two of the matrix."""
+    xx, xy, xz, yy, yz, zz = a.T
+    return np.stack(
+        [
+            yy * zz - yz * yz,
+            2.0 * (xz * yz - xy * zz),
+            2.0 * (xy * yz - xz * yy),
+            xx * zz - xz * xz,
+            2.0 * (xy * xz - xx * yz),
+            xx * yy - xy * xy,
+        ],
+        axis=1,
+    )
+
+
+def rest_prior(face: Face) -> Pose:
+    """Return the pose that regularisers pull to when nothing better is known: the neutral one."""
+    return Pose(np.tile(IDENTITY, (face.model.muscle_count, 1)), np.zeros(5))
