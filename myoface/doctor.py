@@ -14,25 +14,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+import trimesh
 from packaging.requirements import Requirement
 
 from service.settings import Settings
 from service.store.broker import BrokerNotFoundError, find_server
+from solver.anatomy.tetrahedra import EdgeLengths, background_grid, tetrahedralize
+from solver.errors import SolveError
+from solver.surface import Surface
 
 PYTHONS = ((3, 11), (3, 14))
 WANTED_DISK_GB = 5.0
 WANTED_MEMORY_GB = 4.0
 CHILD_TIMEOUT_S = 120.0
 
+REINSTALL = "reinstall: rm -rf .venv && make setup"
 COMPILE = "import numba; print(numba.njit(lambda x: x + 1)(41))"
-MESH = """
-import numpy, pytetwild, trimesh
-box = trimesh.creation.box()
-corners, faces = numpy.asarray(box.vertices), numpy.asarray(box.faces)
-vertices, tets = pytetwild.tetrahedralize(corners, faces, quiet=True)[:2]
-print(len(tets), "tetrahedra in a cube")
-"""
-
 Verdict = Literal["ok", "warning", "fault"]
 
 
@@ -55,8 +53,8 @@ def examine(settings: Settings) -> Iterator[Finding]:
     yield memory()
     yield port(settings.host, settings.port)
     yield broker(settings)
-    yield child("compiler", COMPILE, "reinstall: rm -rf .venv && make setup")
-    yield child("mesher", MESH, "reinstall: rm -rf .venv && make setup")
+    yield compiler()
+    yield mesher()
     yield node()
 
 
@@ -141,19 +139,29 @@ def broker(settings: Settings) -> Finding:
         return Finding("broker", "fault", "none", str(error))
 
 
-def child(subject: str, program: str, advice: str) -> Finding:
-    """Check that a small program works, in a process that may die without harm."""
+def compiler() -> Finding:
+    """Check that numba compiles, in a process that may die without harm."""
     try:
-        command = [sys.executable, "-c", program]
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=CHILD_TIMEOUT_S, check=False
+        command = [sys.executable, "-c", COMPILE]
+        subprocess.run(command, capture_output=True, timeout=CHILD_TIMEOUT_S, check=True)
+    except subprocess.SubprocessError as error:
+        return Finding("compiler", "fault", str(error), REINSTALL)
+    return Finding("compiler", "ok", "numba compiles")
+
+
+def mesher() -> Finding:
+    """Check that fTetWild meshes a cube of 10 mm (in a process of its own, as always)."""
+    cube = trimesh.creation.box(extents=(10.0, 10.0, 10.0))
+    points, tets = background_grid(cube.bounds[0], cube.bounds[1], 10.0)
+    lengths = EdgeLengths(points, tets, np.full(len(points), 5.0))
+    surface = Surface(np.asarray(cube.vertices), np.asarray(cube.faces))
+    try:
+        _, found = tetrahedralize(
+            surface, 5.0, envelope_mm=0.1, lengths=lengths, timeout_s=CHILD_TIMEOUT_S
         )
-    except subprocess.TimeoutExpired:
-        return Finding(subject, "fault", f"no answer in {CHILD_TIMEOUT_S:.0f} s", advice)
-    if done.returncode != 0:
-        last = done.stderr.strip().splitlines()[-1:] or [f"ended with code {done.returncode}"]
-        return Finding(subject, "fault", last[0], advice)
-    return Finding(subject, "ok", done.stdout.strip().splitlines()[-1])
+    except SolveError as error:
+        return Finding("mesher", "fault", str(error), REINSTALL)
+    return Finding("mesher", "ok", f"{len(found)} tetrahedra in a cube")
 
 
 def node() -> Finding:

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
-from myoface.cli import client, demo, offline, service, template
 from myoface.cli.app import app
+from myoface.cli.client import jobs, rigs, subjects, templates, upload
 from myoface.cli.console import complain
+from myoface.cli.demo import demo
+from myoface.cli.offline import solve
+from myoface.cli.service import doctor, up
+from myoface.cli.template import template
 from myoface.errors import ApiError, describe
 from solver.errors import InputError, SolveError
 
-app.add_typer(client.subjects, name="subjects")
-app.add_typer(client.templates, name="templates")
-app.add_typer(client.jobs, name="jobs")
-app.add_typer(client.rigs, name="rigs")
-app.command()(client.upload)
-app.command()(service.up)
-app.command()(service.doctor)
-app.command()(demo.demo)
-app.add_typer(template.template, name="template")
-app.add_typer(offline.solve, name="solve")
+for command in (up, demo, doctor, upload):
+    app.command()(command)
+for group, name in (
+    (subjects, "subjects"),
+    (jobs, "jobs"),
+    (rigs, "rigs"),
+    (templates, "templates"),
+    (template, "template"),
+    (solve, "solve"),
+):
+    app.add_typer(group, name=name)
 
 
 def main() -> None:

@@ -9,11 +9,10 @@ import typer
 from rich.markup import escape
 
 from myoface.cli.console import out
-from myoface.doctor import Verdict, examine
 from service import logs
 from service.settings import Settings
 
-MARKS: dict[Verdict, str] = {
+MARKS = {
     "ok": "[green]ok[/]     ",
     "warning": "[yellow]warning[/]",
     "fault": "[red]fault[/]  ",
@@ -25,7 +24,7 @@ Data = Annotated[Path | None, typer.Option(help="folder for everything the servi
 
 def up(port: Port = None, data: Data = None) -> None:
     """Run the service here: API, broker and worker, until Ctrl-C."""
-    from myoface.stack import Stack  # the service's parts take a second to load
+    from myoface.stack import Stack  # loading the service's parts takes a while
 
     settings = _settings(port, data)
     logs.configure(settings.log_json)
@@ -36,6 +35,8 @@ def up(port: Port = None, data: Data = None) -> None:
 
 def doctor(port: Port = None, data: Data = None) -> None:
     """Check this machine and say what to do where something is missing."""
+    from myoface.doctor import examine
+
     faults = 0
     for finding in examine(_settings(port, data)):
         out.print(f"{MARKS[finding.verdict]} {finding.subject}: {escape(finding.found)}")

@@ -126,11 +126,12 @@ def build_template(head: Head) -> Template:
 
 
 def _bed(head: Head, skin: OuterSkin, skull: Skull) -> Surface:
-    """Return what muscles lie on: the bones and the linings of mouth and eye sockets."""
+    """Return what muscles lie on: bones, eyes and the linings of mouth and eye sockets."""
     visible = np.isin(np.arange(len(head.neutral)), skin.visible_vertices)
     faces = head.faces[head.part_faces["skin"]]
-    lining = Surface(head.neutral, faces[~visible[faces].all(axis=1)])
-    return _joined(lining, skull.cranium, skull.mandible)
+    eyes = [head.faces[head.part_faces[part]] for part in ("left_eye", "right_eye")]
+    lining = np.concatenate([faces[~visible[faces].all(axis=1)], *eyes])
+    return _joined(Surface(head.neutral, lining), skull.cranium, skull.mandible)
 
 
 def _joined(*surfaces: Surface) -> Surface:
