@@ -9,7 +9,7 @@ with products only, on the tangent of the simplex.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -33,7 +33,7 @@ class GeometryOptions:
     prior of both is where the round started. ``w_v`` weighs the muscles' volume.
     """
 
-    rounds: int = 8
+    rounds: int = 6
     w_a: tuple[float, float] = (2e-2, 1e-3)
     w_s: tuple[float, float] = (1e-4, 1e-6)
     w_v: float = 1e-3
@@ -43,6 +43,7 @@ class GeometryOptions:
     geometry_iterations: int = 3
     cg_iterations: int = 30
     cg_tolerance: float = 0.05
+    geometry_tolerance: float = 1e-3
 
     def weights(self, number: int) -> tuple[float, float]:
         """Return w_a and w_s of round ``number`` (from 0)."""
@@ -53,10 +54,11 @@ class GeometryOptions:
 
 @dataclass(frozen=True)
 class GeometryFit:
-    """S (n, m + 1) and the settled state of every expression."""
+    """S (n, m + 1), and every expression's state and number of activation steps."""
 
     S: sp.csr_array
     states: dict[str, State]
+    iterations: dict[str, int]
 
 
 Listener = Callable[[str, int, float], None]
@@ -74,19 +76,22 @@ def fit(
     S = face.model.weights
     rest = face.rest_state(S)
     states = dict.fromkeys(targets, rest)
+    steps = dict.fromkeys(targets, 0)
     for number in range(options.rounds):
         w_a, w_s = options.weights(number)
         iterations = options.first_iterations if number == 0 else options.activation_iterations
         for name, target in targets.items():
             prior = rest_prior(face) if number == 0 else states[name].pose
             regulariser = Regulariser(w_a, options.w_v, options.w_b, prior)
-            states[name] = activation.fit(
+            fitted = activation.fit(
                 face, S, target, regulariser, states[name], ActivationOptions(iterations, 1e-3)
-            ).state
+            )
+            states[name] = fitted.state
+            steps[name] += fitted.iterations
             listen("activations", number, mean_error(face, targets, states))
         S, states = _fit_weights(face, S, targets, states, w_s, options)
         listen("geometry", number, mean_error(face, targets, states))
-    return GeometryFit(S, states)
+    return GeometryFit(S, states, steps)
 
 
 def mean_error(face: Face, targets: Mapping[str, Target], states: Mapping[str, State]) -> float:
@@ -108,31 +113,30 @@ def _fit_weights(
 ) -> tuple[sp.csr_array, dict[str, State]]:
     """Improve S by projected Gauss-Newton steps, the poses held; return it with the new states."""
     reference = S.data
-    value = _value(face, S, targets, states, w_s, reference)
+
+    def value(values: Floats, at: Mapping[str, State]) -> float:
+        """Return sum_k |M x_k - t_k|^2 + w_s/2 |S - S_ref|^2."""
+        total = 0.5 * w_s * float(np.sum((values - reference) ** 2))
+        for name, target in targets.items():
+            residual = target.residual(face.face_points(at[name].x))
+            total += float(residual @ residual)
+        return total
+
+    best = value(S.data, states)
     for _ in range(options.geometry_iterations):
         step = _gauss_newton_step(face, S, targets, states, w_s, reference, options)
-        found = None
         for halving in range(HALVINGS):
-            values = simplex.project(S.data + 0.5**halving * step, S.indptr)
-            found = _settled(face, replace_values(S, values), states)
-            if found is None:
-                continue
-            trial = _value(face, *_with(found, targets), w_s, reference)
-            if trial < value:
+            trial = replace_values(S, simplex.project(S.data + 0.5**halving * step, S.indptr))
+            settled = _settled(face, trial, states)
+            if settled is not None and value(trial.data, settled) < best:
                 break
-            found = None
-        if found is None:
+        else:
             break
-        gain = value - trial
-        (S, states), value = found, trial
-        if gain < 1e-3 * value:
+        S, states = trial, settled
+        gain, best = best - value(S.data, states), value(S.data, states)
+        if gain < options.geometry_tolerance * best:
             break
     return S, states
-
-
-def _with(found, targets):
-    S, states = found
-    return S, targets, states
 
 
 def replace_values(S: sp.csr_array, values: Floats) -> sp.csr_array:
@@ -142,28 +146,12 @@ def replace_values(S: sp.csr_array, values: Floats) -> sp.csr_array:
 
 def _settled(
     face: Face, S: sp.csr_array, states: Mapping[str, State]
-) -> tuple[sp.csr_array, dict[str, State]] | None:
+) -> dict[str, State] | None:
     """Settle every pose with a new S; None if one of them can not be."""
     try:
-        return S, {name: face.settle(S, s.pose, s.x) for name, s in states.items()}
+        return {name: face.settle(S, state.pose, state.x) for name, state in states.items()}
     except SolveError:
         return None
-
-
-def _value(
-    face: Face,
-    S: sp.csr_array,
-    targets: Mapping[str, Target],
-    states: Mapping[str, State],
-    w_s: float,
-    reference: Floats,
-) -> float:
-    """Return sum_k |M x_k - t_k|^2 + w_s/2 |S - S_ref|^2."""
-    value = 0.5 * w_s * float(np.sum((S.data - reference) ** 2))
-    for name, target in targets.items():
-        residual = target.residual(face.face_points(states[name].x))
-        value += float(residual @ residual)
-    return value
 
 
 def _gauss_newton_step(

@@ -1,0 +1,255 @@
+"""The three jobs: build a model, fit the muscle geometry, fit activations.
+
+Each reads files, writes its results into a folder and reports progress. A worker calls them in a
+process of its own, the offline command line directly.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from solver.anatomy.build import build_subject_model, model_summary
+from solver.anatomy.builtin import builtin_template
+from solver.anatomy.template import Template
+from solver.errors import InputError
+from solver.fitting import activation, geometry
+from solver.fitting.activation import ActivationOptions
+from solver.fitting.face import Face, State
+from solver.fitting.geometry import GeometryOptions
+from solver.fitting.objective import Regulariser, Target, rest_prior
+from solver.model import SubjectModel
+from solver.progress import Progress, Step, silent
+from solver.rig.export import write_rig
+from solver.rig.pictures import anatomy_picture, tets_picture
+from solver.rig.result import ExpressionFit, Rig, load_activations, load_weights
+from solver.scans.read import read_registered
+from solver.surface import Floats
+
+Options = Mapping[str, Any] | None
+
+NEW_EXPRESSION = {"w_a": 1e-3, "w_v": 1e-3, "w_b": 1e-6}
+"""Weights for an expression that S was not fitted to: w_a low from the start."""
+
+
+def build_model(
+    neutral: Path,
+    out: Path,
+    *,
+    template: Path | None = None,
+    options: Options = None,
+    progress: Progress = silent,
+) -> list[Path]:
+    """Build a subject's model from a registered neutral scan.
+
+    Options: ``edge_mm``, the tets' edge length. Writes ``model.npz``, ``model.json``,
+    ``anatomy.png`` and ``tets.png``. Raises :class:`solver.errors.InputError` for a scan or
+    template that can not be used, :class:`solver.errors.SolveError` if no mesh can be made.
+    """
+    given = _take(options, {"edge_mm": 9.0})
+    out.mkdir(parents=True, exist_ok=True)
+    progress(Step("read", 0.0, message=neutral.name))
+    anatomy = builtin_template() if template is None else Template.load(template)
+    vertices = read_registered(neutral, anatomy.skin.faces, len(anatomy.skin.vertices))
+    model = build_subject_model(
+        anatomy,
+        vertices,
+        edge_mm=given["edge_mm"],
+        progress=lambda step: progress(_within(step, 0.02, 0.93)),
+    )
+    files = [out / name for name in ("model.npz", "model.json", "anatomy.png", "tets.png")]
+    model.save(files[0])
+    files[1].write_text(json.dumps(model_summary(model), indent=2), encoding="utf-8")
+    progress(Step("pictures", 0.94))
+    anatomy_picture(model, files[2])
+    tets_picture(model, files[3])
+    progress(Step("done", 1.0))
+    return files
+
+
+def fit_geometry(
+    model: Path,
+    captures: Mapping[str, Path],
+    out: Path,
+    *,
+    options: Options = None,
+    progress: Progress = silent,
+) -> list[Path]:
+    """Fit S, activations and jaw to several registered expression scans; write the rig's files.
+
+    Options: ``rounds`` of block coordinate descent, ``linear_solver``.
+    """
+    given = _take(options, {"rounds": GeometryOptions.rounds, "linear_solver": None})
+    subject, scans = _read(model, captures, progress)
+    face = Face(subject, linear=given["linear_solver"])
+    targets = {name: _target(subject, scan) for name, scan in scans.items()}
+    schedule = GeometryOptions(rounds=given["rounds"])
+    blocks = schedule.rounds * (len(targets) + 1)
+    done = 0
+
+    def listen(block: str, number: int, error: float) -> None:
+        nonlocal done
+        done += 1
+        progress(Step(block, 0.02 + 0.9 * done / blocks, number + 1, mean_error_mm=error))
+
+    start = time.perf_counter()
+    fitted = geometry.fit(face, targets, schedule, listen)
+    seconds = time.perf_counter() - start
+    expressions = tuple(
+        _expression(
+            face,
+            name,
+            "train",
+            scans[name],
+            targets[name],
+            fitted.states[name],
+            iterations=fitted.iterations[name],
+            seconds=seconds / len(targets),
+        )
+        for name in targets
+    )
+    return _export(subject, fitted.S, expressions, {"geometry": seconds}, out, progress)
+
+
+def fit_activations(
+    model: Path,
+    weights: Path,
+    captures: Mapping[str, Path],
+    out: Path,
+    *,
+    rig: Path | None = None,
+    options: Options = None,
+    progress: Progress = silent,
+) -> list[Path]:
+    """Fit activations and jaw of new expressions with the S of ``weights``; write the rig's files.
+
+    ``rig`` (``activations.npz`` of a rig, or its folder) carries that rig's expressions over; a
+    new capture of the same name replaces the old. Options: ``max_iterations``, ``linear_solver``.
+    """
+    given = _take(options, {"max_iterations": 25, "linear_solver": None})
+    subject, scans = _read(model, captures, progress)
+    S = load_weights(weights, subject)
+    carried = () if rig is None else load_activations(_activations_file(rig), subject)
+    face = Face(subject, linear=given["linear_solver"])
+    rest = face.rest_state(S)
+    regulariser = Regulariser(**NEW_EXPRESSION, prior=rest_prior(face))
+    stop = ActivationOptions(given["max_iterations"])
+    expressions = [fit for fit in carried if fit.name not in scans]
+    begin = time.perf_counter()
+    for number, (name, scan) in enumerate(scans.items()):
+        target = _target(subject, scan)
+
+        def listen(
+            iteration: int, value: float, number: int = number, name: str = name
+        ) -> None:
+            part = (number + iteration / stop.max_iterations) / len(scans)
+            progress(Step("activations", 0.02 + 0.85 * part, iteration, value, message=name))
+
+        start = time.perf_counter()
+        fitted = activation.fit(face, S, target, regulariser, rest, stop, listen)
+        expressions.append(
+            _expression(
+                face,
+                name,
+                "test",
+                scan,
+                target,
+                fitted.state,
+                iterations=fitted.iterations,
+                seconds=time.perf_counter() - start,
+            )
+        )
+    seconds = {"activations": time.perf_counter() - begin}
+    return _export(subject, S, tuple(expressions), seconds, out, progress)
+
+
+def _read(
+    model: Path, captures: Mapping[str, Path], progress: Progress
+) -> tuple[SubjectModel, dict[str, Floats]]:
+    """Read the model and the registered scans; all are checked before any work begins."""
+    if not captures:
+        raise InputError("fit.no_captures", "a fit needs at least one expression scan")
+    progress(Step("read", 0.0, message=f"{len(captures)} scans"))
+    subject = SubjectModel.load(model)
+    skin = subject.skin
+    scans = {
+        name: read_registered(path, skin.faces, len(skin.vertices), neutral=skin.vertices)
+        for name, path in captures.items()
+    }
+    return subject, scans
+
+
+def _target(model: SubjectModel, scan: Floats) -> Target:
+    return Target.from_points(scan[model.face])
+
+
+def _expression(
+    face: Face,
+    name: str,
+    role: str,
+    scan: Floats,
+    target: Target,
+    state: State,
+    *,
+    iterations: int,
+    seconds: float,
+) -> ExpressionFit:
+    points = face.face_points(state.x)
+    residual = target.residual(points)
+    error = np.full(len(scan), np.nan)
+    error[face.model.face] = target.distances(points)
+    return ExpressionFit(
+        name=name,
+        role=role,
+        activations=state.pose.a,
+        jaw=state.pose.b,
+        skin=face.whole_skin(state.x, state.pose.b),
+        target=scan,
+        error_mm=error,
+        inverted=face.flesh.inverted(state.x),
+        iterations=iterations,
+        seconds=seconds,
+        objective=float(residual @ residual),
+    )
+
+
+def _export(
+    model: SubjectModel,
+    S: sp.csr_array,
+    expressions: tuple[ExpressionFit, ...],
+    seconds: dict[str, float],
+    out: Path,
+    progress: Progress,
+) -> list[Path]:
+    progress(Step("export", 0.93, message="exports and pictures"))
+    files = write_rig(Rig(model, S, expressions, seconds), out)
+    progress(Step("done", 1.0))
+    return files
+
+
+def _activations_file(rig: Path) -> Path:
+    return rig / "activations.npz" if rig.is_dir() else rig
+
+
+def _take(options: Options, defaults: dict[str, Any]) -> dict[str, Any]:
+    """Return the defaults with the given options; raises ``options.unknown`` for others."""
+    unknown = set(options or {}) - set(defaults)
+    if unknown:
+        raise InputError(
+            "options.unknown",
+            f"unknown options {sorted(unknown)}; known are {sorted(defaults)}",
+            expected=sorted(defaults),
+        )
+    return {**defaults, **(options or {})}
+
+
+def _within(step: Step, start: float, end: float) -> Step:
+    """Map a part's progress into [start, end] of the whole."""
+    given = {**step.as_dict(), "fraction": start + step.fraction * (end - start)}
+    return Step(**given)
