@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import json
 import os
 import time
 from collections.abc import Iterator
@@ -88,6 +89,29 @@ class Studio:
     def finished(self, job_id: str, seconds: float = 30) -> Any:
         return self.until(job_id, *FINAL, seconds=seconds)
 
+    def until_working(self, job_id: str) -> None:
+        deadline = time.monotonic() + 20
+        while not self.job(job_id)["progress"]:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+
+    def events(self, job_id: str, after: int = 0) -> list[tuple[int, str, dict[str, Any]]]:
+        headers = {"Last-Event-ID": str(after)}
+        text = self.http.get(f"/v1/jobs/{job_id}/events", headers=headers).text
+        found = []
+        for block in text.strip().split("\n\n"):
+            fields = dict(line.split(": ", 1) for line in block.splitlines() if line)
+            if "event" in fields:
+                found.append((int(fields["id"]), fields["event"], json.loads(fields["data"])))
+        return found
+
+    @staticmethod
+    def solvers(stack: Stack) -> list[int]:
+        """Return the living solver processes of a stack."""
+        work = str(stack.settings.work).encode()
+        commands = Path("/proc").glob("[0-9]*/cmdline")
+        return [int(path.parent.name) for path in commands if work in _content(path)]
+
 
 @contextmanager
 def running(data_dir: Path, **settings: Any) -> Iterator[tuple[Stack, Studio]]:
@@ -101,6 +125,13 @@ def running(data_dir: Path, **settings: Any) -> Iterator[tuple[Stack, Studio]]:
         os.environ.pop("PYTHONPATH") if before is None else os.environ.update(PYTHONPATH=before)
     with stack, httpx.Client(base_url=stack.url, timeout=30) as http:
         yield stack, Studio(http)
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError:
+        return b""
 
 
 def _encode(text: str) -> str:

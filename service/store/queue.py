@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import redis
 import structlog
 from celery import Celery
 from kombu.exceptions import OperationalError
+from redis.backoff import NoBackoff
 from redis.exceptions import RedisError
+from redis.retry import Retry
 
 RUN_JOB = "myoface.run_job"
 QUEUES = ("short", "long")
+
+ONCE: dict[str, Any] = {
+    "socket_timeout": 2,
+    "socket_connect_timeout": 2,
+    "retry": Retry(NoBackoff(), 0),
+}
 
 log = structlog.get_logger()
 
@@ -69,6 +79,6 @@ class WakeUps:
 
 
 def connect(broker_url: str) -> redis.Redis:
-    """Return a client of the broker itself, for asking whether it answers."""
+    """Return a client of the broker itself that fails at once, for asking whether it answers."""
     url = broker_url.replace("redis+socket://", "unix://", 1)
-    return redis.Redis.from_url(url, socket_timeout=2, socket_connect_timeout=2)
+    return redis.Redis.from_url(url, **ONCE)

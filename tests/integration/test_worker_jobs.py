@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -63,14 +62,14 @@ def test_artifacts_have_etags_and_ranges(studio: Studio) -> None:
 
 def test_events_tell_the_story_and_resume(studio: Studio) -> None:
     job = studio.submit("build_model", studio.subject(seconds=1))
-    story = _events(studio, job)
+    story = studio.events(job)
     states = [data["state"] for _, kind, data in story if kind == "state"]
     assert states == ["queued", "running", "succeeded"]
     progress = [data for _, kind, data in story if kind == "progress"]
     assert progress
     assert all(step["phase"] == "geometry" and step["attempt"] == 1 for step in progress)
-    assert _events(studio, job, after=story[-2][0]) == story[-1:]
-    assert _events(studio, job, after=story[-1][0]) == []
+    assert studio.events(job, after=story[-2][0]) == story[-1:]
+    assert studio.events(job, after=story[-1][0]) == []
     log = studio.get(f"/v1/jobs/{job}/log?after=3")
     assert log["lines"][0]["text"] == "step 3 of neutral of Alex.obj"
 
@@ -109,12 +108,12 @@ def test_cancel_stops_the_solver_within_five_seconds(
     stack, studio = stack_and_studio
     seconds = 0.1 if fault == "deaf" else 60
     job = studio.submit("build_model", studio.subject(seconds=seconds, fault=fault))
-    _until_working(studio, job)
+    studio.until_working(job)
     asked = time.monotonic()
     studio.post(f"/v1/jobs/{job}/cancel", reason="the talent blinked", by="operator")
     done = studio.until(job, "canceled", seconds=5)
     assert time.monotonic() - asked < 5
-    assert not solvers(stack)
+    assert not studio.solvers(stack)
     assert done["cancel"]["reason"] == "the talent blinked"
     assert [a["outcome"] for a in done["attempts"]] == ["canceled"]
     assert not list(stack.settings.work.iterdir())
@@ -122,42 +121,9 @@ def test_cancel_stops_the_solver_within_five_seconds(
 
 def test_a_stopped_stack_gives_its_jobs_back(tmp_path: Path) -> None:
     with running(tmp_path) as (_, studio):
-        job = studio.submit("build_model", studio.subject(seconds=3))
-        _until_working(studio, job)
-        time.sleep(0.5)
+        job = studio.submit("build_model", studio.subject(seconds=1.5))
+        studio.until_working(job)
     with running(tmp_path) as (_, studio):
         done = studio.finished(job)
     assert done["state"] == "succeeded"
     assert [a["outcome"] for a in done["attempts"]] == ["released", "succeeded"]
-
-
-def _until_working(studio: Studio, job: str) -> None:
-    deadline = time.monotonic() + 20
-    while not studio.job(job)["progress"]:
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-
-
-def solvers(stack: Stack) -> list[int]:
-    """Return the living solver processes of a stack."""
-    work = str(stack.settings.work).encode()
-    commands = {int(p.parent.name): p for p in Path("/proc").glob("[0-9]*/cmdline")}
-    return [pid for pid, path in commands.items() if work in _read(path)]
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError:
-        return b""
-
-
-def _events(studio: Studio, job: str, after: int = 0) -> list[tuple[int, str, dict]]:
-    headers = {"Last-Event-ID": str(after)}
-    text = studio.http.get(f"/v1/jobs/{job}/events", headers=headers).text
-    found = []
-    for block in text.strip().split("\n\n"):
-        fields = dict(line.split(": ", 1) for line in block.splitlines() if line)
-        if "event" in fields:
-            found.append((int(fields["id"]), fields["event"], json.loads(fields["data"])))
-    return found
