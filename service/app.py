@@ -64,8 +64,16 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     errors.install(app)
     for router in (uploads, subjects, captures, templates, jobs, rigs, system):
         app.include_router(router)
+    _describe_problems(app)
     app.add_middleware(RequestContext, allowed_hosts=settings.allowed_hosts)
     return app
+
+
+def _describe_problems(app: FastAPI) -> None:
+    """Put the problem document, which the routes' errors refer to, into the OpenAPI description."""
+    document = app.openapi()  # FastAPI keeps it and serves it from now on
+    schema = errors.ProblemDocument.model_json_schema()
+    document["components"]["schemas"]["ProblemDocument"] = schema
 
 
 def _version() -> str:

@@ -26,7 +26,7 @@ FILE: dict[int | str, dict[str, Any]] = {
 }
 
 
-@router.get("/rigs", response_model=Page[RigView], summary="List rigs")
+@router.get("/rigs", response_model=Page[RigView], summary="List rigs", responses=problems(422))
 def index(
     session: ReadSession, subject_id: Annotated[Id | None, Query()] = None, limit: Limit = 100
 ) -> Any:

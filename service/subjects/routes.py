@@ -27,7 +27,7 @@ def create(new: NewSubject, session: WriteSession) -> Any:
     return service.create(session, new)
 
 
-@router.get("", response_model=Page[SubjectView], summary="List subjects")
+@router.get("", response_model=Page[SubjectView], summary="List subjects", responses=problems(422))
 def index(session: ReadSession, limit: Limit = 100) -> Any:
     """List subjects, newest first."""
     return {"items": repository.newest(session, limit)}

@@ -27,7 +27,9 @@ def create(new: NewTemplate, session: WriteSession) -> Any:
     return service.create(session, new)
 
 
-@router.get("", response_model=Page[TemplateView], summary="List templates")
+@router.get(
+    "", response_model=Page[TemplateView], summary="List templates", responses=problems(422)
+)
 def index(session: ReadSession, limit: Limit = 100) -> Any:
     """List templates, newest first."""
     return {"items": repository.newest(session, limit)}

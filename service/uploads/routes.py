@@ -55,7 +55,12 @@ def _headers(response: Response, upload: Upload) -> None:
     response.headers["Upload-Expires"] = format_datetime(upload.expires_at, usegmt=True)
 
 
-@router.options("", status_code=204, summary="What the upload protocol can do")
+@router.options(
+    "",
+    status_code=204,
+    summary="What the upload protocol can do",
+    responses=problems(412, 422),
+)
 def describe(response: Response, settings: SettingsDep) -> None:
     """Tell version, extensions, checksum algorithms and the largest size."""
     response.headers["Tus-Version"] = VERSION

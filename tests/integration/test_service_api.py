@@ -1,0 +1,160 @@
+"""What the API refuses, and how it says so."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fastapi.testclient import TestClient
+from pydantic import ValidationError
+
+from service.app import create_app
+from service.settings import Settings
+from tests.service_client import Studio
+
+NOBODY = str(uuid.uuid4())
+
+
+@pytest.fixture
+def studio(tmp_path: Path) -> Iterator[Studio]:
+    """An API without broker and workers: jobs stay queued."""
+    settings = Settings(data_dir=tmp_path)
+    with TestClient(create_app(settings), base_url="http://127.0.0.1") as http:
+        yield Studio(http)
+
+
+def test_jobs_that_can_not_be(studio: Studio) -> None:
+    empty = studio.post("/v1/subjects", name="Nobody yet")["id"]
+    subject, other = studio.subject(), studio.subject()
+    neutral = studio.get(f"/v1/subjects/{subject}/captures")["items"][0]["id"]
+    foreign = studio.capture(other, "smile")
+    cases: list[tuple[dict[str, Any], int, str, str]] = [
+        ({"kind": "build_model", "subject_id": NOBODY}, 404, "subject.unknown", NOBODY),
+        ({"kind": "build_model", "subject_id": empty}, 409, "subject.no_neutral", "neutral"),
+        ({"kind": "bake_bread", "subject_id": subject}, 422, "job.kind", "bake_bread"),
+        ({"kind": "fit_geometry", "subject_id": subject}, 409, "subject.no_model", "build_model"),
+        ({"kind": "fit_activations", "subject_id": subject}, 422, "job.missing", "rig_id"),
+        (
+            {"kind": "fit_activations", "subject_id": subject, "rig_id": NOBODY},
+            404,
+            "rig.unknown",
+            NOBODY,
+        ),
+        (
+            {"kind": "build_model", "subject_id": subject, "captures": [foreign]},
+            422,
+            "job.unexpected",
+            "captures",
+        ),
+        ({"kind": "build_model", "subject_id": "../x"}, 422, "request.invalid", "subject_id"),
+        (
+            {"kind": "build_model", "subject_id": subject, "option": {}},
+            422,
+            "request.invalid",
+            "option",
+        ),
+    ]
+    _pretend_model(studio, subject)
+    cases += [
+        (
+            {"kind": "fit_geometry", "subject_id": subject, "captures": [foreign]},
+            404,
+            "capture.unknown",
+            foreign,
+        ),
+        (
+            {"kind": "fit_geometry", "subject_id": subject, "captures": [neutral]},
+            422,
+            "capture.not_an_expression",
+            "neutral",
+        ),
+        ({"kind": "fit_geometry", "subject_id": subject}, 422, "job.missing", "captures"),
+    ]
+    no_model = cases.pop(3)  # asked about the other subject, which has none
+    cases.append(({**no_model[0], "subject_id": other}, *no_model[1:]))
+    for body, status, code, named in cases:
+        answer = studio.http.post("/v1/jobs", json=body)
+        assert answer.headers["content-type"] == "application/problem+json"
+        problem = answer.json()
+        assert (answer.status_code, problem["code"]) == (status, code), problem
+        assert named in problem["detail"], problem
+    assert all(job["kind"] == "build_model" for job in studio.get("/v1/jobs")["items"])
+
+
+def test_put_is_idempotent(studio: Studio) -> None:
+    subject = studio.subject()
+    path, body = f"/v1/jobs/{uuid.uuid4()}", {"kind": "build_model", "subject_id": subject}
+    answers = [studio.http.put(path, json=body) for _ in range(3)]
+    assert [answer.status_code for answer in answers] == [201, 200, 200]
+    assert answers[0].json() == answers[2].json()
+    other = studio.http.put(path, json={**body, "subject_id": studio.subject()})
+    assert (other.status_code, other.json()["code"]) == (409, "job.conflict")
+    assert len(studio.get("/v1/jobs")["items"]) == 1
+
+
+def test_captures_that_can_not_be(studio: Studio) -> None:
+    subject = studio.subject()
+    half = studio.start_upload("half.obj", 10).rsplit("/", 1)[1]
+    scan, picture = studio.upload("a.obj", b"v 0 0 0"), studio.upload("a.png", b"PNG")
+    cases = [
+        ({"name": "smile", "role": "expression", "upload_id": NOBODY}, 404, "upload.unknown"),
+        ({"name": "smile", "role": "expression", "upload_id": half}, 409, "upload.incomplete"),
+        ({"name": "smile", "role": "expression", "upload_id": picture}, 422, "capture.format"),
+        ({"name": "other", "role": "neutral", "upload_id": scan}, 409, "capture.neutral_exists"),
+        ({"name": "neutral", "role": "expression", "upload_id": scan}, 409, "capture.name_taken"),
+        ({"name": "a/b", "role": "expression", "upload_id": scan}, 422, "request.invalid"),
+    ]
+    for body, status, code in cases:
+        answer = studio.http.post(f"/v1/subjects/{subject}/captures", json=body)
+        assert (answer.status_code, answer.json()["code"]) == (status, code)
+    assert len(studio.get(f"/v1/subjects/{subject}/captures")["items"]) == 1
+
+
+def test_a_subject_is_deleted_with_all_that_is_its_own(studio: Studio) -> None:
+    subject = studio.subject()
+    job = studio.submit("build_model", subject)
+    busy = studio.http.delete(f"/v1/subjects/{subject}")
+    assert (busy.status_code, busy.json()["job_ids"]) == (409, [job])
+    assert studio.post(f"/v1/jobs/{job}/cancel", reason="over")["state"] == "canceled"
+    again = studio.http.post(f"/v1/jobs/{job}/cancel", json={})
+    assert (again.status_code, again.json()["code"]) == (409, "job.finished")
+    assert studio.http.delete(f"/v1/subjects/{subject}").status_code == 204
+    for path in (f"/v1/subjects/{subject}", f"/v1/jobs/{job}", f"/v1/jobs/{job}/events"):
+        assert studio.http.get(path).status_code == 404
+
+
+def test_openapi_describes_every_route(studio: Studio) -> None:
+    document = studio.get("/openapi.json")
+    assert "HTTPValidationError" not in str(document)
+    assert "code" in document["components"]["schemas"]["ProblemDocument"]["required"]
+    for path, methods in document["paths"].items():
+        for method, operation in methods.items():
+            assert operation["summary"], (method, path)
+            assert operation["tags"], (method, path)
+            for status, answer in operation["responses"].items():
+                if status >= "400" and path != "/readyz":
+                    assert "application/problem+json" in answer["content"], (method, path, status)
+
+
+def test_only_this_machine_is_served(studio: Studio) -> None:
+    with pytest.raises(ValidationError, match="loopback"):
+        Settings(host="0.0.0.0")
+    answer = studio.http.get("/healthz", headers={"Host": "evil.example"})
+    assert (answer.status_code, answer.json()["code"]) == (421, "request.host")
+
+
+def _pretend_model(studio: Studio, subject: str) -> None:
+    """Do what a worker does, without a solver."""
+    from service.store import jobs
+    from service.store.models import Artifact
+
+    store = studio.http.app.state.store  # type: ignore[attr-defined]
+    job = studio.submit("build_model", subject)
+    artifact = Artifact(job_id=job, name="model.npz", size=1, sha256="0" * 64, media_type="x")
+    with store.write() as session:
+        claim = jobs.claim(session, job, "test", 10)
+        assert claim
+        assert jobs.succeed(session, job, claim.attempt, [artifact], None)

@@ -1,0 +1,145 @@
+"""Resumable uploads, by requests that a real client or network can make."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import threading
+from pathlib import Path
+
+import httpx
+import pytest
+from fastapi.testclient import TestClient
+
+from service.app import create_app
+from service.settings import Settings
+from tests.service_client import OFFSET_STREAM, Studio
+
+SCAN = b"".join(f"v {i} 0 0\n".encode() for i in range(50_000))
+SHA256 = hashlib.sha256(SCAN).hexdigest()
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> Settings:
+    return Settings(data_dir=tmp_path, max_upload_bytes=10_000_000)
+
+
+def _studio(settings: Settings) -> TestClient:
+    return TestClient(create_app(settings), base_url="http://127.0.0.1")
+
+
+def test_an_upload_resumes_where_the_service_died(settings: Settings) -> None:
+    with _studio(settings) as http:
+        studio = Studio(http)
+        location = studio.start_upload("smile.obj", len(SCAN), SHA256)
+        assert studio.send(location, 0, SCAN[:1000]).headers["Upload-Offset"] == "1000"
+    # Killed in the middle of a request: bytes on disk that were never counted.
+    with (settings.uploads / location.rsplit("/", 1)[1]).open("ab") as part:
+        part.write(b"half a line")
+    with _studio(settings) as http:
+        studio = Studio(http)
+        assert http.head(location).headers["Upload-Offset"] == "1000"
+        assert studio.send(location, 1000, SCAN[1000:]).status_code == 204
+        upload = studio.get(location)
+        assert (upload["state"], upload["sha256"]) == ("complete", SHA256)
+    stored = settings.files / SHA256[:2] / SHA256
+    assert stored.read_bytes() == SCAN
+    assert not list(settings.uploads.iterdir())
+
+
+def test_wrong_requests_change_nothing(settings: Settings) -> None:
+    with _studio(settings) as http:
+        studio = Studio(http)
+        location = studio.start_upload("smile.obj", len(SCAN), SHA256)
+        studio.send(location, 0, SCAN[:1000])
+        wrong = base64.b64encode(hashlib.sha256(b"other").digest()).decode()
+        refusals = [
+            (studio.send(location, 500, SCAN[500:]), 409, "upload.offset"),
+            (studio.send(location, 1000, SCAN), 413, "upload.overflow"),
+            (
+                studio.send(location, 1000, SCAN[1000:], **{"Upload-Checksum": f"sha256 {wrong}"}),
+                460,
+                "upload.checksum",
+            ),
+            (
+                studio.send(location, 1000, b"x", **{"Upload-Checksum": "crc32 AAAA"}),
+                400,
+                "upload.checksum_algorithm",
+            ),
+            (http.patch(location, content=b"x"), 422, "request.invalid"),
+        ]
+        for answer, status, code in refusals:
+            assert answer.headers["content-type"] == "application/problem+json"
+            problem = answer.json()
+            assert (answer.status_code, problem["code"]) == (status, code)
+            assert problem["request_id"] == answer.headers["x-request-id"]
+            assert http.head(location).headers["Upload-Offset"] == "1000"
+        right = base64.b64encode(hashlib.sha1(SCAN[1000:]).digest()).decode()
+        last = studio.send(location, 1000, SCAN[1000:], **{"Upload-Checksum": f"sha1 {right}"})
+        assert last.status_code == 204
+
+
+def test_a_file_that_is_not_the_announced_one_is_dropped(settings: Settings) -> None:
+    with _studio(settings) as http:
+        studio = Studio(http)
+        location = studio.start_upload("smile.obj", len(SCAN), SHA256)
+        answer = studio.send(location, 0, SCAN[:-1] + b" ")
+        assert (answer.status_code, answer.json()["code"]) == (460, "upload.checksum")
+        assert answer.json()["file"] == "smile.obj"
+        assert answer.json()["expected"] == SHA256
+        assert http.head(location).status_code == 404
+    assert not list(settings.uploads.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("headers", "status", "code"),
+    [
+        ({"Upload-Length": "10000001"}, 413, "upload.too_large"),
+        ({"Upload-Length": "0"}, 422, "request.invalid"),
+        ({"Upload-Metadata": "filename " + "Li4vc2VjcmV0"}, 400, "upload.filename"),
+        ({"Upload-Metadata": "filename ?"}, 400, "upload.metadata"),
+        ({"Upload-Metadata": "sha256 YWJj"}, 400, "upload.filename"),
+        ({"Tus-Resumable": "0.2.2"}, 412, "upload.version"),
+    ],
+)
+def test_uploads_that_can_not_be(
+    settings: Settings, headers: dict[str, str], status: int, code: str
+) -> None:
+    good = {"Upload-Length": "10", "Upload-Metadata": "filename YS5vYmo="}
+    with _studio(settings) as http:
+        answer = http.post("/v1/uploads", headers=good | headers)
+    assert (answer.status_code, answer.json()["code"]) == (status, code)
+
+
+def test_two_writers_never_mix(settings: Settings) -> None:
+    """Both send the whole file from offset 0 at once, in many small pieces."""
+    answers: list[httpx.Response] = []
+    with _studio(settings) as http:
+        studio = Studio(http)
+        location = studio.start_upload("smile.obj", len(SCAN), SHA256)
+        ready = threading.Barrier(2)
+
+        def send() -> None:
+            ready.wait()
+            pieces = (SCAN[i : i + 10_000] for i in range(0, len(SCAN), 10_000))
+            headers = {"Upload-Offset": "0", "Content-Type": OFFSET_STREAM}
+            answers.append(http.patch(location, content=pieces, headers=headers))
+
+        writers = [threading.Thread(target=send) for _ in range(2)]
+        for writer in writers:
+            writer.start()
+        for writer in writers:
+            writer.join()
+        assert sorted(answer.status_code for answer in answers)[0] == 204
+        assert max(answer.status_code for answer in answers) in (409, 423)
+        assert studio.get(location)["sha256"] == SHA256
+
+
+def test_giving_up_removes_the_bytes(settings: Settings) -> None:
+    with _studio(settings) as http:
+        studio = Studio(http)
+        location = studio.start_upload("smile.obj", len(SCAN))
+        studio.send(location, 0, SCAN[:1000])
+        assert http.delete(location).status_code == 204
+        assert http.head(location).status_code == 404
+    assert not list(settings.uploads.iterdir())
