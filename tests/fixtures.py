@@ -79,7 +79,7 @@ def fixture_model(name: str) -> SubjectModel:
         jaw=JawFrame(data["jaw_origin"] * MM_PER_M, data["jaw_axes"]),
         muscles=_muscle_blocks(rest, tets, weights, names),
         bones={
-            name: compact(all_rest, data["bnd_faces"][data["bnd_label"] == label])
+            name: compact(all_rest, data["bnd_faces"][data["bnd_label"] == label][:, ::-1])
             for name, label in (("cranium", BOUNDARY_CRANIUM), ("mandible", BOUNDARY_MANDIBLE))
         },
         regions=_thirds(skin.vertices, face),

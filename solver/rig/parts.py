@@ -15,7 +15,7 @@ from solver.surface import Floats, Ints, Surface
 EYE_RADIUS_MM = (9.0, 18.0)
 ROUNDNESS = 0.07  # deviation from the best sphere, by its radius (the cornea's bulge gives 0.04)
 NEAR_EYE = 2.2  # radii: lashes and tear film lie within
-TOOTH_MM = 26.0
+TOOTH_MM = 34.0  # crown and root
 
 
 def skin_parts(skin: Surface) -> dict[str, Ints]:

@@ -1,0 +1,84 @@
+"""A sheet of images with titles and legends."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from solver.rig.colours import HEAT_MAX_MM, heat
+from solver.rig.raster import Pixels
+
+INK, GREY = (38, 40, 46), (112, 116, 124)
+PAPER = (249, 249, 250)
+MARGIN = 24
+HEADER = 84
+SWATCH = 14
+
+Colour = tuple[float, float, float]
+
+
+class Page:
+    """A page of a given size in pixels, on which the parts are placed by their corners."""
+
+    def __init__(self, width: int, height: int) -> None:
+        self.image = Image.new("RGB", (width, height), PAPER)
+        self.draw = ImageDraw.Draw(self.image)
+
+    def heading(self, title: str, detail: str) -> None:
+        """Write the title and a line of figures across the top."""
+        self.text((MARGIN, 16), title, 30)
+        self.text((MARGIN, 54), detail, 17, GREY)
+
+    def text(
+        self,
+        place: tuple[int, int],
+        words: str,
+        size: int,
+        ink: tuple[int, int, int] = INK,
+        anchor: str = "la",
+    ) -> None:
+        """Write one line of text."""
+        self.draw.text(place, words, fill=ink, font=ImageFont.load_default(size), anchor=anchor)
+
+    def panel(self, place: tuple[int, int], pixels: Pixels) -> None:
+        """Place an sRGB image (h, w, 3) with values in [0, 1]."""
+        self.image.paste(Image.fromarray((pixels * 255 + 0.5).astype(np.uint8)), place)
+
+    def scale(self, place: tuple[int, int], width: int) -> None:
+        """Draw the error's colour scale with its millimetres."""
+        left, top = place
+        steps = np.linspace(0, HEAT_MAX_MM, width)
+        self.panel(place, np.broadcast_to(heat(steps), (SWATCH, width, 3)).astype(np.float32))
+        for mm in np.arange(0, HEAT_MAX_MM + 0.1, 0.5):
+            x = left + round((width - 1) * mm / HEAT_MAX_MM)
+            last = mm >= HEAT_MAX_MM
+            words = f"{mm:g} mm and more" if last else f"{mm:g}"
+            self.draw.line([(x, top + SWATCH), (x, top + SWATCH + 4)], fill=GREY)
+            self.text((x, top + SWATCH + 7), words, 15, GREY, "ma")
+
+    def swatches(self, place: tuple[int, int], entries: dict[str, Colour], width: int) -> None:
+        """Draw named colours in columns that fill ``width``."""
+        columns = swatch_columns(width)
+        rows = -(-len(entries) // columns)
+        for number, (name, colour) in enumerate(entries.items()):
+            x = place[0] + number // rows * (width // columns)
+            y = place[1] + number % rows * swatch_height()
+            fill = tuple(round(255 * value) for value in colour)
+            self.draw.rectangle([x, y, x + SWATCH, y + SWATCH], fill=fill)
+            self.text((x + SWATCH + 8, y - 2), name, 15)
+
+    def save(self, path: Path) -> None:
+        """Write the page as PNG."""
+        self.image.save(path)
+
+
+def swatch_columns(width: int) -> int:
+    """Return how many columns of swatches fit into ``width``."""
+    return max(1, width // 300)
+
+
+def swatch_height() -> int:
+    """Return the height of a row of swatches."""
+    return SWATCH + 9

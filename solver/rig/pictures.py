@@ -1,0 +1,174 @@
+"""Pictures of a fit, of the anatomy and of the tets, drawn without a window system or a GPU."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from solver.model import SubjectModel
+from solver.rig import colours
+from solver.rig.head import Head
+from solver.rig.page import HEADER, MARGIN, Colour, Page, swatch_columns, swatch_height
+from solver.rig.raster import Camera
+from solver.rig.render import Body, Lit, render
+from solver.rig.result import ExpressionFit
+from solver.surface import Floats, Ints, Surface
+
+WIDTH = 1600
+ROLES = {"train": "training expression", "test": "unseen expression"}
+THREE_QUARTER, SECTION, SIDE = np.radians(38.0), np.radians(62.0), np.radians(88.0)
+
+
+def fit_picture(model: SubjectModel, fit: ExpressionFit, path: Path) -> None:
+    """Draw scan, fit and error (mm, on ``model.face``) side by side, from two cameras."""
+    error = fit.error_mm[model.face]
+    head = Head(model.skin)
+    scan, solved = head.lit(fit.target), head.lit(fit.skin)
+    bodies = {
+        "Scan": head.body(scan),
+        "Fit": head.body(solved),
+        "Error": head.heat_map(solved, fit.error_mm),
+    }
+    cell, footer = (WIDTH // 3, 520), 64
+    page = Page(WIDTH, HEADER + 2 * cell[1] + footer)
+    page.heading(
+        fit.name.replace("_", " "),
+        f"{ROLES.get(fit.role, fit.role)}    mean {error.mean():.2f} mm    "
+        f"95 % below {np.percentile(error, 95):.2f} mm    greatest {error.max():.2f} mm",
+    )
+    for column, (title, body) in enumerate(bodies.items()):
+        left = column * cell[0]
+        for row, yaw in enumerate((0.0, THREE_QUARTER)):
+            image = render([body], _camera(model, yaw), *cell)
+            page.panel((left, HEADER + row * cell[1]), image)
+        page.text((left + cell[0] // 2, HEADER), title, 20, anchor="ma")
+    page.scale((WIDTH - cell[0] + 60, HEADER + 2 * cell[1] + 12), cell[0] - 130)
+    page.save(path)
+
+
+def anatomy_picture(model: SubjectModel, path: Path) -> None:
+    """Draw bones and muscles inside the skin: half cut open, and through transparent skin."""
+    palette = colours.muscle_colours(model.muscle_names)
+    head = Head(model.skin)
+    lit = head.lit(model.skin.vertices)
+    inside = _inside(model, palette, head.body(lit, np.vstack([head.eyes, head.inside])))
+    glass = head.body(lit, head.skin, opacity=0.1)
+    is_right = lit.surface.vertices[lit.surface.faces, 0].mean(axis=1) < model.jaw.origin[0]
+    right_half = head.body(lit, lit.surface.faces[is_right])
+    views = [
+        ("front, left half of the skin removed", 0.0, [inside, glass, right_half]),
+        ("three quarters", THREE_QUARTER, [inside, glass]),
+        ("left side", SIDE, [inside, glass]),
+    ]
+    _views_with_legend(
+        path,
+        model,
+        views,
+        "Anatomy",
+        f"{model.muscle_count} muscles, {len(model.tets)} tets, {len(model.rest)} vertices",
+        palette,
+    )
+
+
+def tets_picture(model: SubjectModel, path: Path) -> None:
+    """Draw sections through the tets, coloured by the muscle with the greatest share in each."""
+    palette = colours.muscle_colours(model.muscle_names)
+    colour = _tet_colours(model, palette)
+    centre = model.rest[model.tets].mean(axis=1) - model.jaw.origin
+    front = model.skin.vertices[model.face, 2].max() - model.jaw.origin[2]
+    views = [
+        ("all tets", 0.0, np.full(len(centre), True)),
+        ("section left of the middle", SECTION, centre[:, 0] < 14.0),
+        ("section half way to the jaw joint", 0.0, centre[:, 2] < 0.55 * front),
+    ]
+    shown = [(title, yaw, [_tet_body(model, keep, colour)]) for title, yaw, keep in views]
+    _views_with_legend(
+        path,
+        model,
+        shown,
+        "Tetrahedra",
+        f"{len(model.tets)} tets, {len(model.rest)} vertices; colour: muscle with the greatest "
+        "share, fat where none has any",
+        {**palette, "fat and passive flesh": _srgb(colours.FAT)},
+    )
+
+
+def _views_with_legend(
+    path: Path,
+    model: SubjectModel,
+    views: list[tuple[str, float, list[Body]]],
+    title: str,
+    detail: str,
+    legend: dict[str, Colour],
+) -> None:
+    cell = (WIDTH // len(views), 640)
+    rows = -(-len(legend) // swatch_columns(WIDTH - 2 * MARGIN))
+    page = Page(WIDTH, HEADER + cell[1] + 48 + rows * swatch_height() + MARGIN)
+    page.heading(title, detail)
+    for column, (name, yaw, bodies) in enumerate(views):
+        image = render(bodies, _camera(model, yaw), *cell)
+        page.panel((column * cell[0], HEADER), image)
+        place = (column * cell[0] + cell[0] // 2, HEADER + cell[1] + 6)
+        page.text(place, name, 17, anchor="ma")
+    page.swatches((MARGIN, HEADER + cell[1] + 48), legend, WIDTH - 2 * MARGIN)
+    page.save(path)
+
+
+def _camera(model: SubjectModel, yaw: float) -> Camera:
+    """Return a camera that shows the face with most of the head around it."""
+    face = model.skin.vertices[model.face]
+    low, high = face.min(axis=0), face.max(axis=0)
+    height = high[1] - low[1]
+    centre = (low + high) / 2 + np.array([0.0, 0.06 * height, 0.0])
+    centre[2] -= 0.15 * height
+    return Camera(centre, span=1.62 * height, yaw=yaw)
+
+
+def _inside(model: SubjectModel, palette: dict[str, Colour], organs: Body) -> Body:
+    """Return bones, muscles, and the eyes and teeth of ``organs`` as one body."""
+    used, numbers = np.unique(organs.drawn.faces, return_inverse=True)
+    eyes_and_teeth = Surface(organs.drawn.vertices[used], numbers.reshape(-1, 3).astype(np.int64))
+    pieces = [(eyes_and_teeth, organs.colour[used])]
+    pieces += [(bone, np.array([colours.BONE])) for bone in model.bones.values()]
+    for name, muscle in model.muscles.items():
+        pieces.append((muscle, colours.linear(np.array([palette[colours.both_sides(name)]]))))
+    counts = [len(piece.vertices) for piece, _ in pieces]
+    starts = np.cumsum(counts) - counts
+    surface = Surface(
+        np.vstack([piece.vertices for piece, _ in pieces]),
+        np.vstack([piece.faces + start for (piece, _), start in zip(pieces, starts, strict=True)]),
+    )
+    colour = [np.broadcast_to(colour, piece.vertices.shape) for piece, colour in pieces]
+    return Body(Lit(surface), np.vstack(colour))
+
+
+def _tet_colours(model: SubjectModel, palette: dict[str, Colour]) -> Floats:
+    """Return the linear colour (n, 3) of each tet: its main muscle's, paler with its share."""
+    muscle_colours = [palette[colours.both_sides(name)] for name in model.muscle_names]
+    shares = model.weights[:, 1:].tocsr()
+    main = np.asarray(shares.argmax(axis=1)).ravel()
+    passive = np.asarray(model.weights[:, [0]].todense())
+    active = colours.linear(np.array(muscle_colours))[main]
+    strength = np.where(passive < 1, 0.55 + 0.45 * (1 - passive), 0.0)
+    return np.asarray(strength * active + (1 - strength) * np.array(colours.FAT))
+
+
+def _tet_body(model: SubjectModel, keep: np.ndarray, colour: Floats) -> Body:
+    """Return the outside of the kept tets, every triangle flat and in its tet's colour."""
+    tets = model.tets[keep]
+    faces = tets[:, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]].reshape(-1, 3)
+    owner = np.repeat(np.flatnonzero(keep), 4)
+    _, first, count = np.unique(
+        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
+    )
+    outside = first[count == 1]
+    corners = model.rest[faces[outside]].reshape(-1, 3)
+    triangles: Ints = np.arange(len(corners)).reshape(-1, 3)
+    shades = np.repeat(colour[owner[outside]], 3, axis=0)
+    return Body(Lit(Surface(corners, triangles)), shades, gloss=0.0, edges=True)
+
+
+def _srgb(colour: Colour) -> Colour:
+    red, green, blue = (float(value) ** (1 / colours.GAMMA) for value in colour)
+    return red, green, blue
