@@ -1,0 +1,100 @@
+"""Reading a folder of BodyParts3D meshes (DBCLS, CC BY 4.0): ``index.csv`` and one PLY a part.
+
+BodyParts3D is in mm with x to the subject's left, -y forward and z up; everything here is returned
+with y up and z forward.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from solver.errors import InputError
+from solver.surface import Floats, Surface
+
+BONES = ("cranium", "mandible", "teeth_upper", "teeth_lower")
+_COLUMNS = {"fma_id", "category", "name"}
+# Chewing muscles of the face's outer layer; the pterygoids lie inside the jaw and the occipital
+# belly and temporoparietalis behind the flesh.
+_CHEWING = ("masseter", "temporalis")
+_BEHIND = ("occipitalis", "temporoparietalis")
+
+
+@dataclass(frozen=True)
+class Part:
+    """One anatomical part with its category in the index."""
+
+    category: str
+    surface: Surface
+
+
+def to_subject_axes(points: Floats) -> Floats:
+    """Turn BodyParts3D's (x, -y forward, z up) into (x, y up, z forward)."""
+    return np.column_stack([points[:, 0], points[:, 2], -points[:, 1]])
+
+
+def read_parts(folder: Path) -> dict[str, Part]:
+    """Return name -> :class:`Part`, in mm with y up, of every mesh the index lists.
+
+    Raises
+    ------
+    InputError
+        ``anatomy.index`` if ``index.csv`` is missing or lacks a column, ``anatomy.mesh`` if a mesh
+        it lists is missing or unreadable.
+    """
+    index = folder / "index.csv"
+    if not index.is_file():
+        raise InputError("anatomy.index", f"there is no index.csv in {folder}", file=str(index))
+    with index.open(newline="") as stream:
+        reader = csv.DictReader(stream)
+        missing = _COLUMNS - set(reader.fieldnames or ())
+        if missing:
+            raise InputError(
+                "anatomy.index", f"{index} lacks the columns {sorted(missing)}", file=str(index)
+            )
+        return {
+            row["name"]: Part(row["category"], _read_mesh(folder / f"{row['fma_id']}.ply"))
+            for row in reader
+        }
+
+
+def _read_mesh(path: Path) -> Surface:
+    try:
+        mesh = trimesh.load_mesh(path, process=False)
+    except (OSError, ValueError, IndexError) as error:
+        raise InputError(
+            "anatomy.mesh", f"{path.name} can not be read: {error}", file=str(path)
+        ) from error
+    return Surface(
+        to_subject_axes(np.asarray(mesh.vertices, dtype=float)),
+        np.asarray(mesh.faces, dtype=np.int64),
+    )
+
+
+def muscle_names(parts: dict[str, Part]) -> list[str]:
+    """Return the muscles that move the face: the facial ones, then masseter and temporalis."""
+    facial = [
+        name
+        for name, part in parts.items()
+        if part.category == "facial_muscle" and not name.endswith(_BEHIND)
+    ]
+    chewing = [
+        name
+        for name, part in parts.items()
+        if part.category == "mastication_muscle" and name.endswith(_CHEWING)
+    ]
+    return sorted(facial) + sorted(chewing)
+
+
+def merged(parts: dict[str, Part], *categories: str) -> Surface:
+    """Return all parts of some categories as one surface."""
+    surfaces = [part.surface for part in parts.values() if part.category in categories]
+    offsets = np.cumsum([0] + [len(surface.vertices) for surface in surfaces[:-1]])
+    return Surface(
+        np.vstack([surface.vertices for surface in surfaces]),
+        np.vstack([s.faces + offset for s, offset in zip(surfaces, offsets, strict=True)]),
+    )

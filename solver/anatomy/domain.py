@@ -1,0 +1,205 @@
+"""The flesh: tetrahedra between skin and bones, in front of and above the cut planes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import igl
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from solver.anatomy.tetrahedra import EdgeLengths, background_grid
+from solver.anatomy.transfer import Carried
+from solver.surface import Floats, Ints, Surface
+
+MARGIN_MM = 4.0
+GRID_MM = 6.0
+PLANE_CELLS = 24
+FINE_REGIONS = {"upper_lip": 0.42, "lower_lip": 0.42, "eyes": 0.5, "nose": 0.5}
+"""Edge length in these regions as a part of the edge length elsewhere on the face."""
+DEEP_FACTOR = 1.7
+"""Edge length far from the face (neck, scalp, throat) as a multiple."""
+GROWTH = 0.35
+"""Edge length in mm gained by a mm of distance."""
+LEAST_PIECE = 0.05
+"""Pieces of flesh with a smaller part of the tetrahedra than this are dropped."""
+
+_FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+
+
+class Label(IntEnum):
+    """What a tetrahedron of the whole box belongs to."""
+
+    OUTSIDE = 0
+    FLESH = 1
+    CRANIUM = 2
+    MANDIBLE = 3
+    CUT = 4
+
+
+@dataclass(frozen=True)
+class Planes:
+    """Cut planes: flesh lies in front of ``back_z`` and above ``bottom_y``, in mm."""
+
+    back_z: float
+    bottom_y: float
+
+    def in_front(self, points: Floats, margin: float = 0.0) -> np.ndarray:
+        """Return (n,) True where a point is at least ``margin`` inside both planes."""
+        behind = points[..., 2] < self.back_z + margin
+        below = points[..., 1] < self.bottom_y + margin
+        return ~(behind | below)
+
+
+def domain_soup(carried: Carried, flesh_faces: Ints, planes: Planes) -> Surface:
+    """Return every triangle the tetrahedra have to follow: parted skin, bones and cut planes."""
+    skin = Surface(carried.parted.vertices, carried.parted.faces[flesh_faces])
+    surfaces = [_clipped(part, planes) for part in (skin, carried.cranium, carried.mandible)]
+    points = surfaces[0].vertices
+    lo, hi = points.min(axis=0) - MARGIN_MM, points.max(axis=0) + MARGIN_MM
+    lo = np.maximum(lo, [-np.inf, planes.bottom_y - MARGIN_MM, planes.back_z - MARGIN_MM])
+    back = _sheet(lo, hi, 2, planes.back_z)
+    bottom = _sheet(lo, hi, 1, planes.bottom_y)
+    return joined([*surfaces, back, bottom])
+
+
+def _clipped(surface: Surface, planes: Planes) -> Surface:
+    used = planes.in_front(surface.vertices[surface.faces], -MARGIN_MM).any(axis=1)
+    numbers, faces = np.unique(surface.faces[used], return_inverse=True)
+    return Surface(surface.vertices[numbers], faces.reshape(-1, 3).astype(np.int64))
+
+
+def _sheet(lo: Floats, hi: Floats, axis: int, value: float) -> Surface:
+    u, v = (k for k in range(3) if k != axis)
+    steps = np.arange(PLANE_CELLS + 1) / PLANE_CELLS
+    grid_u, grid_v = np.meshgrid(steps, steps, indexing="ij")
+    vertices = np.empty((grid_u.size, 3))
+    vertices[:, axis] = value
+    vertices[:, u] = lo[u] + grid_u.ravel() * (hi[u] - lo[u])
+    vertices[:, v] = lo[v] + grid_v.ravel() * (hi[v] - lo[v])
+    number = np.arange(grid_u.size).reshape(grid_u.shape)
+    a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
+    faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
+    return Surface(vertices, faces.astype(np.int64))
+
+
+def joined(surfaces: list[Surface]) -> Surface:
+    """Return surfaces as one, their vertices and faces one after the other."""
+    starts = np.cumsum([0] + [len(surface.vertices) for surface in surfaces[:-1]])
+    return Surface(
+        np.vstack([surface.vertices for surface in surfaces]),
+        np.vstack([s.faces + start for s, start in zip(surfaces, starts, strict=True)]),
+    )
+
+
+def edge_lengths(
+    soup: Surface, skin: Floats, face: Ints, regions: dict[str, Ints], edge_mm: float
+) -> EdgeLengths:
+    """Return wanted edge lengths: fine at lips, eyes and nose, ``edge_mm`` on the face.
+
+    ``skin`` (n, 3) is the parted skin, ``face`` and ``regions`` number its vertices.
+    """
+    lo, hi = soup.vertices.min(axis=0) - GRID_MM, soup.vertices.max(axis=0) + GRID_MM
+    points, tets = background_grid(lo, hi, GRID_MM)
+    lengths = np.full(len(points), DEEP_FACTOR * edge_mm)
+    wanted = [(face, 1.0)]
+    wanted += [(regions[name], part) for name, part in FINE_REGIONS.items() if name in regions]
+    for vertices, part in wanted:
+        distance = cKDTree(skin[vertices]).query(points)[0]
+        lengths = np.minimum(lengths, part * edge_mm + GROWTH * np.maximum(distance - GRID_MM, 0))
+    return EdgeLengths(points, tets, lengths)
+
+
+def label_tets(
+    vertices: Floats, tets: Ints, carried: Carried, flesh_faces: Ints, planes: Planes
+) -> Ints:
+    """Return the :class:`Label` (t,) of tetrahedra by winding numbers at their centres."""
+    centres = vertices[tets].mean(axis=1)
+    skin = Surface(carried.parted.vertices, carried.parted.faces[flesh_faces])
+    labels = np.where(_inside(skin, centres), Label.FLESH, Label.OUTSIDE)
+    labels[(labels == Label.FLESH) & _inside(carried.cranium, centres)] = Label.CRANIUM
+    labels[(labels == Label.FLESH) & _inside(carried.mandible, centres)] = Label.MANDIBLE
+    labels[(labels == Label.FLESH) & ~planes.in_front(centres)] = Label.CUT
+    return labels.astype(np.int64)
+
+
+def _inside(surface: Surface, points: Floats) -> np.ndarray:
+    winding = igl.fast_winding_number(surface.vertices, surface.faces, points)
+    return np.asarray(winding) > 0.5
+
+
+@dataclass(frozen=True)
+class Flesh:
+    """Kept tetrahedra in the parted pose; ``boundary`` label -> (f, 3) faces, facing outwards."""
+
+    vertices: Floats
+    tets: Ints
+    boundary: dict[Label, Ints]
+
+    def on(self, label: Label) -> Ints:
+        """Return the numbers of the vertices on a part of the boundary."""
+        return np.unique(self.boundary[label])
+
+
+def choose_flesh(vertices: Floats, tets: Ints, labels: Ints) -> Flesh:
+    """Return the flesh without tetrahedra that only stick things together, and its boundary.
+
+    Dropped are tetrahedra with all vertices on bones or cut planes (nothing to solve for), those
+    that bridge mandible and cranium (they would weld the joint), and small loose pieces.
+    """
+    sides = _interfaces(tets, labels)
+    held = {
+        label: np.zeros(len(vertices), dtype=bool)
+        for label in (Label.CRANIUM, Label.MANDIBLE, Label.CUT)
+    }
+    for label, on in held.items():
+        on[sides[label]] = True
+    fixed = held[Label.CRANIUM] | held[Label.MANDIBLE] | held[Label.CUT]
+    flesh = labels == Label.FLESH
+    bridge = held[Label.CRANIUM][tets].any(axis=1) & held[Label.MANDIBLE][tets].any(axis=1)
+    kept = np.flatnonzero(flesh & ~bridge & ~fixed[tets].all(axis=1))
+    kept = kept[_large_pieces(tets[kept])]
+    numbers, own = np.unique(tets[kept], return_inverse=True)
+    renumber = np.full(len(vertices), -1)
+    renumber[numbers] = np.arange(len(numbers))
+    boundary = {
+        label: renumber[faces] for label, faces in _interface_faces(tets, labels, kept).items()
+    }
+    return Flesh(vertices[numbers], own.reshape(-1, 4), boundary)
+
+
+def _interfaces(tets: Ints, labels: Ints) -> dict[Label, Ints]:
+    flesh = np.flatnonzero(labels == Label.FLESH)
+    return {k: np.unique(v) for k, v in _interface_faces(tets, labels, flesh).items()}
+
+
+def _interface_faces(tets: Ints, labels: Ints, kept: Ints) -> dict[Label, Ints]:
+    """Return for every label the faces of ``kept`` whose other side has it; FLESH: was dropped."""
+    faces = tets[:, _FACES].reshape(-1, 3)
+    owner = np.repeat(np.arange(len(tets)), 4)
+    order = np.lexsort(np.sort(faces, axis=1).T)
+    ordered = np.sort(faces, axis=1)[order]
+    twin = np.full(len(faces), -1)
+    same = np.flatnonzero((ordered[1:] == ordered[:-1]).all(axis=1))
+    twin[order[same]], twin[order[same + 1]] = owner[order[same + 1]], owner[order[same]]
+    is_kept = np.zeros(len(tets) + 1, dtype=bool)
+    is_kept[kept] = True
+    outer = is_kept[owner] & ~is_kept[twin]
+    # Beyond the box there is nothing.
+    beyond = np.append(labels, Label.OUTSIDE)[twin]
+    return {label: faces[outer & (beyond == label)] for label in Label}
+
+
+def _large_pieces(tets: Ints) -> np.ndarray:
+    """Return (t,) True for tetrahedra in large pieces joined by faces."""
+    faces = np.sort(tets[:, _FACES].reshape(-1, 3), axis=1)
+    owner = np.repeat(np.arange(len(tets)), 4)
+    order = np.lexsort(faces.T)
+    same = np.flatnonzero((faces[order][1:] == faces[order][:-1]).all(axis=1))
+    pairs = owner[order[same]], owner[order[same + 1]]
+    graph = sp.coo_array((np.ones(len(same)), pairs), shape=(len(tets), len(tets)))
+    _, piece = connected_components(graph, directed=False)
+    return np.asarray(np.bincount(piece)[piece] >= LEAST_PIECE * len(tets))

@@ -1,0 +1,94 @@
+"""Reading a folder of ICT-FaceKit (USC Institute for Creative Technologies, MIT): the head's mesh.
+
+``ict_facekit.npz`` holds ``V`` (26719, 3) neutral in cm, ``quads`` with -1 in the fourth column of
+a triangle, ``E`` and ``ex`` expression displacements and their names, ``I`` and ``idn`` identities.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from solver.errors import InputError
+from solver.surface import Floats, Ints, Surface
+
+VERTEX_COUNT = 26719
+MM_PER_UNIT = 10.0
+
+# Ranges of vertex numbers, as published with the model.
+NARROW_FACE = range(0, 6706)
+FACE = range(0, 9409)
+HEAD = range(0, 11248)
+FLESH = range(0, 14062)
+EYE_SOCKETS = range(13294, 14062)
+GUMS_AND_TONGUE = range(14062, 17039)
+UPPER_TEETH = range(17039, 19247)
+LOWER_TEETH = range(19247, 21451)
+EYEBALLS = range(21451, 24591)
+EYE_PARTS = range(24591, VERTEX_COUNT)
+
+TEETH_NAMES = tuple(
+    f"{side} {{jaw}} {tooth} tooth"
+    for side, order in (("left", 1), ("right", -1))
+    for tooth in (
+        "second secondary molar",
+        "first secondary molar",
+        "second secondary premolar",
+        "first secondary premolar",
+        "secondary canine",
+        "lateral secondary incisor",
+        "central secondary incisor",
+    )[::order]
+)
+
+
+@dataclass(frozen=True)
+class FaceKit:
+    """The head: ``skin`` in mm with all vertices, and expression ``deltas`` (n, 3) in mm."""
+
+    skin: Surface
+    deltas: dict[str, Floats]
+
+
+def read_facekit(folder: Path) -> FaceKit:
+    """Return the neutral head and its expressions.
+
+    Raises
+    ------
+    InputError
+        ``faces.unreadable`` if ``ict_facekit.npz`` is missing or not such a file,
+        ``faces.topology`` if its vertices are not those of ICT-FaceKit.
+    """
+    path = folder / "ict_facekit.npz"
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            vertices = data["V"].astype(float) * MM_PER_UNIT
+            faces = triangulate(data["quads"].astype(np.int64))
+            expressions = data["E"].astype(float) * MM_PER_UNIT
+            names = [str(name) for name in data["ex"]]
+    except (OSError, KeyError, ValueError) as error:
+        raise InputError(
+            "faces.unreadable", f"{path} is not an ICT-FaceKit file: {error}", file=str(path)
+        ) from error
+    if len(vertices) != VERTEX_COUNT:
+        raise InputError(
+            "faces.topology",
+            f"{path} has {len(vertices)} vertices, ICT-FaceKit has {VERTEX_COUNT}",
+            file=str(path),
+            expected=VERTEX_COUNT,
+            found=len(vertices),
+        )
+    return FaceKit(Surface(vertices, faces), dict(zip(names, expressions, strict=True)))
+
+
+def triangulate(quads: Ints) -> Ints:
+    """Return triangles (f, 3) of quads (k, 4) whose fourth vertex is -1 where it is a triangle."""
+    whole = quads[:, 3] >= 0
+    return np.vstack([quads[whole][:, :3], quads[whole][:, [0, 2, 3]], quads[~whole][:, :3]])
+
+
+def faces_within(faces: Ints, vertices: range) -> Ints:
+    """Return the numbers of the faces whose vertices all lie in a range."""
+    return np.flatnonzero(np.all((faces >= vertices.start) & (faces < vertices.stop), axis=1))

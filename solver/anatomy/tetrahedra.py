@@ -1,0 +1,178 @@
+"""Tetrahedra by fTetWild, in a process of their own.
+
+fTetWild (Hu, Schneider, Wang, Zorin and Panozzo, "Fast tetrahedral meshing in the wild", 2020)
+takes any triangle soup, but it may crash or not come back, so it runs as a child that can be
+killed: ``python -m solver.anatomy.tetrahedra input.npz output.npz``.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import types
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from solver.errors import SolveError
+from solver.surface import Floats, Ints, Surface
+
+_ROOT = Path(__file__).parents[2]
+_CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+# The six tetrahedra of a cube around its main diagonal (Kuhn's subdivision), by corner number.
+_KUHN = np.array(
+    [[0, 4, 6, 7], [0, 6, 2, 7], [0, 2, 3, 7], [0, 3, 1, 7], [0, 1, 5, 7], [0, 5, 4, 7]]
+)
+
+
+@dataclass(frozen=True)
+class EdgeLengths:
+    """Wanted edge lengths in mm at the points of a tetrahedral background mesh."""
+
+    points: Floats
+    tets: Ints
+    lengths: Floats
+
+
+def background_grid(lo: Floats, hi: Floats, spacing: float) -> tuple[Floats, Ints]:
+    """Return points (p, 3) and tetrahedra (t, 4) of a regular grid that covers the box ``lo, hi``.
+
+    ``spacing`` is the length of a cell in mm.
+    """
+    counts = np.ceil((hi - lo) / spacing).astype(int) + 1
+    axes = [lo[k] + spacing * np.arange(counts[k]) for k in range(3)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    cells = np.stack(
+        np.meshgrid(*[np.arange(count - 1) for count in counts], indexing="ij"), axis=-1
+    ).reshape(-1, 3)
+    corners = cells[:, None, :] + _CORNERS
+    numbers = (corners[..., 0] * counts[1] + corners[..., 1]) * counts[2] + corners[..., 2]
+    return points, numbers[:, _KUHN].reshape(-1, 4)
+
+
+def tetrahedralize(
+    surface: Surface,
+    edge_mm: float,
+    *,
+    envelope_mm: float,
+    lengths: EdgeLengths,
+    timeout_s: float,
+) -> tuple[Floats, Ints]:
+    """Fill the bounding box of a triangle soup with tetrahedra that follow its triangles.
+
+    Nothing is filtered: the tetrahedra inside, outside and in holes are all returned, and the
+    caller chooses. The result is not reproducible from run to run.
+
+    Parameters
+    ----------
+    surface
+        The triangles to follow, within ``envelope_mm``.
+    edge_mm
+        Wanted edge length outside the background mesh of ``lengths``.
+    envelope_mm
+        Largest distance between the triangles and the faces that follow them.
+    lengths
+        Wanted edge lengths where they differ.
+    timeout_s
+        The child is killed after this many seconds.
+
+    Returns
+    -------
+    Vertices (p, 3) in mm and positively oriented tetrahedra (t, 4).
+
+    Raises
+    ------
+    SolveError
+        ``mesher.timeout`` or ``mesher.crashed``.
+    """
+    with tempfile.TemporaryDirectory(prefix="tetrahedra-") as name:
+        source, target = Path(name) / "input.npz", Path(name) / "output.npz"
+        np.savez(
+            source,
+            vertices=surface.vertices,
+            faces=surface.faces,
+            bg_vertices=lengths.points,
+            bg_tets=lengths.tets,
+            bg_values=lengths.lengths,
+            edge=edge_mm,
+            envelope=envelope_mm,
+        )
+        command = [sys.executable, "-m", "solver.anatomy.tetrahedra", str(source), str(target)]
+        try:
+            child = subprocess.run(
+                command, cwd=_ROOT, capture_output=True, timeout=timeout_s, check=False
+            )
+        except subprocess.TimeoutExpired as error:
+            raise SolveError(
+                "mesher.timeout",
+                f"the mesher was stopped after {timeout_s:.0f} seconds without a result",
+                seconds=timeout_s,
+            ) from error
+        if child.returncode != 0 or not target.exists():
+            last_words = child.stderr.decode(errors="replace").strip()[-500:]
+            raise SolveError(
+                "mesher.crashed",
+                f"the mesher ended with code {child.returncode}: {last_words}",
+                returncode=child.returncode,
+            )
+        with np.load(target) as result:
+            vertices, tets = result["vertices"], result["tets"].astype(np.int64)
+    return vertices, positively_oriented(vertices, tets)
+
+
+def positively_oriented(vertices: Floats, tets: Ints) -> Ints:
+    """Return the tetrahedra with two vertices swapped where the signed volume is negative."""
+    oriented = tets.copy()
+    negative = volumes(vertices, tets) < 0
+    oriented[negative] = tets[negative][:, [0, 1, 3, 2]]
+    return oriented
+
+
+def volumes(vertices: Floats, tets: Ints) -> Floats:
+    """Return the signed volumes (t,) in mm^3."""
+    edges = vertices[tets[:, 1:]] - vertices[tets[:, :1]]
+    return np.asarray(np.linalg.det(edges) / 6.0)
+
+
+def smallest_dihedral_angle(vertices: Floats, tets: Ints) -> float:
+    """Return the smallest dihedral angle of all tetrahedra, in degrees."""
+    corners = vertices[tets]
+    normals = []
+    for face in ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)):
+        a, b, c = (corners[:, k] for k in face)
+        normal = np.cross(b - a, c - a)
+        normals.append(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+    angles = [
+        np.pi - np.arccos(np.clip(np.sum(normals[i] * normals[j], axis=1), -1, 1))
+        for i in range(4)
+        for j in range(i)
+    ]
+    return float(np.degrees(np.min(angles)))
+
+
+def _run_child(source: Path, target: Path) -> None:
+    # pytetwild 0.4 imports pyvista when it is loaded, only to register an accessor on it, without
+    # depending on it; an empty module spares this process the whole of VTK.
+    sys.modules.setdefault("pyvista", types.ModuleType("pyvista"))
+    from pytetwild.pytetwild import tetrahedralize as fill
+
+    with np.load(source) as data:
+        diagonal = float(np.linalg.norm(np.ptp(data["vertices"], axis=0)))
+        vertices, tets = fill(
+            data["vertices"],
+            data["faces"].astype(np.int32),
+            edge_length_abs=float(data["edge"]),
+            epsilon=float(data["envelope"]) / diagonal,
+            disable_filtering=True,
+            bg_vertices=data["bg_vertices"],
+            bg_tets=data["bg_tets"].astype(np.int32),
+            bg_values=data["bg_values"],
+        )
+    with target.open("wb") as stream:
+        np.savez(stream, vertices=vertices, tets=tets)
+
+
+if __name__ == "__main__":
+    _run_child(Path(sys.argv[1]), Path(sys.argv[2]))
