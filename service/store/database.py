@@ -5,7 +5,7 @@ from __future__ import annotations
 import fcntl
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +83,7 @@ def clock(session: Session) -> datetime:
     if session.get_bind().dialect.name == "sqlite":
         return now()
     moment: datetime = session.execute(select(func.clock_timestamp())).scalar_one()
-    return moment
+    return moment.astimezone(UTC)
 
 
 def _engine(url: str, sqlite: bool) -> Engine:

@@ -1,0 +1,30 @@
+"""The kinds of job say the same to the API and to the solver."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from service.kinds import KINDS
+from service.store.queue import QUEUES
+from solver import pipeline
+from solver.errors import InputError
+from solver.mechanics.linear import SOLVERS
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_options_are_those_of_the_pipeline(kind: str, tmp_path: Path) -> None:
+    files = {"build_model": 1, "fit_geometry": 1, "fit_activations": 2}[kind] * [tmp_path / "x"]
+    captures = [] if kind == "build_model" else [{"smile": tmp_path / "smile.obj"}]
+    with pytest.raises(InputError) as caught:
+        getattr(pipeline, kind)(*files, *captures, tmp_path, options={"no such option": 1})
+    assert caught.value.code == "options.unknown"
+    assert caught.value.context["expected"] == sorted(KINDS[kind].options["properties"])
+    assert KINDS[kind].queue in QUEUES
+
+
+def test_linear_solvers_are_those_of_the_solver() -> None:
+    for kind in ("fit_geometry", "fit_activations"):
+        offered = KINDS[kind].options["properties"]["linear_solver"]["enum"]
+        assert offered == [*SOLVERS, None]
