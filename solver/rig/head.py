@@ -17,8 +17,7 @@ NONE = np.zeros((0, 3), np.int64)
 class Head:
     """The parts of ``neutral`` that are drawn: lashes are left out, eyeballs made finer.
 
-    ``skin``, ``inside`` and ``eyes`` are the faces (f, 3) of the skin, of teeth, gums and tongue,
-    and of the finer eyeballs.
+    ``skin``, ``teeth``, ``mouth`` (gums and tongue) and ``eyes`` (the finer ones) are faces (f, 3).
     """
 
     def __init__(self, neutral: Surface) -> None:
@@ -27,7 +26,8 @@ class Head:
         for name, faces in parts.items():
             self._colour[faces] = colours.PARTS.get(name, colours.SKIN)
         self.skin = parts["skin"]
-        self.inside = np.vstack([parts.get("teeth", NONE), parts.get("mouth", NONE)])
+        self.teeth = parts.get("teeth", NONE)
+        self.mouth = parts.get("mouth", NONE)
         self._eye_vertices, numbers = np.unique(parts.get("eyes", NONE), return_inverse=True)
         self._eye_faces: Ints = numbers.reshape(-1, 3).astype(np.int64)
         self.eyes = NONE
@@ -44,7 +44,7 @@ class Head:
             eyes = vertices[self._eye_vertices]
             fine, _ = igl.upsample(eyes, self._eye_faces, EYE_SUBDIVISIONS)
             vertices = np.vstack([vertices, fine])
-        return Lit(Surface(vertices, np.vstack([self.skin, self.inside, self.eyes])))
+        return Lit(Surface(vertices, np.vstack([self.skin, self.teeth, self.mouth, self.eyes])))
 
     def body(self, lit: Lit, faces: Ints | None = None, *, opacity: float = 1.0) -> Body:
         """Return the head, or some of its faces, in natural colours."""

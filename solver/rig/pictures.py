@@ -52,7 +52,7 @@ def anatomy_picture(model: SubjectModel, path: Path) -> None:
     palette = colours.muscle_colours(model.muscle_names)
     head = Head(model.skin)
     lit = head.lit(model.skin.vertices)
-    inside = _inside(model, palette, head.body(lit, np.vstack([head.eyes, head.inside])))
+    inside = _inside(model, palette, head.body(lit, np.vstack([head.eyes, head.teeth])))
     glass = head.body(lit, head.skin, opacity=0.1)
     is_right = lit.surface.vertices[lit.surface.faces, 0].mean(axis=1) < model.jaw.origin[0]
     right_half = head.body(lit, lit.surface.faces[is_right])

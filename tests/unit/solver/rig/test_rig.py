@@ -13,6 +13,7 @@ import scipy.sparse as sp
 
 from solver.errors import InputError
 from solver.model import SubjectModel
+from solver.rig.export import write_rig
 from solver.rig.gltf import write_glb
 from solver.rig.gltf_check import validate_glb
 from solver.rig.parts import skin_parts
@@ -181,3 +182,10 @@ def test_a_broken_glb_is_noticed(rig: Rig, tmp_path: Path) -> None:
     content[start : start + 4] = np.float32(np.nan).tobytes()
     path.write_bytes(content)
     assert any("not finite" in fault for fault in validate_glb(path, NAMES))
+
+
+def test_write_rig_writes_every_file(rig: Rig, tmp_path: Path) -> None:
+    written = write_rig(replace(rig, expressions=rig.expressions[:1]), tmp_path / "rig")
+    names = ["rig.glb", "activations.npz", "muscle_weights.npz", "report.json", "fit_smile.png"]
+    assert [path.name for path in written] == names
+    assert all(path.stat().st_size > 500 for path in written)
