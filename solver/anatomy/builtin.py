@@ -142,14 +142,28 @@ def _joined(*surfaces: Surface) -> Surface:
     return Surface(vertices, faces)
 
 
-DEMO_PERSON = {
-    "head/head-square": 0.25,
-    "chin/chin-width-incr": 0.5,
-    "chin/chin-prominent-incr": 0.4,
-    "nose/nose-scale-vert-incr": 0.3,
-    "cheek/l-cheek-bones-incr": 0.4,
-    "cheek/r-cheek-bones-incr": 0.4,
-}
+IDENTITY_SHAPES = (
+    ("head/head-oval", "head/head-square"),
+    ("head/head-scale-horiz-decr", "head/head-scale-horiz-incr"),
+    ("forehead/forehead-temple-decr", "forehead/forehead-temple-incr"),
+    ("nose/nose-scale-horiz-decr", "nose/nose-scale-horiz-incr"),
+    ("nose/nose-scale-depth-decr", "nose/nose-scale-depth-incr"),
+    ("nose/nose-hump-decr", "nose/nose-hump-incr"),
+    ("nose/nose-point-down", "nose/nose-point-up"),
+    ("chin/chin-width-decr", "chin/chin-width-incr"),
+    ("chin/chin-height-decr", "chin/chin-height-incr"),
+    ("chin/chin-prominent-decr", "chin/chin-prominent-incr"),
+    ("chin/chin-bones-decr", "chin/chin-bones-incr"),
+    ("mouth/mouth-scale-horiz-decr", "mouth/mouth-scale-horiz-incr"),
+    ("mouth/mouth-upperlip-volume-decr", "mouth/mouth-upperlip-volume-incr"),
+    ("mouth/mouth-lowerlip-volume-decr", "mouth/mouth-lowerlip-volume-incr"),
+    ("cheek/*-cheek-bones-decr", "cheek/*-cheek-bones-incr"),
+    ("cheek/*-cheek-volume-decr", "cheek/*-cheek-volume-incr"),
+)
+"""Pairs of opposite face shapes; ``*`` stands for the left and the right target."""
+
+IDENTITY_STRENGTH = 0.3
+DEMO_SEED = 1
 
 TRAIN: dict[str, dict[str, float]] = {
     "smile": {
@@ -210,11 +224,26 @@ TEST: dict[str, dict[str, float]] = {
 }
 
 
-def builtin_capture_set() -> CaptureSet:
-    """Return registered scans of a demo person who is not the average adult of the template."""
+def random_identity(seed: int) -> dict[str, float]:
+    """Return weighted shape targets of a random person: one normal number for each pair."""
+    identity: dict[str, float] = {}
+    for pair, number in zip(
+        IDENTITY_SHAPES,
+        np.random.default_rng(seed).standard_normal(len(IDENTITY_SHAPES)),
+        strict=True,
+    ):
+        shape = pair[int(number > 0)]
+        names = [shape.replace("*", side) for side in "lr"] if "*" in shape else [shape]
+        identity |= dict.fromkeys(names, IDENTITY_STRENGTH * abs(float(number)))
+    return identity
+
+
+def builtin_capture_set(seed: int = DEMO_SEED) -> CaptureSet:
+    """Return registered scans of a random person, who is not the template's average adult."""
+    person = random_identity(seed)
 
     def scan(weights: Mapping[str, float]) -> Surface:
-        return builtin_expression(weights, DEMO_PERSON)
+        return builtin_expression(weights, person)
 
     return CaptureSet(
         neutral=scan({}),

@@ -114,9 +114,6 @@ class _Sweep:
         half_width = np.interp(along, length, row.width) / 2
         grid = centres[:, None] + (half_width[:, None] * across)[..., None] * sideways[:, None]
         above, normals = self._on_skin(grid.reshape(-1, 3))
-        # Over concave skin neighbours jump to far sides of a fold: even them out.
-        even = gaussian_filter(above.reshape(grid.shape), (1, 1, 0), mode="nearest")
-        above, normals = self._on_skin(even.reshape(-1, 3))
         depth = np.interp(along, length, row.depth)
         half_thickness = row.thickness / 2 * _profile(along / length[-1], across)
         top = depth[:, None] - half_thickness

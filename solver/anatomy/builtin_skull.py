@@ -16,18 +16,20 @@ from typing import Any
 
 import igl
 import numpy as np
+import trimesh
 from scipy.interpolate import CubicSpline, RectBivariateSpline, RegularGridInterpolator
 from scipy.ndimage import gaussian_filter, label
 
 from solver.anatomy.builtin_depths import OuterSkin, depth_fields
 from solver.anatomy.builtin_head import Head
-from solver.surface import Floats, Surface
+from solver.surface import Floats, Ints, Surface
 
 GRID_MM = 1.5
 LOWEST, HIGHEST = np.array([-81.0, -76.0, -100.0]), np.array([81.0, 154.5, 117.0])
 SMOOTHING_VOXELS = 0.8
 LEAST_CLEARANCE_MM = 2.4
-CRANIUM_FACES, MANDIBLE_FACES = 9000, 4000
+CRANIUM_FACES, MANDIBLE_FACES = 11000, 5000
+RELAXATIONS = 8
 
 
 @dataclass(frozen=True)
@@ -95,10 +97,24 @@ class _HalfGrid:
         vertices, triangles, _ = igl.marching_cubes(
             whole.transpose(2, 1, 0).ravel(), points, *whole.shape, 0.0
         )
-        vertices, triangles, _, _ = igl.decimate(
-            np.asfortranarray(vertices), np.asfortranarray(triangles.astype(np.int32)), faces
-        )
-        return Surface(np.ascontiguousarray(vertices), np.ascontiguousarray(triangles[:, ::-1]))
+        return _decimated(vertices, triangles[:, ::-1], faces)
+
+
+def _decimated(vertices: Floats, triangles: Ints, faces: int) -> Surface:
+    """Smooth away the grid's steps and keep about ``faces`` triangles, most where it curves."""
+    mesh = trimesh.Trimesh(vertices, triangles, process=False)
+    trimesh.smoothing.filter_taubin(mesh, iterations=6)
+    fine, fine_faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    coarse, kept, _, _ = igl.qslim(fine, fine_faces, faces)
+    kept = np.ascontiguousarray(kept)
+    # Where bone is flat, quadrics may put a vertex anywhere, and triangles fold over: even the
+    # vertices out on the surface.
+    neighbours = igl.adjacency_matrix(kept).astype(float)
+    count = np.asarray(neighbours.sum(axis=1)).reshape(-1, 1)
+    for _ in range(RELAXATIONS):
+        even = (coarse + neighbours @ coarse / count) / 2
+        _, _, coarse = igl.point_mesh_squared_distance(even, fine, fine_faces)
+    return Surface(np.ascontiguousarray(coarse), kept)
 
 
 def _cranium(points: Floats, shape: dict[str, Any], under_skin: Floats) -> Floats:
