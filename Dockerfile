@@ -1,0 +1,27 @@
+# One image for API and workers; docker-compose.yml says which command runs where.
+FROM python:3.11-slim-bookworm AS build
+ENV PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_CACHE_DIR=1
+RUN python -m venv /opt/myoface
+WORKDIR /src
+COPY requirements.lock .
+RUN /opt/myoface/bin/pip install --require-hashes -r requirements.lock
+COPY pyproject.toml README.md LICENSE THIRD_PARTY_NOTICES.md ./
+COPY service service
+COPY worker worker
+COPY solver solver
+COPY myoface myoface
+RUN /opt/myoface/bin/pip install --no-deps .
+
+FROM python:3.11-slim-bookworm
+RUN useradd --system --uid 10001 --create-home myoface \
+    && install -d -o myoface -g myoface /data
+COPY --from=build /opt/myoface /opt/myoface
+ENV PATH=/opt/myoface/bin:$PATH \
+    PYTHONUNBUFFERED=1 \
+    NUMBA_CACHE_DIR=/tmp/numba \
+    MYOFACE_DATA_DIR=/data \
+    MYOFACE_WORK_DIR=/tmp/work \
+    MYOFACE_LOG_JSON=true
+USER myoface
+VOLUME /data
+CMD ["python", "-m", "service"]
