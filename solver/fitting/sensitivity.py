@@ -13,7 +13,7 @@ import numba as nb
 import numpy as np
 import scipy.sparse as sp
 
-from solver.fitting.face import Face, State
+from solver.fitting.face import Face, Pose, State
 from solver.mechanics.flesh import IDENTITY
 from solver.surface import Floats, Ints
 
@@ -33,28 +33,15 @@ class Sensitivity:
         self._face = face
         self._S = S
         self._state = state
-        self._tet_a = face.tet_activations(S, state.pose.a)
-        self._by_tet = face.flesh.forces_by_activation(state.x, self._tet_a)
 
     def by_pose(self) -> PoseJacobian:
         """Return the derivatives by (a, b); a muscle by muscle, six entries each."""
         face, state = self._face, self._state
         direct = face.mandible_jacobian(state.pose.b)
-        columns = 6 * face.model.muscle_count
-        pull = np.zeros((face.flesh.size, columns + direct.shape[2]), order="F")
-        _add_by_muscle(
-            self._by_tet,
-            face.flesh.free_numbers[face.flesh.tets],
-            self._S.indptr,
-            self._S.indices,
-            self._S.data,
-            pull,
-        )
-        pull[:, columns:] = face.flesh.coupling(state.x, self._tet_a, direct)
-        response = -state.equilibrium.factor.solve(pull)
+        response = -state.equilibrium.factor.solve(gradient_by_pose(face, self._S, state.pose, state.x))
         out = face.face_by_free @ response
         rigid = face.face_embedding @ direct.reshape(len(direct), -1)
-        out[:, columns:] += rigid.reshape(len(out), -1)
+        out[:, -direct.shape[2] :] += rigid.reshape(len(out), -1)
         return PoseJacobian(np.asarray(out), response)
 
     def by_geometry(self, change: Floats) -> Floats:
@@ -76,8 +63,27 @@ class Sensitivity:
         return np.asarray(np.einsum("eq,eq->e", per_tet[rows], self._columns[self._S.indices]))
 
     @cached_property
+    def _by_tet(self) -> Floats:
+        tet_a = self._face.tet_activations(self._S, self._state.pose.a)
+        return self._face.flesh.forces_by_activation(self._state.x, tet_a)
+
+    @cached_property
     def _columns(self) -> Floats:
         return np.vstack([IDENTITY, self._state.pose.a])
+
+
+def gradient_by_pose(face: Face, S: sp.csr_array, pose: Pose, x: Floats) -> Floats:
+    """Return d(grad_x E)/d(a, b) at any x (p, 3), shape (size, 6 m + 5)."""
+    flesh = face.flesh
+    tet_a = face.tet_activations(S, pose.a)
+    direct = face.mandible_jacobian(pose.b)
+    columns = pose.a.size
+    out = np.zeros((flesh.size, columns + direct.shape[2]), order="F")
+    by_tet = flesh.forces_by_activation(x, tet_a)
+    numbers = flesh.free_numbers[flesh.tets]
+    _add_by_muscle(by_tet, numbers, S.indptr, S.indices, S.data, out)
+    out[:, columns:] = flesh.coupling(x, tet_a, direct)
+    return out
 
 
 @nb.njit(cache=True)
