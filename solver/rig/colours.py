@@ -62,6 +62,6 @@ def muscle_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, floa
     colours = {}
     for number, kind in enumerate(kinds):
         hue = (0.985 + number * 0.381966) % 1.0
-        lightness = 0.46 + 0.09 * (number % 3 - 1)
+        lightness = (0.40, 0.56, 0.48, 0.66)[number % 4]
         colours[kind] = colorsys.hls_to_rgb(hue, lightness, 0.58)
     return colours

@@ -11,7 +11,7 @@ from solver.rig import colours
 from solver.rig.head import Head
 from solver.rig.page import HEADER, MARGIN, Colour, Page, swatch_columns, swatch_height
 from solver.rig.raster import Camera
-from solver.rig.render import Body, Lit, render
+from solver.rig.render import Body, Lit, faded, render
 from solver.rig.result import ExpressionFit
 from solver.surface import Floats, Ints, Surface
 
@@ -40,7 +40,7 @@ def fit_picture(model: SubjectModel, fit: ExpressionFit, path: Path) -> None:
     for column, (title, body) in enumerate(bodies.items()):
         left = column * cell[0]
         for row, yaw in enumerate((0.0, THREE_QUARTER)):
-            image = render([body], _camera(model, yaw), *cell)
+            image = faded(render([body], _camera(model, yaw), *cell))
             page.panel((left, HEADER + row * cell[1]), image)
         page.text((left + cell[0] // 2, HEADER), title, 20, anchor="ma")
     page.scale((WIDTH - cell[0] + 60, HEADER + 2 * cell[1] + 12), cell[0] - 130)
@@ -107,7 +107,7 @@ def _views_with_legend(
     page = Page(WIDTH, HEADER + cell[1] + 48 + rows * swatch_height() + MARGIN)
     page.heading(title, detail)
     for column, (name, yaw, bodies) in enumerate(views):
-        image = render(bodies, _camera(model, yaw), *cell)
+        image = faded(render(bodies, _camera(model, yaw), *cell))
         page.panel((column * cell[0], HEADER), image)
         place = (column * cell[0] + cell[0] // 2, HEADER + cell[1] + 6)
         page.text(place, name, 17, anchor="ma")

@@ -15,6 +15,7 @@ SUPERSAMPLING = 2
 BACKGROUND = np.array([0.975, 0.975, 0.98], np.float32)  # sRGB
 GAMMA = 2.2
 SHOULDER = 0.3
+FADE = (0.85, 0.96)  # of the height
 
 
 class Lit:
@@ -63,6 +64,14 @@ def render(bodies: list[Body], camera: Camera, width: int, height: int) -> Pixel
         image[mask] += opacity * (colour - image[mask])
     image = image.reshape(height, SUPERSAMPLING, width, SUPERSAMPLING, 3).mean(axis=(1, 3))
     return np.asarray(np.clip(image, 0, 1) ** (1 / GAMMA), np.float32)
+
+
+def faded(image: Pixels) -> Pixels:
+    """Return a bust whose lower end, where scans are cut off, runs out into the background."""
+    rows = np.linspace(0, 1, len(image), dtype=np.float32)
+    share = np.clip((rows - FADE[0]) / (FADE[1] - FADE[0]), 0, 1)[:, None, None]
+    share = share * share * (3 - 2 * share)
+    return np.asarray(image * (1 - share) + BACKGROUND * share, np.float32)
 
 
 def _shade(body: Body, seen: Visible, camera: Camera) -> tuple[Pixels, Pixels]:
