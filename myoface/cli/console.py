@@ -51,7 +51,7 @@ def transfer_bar(title: str) -> Iterator[Transferred]:
         DownloadColumn(),
         TransferSpeedColumn(),
     )
-    with Progress(*columns, console=out, transient=True) as bars:
+    with Progress(*columns, console=out, transient=True, disable=not out.is_terminal) as bars:
         task = bars.add_task(escape(title), total=None)
         yield lambda done, total: bars.update(task, completed=done, total=total)
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import logging
 import os
+import signal
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -23,11 +25,17 @@ from service import logs
 from service.settings import Settings
 
 if TYPE_CHECKING:
+    from myoface.demo.session import Options
     from solver.anatomy.capture_set import CaptureSet
 
 BUILTIN_BARS = Bars(train_mm=0.9, test_mm=1.0)
 ICT_BARS = Bars(train_mm=0.85, test_mm=0.90)
-QUICK_EDGE_MM = 16.0
+QUICK_OPTIONS: Options = {
+    "build_model": {"edge_mm": 16.0},
+    "fit_geometry": {"rounds": 2},
+    "fit_activations": {"max_iterations": 8},
+}
+QUICK_TRAIN, QUICK_TEST = 2, 1
 
 Folder = Annotated[Path | None, typer.Option(exists=True, file_okay=False)]
 
@@ -40,7 +48,7 @@ def demo(
     capture_sets: Annotated[Path | None, typer.Option(exists=True, dir_okay=False)] = None,
     url: Annotated[str | None, typer.Option(help="a running service; default: starts one")] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="a coarse mesh, figures not judged")
+        bool, typer.Option("--quick", help="coarse, three expressions, not judged")
     ] = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="figures; - prints them")] = None,
 ) -> None:
@@ -54,12 +62,13 @@ def demo(
     output.mkdir(parents=True, exist_ok=True)
     begun = time.monotonic()
     template, captures = _inputs(output, anatomy, faces, subject, capture_sets)
+    if quick:
+        captures = captures.first(QUICK_TRAIN, QUICK_TEST)
     preparing = time.monotonic() - begun
 
     with _service(url) as client:
         session = Session(client, output, {"prepare": preparing})
-        options = {"edge_mm": QUICK_EDGE_MM} if quick else {}
-        report = session.run(title, captures, template, options)
+        report = session.run(title, captures, template, QUICK_OPTIONS if quick else {})
     glb = output / "rig.glb"
     outcome = Outcome(
         report,
@@ -110,6 +119,8 @@ def _service(url: str | None) -> Iterator[Client]:
 
     logs.configure(json=False)
     logging.getLogger().setLevel(logging.WARNING)
+    # A SIGTERM too must stop the service in order.
+    signal.signal(signal.SIGTERM, lambda number, _frame: sys.exit(128 + number))
     with tempfile.TemporaryDirectory(prefix="myoface-demo-") as data:
         stack = Stack(Settings(data_dir=Path(data), port=0))
         with stack, Client(stack.url) as client:

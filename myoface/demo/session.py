@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,10 +13,13 @@ from typing import Any
 from myoface.cli.console import JobView, err, transfer_bar
 from myoface.client import Client
 from myoface.errors import ApiError
-from myoface.resources import Artifact, Job, Kind, Role
+from myoface.resources import Artifact, Job, Kind, Result, Role
 from solver.anatomy.capture_set import CaptureSet
 
 LOG_TAIL = 20
+
+Options = Mapping[Kind, dict[str, Any]]
+"""Options per kind of job; those that are not given are the solver's own."""
 
 
 @dataclass
@@ -28,7 +31,7 @@ class Session:
     seconds: dict[str, float] = field(default_factory=dict)
 
     def run(
-        self, name: str, captures: CaptureSet, template: Path | None, model_options: dict[str, Any]
+        self, name: str, captures: CaptureSet, template: Path | None, options: Options
     ) -> dict[str, Any]:
         """Upload the scans, build the model, fit training and unseen scans, download everything.
 
@@ -43,16 +46,22 @@ class Session:
             subject = self.client.create_subject(name, template_id=template_id)
             ids = self._upload(subject.id, captures)
 
-        model = self._solve("build_model", subject.id, options=model_options)
-        geometry = self._solve(
-            "fit_geometry", subject.id, captures=[ids[n] for n in captures.train]
+        def solve(kind: Kind, **inputs: Any) -> Job:
+            return self._solve(kind, subject.id, options=options.get(kind), **inputs)
+
+        model = solve("build_model")
+        geometry = solve("fit_geometry", captures=[ids[each] for each in captures.train])
+        rig = solve(
+            "fit_activations",
+            captures=[ids[each] for each in captures.test],
+            rig_id=_result(geometry).rig_id,
         )
-        unseen = [ids[n] for n in captures.test]
-        rig = self._solve("fit_activations", subject.id, captures=unseen, rig_id=_rig_id(geometry))
 
         with self.timed("download"):
             # Later files take the place of earlier ones of the same name: the last rig is whole.
-            files = {each.name: each for job in (model, geometry, rig) for each in _files(job)}
+            files = {
+                each.name: each for job in (model, geometry, rig) for each in _result(job).artifacts
+            }
             self._download(files.values())
         report: dict[str, Any] = json.loads((self.folder / "report.json").read_text())
         return report
@@ -91,9 +100,6 @@ class Session:
                 self.client.download(artifact, self.folder / artifact.name, progress=progress)
 
 
-def _files(job: Job) -> list[Artifact]:
-    return job.result.artifacts if job.result is not None else []
-
-
-def _rig_id(job: Job) -> str | None:
-    return job.result.rig_id if job.result is not None else None
+def _result(job: Job) -> Result:
+    assert job.result is not None, "a job that succeeded has a result"
+    return job.result

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 from solver.scans.obj import write_obj
@@ -20,6 +21,14 @@ class CaptureSet:
     neutral: Surface
     train: dict[str, Surface]
     test: dict[str, Surface]
+
+    def first(self, train: int, test: int) -> CaptureSet:
+        """Return the neutral with the first expressions only."""
+        return CaptureSet(
+            self.neutral,
+            dict(islice(self.train.items(), train)),
+            dict(islice(self.test.items(), test)),
+        )
 
     def write(self, folder: Path) -> dict[str, Path]:
         """Write every scan as OBJ into ``folder`` and return name -> path (``neutral`` first)."""
