@@ -107,10 +107,10 @@ class Studio:
 
     @staticmethod
     def solvers(stack: Stack) -> list[int]:
-        """Return the living solver processes of a stack."""
-        work = str(stack.settings.work).encode()
-        commands = Path("/proc").glob("[0-9]*/cmdline")
-        return [int(path.parent.name) for path in commands if work in _content(path)]
+        """Return the living solver processes of a stack, and what they started."""
+        mark = f"MYOFACE_ATTEMPT={stack.settings.work}".encode()
+        found = Path("/proc").glob("[0-9]*/environ")
+        return [int(path.parent.name) for path in found if mark in _content(path)]
 
 
 @contextmanager

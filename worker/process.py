@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from service.settings import Settings
+from worker.orphans import FOLDER_VARIABLE
 
 GRACE = 1.0
 LONGEST_LINE = 4000
@@ -38,7 +39,9 @@ class SolverProcess:
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "worker.solve", str(folder)],
             cwd=folder,
-            env=os.environ | _thread_counts(settings.solver_threads),
+            env=os.environ
+            | _thread_counts(settings.solver_threads)
+            | {FOLDER_VARIABLE: str(folder)},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -122,4 +125,4 @@ def _signal_group(group: int, number: int) -> None:
 
 def _thread_counts(threads: int) -> dict[str, str]:
     names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-    return dict.fromkeys(names, str(threads)) | {"PYTHONUNBUFFERED": "1"}
+    return dict.fromkeys(names, str(threads))

@@ -1,7 +1,7 @@
 """``python -m worker.solve <attempt folder>``: the solver process.
 
 Reads ``job.json``, calls `solver.pipeline` and writes ``result.json`` or ``error.json``; progress
-goes as JSON lines to a pipe, what the solver prints to standard output. It knows no database and
+goes as JSON lines to a pipe, the log to standard error. It knows no database and
 no queue, so whatever happens to it costs an attempt at most.
 """
 
@@ -14,21 +14,27 @@ import re
 import resource
 import signal
 import sys
-import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import structlog
+
+from service import logs
 from service.parent import die_with_parent
 
 if TYPE_CHECKING:
     from solver.progress import Progress, Step
 
 
+log = structlog.get_logger()
+
+
 def main(folder: Path) -> int:
     """Do the job in ``folder``; returns the exit code."""
     process = json.loads((folder / "process.json").read_text())
     die_with_parent(process["parent"], signal.SIGKILL)
+    logs.configure(json=False)
     resource.setrlimit(resource.RLIMIT_DATA, (process["memory_bytes"],) * 2)
     from solver.errors import InputError, SolveError
 
@@ -36,17 +42,17 @@ def main(folder: Path) -> int:
         with os.fdopen(process["progress_fd"], "w", buffering=1) as pipe:
             result = solve(folder, to_pipe(pipe.write))
     except (InputError, SolveError) as error:
-        print(traceback.format_exc(), file=sys.stderr)  # noqa: T201 (the job's log)
+        log.exception("solver.refused")
         _write(folder, "error.json", error.as_dict())
         return 1
     except MemoryError:
-        print(traceback.format_exc(), file=sys.stderr)  # noqa: T201
+        log.exception("solver.out_of_memory")
         limit = process["memory_bytes"] // 1024**2
         message = f"the solver needs more memory than its {limit} MB"
         _write(folder, "error.json", {"code": "solver.memory", "message": message})
         return 1
     except Exception as error:
-        print(traceback.format_exc(), file=sys.stderr)  # noqa: T201
+        log.exception("solver.crashed")
         message = f"the solver failed: {type(error).__name__}: {error}"
         _write(folder, "error.json", {"code": "solver.crash", "message": message})
         return 1
@@ -102,8 +108,10 @@ def to_pipe(write: Callable[[str], Any]) -> Progress:
     """Return a progress that writes JSON lines; a supervisor that is gone does not matter."""
 
     def report(step: Step, /) -> None:
+        values = _plain(step.as_dict())
+        log.info(**{"event": values["phase"], **values})
         try:
-            write(json.dumps(_plain(step.as_dict())) + "\n")
+            write(json.dumps(values) + "\n")
         except BrokenPipeError:
             signal.raise_signal(signal.SIGTERM)
 

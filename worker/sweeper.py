@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import threading
 import time
 
@@ -13,9 +12,9 @@ from sqlalchemy.orm import Session
 from service.settings import Settings
 from service.store import sweep
 from service.store.database import clock
-from service.store.models import Job, Worker
+from service.store.models import Worker
 from service.store.store import Store
-from service.store.transitions import HELD
+from worker.orphans import remove_orphans
 
 OFFICE = "sweeper"
 GARBAGE_EVERY = 60.0
@@ -60,7 +59,7 @@ class Sweeper(threading.Thread):
                 sweep.forget_workers(session)
             if elected or at_once:
                 sweep.resend(session, settings.resend_after, at_once=at_once)
-        self._remove_orphans()
+        remove_orphans(self._store, settings.work)
         if elected and time.monotonic() - self._collected > min(
             GARBAGE_EVERY, settings.garbage_age
         ):
@@ -74,15 +73,3 @@ class Sweeper(threading.Thread):
             session.add(Worker(name=self._worker, queue=self._queue))
         else:
             worker.seen_at = clock(session)
-
-    def _remove_orphans(self) -> None:
-        """Remove folders of attempts that nobody on this host is at any more."""
-        if not self._settings.work.is_dir():
-            return
-        for folder in self._settings.work.iterdir():
-            job_id, _, attempt = folder.name.rpartition(".")
-            with self._store.read() as session:
-                job = session.get(Job, job_id)
-                held = job is not None and job.state in HELD and str(job.attempt) == attempt
-            if not held:
-                shutil.rmtree(folder, ignore_errors=True)

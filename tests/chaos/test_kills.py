@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,9 +14,21 @@ import pytest
 import redis
 
 from myoface.stack import Stack
-from tests.service_client import Studio, running
+from tests.service_client import ROOT, Studio, running
 
 LEASE = 2.0
+LAUNCH = """
+import sys, time
+from pathlib import Path
+from tests.chaos.test_kills import _fit
+from tests.service_client import running
+
+with running(Path(sys.argv[1]), lease=2) as (stack, studio):
+    job = _fit(studio, seconds=2)
+    processes = [stack.pid(name) for name in ("api", "short", "long")] + studio.solvers(stack)
+    print("working", job, *processes, flush=True)
+    time.sleep(60)
+"""
 
 
 @pytest.fixture(scope="module")
@@ -25,10 +39,11 @@ def stack_and_studio(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple
 
 def test_a_killed_worker_costs_an_attempt(stack_and_studio: tuple[Stack, Studio]) -> None:
     stack, studio = stack_and_studio
-    job = _fit(studio, seconds=2)
-    solver = studio.solvers(stack)
+    job = _fit(studio, seconds=2, child=60)
+    processes = studio.solvers(stack)
+    assert len(processes) == 2
     os.kill(stack.pid("long"), signal.SIGKILL)
-    _until_gone(solver)
+    _until_gone(processes)
     done = studio.finished(job)
     assert done["state"] == "succeeded", done
     assert [a["outcome"] for a in done["attempts"]] == ["lost", "succeeded"]
@@ -89,6 +104,24 @@ def test_an_emptied_broker_loses_nothing(stack_and_studio: tuple[Stack, Studio])
 
 
 @pytest.mark.slow
+def test_a_killed_service_goes_on_when_it_is_started_again(tmp_path: Path) -> None:
+    """The launcher is killed: all but the broker die with it, and the next start takes over."""
+    command = [sys.executable, "-c", LAUNCH, str(tmp_path)]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as launcher:
+        assert launcher.stdout
+        line = next(line for line in launcher.stdout if line.startswith("working "))
+        _, job, *processes = line.split()
+        launcher.kill()
+    _until_gone([int(pid) for pid in processes])
+    with running(tmp_path, lease=LEASE) as (stack, studio):
+        done = studio.finished(job)
+        broker = stack.pid("broker")
+        _check_once(studio, done)
+    assert [a["outcome"] for a in done["attempts"]][-1] == "succeeded"
+    _until_gone([broker])
+
+
+@pytest.mark.slow
 def test_poison_is_given_up_after_three_attempts(stack_and_studio: tuple[Stack, Studio]) -> None:
     _, studio = stack_and_studio
     job = studio.finished(studio.submit("build_model", studio.subject(fault="poison")), seconds=60)
@@ -113,10 +146,10 @@ def test_a_cancel_that_no_worker_confirms_is_closed(
     _until_gone(studio.solvers(stack))
 
 
-def _fit(studio: Studio, seconds: float) -> str:
+def _fit(studio: Studio, **orders: float) -> str:
     """Return a fit that has begun."""
     subject = studio.modelled()
-    capture = studio.capture(subject, "smile", seconds=seconds)
+    capture = studio.capture(subject, "smile", **orders)
     job = studio.submit("fit_geometry", subject, captures=[capture])
     studio.until_working(job)
     return job

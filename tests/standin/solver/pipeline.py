@@ -1,11 +1,13 @@
 """A pipeline that solves nothing: what it does is written in the scans it is given.
 
-A scan's lines ``#! key value`` say it: ``seconds`` to take, ``fault`` to have.
+A scan's lines ``#! key value`` say it: ``seconds`` to take, ``fault`` to have, seconds for
+which a ``child`` process sleeps.
 """
 
 import json
 import os
 import signal
+import subprocess
 import time
 
 from solver.errors import InputError
@@ -34,13 +36,15 @@ def _leave_rig(out, expressions):
     (out / "rig.glb").write_bytes(b"glTF" + os.urandom(4096))
     (out / "activations.npz").write_text(json.dumps(expressions))
     (out / "muscle_weights.npz").write_bytes(b"S")
-    report = {"expressions": dict.fromkeys(expressions, {}), "train_mean_mm": 0.4}
+    report = {"expressions": {name: {} for name in expressions}, "train_mean_mm": 0.4}
     (out / "report.json").write_text(json.dumps(report))
 
 
 def _work(scans, progress):
     for scan in scans:
         orders = dict(_orders(scan))
+        if "child" in orders:
+            subprocess.Popen(["sleep", orders["child"]])
         seconds = float(orders.get("seconds", 0))
         for step in range(max(1, int(seconds / 0.1))):
             progress(Step("geometry", 0.1 * step / max(seconds, 1), step, residual=float("nan")))
