@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -158,7 +159,7 @@ class SubjectModel:
             ) from error
 
     @classmethod
-    def _from_arrays(cls, header: dict, data: dict[str, np.ndarray]) -> SubjectModel:
+    def _from_arrays(cls, header: dict[str, Any], data: dict[str, np.ndarray]) -> SubjectModel:
         def csr(name: str, columns: int) -> sp.csr_array:
             indptr = data[f"{name}_indptr"]
             parts = (data[f"{name}_data"], data[f"{name}_indices"], indptr)

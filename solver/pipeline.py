@@ -145,9 +145,7 @@ def fit_activations(
     for number, (name, scan) in enumerate(scans.items()):
         target = _target(subject, scan)
 
-        def listen(
-            iteration: int, value: float, number: int = number, name: str = name
-        ) -> None:
+        def listen(iteration: int, value: float, number: int = number, name: str = name) -> None:
             part = (number + iteration / stop.max_iterations) / len(scans)
             progress(Step("activations", 0.02 + 0.85 * part, iteration, value, message=name))
 

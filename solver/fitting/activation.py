@@ -67,7 +67,7 @@ def fit(
     regulariser: Regulariser,
     start: State,
     options: ActivationOptions | None = None,
-    listen: Listener = lambda iteration, value: None,
+    listen: Listener | None = None,
 ) -> ActivationFit:
     """Minimise f over (a, b) from a settled ``start``."""
     options = options or ActivationOptions()
@@ -92,7 +92,8 @@ def fit(
         if gain > 0.5 * model.predicted_gain(step):
             damping = max(damping / DAMPING_GROWTH, DAMPING_LEAST)
         state, value = accepted, trial_value
-        listen(iteration, value)
+        if listen:
+            listen(iteration, value)
         if gain <= options.tolerance * value:
             return ActivationFit(state, value, iteration, True)
     return ActivationFit(state, value, options.max_iterations, False)
@@ -112,8 +113,10 @@ class _Linearised:
         units = np.concatenate([np.ones(len(damped) - 5), JAW_UNITS**2 * JAW_DAMPING])
         damped[np.diag_indices_from(damped)] += damping * units
         step = np.asarray(scipy.linalg.solve(damped, -self.gradient, assume_a="pos"))
-        longest = max(np.abs(step[:-5]).max() / LARGEST_STEP, np.abs(step[-5:-3]).max() / LARGEST_TURN)
-        return step / max(longest, 1.0)
+        longest = max(
+            np.abs(step[:-5]).max() / LARGEST_STEP, np.abs(step[-5:-3]).max() / LARGEST_TURN
+        )
+        return np.asarray(step / max(longest, 1.0))
 
     def predicted_gain(self, step: Floats) -> float:
         return float(-self.gradient @ step - 0.5 * step @ self.hessian @ step)

@@ -28,9 +28,7 @@ class Pose:
 
     def toward(self, other: Pose, fraction: float) -> Pose:
         """Return the pose ``fraction`` of the way to another one."""
-        return Pose(
-            self.a + fraction * (other.a - self.a), self.b + fraction * (other.b - self.b)
-        )
+        return Pose(self.a + fraction * (other.a - self.a), self.b + fraction * (other.b - self.b))
 
 
 @dataclass(frozen=True)
@@ -98,7 +96,7 @@ class Face:
         return State(pose, result)
 
     def shifted(self, state: State, response: Floats, pose: Pose) -> Floats:
-        """Return x (p, 3) moved by a linear ``response`` (size,), the mandible where ``pose`` says."""
+        """Return x (p, 3) moved by ``response`` (size,), the mandible where ``pose`` says."""
         x = state.x.copy()
         x[self.flesh.free] += response.reshape(-1, 3)
         x[self.model.mandible] = self.mandible(pose.b)
@@ -138,7 +136,7 @@ class Face:
 
     def face_points(self, x: Floats) -> Floats:
         """Return the face skin's vertices (k, 3): M x."""
-        return self.face_embedding @ x + self.face_offset
+        return np.asarray(self.face_embedding @ x + self.face_offset)
 
     def whole_skin(self, x: Floats, b: Floats) -> Floats:
         """Return every vertex of the scan topology (V, 3), rigid parts with their bone."""
@@ -149,7 +147,7 @@ class Face:
         return skin
 
     def _carried(self, S: sp.csr_array, state: State, target: Pose) -> Floats:
-        """Predict x at ``target``: the linear response to the jaw's motion, if that inverts none."""
+        """Predict x at ``target`` by the flesh's linear response to the jaw's motion."""
         motion = np.zeros_like(self.model.rest)
         mandible = self.model.mandible
         motion[mandible] = self.mandible(target.b) - state.x[mandible]

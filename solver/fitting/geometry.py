@@ -69,7 +69,7 @@ def fit(
     face: Face,
     targets: Mapping[str, Target],
     options: GeometryOptions | None = None,
-    listen: Listener = lambda block, number, error: None,
+    listen: Listener | None = None,
 ) -> GeometryFit:
     """Fit S, activations and jaws to all targets, from the model's initial S and the rest pose."""
     options = options or GeometryOptions()
@@ -88,9 +88,11 @@ def fit(
             )
             states[name] = fitted.state
             steps[name] += fitted.iterations
-            listen("activations", number, mean_error(face, targets, states))
+            if listen:
+                listen("activations", number, mean_error(face, targets, states))
         S, states = _fit_weights(face, S, targets, states, w_s, options)
-        listen("geometry", number, mean_error(face, targets, states))
+        if listen:
+            listen("geometry", number, mean_error(face, targets, states))
     return GeometryFit(S, states, steps)
 
 
@@ -144,9 +146,7 @@ def replace_values(S: sp.csr_array, values: Floats) -> sp.csr_array:
     return sp.csr_array((values, S.indices, S.indptr), shape=S.shape)
 
 
-def _settled(
-    face: Face, S: sp.csr_array, states: Mapping[str, State]
-) -> dict[str, State] | None:
+def _settled(face: Face, S: sp.csr_array, states: Mapping[str, State]) -> dict[str, State] | None:
     """Settle every pose with a new S; None if one of them can not be."""
     try:
         return {name: face.settle(S, state.pose, state.x) for name, state in states.items()}
@@ -185,7 +185,7 @@ def _gauss_newton_step(
 def conjugate_gradients(
     product: Callable[[Floats], Floats], right: Floats, iterations: int, tolerance: float
 ) -> Floats:
-    """Solve a symmetric positive semi-definite system given by its product, to a relative residual."""
+    """Solve a symmetric positive semi-definite system to a relative residual, by products only."""
     x = np.zeros_like(right)
     residual = right.copy()
     direction = right.copy()

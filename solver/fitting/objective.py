@@ -37,7 +37,7 @@ class Target:
         (``target.no_weight``) if nothing is left to fit.
         """
         weights = np.ones(len(points)) if weights is None else weights.astype(np.float64)
-        seen = np.isfinite(points).all(axis=1)
+        seen = np.asarray(np.isfinite(points).all(axis=1))
         weights = np.where(seen, weights, 0.0)
         if not (np.isfinite(weights).all() and weights.min() >= 0.0 and weights.sum() > 0.0):
             raise InputError("target.no_weight", "no point of the target has a positive weight")

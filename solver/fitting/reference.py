@@ -102,9 +102,9 @@ class _Counting:
         self.S = S
         self.iterations = 0
 
-    def intermediate(self, alg_mod: int, iter_count: int, *_rest: float) -> bool:
+    def intermediate(self, _mode: int, iteration: int, *_rest: float) -> bool:
         """Take IPOPT's report of an iteration."""
-        self.iterations = iter_count
+        self.iterations = iteration
         return True
 
     def _finite(self, value: float) -> float:
@@ -139,7 +139,7 @@ class _Forward(_Counting):
         return self._structure
 
     def hessian(self, z: Floats, _multipliers: Floats, factor: float) -> Floats:
-        return factor * self.flesh.hessian(self.place(z), self._a).data[self._keep]
+        return np.asarray(factor * self.flesh.hessian(self.place(z), self._a).data[self._keep])
 
 
 class _Activations(_Counting):
@@ -210,7 +210,7 @@ class _Activations(_Counting):
         return self._target.residual(self.face.face_points(self.place(z)))
 
     def _data_by_jaw(self, pose: Pose) -> Floats:
-        """Return the residual's direct derivative by b, (3 k, 5): skin that rides on the mandible."""
+        """Return the residual's direct derivative by b, (3 k, 5): skin riding on the jaw."""
         direct = self.face.mandible_jacobian(pose.b)
         rigid = self.face.face_embedding @ direct.reshape(len(direct), -1)
         return np.asarray(self._roots[:, None] * rigid.reshape(len(self._roots), -1))

@@ -1,6 +1,9 @@
 """How the equilibrium answers to activations, jaw and muscle geometry.
 
-grad_x E(x; theta) = 0 makes x an implicit function of theta, with dx/dtheta = -H^-1 d(grad E)/dtheta.
+grad_x E(x; theta) = 0 makes x an implicit function of theta, and
+
+    dx/dtheta = -H^-1 d(grad E)/dtheta.
+
 One factorisation of H serves the dense Jacobian by (a, b) and the products with the Jacobian by S.
 """
 
@@ -38,7 +41,9 @@ class Sensitivity:
         """Return the derivatives by (a, b); a muscle by muscle, six entries each."""
         face, state = self._face, self._state
         direct = face.mandible_jacobian(state.pose.b)
-        response = -state.equilibrium.factor.solve(gradient_by_pose(face, self._S, state.pose, state.x))
+        response = -state.equilibrium.factor.solve(
+            gradient_by_pose(face, self._S, state.pose, state.x)
+        )
         out = face.face_by_free @ response
         rigid = face.face_embedding @ direct.reshape(len(direct), -1)
         out[:, -direct.shape[2] :] += rigid.reshape(len(out), -1)

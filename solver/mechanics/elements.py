@@ -130,9 +130,7 @@ def stiffness_blocks(
             K = out[e]
             deformation_gradient(x, tets[e], N[e], F)
             symmetric(a[e], A)
-            count, curvature = hessian_modes(
-                F, A, mu[e], lam[e], stiffness[e], project, work, c, W
-            )
+            count, curvature = hessian_modes(F, A, mu[e], lam[e], stiffness[e], project, work, c, W)
             for u in range(4):
                 for v in range(u, 4):
                     dot = N[e, u, 0] * N[e, v, 0] + N[e, u, 1] * N[e, v, 1]

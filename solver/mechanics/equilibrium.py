@@ -12,7 +12,7 @@ import numpy as np
 
 from solver.errors import SolveError
 from solver.mechanics.flesh import Flesh
-from solver.mechanics.linear import Factor, LinearSolver, NotPositiveDefinite
+from solver.mechanics.linear import Factor, LinearSolver, NotPositiveDefiniteError
 from solver.surface import Floats
 
 TOLERANCE = 1e-8
@@ -27,8 +27,8 @@ SHORTEST_STEP = 2.0**-30
 class Equilibrium:
     """A solution x (p, 3) with the factorised Hessian there.
 
-    ``residual`` is |grad E| over the nodal forces at unit strain, ``iterations`` counts Newton steps,
-    ``minimum`` tells that the Hessian at x is positive definite (else ``factor`` is projected).
+    ``residual`` is |grad E| over the nodal forces at unit strain, ``iterations`` counts Newton
+    steps, ``minimum`` tells that the Hessian is positive definite (else ``factor`` is projected).
     """
 
     x: Floats
@@ -42,7 +42,7 @@ def factorise(flesh: Flesh, linear: LinearSolver, x: Floats, a: Floats) -> tuple
     """Factorise the Hessian at x, projected if need be; tell whether the raw one was taken."""
     try:
         return linear.factor(flesh.hessian(x, a).data), True
-    except NotPositiveDefinite:
+    except NotPositiveDefiniteError:
         pass
     matrix = flesh.hessian(x, a, project=True)
     # a projected element may be semi-definite: a trace of stiffness keeps the sum definite
@@ -51,7 +51,7 @@ def factorise(flesh: Flesh, linear: LinearSolver, x: Floats, a: Floats) -> tuple
     matrix.data[matrix.indices == rows] += shift
     try:
         return linear.factor(matrix.data), False
-    except NotPositiveDefinite as error:
+    except NotPositiveDefiniteError as error:
         raise SolveError(
             "solve.singular", "the flesh's stiffness is singular: a part of it is held by nothing"
         ) from error

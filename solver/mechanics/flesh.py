@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,6 +19,8 @@ from solver.surface import Floats, Ints
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
 """The activation a_I of passive flesh: S(a_I) = I."""
+
+ALL = slice(None)
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,7 @@ class Material:
 def shape_gradients(rest: Floats, tets: Ints) -> tuple[Floats, Floats]:
     """Return the linear shape functions' gradients (n, 4, 3) in 1/mm and rest volumes (n,) in mm^3.
 
-    Raises :class:`InputError` (``mesh.inverted``) naming the first tet whose volume is not positive.
+    Raises :class:`InputError` (``mesh.inverted``) naming the first tet without positive volume.
     """
     corners = rest[tets]
     edges = corners[:, 1:] - corners[:, :1]
@@ -104,7 +107,7 @@ class Flesh:
     def energy(self, x: Floats, a: Floats) -> float:
         """Return E(x, a); infinite if a tet is inverted."""
         out = np.empty(len(self.tets))
-        elements.energies(*self._state(x, a), self.lam, self.barrier, out)
+        elements.energies(*self._state(x, a, ALL, self.lam, self.barrier, out))
         return float(out.sum())
 
     def gradient(self, x: Floats, a: Floats) -> Floats:
@@ -114,17 +117,18 @@ class Flesh:
     def forces(self, x: Floats, a: Floats) -> Floats:
         """Return every tet's gradient by its four vertices, (n, 4, 3)."""
         out = np.empty((len(self.tets), 4, 3))
-        elements.forces(*self._state(x, a), self.lam, self.barrier, out)
+        elements.forces(*self._state(x, a, ALL, self.lam, self.barrier, out))
         return out
 
     def scatter(self, per_tet: Floats) -> Floats:
         """Sum (n, 4, 3, ...) over the tets of each free vertex: (size, ...)."""
-        return self._incidence @ per_tet.reshape(12 * len(self.tets), *per_tet.shape[3:])
+        flat = per_tet.reshape(12 * len(self.tets), *per_tet.shape[3:])
+        return np.asarray(self._incidence @ flat)
 
     def hessian(self, x: Floats, a: Floats, *, project: bool = False) -> sp.csr_array:
         """Return d2E/dx2 by the free coordinates; ``project`` makes it positive semi-definite."""
         blocks = np.empty((len(self.tets), 4, 4, 3, 3))
-        elements.stiffness_blocks(*self._state(x, a), self.lam, self.barrier, project, blocks)
+        elements.stiffness_blocks(*self._state(x, a, ALL, self.lam, self.barrier, project, blocks))
         pattern, slots, row_length = self._pattern
         data = np.empty(len(pattern.indices))
         elements.scatter_blocks(blocks, slots, row_length, data)
@@ -137,12 +141,11 @@ class Flesh:
         """
         moving = np.abs(motion).max(axis=(1, 2)) > 0.0
         touched = np.flatnonzero(moving[self.tets].any(axis=1))
-        state = (np.ascontiguousarray(x), self.tets[touched], self.gradients[touched])
-        state += (self.volumes[touched], a[touched], self.mu[touched])
         blocks = np.empty((len(touched), 4, 4, 3, 3))
-        elements.stiffness_blocks(
-            *state, self.lam[touched], self.barrier[touched], False, blocks
+        arguments = self._state(
+            x, a, touched, self.lam[touched], self.barrier[touched], False, blocks
         )
+        elements.stiffness_blocks(*arguments)
         local = np.einsum("euvij,evjk->euik", blocks, motion[self.tets[touched]])
         out = np.zeros((len(self.rest), 3, motion.shape[2]))
         np.add.at(out, self.tets[touched], local)
@@ -151,24 +154,31 @@ class Flesh:
     def forces_by_activation(self, x: Floats, a: Floats) -> Floats:
         """Return the derivative of :meth:`forces` by each tet's activation, (n, 4, 3, 6)."""
         out = np.empty((len(self.tets), 4, 3, 6))
-        elements.forces_by_activation(*self._state(x, a), out)
+        elements.forces_by_activation(*self._state(x, a, ALL, out))
         return out
 
     def deformation_gradients(self, x: Floats) -> Floats:
         """Return F of every tet, (n, 3, 3)."""
         out = np.empty((len(self.tets), 3, 3))
-        elements.deformation_gradients(
-            np.ascontiguousarray(x), self.tets, self.gradients, out
-        )
+        elements.deformation_gradients(np.ascontiguousarray(x), self.tets, self.gradients, out)
         return out
 
     def inverted(self, x: Floats) -> int:
         """Return how many tets have det F <= 0."""
         return int((np.linalg.det(self.deformation_gradients(x)) <= 0.0).sum())
 
-    def _state(self, x: Floats, a: Floats) -> tuple[np.ndarray, ...]:
+    def _state(self, x: Floats, a: Floats, tets: Any, *rest: Any) -> Any:
+        """Return a kernel's arguments: those all kernels share, for some tets, and the ``rest``."""
         positions = np.ascontiguousarray(x)
-        return positions, self.tets, self.gradients, self.volumes, a, self.mu
+        return (
+            positions,
+            self.tets[tets],
+            self.gradients[tets],
+            self.volumes[tets],
+            a[tets],
+            self.mu[tets],
+            *rest,
+        )
 
     @cached_property
     def _incidence(self) -> sp.csr_array:
@@ -187,14 +197,16 @@ class Flesh:
         column = np.tile(number, (1, 4)).ravel()
         both = (row >= 0) & (column >= 0)
         count = len(self.free)
-        graph = sp.csr_array(
-            (np.ones(both.sum()), (row[both], column[both])), shape=(count, count)
-        )
+        graph = sp.csr_array((np.ones(both.sum()), (row[both], column[both])), shape=(count, count))
         graph.sum_duplicates()
         graph.sort_indices()
         length = np.diff(graph.indptr)
         place = sp.csr_array(
-            (np.arange(graph.nnz) - np.repeat(graph.indptr[:-1], length), graph.indices, graph.indptr),
+            (
+                np.arange(graph.nnz) - np.repeat(graph.indptr[:-1], length),
+                graph.indices,
+                graph.indptr,
+            ),
             shape=graph.shape,
         )
         slots = np.full(row.shape, -1, dtype=np.int64)

@@ -19,7 +19,7 @@ from solver.errors import InputError
 from solver.surface import Floats, Ints
 
 
-class NotPositiveDefinite(ArithmeticError):
+class NotPositiveDefiniteError(ArithmeticError):
     """The matrix has a pivot that is not positive."""
 
 
@@ -34,7 +34,7 @@ class LinearSolver(Protocol):
     """The analysis of one sparsity pattern."""
 
     def factor(self, data: Floats) -> Factor:
-        """Factorise the matrix with these CSR values; raises :class:`NotPositiveDefinite`."""
+        """Factorise the matrix with these CSR values; raises :class:`NotPositiveDefiniteError`."""
 
 
 class Rslab:
@@ -54,10 +54,10 @@ class Rslab:
         try:
             factor = self._analysis.factor(data[self._keep])
         except RuntimeError as error:
-            raise NotPositiveDefinite(str(error)) from error
-        positive, negative, zero = factor.inertia
+            raise NotPositiveDefiniteError(str(error)) from error
+        _, negative, zero = factor.inertia
         if negative or zero:
-            raise NotPositiveDefinite(f"{negative} negative and {zero} zero pivots")
+            raise NotPositiveDefiniteError(f"{negative} negative and {zero} zero pivots")
         return _RslabFactor(factor)
 
 
@@ -89,7 +89,7 @@ class SuperLU:
         )
 
     def factor(self, data: Floats) -> Factor:
-        """See :class:`LinearSolver`; without pivoting, the signs of U's diagonal are the inertia."""
+        """See :class:`LinearSolver`; unpivoted, U's diagonal has the signs of the inertia."""
         self._matrix.data = data[self._from]
         try:
             lu = scipy.sparse.linalg.splu(
@@ -99,9 +99,9 @@ class SuperLU:
                 options={"SymmetricMode": True},
             )
         except RuntimeError as error:
-            raise NotPositiveDefinite(str(error)) from error
+            raise NotPositiveDefiniteError(str(error)) from error
         if not (lu.U.diagonal() > 0.0).all():
-            raise NotPositiveDefinite("a pivot is not positive")
+            raise NotPositiveDefiniteError("a pivot is not positive")
         return _Permuted(lu.solve, self._order)
 
 
@@ -140,7 +140,7 @@ class Cholmod:
         try:
             self._cholmod.numeric(lower, analysis)
         except ArithmeticError as error:
-            raise NotPositiveDefinite(str(error)) from error
+            raise NotPositiveDefiniteError(str(error)) from error
         return _CholmodFactor(self._cholmod, self._dense, analysis)
 
 
@@ -187,7 +187,8 @@ def nested_dissection(pattern: sp.csr_array, block: int = 3) -> Ints:
     graph = sp.csr_array(pattern[::block, ::block])
     graph.setdiag(0)
     graph.eliminate_zeros()
-    order, _ = pymetis.nested_dissection(xadj=graph.indptr, adjncy=graph.indices)
+    adjacency = pymetis.CSRAdjacency(graph.indptr, graph.indices)
+    order, _ = pymetis.nested_dissection(adjacency)
     return np.asarray((block * np.asarray(order)[:, None] + np.arange(block)).ravel())
 
 

@@ -56,7 +56,7 @@ def barrier(J: float, stiffness: float) -> tuple[float, float, float]:
 @nb.njit(cache=True, error_model="numpy")
 def determinant(F: Floats) -> float:
     """Return det F of a (3, 3) matrix."""
-    return (
+    return float(
         F[0, 0] * (F[1, 1] * F[2, 2] - F[1, 2] * F[2, 1])
         - F[0, 1] * (F[1, 0] * F[2, 2] - F[1, 2] * F[2, 0])
         + F[0, 2] * (F[1, 0] * F[2, 1] - F[1, 1] * F[2, 0])
@@ -109,9 +109,7 @@ def twist(U: Floats, V: Floats, i: int, j: int, out: Floats) -> None:
 
 
 @nb.njit(cache=True, error_model="numpy")
-def density(
-    F: Floats, A: Floats, mu: float, lam: float, stiffness: float, work: Floats
-) -> float:
+def density(F: Floats, A: Floats, mu: float, lam: float, stiffness: float, work: Floats) -> float:
     """Return psi(F, A); ``work`` is scratch of shape (6, 3, 3)."""
     J = determinant(F)
     value, _, _ = barrier(J, stiffness)
@@ -128,7 +126,7 @@ def density(
     value += mu * (squares - 2.0 * stretch)
     signed_svd(F, work[1], s, work[2])
     trace = s[0] + s[1] + s[2] - 3.0
-    return value + 0.5 * lam * trace * trace
+    return float(value + 0.5 * lam * trace * trace)
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -226,9 +224,7 @@ def _clamp_twists(c: Floats, W: Floats, mu: float) -> None:
 
 
 @nb.njit(cache=True, error_model="numpy")
-def stress_by_activation(
-    F: Floats, A: Floats, mu: float, work: Floats, out: Floats
-) -> None:
+def stress_by_activation(F: Floats, A: Floats, mu: float, work: Floats, out: Floats) -> None:
     """Write d(stress)/da, shape (3, 3, 6): the stress's change by each entry of a in S(a).
 
     From P = 2 mu (F - R A) with dR = sum_twists 2/(s_i + s_j) w <w, F dA>.

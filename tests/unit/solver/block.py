@@ -1,0 +1,77 @@
+"""A small block of flesh as a subject model: two muscles, a jaw, skin on its front."""
+
+import numpy as np
+import scipy.sparse as sp
+
+from solver.model import JawFrame, SubjectModel
+from solver.surface import Surface
+
+CUBE = np.array(
+    [[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]]
+)
+
+
+def grid(shape, size):
+    """Return vertices of a box of ``size`` mm cut into ``shape`` cubes, and Kuhn's tets."""
+    counts = np.array(shape) + 1
+    index = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), -1).reshape(-1, 3)
+    vertices = index / np.array(shape) * np.array(size, dtype=float)
+    number = np.arange(len(index)).reshape(counts)
+    corner = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), -1).reshape(-1, 3)
+    cells = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), -1).reshape(-1, 3)
+    corners = cells[:, None, :] + corner[None]
+    cubes = number[corners[..., 0], corners[..., 1], corners[..., 2]]
+    tets = cubes[:, CUBE].reshape(-1, 4)
+    edges = vertices[tets[:, 1:]] - vertices[tets[:, :1]]
+    flipped = np.linalg.det(edges) < 0
+    tets[flipped] = tets[flipped][:, [0, 2, 1, 3]]
+    return vertices, tets
+
+
+def block_model(shape=(5, 4, 3)):
+    """Back (z = 0) on the cranium above, on the mandible below; two muscles and passive flesh."""
+    vertices, tets = grid(shape, (50.0, 40.0, 15.0))
+    back = vertices[:, 2] == 0.0
+    cranium = np.flatnonzero(back & (vertices[:, 1] > 20.0))
+    mandible = np.flatnonzero(back & (vertices[:, 1] < 15.0))
+    centre = vertices[tets].mean(axis=1)
+    share = np.zeros((len(tets), 3))
+    share[:, 1] = np.clip((30.0 - centre[:, 0]) / 30.0, 0.0, 1.0) * 0.8
+    share[:, 2] = np.clip((centre[:, 0] - 20.0) / 30.0, 0.0, 1.0) * 0.8
+    share[:, 0] = 1.0 - share[:, 1:].sum(axis=1)
+    front = np.flatnonzero(vertices[:, 2] == 15.0)
+    picks = np.arange(len(front))
+    embedding = sp.csr_array(
+        (np.ones(len(front)), (picks, front)), shape=(len(front), len(vertices))
+    )
+    faces = np.stack([picks[:-2], picks[1:-1], picks[2:]], axis=1)
+    return SubjectModel(
+        rest=vertices,
+        tets=tets,
+        cranium=cranium,
+        mandible=mandible,
+        cut=np.zeros(0, int),
+        sliding=np.zeros(0, int),
+        muscle_names=("left", "right"),
+        weights=dense_pattern(share),
+        skin=Surface(vertices[front], faces),
+        embedded=picks,
+        embedding=embedding,
+        offset=np.zeros((len(front), 3)),
+        attached_mandible=np.zeros(0, int),
+        face=picks,
+        jaw=JawFrame(np.array([25.0, 20.0, -30.0]), np.eye(3)),
+        muscles={},
+        bones={},
+        regions={},
+        template={"name": "block", "version": "1", "sha256": ""},
+    )
+
+
+def dense_pattern(values):
+    """Return CSR with every entry stored, zeros too: all columns are candidates."""
+    rows, columns = values.shape
+    indptr = np.arange(rows + 1) * columns
+    return sp.csr_array(
+        (values.ravel(), np.tile(np.arange(columns), rows), indptr), shape=values.shape
+    )

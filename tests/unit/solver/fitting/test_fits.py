@@ -1,0 +1,116 @@
+"""Fits against what they should find: simulate, take the skin, fit, compare; and against IPOPT."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from solver.errors import InputError
+from solver.fitting import activation, geometry, objective, reference
+from solver.fitting.activation import ActivationOptions
+from solver.fitting.face import Face, Pose
+from solver.fitting.geometry import GeometryOptions
+from solver.fitting.objective import Regulariser, Target, rest_prior
+from tests.unit.solver.block import block_model
+
+CONVERGED = ActivationOptions(max_iterations=100, tolerance=1e-10)
+
+
+@pytest.fixture(scope="module")
+def face():
+    return Face(block_model())
+
+
+def poses(count):
+    """Contractions along x of both muscles, jaw open by some degrees."""
+    rng = np.random.default_rng(4)
+    found = []
+    for _ in range(count):
+        stretch = rng.uniform(0.7, 1.0, 2)
+        a = np.array([[s, 0.05, 0.0, 1.0 / np.sqrt(s), 0.0, 1.0 / np.sqrt(s)] for s in stretch])
+        found.append(Pose(a, np.array([rng.uniform(0.0, 0.15), 0.02, 0.2, -0.5, 0.4])))
+    return found
+
+
+def target_of(face, S, pose):
+    return Target.from_points(face.face_points(face.move(S, face.rest_state(S), pose).x))
+
+
+def test_round_trip_finds_activations_and_jaw(face):
+    S = face.model.weights
+    for pose in poses(3):
+        target = target_of(face, S, pose)
+        weak = Regulariser(w_a=1e-9, w_v=0.0, w_b=1e-12, prior=rest_prior(face))
+        fitted = activation.fit(face, S, target, weak, face.rest_state(S), CONVERGED)
+        error = target.distances(face.face_points(fitted.state.x))
+        assert error.max() < 1e-3
+        np.testing.assert_allclose(fitted.state.pose.a, pose.a, atol=0.02)
+        np.testing.assert_allclose(fitted.state.pose.b, pose.b, atol=0.02)
+
+
+def test_reduced_solver_agrees_with_ipopt(face):
+    S = face.model.weights
+    pose = poses(1)[0]
+    target = target_of(face, S, pose)
+    regulariser = Regulariser(w_a=0.5, w_v=0.1, w_b=1e-4, prior=rest_prior(face))
+    rest = face.rest_state(S)
+    reduced = activation.fit(face, S, target, regulariser, rest, CONVERGED)
+    full = reference.activations(face, S, target, regulariser, rest.pose, rest.x)
+    assert reduced.objective == pytest.approx(full.objective, rel=1e-6)
+    assert full.objective > 1e-3
+    np.testing.assert_allclose(reduced.state.pose.a, full.pose.a, atol=1e-3)
+    settled = face.move(S, rest, pose)
+    energy = reference.forward(face, S, pose, rest.x)
+    np.testing.assert_allclose(energy.x, settled.x, atol=1e-4)
+
+
+def test_geometry_fit_improves_on_the_wrong_weights_and_stays_on_the_simplex(face):
+    """Targets come from the true S; the fit starts from one whose muscles are smeared."""
+    true = face.model.weights
+    targets = {f"pose {k}": target_of(face, true, pose) for k, pose in enumerate(poses(4))}
+    smeared = geometry.replace_values(true, np.tile([0.6, 0.2, 0.2], true.shape[0]))
+    face_smeared = Face(replace(face.model, weights=smeared))
+    rest = face_smeared.rest_state(smeared)
+    regulariser = Regulariser(1e-3, 1e-3, 1e-6, rest_prior(face_smeared))
+    alone = {
+        name: activation.fit(face_smeared, smeared, target, regulariser, rest).state
+        for name, target in targets.items()
+    }
+    before = geometry.mean_error(face_smeared, targets, alone)
+    fitted = geometry.fit(face_smeared, targets, GeometryOptions(rounds=5))
+    after = geometry.mean_error(face_smeared, targets, fitted.states)
+    assert after < 0.5 * before
+    assert fitted.S.data.min() >= 0.0
+    np.testing.assert_allclose(fitted.S.sum(axis=1), 1.0, atol=1e-12)
+    assert all(face.flesh.inverted(state.x) == 0 for state in fitted.states.values())
+
+
+def test_regulariser_derivatives_match_finite_differences(face):
+    rng = np.random.default_rng(8)
+    pose = Pose(
+        rest_prior(face).a + 0.3 * rng.standard_normal((2, 6)), 0.1 * rng.standard_normal(5)
+    )
+    regulariser = Regulariser(0.3, 0.7, 0.4, rest_prior(face))
+    exact = regulariser.gradient(pose)
+    numeric = np.empty_like(exact)
+    for entry in range(len(exact)):
+        step = np.zeros(len(exact))
+        step[entry] = 1e-6
+        values = [
+            regulariser.value(Pose(pose.a + s * step[:-5].reshape(-1, 6), pose.b + s * step[-5:]))
+            for s in (1, -1)
+        ]
+        numeric[entry] = (values[0] - values[1]) / 2e-6
+    assert np.abs(numeric).min() > 1e-3
+    np.testing.assert_allclose(exact, numeric, atol=1e-7 * np.abs(numeric).max())
+
+
+def test_points_that_are_missing_have_no_weight():
+    points = np.ones((4, 3))
+    points[2] = np.nan
+    target = objective.Target.from_points(points)
+    assert target.weights[2] == 0.0
+    assert np.isnan(target.distances(np.zeros((4, 3)))[2])
+    assert np.isfinite(target.residual(np.zeros((4, 3)))).all()
+    with pytest.raises(InputError, match="positive weight"):
+        objective.Target.from_points(np.full((4, 3), np.nan))
