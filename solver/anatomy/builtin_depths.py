@@ -8,15 +8,17 @@ from importlib import resources
 
 import igl
 import numpy as np
+import trimesh
 from scipy.interpolate import RBFInterpolator
 
 from solver.anatomy.builtin_head import Head
 from solver.surface import Floats, Ints
 
-OCCLUSION_OF_LINING = 0.97
+HIDDEN_PART_OF_LINING = 0.97
 """Skin that sees less than 3 % of its hemisphere is lining: mouth, eye sockets, nostrils."""
 
-OCCLUSION_SAMPLES = 256
+DIRECTIONS = 400
+OFF_SKIN_MM = 0.05
 
 
 class OuterSkin:
@@ -32,13 +34,10 @@ class OuterSkin:
         skin = head.faces[head.part_faces["skin"]]
         normals = igl.per_vertex_normals(self.vertices, skin)
         normals = np.nan_to_num(normals)
-        # Eyes, teeth and tongue hide the linings behind them.
-        occlusion = igl.ambient_occlusion(
-            self.vertices, head.faces, self.vertices, normals, OCCLUSION_SAMPLES
-        )
-        occlusion = np.minimum(occlusion, occlusion[head.mirror])
+        hidden = _hidden_part(head, normals)
+        hidden = np.minimum(hidden, hidden[head.mirror])
         self.visible_vertices: Ints = np.intersect1d(
-            np.flatnonzero(occlusion < OCCLUSION_OF_LINING), head.part_vertices["skin"]
+            np.flatnonzero(hidden < HIDDEN_PART_OF_LINING), head.part_vertices["skin"]
         )
         visible = np.zeros(len(self.vertices), dtype=bool)
         visible[self.visible_vertices] = True
@@ -58,13 +57,31 @@ class OuterSkin:
         a, b, c = (self.vertices[corners[:, i]] for i in range(3))
         weights = igl.barycentric_coordinates(point, a, b, c)
         shape = (len(face), 3) + (1,) * (values.ndim - 1)
-        return (values[corners] * weights.reshape(shape)).sum(axis=1)
+        return np.asarray((values[corners] * weights.reshape(shape)).sum(axis=1))
 
     def depth(self, points: Floats) -> tuple[Floats, Ints, Floats]:
         """Return the depth under the skin (k,), positive inside, and the face and point above."""
         distance, face, closest = self.closest(points)
         inside = igl.fast_winding_number(self.vertices, self.faces, points) > 0.5
         return np.where(inside, distance, -distance), face, closest
+
+
+def _hidden_part(head: Head, normals: Floats) -> Floats:
+    """Return for each vertex the part (n,) of directions above the skin that meet the head.
+
+    Eyes, teeth and tongue hide the linings behind them.
+    """
+    number = np.arange(DIRECTIONS)
+    height = 1 - (2 * number + 1) / DIRECTIONS
+    turn = np.pi * (3 - np.sqrt(5)) * number
+    around = np.sqrt(1 - height**2)
+    sphere = np.stack([around * np.cos(turn), height, around * np.sin(turn)], -1)
+    vertex, direction = np.nonzero(normals @ sphere.T > 0)
+    rays = trimesh.Trimesh(head.neutral, head.faces, process=False).ray
+    origins = head.neutral[vertex] + OFF_SKIN_MM * normals[vertex]
+    meets = rays.intersects_any(origins, sphere[direction])  # type: ignore[no-untyped-call]
+    counts = np.bincount(vertex, minlength=len(normals)).clip(1)
+    return np.asarray(np.bincount(vertex, meets, minlength=len(normals)) / counts)
 
 
 def depth_fields(head: Head) -> dict[str, Callable[[Floats], Floats]]:

@@ -106,7 +106,7 @@ class Head:
     @cached_property
     def neutral(self) -> Floats:
         """(n, 3) vertices of the average adult at rest, mm."""
-        return MM_PER_UNIT * (self._rest - self._origin)[self._base_vertex]
+        return np.asarray(MM_PER_UNIT * (self._rest - self._origin)[self._base_vertex])
 
     @property
     def expression_names(self) -> tuple[str, ...]:
@@ -153,10 +153,10 @@ class Head:
     @cached_property
     def landmarks(self) -> dict[str, int]:
         """Name -> vertex; paired landmarks get the suffixes ``_l`` and ``_r``."""
-        number = {base: vertex for vertex, base in enumerate(self._base_vertex)}
+        number = {int(base): vertex for vertex, base in enumerate(self._base_vertex)}
         found: dict[str, int] = {}
         for landmark in read_landmarks():
-            vertex = int(number[landmark.base_vertex])
+            vertex = number[landmark.base_vertex]
             if abs(self.neutral[vertex, 0]) < 0.5:
                 found[landmark.name] = vertex
             else:

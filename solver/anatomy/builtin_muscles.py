@@ -121,9 +121,9 @@ class _Sweep:
         if row.layer == "bed":
             room = self._room(above, normals).reshape(top.shape)
             top, bottom = _fit_between(top, bottom, room)
-        sheets = [above - sheet.reshape(-1, 1) * normals for sheet in (top, bottom)]
-        surface = _closed_sheet(np.concatenate(sheets), rows, columns)
-        middle = sum(sheets).reshape(rows, columns, 3).mean(axis=1) / 2
+        upper, lower = (above - sheet.reshape(-1, 1) * normals for sheet in (top, bottom))
+        surface = _closed_sheet(np.concatenate([upper, lower]), rows, columns)
+        middle = ((upper + lower) / 2).reshape(rows, columns, 3).mean(axis=1)
         fibre = middle[-1] - middle[0]
         name = f"{row.name}_l" if row.paired else row.name
         return Muscle(name, surface, fibre / np.linalg.norm(fibre), middle[0], middle[-1])

@@ -28,12 +28,14 @@ class Regions:
     def _jaw_line(self) -> Floats:
         """Height of the lower border of the jaw at each vertex, by its z."""
         line = [self._at[name] for name in ("gonion_l", "mid_mandibular_border_l", "menton")]
-        return np.interp(self._z, [point[2] for point in line], [point[1] for point in line])
+        return np.asarray(
+            np.interp(self._z, [point[2] for point in line], [point[1] for point in line])
+        )
 
     def face(self) -> Ints:
         """Brow to chin and ear to ear with the forehead, without ears, scalp and neck."""
         forehead = self._y < self._at["trichion"][1] - 15
-        return self._visible[self._front & self._above_jaw & forehead]
+        return np.asarray(self._visible[self._front & self._above_jaw & forehead])
 
     def named(self) -> dict[str, Ints]:
         """Return the regions of the face, and the neck, by name; they do not overlap."""

@@ -103,7 +103,7 @@ class _HalfGrid:
 def _decimated(vertices: Floats, triangles: Ints, faces: int) -> Surface:
     """Smooth away the grid's steps and keep about ``faces`` triangles, most where it curves."""
     mesh = trimesh.Trimesh(vertices, triangles, process=False)
-    trimesh.smoothing.filter_taubin(mesh, iterations=6)
+    trimesh.smoothing.filter_taubin(mesh, iterations=6)  # type: ignore[no-untyped-call]
     fine, fine_faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     coarse, kept, _, _ = igl.qslim(fine, fine_faces, faces)
     kept = np.ascontiguousarray(kept)
@@ -130,7 +130,7 @@ def _cranium(points: Floats, shape: dict[str, Any], under_skin: Floats) -> Float
     for hollow in ("piriform_aperture", "palate"):
         ellipsoid = _ellipsoid(points, shape[hollow]["centre"], shape[hollow]["radii"])
         solid = np.minimum(solid, -ellipsoid)
-    return np.minimum(solid, -_orbit(points, shape["orbit"]))
+    return np.asarray(np.minimum(solid, -_orbit(points, shape["orbit"])))
 
 
 def _orbit(points: Floats, orbit: dict[str, Any]) -> Floats:
@@ -171,7 +171,7 @@ def _thick_patch(points: Floats, controls: Floats, samples: int = 40) -> Floats:
     faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     vertices = np.ascontiguousarray(patch[:, :3])
     squared, face, _ = igl.point_mesh_squared_distance(points, vertices, faces)
-    return patch[faces[face], 3].mean(axis=1) - np.sqrt(squared)
+    return np.asarray(patch[faces[face], 3].mean(axis=1) - np.sqrt(squared))
 
 
 def _bar(points: Floats, controls: Floats) -> Floats:
@@ -189,7 +189,7 @@ def _ellipsoid(points: Floats, centre: Any, radii: Any) -> Floats:
     """Return about the distance to an ellipsoid, positive inside."""
     scaled = np.linalg.norm((points - centre) / radii, axis=1)
     gradient = np.linalg.norm((points - centre) / np.square(radii), axis=1)
-    return (1 - scaled) * scaled / np.maximum(gradient, 1e-9)
+    return np.asarray((1 - scaled) * scaled / np.maximum(gradient, 1e-9))
 
 
 def _teeth(points: Floats, shape: dict[str, Any], jaw: str) -> Floats:
