@@ -12,7 +12,7 @@ from fastapi import FastAPI
 from service import errors
 from service.captures.routes import router as captures
 from service.jobs.routes import router as jobs
-from service.middleware import RequestContext
+from service.middleware import BodyLimit, RequestContext
 from service.rigs.routes import router as rigs
 from service.settings import Settings
 from service.store.store import Store
@@ -28,6 +28,8 @@ Upload a neutral scan and a few expressions, make them captures of a subject, ru
 `fit_geometry` and `fit_activations`, watch the jobs and download the rig. Lengths are millimetres,
 angles radians; the frame is x to the subject's left, y up, z forward.
 """
+
+MAX_BODY_BYTES = 1024**2
 
 TAGS = [
     {"name": "uploads", "description": "Resumable, checksummed (tus 1.0)."},
@@ -65,6 +67,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     for router in (uploads, subjects, captures, templates, jobs, rigs, system):
         app.include_router(router)
     _describe_problems(app)
+    app.add_middleware(BodyLimit, limit=MAX_BODY_BYTES)
     app.add_middleware(RequestContext, allowed_hosts=settings.allowed_hosts)
     return app
 

@@ -75,3 +75,36 @@ class RequestContext:
                     ms=round(1000 * (time.perf_counter() - started), 1),
                 )
             structlog.contextvars.unbind_contextvars("request_id")
+
+
+class BodyLimit:
+    """Refuses bodies above ``limit`` bytes, except an upload's, which are never held in memory."""
+
+    def __init__(self, app: ASGIApp, limit: int) -> None:
+        self._app = app
+        self._limit = limit
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Read the whole body first: afterwards FastAPI would call any error a parsing error."""
+        if scope["type"] != "http" or scope["method"] == "PATCH":
+            await self._app(scope, receive, send)
+            return
+        body = bytearray()
+        more = True
+        while more:
+            message = await receive()
+            body += message.get("body", b"")
+            more = message.get("more_body", False)
+            if len(body) > self._limit:
+                problem = Problem(
+                    413, "request.too_large", "the body is too large", expected=self._limit
+                )
+                request_id = Request(scope).state.request_id
+                await render(request_id, problem)(scope, receive, send)
+                return
+        whole: list[Message] = [{"type": "http.request", "body": bytes(body), "more_body": False}]
+
+        async def receive_again() -> Message:
+            return whole.pop() if whole else await receive()
+
+        await self._app(scope, receive_again, send)

@@ -146,6 +146,32 @@ def test_only_this_machine_is_served(studio: Studio) -> None:
     assert (answer.status_code, answer.json()["code"]) == (421, "request.host")
 
 
+@pytest.mark.parametrize(
+    ("body", "status", "code"),
+    [
+        (b'{"name": "Alex"', 422, "request.invalid"),
+        (b'{"name": "' + b"x" * 2_000_000 + b'"}', 413, "request.too_large"),
+        (b'["Alex"]', 422, "request.invalid"),
+        (b'{"name": " "}', 422, "request.invalid"),
+    ],
+)
+def test_bodies_that_can_not_be(studio: Studio, body: bytes, status: int, code: str) -> None:
+    headers = {"Content-Type": "application/json"}
+    answer = studio.http.post("/v1/subjects", content=body, headers=headers)
+    assert (answer.status_code, answer.json()["code"]) == (status, code)
+
+
+def test_options_are_checked_before_the_job_is_queued(studio: Studio) -> None:
+    subject = studio.subject()
+    for options, named in (('{"edge_mm": NaN}', "NaN"), ('{"edge": 9}', "edge")):
+        body = f'{{"kind": "build_model", "subject_id": "{subject}", "options": {options}}}'
+        headers = {"Content-Type": "application/json"}
+        answer = studio.http.post("/v1/jobs", content=body, headers=headers)
+        assert (answer.status_code, answer.json()["code"]) == (422, "job.options")
+        assert named in answer.json()["detail"]
+    assert studio.get("/v1/jobs")["items"] == []
+
+
 def _pretend_model(studio: Studio, subject: str) -> None:
     """Do what a worker does, without a solver."""
     from service.store import jobs

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import socket
 import threading
+import time
 from pathlib import Path
 
 import httpx
 import pytest
+import uvicorn
 from fastapi.testclient import TestClient
 
 from service.app import create_app
@@ -133,6 +136,37 @@ def test_two_writers_never_mix(settings: Settings) -> None:
         assert sorted(answer.status_code for answer in answers)[0] == 204
         assert max(answer.status_code for answer in answers) in (409, 423)
         assert studio.get(location)["sha256"] == SHA256
+
+
+def test_a_broken_connection_loses_nothing_that_arrived(settings: Settings) -> None:
+    config = uvicorn.Config(create_app(settings), port=0, log_config=None)
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    try:
+        while not server.started:
+            time.sleep(0.01)
+        port = server.servers[0].sockets[0].getsockname()[1]
+        with httpx.Client(base_url=f"http://127.0.0.1:{port}") as http:
+            studio = Studio(http)
+            location = studio.start_upload("smile.obj", len(SCAN), SHA256)
+            with socket.create_connection(("127.0.0.1", port)) as connection:
+                head = (
+                    f"PATCH {location} HTTP/1.1\r\nHost: 127.0.0.1\r\nUpload-Offset: 0\r\n"
+                    f"Content-Type: {OFFSET_STREAM}\r\nContent-Length: {len(SCAN)}\r\n\r\n"
+                )
+                connection.sendall(head.encode() + SCAN[:12_345])
+                while http.head(location).status_code != 423:
+                    time.sleep(0.01)
+                time.sleep(0.2)
+            deadline = time.monotonic() + 5
+            while http.head(location).headers.get("Upload-Offset") != "12345":
+                assert time.monotonic() < deadline
+            assert studio.send(location, 12_345, SCAN[12_345:]).status_code == 204
+            assert studio.get(location)["sha256"] == SHA256
+    finally:
+        server.should_exit = True
+        thread.join()
 
 
 def test_giving_up_removes_the_bytes(settings: Settings) -> None:
