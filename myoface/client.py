@@ -18,6 +18,7 @@ import httpx
 from httpx_sse import ServerSentEvent, connect_sse
 
 from myoface import transfer
+from myoface.connection import Patience, checked, once, patiently
 from myoface.errors import ApiError
 from myoface.resources import (
     FINAL_STATES,
@@ -34,7 +35,7 @@ from myoface.resources import (
     Template,
     Upload,
 )
-from myoface.transfer import Patience, Transferred, checked, unheard
+from myoface.transfer import Transferred, unheard
 
 DEFAULT_URL = "http://127.0.0.1:8765"
 TIMEOUT = httpx.Timeout(30.0)
@@ -163,10 +164,7 @@ class Client:
         }
         body = {key: value for key, value in body.items() if value}
         url = f"/v1/jobs/{uuid.uuid4()}"
-        patience = Patience()
-        while True:
-            with patience.retrying():
-                return Job.model_validate(self._send("PUT", url, json=body).json())
+        return Job.model_validate(patiently(self.http, "PUT", url, json=body).json())
 
     def job(self, job_id: str) -> Job:
         """Return a job as it stands."""
@@ -198,11 +196,11 @@ class Client:
         patience = Patience()
         last_event: str | None = None
         while True:
+            job = Job.model_validate(patiently(self.http, "GET", f"/v1/jobs/{job_id}").json())
+            watch(job)
+            if job.state in FINAL_STATES:
+                return _succeeded(job)
             with patience.retrying():
-                job = self.job(job_id)
-                watch(job)
-                if job.state in FINAL_STATES:
-                    return _succeeded(job)
                 for event in self._events(job_id, last_event):
                     patience.reset()
                     last_event = event.id or last_event
@@ -232,7 +230,7 @@ class Client:
     # Requests
 
     def _send(self, method: str, url: str, **request: Any) -> httpx.Response:
-        return checked(self.http.request(method, url, **request))
+        return once(self.http, method, url, **request)
 
     def _get(self, url: str, kind: type[R]) -> R:
         return kind.model_validate(self._send("GET", url).json())

@@ -5,20 +5,16 @@ from __future__ import annotations
 import base64
 import hashlib
 import os
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import httpx
 
+from myoface.connection import Patience, checked, once, patiently
 from myoface.errors import ApiError
 from myoface.resources import Artifact, Upload
 
 CHUNK_BYTES = 4 * 1024 * 1024
-ATTEMPTS = 8
-FIRST_PAUSE_S = 0.1
-LONGEST_PAUSE_S = 8.0
 
 TUS = {"Tus-Resumable": "1.0.0"}
 TUS_CONTENT = "application/offset+octet-stream"
@@ -31,46 +27,6 @@ Transferred = Callable[[int, int], None]
 
 def unheard(_done: int, _total: int, /) -> None:
     """Tell nobody how far a transfer is."""
-
-
-class Patience:
-    """Waits longer after each failure in a row and gives up after ``ATTEMPTS``."""
-
-    def __init__(self) -> None:
-        self.failures = 0
-
-    def reset(self) -> None:
-        """Forget the failures: something went through."""
-        self.failures = 0
-
-    def failed(self, error: ApiError) -> None:
-        """Pause after a failure, or raise ``error`` if there were too many."""
-        self.failures += 1
-        if self.failures >= ATTEMPTS:
-            raise error
-        time.sleep(min(FIRST_PAUSE_S * 2**self.failures, LONGEST_PAUSE_S))
-
-    @contextmanager
-    def retrying(self) -> Iterator[None]:
-        """Turn a transport failure into a pause; the last one into an :class:`ApiError`."""
-        try:
-            yield
-        except httpx.TransportError as error:
-            self.failed(unreachable(error))
-
-
-def unreachable(error: httpx.TransportError) -> ApiError:
-    """Return the error of a service that does not answer."""
-    detail = f"no answer from {error.request.url}: {str(error) or type(error).__name__}"
-    return ApiError({"code": "client.unreachable", "detail": detail})
-
-
-def checked(response: httpx.Response) -> httpx.Response:
-    """Return ``response``, or raise its problem as :class:`ApiError`."""
-    if response.is_error:
-        response.read()
-        raise ApiError.from_response(response)
-    return response
 
 
 def sha256_of(path: Path) -> str:
@@ -97,7 +53,7 @@ def upload(
     if resume is None:
         upload_id = _start(http, path.name, size, digest)
     else:
-        begun = Upload.model_validate(checked(http.get(f"/v1/uploads/{resume}")).json())
+        begun = _look(http, resume)
         if (begun.size, begun.sha256) != (size, digest):
             detail = f"{path.name} is not the file that upload {resume} began with"
             raise ApiError({"code": "client.changed", "detail": detail, "file": path.name})
@@ -105,17 +61,23 @@ def upload(
     if started is not None:
         started(upload_id)
     _send(http, f"/v1/uploads/{upload_id}", path, progress)
-    return Upload.model_validate(checked(http.get(f"/v1/uploads/{upload_id}")).json())
+    return _look(http, upload_id)
+
+
+def metadata(filename: str, sha256: str) -> str:
+    """Return the ``Upload-Metadata`` header of a file."""
+    values = {"filename": filename, "sha256": sha256}
+    return ",".join(f"{k} {base64.b64encode(v.encode()).decode()}" for k, v in values.items())
 
 
 def _start(http: httpx.Client, name: str, size: int, digest: str) -> str:
-    def encoded(text: str) -> str:
-        return base64.b64encode(text.encode()).decode()
-
-    metadata = f"filename {encoded(name)},sha256 {encoded(digest)}"
-    headers = TUS | {"Upload-Length": str(size), "Upload-Metadata": metadata}
-    response = checked(http.post("/v1/uploads", headers=headers))
+    headers = TUS | {"Upload-Length": str(size), "Upload-Metadata": metadata(name, digest)}
+    response = once(http, "POST", "/v1/uploads", headers=headers)
     return response.headers["Location"].rstrip("/").rsplit("/", 1)[-1]
+
+
+def _look(http: httpx.Client, upload_id: str) -> Upload:
+    return Upload.model_validate(patiently(http, "GET", f"/v1/uploads/{upload_id}").json())
 
 
 def _send(http: httpx.Client, url: str, path: Path, progress: Transferred) -> None:
