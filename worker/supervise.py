@@ -149,7 +149,7 @@ class Supervisor:
     def _lose(self, claim: Claim, error: dict[str, Any]) -> None:
         with self._store.write() as session:
             jobs.lose(session, claim.job_id, claim.attempt, error)
-        log.warning("job.attempt_lost", **{"cause" if k == "code" else k: error[k] for k in error})
+        log.warning("job.attempt_lost", error=error)
 
 
 def _exit_error(code: int) -> dict[str, Any]:
