@@ -43,6 +43,13 @@ class VoxelGrid:
         volume[tuple(numbers.T)] = True
         return volume
 
+    def solid(self, surfaces: list[Surface]) -> Volume:
+        """Return True for the voxels inside or on any of some closed surfaces."""
+        volume = np.zeros(self.shape, dtype=bool)
+        for surface in surfaces:
+            volume |= ndimage.binary_fill_holes(self.shell(surface))
+        return volume
+
     def surface(self, volume: Volume) -> Surface:
         """Return the smoothed, decimated boundary of the largest piece of ``volume``."""
         labels, _ = ndimage.label(volume)
@@ -70,14 +77,14 @@ def _simplified(surface: Surface) -> Surface:
 
 
 def wrap_bones(
-    cranium: Surface, mandible: Surface, skin: Surface, lo: Floats, hi: Floats
+    cranium: Surface, mandible: Surface, skin: Surface, muscles: list[Surface], grid: VoxelGrid
 ) -> tuple[Surface, Surface]:
-    """Return watertight wraps of cranium and mandible within the box ``lo`` to ``hi`` (3,).
+    """Return watertight wraps of cranium and mandible within the box of ``grid``.
 
     The cranium's wrap is solid: brain, orbits behind their rim, nose and sinuses are filled. It
-    keeps :data:`JOINT_GAP_MM` to the mandible, and both keep :data:`SKIN_GAP_MM` to ``skin``.
+    keeps :data:`JOINT_GAP_MM` to the mandible, both keep :data:`SKIN_GAP_MM` to ``skin``, and
+    neither covers the muscles that lie on the bone.
     """
-    grid = VoxelGrid(lo, hi)
     jaw = ndimage.binary_fill_holes(_closed(grid.shell(mandible), 2.0))
     skull = _closed(grid.shell(cranium), CLOSING_MM)
     # Frontal slices: walls around brain, orbits and nose are rings there, the zygomatic arches are
@@ -85,8 +92,9 @@ def wrap_bones(
     for k in range(skull.shape[2]):
         skull[:, :, k] = ndimage.binary_fill_holes(skull[:, :, k])
     near_skin = _distance(grid.shell(skin)) < SKIN_GAP_MM
-    jaw &= ~near_skin
-    skull &= ~near_skin & (_distance(jaw) > JOINT_GAP_MM + VOXEL_MM)
+    flesh = near_skin | grid.solid(muscles)
+    jaw &= ~flesh
+    skull &= ~flesh & (_distance(jaw) > JOINT_GAP_MM + VOXEL_MM)
     return grid.surface(ndimage.binary_opening(skull)), grid.surface(jaw)
 
 

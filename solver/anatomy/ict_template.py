@@ -21,12 +21,13 @@ from scipy.spatial.distance import cdist
 
 from solver.anatomy import bodyparts3d, ict_facekit
 from solver.anatomy.bodyparts3d import Part
-from solver.anatomy.bones import wrap_bones
+from solver.anatomy.bones import VoxelGrid, wrap_bones
+from solver.anatomy.depth_warp import Landmarks, Limits, depth_warp
 from solver.anatomy.ict_facekit import FaceKit
 from solver.anatomy.ict_regions import LANDMARKS, named_regions
 from solver.anatomy.skin_depth import SkinDepth
 from solver.anatomy.template import Muscle, Template
-from solver.anatomy.warp import PlaneConstraints, Warp, least_bending, similarity, spread
+from solver.anatomy.warp import similarity, spread
 from solver.errors import InputError
 from solver.surface import Floats, Ints, Surface
 
@@ -38,10 +39,11 @@ MIDDLE = np.array([-0.6, 0.0, 0.0])
 """A point in BodyParts3D's plane of symmetry; the head's lies at x = 0."""
 LOWEST_Y = -105.0
 """Anatomy below this height of the head takes no part in the fit."""
-CARRIED = ("cranium", "mandible", "eyeball", "teeth_upper", "teeth_lower")
-CENTRES = 500
 BONE_SAMPLES = 1800
-MUSCLE_SAMPLES = 1200
+MUSCLE_SAMPLES = 60
+"""Points of each muscle that are kept inside the flesh."""
+BED_SAMPLES = 700
+"""Points of the bones that muscles stay attached to in the second warp."""
 WRAP_LO = np.array([-100.0, -110.0, 12.0])
 WRAP_HI = np.array([100.0, 155.0, 125.0])
 BACK_Z = 24.0
@@ -54,8 +56,8 @@ PARTING_EXPRESSIONS = (
     "mouthUpperUp_R",
 )
 CONDYLE_MM = 10.0
-STIFFNESS = 0.2
-STEPS = 12
+LINING_DEPTH_MM = 0.3
+"""Least depth of muscles under the lining of mouth and eyelids."""
 RANGE_SD = 2.0
 """Depths may differ from the mean by this many standard deviations."""
 DEPTH_SPREAD_MM = 18.0
@@ -63,14 +65,6 @@ DEPTH_SPREAD_MM = 18.0
 
 
 Align = Callable[[Floats], Floats]
-
-
-@dataclass(frozen=True)
-class Landmarks:
-    """Corresponding points: ``source`` in BodyParts3D, ``target`` in the head, (k, 3) in mm."""
-
-    source: Floats
-    target: Floats
 
 
 @dataclass(frozen=True)
@@ -140,14 +134,15 @@ def _sphere_centre(points: Floats) -> Floats:
     return np.asarray(np.linalg.lstsq(system, np.sum(points**2, axis=1), rcond=None)[0][:3])
 
 
-def depth_landmarks(skin: Surface) -> tuple[Landmarks, DepthTable]:
-    """Return the anchors (both sides) and the depth table of ``bodyparts3d_landmarks.csv``.
+def depth_landmarks(skin: Surface) -> tuple[Landmarks, Landmarks, DepthTable]:
+    """Return skull anchors, muscle anchors and depths from ``bodyparts3d_landmarks.csv``.
 
     Rows of kind ``anchor`` fix a point of the skull at its mean depth under a skin vertex, those of
-    kind ``depth`` only say how deep the bone lies, and those of kind ``muscle`` only fix a point.
+    kind ``muscle`` a point of a muscle; those of kind ``depth`` only say how deep the bone lies.
     """
     normals = trimesh.Trimesh(skin.vertices, skin.faces, process=False).vertex_normals
-    anchors, depths = [], []
+    anchors: dict[str, list[tuple[Floats, Floats]]] = {"anchor": [], "muscle": [], "depth": []}
+    depths = []
     path = resources.files("solver.anatomy.data").joinpath("bodyparts3d_landmarks.csv")
     with path.open() as stream:
         for row in csv.DictReader(stream):
@@ -157,57 +152,72 @@ def depth_landmarks(skin: Surface) -> tuple[Landmarks, DepthTable]:
             for side in (1, -1) if row["side"] == "both" else (0,):
                 mirror = np.array([side, 1.0, 1.0])
                 source = (point - MIDDLE) * mirror + MIDDLE
-                if row["kind"] != "depth":
-                    anchors.append((source, under * mirror))
+                anchors[row["kind"]].append((source, under * mirror))
                 if row["kind"] != "muscle":
                     depths.append((*source, depth, float(row["sd_mm"])))
-    source, target = np.array(anchors).transpose(1, 0, 2)
     table = np.array(depths)
-    return Landmarks(source, target), DepthTable(table[:, :3], table[:, 3], table[:, 4])
+    bone, muscle = (
+        Landmarks(*np.array(anchors[kind]).transpose(1, 0, 2)) for kind in ("anchor", "muscle")
+    )
+    return bone, muscle, DepthTable(table[:, :3], table[:, 3], table[:, 4])
 
 
 def carry_anatomy(parts: dict[str, Part], kit: FaceKit) -> dict[str, Surface]:
-    """Return name -> surface inside the head for bones, teeth, eyeballs and face muscles."""
+    """Return name -> surface inside the head for the bones and the face muscles.
+
+    A first warp carries bones and muscles by teeth, eyes and soft-tissue depths. A second one
+    moves muscles only, on the bones that stay: it closes the lips' muscle around the mouth, which
+    is open in BodyParts3D, and takes muscles out of the hollows of mouth and eyelids.
+    """
     teeth = teeth_and_eyes(parts, kit)
-    anchors, depths = depth_landmarks(kit.skin)
+    anchors, muscle_anchors, depths = depth_landmarks(kit.skin)
     scale, rotation, shift = similarity(teeth.source, teeth.target)
 
     def align(points: Floats) -> Floats:
         return scale * points @ rotation.T + shift
 
-    wanted = [n for n, part in parts.items() if part.category in CARRIED]
-    wanted += bodyparts3d.muscle_names(parts)
-    outer = ict_facekit.faces_within(kit.skin.faces, ict_facekit.HEAD)
-    depth = SkinDepth(Surface(kit.skin.vertices, kit.skin.faces[outer]))
+    skin = kit.skin
+    outer, flesh = (
+        SkinDepth(Surface(skin.vertices, skin.faces[ict_facekit.faces_within(skin.faces, numbers)]))
+        for numbers in (ict_facekit.HEAD, ict_facekit.FLESH)
+    )
+    names = bodyparts3d.muscle_names(parts)
+    sample = np.vstack([_sampled(align(parts[name].surface.vertices)) for name in names])
+    sample = sample[sample[:, 1] > LOWEST_Y]
+    bones = bodyparts3d.merged(parts, "cranium", "mandible")
+    bone_limits = _bone_limits(bones, align, depths, outer)
     landmarks = Landmarks(
         align(np.vstack([teeth.source, anchors.source])),
         np.vstack([teeth.target, anchors.target]),
     )
-    bones = bodyparts3d.merged(parts, "cranium", "mandible")
-    bone_limits = _bone_limits(bones, align, depths, depth)
-    muscles = np.vstack([parts[n].surface.vertices for n in bodyparts3d.muscle_names(parts)])
-    muscles = align(muscles)
-    muscles = muscles[muscles[:, 1] > LOWEST_Y]
-    muscles = muscles[spread(muscles[::7], MUSCLE_SAMPLES) * 7]
-    limits = Limits(
-        np.vstack([bone_limits.points, muscles]),
-        np.concatenate([bone_limits.least, np.full(len(muscles), MUSCLE_DEPTH_MM)]),
-        np.concatenate([bone_limits.greatest, np.full(len(muscles), np.inf)]),
+    first = depth_warp(landmarks, [bone_limits, Limits(sample, MUSCLE_DEPTH_MM, np.inf, outer)])
+    bed = first(bone_limits.points)
+    bed = bed[spread(bed, BED_SAMPLES)]
+    landmarks = Landmarks(
+        np.vstack([bed, first(align(muscle_anchors.source))]),
+        np.vstack([bed, muscle_anchors.target]),
     )
-    warp = depth_warp(landmarks, limits, depth)
-    return {
-        name: parts[name].surface.moved(warp(align(parts[name].surface.vertices)))
-        for name in wanted
+    sample = first(sample)
+    second = depth_warp(
+        landmarks,
+        [
+            Limits(sample, MUSCLE_DEPTH_MM, np.inf, outer),
+            Limits(sample, LINING_DEPTH_MM, np.inf, flesh),
+        ],
+    )
+    carried = {
+        name: part.surface.moved(first(align(part.surface.vertices)))
+        for name, part in parts.items()
+        if part.category in ("cranium", "mandible")
     }
+    for name in names:
+        surface = parts[name].surface
+        carried[name] = surface.moved(second(first(align(surface.vertices))))
+    return carried
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Least and greatest depth in mm of ``points`` (n, 3) under the skin."""
-
-    points: Floats
-    least: Floats
-    greatest: Floats
+def _sampled(vertices: Floats) -> Floats:
+    return vertices[spread(vertices, min(MUSCLE_SAMPLES, len(vertices) // 4))]
 
 
 def _bone_limits(bones: Surface, align: Align, table: DepthTable, depth: SkinDepth) -> Limits:
@@ -223,33 +233,7 @@ def _bone_limits(bones: Surface, align: Align, table: DepthTable, depth: SkinDep
         points - 0.5 * deeper, -deeper
     )
     greatest[hidden] = np.inf
-    return Limits(points, least, greatest)
-
-
-def depth_warp(landmarks: Landmarks, limits: Limits, depth: SkinDepth) -> Warp:
-    """Return the least bending warp that meets landmarks and depth limits (Gauss-Newton).
-
-    Each step linearises the depth of the points that violate their limits.
-    """
-    everything = np.vstack([landmarks.source, limits.points])
-    centres = everything[spread(everything, CENTRES)]
-    warp = Warp(centres, np.zeros((CENTRES + 4, 3)))
-    for _ in range(STEPS):
-        now = warp(limits.points)
-        depths, deeper = depth(now)
-        wanted = np.clip(depths, limits.least, limits.greatest) - depths
-        active = wanted != 0
-        moved = np.sum(deeper * (now - limits.points), axis=1)
-        planes = PlaneConstraints(
-            np.vstack([np.repeat(landmarks.source, 3, axis=0), limits.points[active]]),
-            np.vstack([np.tile(np.eye(3), (len(landmarks.source), 1)), deeper[active]]),
-            np.concatenate(
-                [(landmarks.target - landmarks.source).ravel(), (wanted + moved)[active]]
-            ),
-            np.ones(3 * len(landmarks.source) + int(active.sum())),
-        )
-        warp = least_bending(centres, planes, STIFFNESS)
-    return warp
+    return Limits(points, least, greatest, depth)
 
 
 def build_ict_template(anatomy_dir: Path, faces_dir: Path) -> Template:
@@ -275,10 +259,14 @@ def build_ict_template(anatomy_dir: Path, faces_dir: Path) -> Template:
     outer = Surface(
         skin.vertices, skin.faces[ict_facekit.faces_within(skin.faces, ict_facekit.HEAD)]
     )
-    cranium, mandible = wrap_bones(
-        bodyparts3d.merged(bones, "cranium"), carried["mandible"], outer, WRAP_LO, WRAP_HI
-    )
     names = bodyparts3d.muscle_names(parts)
+    cranium, mandible = wrap_bones(
+        bodyparts3d.merged(bones, "cranium"),
+        carried["mandible"],
+        outer,
+        [carried[name] for name in names],
+        VoxelGrid(WRAP_LO, WRAP_HI),
+    )
     skull = np.vstack([cranium.vertices, mandible.vertices])
     in_front = (skin.vertices[:, 2] > BACK_Z + 1) & (skin.vertices[:, 1] > BOTTOM_Y + 1)
     face = np.array(ict_facekit.NARROW_FACE)

@@ -23,17 +23,12 @@ def initial_weights(vertices: Floats, tets: Ints, muscles: list[Surface]) -> sp.
     Stored entries are the candidates: the passive column and every muscle within
     :data:`CANDIDATE_MM` of a tetrahedron, explicit zeros included. Rows sum to one.
     """
-    near = _corners_and_inside(vertices, tets)
-    few, many = _barycentric(SAMPLES), _barycentric(SMALL_SAMPLES)
     row_parts, column_parts, fraction_parts = [], [], []
     for column, muscle in enumerate(muscles, start=1):
-        candidates = np.flatnonzero(_distance(near, muscle) <= CANDIDATE_MM)
-        samples = many if enclosed_volume(muscle) < SMALL_VOLUME_MM3 else few
-        points = np.einsum("sk,tkd->tsd", samples, vertices[tets[candidates]])
-        inside = contains(muscle, points.reshape(-1, 3)).reshape(len(candidates), -1)
+        candidates = _candidates(vertices, tets, muscle)
         row_parts.append(candidates)
         column_parts.append(np.full(len(candidates), column))
-        fraction_parts.append(inside.mean(axis=1))
+        fraction_parts.append(_fractions(vertices[tets[candidates]], muscle))
     rows, columns = np.concatenate(row_parts), np.concatenate(column_parts)
     fractions = np.concatenate(fraction_parts)
     total = np.bincount(rows, fractions, minlength=len(tets))
@@ -68,27 +63,48 @@ def contains(surface: Surface, points: Floats) -> np.ndarray:
     return np.asarray(np.abs(winding) > 0.5)
 
 
-def _corners_and_inside(vertices: Floats, tets: Ints) -> Floats:
-    """Return (t, 4 + NEAR_SAMPLES, 3) points of every tetrahedron."""
-    weights = np.vstack([np.eye(4), _barycentric(NEAR_SAMPLES)])
-    return np.asarray(np.einsum("sk,tkd->tsd", weights, vertices[tets]))
-
-
 def _barycentric(count: int) -> Floats:
     return np.random.default_rng(0).dirichlet(np.ones(4), count)
 
 
-def _distance(points: Floats, surface: Surface) -> Floats:
-    """Return (t,) the least distance of each row of points (t, k, 3) to a muscle."""
+def _fractions(corners: Floats, muscle: Surface) -> Floats:
+    """Return which part (t,) of tetrahedra with ``corners`` (t, 4, 3) a muscle fills."""
+    centres = corners.mean(axis=1)
+    reach = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
+    touched = np.flatnonzero(_distance(centres, muscle, float(reach.max(initial=0.0))) <= reach)
+    small = enclosed_volume(muscle) < SMALL_VOLUME_MM3
+    samples = _barycentric(SMALL_SAMPLES if small else SAMPLES)
+    points = np.einsum("sk,tkd->tsd", samples, corners[touched])
+    fractions = np.zeros(len(corners))
+    inside = contains(muscle, points.reshape(-1, 3))
+    fractions[touched] = inside.reshape(len(touched), -1).mean(axis=1)
+    return fractions
+
+
+def _candidates(vertices: Floats, tets: Ints, surface: Surface) -> Ints:
+    """Return the tetrahedra within :data:`CANDIDATE_MM` of a muscle, by corners and samples."""
+    at_vertices = _distance(vertices, surface, CANDIDATE_MM)
+    near = np.asarray((at_vertices[tets] <= CANDIDATE_MM).any(axis=1))
+    corners = vertices[tets]
+    centres = corners.mean(axis=1)
+    reach = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
     lo, hi = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
-    outside = np.maximum(np.maximum(lo - points, points - hi), 0.0)
-    box = np.linalg.norm(outside, axis=2).min(axis=1)
-    near = np.flatnonzero(box <= CANDIDATE_MM)
+    gap = np.linalg.norm(np.maximum(np.maximum(lo - centres, centres - hi), 0.0), axis=1)
+    open_question = np.flatnonzero(~near & (gap <= CANDIDATE_MM + reach))
+    points = np.einsum("sk,tkd->tsd", _barycentric(NEAR_SAMPLES), corners[open_question])
+    distance = _distance(points.reshape(-1, 3), surface, CANDIDATE_MM)
+    inside = distance.reshape(-1, NEAR_SAMPLES).min(axis=1, initial=np.inf) <= CANDIDATE_MM
+    near[open_question[inside]] = True
+    return np.flatnonzero(near)
+
+
+def _distance(points: Floats, surface: Surface, bound: float) -> Floats:
+    """Return (n,) distances to a closed surface, 0 inside and infinite where beyond ``bound``."""
     distance = np.full(len(points), np.inf)
-    if len(near) == 0:
-        return distance
-    flat = points[near].reshape(-1, 3)
-    squared = igl.point_mesh_squared_distance(flat, surface.vertices, surface.faces)[0]
-    squared = np.where(contains(surface, flat), 0.0, squared)
-    distance[near] = np.sqrt(squared.reshape(len(near), -1).min(axis=1))
+    lo, hi = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+    near = np.flatnonzero(((points > lo - bound) & (points < hi + bound)).all(axis=1))
+    if len(near):
+        own = points[near]
+        squared = igl.point_mesh_squared_distance(own, surface.vertices, surface.faces)[0]
+        distance[near] = np.where(contains(surface, own), 0.0, np.sqrt(squared))
     return distance

@@ -81,13 +81,12 @@ def spread(points: Floats, count: int) -> Ints:
 class PlaneConstraints:
     """Wanted displacements of points along directions: direction_i . u(point_i) = distance_i.
 
-    ``points`` (n, 3), unit ``directions`` (n, 3), ``distances`` (n,) in mm, ``weights`` (n,).
+    ``points`` (n, 3), unit ``directions`` (n, 3), ``distances`` (n,) in mm.
     """
 
     points: Floats
     directions: Floats
     distances: Floats
-    weights: Floats
 
 
 def least_bending(centres: Floats, planes: PlaneConstraints, stiffness: float) -> Warp:
@@ -103,7 +102,7 @@ def least_bending(centres: Floats, planes: PlaneConstraints, stiffness: float) -
     values = basis(planes.points, centres)
     values = np.hstack([values[:, :count] @ complement, values[:, count:]])
     width = values.shape[1]
-    rows = np.einsum("nd,nk->ndk", planes.directions * planes.weights[:, None], values)
+    rows = np.einsum("nd,nk->ndk", planes.directions, values)
     rows = rows.reshape(len(values), 3 * width)
     root = np.linalg.cholesky(bending + 1e-9 * np.trace(bending) / count * np.eye(count - 4)).T
     regular = np.zeros((3 * (count - 4), 3 * width))
@@ -111,7 +110,7 @@ def least_bending(centres: Floats, planes: PlaneConstraints, stiffness: float) -
         block = slice(axis * width, axis * width + count - 4)
         regular[axis * (count - 4) : (axis + 1) * (count - 4), block] = np.sqrt(stiffness) * root
     normal = rows.T @ rows + regular.T @ regular
-    right = rows.T @ (planes.distances * planes.weights)
+    right = rows.T @ planes.distances
     normal[np.diag_indices_from(normal)] += 1e-12 * np.trace(normal) / len(normal)
     solution = solve(normal, right, assume_a="pos")
     solution = solution.reshape(3, width).T
