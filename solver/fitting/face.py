@@ -114,7 +114,7 @@ class Face:
             goal = min(1.0, done + fraction)
             target = start.pose.toward(pose, goal) if goal < 1.0 else pose
             try:
-                state = self.settle(S, target, self._carried(S, state, target))
+                state = self.settle(S, target, self.carried(S, state, target))
             except SolveError:
                 fraction *= 0.5
                 if fraction < SMALLEST_FRACTION:
@@ -146,7 +146,7 @@ class Face:
         skin[self.model.embedded] = self.model.embedding @ x + self.model.offset
         return skin
 
-    def _carried(self, S: sp.csr_array, state: State, target: Pose) -> Floats:
+    def carried(self, S: sp.csr_array, state: State, target: Pose) -> Floats:
         """Predict x at ``target`` by the flesh's linear response to the jaw's motion."""
         motion = np.zeros_like(self.model.rest)
         mandible = self.model.mandible

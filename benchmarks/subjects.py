@@ -1,0 +1,31 @@
+"""The subjects benchmarks run on: the built-in person, or folders of real anatomy and faces."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from solver.anatomy.build import build_subject_model
+from solver.anatomy.builtin import builtin_capture_set, builtin_template
+from solver.anatomy.capture_set import CaptureSet
+from solver.anatomy.ict_captures import ict_capture_set
+from solver.anatomy.ict_template import build_ict_template
+from solver.model import SubjectModel
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that choose a subject; without any it is the built-in person."""
+    parser.add_argument("--anatomy", type=Path, help="folder of BodyParts3D meshes")
+    parser.add_argument("--faces", type=Path, help="folder of ICT-FaceKit")
+    parser.add_argument("--capture-sets", type=Path, help="capture-sets file (default: in --faces)")
+    parser.add_argument("--subject", default="A", help="subject of the capture-sets file")
+
+
+def load(options: argparse.Namespace, edge_mm: float) -> tuple[SubjectModel, CaptureSet]:
+    """Build the chosen subject's model with tets of ``edge_mm`` and return it with the scans."""
+    if options.faces is None or options.anatomy is None:
+        captures, template = builtin_capture_set(), builtin_template()
+    else:
+        captures = ict_capture_set(options.faces, options.subject, options.capture_sets)
+        template = build_ict_template(options.anatomy, options.faces)
+    return build_subject_model(template, captures.neutral.vertices, edge_mm=edge_mm), captures
