@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import signal
 import sys
 import tempfile
@@ -23,6 +22,7 @@ from myoface.demo.gltf import khronos_validation, structural_faults
 from myoface.demo.outcome import Bars, Outcome
 from service import logs
 from service.settings import Settings
+from solver.anatomy.builtin_source import cache_directory
 
 if TYPE_CHECKING:
     from myoface.demo.session import Options
@@ -74,7 +74,7 @@ def demo(
         report,
         session.seconds,
         structural_faults(glb, list(report["expressions"])),
-        khronos_validation(glb, _cache() / "gltf-validator"),
+        khronos_validation(glb, cache_directory() / "gltf-validator"),
         None if quick else ICT_BARS if faces else BUILTIN_BARS,
     )
     write_page(output / "report.html", title, outcome)
@@ -126,10 +126,6 @@ def _service(url: str | None) -> Iterator[Client]:
         with stack, Client(stack.url) as client:
             out.print(f"service on {stack.url}")
             yield client
-
-
-def _cache() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "myoface"
 
 
 def _tell(outcome: Outcome, output: Path) -> None:

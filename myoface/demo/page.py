@@ -25,11 +25,13 @@ def write_page(path: Path, title: str, outcome: Outcome) -> None:
         inverted=report["inverted"],
         tets=f"{report['tets']:,}",
         muscles=report["muscles"],
-        minutes=_duration(sum(outcome.seconds.values())),
+        minutes=_clock(sum(outcome.seconds.values())),
         rows=_rows(outcome),
         anatomy=_figure(
             folder / "anatomy.png", "Skull, mandible and muscles inside the neutral scan"
         ),
+        model=_figure(folder / "anatomy.png", "Skull, mandible and muscles in the neutral scan")
+        + _figure(folder / "tets.png", "The flesh as tetrahedra"),
         fits="\n".join(_fit(folder, name) for name in report["expressions"]),
         phases=_phases(outcome.seconds),
         files=_files(folder, outcome),
@@ -105,6 +107,6 @@ def _files(folder: Path, outcome: Outcome) -> str:
     )
 
 
-def _duration(seconds: float) -> str:
+def _clock(seconds: float) -> str:
     minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest} s" if minutes else f"{rest} s"
+    return f"{minutes}:{rest:02d}"

@@ -1,0 +1,43 @@
+"""The client's values are those that the API shows."""
+
+from __future__ import annotations
+
+from typing import Any, get_args
+
+import pytest
+
+from myoface import resources
+from service.app import create_app
+from service.kinds import KINDS
+from service.settings import Settings
+from service.store.transitions import FINAL, State
+
+SHAPES = {
+    resources.Upload: "UploadView",
+    resources.Template: "TemplateView",
+    resources.Subject: "SubjectView",
+    resources.Capture: "CaptureView",
+    resources.Artifact: "ArtifactView",
+    resources.Job: "JobView",
+    resources.Result: "Result",
+    resources.LogLine: "LogLineView",
+    resources.Rig: "RigView",
+}
+
+
+@pytest.fixture(scope="module")
+def schemas(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    settings = Settings(data_dir=tmp_path_factory.mktemp("data"))
+    found: dict[str, Any] = create_app(settings).openapi()["components"]["schemas"]
+    return found
+
+
+@pytest.mark.parametrize("resource", SHAPES, ids=lambda resource: resource.__name__)
+def test_every_field_is_shown(resource: type[resources.Resource], schemas: dict[str, Any]) -> None:
+    assert set(resource.model_fields) <= set(schemas[SHAPES[resource]]["properties"])
+
+
+def test_kinds_and_states_are_the_service_s() -> None:
+    assert set(get_args(resources.Kind)) == set(KINDS)
+    assert set(get_args(resources.State)) == {str(state) for state in State}
+    assert {str(state) for state in FINAL} == resources.FINAL_STATES

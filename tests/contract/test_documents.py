@@ -1,0 +1,57 @@
+"""What README and docs tell a reader to type or click is there."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import typer
+
+from myoface.cli import app
+
+ROOT = Path(__file__).parents[2]
+DOCUMENTS = [ROOT / "README.md", ROOT / "ARCHITECTURE.md", *sorted((ROOT / "docs").glob("*.md"))]
+BLOCK = re.compile(r"(?:^ {4,}\S.*\n)+", re.MULTILINE)
+INLINE = re.compile(r"`([^`\n]+)`")
+
+
+def lines(document: Path, command: str) -> list[str]:
+    """Return what a document says after ``command``, in code."""
+    text = document.read_text(encoding="utf-8")
+    code = [line for block in BLOCK.findall(text) for line in block.splitlines()]
+    code += INLINE.findall(text)
+    found = (re.match(rf"\s*(?:\S*/)?{command} +(.*)", line) for line in code)
+    return [match[1] for match in found if match]
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_make_targets_exist(document: Path) -> None:
+    makefile = (ROOT / "Makefile").read_text()
+    for line in lines(document, "make"):
+        target = line.split()[0]
+        assert re.search(rf"^{re.escape(target)}:", makefile, re.MULTILINE), line
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_myoface_commands_and_options_exist(document: Path) -> None:
+    for line in lines(document, "myoface"):
+        words = shlex.split(line, comments=True)
+        command = typer.main.get_command(app)
+        while (children := getattr(command, "commands", None)) and words:
+            if words[0].startswith("-"):
+                break
+            assert words[0] in children, line
+            command = children[words.pop(0)]
+        known = {"--help", *(name for option in command.params for name in option.opts)}
+        asked = {word.split("=")[0] for word in words if word.startswith("-")}
+        assert asked <= known, line
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_links_lead_somewhere(document: Path) -> None:
+    text = document.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", text):
+        if "://" not in target:
+            assert (document.parent / target).exists(), target
