@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import ipaddress
 import json
+import os
 import tempfile
 from pathlib import Path
 
@@ -56,7 +57,7 @@ class Settings(BaseSettings):
 
     short_workers: int = Field(default=1, ge=1)
     long_workers: int = Field(default=1, ge=1)
-    solver_threads: int = Field(default=2, ge=1)
+    solver_threads: int = Field(default=os.cpu_count() or 1, ge=1)
     solver_memory_mb: int = Field(default=8192, gt=0)
 
     log_json: bool = False
