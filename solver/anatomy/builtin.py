@@ -28,8 +28,9 @@ from solver.anatomy.builtin_source import (
     fetch_wheel,
 )
 from solver.anatomy.capture_set import CaptureSet
+from solver.anatomy.domain import joined
 from solver.anatomy.template import Template
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Surface
 
 VERSION = "1"
 SOURCE = (
@@ -131,15 +132,7 @@ def _bed(head: Head, skin: OuterSkin, skull: Skull) -> Surface:
     faces = head.faces[head.part_faces["skin"]]
     eyes = [head.faces[head.part_faces[part]] for part in ("left_eye", "right_eye")]
     lining = np.concatenate([faces[~visible[faces].all(axis=1)], *eyes])
-    return _joined(Surface(head.neutral, lining), skull.cranium, skull.mandible)
-
-
-def _joined(*surfaces: Surface) -> Surface:
-    starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
-    vertices: Floats = np.concatenate([surface.vertices for surface in surfaces])
-    pairs = zip(surfaces, starts, strict=False)
-    faces: Ints = np.concatenate([surface.faces + start for surface, start in pairs])
-    return Surface(vertices, faces)
+    return joined([Surface(head.neutral, lining), skull.cranium, skull.mandible])
 
 
 IDENTITY_SHAPES = (
