@@ -232,14 +232,14 @@ class Client:
     def _send(self, method: str, url: str, **request: Any) -> httpx.Response:
         return once(self.http, method, url, **request)
 
-    def _get(self, url: str, kind: type[R]) -> R:
+    def _get(self, url: str, kind: type[R], /) -> R:
         return kind.model_validate(self._send("GET", url).json())
 
-    def _post(self, url: str, kind: type[R], **body: Any) -> R:
+    def _post(self, url: str, kind: type[R], /, **body: Any) -> R:
         given = {key: value for key, value in body.items() if value is not None}
         return kind.model_validate(self._send("POST", url, json=given).json())
 
-    def _list(self, url: str, kind: type[R], **query: Any) -> list[R]:
+    def _list(self, url: str, kind: type[R], /, **query: Any) -> list[R]:
         given = {key: value for key, value in query.items() if value is not None}
         body = self._send("GET", url, params=given).json()
         return [kind.model_validate(item) for item in body["items"]]
@@ -248,5 +248,6 @@ class Client:
 def _succeeded(job: Job) -> Job:
     if job.state == "succeeded":
         return job
-    ended = {"code": f"job.{job.state}", "detail": f"{job.kind} job {job.id} was {job.state}"}
+    why = f": {job.cancel.reason}" if job.cancel and job.cancel.reason else ""
+    ended = {"code": f"job.{job.state}", "detail": f"{job.kind} job {job.id} was {job.state}{why}"}
     raise ApiError(job.error or ended)

@@ -9,7 +9,7 @@ from typing import Any
 
 import httpx
 
-from myoface.errors import ApiError
+from myoface.errors import UNREACHABLE, ApiError
 
 ATTEMPTS = 8
 FIRST_PAUSE_S = 0.1
@@ -69,4 +69,4 @@ def checked(response: httpx.Response) -> httpx.Response:
 def unreachable(error: httpx.TransportError) -> ApiError:
     """Return the error of a service that does not answer."""
     detail = f"no answer from {error.request.url}: {str(error) or type(error).__name__}"
-    return ApiError({"code": "client.unreachable", "detail": detail})
+    return ApiError({"code": UNREACHABLE, "detail": detail})

@@ -6,6 +6,7 @@ from typing import Any
 
 import httpx
 
+UNREACHABLE = "client.unreachable"
 LOCATING_KEYS = ("file", "line", "vertex", "expected", "found", "field")
 
 
@@ -44,8 +45,8 @@ class ApiError(Exception):
 
 
 def describe(problem: dict[str, Any]) -> str:
-    """Return a problem document as one line: what, where, code."""
+    """Return a problem document as one line: what, where (unless that said it), code."""
     text = str(problem.get("detail") or problem.get("message") or problem.get("title") or "failed")
-    where = [f"{key} {problem[key]}" for key in LOCATING_KEYS if problem.get(key) is not None]
-    code = problem.get("code", "unknown")
-    return f"{text} ({', '.join([*where, str(code)])})"
+    known = {key: problem[key] for key in LOCATING_KEYS if problem.get(key) is not None}
+    where = [f"{key} {value}" for key, value in known.items() if str(value) not in text]
+    return f"{text} ({', '.join([*where, problem.get('code', 'unknown')])})"

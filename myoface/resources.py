@@ -88,6 +88,13 @@ class Result(Resource):
     artifacts: list[Artifact] = []
 
 
+class Cancel(Resource):
+    """Who asked for a job to stop, and why."""
+
+    by: str
+    reason: str
+
+
 class Job(Resource):
     """A piece of work."""
 
@@ -99,6 +106,7 @@ class Job(Resource):
     progress: Progress | None = None
     error: dict[str, Any] | None = None
     result: Result | None = None
+    cancel: Cancel | None = None
     created_at: datetime | None = None
     started_at: datetime | None = None
     finished_at: datetime | None = None

@@ -11,7 +11,7 @@ import typer
 from myoface.cli.app import NewFolder, Url
 from myoface.cli.console import JobView, err, out, show_table, transfer_bar
 from myoface.client import DEFAULT_URL, Client
-from myoface.errors import ApiError
+from myoface.errors import UNREACHABLE, ApiError
 from myoface.resources import Job, Kind, Role
 
 subjects = typer.Typer(help="People.", no_args_is_help=True)
@@ -115,8 +115,8 @@ def _upload_one(client: Client, subject: str, file: Path, role: Role, resume: st
             capture = client.add_capture(
                 subject, file, role=role, resume=resume, started=begun.append, progress=progress
             )
-    except (ApiError, KeyboardInterrupt):
-        if begun:
+    except (ApiError, KeyboardInterrupt) as error:
+        if begun and getattr(error, "code", UNREACHABLE) == UNREACHABLE:
             err.print(f"{file.name}: go on with `myoface upload ... --resume {begun[-1]}`")
         raise
     out.print(f"{capture.id}  {capture.name}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -28,6 +29,7 @@ def up(port: Port = None, data: Data = None) -> None:
 
     settings = _settings(port, data)
     logs.configure(settings.log_json)
+    logging.getLogger("httpx").setLevel(logging.WARNING)  # the stack asks itself for its health
     with Stack(settings) as stack:
         out.print(f"Myoface listens on {stack.url} (its API: {stack.url}/docs). Ctrl-C stops it.")
         stack.wait()

@@ -17,6 +17,7 @@ from myoface.resources import Artifact, Job, Kind, Result, Role
 from solver.anatomy.capture_set import CaptureSet
 
 LOG_TAIL = 20
+WORTH_TELLING_S = 0.05
 
 Options = Mapping[Kind, dict[str, Any]]
 """Options per kind of job; those that are not given are the solver's own."""
@@ -91,7 +92,9 @@ class Session:
             for line in list(self.client.log(job.id))[-LOG_TAIL:]:
                 err.print(f"  {line.text}", markup=False)
             raise
-        self.seconds |= {f"{kind}: {phase}": spent for phase, spent in view.phases.items()}
+        for phase, spent in view.phases.items():
+            if spent >= WORTH_TELLING_S:
+                self.seconds[f"{kind}: {phase}"] = spent
         return ended
 
     def _download(self, artifacts: Iterable[Artifact]) -> None:

@@ -19,6 +19,7 @@ SHAPES = {
     resources.Capture: "CaptureView",
     resources.Artifact: "ArtifactView",
     resources.Job: "JobView",
+    resources.Cancel: "CancelView",
     resources.Result: "Result",
     resources.LogLine: "LogLineView",
     resources.Rig: "RigView",

@@ -108,6 +108,9 @@ def test_a_failed_job_is_an_error_that_locates_the_fault(client: Client, tmp_pat
     client.add_capture(subject.id, scan(tmp_path, "neutral", "fault nan"), role="neutral")
     with pytest.raises(ApiError, match=r"NaN.*line 3.*scan\.nan"):
         client.wait(client.submit("build_model", subject.id).id)
+    assert [job.kind for job in client.jobs(subject_id=subject.id, state="failed")] == [
+        "build_model"
+    ]
 
 
 def test_download_goes_on_and_is_checked(client: Client, tmp_path: Path) -> None:
