@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import permutations
+
 import igl
 import numpy as np
 import scipy.sparse as sp
@@ -11,10 +13,10 @@ from solver.surface import Floats, Ints, Surface
 
 CANDIDATE_MM = 10.0
 """A muscle may act in the tetrahedra within this distance (the paper's sparsity of S)."""
-NEAR_SAMPLES = 8
-SAMPLES = 24
-SMALL_SAMPLES = 160
+NEAR_ORBITS, ORBITS, SMALL_ORBITS = 1, 2, 40
+"""Samples in a tetrahedron, in sets of 24 that any numbering of its corners leaves the same."""
 SMALL_VOLUME_MM3 = 1500.0
+PLASTIC = 1.2207440846057596
 
 
 def initial_weights(vertices: Floats, tets: Ints, muscles: list[Surface]) -> sp.csr_array:
@@ -63,22 +65,30 @@ def contains(surface: Surface, points: Floats) -> np.ndarray:
     return np.asarray(np.abs(winding) > 0.5)
 
 
-def _barycentric(count: int) -> Floats:
-    return np.random.default_rng(0).dirichlet(np.ones(4), count)
-
-
 def _fractions(corners: Floats, muscle: Surface) -> Floats:
     """Return which part (t,) of tetrahedra with ``corners`` (t, 4, 3) a muscle fills."""
     centres = corners.mean(axis=1)
     reach = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
     touched = np.flatnonzero(_distance(centres, muscle, float(reach.max(initial=0.0))) <= reach)
-    small = enclosed_volume(muscle) < SMALL_VOLUME_MM3
-    samples = _barycentric(SMALL_SAMPLES if small else SAMPLES)
+    samples = _barycentric(SMALL_ORBITS if enclosed_volume(muscle) < SMALL_VOLUME_MM3 else ORBITS)
     points = np.einsum("sk,tkd->tsd", samples, corners[touched])
+    inside = contains(muscle, points.reshape(-1, 3)).reshape(len(touched), len(samples))
     fractions = np.zeros(len(corners))
-    inside = contains(muscle, points.reshape(-1, 3))
-    fractions[touched] = inside.reshape(len(touched), -1).mean(axis=1)
+    fractions[touched] = inside.mean(axis=1)
     return fractions
+
+
+def _barycentric(orbits: int) -> Floats:
+    """Return (24 * orbits, 4) barycentric coordinates: all permutations of evenly spread points.
+
+    The spacings of three sorted uniform numbers are uniform in a tetrahedron; they come from the
+    additive sequence of Roberts (2018).
+    """
+    steps = PLASTIC ** -np.arange(1.0, 4.0)
+    cuts = np.sort((0.5 + np.outer(np.arange(1, orbits + 1), steps)) % 1.0, axis=1)
+    ends = np.column_stack([np.zeros(orbits), cuts, np.ones(orbits)])
+    points = np.diff(ends, axis=1)
+    return np.concatenate([points[:, list(order)] for order in permutations(range(4))])
 
 
 def _candidates(vertices: Floats, tets: Ints, surface: Surface) -> Ints:
@@ -91,9 +101,9 @@ def _candidates(vertices: Floats, tets: Ints, surface: Surface) -> Ints:
     lo, hi = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     gap = np.linalg.norm(np.maximum(np.maximum(lo - centres, centres - hi), 0.0), axis=1)
     open_question = np.flatnonzero(~near & (gap <= CANDIDATE_MM + reach))
-    points = np.einsum("sk,tkd->tsd", _barycentric(NEAR_SAMPLES), corners[open_question])
+    points = np.einsum("sk,tkd->tsd", _barycentric(NEAR_ORBITS), corners[open_question])
     distance = _distance(points.reshape(-1, 3), surface, CANDIDATE_MM)
-    inside = distance.reshape(-1, NEAR_SAMPLES).min(axis=1, initial=np.inf) <= CANDIDATE_MM
+    inside = distance.reshape(len(open_question), points.shape[1]).min(axis=1) <= CANDIDATE_MM
     near[open_question[inside]] = True
     return np.flatnonzero(near)
 
