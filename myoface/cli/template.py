@@ -21,7 +21,9 @@ def build(anatomy: Folder, faces: Folder, output: NewFile = Path("template.npz")
     """Build a template from a BodyParts3D and an ICT-FaceKit folder."""
     from solver.anatomy.ict_template import build_ict_template
 
-    _save(build_ict_template(anatomy, faces), output)
+    with out.status("fitting skull and muscles into the head (about a minute)"):
+        made = build_ict_template(anatomy, faces)
+    _save(made, output)
 
 
 @template.command()
