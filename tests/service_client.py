@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -90,10 +90,7 @@ class Studio:
         return self.until(job_id, *FINAL, seconds=seconds)
 
     def until_working(self, job_id: str) -> None:
-        deadline = time.monotonic() + 20
-        while not self.job(job_id)["progress"]:
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+        eventually(lambda: bool(self.job(job_id)["progress"]), seconds=20)
 
     def events(self, job_id: str, after: int = 0) -> list[tuple[int, str, dict[str, Any]]]:
         headers = {"Last-Event-ID": str(after)}
@@ -125,6 +122,14 @@ def running(data_dir: Path, **settings: Any) -> Iterator[tuple[Stack, Studio]]:
         os.environ.pop("PYTHONPATH") if before is None else os.environ.update(PYTHONPATH=before)
     with stack, httpx.Client(base_url=stack.url, timeout=30) as http:
         yield stack, Studio(http)
+
+
+def eventually(condition: Callable[[], bool], seconds: float = 10) -> None:
+    """Wait until ``condition`` holds, or fail."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
 
 
 def _content(path: Path) -> bytes:

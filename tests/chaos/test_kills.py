@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import pytest
 import redis
 
 from myoface.stack import Stack
-from tests.service_client import ROOT, Studio, running
+from tests.service_client import ROOT, Studio, eventually, running
 
 LEASE = 2.0
 LAUNCH = """
@@ -164,10 +163,7 @@ def _check_once(studio: Studio, job: dict) -> None:
 
 
 def _until_gone(processes: list[int]) -> None:
-    deadline = time.monotonic() + 5
-    while any(_lives(pid) for pid in processes):
-        assert time.monotonic() < deadline, processes
-        time.sleep(0.05)
+    eventually(lambda: not any(_lives(pid) for pid in processes), seconds=5)
 
 
 def _lives(pid: int) -> bool:

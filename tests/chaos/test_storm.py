@@ -15,7 +15,7 @@ import pytest
 import redis
 
 from myoface.stack import Stack
-from tests.service_client import FINAL, Studio, running
+from tests.service_client import FINAL, Studio, eventually, running
 
 SEED = 20_180
 JOBS = 30
@@ -39,7 +39,7 @@ def test_every_job_ends_exactly_once(tmp_path: Path) -> None:
         stories = {
             job: [e[2]["state"] for e in studio.events(job) if e[1] == "state"] for job in good
         }
-        _until(lambda: not any(stack.settings.work.iterdir()))
+        eventually(lambda: not any(stack.settings.work.iterdir()))
         assert not studio.solvers(stack)
     for job in good:
         assert ended[job]["state"] == "succeeded", ended[job]
@@ -98,10 +98,3 @@ def _finished(studio: Studio, job: str) -> dict:
             return found
         time.sleep(0.2)
     raise AssertionError(found)
-
-
-def _until(true: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 10
-    while not true():
-        assert time.monotonic() < deadline
-        time.sleep(0.1)

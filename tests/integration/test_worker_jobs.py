@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from myoface.stack import Stack
-from tests.service_client import Studio, running
+from tests.service_client import Studio, eventually, running
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +117,7 @@ def test_cancel_stops_the_solver_within_five_seconds(
     assert not studio.solvers(stack)
     assert done["cancel"]["reason"] == "the talent blinked"
     assert [a["outcome"] for a in done["attempts"]] == ["canceled"]
-    assert not list(stack.settings.work.iterdir())
+    eventually(lambda: not any(stack.settings.work.iterdir()))
 
 
 @pytest.mark.slow
