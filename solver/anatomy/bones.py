@@ -18,7 +18,9 @@ JOINT_GAP_MM = 1.5
 SKIN_GAP_MM = 2.4
 """Room for flesh between bone and skin."""
 CLOSING_MM = 3.8
-WRAP_FACES = 9000
+WRAP_FACES = 6000
+SMOOTHING_VOXELS = 1.3
+TAUBIN_STEPS = 16
 
 Volume = np.ndarray
 
@@ -55,7 +57,7 @@ class VoxelGrid:
         labels, _ = ndimage.label(volume)
         largest = labels == 1 + np.argmax(np.bincount(labels.ravel())[1:])
         padded = np.pad(largest, 2).astype(float)
-        field = ndimage.gaussian_filter(padded, 1.0)
+        field = ndimage.gaussian_filter(padded, SMOOTHING_VOXELS)
         # libigl counts x fastest.
         nx, ny, nz = field.shape
         steps = np.meshgrid(*[np.arange(k) for k in (nz, ny, nx)], indexing="ij")
@@ -68,7 +70,7 @@ class VoxelGrid:
 
 def _simplified(surface: Surface) -> Surface:
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=True)
-    trimesh.smoothing.filter_taubin(mesh, iterations=8)  # type: ignore[no-untyped-call]
+    trimesh.smoothing.filter_taubin(mesh, iterations=TAUBIN_STEPS)  # type: ignore[no-untyped-call]
     vertices, faces, _, _ = igl.qslim(np.asarray(mesh.vertices), np.asarray(mesh.faces), WRAP_FACES)
     result = trimesh.Trimesh(vertices, faces, process=True)
     if result.volume < 0:

@@ -36,7 +36,7 @@ from solver.surface import Floats, Ints, Surface
 EDGE_MM = 9.0
 ENVELOPE = 0.08
 """Distance between flesh surface and skin as a part of the edge length."""
-GREATEST_ENVELOPE_MM = 1.2
+GREATEST_ENVELOPE_MM = 1.6
 MESHER_SECONDS = 900.0
 JAW_FREE_MM = 15.0
 """Within this distance of the mandible a cut plane is free: the jaw's angle moves with the jaw."""
@@ -146,10 +146,8 @@ def _mesh(template: Template, carried: Carried, planes: Planes, edge_mm: float) 
 
 def _closed(carried: Carried, flesh_faces: Ints, flesh: Flesh) -> Floats:
     """Return the flesh's vertices (p, 3) in the neutral pose."""
-    skin_side = flesh.on(Label.OUTSIDE)
-    held = np.unique(
-        np.concatenate([flesh.on(k) for k in (Label.CRANIUM, Label.MANDIBLE, Label.CUT)])
-    )
+    skin_side = np.unique(flesh.outside)
+    held = np.unique(np.concatenate(list(flesh.held.values())))
     faces = carried.parted.faces[flesh_faces]
     parted = carried.parted.vertices
     points = np.ascontiguousarray(flesh.vertices[skin_side])
@@ -167,9 +165,9 @@ def _closed(carried: Carried, flesh_faces: Ints, flesh: Flesh) -> Floats:
 
 def _held(carried: Carried, flesh: Flesh) -> dict[str, Ints]:
     """Return vertex numbers by what holds them; a vertex of the mandible is held by it only."""
-    mandible = flesh.on(Label.MANDIBLE)
-    cranium = np.setdiff1d(flesh.on(Label.CRANIUM), mandible)
-    cut = np.setdiff1d(flesh.on(Label.CUT), np.union1d(mandible, cranium))
+    mandible = flesh.held[Label.MANDIBLE]
+    cranium = np.setdiff1d(flesh.held[Label.CRANIUM], mandible)
+    cut = np.setdiff1d(flesh.held[Label.CUT], np.union1d(mandible, cranium))
     jaw = cKDTree(carried.mandible.vertices)
     cut = cut[jaw.query(flesh.vertices[cut])[0] > JAW_FREE_MM]
     frontalis = [m.surface.vertices for m in carried.muscles if "frontalis" in m.name]
@@ -196,7 +194,7 @@ def _embedding(
     candidates = np.unique(template.skin.faces[template.flesh_faces])
     in_front = planes.in_front(parted[candidates])
     face = np.isin(candidates, template.face_vertices)
-    bound = embed(parted[candidates], flesh.vertices, flesh.boundary[Label.OUTSIDE])
+    bound = embed(parted[candidates], flesh.vertices, flesh.outside)
     near = (bound.distance < EMBED_MM * edge_mm) & in_front
     lost = candidates[face & ~near]
     if len(lost):

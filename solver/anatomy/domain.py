@@ -20,9 +20,9 @@ GRID_MM = 6.0
 PLANE_CELLS = 24
 FINE_REGIONS = {"upper_lip": 0.42, "lower_lip": 0.42, "eyes": 0.5, "nose": 0.5}
 """Edge length in these regions as a part of the edge length elsewhere on the face."""
-DEEP_FACTOR = 1.7
+DEEP_FACTOR = 2.0
 """Edge length far from the face (neck, scalp, throat) as a multiple."""
-GROWTH = 0.35
+GROWTH = 0.4
 """Edge length in mm gained by a mm of distance."""
 LEAST_PIECE = 0.05
 """Pieces of flesh with a smaller part of the tetrahedra than this are dropped."""
@@ -38,6 +38,9 @@ class Label(IntEnum):
     CRANIUM = 2
     MANDIBLE = 3
     CUT = 4
+
+
+HOLDING = (Label.CRANIUM, Label.MANDIBLE, Label.CUT)
 
 
 @dataclass(frozen=True)
@@ -133,15 +136,16 @@ def _inside(surface: Surface, points: Floats) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Flesh:
-    """Kept tetrahedra in the parted pose; ``boundary`` label -> (f, 3) faces, facing outwards."""
+    """Kept tetrahedra in the parted pose.
+
+    ``outside`` (f, 3) are the faces towards the air, the skin and its linings; ``held`` label ->
+    vertex numbers on a bone or cut plane.
+    """
 
     vertices: Floats
     tets: Ints
-    boundary: dict[Label, Ints]
-
-    def on(self, label: Label) -> Ints:
-        """Return the numbers of the vertices on a part of the boundary."""
-        return np.unique(self.boundary[label])
+    outside: Ints
+    held: dict[Label, Ints]
 
 
 def choose_flesh(vertices: Floats, tets: Ints, labels: Ints) -> Flesh:
@@ -150,34 +154,30 @@ def choose_flesh(vertices: Floats, tets: Ints, labels: Ints) -> Flesh:
     Dropped are tetrahedra with all vertices on bones or cut planes (nothing to solve for), those
     that bridge mandible and cranium (they would weld the joint), and small loose pieces.
     """
-    sides = _interfaces(tets, labels)
-    held = {
-        label: np.zeros(len(vertices), dtype=bool)
-        for label in (Label.CRANIUM, Label.MANDIBLE, Label.CUT)
-    }
-    for label, on in held.items():
-        on[sides[label]] = True
-    fixed = held[Label.CRANIUM] | held[Label.MANDIBLE] | held[Label.CUT]
     flesh = labels == Label.FLESH
-    bridge = held[Label.CRANIUM][tets].any(axis=1) & held[Label.MANDIBLE][tets].any(axis=1)
+    sides = _faces_towards(tets, labels, np.flatnonzero(flesh))
+    on = {}
+    for label in HOLDING:
+        # By the faces of all flesh, kept or not: what lies on a bone is held by it.
+        on[label] = np.zeros(len(vertices), dtype=bool)
+        on[label][sides[label]] = True
+    fixed = np.any(list(on.values()), axis=0)
+    bridge = on[Label.CRANIUM][tets].any(axis=1) & on[Label.MANDIBLE][tets].any(axis=1)
     kept = np.flatnonzero(flesh & ~bridge & ~fixed[tets].all(axis=1))
     kept = kept[_large_pieces(tets[kept])]
     numbers, own = np.unique(tets[kept], return_inverse=True)
     renumber = np.full(len(vertices), -1)
     renumber[numbers] = np.arange(len(numbers))
-    boundary = {
-        label: renumber[faces] for label, faces in _interface_faces(tets, labels, kept).items()
-    }
-    return Flesh(vertices[numbers], own.reshape(-1, 4), boundary)
+    return Flesh(
+        vertices[numbers],
+        own.reshape(-1, 4),
+        renumber[_faces_towards(tets, labels, kept)[Label.OUTSIDE]],
+        {label: np.flatnonzero(mask[numbers]) for label, mask in on.items()},
+    )
 
 
-def _interfaces(tets: Ints, labels: Ints) -> dict[Label, Ints]:
-    flesh = np.flatnonzero(labels == Label.FLESH)
-    return {k: np.unique(v) for k, v in _interface_faces(tets, labels, flesh).items()}
-
-
-def _interface_faces(tets: Ints, labels: Ints, kept: Ints) -> dict[Label, Ints]:
-    """Return for every label the faces of ``kept`` whose other side has it; FLESH: was dropped."""
+def _faces_towards(tets: Ints, labels: Ints, kept: Ints) -> dict[Label, Ints]:
+    """Return label -> faces of ``kept`` with such a tetrahedron, not itself kept, beyond."""
     faces = tets[:, _FACES].reshape(-1, 3)
     owner = np.repeat(np.arange(len(tets)), 4)
     order = np.lexsort(np.sort(faces, axis=1).T)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import permutations
-
 import igl
 import numpy as np
 import scipy.sparse as sp
@@ -13,10 +11,21 @@ from solver.surface import Floats, Ints, Surface
 
 CANDIDATE_MM = 10.0
 """A muscle may act in the tetrahedra within this distance (the paper's sparsity of S)."""
-NEAR_ORBITS, ORBITS, SMALL_ORBITS = 1, 2, 40
-"""Samples in a tetrahedron, in sets of 24 that any numbering of its corners leaves the same."""
-SMALL_VOLUME_MM3 = 1500.0
-PLASTIC = 1.2207440846057596
+NEAR_LEVEL, LEVEL, FINE_LEVEL = 1, 2, 3
+"""Tetrahedra are sampled at the centres of 8^level parts."""
+FINE_BELOW_MM3 = 8000.0
+"""Smaller muscles, which are thin, are sampled finely."""
+_OCTASECTION = (
+    ((0, 0), (0, 1), (0, 2), (0, 3)),
+    ((1, 1), (0, 1), (1, 2), (1, 3)),
+    ((2, 2), (0, 2), (1, 2), (2, 3)),
+    ((3, 3), (0, 3), (1, 3), (2, 3)),
+    ((0, 2), (1, 3), (0, 1), (0, 3)),
+    ((0, 2), (1, 3), (0, 3), (2, 3)),
+    ((0, 2), (1, 3), (2, 3), (1, 2)),
+    ((0, 2), (1, 3), (1, 2), (0, 1)),
+)
+"""Eight equal parts of a tetrahedron: each corner is half way between two of its corners."""
 
 
 def initial_weights(vertices: Floats, tets: Ints, muscles: list[Surface]) -> sp.csr_array:
@@ -70,7 +79,7 @@ def _fractions(corners: Floats, muscle: Surface) -> Floats:
     centres = corners.mean(axis=1)
     reach = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
     touched = np.flatnonzero(_distance(centres, muscle, float(reach.max(initial=0.0))) <= reach)
-    samples = _barycentric(SMALL_ORBITS if enclosed_volume(muscle) < SMALL_VOLUME_MM3 else ORBITS)
+    samples = _samples(FINE_LEVEL if enclosed_volume(muscle) < FINE_BELOW_MM3 else LEVEL)
     points = np.einsum("sk,tkd->tsd", samples, corners[touched])
     inside = contains(muscle, points.reshape(-1, 3)).reshape(len(touched), len(samples))
     fractions = np.zeros(len(corners))
@@ -78,17 +87,13 @@ def _fractions(corners: Floats, muscle: Surface) -> Floats:
     return fractions
 
 
-def _barycentric(orbits: int) -> Floats:
-    """Return (24 * orbits, 4) barycentric coordinates: all permutations of evenly spread points.
-
-    The spacings of three sorted uniform numbers are uniform in a tetrahedron; they come from the
-    additive sequence of Roberts (2018).
-    """
-    steps = PLASTIC ** -np.arange(1.0, 4.0)
-    cuts = np.sort((0.5 + np.outer(np.arange(1, orbits + 1), steps)) % 1.0, axis=1)
-    ends = np.column_stack([np.zeros(orbits), cuts, np.ones(orbits)])
-    points = np.diff(ends, axis=1)
-    return np.concatenate([points[:, list(order)] for order in permutations(range(4))])
+def _samples(level: int) -> Floats:
+    """Return (8^level, 4) barycentric coordinates of the centres of equal parts."""
+    parts = np.eye(4)[None]
+    for _ in range(level):
+        pairs = parts[:, np.array(_OCTASECTION)]
+        parts = pairs.mean(axis=3).reshape(-1, 4, 4)
+    return np.asarray(parts.mean(axis=1))
 
 
 def _candidates(vertices: Floats, tets: Ints, surface: Surface) -> Ints:
@@ -101,7 +106,7 @@ def _candidates(vertices: Floats, tets: Ints, surface: Surface) -> Ints:
     lo, hi = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     gap = np.linalg.norm(np.maximum(np.maximum(lo - centres, centres - hi), 0.0), axis=1)
     open_question = np.flatnonzero(~near & (gap <= CANDIDATE_MM + reach))
-    points = np.einsum("sk,tkd->tsd", _barycentric(NEAR_ORBITS), corners[open_question])
+    points = np.einsum("sk,tkd->tsd", _samples(NEAR_LEVEL), corners[open_question])
     distance = _distance(points.reshape(-1, 3), surface, CANDIDATE_MM)
     inside = distance.reshape(len(open_question), points.shape[1]).min(axis=1) <= CANDIDATE_MM
     near[open_question[inside]] = True

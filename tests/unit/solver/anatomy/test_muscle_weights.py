@@ -52,7 +52,7 @@ def test_overlapping_muscles_share_and_leave_nothing_passive(flesh):
 
 
 def test_surface_turned_inside_out_counts_the_same(flesh):
-    muscle = box([3, 4, 5], [20, 25, 20])
+    muscle = tilted(box([3, 4, 5], [20, 25, 20]))
     turned = Surface(muscle.vertices, muscle.faces[:, ::-1])
     assert np.allclose(
         initial_weights(*flesh, [muscle]).toarray(), initial_weights(*flesh, [turned]).toarray()
