@@ -102,16 +102,21 @@ def _send(http: httpx.Client, url: str, path: Path, progress: Transferred) -> No
                 progress(offset, size)
 
 
+def part_path(path: Path, artifact: Artifact) -> Path:
+    """Return where an unfinished download waits; another artifact's part has another name."""
+    return path.with_name(f"{path.name}.{artifact.sha256[:12]}.part")
+
+
 def download(
     http: httpx.Client, artifact: Artifact, path: Path, *, progress: Transferred = unheard
 ) -> None:
     """Fetch an artifact into ``path``, checked against its sha256.
 
-    A part that is already there (``path`` + ``.part``) is continued; ``path`` itself appears only
+    A part of the same artifact that is already there is continued; ``path`` itself appears only
     when the whole file is right. Raises :class:`ApiError` (``client.checksum``) if it is not.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
+    part = part_path(path, artifact)
     patience = Patience()
     part.touch()
     while (have := part.stat().st_size) < artifact.size:

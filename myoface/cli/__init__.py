@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+
 from myoface.cli.app import app
 from myoface.cli.client import jobs, rigs, subjects, templates, upload
 from myoface.cli.console import complain
@@ -10,6 +12,7 @@ from myoface.cli.offline import solve
 from myoface.cli.service import doctor, up
 from myoface.cli.template import template
 from myoface.errors import ApiError, describe
+from service import logs
 from solver.errors import InputError, SolveError
 
 for command in (up, demo, doctor, upload):
@@ -27,6 +30,8 @@ for group, name in (
 
 def main() -> None:
     """Run the command line; a fault that a person can act on ends it with one line and code 1."""
+    logs.configure(json=False)
+    logging.getLogger().setLevel(logging.WARNING)
     try:
         app()
     except ApiError as error:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import signal
 import sys
 import tempfile
@@ -20,7 +19,6 @@ from myoface.cli.console import complain, out, show_table
 from myoface.client import Client
 from myoface.demo.gltf import khronos_validation, structural_faults
 from myoface.demo.outcome import Bars, Outcome
-from service import logs
 from service.settings import Settings
 from solver.anatomy.builtin_source import cache_directory
 
@@ -56,6 +54,8 @@ def demo(
     from myoface.demo.page import write_page
     from myoface.demo.session import Session
 
+    to_stdout = str(json_file) == "-"
+    out.stderr = to_stdout  # standard output is then for the figures alone
     if (anatomy is None) != (faces is None):
         raise typer.BadParameter("--anatomy and --faces go together")
     title = "Myoface: the built-in face" if faces is None else f"Myoface: subject {subject}"
@@ -79,8 +79,11 @@ def demo(
     )
     write_page(output / "report.html", title, outcome)
     _tell(outcome, output)
-    if json_file is not None:
-        _write_json(json_file, outcome)
+    text = json.dumps(outcome.as_dict(), indent=2, allow_nan=False)
+    if to_stdout:
+        typer.echo(text)
+    elif json_file is not None:
+        json_file.write_text(text + "\n", encoding="utf-8")
     for failure in outcome.failures():
         complain(failure)
     if outcome.failures():
@@ -117,8 +120,6 @@ def _service(url: str | None) -> Iterator[Client]:
         return
     from myoface.stack import Stack
 
-    logs.configure(json=False)
-    logging.getLogger().setLevel(logging.WARNING)
     # A SIGTERM too must stop the service in order.
     signal.signal(signal.SIGTERM, lambda number, _frame: sys.exit(128 + number))
     with tempfile.TemporaryDirectory(prefix="myoface-demo-") as data:
@@ -148,11 +149,3 @@ def _tell(outcome: Outcome, output: Path) -> None:
         f"rig.glb        {len(outcome.glb_faults)} faults; Khronos validator: {escape(khronos)}"
     )
     out.print(f"look at        {escape(str(output / 'report.html'))}")
-
-
-def _write_json(path: Path, outcome: Outcome) -> None:
-    text = json.dumps(outcome.as_dict(), indent=2, allow_nan=False) + "\n"
-    if str(path) == "-":
-        out.print(text, markup=False, end="")
-    else:
-        path.write_text(text, encoding="utf-8")

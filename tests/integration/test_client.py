@@ -119,7 +119,8 @@ def test_download_goes_on_and_is_checked(client: Client, tmp_path: Path) -> None
     job = client.wait(client.submit("fit_geometry", subject, captures=[smile.id]).id)
     assert job.result is not None
     glb = next(each for each in job.result.artifacts if each.name == "rig.glb")
-    whole, part = tmp_path / "rig.glb", tmp_path / "rig.glb.part"
+    whole = tmp_path / "rig.glb"
+    part = transfer.part_path(whole, glb)
     client.download(glb, whole)
     content = whole.read_bytes()
 
