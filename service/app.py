@@ -73,10 +73,15 @@ def create_app(settings: Settings | None = None) -> FastAPI:
 
 
 def _describe_problems(app: FastAPI) -> None:
-    """Put the problem document, which the routes' errors refer to, into the OpenAPI description."""
+    """Complete the OpenAPI description: the problem document, and what any body may meet with."""
     document = app.openapi()  # FastAPI keeps it and serves it from now on
     schema = errors.ProblemDocument.model_json_schema()
     document["components"]["schemas"]["ProblemDocument"] = schema
+    of_bodies = {str(status): answer for status, answer in errors.problems(400, 413).items()}
+    for operations in document["paths"].values():
+        for operation in operations.values():
+            if "requestBody" in operation:
+                operation["responses"] = of_bodies | operation["responses"]
 
 
 def _version() -> str:

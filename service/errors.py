@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import errno
+import json
 from http import HTTPStatus
 from typing import Any
 
 import structlog
-from fastapi import FastAPI, Request
+from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import JSONResponse
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
 
@@ -70,8 +70,8 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(OSError, _on_os_error)
 
 
-def render(request_id: str, problem: Problem) -> JSONResponse:
-    """Return the response for a problem."""
+def render(request_id: str, problem: Problem) -> Response:
+    """Return the response for a problem; in ASCII, since it may quote what is not even Unicode."""
     body = {
         "type": f"urn:myoface:problem:{problem.code}",
         "title": _title(problem.status),
@@ -80,8 +80,8 @@ def render(request_id: str, problem: Problem) -> JSONResponse:
         "code": problem.code,
         "request_id": request_id,
     }
-    return JSONResponse(
-        {**body, **problem.context, **body},
+    return Response(
+        json.dumps({**body, **problem.context, **body}),
         problem.status,
         headers=problem.headers,
         media_type="application/problem+json",
@@ -92,12 +92,12 @@ def _title(status: int) -> str:
     return "Checksum Mismatch" if status == CHECKSUM_MISMATCH else HTTPStatus(status).phrase
 
 
-async def _on_problem(request: Request, error: Exception) -> JSONResponse:
+async def _on_problem(request: Request, error: Exception) -> Response:
     assert isinstance(error, Problem)
     return render(request.state.request_id, error)
 
 
-async def _on_http(request: Request, error: Exception) -> JSONResponse:
+async def _on_http(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
     code = "http." + _title(error.status_code).lower().replace(" ", "_")
     problem = Problem(error.status_code, code, str(error.detail))
@@ -105,7 +105,7 @@ async def _on_http(request: Request, error: Exception) -> JSONResponse:
     return render(request.state.request_id, problem)
 
 
-async def _on_invalid(request: Request, error: Exception) -> JSONResponse:
+async def _on_invalid(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
     faults = [
         {"where": "/".join(map(str, fault["loc"])), "message": fault["msg"]}
@@ -115,7 +115,7 @@ async def _on_invalid(request: Request, error: Exception) -> JSONResponse:
     return render(request.state.request_id, Problem(422, "request.invalid", detail, errors=faults))
 
 
-async def _on_os_error(request: Request, error: Exception) -> JSONResponse:
+async def _on_os_error(request: Request, error: Exception) -> Response:
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
         problem = Problem(507, "storage.full", "there is no room left for files")
         return render(request.state.request_id, problem)

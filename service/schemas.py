@@ -17,9 +17,18 @@ Id = Annotated[
 ]
 """A UUID, as the text that the tables hold."""
 
-Title = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=200)]
+Line = Annotated[
+    str,
+    StringConstraints(strip_whitespace=True, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$"),
+]
+"""One line of text; PostgreSQL could not hold a NUL."""
+
+Title = Annotated[Line, StringConstraints(min_length=1)]
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 """A name that also serves in file names and as the name of a morph target."""
+
+Position = Annotated[int, Field(ge=0, lt=2**63)]
+"""A number that the database can compare with its own."""
 
 
 class Body(BaseModel):

@@ -14,7 +14,7 @@ from service.errors import problems
 from service.jobs import repository, service
 from service.jobs.events import stream
 from service.jobs.schemas import Cancel, JobView, LogView, NewJob
-from service.schemas import Id, Page
+from service.schemas import Id, Name, Page, Position
 from service.store.models import Job
 from service.store.transitions import State
 
@@ -57,7 +57,7 @@ def index(
     session: ReadSession,
     subject_id: Annotated[Id | None, Query()] = None,
     state: State | None = None,
-    kind: str | None = None,
+    kind: Name | None = None,
     limit: Limit = 100,
 ) -> Page[JobView]:
     """List jobs, newest first."""
@@ -94,7 +94,7 @@ ExistingJob = Annotated[str, Depends(_existing, scope="function")]
 async def events(
     job_id: ExistingJob,
     store: StoreDep,
-    last_event_id: Annotated[int, Header(ge=0, description="go on after this event")] = 0,
+    last_event_id: Annotated[Position, Header(description="go on after this event")] = 0,
 ) -> AsyncIterator[ServerSentEvent]:
     """Server-sent events: `state` (state, attempt, error) and `progress`, from the beginning.
 
@@ -105,9 +105,7 @@ async def events(
 
 
 @router.get("/{job_id}/log", summary="Read a job's log", responses=problems(404, 422))
-def log(
-    job_id: Id, session: ReadSession, after: Annotated[int, Query(ge=0)] = 0, limit: Limit = 1000
-) -> LogView:
+def log(job_id: Id, session: ReadSession, after: Position = 0, limit: Limit = 1000) -> LogView:
     """Read what the solver printed, by line, after line `after`."""
     repository.get(session, job_id)
     lines: Any = repository.log(session, job_id, after, limit)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import BaseModel, ConfigDict, Field
 
 from service.rigs.schemas import ArtifactView
-from service.schemas import Body, Id, View
+from service.schemas import Body, Id, Line, View
 from service.store.models import Job
 from service.store.transitions import State
 
@@ -28,8 +28,8 @@ class NewJob(Body):
 class Cancel(Body):
     """Why a job is to stop."""
 
-    reason: Annotated[str, StringConstraints(strip_whitespace=True, max_length=500)] = ""
-    by: Annotated[str, StringConstraints(strip_whitespace=True, max_length=100)] = "api"
+    reason: Line = ""
+    by: Line = "api"
 
 
 class Progress(BaseModel):

@@ -65,9 +65,9 @@ def _kind(new: NewJob) -> Kind:
             found=new.kind,
         )
     try:
-        json.dumps(new.options, allow_nan=False)
-    except ValueError as error:
-        raise Problem(422, "job.options", "options hold NaN or an infinity") from error
+        json.dumps(new.options, allow_nan=False, ensure_ascii=False).encode()
+    except ValueError as error:  # NaN, an infinity, half a surrogate pair
+        raise Problem(422, "job.options", f"options are not strict JSON: {error}") from error
     if faults := kind.faults(new.options):
         detail = f"{faults[0]['where']}: {faults[0]['message']}"
         raise Problem(422, "job.options", detail, errors=faults)

@@ -190,7 +190,7 @@ class LogLine(Base):
 
     __tablename__ = "job_log"
     job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True)
-    number: Mapped[int] = mapped_column(primary_key=True)
+    number: Mapped[int] = mapped_column(BigInteger, primary_key=True)
     attempt: Mapped[int]
     text: Mapped[str] = mapped_column(Text)
 

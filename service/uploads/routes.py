@@ -9,7 +9,7 @@ from fastapi import APIRouter, Depends, Header, Request, Response
 
 from service.dependencies import SettingsDep, StoreDep
 from service.errors import CHECKSUM_MISMATCH, Problem, problems
-from service.schemas import Id
+from service.schemas import Id, Position
 from service.store.models import Upload
 from service.uploads.schemas import UploadView, parse_checksum, parse_metadata
 from service.uploads.service import UploadService
@@ -33,8 +33,8 @@ def _service(store: StoreDep, settings: SettingsDep) -> UploadService:
 
 
 Service = Annotated[UploadService, Depends(_service)]
-Length = Annotated[int, Header(alias="Upload-Length", ge=1, description="size in bytes")]
-Offset = Annotated[int, Header(alias="Upload-Offset", ge=0, description="where to go on")]
+Length = Annotated[int, Header(alias="Upload-Length", ge=1, lt=2**63, description="size in bytes")]
+Offset = Annotated[Position, Header(alias="Upload-Offset", description="where to go on")]
 Metadata = Annotated[
     str,
     Header(
@@ -79,7 +79,7 @@ def create(response: Response, service: Service, length: Length, metadata: Metad
     return UploadView.of(upload)
 
 
-@router.get("/{upload_id}", summary="Show an upload", responses=problems(404, 410, 422))
+@router.get("/{upload_id}", summary="Show an upload", responses=problems(404, 410, 412, 422))
 def show(upload_id: Id, service: Service) -> UploadView:
     """Show how much has arrived."""
     return UploadView.of(service.get(upload_id))
