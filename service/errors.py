@@ -11,6 +11,7 @@ import structlog
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, Field
+from sqlalchemy.exc import OperationalError
 from starlette.exceptions import HTTPException
 
 CHECKSUM_MISMATCH = 460  # tus 1.0, checksum extension
@@ -68,6 +69,7 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(HTTPException, _on_http)
     app.add_exception_handler(RequestValidationError, _on_invalid)
     app.add_exception_handler(OSError, _on_os_error)
+    app.add_exception_handler(OperationalError, _on_database_error)
 
 
 def render(request_id: str, problem: Problem) -> Response:
@@ -120,3 +122,10 @@ async def _on_os_error(request: Request, error: Exception) -> Response:
         problem = Problem(507, "storage.full", "there is no room left for files")
         return render(request.state.request_id, problem)
     raise error
+
+
+async def _on_database_error(request: Request, error: Exception) -> Response:
+    log.warning("database.unreachable", error=str(error))
+    problem = Problem(503, "database.unreachable", "the database does not answer; try again")
+    problem.headers = {"Retry-After": "5"}
+    return render(request.state.request_id, problem)
