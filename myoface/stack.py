@@ -19,12 +19,13 @@ import httpx
 import structlog
 
 from service.settings import Settings
-from service.store.broker import EmbeddedBroker
+from service.store.broker import BrokerNotFoundError, EmbeddedBroker
 from service.store.queue import QUEUES
 
 START_TIMEOUT = 60.0
 STOP_TIMEOUT = 8.0
 LONGEST_PAUSE = 30.0
+RETRY = 2.0
 STEADY = 30.0  # seconds after which a restarted child counts as well
 
 log = structlog.get_logger()
@@ -72,8 +73,8 @@ class Stack:
             If there is no broker to start.
         """
         self._lock = _lock(self.settings.data_dir)
-        _check_port(self.settings.host, self.settings.port)
         try:
+            _check_port(self.settings.host, self.settings.port)
             if self._broker:
                 self._broker.start()
             self._keeper.start()
@@ -126,11 +127,18 @@ class Stack:
         for child in self._children:
             child.start()
         while not self._stopping.wait(0.2):
-            if self._broker and self._broker.has_died():
-                log.warning("broker.died")
-                self._broker.start()
-            for child in self._children:
-                child.revive()
+            try:
+                self._revive()
+            except (BrokerNotFoundError, OSError) as error:
+                log.warning("stack.not_revived", error=str(error))
+                self._stopping.wait(RETRY)
+
+    def _revive(self) -> None:
+        if self._broker and self._broker.has_died():
+            log.warning("broker.died")
+            self._broker.start()
+        for child in self._children:
+            child.revive()
 
     def _wait_until_ready(self) -> None:
         deadline = time.monotonic() + START_TIMEOUT

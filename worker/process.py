@@ -17,6 +17,7 @@ from worker.orphans import FOLDER_VARIABLE
 
 GRACE = 1.0
 LONGEST_LINE = 4000
+MOST_LINES = 500
 
 
 class SolverProcess:
@@ -75,8 +76,12 @@ class SolverProcess:
         return list(newest.values())
 
     def lines(self) -> list[str]:
-        """Return the lines printed since the last call."""
-        return [line.replace("\0", "")[:LONGEST_LINE] for line in self._log.take()]
+        """Return the lines printed since the last call; of a flood only the beginning."""
+        lines = self._log.take()
+        left_out = len(lines) - MOST_LINES
+        if left_out > 0:
+            lines[MOST_LINES:] = [f"... {left_out} lines left out"]
+        return [line.replace("\0", "")[:LONGEST_LINE] for line in lines]
 
     def finish(self) -> None:
         """End what is left of the process group, then read the last lines."""

@@ -1,8 +1,8 @@
 """``python -m worker.solve <attempt folder>``: the solver process.
 
 Reads ``job.json``, calls `solver.pipeline` and writes ``result.json`` or ``error.json``; progress
-goes as JSON lines to a pipe, the log to standard error. It knows no database and
-no queue, so whatever happens to it costs an attempt at most.
+goes as JSON lines to a pipe, the log to standard error. It knows no database and no queue, so
+whatever happens to it costs an attempt at most.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from service.parent import die_with_parent
 
 if TYPE_CHECKING:
     from solver.progress import Progress, Step
-
 
 log = structlog.get_logger()
 

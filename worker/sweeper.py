@@ -6,6 +6,7 @@ import threading
 import time
 
 import structlog
+from sqlalchemy import delete
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
@@ -46,7 +47,9 @@ class Sweeper(threading.Thread):
             except (SQLAlchemyError, OSError) as error:
                 log.warning("sweeper.failed", error=str(error))
             if self._stopping.wait(self._settings.sweep):
-                return
+                break
+        with self._store.write() as session:
+            session.execute(delete(Worker).where(Worker.name == self._worker))
 
     def _round(self, at_once: bool) -> None:
         settings = self._settings
