@@ -23,7 +23,7 @@ check: setup-dev ## style, types and the rooms' import rules
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 
-up: setup ## the service with its broker and a worker, on http://127.0.0.1:8000
+up: setup ## the service with its broker and a worker, on http://127.0.0.1:8765
 	@$(BIN)/myoface up
 
 lock: setup-dev ## lock the newest allowed versions of all packages, with hashes
