@@ -34,7 +34,7 @@ from solver.surface import Floats
 
 Options = Mapping[str, Any] | None
 
-NEW_EXPRESSION = {"w_a": 1e-3, "w_v": 1e-3, "w_b": 1e-6}
+NEW_EXPRESSION = {"w_a": 2e-3, "w_v": 1e-2, "w_b": 1e-6}
 """Weights for an expression that S was not fitted to: w_a low from the start."""
 
 

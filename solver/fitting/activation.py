@@ -25,8 +25,8 @@ DAMPING_LEAST = 1e-6
 DAMPING_LIMIT = 1e6
 JAW_DAMPING = 1e-3
 
-LARGEST_STEP = 0.8
-LARGEST_TURN = 0.2
+LARGEST_STEP = 0.4
+LARGEST_TURN = 0.1
 """Trust in the linear model: change of an activation's entry and of the jaw's angles per step."""
 
 HALVINGS = 6
@@ -127,7 +127,8 @@ def _linearise(
     face: Face, S: sp.csr_array, target: Target, regulariser: Regulariser, state: State
 ) -> _Linearised:
     jacobian = Sensitivity(face, S, state).by_pose()
-    weighted = jacobian.skin * np.sqrt(np.repeat(target.weights, 3))[:, None]
+    weighted = jacobian.skin
+    weighted *= np.sqrt(np.repeat(target.weights, 3))[:, None]
     residual = target.residual(face.face_points(state.x))
     return _Linearised(
         2.0 * weighted.T @ residual + regulariser.gradient(state.pose),
@@ -147,9 +148,7 @@ def _try(face: Face, S: sp.csr_array, state: State, step: Floats, flesh: Floats)
     return None
 
 
-def _best_guess(
-    face: Face, S: sp.csr_array, state: State, response: Floats, pose: Pose
-) -> Floats:
+def _best_guess(face: Face, S: sp.csr_array, state: State, response: Floats, pose: Pose) -> Floats:
     """Return the start of lowest energy on the line along the flesh's linear response.
 
     The whole response often flattens a few tets, from where Newton takes long to come back.

@@ -34,13 +34,13 @@ class GeometryOptions:
     """
 
     rounds: int = 6
-    w_a: tuple[float, float] = (2e-2, 1e-3)
+    w_a: tuple[float, float] = (0.2, 2e-3)
     w_s: tuple[float, float] = (1e-4, 1e-6)
-    w_v: float = 1e-3
+    w_v: float = 1e-2
     w_b: float = 1e-6
-    first_iterations: int = 8
-    activation_iterations: int = 3
-    geometry_iterations: int = 3
+    first_iterations: int = 4
+    activation_iterations: int = 2
+    geometry_iterations: int = 2
     cg_iterations: int = 30
     cg_tolerance: float = 0.05
     geometry_tolerance: float = 1e-3

@@ -51,30 +51,33 @@ class Sensitivity:
 
     def by_geometry(self, change: Floats) -> Floats:
         """Return the face points' change (3 k,) for a change of S's values (nnz,)."""
-        delta = sp.csr_array((change, self._S.indices, self._S.indptr), shape=self._S.shape)
-        tet_change = delta @ self._columns
-        forces = np.einsum("eviq,eq->evi", self._by_tet, tet_change)
-        response = -self._state.equilibrium.factor.solve(self._face.flesh.scatter(forces))
-        return np.asarray(self._face.face_by_free @ response)
+        response = self._state.equilibrium.factor.solve(self._pull @ change)
+        return np.asarray(-(self._face.face_by_free @ response))
 
     def by_geometry_adjoint(self, residual: Floats) -> Floats:
         """Return the transpose of :meth:`by_geometry` applied to (3 k,): shape (nnz,)."""
-        flesh = self._face.flesh
-        pulled = self._state.equilibrium.factor.solve(self._face.face_by_free.T @ residual)
-        adjoint = np.zeros_like(flesh.rest)
-        adjoint[flesh.free] = pulled.reshape(-1, 3)
-        per_tet = -np.einsum("eviq,evi->eq", self._by_tet, adjoint[flesh.tets])
-        rows = np.repeat(np.arange(len(flesh.tets)), np.diff(self._S.indptr))
-        return np.asarray(np.einsum("eq,eq->e", per_tet[rows], self._columns[self._S.indices]))
+        adjoint = self._state.equilibrium.factor.solve(self._face.face_by_free.T @ residual)
+        return np.asarray(-(self._pull_transposed @ adjoint))
 
     @cached_property
-    def _by_tet(self) -> Floats:
-        tet_a = self._face.tet_activations(self._S, self._state.pose.a)
-        return self._face.flesh.forces_by_activation(self._state.x, tet_a)
+    def _pull(self) -> sp.csc_array:
+        """d(grad E)/dS, (size, nnz): column s_ij holds the forces of tet i by A_i, times a_j."""
+        flesh, S = self._face.flesh, self._S
+        columns = np.vstack([IDENTITY, self._state.pose.a])
+        tet_a = self._face.tet_activations(S, self._state.pose.a)
+        by_tet = flesh.forces_by_activation(self._state.x, tet_a)
+        tets = np.repeat(np.arange(len(flesh.tets)), np.diff(S.indptr))
+        values = np.einsum("eviq,eq->evi", by_tet[tets], columns[S.indices])
+        rows = 3 * flesh.free_numbers[flesh.tets[tets]][:, :, None] + np.arange(3)
+        # a held vertex feels no force: its entries are zeroed and go to row 0
+        held = rows < 0
+        values[held], rows[held] = 0.0, 0
+        indptr = 12 * np.arange(len(tets) + 1)
+        return sp.csc_array((values.ravel(), rows.ravel(), indptr), shape=(flesh.size, len(tets)))
 
     @cached_property
-    def _columns(self) -> Floats:
-        return np.vstack([IDENTITY, self._state.pose.a])
+    def _pull_transposed(self) -> sp.csr_array:
+        return self._pull.T.tocsr()
 
 
 def gradient_by_pose(face: Face, S: sp.csr_array, pose: Pose, x: Floats) -> Floats:

@@ -15,7 +15,7 @@ from solver.mechanics.flesh import Flesh
 from solver.mechanics.linear import Factor, LinearSolver, NotPositiveDefiniteError
 from solver.surface import Floats
 
-TOLERANCE = 1e-8
+TOLERANCE = 1e-7
 """Residual |grad E| over the nodal forces at unit strain."""
 
 MAX_ITERATIONS = 60

@@ -47,7 +47,7 @@ class Rslab:
         self._keep, indices, indptr = _upper(pattern)
         ones = np.ones(len(indices))
         lower = sp.csc_matrix((ones, indices, indptr), shape=pattern.shape)
-        self._analysis: Any = rslab.analyze(lower, path="ldlt", ordering="metis")
+        self._analysis: Any = rslab.analyze(lower, path="ldlt", ordering="metis", threads=1)
 
     def factor(self, data: Floats) -> Factor:
         """See :class:`LinearSolver`."""
