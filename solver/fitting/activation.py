@@ -30,7 +30,6 @@ LARGEST_TURN = 0.1
 """Trust in the linear model: change of an activation's entry and of the jaw's angles per step."""
 
 HALVINGS = 6
-GUESSES = (1.0, 0.7, 0.4, 0.0)
 
 
 @dataclass(frozen=True)
@@ -142,17 +141,7 @@ def _try(face: Face, S: sp.csr_array, state: State, step: Floats, flesh: Floats)
     for _ in range(HALVINGS):
         pose = Pose(state.pose.a + step[:-5].reshape(-1, 6), state.pose.b + step[-5:])
         try:
-            return face.settle(S, pose, _best_guess(face, S, state, flesh @ step, pose))
+            return face.settle(S, pose, face.guess(S, state, flesh @ step, pose))
         except SolveError:
             step *= 0.5
     return None
-
-
-def _best_guess(face: Face, S: sp.csr_array, state: State, response: Floats, pose: Pose) -> Floats:
-    """Return the start of lowest energy on the line along the flesh's linear response.
-
-    The whole response often flattens a few tets, from where Newton takes long to come back.
-    """
-    a = face.tet_activations(S, pose.a)
-    guesses = [face.shifted(state, part * response, pose) for part in GUESSES]
-    return min(guesses, key=lambda x: face.flesh.energy(x, a))

@@ -15,6 +15,9 @@ from solver.mechanics.linear import LinearSolver, analyse
 from solver.model import SubjectModel
 from solver.surface import Floats
 
+GUESSES = (1.0, 0.7, 0.4, 0.0)
+"""Parts of a predicted motion that are tried as a start."""
+
 SMALLEST_FRACTION = 2.0**-6
 """How far the way to a new pose is cut before it counts as out of reach."""
 
@@ -95,12 +98,22 @@ class Face:
         )
         return State(pose, result)
 
-    def shifted(self, state: State, response: Floats, pose: Pose) -> Floats:
-        """Return x (p, 3) moved by ``response`` (size,), the mandible where ``pose`` says."""
-        x = state.x.copy()
-        x[self.flesh.free] += response.reshape(-1, 3)
-        x[self.model.mandible] = self.mandible(pose.b)
-        return x
+    def guess(self, S: sp.csr_array, state: State, response: Floats, pose: Pose) -> Floats:
+        """Return where to start settling at ``pose`` with ``S``, (p, 3): least energy on a line.
+
+        The line leads from ``state`` along the flesh's linear ``response`` (size,), the mandible
+        being where ``pose`` says. The whole response often flattens a few tets, from where Newton
+        takes long to come back.
+        """
+        a = self.tet_activations(S, pose.a)
+        base = state.x.copy()
+        base[self.model.mandible] = self.mandible(pose.b)
+        guesses = []
+        for part in GUESSES:
+            x = base.copy()
+            x[self.flesh.free] += part * response.reshape(-1, 3)
+            guesses.append(x)
+        return min(guesses, key=lambda x: self.flesh.energy(x, a))
 
     def move(self, S: sp.csr_array, start: State, pose: Pose) -> State:
         """Go from a settled state to another pose, in as few steps as stay free of inversion.

@@ -126,10 +126,11 @@ def _fit_weights(
 
     best = value(S.data, states)
     for _ in range(options.geometry_iterations):
-        step = _gauss_newton_step(face, S, targets, states, w_s, reference, options)
+        responses = {name: Sensitivity(face, S, state) for name, state in states.items()}
+        step = _gauss_newton_step(face, S, targets, states, responses, w_s, reference, options)
         for halving in range(HALVINGS):
             trial = replace_values(S, simplex.project(S.data + 0.5**halving * step, S.indptr))
-            settled = _settled(face, trial, states)
+            settled = _settled(face, trial, states, responses, trial.data - S.data)
             if settled is not None and value(trial.data, settled) < best:
                 break
         else:
@@ -146,12 +147,22 @@ def replace_values(S: sp.csr_array, values: Floats) -> sp.csr_array:
     return sp.csr_array((values, S.indices, S.indptr), shape=S.shape)
 
 
-def _settled(face: Face, S: sp.csr_array, states: Mapping[str, State]) -> dict[str, State] | None:
-    """Settle every pose with a new S; None if one of them can not be."""
-    try:
-        return {name: face.settle(S, state.pose, state.x) for name, state in states.items()}
-    except SolveError:
-        return None
+def _settled(
+    face: Face,
+    S: sp.csr_array,
+    states: Mapping[str, State],
+    responses: Mapping[str, Sensitivity],
+    change: Floats,
+) -> dict[str, State] | None:
+    """Settle every pose with S, which has changed by ``change``; None if one of them can not be."""
+    settled = {}
+    for name, state in states.items():
+        start = face.guess(S, state, responses[name].flesh_by_geometry(change), state.pose)
+        try:
+            settled[name] = face.settle(S, state.pose, start)
+        except SolveError:
+            return None
+    return settled
 
 
 def _gauss_newton_step(
@@ -159,23 +170,24 @@ def _gauss_newton_step(
     S: sp.csr_array,
     targets: Mapping[str, Target],
     states: Mapping[str, State],
+    responses: Mapping[str, Sensitivity],
     w_s: float,
     reference: Floats,
     options: GeometryOptions,
 ) -> Floats:
     """Return the change of S's values (nnz,) that minimises the linearised problem."""
-    responses = [Sensitivity(face, S, states[name]) for name in targets]
-    roots = [np.sqrt(np.repeat(target.weights, 3)) for target in targets.values()]
+    roots = {name: np.sqrt(np.repeat(t.weights, 3)) for name, t in targets.items()}
     gradient = w_s * (S.data - reference)
-    for response, root, (name, target) in zip(responses, roots, targets.items(), strict=True):
+    for name, target in targets.items():
         residual = target.residual(face.face_points(states[name].x))
-        gradient += 2.0 * response.by_geometry_adjoint(root * residual)
+        gradient += 2.0 * responses[name].by_geometry_adjoint(roots[name] * residual)
     free = simplex.free_entries(S.data, gradient, S.indptr)
 
     def product(direction: Floats) -> Floats:
         out = w_s * direction
-        for response, root in zip(responses, roots, strict=True):
-            out += 2.0 * response.by_geometry_adjoint(root**2 * response.by_geometry(direction))
+        for name, response in responses.items():
+            weighted = roots[name] ** 2 * response.by_geometry(direction)
+            out += 2.0 * response.by_geometry_adjoint(weighted)
         return simplex.tangent(out, free, S.indptr)
 
     right = -simplex.tangent(gradient, free, S.indptr)

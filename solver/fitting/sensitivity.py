@@ -49,10 +49,13 @@ class Sensitivity:
         out[:, -direct.shape[2] :] += rigid.reshape(len(out), -1)
         return PoseJacobian(np.asarray(out), response)
 
+    def flesh_by_geometry(self, change: Floats) -> Floats:
+        """Return the free vertices' change (size,) for a change of S's values (nnz,)."""
+        return -self._state.equilibrium.factor.solve(self._pull @ change)
+
     def by_geometry(self, change: Floats) -> Floats:
         """Return the face points' change (3 k,) for a change of S's values (nnz,)."""
-        response = self._state.equilibrium.factor.solve(self._pull @ change)
-        return np.asarray(-(self._face.face_by_free @ response))
+        return np.asarray(self._face.face_by_free @ self.flesh_by_geometry(change))
 
     def by_geometry_adjoint(self, residual: Floats) -> Floats:
         """Return the transpose of :meth:`by_geometry` applied to (3 k,): shape (nnz,)."""
