@@ -1,9 +1,7 @@
 """The multi-target problem (x, b, a, S): muscle geometry from several expressions at once.
 
 Block coordinate descent as published: activations and jaw of every expression with S held, then S
-with the activations held, the weights w_a and w_s falling from round to round. Both blocks are
-Gauss-Newton in the reduced space; the S block solves its normal equations by conjugate gradients
-with products only, on the tangent of the simplex.
+with the activations held, the weights w_a and w_s falling from round to round.
 """
 
 from __future__ import annotations
@@ -14,15 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from solver.errors import SolveError
-from solver.fitting import activation, simplex
+from solver.fitting import activation, weights
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, State
 from solver.fitting.objective import Regulariser, Target, rest_prior
-from solver.fitting.sensitivity import Sensitivity
-from solver.surface import Floats
+from solver.fitting.weights import WeightProblem
 
-HALVINGS = 5
+DAMPING_START = 1e-5
+"""Of the S block, in units of w_s."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +38,6 @@ class GeometryOptions:
     first_iterations: int = 4
     activation_iterations: int = 2
     geometry_iterations: int = 2
-    cg_iterations: int = 30
-    cg_tolerance: float = 0.05
-    geometry_tolerance: float = 1e-3
 
     def weights(self, number: int) -> tuple[float, float]:
         """Return w_a and w_s of round ``number`` (from 0)."""
@@ -77,6 +71,7 @@ def fit(
     rest = face.rest_state(S)
     states = dict.fromkeys(targets, rest)
     steps = dict.fromkeys(targets, 0)
+    damping = DAMPING_START
     for number in range(options.rounds):
         w_a, w_s = options.weights(number)
         iterations = options.first_iterations if number == 0 else options.activation_iterations
@@ -90,7 +85,9 @@ def fit(
             steps[name] += fitted.iterations
             if listen:
                 listen("activations", number, mean_error(face, targets, states))
-        S, states = _fit_weights(face, S, targets, states, w_s, options)
+        problem = WeightProblem(face, targets, w_s, S.data)
+        improved = weights.fit(problem, S, states, options.geometry_iterations, damping)
+        S, states, damping = improved.S, improved.states, improved.damping
         if listen:
             listen("geometry", number, mean_error(face, targets, states))
     return GeometryFit(S, states, steps)
@@ -103,113 +100,3 @@ def mean_error(face: Face, targets: Mapping[str, Target], states: Mapping[str, S
         for name, target in targets.items()
     ]
     return float(np.mean(errors))
-
-
-def _fit_weights(
-    face: Face,
-    S: sp.csr_array,
-    targets: Mapping[str, Target],
-    states: dict[str, State],
-    w_s: float,
-    options: GeometryOptions,
-) -> tuple[sp.csr_array, dict[str, State]]:
-    """Improve S by projected Gauss-Newton steps, the poses held; return it with the new states."""
-    reference = S.data
-
-    def value(values: Floats, at: Mapping[str, State]) -> float:
-        """Return sum_k |M x_k - t_k|^2 + w_s/2 |S - S_ref|^2."""
-        total = 0.5 * w_s * float(np.sum((values - reference) ** 2))
-        for name, target in targets.items():
-            residual = target.residual(face.face_points(at[name].x))
-            total += float(residual @ residual)
-        return total
-
-    best = value(S.data, states)
-    for _ in range(options.geometry_iterations):
-        responses = {name: Sensitivity(face, S, state) for name, state in states.items()}
-        step = _gauss_newton_step(face, S, targets, states, responses, w_s, reference, options)
-        for halving in range(HALVINGS):
-            trial = replace_values(S, simplex.project(S.data + 0.5**halving * step, S.indptr))
-            settled = _settled(face, trial, states, responses, trial.data - S.data)
-            if settled is not None and value(trial.data, settled) < best:
-                break
-        else:
-            break
-        S, states = trial, settled
-        gain, best = best - value(S.data, states), value(S.data, states)
-        if gain < options.geometry_tolerance * best:
-            break
-    return S, states
-
-
-def replace_values(S: sp.csr_array, values: Floats) -> sp.csr_array:
-    """Return a matrix of S's pattern with other values (nnz,)."""
-    return sp.csr_array((values, S.indices, S.indptr), shape=S.shape)
-
-
-def _settled(
-    face: Face,
-    S: sp.csr_array,
-    states: Mapping[str, State],
-    responses: Mapping[str, Sensitivity],
-    change: Floats,
-) -> dict[str, State] | None:
-    """Settle every pose with S, which has changed by ``change``; None if one of them can not be."""
-    settled = {}
-    for name, state in states.items():
-        start = face.guess(S, state, responses[name].flesh_by_geometry(change), state.pose)
-        try:
-            settled[name] = face.settle(S, state.pose, start)
-        except SolveError:
-            return None
-    return settled
-
-
-def _gauss_newton_step(
-    face: Face,
-    S: sp.csr_array,
-    targets: Mapping[str, Target],
-    states: Mapping[str, State],
-    responses: Mapping[str, Sensitivity],
-    w_s: float,
-    reference: Floats,
-    options: GeometryOptions,
-) -> Floats:
-    """Return the change of S's values (nnz,) that minimises the linearised problem."""
-    roots = {name: np.sqrt(np.repeat(t.weights, 3)) for name, t in targets.items()}
-    gradient = w_s * (S.data - reference)
-    for name, target in targets.items():
-        residual = target.residual(face.face_points(states[name].x))
-        gradient += 2.0 * responses[name].by_geometry_adjoint(roots[name] * residual)
-    free = simplex.free_entries(S.data, gradient, S.indptr)
-
-    def product(direction: Floats) -> Floats:
-        out = w_s * direction
-        for name, response in responses.items():
-            weighted = roots[name] ** 2 * response.by_geometry(direction)
-            out += 2.0 * response.by_geometry_adjoint(weighted)
-        return simplex.tangent(out, free, S.indptr)
-
-    right = -simplex.tangent(gradient, free, S.indptr)
-    return conjugate_gradients(product, right, options.cg_iterations, options.cg_tolerance)
-
-
-def conjugate_gradients(
-    product: Callable[[Floats], Floats], right: Floats, iterations: int, tolerance: float
-) -> Floats:
-    """Solve a symmetric positive semi-definite system to a relative residual, by products only."""
-    x = np.zeros_like(right)
-    residual = right.copy()
-    direction = right.copy()
-    square = float(residual @ residual)
-    goal = tolerance**2 * square
-    for _ in range(iterations):
-        if square <= goal or square == 0.0:
-            break
-        image = product(direction)
-        length = square / float(direction @ image)
-        x += length * direction
-        residual -= length * image
-        previous, square = square, float(residual @ residual)
-        direction = residual + square / previous * direction
-    return x

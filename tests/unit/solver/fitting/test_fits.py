@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError
-from solver.fitting import activation, geometry, objective, reference
+from solver.fitting import activation, geometry, objective, reference, weights
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, Pose
 from solver.fitting.geometry import GeometryOptions
@@ -68,7 +68,7 @@ def test_geometry_fit_improves_on_the_wrong_weights_and_stays_on_the_simplex(fac
     """Targets come from the true S; the fit starts from one whose muscles are smeared."""
     true = face.model.weights
     targets = {f"pose {k}": target_of(face, true, pose) for k, pose in enumerate(poses(4))}
-    smeared = geometry.replace_values(true, np.tile([0.6, 0.2, 0.2], true.shape[0]))
+    smeared = weights.replace_values(true, np.tile([0.6, 0.2, 0.2], true.shape[0]))
     face_smeared = Face(replace(face.model, weights=smeared))
     rest = face_smeared.rest_state(smeared)
     regulariser = Regulariser(1e-3, 1e-3, 1e-6, rest_prior(face_smeared))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from solver.fitting.face import Face, Pose
-from solver.fitting.geometry import replace_values
 from solver.fitting.sensitivity import Sensitivity
+from solver.fitting.weights import replace_values
 from tests.unit.solver.block import block_model
 
 STEP = 1e-5

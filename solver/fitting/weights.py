@@ -1,0 +1,152 @@
+"""The S block: muscle weights from several expressions whose activations and jaws are held.
+
+Projected Gauss-Newton with Levenberg-Marquardt damping. The normal equations are never formed:
+conjugate gradients need only products with dx/dS, one linear solve each way and expression, and
+stay on the tangent of the simplex.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from solver.errors import SolveError
+from solver.fitting import simplex
+from solver.fitting.face import Face, State
+from solver.fitting.objective import Target
+from solver.fitting.sensitivity import Sensitivity
+from solver.surface import Floats
+
+HALVINGS = 5
+CG_ITERATIONS = 30
+CG_TOLERANCE = 0.05
+LEAST_GAIN = 1e-3
+"""A step that gains less than this part of the objective is the round's last."""
+
+
+@dataclass(frozen=True)
+class WeightProblem:
+    """sum_k |M x_k(S) - t_k|^2 + w_s/2 |S - S_prior|^2, with ``prior`` the values (nnz,) of S."""
+
+    face: Face
+    targets: Mapping[str, Target]
+    w_s: float
+    prior: Floats
+
+    def value(self, S: sp.csr_array, states: Mapping[str, State]) -> float:
+        """Return the objective at settled states."""
+        total = 0.5 * self.w_s * float(np.sum((S.data - self.prior) ** 2))
+        for name, target in self.targets.items():
+            residual = target.residual(self.face.face_points(states[name].x))
+            total += float(residual @ residual)
+        return total
+
+    def step(
+        self,
+        S: sp.csr_array,
+        states: Mapping[str, State],
+        responses: Mapping[str, Sensitivity],
+        damping: float,
+    ) -> Floats:
+        """Return the change of S's values (nnz,) that minimises the damped linear problem."""
+        roots = {name: np.sqrt(np.repeat(t.weights, 3)) for name, t in self.targets.items()}
+        gradient = self.w_s * (S.data - self.prior)
+        for name, target in self.targets.items():
+            residual = target.residual(self.face.face_points(states[name].x))
+            gradient += 2.0 * responses[name].by_geometry_adjoint(roots[name] * residual)
+        free = simplex.free_entries(S.data, gradient, S.indptr)
+
+        def product(direction: Floats) -> Floats:
+            out = (self.w_s + damping) * direction
+            for name, response in responses.items():
+                weighted = roots[name] ** 2 * response.by_geometry(direction)
+                out += 2.0 * response.by_geometry_adjoint(weighted)
+            return simplex.tangent(out, free, S.indptr)
+
+        right = -simplex.tangent(gradient, free, S.indptr)
+        return conjugate_gradients(product, right, CG_ITERATIONS, CG_TOLERANCE)
+
+
+@dataclass(frozen=True)
+class WeightFit:
+    """Improved weights with the states they lead to, and the damping to go on with."""
+
+    S: sp.csr_array
+    states: dict[str, State]
+    damping: float
+
+
+def fit(
+    problem: WeightProblem,
+    S: sp.csr_array,
+    states: dict[str, State],
+    iterations: int,
+    damping: float,
+) -> WeightFit:
+    """Improve S from settled ``states`` by at most ``iterations`` steps; it never gets worse."""
+    value = problem.value(S, states)
+    for _ in range(iterations):
+        responses = {name: Sensitivity(problem.face, S, state) for name, state in states.items()}
+        step = problem.step(S, states, responses, damping)
+        for halving in range(HALVINGS):
+            values = simplex.project(S.data + 0.5**halving * step, S.indptr)
+            trial = replace_values(S, values)
+            settled = _settled(problem.face, trial, states, responses, values - S.data)
+            if settled is not None and problem.value(trial, settled) < value:
+                break
+        else:
+            return WeightFit(S, states, damping * 4.0**HALVINGS)
+        # a step that had to be halved says how much too far the linear problem reached
+        damping *= 4.0**halving if halving else 0.25
+        previous, value = value, problem.value(trial, settled)
+        S, states = trial, settled
+        if previous - value < LEAST_GAIN * value:
+            break
+    return WeightFit(S, states, damping)
+
+
+def replace_values(S: sp.csr_array, values: Floats) -> sp.csr_array:
+    """Return a matrix of S's pattern with other values (nnz,)."""
+    return sp.csr_array((values, S.indices, S.indptr), shape=S.shape)
+
+
+def conjugate_gradients(
+    product: Callable[[Floats], Floats], right: Floats, iterations: int, tolerance: float
+) -> Floats:
+    """Solve a symmetric positive semi-definite system to a relative residual, by products only."""
+    x = np.zeros_like(right)
+    residual = right.copy()
+    direction = right.copy()
+    square = float(residual @ residual)
+    goal = tolerance**2 * square
+    for _ in range(iterations):
+        if square <= goal or square == 0.0:
+            break
+        image = product(direction)
+        length = square / float(direction @ image)
+        x += length * direction
+        residual -= length * image
+        previous, square = square, float(residual @ residual)
+        direction = residual + square / previous * direction
+    return x
+
+
+def _settled(
+    face: Face,
+    S: sp.csr_array,
+    states: Mapping[str, State],
+    responses: Mapping[str, Sensitivity],
+    change: Floats,
+) -> dict[str, State] | None:
+    """Settle every pose with S, which has changed by ``change``; None if one of them can not be."""
+    settled = {}
+    for name, state in states.items():
+        start = face.guess(S, state, responses[name].flesh_by_geometry(change), state.pose)
+        try:
+            settled[name] = face.settle(S, state.pose, start)
+        except SolveError:
+            return None
+    return settled
