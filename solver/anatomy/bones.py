@@ -19,7 +19,7 @@ SKIN_GAP_MM = 2.4
 """Room for flesh between bone and skin."""
 CLOSING_MM = 3.8
 WRAP_FACES = 6000
-SMOOTHING_VOXELS = 1.3
+SMOOTHING_VOXELS = 1.0
 TAUBIN_STEPS = 16
 
 Volume = np.ndarray
@@ -39,17 +39,22 @@ class VoxelGrid:
         mesh = trimesh.Trimesh(surface.vertices, surface.faces[box], process=False)
         count = int(6 * mesh.area / VOXEL_MM**2)
         points, _ = trimesh.sample.sample_surface(mesh, count, seed=0)
-        numbers = np.floor((np.vstack([points, surface.vertices]) - self.lo) / VOXEL_MM).astype(int)
+        points = np.vstack([points, surface.vertices[np.unique(surface.faces)]])
+        numbers = np.floor((points - self.lo) / VOXEL_MM).astype(int)
         numbers = numbers[((numbers >= 0) & (numbers < self.shape)).all(axis=1)]
         volume = np.zeros(self.shape, dtype=bool)
         volume[tuple(numbers.T)] = True
         return volume
 
-    def solid(self, surfaces: list[Surface]) -> Volume:
-        """Return True for the voxels inside or on any of some closed surfaces."""
-        volume = np.zeros(self.shape, dtype=bool)
-        for surface in surfaces:
-            volume |= ndimage.binary_fill_holes(self.shell(surface))
+    def solid(self, surface: Surface) -> Volume:
+        """Return True for the voxels inside a closed surface or on it."""
+        volume = self.shell(surface)
+        numbers = np.argwhere(~volume)
+        centres = self.lo + (numbers + 0.5) * VOXEL_MM
+        lo, hi = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+        near = ((centres > lo) & (centres < hi)).all(axis=1)
+        winding = igl.fast_winding_number(surface.vertices, surface.faces, centres[near])
+        volume[tuple(numbers[near][np.asarray(winding) > 0.5].T)] = True
         return volume
 
     def surface(self, volume: Volume) -> Surface:
@@ -79,24 +84,22 @@ def _simplified(surface: Surface) -> Surface:
 
 
 def wrap_bones(
-    cranium: Surface, mandible: Surface, skin: Surface, muscles: list[Surface], grid: VoxelGrid
+    cranium: Surface, mandible: Surface, skin: Surface, grid: VoxelGrid
 ) -> tuple[Surface, Surface]:
     """Return watertight wraps of cranium and mandible within the box of ``grid``.
 
     The cranium's wrap is solid: brain, orbits behind their rim, nose and sinuses are filled. It
-    keeps :data:`JOINT_GAP_MM` to the mandible, both keep :data:`SKIN_GAP_MM` to ``skin``, and
-    neither covers the muscles that lie on the bone.
+    keeps :data:`JOINT_GAP_MM` to the mandible, and both keep :data:`SKIN_GAP_MM` to ``skin``.
     """
-    jaw = ndimage.binary_fill_holes(_closed(grid.shell(mandible), 2.0))
+    jaw = grid.solid(mandible)
     skull = _closed(grid.shell(cranium), CLOSING_MM)
     # Frontal slices: walls around brain, orbits and nose are rings there, the zygomatic arches are
     # not, so the temporal fossae stay open.
     for k in range(skull.shape[2]):
         skull[:, :, k] = ndimage.binary_fill_holes(skull[:, :, k])
     near_skin = _distance(grid.shell(skin)) < SKIN_GAP_MM
-    flesh = near_skin | grid.solid(muscles)
-    jaw &= ~flesh
-    skull &= ~flesh & (_distance(jaw) > JOINT_GAP_MM + VOXEL_MM)
+    jaw &= ~near_skin
+    skull &= ~near_skin & (_distance(jaw) > JOINT_GAP_MM + VOXEL_MM)
     return grid.surface(ndimage.binary_opening(skull)), grid.surface(jaw)
 
 

@@ -24,14 +24,13 @@ from solver.anatomy.domain import (
 from solver.anatomy.embedding import embed
 from solver.anatomy.jaw_frame import jaw_frame
 from solver.anatomy.muscle_weights import enclosed_volume, initial_weights, muscle_volumes
-from solver.anatomy.skin_depth import SkinDepth
 from solver.anatomy.template import Template
 from solver.anatomy.tetrahedra import smallest_dihedral_angle, tetrahedralize, volumes
 from solver.anatomy.transfer import Carried, carry
 from solver.errors import InputError, SolveError
 from solver.model import SubjectModel
 from solver.progress import Progress, Step, silent
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Floats, Ints
 
 EDGE_MM = 9.0
 ENVELOPE = 0.08
@@ -216,10 +215,9 @@ def model_summary(model: SubjectModel) -> dict[str, Any]:
     misses = np.linalg.norm(model.offset, axis=1)
     on_face = np.isin(model.embedded, model.face)
     skin = model.skin.vertices
-    flesh_faces = np.isin(model.skin.faces, model.embedded).all(axis=1)
-    depth = SkinDepth(Surface(skin, model.skin.faces[flesh_faces]))
-    bones = joined(list(model.bones.values()))
-    depths = depth(bones.vertices)[0]
+    face = np.ascontiguousarray(model.skin.faces[np.isin(model.skin.faces, model.face).all(axis=1)])
+    bones = joined(list(model.bones.values())).vertices
+    clearance = np.sqrt(igl.point_mesh_squared_distance(bones, skin, face)[0].min())
     kept = muscle_volumes(model.rest, model.tets, model.weights)
     sizes = volumes(model.rest, model.tets)
     return {
@@ -245,5 +243,5 @@ def model_summary(model: SubjectModel) -> dict[str, Any]:
         "face_vertices": len(model.face),
         "embedding_mean_mm": float(misses[on_face].mean()),
         "embedding_max_mm": float(misses[on_face].max()),
-        "bone_clearance_mm": float(depths[depths > 0].min()),
+        "bone_clearance_mm": float(clearance),
     }

@@ -58,6 +58,8 @@ PARTING_EXPRESSIONS = (
 CONDYLE_MM = 10.0
 LINING_DEPTH_MM = 0.3
 """Least depth of muscles under the lining of mouth and eyelids."""
+BONE_GAP_MM = 0.2
+"""Least distance between muscles and wrapped bones."""
 RANGE_SD = 2.0
 """Depths may differ from the mean by this many standard deviations."""
 DEPTH_SPREAD_MM = 18.0
@@ -162,12 +164,22 @@ def depth_landmarks(skin: Surface) -> tuple[Landmarks, Landmarks, DepthTable]:
     return bone, muscle, DepthTable(table[:, :3], table[:, 3], table[:, 4])
 
 
-def carry_anatomy(parts: dict[str, Part], kit: FaceKit) -> dict[str, Surface]:
-    """Return name -> surface inside the head for the bones and the face muscles.
+@dataclass(frozen=True)
+class Anatomy:
+    """Bones and muscles of BodyParts3D inside the head; ``jaw`` is the mandible before wrapping."""
+
+    cranium: Surface
+    mandible: Surface
+    jaw: Surface
+    muscles: dict[str, Surface]
+
+
+def carry_anatomy(parts: dict[str, Part], kit: FaceKit) -> Anatomy:
+    """Return bone wraps and face muscles inside the head.
 
     A first warp carries bones and muscles by teeth, eyes and soft-tissue depths. A second one
-    moves muscles only, on the bones that stay: it closes the lips' muscle around the mouth, which
-    is open in BodyParts3D, and takes muscles out of the hollows of mouth and eyelids.
+    moves muscles only: it closes the lips' muscle around the mouth, which is open in BodyParts3D,
+    and takes muscles out of the wrapped bones and of the hollows of mouth and eyelids.
     """
     teeth = teeth_and_eyes(parts, kit)
     anchors, muscle_anchors, depths = depth_landmarks(kit.skin)
@@ -176,21 +188,30 @@ def carry_anatomy(parts: dict[str, Part], kit: FaceKit) -> dict[str, Surface]:
     def align(points: Floats) -> Floats:
         return scale * points @ rotation.T + shift
 
-    skin = kit.skin
-    outer, flesh = (
-        SkinDepth(Surface(skin.vertices, skin.faces[ict_facekit.faces_within(skin.faces, numbers)]))
-        for numbers in (ict_facekit.HEAD, ict_facekit.FLESH)
+    head, flesh = (
+        Surface(kit.skin.vertices, kit.skin.faces[ict_facekit.faces_within(kit.skin.faces, part)])
+        for part in (ict_facekit.HEAD, ict_facekit.FLESH)
     )
-    names = bodyparts3d.muscle_names(parts)
-    sample = np.vstack([_sampled(align(parts[name].surface.vertices)) for name in names])
+    outer = SkinDepth(head)
+    muscles = {
+        name: parts[name].surface.moved(align(parts[name].surface.vertices))
+        for name in bodyparts3d.muscle_names(parts)
+    }
+    sample = np.vstack([_sampled(surface.vertices) for surface in muscles.values()])
     sample = sample[sample[:, 1] > LOWEST_Y]
-    bones = bodyparts3d.merged(parts, "cranium", "mandible")
-    bone_limits = _bone_limits(bones, align, depths, outer)
+    bone_limits = _bone_limits(
+        bodyparts3d.merged(parts, "cranium", "mandible"), align, depths, outer
+    )
     landmarks = Landmarks(
         align(np.vstack([teeth.source, anchors.source])),
         np.vstack([teeth.target, anchors.target]),
     )
     first = depth_warp(landmarks, [bone_limits, Limits(sample, MUSCLE_DEPTH_MM, np.inf, outer)])
+    skull, jaw = (
+        surface.moved(first(align(surface.vertices)))
+        for surface in (bodyparts3d.merged(parts, "cranium"), _part(parts, "mandible"))
+    )
+    cranium, mandible = wrap_bones(skull, jaw, head, VoxelGrid(WRAP_LO, WRAP_HI))
     bed = first(bone_limits.points)
     bed = bed[spread(bed, BED_SAMPLES)]
     landmarks = Landmarks(
@@ -202,18 +223,13 @@ def carry_anatomy(parts: dict[str, Part], kit: FaceKit) -> dict[str, Surface]:
         landmarks,
         [
             Limits(sample, MUSCLE_DEPTH_MM, np.inf, outer),
-            Limits(sample, LINING_DEPTH_MM, np.inf, flesh),
+            Limits(sample, LINING_DEPTH_MM, np.inf, SkinDepth(flesh)),
+            Limits(sample, -np.inf, -BONE_GAP_MM, SkinDepth(cranium)),
+            Limits(sample, -np.inf, -BONE_GAP_MM, SkinDepth(mandible)),
         ],
     )
-    carried = {
-        name: part.surface.moved(first(align(part.surface.vertices)))
-        for name, part in parts.items()
-        if part.category in ("cranium", "mandible")
-    }
-    for name in names:
-        surface = parts[name].surface
-        carried[name] = surface.moved(second(first(align(surface.vertices))))
-    return carried
+    muscles = {name: s.moved(second(first(s.vertices))) for name, s in muscles.items()}
+    return Anatomy(cranium, mandible, jaw, muscles)
 
 
 def _sampled(vertices: Floats) -> Floats:
@@ -254,20 +270,8 @@ def build_ict_template(anatomy_dir: Path, faces_dir: Path) -> Template:
     parts = bodyparts3d.read_parts(anatomy_dir)
     kit = ict_facekit.read_facekit(faces_dir)
     skin = kit.skin
-    carried = carry_anatomy(parts, kit)
-    bones = {n: Part(parts[n].category, surface) for n, surface in carried.items()}
-    outer = Surface(
-        skin.vertices, skin.faces[ict_facekit.faces_within(skin.faces, ict_facekit.HEAD)]
-    )
-    names = bodyparts3d.muscle_names(parts)
-    cranium, mandible = wrap_bones(
-        bodyparts3d.merged(bones, "cranium"),
-        carried["mandible"],
-        outer,
-        [carried[name] for name in names],
-        VoxelGrid(WRAP_LO, WRAP_HI),
-    )
-    skull = np.vstack([cranium.vertices, mandible.vertices])
+    anatomy = carry_anatomy(parts, kit)
+    skull = np.vstack([anatomy.cranium.vertices, anatomy.mandible.vertices])
     in_front = (skin.vertices[:, 2] > BACK_Z + 1) & (skin.vertices[:, 1] > BOTTOM_Y + 1)
     face = np.array(ict_facekit.NARROW_FACE)
     attached_mandible = _moving_with_jaw(kit)
@@ -282,10 +286,10 @@ def build_ict_template(anatomy_dir: Path, faces_dir: Path) -> Template:
         attached_cranium=np.setdiff1d(attached, attached_mandible),
         attached_mandible=attached_mandible,
         parting=PARTING * np.sum([kit.deltas[name] for name in PARTING_EXPRESSIONS], axis=0),
-        cranium=cranium,
-        mandible=mandible,
-        muscles=tuple(with_axis(name, carried[name], skull) for name in names),
-        condyles=_condyles(carried["mandible"]),
+        cranium=anatomy.cranium,
+        mandible=anatomy.mandible,
+        muscles=tuple(with_axis(name, surface, skull) for name, surface in anatomy.muscles.items()),
+        condyles=_condyles(anatomy.jaw),
         back_z=BACK_Z,
         bottom_y=BOTTOM_Y,
         landmarks=dict(LANDMARKS),

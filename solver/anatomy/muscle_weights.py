@@ -13,7 +13,7 @@ CANDIDATE_MM = 10.0
 """A muscle may act in the tetrahedra within this distance (the paper's sparsity of S)."""
 NEAR_LEVEL, LEVEL, FINE_LEVEL = 1, 2, 3
 """Tetrahedra are sampled at the centres of 8^level parts."""
-FINE_BELOW_MM3 = 8000.0
+FINE_BELOW_MM3 = 1500.0
 """Smaller muscles, which are thin, are sampled finely."""
 _OCTASECTION = (
     ((0, 0), (0, 1), (0, 2), (0, 3)),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import igl
 import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 
 from solver.surface import Floats, Ints, Surface
 
@@ -15,16 +17,18 @@ class SkinDepth:
     """
 
     def __init__(self, skin: Surface) -> None:
-        caps = [_fan(loop) for loop in boundary_loops(skin.faces)]
-        loops = boundary_loops(skin.faces)
-        centres = [skin.vertices[loop].mean(axis=0) for loop in loops]
-        count = len(skin.vertices)
-        caps = [np.where(cap < 0, count + number, cap) for number, cap in enumerate(caps)]
-        self._vertices = np.vstack([skin.vertices, *[centre[None] for centre in centres]])
-        self._faces = np.vstack([skin.faces, *caps])
-        self._open = skin.faces
+        edges, hole = boundary_edges(skin.faces)
+        centres = [
+            skin.vertices[np.unique(edges[hole == number])].mean(axis=0, keepdims=True)
+            for number in np.unique(hole)
+        ]
+        # Turned round, the edges of a hole and its middle make faces that close it.
+        caps = np.column_stack([edges[:, ::-1], len(skin.vertices) + hole])
+        self._vertices = np.vstack([skin.vertices, *centres])
+        self._faces = np.vstack([skin.faces, caps])
+        self._skin = skin.faces
         self._tree = igl.AABB()
-        self._tree.init(self._vertices, self._open)
+        self._tree.init(self._vertices, self._skin)
 
     def inside(self, points: Floats) -> np.ndarray:
         """Return (n,) True where a point is under the skin."""
@@ -33,7 +37,7 @@ class SkinDepth:
 
     def __call__(self, points: Floats) -> tuple[Floats, Floats]:
         """Return depths (n,) in mm, negative outside, and unit directions (n, 3) that go deeper."""
-        squared, _, closest = self._tree.squared_distance(self._vertices, self._open, points)
+        squared, _, closest = self._tree.squared_distance(self._vertices, self._skin, points)
         away = points - closest
         distance = np.sqrt(np.asarray(squared).ravel())
         sign = np.where(self.inside(points), 1.0, -1.0)
@@ -41,22 +45,15 @@ class SkinDepth:
         return sign * distance, direction
 
 
-def boundary_loops(faces: Ints) -> list[Ints]:
-    """Return the closed loops of boundary vertices of a surface, in the direction of its edges."""
+def boundary_edges(faces: Ints) -> tuple[Ints, Ints]:
+    """Return the edges (e, 2) of only one face, in its direction, and the hole (e,) of each."""
     edges = np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    twins = {(int(a), int(b)) for a, b in edges}
-    following = {int(a): int(b) for a, b in edges if (int(b), int(a)) not in twins}
-    loops = []
-    while following:
-        start, vertex = following.popitem()
-        loop = [start]
-        while vertex != start:
-            loop.append(vertex)
-            vertex = following.pop(vertex)
-        loops.append(np.array(loop))
-    return loops
-
-
-def _fan(loop: Ints) -> Ints:
-    # -1 stands for the centre, which has no number yet; the order closes the surface consistently.
-    return np.column_stack([np.roll(loop, -1), loop, np.full(len(loop), -1)])
+    _, edge, count = np.unique(
+        np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    edges = edges[count[edge.ravel()] == 1]
+    numbers, local = np.unique(edges, return_inverse=True)
+    local = local.reshape(-1, 2)
+    graph = sp.coo_array((np.ones(len(edges)), local.T), shape=(len(numbers), len(numbers)))
+    _, hole = connected_components(graph, directed=False)
+    return edges, hole[local[:, 0]].astype(np.int64)

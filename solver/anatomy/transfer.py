@@ -15,7 +15,7 @@ CORRESPONDENCES = 900
 SMOOTHING_MM = 2.0
 CLEARANCE_MM = 1.8
 """Bones stay this deep under the skin where they do in the template."""
-CLEARANCE_STEPS = 4
+CLEARANCE_STEPS = 8
 
 
 @dataclass(frozen=True)
