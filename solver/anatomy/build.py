@@ -70,7 +70,7 @@ def build_subject_model(
         ``mesher.timeout``, ``mesher.crashed``, ``mesh.inverted`` or ``mesh.uncovered``.
     """
     _check(template, neutral)
-    planes = Planes(template.back_z, template.bottom_y)
+    planes = _planes(template, neutral)
     progress(Step("transfer", 0.0))
     carried = carry(template, neutral)
     progress(Step("mesh", 0.05, message="tetrahedra by fTetWild"))
@@ -125,6 +125,17 @@ def _check(template: Template, neutral: Floats) -> None:
             f"vertex {wrong[0]} of the neutral is not finite",
             vertex=int(wrong[0]),
         )
+
+
+def _planes(template: Template, neutral: Floats) -> Planes:
+    """Return the template's planes, moved outwards where this face reaches further."""
+    reach = neutral[template.face_vertices].min(axis=0) - template.skin.vertices[
+        template.face_vertices
+    ].min(axis=0)
+    return Planes(
+        back_z=template.back_z + min(0.0, float(reach[2])),
+        bottom_y=template.bottom_y + min(0.0, float(reach[1])),
+    )
 
 
 def _mesh(template: Template, carried: Carried, planes: Planes, edge_mm: float) -> Flesh:
