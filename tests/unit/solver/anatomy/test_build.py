@@ -11,7 +11,6 @@ from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.surface import Surface
 
-
 LOWER = np.array([0.0, -20.0, 2.0])
 
 
