@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 from pathlib import Path
@@ -16,6 +17,9 @@ from service.store.transitions import HELD
 FOLDER_VARIABLE = "MYOFACE_ATTEMPT"
 """In the environment of a solver process, and so of every process that it starts."""
 
+ATTEMPT = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}\.\d+")
+"""The name of an attempt's folder, ``<job>.<attempt>``; nothing else is ever removed."""
+
 log = structlog.get_logger()
 
 
@@ -27,7 +31,7 @@ def remove_orphans(store: Store, work: Path) -> None:
     if not work.is_dir():
         return
     for folder in work.iterdir():
-        if not _is_held(store, folder.name):
+        if ATTEMPT.fullmatch(folder.name) and not _is_held(store, folder.name):
             end_processes(folder)
             shutil.rmtree(folder, ignore_errors=True)
             log.info("attempt.removed", folder=folder.name)

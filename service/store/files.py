@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shutil
 import tempfile
 import time
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 CHUNK = 1 << 20
+SHA256 = re.compile(r"[0-9a-f]{64}")
 
 
 @dataclass(frozen=True)
@@ -66,11 +68,18 @@ class FileStore:
         The age protects what is stored but whose row is not committed yet. Returns how many went.
         """
         limit = time.time() - age
-        stale = [
-            path
-            for path in [*self.root.glob("??/*"), *self.incoming.iterdir()]
-            if path.name not in referenced and path.stat().st_mtime < limit
-        ]
-        for path in stale:
+        stored = (path for path in self.root.glob("??/*") if SHA256.fullmatch(path.name))
+        removed = 0
+        for path in [*stored, *self.incoming.iterdir()]:
+            if path.name in referenced or not _is_older(path, limit):
+                continue
             path.unlink(missing_ok=True)
-        return len(stale)
+            removed += 1
+        return removed
+
+
+def _is_older(path: Path, limit: float) -> bool:
+    try:
+        return path.stat().st_mtime < limit
+    except FileNotFoundError:  # an incoming file that has just become a stored one
+        return False

@@ -1,0 +1,44 @@
+"""The sweeper removes what is the service's own, and nothing beside it."""
+
+from __future__ import annotations
+
+import os
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from service.store.store import Store
+from service.store.sweep import collect_garbage
+from worker.orphans import remove_orphans
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
+    store = Store(f"sqlite:///{tmp_path / 'db'}", tmp_path / "files", "redis://localhost:1/0")
+    store.database.migrate()
+    yield store
+    store.close()
+
+
+def test_only_folders_of_attempts_are_removed(store: Store, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    attempt, other = work / f"{uuid.uuid4()}.1", work / "my thesis"
+    for folder in (attempt, other):
+        folder.mkdir(parents=True)
+    remove_orphans(store, work)
+    assert [path.name for path in work.iterdir()] == [other.name]
+
+
+def test_only_stored_files_are_collected(store: Store, tmp_path: Path) -> None:
+    source = tmp_path / "scan.obj"
+    source.write_text("v 0 0 0")
+    stored = store.files.path(store.files.put(source).sha256)
+    other = store.files.root / "my" / "thesis.txt"
+    other.parent.mkdir()
+    other.write_text("not ours")
+    for path in (stored, other):
+        os.utime(path, (0, 0))
+    assert collect_garbage(store, 60) == 1
+    assert (stored.exists(), other.exists()) == (False, True)
