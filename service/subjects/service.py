@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from sqlalchemy import delete as delete_rows
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from service.errors import Problem
-from service.store.models import Subject
+from service.store.models import Capture, Subject, Upload
 from service.subjects import repository
 from service.subjects.schemas import NewSubject
 from service.templates import repository as templates
@@ -34,7 +36,12 @@ def refuse_while_busy(session: Session, subject_id: str) -> None:
 
 
 def delete(session: Session, subject_id: str) -> None:
-    """Delete a subject with all that is its own; the sweeper removes the files."""
+    """Delete a subject with all that is its own; the sweeper removes the files.
+
+    The uploads of its scans go too: they would keep the files until they expire.
+    """
     subject = repository.get(session, subject_id)
     refuse_while_busy(session, subject_id)
+    scans = select(Capture.sha256).where(Capture.subject_id == subject_id)
+    session.execute(delete_rows(Upload).where(Upload.complete, Upload.sha256.in_(scans)))
     session.delete(subject)

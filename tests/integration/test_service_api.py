@@ -10,9 +10,11 @@ from typing import Any
 import pytest
 from fastapi.testclient import TestClient
 from pydantic import ValidationError
+from sqlalchemy import select
 
 from service.app import create_app
 from service.settings import Settings
+from service.store.models import Upload
 from tests.service_client import Studio
 
 NOBODY = str(uuid.uuid4())
@@ -124,6 +126,8 @@ def test_a_subject_is_deleted_with_all_that_is_its_own(studio: Studio) -> None:
     assert studio.http.delete(f"/v1/subjects/{subject}").status_code == 204
     for path in (f"/v1/subjects/{subject}", f"/v1/jobs/{job}", f"/v1/jobs/{job}/events"):
         assert studio.http.get(path).status_code == 404
+    with studio.http.app.state.store.read() as session:  # type: ignore[attr-defined]
+        assert session.scalars(select(Upload)).all() == []
 
 
 def test_openapi_describes_every_route(studio: Studio) -> None:
