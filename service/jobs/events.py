@@ -19,25 +19,24 @@ PAUSE = 0.3
 async def stream(store: Store, job_id: str, after: int) -> AsyncIterator[ServerSentEvent]:
     """Give a job's events after the event ``after``, until it is over."""
     while True:
-        events = await to_thread.run_sync(_read, store, job_id, after)
+        events, is_over = await to_thread.run_sync(_read, store, job_id, after)
         for event in events:
             yield ServerSentEvent(id=str(event.id), event=event.kind, data=event.data)
             after = event.id
             if event.kind == "state" and State(event.data["state"]) in FINAL:
                 return
         if not events:
-            if await to_thread.run_sync(_is_over, store, job_id):
+            if is_over:
                 return
             await asyncio.sleep(PAUSE)
 
 
-def _read(store: Store, job_id: str, after: int) -> list[Event]:
-    with store.read() as session:
-        return list(repository.events(session, job_id, after))
+def _read(store: Store, job_id: str, after: int) -> tuple[list[Event], bool]:
+    """Return the next events, and whether none will follow them: the job is over or deleted.
 
-
-def _is_over(store: Store, job_id: str) -> bool:
-    """Tell whether nothing will come: the last event was seen before, or the job was deleted."""
+    The state is read first: a job that ends in between has its last event still to be sent.
+    """
     with store.read() as session:
         job = session.get(Job, job_id)
-        return job is None or job.state in FINAL
+        is_over = job is None or job.state in FINAL
+        return list(repository.events(session, job_id, after)), is_over
