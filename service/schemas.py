@@ -27,6 +27,9 @@ Title = Annotated[Line, StringConstraints(min_length=1)]
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 """A name that also serves in file names and as the name of a morph target."""
 
+FileName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,254}$")]
+"""The name of a result's file, which may hold a :data:`Name` and more."""
+
 Position = Annotated[int, Field(ge=0, lt=2**63)]
 """A number that the database can compare with its own."""
 

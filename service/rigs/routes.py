@@ -11,7 +11,7 @@ from service.dependencies import Limit, ReadSession, StoreDep
 from service.errors import problems
 from service.rigs import repository
 from service.rigs.schemas import RigView
-from service.schemas import Id, Name, Page
+from service.schemas import FileName, Id, Page
 from service.store.models import Artifact
 from service.store.store import Store
 
@@ -50,7 +50,7 @@ def show(rig_id: Id, session: ReadSession) -> Any:
 )
 def download_by_name(
     rig_id: Id,
-    name: Name,
+    name: FileName,
     session: ReadSession,
     store: StoreDep,
     if_none_match: IfNoneMatch = None,
