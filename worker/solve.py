@@ -120,8 +120,9 @@ def to_pipe(write: Callable[[str], Any]) -> Progress:
 def _write(folder: Path, name: str, content: dict[str, Any]) -> None:
     """Write a verdict, whole or not at all; the attempt's folders do not show in it."""
     text = json.dumps(_plain(content))
-    text = re.sub(re.escape(f"{folder}/inputs/") + r"\d+/", "", text)
-    text = text.replace(f"{folder}/out/", "")
+    quoted = json.dumps(str(folder))[1:-1]
+    text = re.sub(re.escape(f"{quoted}/inputs/") + r"\d+/", "", text)
+    text = text.replace(f"{quoted}/out/", "")
     partial = folder / f"{name}.partial"
     partial.write_text(text)
     partial.replace(folder / name)
