@@ -85,14 +85,16 @@ def _ascii(file: str, content: bytes) -> Floats:
     ended = False
     for line, row in enumerate(content.splitlines(), start=1):
         words = row.split()
-        if words[:1] == [b"vertex"]:
+        if not words:
+            continue
+        if words[0] == b"vertex":
             try:
                 corners.append([float(word) for word in words[1:]])
             except ValueError:
                 raise unreadable(file, "not three numbers", line=line) from None
             if len(corners[-1]) != 3:
                 raise unreadable(file, "a vertex needs 3 numbers", line=line)
-        ended = words[:1] == [b"endsolid"]
+        ended = words[0] == b"endsolid"
     if not ended or len(corners) % 3:
         raise truncated(file, "the last line is not 'endsolid'")
     return np.array(corners, dtype=np.float64).reshape(-1, 3, 3)

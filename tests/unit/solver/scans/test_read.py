@@ -60,6 +60,12 @@ def test_vertices_come_back_in_order(suffix: str, ascii_form: bool, tmp_path: Pa
     np.testing.assert_allclose(vertices, HEAD.vertices, atol=1e-4)
 
 
+def test_blank_lines_after_an_ascii_stl_are_no_cut(tmp_path: Path) -> None:
+    path = write(tmp_path / "head.stl", HEAD, ascii_form=True)
+    path.write_bytes(path.read_bytes() + b"\n\n")
+    assert len(read_registered(path, HEAD.faces, COUNT)) == COUNT
+
+
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_a_real_head_survives_every_format(suffix: str, tmp_path: Path) -> None:
     neutral, smile = ict_capture("neutral"), ict_capture("smile")
