@@ -35,11 +35,18 @@ class Patience:
 
     @contextmanager
     def retrying(self) -> Iterator[None]:
-        """Turn a transport failure into a pause; the last one into an :class:`ApiError`."""
+        """Turn a transport failure, or a service that is not ready (503), into a pause.
+
+        The last one becomes an :class:`ApiError`.
+        """
         try:
             yield
         except httpx.TransportError as error:
             self.failed(unreachable(error))
+        except ApiError as error:
+            if error.status != httpx.codes.SERVICE_UNAVAILABLE:
+                raise
+            self.failed(error)
 
 
 def once(http: httpx.Client, method: str, url: str, **request: Any) -> httpx.Response:
