@@ -1,4 +1,4 @@
-"""What can go wrong between a client and the service."""
+"""What can go wrong in starting the service and in talking to it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,10 @@ import httpx
 
 UNREACHABLE = "client.unreachable"
 LOCATING_KEYS = ("file", "line", "vertex", "expected", "found", "field")
+
+
+class StackError(RuntimeError):
+    """The service could not be started here."""
 
 
 class ApiError(Exception):

@@ -18,6 +18,7 @@ from typing import IO
 import httpx
 import structlog
 
+from myoface.errors import StackError
 from service.settings import Settings
 from service.store.broker import BrokerNotFoundError, EmbeddedBroker
 from service.store.queue import QUEUES
@@ -29,10 +30,6 @@ RETRY = 2.0
 STEADY = 30.0  # seconds after which a restarted child counts as well
 
 log = structlog.get_logger()
-
-
-class StackError(RuntimeError):
-    """The service could not be started."""
 
 
 class Stack:
@@ -67,10 +64,8 @@ class Stack:
         Raises
         ------
         StackError
-            If another stack has the data folder, the port is taken, or a part does not come up
-            within a minute; the message names the log to read.
-        BrokerNotFoundError
-            If there is no broker to start.
+            If another stack has the data folder, the port is taken, there is no broker to start, or
+            a part does not come up within a minute; the message names the log to read.
         """
         self._lock = _lock(self.settings.data_dir)
         try:
@@ -79,6 +74,9 @@ class Stack:
                 self._broker.start()
             self._keeper.start()
             self._wait_until_ready()
+        except BrokerNotFoundError as error:
+            self.stop()
+            raise StackError(str(error)) from error
         except BaseException:
             self.stop()
             raise
@@ -153,7 +151,7 @@ class Stack:
 
     def _is_ready(self) -> bool:
         try:
-            answer = httpx.get(f"{self.url}/readyz", timeout=5)
+            answer = httpx.get(f"{self.url}/readyz", timeout=5, trust_env=False)  # no proxy
             queues = {worker["queue"] for worker in answer.json()["workers"]}
         except (httpx.HTTPError, ValueError, KeyError):
             return False

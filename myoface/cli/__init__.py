@@ -11,7 +11,7 @@ from myoface.cli.demo import demo
 from myoface.cli.offline import solve
 from myoface.cli.service import doctor, up
 from myoface.cli.template import template
-from myoface.errors import ApiError, describe
+from myoface.errors import ApiError, StackError, describe
 from service import logs
 from solver.errors import InputError, SolveError
 
@@ -34,7 +34,7 @@ def main() -> None:
     logging.getLogger().setLevel(logging.WARNING)
     try:
         app()
-    except ApiError as error:
+    except (ApiError, StackError) as error:
         complain(str(error))
     except (InputError, SolveError) as error:
         complain(describe(error.as_dict()))

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.markup import escape
 
+from myoface.cli.app import read_settings
 from myoface.cli.console import complain, out, show_table
 from myoface.client import Client
 from myoface.demo.gltf import khronos_validation, structural_faults
 from myoface.demo.outcome import Bars, Outcome
-from service.settings import Settings
 from solver.anatomy.builtin_source import cache_directory
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ def _service(url: str | None) -> Iterator[Client]:
     # A SIGTERM too must stop the service in order.
     signal.signal(signal.SIGTERM, lambda number, _frame: sys.exit(128 + number))
     with tempfile.TemporaryDirectory(prefix="myoface-demo-") as data:
-        stack = Stack(Settings(data_dir=Path(data), port=0))
+        stack = Stack(read_settings(data_dir=Path(data), port=0))
         with stack, Client(stack.url) as client:
             out.print(f"service on {stack.url}")
             yield client

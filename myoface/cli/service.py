@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 from rich.markup import escape
 
+from myoface.cli.app import read_settings
 from myoface.cli.console import out
 from service import logs
 from service.settings import Settings
@@ -51,4 +52,4 @@ def doctor(port: Port = None, data: Data = None) -> None:
 
 def _settings(port: int | None, data: Path | None) -> Settings:
     given: dict[str, Any] = {"port": port, "data_dir": data}
-    return Settings(**{key: value for key, value in given.items() if value is not None})
+    return read_settings(**{key: value for key, value in given.items() if value is not None})
