@@ -11,7 +11,7 @@ import typer
 from myoface.cli.app import NewFolder, Url
 from myoface.cli.console import JobView, err, out, show_table, transfer_bar
 from myoface.client import DEFAULT_URL, Client
-from myoface.errors import UNREACHABLE, ApiError
+from myoface.errors import UNREACHABLE, ApiError, describe
 from myoface.resources import Job, Kind, Role
 
 subjects = typer.Typer(help="People.", no_args_is_help=True)
@@ -217,7 +217,7 @@ def _show_jobs(found: list[Job]) -> None:
             each.state,
             each.attempt,
             each.progress and f"{each.progress.phase} {each.progress.fraction:.0%}",
-            each.error and each.error.get("detail"),
+            each.error and describe(each.error),
         )
         for each in found
     ]
