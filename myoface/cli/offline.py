@@ -66,7 +66,10 @@ def fit_activations(
 
 
 def _named(scans: list[Path]) -> dict[str, Path]:
-    return {path.stem: path for path in scans}
+    named = {path.stem: path for path in scans}
+    if len(named) < len(scans):
+        raise typer.BadParameter("two scans have the same name: an expression is named by its file")
+    return named
 
 
 def _made(folder: Path) -> Path:
