@@ -20,6 +20,7 @@ ENV PATH=/opt/myoface/bin:$PATH \
     PYTHONUNBUFFERED=1 \
     NUMBA_CACHE_DIR=/tmp/numba \
     MYOFACE_DATA_DIR=/data \
+    MYOFACE_CACHE=/data/cache \
     MYOFACE_WORK_DIR=/tmp/work \
     MYOFACE_LOG_JSON=true
 USER myoface
