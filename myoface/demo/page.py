@@ -27,10 +27,7 @@ def write_page(path: Path, title: str, outcome: Outcome) -> None:
         muscles=report["muscles"],
         minutes=_clock(sum(outcome.seconds.values())),
         rows=_rows(outcome),
-        anatomy=_figure(
-            folder / "anatomy.png", "Skull, mandible and muscles inside the neutral scan"
-        ),
-        model=_figure(folder / "anatomy.png", "Skull, mandible and muscles in the neutral scan")
+        model=_figure(folder / "anatomy.png", "Skull, mandible and muscles inside the neutral scan")
         + _figure(folder / "tets.png", "The flesh as tetrahedra"),
         fits="\n".join(_fit(folder, name) for name in report["expressions"]),
         phases=_phases(outcome.seconds),
