@@ -18,9 +18,10 @@ from rich.markup import escape
 from myoface.cli.app import read_settings
 from myoface.cli.console import complain, out, show_table
 from myoface.client import Client
-from myoface.demo.gltf import khronos_validation, structural_faults
+from myoface.demo.khronos_validator import khronos_validation
 from myoface.demo.outcome import Bars, Outcome
 from solver.anatomy.builtin_source import cache_directory
+from solver.rig.gltf_check import validate_glb
 
 if TYPE_CHECKING:
     from myoface.demo.session import Options
@@ -73,7 +74,7 @@ def demo(
     outcome = Outcome(
         report,
         session.seconds,
-        structural_faults(glb, list(report["expressions"])),
+        validate_glb(glb, list(report["expressions"])),
         khronos_validation(glb, cache_directory() / "gltf-validator"),
         None if quick else ICT_BARS if faces else BUILTIN_BARS,
     )

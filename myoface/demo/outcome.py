@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from myoface.demo.gltf import Validation
+from myoface.demo.khronos_validator import Validation
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from myoface.demo.gltf import khronos_validation
+from myoface.demo.khronos_validator import khronos_validation
 from solver.anatomy.builtin_source import cache_directory
 from solver.rig.gltf import write_glb
 from solver.rig.result import ExpressionFit, Rig
