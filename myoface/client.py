@@ -38,6 +38,9 @@ from myoface.resources import (
 from myoface.transfer import Transferred, unheard
 
 DEFAULT_URL = "http://127.0.0.1:8765"
+LONGEST_LIST = 1000
+"""The service lists at most so many things, the newest."""
+
 TIMEOUT = httpx.Timeout(30.0)
 # The service sends a comment line at least this often while a job has nothing to tell.
 EVENTS_TIMEOUT = httpx.Timeout(30.0, read=60.0)
@@ -82,7 +85,7 @@ class Client:
         return self._post("/v1/templates", Template, name=name, upload_id=upload.id)
 
     def templates(self) -> list[Template]:
-        """Return all template anatomies."""
+        """Return the template anatomies, newest first."""
         return self._list("/v1/templates", Template)
 
     def create_subject(self, name: str, *, template_id: str | None = None) -> Subject:
@@ -90,7 +93,7 @@ class Client:
         return self._post("/v1/subjects", Subject, name=name, template_id=template_id)
 
     def subjects(self) -> list[Subject]:
-        """Return all subjects."""
+        """Return the subjects, newest first."""
         return self._list("/v1/subjects", Subject)
 
     def subject(self, subject_id: str) -> Subject:
@@ -171,7 +174,7 @@ class Client:
         return self._get(f"/v1/jobs/{job_id}", Job)
 
     def jobs(self, **filters: str | None) -> list[Job]:
-        """Return jobs, filtered by ``subject_id``, ``state`` or ``kind``."""
+        """Return jobs, newest first, filtered by ``subject_id``, ``state`` or ``kind``."""
         return self._list("/v1/jobs", Job, **filters)
 
     def log(self, job_id: str, *, after: int = 0) -> Iterator[LogLine]:
@@ -220,7 +223,7 @@ class Client:
     # Rigs
 
     def rigs(self, *, subject_id: str | None = None) -> list[Rig]:
-        """Return rigs, those of one subject if it is given."""
+        """Return rigs, newest first, those of one subject if it is given."""
         return self._list("/v1/rigs", Rig, subject_id=subject_id)
 
     def rig(self, rig_id: str) -> Rig:
@@ -241,7 +244,7 @@ class Client:
 
     def _list(self, url: str, kind: type[R], /, **query: Any) -> list[R]:
         given = {key: value for key, value in query.items() if value is not None}
-        body = self._send("GET", url, params=given).json()
+        body = self._send("GET", url, params={"limit": LONGEST_LIST, **given}).json()
         return [kind.model_validate(item) for item in body["items"]]
 
 

@@ -26,7 +26,7 @@ RigId = Annotated[str, typer.Argument(help="rig id")]
 
 @subjects.command("list")
 def list_subjects(url: Url = DEFAULT_URL) -> None:
-    """List all subjects."""
+    """List subjects."""
     with Client(url) as client:
         rows = [(each.id, each.name, each.template_id or "built-in") for each in client.subjects()]
     show_table(("id", "name", "template"), rows)

@@ -26,7 +26,9 @@ def build_model(
     template: Annotated[
         Path | None, typer.Option(exists=True, help="template NPZ; default: built-in")
     ] = None,
-    edge_mm: Annotated[float | None, typer.Option(help="edge length of the tetrahedra")] = None,
+    edge_mm: Annotated[
+        float | None, typer.Option(min=3, max=30, help="edge length of the tetrahedra")
+    ] = None,
 ) -> None:
     """Build a person's model from the neutral scan."""
     from solver.pipeline import build_model as build
