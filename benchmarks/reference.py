@@ -20,7 +20,7 @@ from solver.errors import SolveError
 from solver.fitting import activation, reference
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, State
-from solver.fitting.objective import Regulariser, Target, rest_prior
+from solver.fitting.objective import Regulariser, Target
 from solver.model import SubjectModel
 
 COARSE_EDGE_MM = 18.0
@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
     face = Face(model)
     scans = {**captures.train, **captures.test}
     names = list(scans)[: 3 if options.quick else None]
-    regulariser = Regulariser(options.w_a, 1e-2, 1e-6, rest_prior(face))
+    regulariser = Regulariser(options.w_a, 1e-2, 1e-6, face.rest_pose())
     rest = face.rest_state(model.weights)
     # compile the kernels before anything is timed
     target = Target.from_points(scans[names[0]].vertices[model.face])

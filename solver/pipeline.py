@@ -23,7 +23,7 @@ from solver.fitting import activation, geometry
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, State
 from solver.fitting.geometry import GeometryOptions
-from solver.fitting.objective import Regulariser, Target, rest_prior
+from solver.fitting.objective import Regulariser, Target
 from solver.model import SubjectModel
 from solver.progress import Progress, Step, silent
 from solver.rig.export import write_rig
@@ -138,7 +138,7 @@ def fit_activations(
     carried = () if rig is None else load_activations(_activations_file(rig), subject)
     face = Face(subject, linear=given["linear_solver"])
     rest = face.rest_state(S)
-    regulariser = Regulariser(**NEW_EXPRESSION, prior=rest_prior(face))
+    regulariser = Regulariser(**NEW_EXPRESSION, prior=face.rest_pose())
     stop = ActivationOptions(given["max_iterations"])
     expressions = [fit for fit in carried if fit.name not in scans]
     begin = time.perf_counter()

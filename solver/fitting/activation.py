@@ -42,12 +42,11 @@ class ActivationOptions:
 
 @dataclass(frozen=True)
 class ActivationFit:
-    """A fitted state, its objective f, the iterations, and whether the tolerance was met."""
+    """A fitted state, its objective f and the iterations."""
 
     state: State
     objective: float
     iterations: int
-    converged: bool
 
 
 Listener = Callable[[int, float], None]
@@ -87,7 +86,7 @@ def fit(
                     break
             damping *= DAMPING_GROWTH
         if accepted is None:
-            return ActivationFit(state, value, iteration, True)
+            return ActivationFit(state, value, iteration)
         gain = value - trial_value
         if gain > 0.5 * model.predicted_gain(step):
             damping = max(damping / DAMPING_GROWTH, DAMPING_LEAST)
@@ -95,8 +94,8 @@ def fit(
         if listen:
             listen(iteration, value)
         if gain <= options.tolerance * value:
-            return ActivationFit(state, value, iteration, True)
-    return ActivationFit(state, value, options.max_iterations, False)
+            return ActivationFit(state, value, iteration)
+    return ActivationFit(state, value, options.max_iterations)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from solver.fitting import activation, weights
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, State
-from solver.fitting.objective import Regulariser, Target, rest_prior
+from solver.fitting.objective import Regulariser, Target
 from solver.fitting.weights import WeightProblem
 
 DAMPING_START = 1e-5
@@ -76,7 +76,7 @@ def fit(
         w_a, w_s = options.weights(number)
         iterations = options.first_iterations if number == 0 else options.activation_iterations
         for name, target in targets.items():
-            prior = rest_prior(face) if number == 0 else states[name].pose
+            prior = face.rest_pose() if number == 0 else states[name].pose
             regulariser = Regulariser(w_a, options.w_v, options.w_b, prior)
             fitted = activation.fit(
                 face, S, target, regulariser, states[name], ActivationOptions(iterations, 1e-3)

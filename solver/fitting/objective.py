@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from solver.errors import InputError
-from solver.fitting.face import Face, Pose
-from solver.mechanics.flesh import IDENTITY
+from solver.fitting.face import Pose
 from solver.surface import Floats
 
 JAW_UNITS = np.array([100.0, 100.0, 1.0, 1.0, 1.0])
@@ -115,8 +114,3 @@ def determinant_gradients(a: Floats) -> Floats:
         ],
         axis=1,
     )
-
-
-def rest_prior(face: Face) -> Pose:
-    """Return the pose that regularisers pull to when nothing better is known: the neutral one."""
-    return Pose(np.tile(IDENTITY, (face.model.muscle_count, 1)), np.zeros(5))

@@ -18,6 +18,9 @@ from solver.surface import Floats
 TOLERANCE = 1e-7
 """Residual |grad E| over the nodal forces at unit strain."""
 
+STALLED = 1e-5
+"""Residual at which a solve that can get no further still counts."""
+
 MAX_ITERATIONS = 60
 ARMIJO = 1e-4
 SHORTEST_STEP = 2.0**-30
@@ -69,7 +72,7 @@ def solve(
     """Minimise E over the free vertices from ``x`` (p, 3), held vertices staying where they are.
 
     Raises :class:`SolveError`: ``solve.inverted`` if a tet is inverted at the start,
-    ``solve.no_convergence`` if the residual stays above ``tolerance``.
+    ``solve.no_convergence`` if it stops at a residual above both ``tolerance`` and ``STALLED``.
     """
     energy = flesh.energy(x, a)
     if not np.isfinite(energy):
@@ -88,7 +91,7 @@ def solve(
         if step is None:
             break
         x, energy = step
-    if residual > max(tolerance, 1e-5):
+    if residual > max(tolerance, STALLED):
         raise SolveError(
             "solve.no_convergence",
             f"equilibrium stopped at a residual of {residual:.1e} after {iteration} steps",

@@ -10,7 +10,7 @@ from solver.fitting import activation, geometry, objective, reference, weights
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, Pose
 from solver.fitting.geometry import GeometryOptions
-from solver.fitting.objective import Regulariser, Target, rest_prior
+from solver.fitting.objective import Regulariser, Target
 from tests.unit.solver.block import block_model
 
 CONVERGED = ActivationOptions(max_iterations=100, tolerance=1e-10)
@@ -40,7 +40,7 @@ def test_round_trip_finds_activations_and_jaw(face):
     S = face.model.weights
     for pose in poses(3):
         target = target_of(face, S, pose)
-        weak = Regulariser(w_a=1e-9, w_v=0.0, w_b=1e-12, prior=rest_prior(face))
+        weak = Regulariser(w_a=1e-9, w_v=0.0, w_b=1e-12, prior=face.rest_pose())
         fitted = activation.fit(face, S, target, weak, face.rest_state(S), CONVERGED)
         error = target.distances(face.face_points(fitted.state.x))
         assert error.max() < 1e-3
@@ -52,7 +52,7 @@ def test_reduced_solver_agrees_with_ipopt(face):
     S = face.model.weights
     pose = poses(1)[0]
     target = target_of(face, S, pose)
-    regulariser = Regulariser(w_a=0.5, w_v=0.1, w_b=1e-4, prior=rest_prior(face))
+    regulariser = Regulariser(w_a=0.5, w_v=0.1, w_b=1e-4, prior=face.rest_pose())
     rest = face.rest_state(S)
     reduced = activation.fit(face, S, target, regulariser, rest, CONVERGED)
     full = reference.activations(face, S, target, regulariser, rest.pose, rest.x)
@@ -71,7 +71,7 @@ def test_geometry_fit_improves_on_the_wrong_weights_and_stays_on_the_simplex(fac
     smeared = weights.replace_values(true, np.tile([0.6, 0.2, 0.2], true.shape[0]))
     face_smeared = Face(replace(face.model, weights=smeared))
     rest = face_smeared.rest_state(smeared)
-    regulariser = Regulariser(1e-3, 1e-3, 1e-6, rest_prior(face_smeared))
+    regulariser = Regulariser(1e-3, 1e-3, 1e-6, face_smeared.rest_pose())
     alone = {
         name: activation.fit(face_smeared, smeared, target, regulariser, rest).state
         for name, target in targets.items()
@@ -88,9 +88,9 @@ def test_geometry_fit_improves_on_the_wrong_weights_and_stays_on_the_simplex(fac
 def test_regulariser_derivatives_match_finite_differences(face):
     rng = np.random.default_rng(8)
     pose = Pose(
-        rest_prior(face).a + 0.3 * rng.standard_normal((2, 6)), 0.1 * rng.standard_normal(5)
+        face.rest_pose().a + 0.3 * rng.standard_normal((2, 6)), 0.1 * rng.standard_normal(5)
     )
-    regulariser = Regulariser(0.3, 0.7, 0.4, rest_prior(face))
+    regulariser = Regulariser(0.3, 0.7, 0.4, face.rest_pose())
     exact = regulariser.gradient(pose)
     numeric = np.empty_like(exact)
     for entry in range(len(exact)):
