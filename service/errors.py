@@ -15,6 +15,7 @@ from sqlalchemy.exc import OperationalError
 from starlette.exceptions import HTTPException
 
 CHECKSUM_MISMATCH = 460  # tus 1.0, checksum extension
+LONGEST_QUOTE = 64
 
 log = structlog.get_logger()
 
@@ -110,11 +111,18 @@ async def _on_http(request: Request, error: Exception) -> Response:
 async def _on_invalid(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
     faults = [
-        {"where": "/".join(map(str, fault["loc"])), "message": fault["msg"]}
+        {"where": "/".join(map(str, fault["loc"])), "message": _message(fault)}
         for fault in error.errors()
     ]
     detail = f"{faults[0]['where']}: {faults[0]['message']}" if faults else "invalid request"
     return render(request.state.request_id, Problem(422, "request.invalid", detail, errors=faults))
+
+
+def _message(fault: dict[str, Any]) -> str:
+    """Return what a field should be and, where that is a short text, what it was."""
+    found = fault.get("input")
+    quoted = isinstance(found, str) and len(found) <= LONGEST_QUOTE
+    return f"{fault['msg']}, not {found!r}" if quoted else str(fault["msg"])
 
 
 async def _on_os_error(request: Request, error: Exception) -> Response:

@@ -33,7 +33,7 @@ def _service(store: StoreDep, settings: SettingsDep) -> UploadService:
 
 
 Service = Annotated[UploadService, Depends(_service)]
-Length = Annotated[int, Header(alias="Upload-Length", ge=1, lt=2**63, description="size in bytes")]
+Length = Annotated[int, Header(alias="Upload-Length", ge=0, lt=2**63, description="size in bytes")]
 Offset = Annotated[Position, Header(alias="Upload-Offset", description="where to go on")]
 Metadata = Annotated[
     str,

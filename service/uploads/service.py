@@ -39,6 +39,8 @@ class UploadService:
 
     def create(self, filename: str, size: int, sha256: str | None) -> Upload:
         """Start an upload of ``size`` bytes."""
+        if size == 0:
+            raise Problem(422, "upload.empty", f"{filename} is empty", file=filename)
         if size > self._settings.max_upload_bytes:
             raise Problem(
                 413,

@@ -98,7 +98,7 @@ def test_a_file_that_is_not_the_announced_one_is_dropped(settings: Settings) -> 
     ("headers", "status", "code"),
     [
         ({"Upload-Length": "10000001"}, 413, "upload.too_large"),
-        ({"Upload-Length": "0"}, 422, "request.invalid"),
+        ({"Upload-Length": "0"}, 422, "upload.empty"),
         ({"Upload-Metadata": "filename " + "Li4vc2VjcmV0"}, 400, "upload.filename"),
         ({"Upload-Metadata": "filename ?"}, 400, "upload.metadata"),
         ({"Upload-Metadata": "sha256 YWJj"}, 400, "upload.filename"),
