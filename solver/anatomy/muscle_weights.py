@@ -13,7 +13,7 @@ CANDIDATE_MM = 10.0
 """A muscle may act in the tetrahedra within this distance (the paper's sparsity of S)."""
 NEAR_LEVEL, LEVEL, FINE_LEVEL = 1, 2, 3
 """Tetrahedra are sampled at the centres of 8^level parts."""
-FINE_BELOW_MM3 = 1500.0
+FINE_BELOW_MM3 = 600.0
 """Smaller muscles, which are thin, are sampled finely."""
 _OCTASECTION = (
     ((0, 0), (0, 1), (0, 2), (0, 3)),
@@ -78,7 +78,7 @@ def _fractions(corners: Floats, muscle: Surface) -> Floats:
     """Return which part (t,) of tetrahedra with ``corners`` (t, 4, 3) a muscle fills."""
     centres = corners.mean(axis=1)
     reach = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
-    touched = np.flatnonzero(_distance(centres, muscle, float(reach.max(initial=0.0))) <= reach)
+    touched = np.flatnonzero(_within(centres, muscle, reach))
     samples = _samples(FINE_LEVEL if enclosed_volume(muscle) < FINE_BELOW_MM3 else LEVEL)
     points = np.einsum("sk,tkd->tsd", samples, corners[touched])
     inside = contains(muscle, points.reshape(-1, 3)).reshape(len(touched), len(samples))
@@ -98,28 +98,32 @@ def _samples(level: int) -> Floats:
 
 def _candidates(vertices: Floats, tets: Ints, surface: Surface) -> Ints:
     """Return the tetrahedra within :data:`CANDIDATE_MM` of a muscle, by corners and samples."""
-    at_vertices = _distance(vertices, surface, CANDIDATE_MM)
-    near = np.asarray((at_vertices[tets] <= CANDIDATE_MM).any(axis=1))
-    corners = vertices[tets]
+    near = np.asarray(_within(vertices, surface, CANDIDATE_MM)[tets].any(axis=1))
+    others = np.flatnonzero(~near)
+    corners = vertices[tets[others]]
     centres = corners.mean(axis=1)
     reach = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
-    lo, hi = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
-    gap = np.linalg.norm(np.maximum(np.maximum(lo - centres, centres - hi), 0.0), axis=1)
-    open_question = np.flatnonzero(~near & (gap <= CANDIDATE_MM + reach))
-    points = np.einsum("sk,tkd->tsd", _samples(NEAR_LEVEL), corners[open_question])
-    distance = _distance(points.reshape(-1, 3), surface, CANDIDATE_MM)
-    inside = distance.reshape(len(open_question), points.shape[1]).min(axis=1) <= CANDIDATE_MM
-    near[open_question[inside]] = True
+    possible = _within(centres, surface, CANDIDATE_MM + reach)
+    points = np.einsum("sk,tkd->tsd", _samples(NEAR_LEVEL), corners[possible])
+    inside = _within(points.reshape(-1, 3), surface, CANDIDATE_MM)
+    near[others[possible]] = inside.reshape(points.shape[:2]).any(axis=1)
     return np.flatnonzero(near)
 
 
-def _distance(points: Floats, surface: Surface, bound: float) -> Floats:
-    """Return (n,) distances to a closed surface, 0 inside and infinite where beyond ``bound``."""
-    distance = np.full(len(points), np.inf)
+def _within(points: Floats, surface: Surface, reach: Floats | float) -> np.ndarray:
+    """Return (n,) True where a point lies inside a surface or within ``reach`` of it."""
     lo, hi = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
-    near = np.flatnonzero(((points > lo - bound) & (points < hi + bound)).all(axis=1))
-    if len(near):
-        own = points[near]
-        squared = igl.point_mesh_squared_distance(own, surface.vertices, surface.faces)[0]
-        distance[near] = np.where(contains(surface, own), 0.0, np.sqrt(squared))
-    return distance
+    reach = np.broadcast_to(reach, len(points))
+    gap = np.maximum(lo - points, points - hi).max(axis=1)
+    near = np.flatnonzero(gap <= reach)
+    result = np.zeros(len(points), dtype=bool)
+    if len(near) == 0:
+        return result
+    squared = igl.point_mesh_squared_distance(points[near], surface.vertices, surface.faces)[0]
+    distance = np.sqrt(squared)
+    result[near] = distance <= reach[near]
+    # What lies deeper inside is at least as far from the sides of the bounding box.
+    deep = near[~result[near] & (-gap[near] >= distance)]
+    if len(deep):
+        result[deep] = contains(surface, points[deep])
+    return result
