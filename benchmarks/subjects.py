@@ -23,7 +23,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def load(options: argparse.Namespace, edge_mm: float) -> tuple[SubjectModel, CaptureSet]:
     """Build the chosen subject's model with tets of ``edge_mm`` and return it with the scans."""
-    if options.faces is None or options.anatomy is None:
+    if (options.faces is None) != (options.anatomy is None):
+        raise SystemExit("--anatomy and --faces go together")
+    if options.faces is None:
         captures, template = builtin_capture_set(), builtin_template()
     else:
         captures = ict_capture_set(options.faces, options.subject, options.capture_sets)

@@ -39,8 +39,10 @@ class ExpressionFit:
         (v,) distance between them on the face's vertices, NaN elsewhere.
     inverted
         Number of tets with det F <= 0.
-    iterations, seconds, objective
-        How the solve went, and the value it ended with.
+    iterations, seconds
+        How the solve went.
+    objective
+        Mean squared distance to the target over the face, mm^2.
     """
 
     name: str
