@@ -36,4 +36,4 @@ setup-dev: ## make .venv ready for the tests and checks
 	@scripts/setup dev
 
 clean: ## remove what the targets made, .venv included
-	rm -rf .venv demo-output build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	rm -rf .venv demo-output build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
