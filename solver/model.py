@@ -9,6 +9,7 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 import scipy.sparse as sp
@@ -151,9 +152,9 @@ class SubjectModel:
                         file=path.name,
                     )
                 return cls._from_arrays(header, dict(data))
-        except (OSError, KeyError, ValueError, EOFError) as error:
-            if isinstance(error, InputError):
-                raise
+        except InputError:
+            raise
+        except (OSError, KeyError, TypeError, ValueError, EOFError, BadZipFile) as error:
             raise InputError(
                 "model.unreadable", f"{path.name} is not a subject model: {error}", file=path.name
             ) from error

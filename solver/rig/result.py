@@ -178,7 +178,7 @@ def _reading(path: Path) -> Iterator[None]:
         yield
     except InputError:
         raise
-    except (OSError, KeyError, IndexError, ValueError, EOFError, BadZipFile) as error:
+    except (OSError, KeyError, IndexError, TypeError, ValueError, EOFError, BadZipFile) as error:
         raise InputError(
             "rig.unreadable", f"{path.name} is not part of a rig: {error}", file=path.name
         ) from error
