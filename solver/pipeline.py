@@ -139,7 +139,7 @@ def fit_activations(
     face = Face(subject, linear=given["linear_solver"])
     rest = face.rest_state(S)
     regulariser = Regulariser(**NEW_EXPRESSION, prior=face.rest_pose())
-    stop = ActivationOptions(given["max_iterations"])
+    stop = ActivationOptions(given["max_iterations"], tolerance=1e-3)
     expressions = [fit for fit in carried if fit.name not in scans]
     begin = time.perf_counter()
     for number, (name, scan) in enumerate(scans.items()):
