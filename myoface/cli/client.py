@@ -48,7 +48,7 @@ def show_subject(subject: SubjectId, url: Url = DEFAULT_URL) -> None:
     """Show a subject's scans, jobs and rigs."""
     with Client(url) as client:
         found = client.subject(subject)
-        out.print(f"{found.name} ({found.id})")
+        out.print(f"{found.name} ({found.id})", markup=False)
         captures = client.captures(subject)
         show_table(
             ("capture", "name", "role"), [(each.id, each.name, each.role) for each in captures]
@@ -117,7 +117,9 @@ def _upload_one(client: Client, subject: str, file: Path, role: Role, resume: st
             )
     except (ApiError, KeyboardInterrupt) as error:
         if begun and getattr(error, "code", UNREACHABLE) == UNREACHABLE:
-            err.print(f"{file.name}: go on with `myoface upload ... --resume {begun[-1]}`")
+            err.print(
+                f"{file.name}: go on with `myoface upload ... --resume {begun[-1]}`", markup=False
+            )
         raise
     out.print(f"{capture.id}  {capture.name}")
 
@@ -240,7 +242,7 @@ def download_rig(rig: RigId, output: NewFolder = Path("rig"), url: Url = DEFAULT
         for artifact in client.rig(rig).artifacts:
             with transfer_bar(artifact.name) as progress:
                 client.download(artifact, output / artifact.name, progress=progress)
-            out.print(f"{output / artifact.name}")
+            out.print(f"{output / artifact.name}", markup=False)
 
 
 def _show_rigs(client: Client, subject: str | None) -> None:

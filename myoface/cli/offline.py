@@ -36,7 +36,7 @@ def build_model(
     options = {} if edge_mm is None else {"edge_mm": edge_mm}
     with JobView("build-model") as view:
         build(neutral, _made(output), template=template, options=options, progress=view)
-    out.print(f"{output / 'model.npz'}")
+    out.print(f"{output / 'model.npz'}", markup=False)
 
 
 @solve.command("geometry")
@@ -46,7 +46,7 @@ def fit_geometry(model: Model, scans: Scans, output: NewFolder = Path("rig")) ->
 
     with JobView("geometry") as view:
         fit(model, _named(scans), _made(output), progress=view)
-    out.print(f"{output / 'rig.glb'}")
+    out.print(f"{output / 'rig.glb'}", markup=False)
 
 
 @solve.command("activations")
@@ -64,7 +64,7 @@ def fit_activations(
     weights = rig / "muscle_weights.npz"
     with JobView("activations") as view:
         fit(model, weights, _named(scans), _made(output), rig=rig, progress=view)
-    out.print(f"{output / 'rig.glb'}")
+    out.print(f"{output / 'rig.glb'}", markup=False)
 
 
 def _named(scans: list[Path]) -> dict[str, Path]:

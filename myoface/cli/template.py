@@ -37,4 +37,7 @@ def builtin(output: NewFile = Path("template.npz")) -> None:
 def _save(made: Template, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     digest = made.save(path)
-    out.print(f"{path}: {made.name} {made.version}, {len(made.muscles)} muscles, sha256 {digest}")
+    out.print(
+        f"{path}: {made.name} {made.version}, {len(made.muscles)} muscles, sha256 {digest}",
+        markup=False,
+    )

@@ -23,9 +23,9 @@ def read_obj(file: str, content: bytes) -> Floats:
     coordinates = array("d")
     highest, highest_line = 0, 0
     for line, row in enumerate(io.BytesIO(content), start=1):
-        if row.startswith(b"v "):
+        if row.startswith((b"v ", b"v\t")):
             coordinates.extend(_vertex(file, line, row, len(coordinates) // 3))
-        elif row.startswith(b"f "):
+        elif row.startswith((b"f ", b"f\t")):
             index = _highest_index(file, line, row, len(coordinates) // 3)
             if index > highest:
                 highest, highest_line = index, line

@@ -76,7 +76,7 @@ def test_a_real_head_survives_every_format(suffix: str, tmp_path: Path) -> None:
 
 def test_obj_with_texture_colours_negative_numbers_and_comments(tmp_path: Path) -> None:
     rows = [f"v {x} {y} {z} 0.5 0.5 0.5" for x, y, z in HEAD.vertices]
-    faces = [f"f {a - COUNT}/1/1 {b - COUNT}//2 {c - COUNT}" for a, b, c in HEAD.faces]
+    faces = [f"f\t{a - COUNT}/1/1 {b - COUNT}//2 {c - COUNT}" for a, b, c in HEAD.faces]
     path = tmp_path / "head.obj"
     text = "\r\n".join(["# Gesicht \xfc", "mtllib a.mtl", "vt 0 0", *rows, "s off", *faces])
     path.write_bytes(text.encode("latin-1"))
