@@ -21,7 +21,7 @@ MEDIA_TYPES = {
 
 
 class AttemptFolder:
-    """``<work>/<job>.<attempt>`` with ``job.json``, ``inputs/`` and ``out/``.
+    """``<work>/<job>.<attempt>`` with ``job.json``, ``inputs/``, ``out/`` and ``tmp/``.
 
     The solver leaves ``result.json`` or ``error.json`` beside them.
     """

@@ -27,6 +27,8 @@ class SolverProcess:
     """
 
     def __init__(self, folder: Path, settings: Settings) -> None:
+        temporary = folder / "tmp"  # goes with the folder, also when the solver is killed
+        temporary.mkdir()
         reading, writing = os.pipe()
         (folder / "process.json").write_text(
             json.dumps(
@@ -42,7 +44,7 @@ class SolverProcess:
             cwd=folder,
             env=os.environ
             | _thread_counts(settings.solver_threads)
-            | {FOLDER_VARIABLE: str(folder)},
+            | {FOLDER_VARIABLE: str(folder), "TMPDIR": str(temporary)},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
