@@ -11,6 +11,7 @@ import hashlib
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -143,7 +144,7 @@ class Template:
             ) from error
 
     @classmethod
-    def _from_arrays(cls, header: dict, data: dict[str, np.ndarray]) -> Template:
+    def _from_arrays(cls, header: dict[str, Any], data: dict[str, np.ndarray]) -> Template:
         muscles = []
         for number, name in enumerate(header["muscles"]):
             fibre, origin, insertion = data[f"muscle_{number}_axis"]
