@@ -154,6 +154,10 @@ def submit_job(
             each.name: each.id for each in client.captures(subject) if each.role == "expression"
         }
         names = [] if kind == "build_model" else capture or list(known)
+        for name in names:
+            if name not in known and name not in known.values():
+                has = ", ".join(sorted(known)) or "none"
+                raise typer.BadParameter(f"--capture {name}: the subject's expressions are {has}")
         job = client.submit(
             cast(Kind, kind),
             subject,
