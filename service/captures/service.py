@@ -61,7 +61,8 @@ def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
 
 
 def delete(session: Session, subject_id: str, capture_id: str) -> None:
-    """Delete a scan."""
+    """Delete a scan; the sweeper removes the file."""
     capture = repository.get(session, subject_id, capture_id)
     refuse_while_busy(session, subject_id)
+    uploads.forget_scans(session, [capture.sha256])
     session.delete(capture)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from sqlalchemy import delete as delete_rows
-from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from service.captures import repository as captures
 from service.errors import Problem
-from service.store.models import Capture, Subject, Upload
+from service.store.models import Subject
 from service.subjects import repository
 from service.subjects.schemas import NewSubject
 from service.templates import repository as templates
+from service.uploads import repository as uploads
 
 
 def create(session: Session, new: NewSubject) -> Subject:
@@ -36,12 +36,9 @@ def refuse_while_busy(session: Session, subject_id: str) -> None:
 
 
 def delete(session: Session, subject_id: str) -> None:
-    """Delete a subject with all that is its own; the sweeper removes the files.
-
-    The uploads of its scans go too: they would keep the files until they expire.
-    """
+    """Delete a subject with all that is its own; the sweeper removes the files."""
     subject = repository.get(session, subject_id)
     refuse_while_busy(session, subject_id)
-    scans = select(Capture.sha256).where(Capture.subject_id == subject_id)
-    session.execute(delete_rows(Upload).where(Upload.complete, Upload.sha256.in_(scans)))
+    scans = [capture.sha256 for capture in captures.of_subject(session, subject_id)]
+    uploads.forget_scans(session, scans)
     session.delete(subject)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from sqlalchemy import delete
 from sqlalchemy.orm import Session
 
 from service.errors import Problem, unknown
@@ -33,3 +36,8 @@ def get_complete(session: Session, upload_id: str) -> Upload:
             found=upload.offset,
         )
     return upload
+
+
+def forget_scans(session: Session, sha256s: Sequence[str]) -> None:
+    """Delete the uploads of deleted scans, which would keep the files until they expire."""
+    session.execute(delete(Upload).where(Upload.complete, Upload.sha256.in_(sha256s)))

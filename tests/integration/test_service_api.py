@@ -130,6 +130,19 @@ def test_a_subject_is_deleted_with_all_that_is_its_own(studio: Studio) -> None:
         assert session.scalars(select(Upload)).all() == []
 
 
+def test_a_deleted_scan_leaves_no_upload(studio: Studio) -> None:
+    subject = studio.subject()
+    smile = studio.capture(subject, "smile")
+    assert studio.http.delete(f"/v1/subjects/{subject}/captures/{smile}").status_code == 204
+    assert [each["name"] for each in studio.get(f"/v1/subjects/{subject}/captures")["items"]] == [
+        "neutral"
+    ]
+    with studio.http.app.state.store.read() as session:  # type: ignore[attr-defined]
+        assert [each.filename for each in session.scalars(select(Upload))] == [
+            "neutral of Alex.obj"
+        ]
+
+
 def test_openapi_describes_every_route(studio: Studio) -> None:
     document = studio.get("/openapi.json")
     assert "HTTPValidationError" not in str(document)
