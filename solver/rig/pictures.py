@@ -116,12 +116,13 @@ def _views_with_legend(
 
 
 def _camera(model: SubjectModel, yaw: float) -> Camera:
-    """Return a camera that shows the face with most of the head around it."""
+    """Return a camera that shows the face with the head around it."""
     face = model.skin.vertices[model.face]
     low, high = face.min(axis=0), face.max(axis=0)
     height = high[1] - low[1]
     centre = (low + high) / 2 + np.array([0.0, 0.06 * height, 0.0])
-    centre[2] -= 0.15 * height
+    head = model.skin.vertices[model.skin.vertices[:, 1] > low[1]]
+    centre[2] = (head[:, 2].min() + head[:, 2].max()) / 2
     return Camera(centre, span=1.62 * height, yaw=yaw)
 
 
