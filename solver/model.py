@@ -66,7 +66,7 @@ class SubjectModel:
     regions
         Name -> skin vertices, for reports.
     template
-        Name, version and sha256 of the template that was used.
+        Name and version of the template that was used.
     """
 
     rest: Floats
