@@ -32,6 +32,9 @@ class Part:
     surface: Surface
 
 
+RINGS = ("orbital", "palpebral")
+
+
 def to_subject_axes(points: Floats) -> Floats:
     """Turn BodyParts3D's (x, -y forward, z up) into (x, y up, z forward)."""
     return np.column_stack([points[:, 0], points[:, 2], -points[:, 1]])
@@ -56,10 +59,26 @@ def read_parts(folder: Path) -> dict[str, Part]:
             raise InputError(
                 "anatomy.index", f"{index} lacks the columns {sorted(missing)}", file=str(index)
             )
-        return {
+        parts = {
             row["name"]: Part(row["category"], _read_mesh(folder / f"{row['fma_id']}.ply"))
             for row in reader
         }
+    for side in ("left", "right"):
+        _name_eye_rings(parts, side)
+    return parts
+
+
+def _name_eye_rings(parts: dict[str, Part], side: str) -> None:
+    """Give the larger eye ring the name of the orbital part: BodyParts3D 3.0 swaps the two."""
+    orbital, palpebral = (f"{part} part of {side} orbicularis oculi" for part in RINGS)
+    if not {orbital, palpebral} <= parts.keys():
+        return
+    if _height(parts[orbital]) < _height(parts[palpebral]):
+        parts[orbital], parts[palpebral] = parts[palpebral], parts[orbital]
+
+
+def _height(part: Part) -> float:
+    return float(np.ptp(part.surface.vertices[:, 1]))
 
 
 def _read_mesh(path: Path) -> Surface:
