@@ -33,6 +33,7 @@ class Part:
 
 
 RINGS = ("orbital", "palpebral")
+"""The two parts of orbicularis oculi, the larger first."""
 
 
 def to_subject_axes(points: Floats) -> Floats:
