@@ -14,6 +14,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from service.errors import Problem, render
 
 ACCEPTED_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+HOST = re.compile(r"(?:([^:\[\]@/\s]+)|\[([^\]\s]+)\])(?::\d{1,5})?")
 QUIET = frozenset({"/healthz", "/readyz"})
 
 log = structlog.get_logger()
@@ -54,7 +55,7 @@ class RequestContext:
 
         structlog.contextvars.bind_contextvars(request_id=request_id)
         try:
-            if request.url.hostname not in self._allowed_hosts:
+            if _hostname(request) not in self._allowed_hosts:
                 problem = Problem(421, "request.host", "this service does not answer to that host")
                 await render(request_id, problem)(scope, receive, send_with_id)
             else:
@@ -75,6 +76,12 @@ class RequestContext:
                     ms=round(1000 * (time.perf_counter() - started), 1),
                 )
             structlog.contextvars.unbind_contextvars("request_id")
+
+
+def _hostname(request: Request) -> str | None:
+    """Return the Host header's name; None if it has none, where Starlette would take our own."""
+    match = HOST.fullmatch(request.headers.get("host", ""))
+    return (match[1] or match[2]).lower() if match else None
 
 
 class BodyLimit:

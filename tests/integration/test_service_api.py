@@ -159,8 +159,10 @@ def test_openapi_describes_every_route(studio: Studio) -> None:
 def test_only_this_machine_is_served(studio: Studio) -> None:
     with pytest.raises(ValidationError, match="loopback"):
         Settings(host="0.0.0.0")
-    answer = studio.http.get("/healthz", headers={"Host": "evil.example"})
-    assert (answer.status_code, answer.json()["code"]) == (421, "request.host")
+    for host in ("evil.example", "evil:abc", "evil.example@127.0.0.1", ""):
+        answer = studio.http.get("/healthz", headers={"Host": host})
+        assert (answer.status_code, answer.json()["code"]) == (421, "request.host"), host
+    assert studio.http.get("/healthz", headers={"Host": "LocalHost:8765"}).status_code == 200
 
 
 @pytest.mark.parametrize(
