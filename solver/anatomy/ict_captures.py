@@ -83,6 +83,12 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         sets: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         missing = {"subjects", "train", "test"} - sets.keys()
+    except FileNotFoundError:
+        raise InputError(
+            "captures.unreadable",
+            f"there is no {path.name} in {path.parent}: it names the subjects and expressions",
+            file=str(path),
+        ) from None
     except (OSError, ValueError, AttributeError) as error:
         raise InputError(
             "captures.unreadable", f"{path} is not a capture-sets file: {error}", file=str(path)

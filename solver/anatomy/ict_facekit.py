@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -68,7 +69,7 @@ def read_facekit(folder: Path) -> FaceKit:
             faces = triangulate(data["quads"].astype(np.int64))
             expressions = data["E"].astype(float) * MM_PER_UNIT
             names = [str(name) for name in data["ex"]]
-    except (OSError, KeyError, ValueError) as error:
+    except (OSError, KeyError, TypeError, ValueError, EOFError, BadZipFile) as error:
         raise InputError(
             "faces.unreadable", f"{path} is not an ICT-FaceKit file: {error}", file=str(path)
         ) from error

@@ -12,6 +12,7 @@ import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -136,9 +137,9 @@ class Template:
                         file=path.name,
                     )
                 return cls._from_arrays(header, dict(data))
-        except (OSError, KeyError, ValueError, EOFError) as error:
-            if isinstance(error, InputError):
-                raise
+        except InputError:
+            raise
+        except (OSError, KeyError, TypeError, ValueError, EOFError, BadZipFile) as error:
             raise InputError(
                 "template.unreadable", f"{path.name} is not a template: {error}", file=path.name
             ) from error

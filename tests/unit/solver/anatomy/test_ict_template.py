@@ -32,8 +32,9 @@ def test_missing_mesh_is_named(tmp_path):
         bodyparts3d.read_parts(tmp_path)
 
 
-def test_file_that_is_no_face_model_is_named(tmp_path):
-    (tmp_path / "ict_facekit.npz").write_bytes(b"PK not really")
+@pytest.mark.parametrize("content", [b"PK not really", b"PK\x03\x04 cut short", b""])
+def test_file_that_is_no_face_model_is_named(content, tmp_path):
+    (tmp_path / "ict_facekit.npz").write_bytes(content)
     with pytest.raises(InputError, match=r"ict_facekit\.npz"):
         ict_facekit.read_facekit(tmp_path)
 
