@@ -7,7 +7,7 @@ in ``solver/anatomy/data``, then kept in the cache folder. See ``docs/builtin-an
 from __future__ import annotations
 
 import hashlib
-import os
+import uuid
 from collections.abc import Mapping
 from functools import cache
 from importlib import resources
@@ -80,7 +80,7 @@ def builtin_template() -> Template:
     path = cache_directory() / f"template-{_build_key()}.npz"
     if not path.exists():
         log.info("building the built-in anatomy", to=str(path))
-        unfinished = path.with_suffix(f".{os.getpid()}")
+        unfinished = path.with_suffix(f".{uuid.uuid4().hex}")
         build_template(builtin_head()).save(unfinished)
         unfinished.replace(path)
     return Template.load(path)
@@ -160,60 +160,62 @@ DEMO_SEED = 1
 
 TRAIN: dict[str, dict[str, float]] = {
     "smile": {
-        "mouthSmileLeft": 0.9,
-        "mouthSmileRight": 0.9,
-        "cheekSquintLeft": 0.5,
-        "cheekSquintRight": 0.5,
-        "mouthUpperUpLeft": 0.3,
-        "mouthUpperUpRight": 0.3,
+        "mouthSmileLeft": 0.85,
+        "mouthSmileRight": 0.8,
+        "cheekSquintLeft": 0.6,
+        "cheekSquintRight": 0.6,
+        "mouthDimpleLeft": 0.2,
+        "mouthDimpleRight": 0.2,
+        "mouthUpperUpLeft": 0.25,
+        "mouthUpperUpRight": 0.25,
     },
     "surprise": {
-        "jawOpen": 0.6,
-        "browInnerUp": 0.9,
-        "browOuterUpLeft": 0.9,
-        "browOuterUpRight": 0.9,
-        "eyeWideLeft": 0.6,
-        "eyeWideRight": 0.6,
+        "jawOpen": 0.55,
+        "browInnerUp": 1.0,
+        "browOuterUpLeft": 0.85,
+        "browOuterUpRight": 0.85,
+        "eyeWideLeft": 0.7,
+        "eyeWideRight": 0.7,
     },
-    "kiss": {"mouthPucker": 0.9, "mouthFunnel": 0.3, "browDownLeft": 0.3, "browDownRight": 0.3},
+    "kiss": {"mouthPucker": 1.0, "mouthFunnel": 0.2, "browDownLeft": 0.2, "browDownRight": 0.2},
     "disgust": {
-        "noseSneerLeft": 0.9,
-        "noseSneerRight": 0.9,
-        "mouthUpperUpLeft": 0.7,
-        "mouthUpperUpRight": 0.7,
-        "browDownLeft": 0.8,
-        "browDownRight": 0.8,
-        "mouthLowerDownLeft": 0.3,
-        "mouthLowerDownRight": 0.3,
+        "noseSneerLeft": 1.0,
+        "noseSneerRight": 0.95,
+        "mouthUpperUpLeft": 0.6,
+        "mouthUpperUpRight": 0.6,
+        "browDownLeft": 0.7,
+        "browDownRight": 0.7,
+        "mouthLowerDownLeft": 0.4,
+        "mouthLowerDownRight": 0.4,
     },
     "sad": {
-        "mouthFrownLeft": 0.9,
-        "mouthFrownRight": 0.9,
-        "mouthShrugLower": 0.6,
-        "browInnerUp": 0.8,
-        "mouthStretchLeft": 0.3,
-        "mouthStretchRight": 0.3,
+        "mouthFrownLeft": 0.8,
+        "mouthFrownRight": 0.85,
+        "mouthShrugLower": 0.5,
+        "browInnerUp": 0.9,
+        "mouthStretchLeft": 0.25,
+        "mouthStretchRight": 0.25,
     },
 }
 TEST: dict[str, dict[str, float]] = {
     "grin": {
-        "mouthSmileLeft": 0.7,
-        "mouthSmileRight": 0.7,
-        "mouthUpperUpLeft": 0.8,
-        "mouthUpperUpRight": 0.8,
-        "mouthLowerDownLeft": 0.7,
-        "mouthLowerDownRight": 0.7,
-        "jawOpen": 0.15,
+        "mouthSmileLeft": 0.6,
+        "mouthSmileRight": 0.65,
+        "mouthUpperUpLeft": 0.7,
+        "mouthUpperUpRight": 0.7,
+        "mouthLowerDownLeft": 0.6,
+        "mouthLowerDownRight": 0.6,
+        "jawOpen": 0.2,
     },
     "anger": {
-        "browDownLeft": 1.0,
-        "browDownRight": 1.0,
-        "noseSneerLeft": 0.5,
-        "noseSneerRight": 0.5,
-        "mouthPressLeft": 0.7,
-        "mouthPressRight": 0.7,
+        "browDownLeft": 0.9,
+        "browDownRight": 0.9,
+        "noseSneerLeft": 0.6,
+        "noseSneerRight": 0.6,
+        "mouthPressLeft": 0.6,
+        "mouthPressRight": 0.6,
     },
-    "ah": {"jawOpen": 0.8, "mouthLowerDownLeft": 0.3, "mouthLowerDownRight": 0.3},
+    "ah": {"jawOpen": 0.75, "mouthLowerDownLeft": 0.4, "mouthLowerDownRight": 0.4},
 }
 
 
