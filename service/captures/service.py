@@ -37,7 +37,7 @@ def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
             raise Problem(
                 409,
                 "capture.name_taken",
-                f"the subject has a capture named {new.name}; delete it, or give this one another name",
+                f"the subject has a capture named {new.name}: delete that, or rename this one",
                 capture_id=other.id,
             )
         if other.role == new.role == "neutral":
