@@ -95,8 +95,8 @@ def fit_geometry(
 
     def listen(block: str, number: int, error: float) -> None:
         nonlocal done
-        done += 1
         progress(Step(block, 0.02 + 0.9 * done / blocks, number + 1, mean_error_mm=error))
+        done += 1
 
     start = time.perf_counter()
     fitted = geometry.fit(face, targets, schedule, listen)

@@ -56,7 +56,7 @@ class GeometryFit:
 
 
 Listener = Callable[[str, int, float], None]
-"""Called with the block (``activations`` or ``geometry``), the round and the mean error in mm."""
+"""Called as work begins: block (``activations``, ``geometry``), round, mean error so far in mm."""
 
 
 def fit(
@@ -76,6 +76,8 @@ def fit(
         w_a, w_s = options.weights(number)
         iterations = options.first_iterations if number == 0 else options.activation_iterations
         for name, target in targets.items():
+            if listen:
+                listen("activations", number, mean_error(face, targets, states))
             prior = face.rest_pose() if number == 0 else states[name].pose
             regulariser = Regulariser(w_a, options.w_v, options.w_b, prior)
             fitted = activation.fit(
@@ -83,13 +85,11 @@ def fit(
             )
             states[name] = fitted.state
             steps[name] += fitted.iterations
-            if listen:
-                listen("activations", number, mean_error(face, targets, states))
+        if listen:
+            listen("geometry", number, mean_error(face, targets, states))
         problem = WeightProblem(face, targets, w_s, S.data)
         improved = weights.fit(problem, S, states, options.geometry_iterations, damping)
         S, states, damping = improved.S, improved.states, improved.damping
-        if listen:
-            listen("geometry", number, mean_error(face, targets, states))
     return GeometryFit(S, states, steps)
 
 
