@@ -22,14 +22,16 @@ from solver.surface import Floats
 DAMPING_START = 0.1
 DAMPING_GROWTH = 8.0
 DAMPING_LEAST = 1e-6
-DAMPING_LIMIT = 1e6
+MAX_TRIALS = 6
+"""Steps tried from one state, each more damped, before it counts as the minimum."""
+
 JAW_DAMPING = 1e-3
 
 LARGEST_STEP = 0.4
 LARGEST_TURN = 0.1
 """Trust in the linear model: change of an activation's entry and of the jaw's angles per step."""
 
-HALVINGS = 6
+HALVINGS = 3
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ def fit(
     for iteration in range(1, options.max_iterations + 1):
         model = _linearise(face, S, target, regulariser, state)
         accepted = None
-        while accepted is None and damping < DAMPING_LIMIT:
+        for _ in range(MAX_TRIALS):
             step = model.step(damping)
             trial = _try(face, S, state, step, model.flesh)
             if trial is not None:

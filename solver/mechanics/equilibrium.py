@@ -21,7 +21,7 @@ TOLERANCE = 1e-7
 STALLED = 1e-5
 """Residual at which a solve that can get no further still counts."""
 
-MAX_ITERATIONS = 60
+MAX_ITERATIONS = 40
 ARMIJO = 1e-4
 SHORTEST_STEP = 2.0**-30
 
