@@ -34,8 +34,7 @@ def main() -> None:
     parser = report.parser(__doc__ or "")
     subjects.add_options(parser)
     parser.add_argument("--edge-mm", type=float, default=COARSE_EDGE_MM)
-    # the weight of a fit's first round; far below it the problem has several minima
-    parser.add_argument("--w-a", type=float, default=0.2, help="weight of the activations' prior")
+    parser.add_argument("--w-a", type=float, default=0.1, help="weight of the activations' prior")
     options = parser.parse_args()
     report.write(run(options), options.json)
 
