@@ -16,6 +16,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from solver.anatomy.shapes import ShapeBasis
 from solver.errors import InputError
 from solver.surface import Floats, Ints, Surface
 
@@ -63,6 +64,9 @@ class Template:
         Name -> skin vertices, for reports by region.
     back_z, bottom_y
         Planes behind and below which there is no flesh: its tets end there, held fixed.
+    shapes
+        How the skin varies over persons and expressions, where that is known; registration fits
+        it to a scan before it fits the vertices.
     """
 
     name: str
@@ -82,6 +86,7 @@ class Template:
     bottom_y: float
     landmarks: dict[str, int] = field(default_factory=dict)
     regions: dict[str, Ints] = field(default_factory=dict)
+    shapes: ShapeBasis | None = None
 
     def save(self, path: Path) -> str:
         """Write the template as NPZ and return the sha256 of the file."""
@@ -108,6 +113,9 @@ class Template:
             )
         for name, ids in self.regions.items():
             arrays[f"region_{name}"] = ids
+        if self.shapes is not None:
+            arrays["shapes_identity"] = self.shapes.identity
+            arrays["shapes_expressions"] = self.shapes.expressions
         header = {
             "format": FORMAT,
             "name": self.name,
@@ -115,6 +123,7 @@ class Template:
             "source": self.source,
             "muscles": [muscle.name for muscle in self.muscles],
             "landmarks": self.landmarks,
+            "expression_names": self.shapes.expression_names if self.shapes else (),
         }
         arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
         with path.open("wb") as stream:
@@ -151,6 +160,13 @@ class Template:
             fibre, origin, insertion = data[f"muscle_{number}_axis"]
             surface = Surface(data[f"muscle_{number}_vertices"], data[f"muscle_{number}_faces"])
             muscles.append(Muscle(name, surface, fibre, origin, insertion))
+        shapes = None
+        if "shapes_identity" in data:
+            shapes = ShapeBasis(
+                data["shapes_identity"],
+                data["shapes_expressions"],
+                tuple(header["expression_names"]),
+            )
         back_z, bottom_y = data["planes"]
         return cls(
             name=header["name"],
@@ -174,4 +190,5 @@ class Template:
                 for key, ids in data.items()
                 if key.startswith("region_")
             },
+            shapes=shapes,
         )

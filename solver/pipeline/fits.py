@@ -1,23 +1,14 @@
-"""The three jobs: build a model, fit the muscle geometry, fit activations.
-
-Each reads files, writes its results into a folder and reports progress. A worker calls them in a
-process of its own, the offline command line directly.
-"""
+"""The jobs that fit: the muscle geometry of a subject, and activations of new expressions."""
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from solver.anatomy.build import build_subject_model, model_summary
-from solver.anatomy.builtin import builtin_template
-from solver.anatomy.template import Template
 from solver.errors import InputError
 from solver.fitting import activation, geometry
 from solver.fitting.activation import ActivationOptions
@@ -25,52 +16,15 @@ from solver.fitting.face import Face, State
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.objective import Regulariser, Target
 from solver.model import SubjectModel
+from solver.pipeline.common import Options, take
 from solver.progress import Progress, Step, silent
 from solver.rig.export import write_rig
-from solver.rig.pictures import anatomy_picture, tets_picture
 from solver.rig.result import ExpressionFit, Rig, load_activations, load_weights
 from solver.scans.read import read_registered
 from solver.surface import Floats
 
-Options = Mapping[str, Any] | None
-
 NEW_EXPRESSION = {"w_a": 2e-3, "w_v": 1e-2, "w_b": 1e-6}
 """Weights for an expression that S was not fitted to: w_a low from the start."""
-
-
-def build_model(
-    neutral: Path,
-    out: Path,
-    *,
-    template: Path | None = None,
-    options: Options = None,
-    progress: Progress = silent,
-) -> list[Path]:
-    """Build a subject's model from a registered neutral scan.
-
-    Options: ``edge_mm``, the tets' edge length. Writes ``model.npz``, ``model.json``,
-    ``anatomy.png`` and ``tets.png``. Raises :class:`solver.errors.InputError` for a scan or
-    template that can not be used, :class:`solver.errors.SolveError` if no mesh can be made.
-    """
-    given = _take(options, {"edge_mm": 9.0})
-    out.mkdir(parents=True, exist_ok=True)
-    progress(Step("read", 0.0, message=neutral.name))
-    anatomy = builtin_template() if template is None else Template.load(template)
-    vertices = read_registered(neutral, anatomy.skin.faces, len(anatomy.skin.vertices))
-    model = build_subject_model(
-        anatomy,
-        vertices,
-        edge_mm=given["edge_mm"],
-        progress=lambda step: progress(_within(step, 0.02, 0.93)),
-    )
-    files = [out / name for name in ("model.npz", "model.json", "anatomy.png", "tets.png")]
-    model.save(files[0])
-    files[1].write_text(json.dumps(model_summary(model), indent=2), encoding="utf-8")
-    progress(Step("pictures", 0.94))
-    anatomy_picture(model, files[2])
-    tets_picture(model, files[3])
-    progress(Step("done", 1.0))
-    return files
 
 
 def fit_geometry(
@@ -85,7 +39,7 @@ def fit_geometry(
 
     Options: ``rounds`` of block coordinate descent, ``linear_solver``.
     """
-    given = _take(options, {"rounds": GeometryOptions.rounds, "linear_solver": None})
+    given = take(options, {"rounds": GeometryOptions.rounds, "linear_solver": None})
     subject, scans = _read(model, captures, progress)
     face = Face(subject, linear=given["linear_solver"])
     targets = {name: _target(subject, scan) for name, scan in scans.items()}
@@ -132,7 +86,7 @@ def fit_activations(
     ``rig`` (``activations.npz`` of a rig, or its folder) carries that rig's expressions over; a
     new capture of the same name replaces the old. Options: ``max_iterations``, ``linear_solver``.
     """
-    given = _take(options, {"max_iterations": 25, "linear_solver": None})
+    given = take(options, {"max_iterations": 25, "linear_solver": None})
     subject, scans = _read(model, captures, progress)
     S = load_weights(weights, subject)
     carried = () if rig is None else load_activations(_activations_file(rig), subject)
@@ -233,21 +187,3 @@ def _export(
 
 def _activations_file(rig: Path) -> Path:
     return rig / "activations.npz" if rig.is_dir() else rig
-
-
-def _take(options: Options, defaults: dict[str, Any]) -> dict[str, Any]:
-    """Return the defaults with the given options; raises ``options.unknown`` for others."""
-    unknown = set(options or {}) - set(defaults)
-    if unknown:
-        raise InputError(
-            "options.unknown",
-            f"unknown options {sorted(unknown)}; known are {sorted(defaults)}",
-            expected=sorted(defaults),
-        )
-    return {**defaults, **(options or {})}
-
-
-def _within(step: Step, start: float, end: float) -> Step:
-    """Map a part's progress into [start, end] of the whole."""
-    given = {**step.as_dict(), "fraction": start + step.fraction * (end - start)}
-    return Step(**given)

@@ -1,0 +1,10 @@
+"""The jobs, as functions.
+
+Each reads files, writes its results into a folder and reports progress. A worker calls them in a
+process of its own, the offline command line directly.
+"""
+
+from solver.pipeline.fits import fit_activations, fit_geometry
+from solver.pipeline.models import build_model
+
+__all__ = ["build_model", "fit_activations", "fit_geometry"]

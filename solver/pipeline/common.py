@@ -1,0 +1,29 @@
+"""What the jobs share: their options, and the place of a part's progress in the whole."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from solver.errors import InputError
+from solver.progress import Step
+
+Options = Mapping[str, Any] | None
+
+
+def take(options: Options, defaults: dict[str, Any]) -> dict[str, Any]:
+    """Return the defaults with the given options; raises ``options.unknown`` for others."""
+    unknown = set(options or {}) - set(defaults)
+    if unknown:
+        raise InputError(
+            "options.unknown",
+            f"unknown options {sorted(unknown)}; known are {sorted(defaults)}",
+            expected=sorted(defaults),
+        )
+    return {**defaults, **(options or {})}
+
+
+def within(step: Step, start: float, end: float) -> Step:
+    """Map a part's progress into [start, end] of the whole."""
+    given = {**step.as_dict(), "fraction": start + step.fraction * (end - start)}
+    return Step(**given)

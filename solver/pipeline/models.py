@@ -1,0 +1,49 @@
+"""The job that builds a subject's model."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from solver.anatomy.build import build_subject_model, model_summary
+from solver.anatomy.builtin import builtin_template
+from solver.anatomy.template import Template
+from solver.pipeline.common import Options, take, within
+from solver.progress import Progress, Step, silent
+from solver.rig.pictures import anatomy_picture, tets_picture
+from solver.scans.read import read_registered
+
+
+def build_model(
+    neutral: Path,
+    out: Path,
+    *,
+    template: Path | None = None,
+    options: Options = None,
+    progress: Progress = silent,
+) -> list[Path]:
+    """Build a subject's model from a registered neutral scan.
+
+    Options: ``edge_mm``, the tets' edge length. Writes ``model.npz``, ``model.json``,
+    ``anatomy.png`` and ``tets.png``. Raises :class:`solver.errors.InputError` for a scan or
+    template that can not be used, :class:`solver.errors.SolveError` if no mesh can be made.
+    """
+    given = take(options, {"edge_mm": 9.0})
+    out.mkdir(parents=True, exist_ok=True)
+    progress(Step("read", 0.0, message=neutral.name))
+    anatomy = builtin_template() if template is None else Template.load(template)
+    vertices = read_registered(neutral, anatomy.skin.faces, len(anatomy.skin.vertices))
+    model = build_subject_model(
+        anatomy,
+        vertices,
+        edge_mm=given["edge_mm"],
+        progress=lambda step: progress(within(step, 0.02, 0.93)),
+    )
+    files = [out / name for name in ("model.npz", "model.json", "anatomy.png", "tets.png")]
+    model.save(files[0])
+    files[1].write_text(json.dumps(model_summary(model), indent=2), encoding="utf-8")
+    progress(Step("pictures", 0.94))
+    anatomy_picture(model, files[2])
+    tets_picture(model, files[3])
+    progress(Step("done", 1.0))
+    return files
