@@ -16,7 +16,6 @@ import trimesh
 from solver.errors import InputError
 from solver.surface import Floats, Surface
 
-BONES = ("cranium", "mandible", "teeth_upper", "teeth_lower")
 _COLUMNS = {"fma_id", "category", "name"}
 # Chewing muscles of the face's outer layer; the pterygoids lie inside the jaw and the occipital
 # belly and temporoparietalis behind the flesh.

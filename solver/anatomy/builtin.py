@@ -20,6 +20,7 @@ from solver.anatomy.builtin_depths import OuterSkin
 from solver.anatomy.builtin_head import Head
 from solver.anatomy.builtin_muscles import build_muscles
 from solver.anatomy.builtin_regions import Regions
+from solver.anatomy.builtin_shapes import shape_basis
 from solver.anatomy.builtin_skull import Skull, build_skull
 from solver.anatomy.builtin_source import (
     WHEEL_SHA256,
@@ -123,6 +124,7 @@ def build_template(head: Head) -> Template:
         bottom_y=BOTTOM_Y,
         landmarks=head.landmarks,
         regions=regions.named(),
+        shapes=shape_basis(head),
     )
 
 

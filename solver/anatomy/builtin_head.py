@@ -113,6 +113,11 @@ class Head:
         """The 52 ARKit expression names."""
         return self._source.face_unit_names()
 
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """The names of MakeHuman's shape targets, such as ``chin/chin-width-incr``."""
+        return self._source.shape_target_names()
+
     def identity(self, targets: Mapping[str, float]) -> Floats:
         """Return the displacement (n, 3), mm, of weighted MakeHuman shape targets."""
         return MM_PER_UNIT * self._sum_targets(targets)[self._base_vertex]

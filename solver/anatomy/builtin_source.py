@@ -125,6 +125,12 @@ class SourceFiles:
         """Return the displacement (n, 3), decimetres, of e.g. ``chin/chin-width-incr``."""
         return self._displacement(gzip.decompress(self._read(f"{SHAPE_TARGETS}{name}.target.gz")))
 
+    def shape_target_names(self) -> tuple[str, ...]:
+        """Return the names of all shape targets, sorted."""
+        files = [name.removeprefix(SHAPE_TARGETS) for name in self._zip.namelist()]
+        ending = ".target.gz"
+        return tuple(sorted(name.removesuffix(ending) for name in files if name.endswith(ending)))
+
     def face_unit(self, name: str) -> Floats:
         """Return the displacement (n, 3), decimetres, of one ARKit expression at full weight."""
         return self._displacement(self._read(f"{FACE_UNITS}{name}.target"))

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from solver.anatomy.capture_set import CaptureSet
-from solver.anatomy.ict_facekit import MM_PER_UNIT, FaceKit, read_facekit
+from solver.anatomy.ict_facekit import FaceKit, read_facekit
 from solver.errors import InputError
 from solver.surface import Floats, Surface
 
@@ -49,7 +49,7 @@ def ict_capture_set(faces: Path, subject: str, capture_sets: Path | None = None)
         )
     kit = read_facekit(faces)
     seed = sets["subjects"][subject]["identity_seed"]
-    neutral = kit.skin if seed is None else identity(faces, kit, seed)
+    neutral = kit.skin if seed is None else identity(kit, seed)
 
     def scans(expressions: dict[str, Weights]) -> dict[str, Surface]:
         return {
@@ -60,12 +60,10 @@ def ict_capture_set(faces: Path, subject: str, capture_sets: Path | None = None)
     return CaptureSet(neutral, scans(sets["train"]), scans(sets["test"]))
 
 
-def identity(faces: Path, kit: FaceKit, seed: int) -> Surface:
+def identity(kit: FaceKit, seed: int) -> Surface:
     """Return a random person's neutral: standard normal identity coefficients by ``seed``."""
-    with np.load(faces / "ict_facekit.npz", allow_pickle=False) as data:
-        shapes = data["I"]
-    coefficients = np.random.default_rng(seed).standard_normal(len(shapes))
-    return kit.skin.moved(kit.skin.vertices + MM_PER_UNIT * np.tensordot(coefficients, shapes, 1))
+    coefficients = np.random.default_rng(seed).standard_normal(len(kit.identities))
+    return kit.skin.moved(kit.skin.vertices + np.tensordot(coefficients, kit.identities, 1))
 
 
 def _displacement(kit: FaceKit, weights: Weights, path: Path) -> Floats:

@@ -12,6 +12,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from solver.anatomy.shapes import ShapeBasis
 from solver.errors import InputError
 from solver.surface import Floats, Ints, Surface
 
@@ -20,15 +21,12 @@ MM_PER_UNIT = 10.0
 
 # Ranges of vertex numbers, as published with the model.
 NARROW_FACE = range(0, 6706)
-FACE = range(0, 9409)
 HEAD = range(0, 11248)
 FLESH = range(0, 14062)
-EYE_SOCKETS = range(13294, 14062)
 GUMS_AND_TONGUE = range(14062, 17039)
 UPPER_TEETH = range(17039, 19247)
 LOWER_TEETH = range(19247, 21451)
 EYEBALLS = range(21451, 24591)
-EYE_PARTS = range(24591, VERTEX_COUNT)
 
 TEETH_NAMES = tuple(
     f"{side} {{jaw}} {tooth} tooth"
@@ -47,14 +45,19 @@ TEETH_NAMES = tuple(
 
 @dataclass(frozen=True)
 class FaceKit:
-    """The head: ``skin`` in mm with all vertices, and expression ``deltas`` (n, 3) in mm."""
+    """The head: ``skin`` with all vertices and how it varies, in mm.
+
+    ``deltas`` are the displacements (n, 3) of the expressions; ``identities`` (k, n, 3) those of
+    one standard deviation of each identity component, whose coefficients are independent.
+    """
 
     skin: Surface
     deltas: dict[str, Floats]
+    identities: Floats
 
 
 def read_facekit(folder: Path) -> FaceKit:
-    """Return the neutral head and its expressions.
+    """Return the neutral head, its expressions and its identities.
 
     Raises
     ------
@@ -69,6 +72,7 @@ def read_facekit(folder: Path) -> FaceKit:
             faces = triangulate(data["quads"].astype(np.int64))
             expressions = data["E"].astype(float) * MM_PER_UNIT
             names = [str(name) for name in data["ex"]]
+            identities = data["I"].astype(float) * MM_PER_UNIT
     except (OSError, KeyError, TypeError, ValueError, EOFError, BadZipFile) as error:
         raise InputError(
             "faces.unreadable", f"{path} is not an ICT-FaceKit file: {error}", file=str(path)
@@ -81,7 +85,8 @@ def read_facekit(folder: Path) -> FaceKit:
             expected=VERTEX_COUNT,
             found=len(vertices),
         )
-    return FaceKit(Surface(vertices, faces), dict(zip(names, expressions, strict=True)))
+    deltas = dict(zip(names, expressions, strict=True))
+    return FaceKit(Surface(vertices, faces), deltas, identities)
 
 
 def triangulate(quads: Ints) -> Ints:
@@ -93,3 +98,20 @@ def triangulate(quads: Ints) -> Ints:
 def faces_within(faces: Ints, vertices: range) -> Ints:
     """Return the numbers of the faces whose vertices all lie in a range."""
     return np.flatnonzero(np.all((faces >= vertices.start) & (faces < vertices.stop), axis=1))
+
+
+def arkit_name(expression: str) -> str:
+    """Return ARKit's name of an expression: ``browDown_L`` is ``browDownLeft`` there."""
+    for ending, side in (("_L", "Left"), ("_R", "Right")):
+        if expression.endswith(ending):
+            return expression.removesuffix(ending) + side
+    return expression
+
+
+def shape_basis(kit: FaceKit) -> ShapeBasis:
+    """Return how the head varies over persons and expressions."""
+    return ShapeBasis(
+        identity=kit.identities.astype(np.float32),
+        expressions=np.stack(list(kit.deltas.values())).astype(np.float32),
+        expression_names=tuple(arkit_name(name) for name in kit.deltas),
+    )

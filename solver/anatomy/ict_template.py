@@ -294,6 +294,7 @@ def build_ict_template(anatomy_dir: Path, faces_dir: Path) -> Template:
         bottom_y=BOTTOM_Y,
         landmarks=dict(LANDMARKS),
         regions=named_regions(skin.vertices),
+        shapes=ict_facekit.shape_basis(kit),
     )
 
 

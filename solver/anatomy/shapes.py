@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from solver.surface import Floats
+import numpy as np
+from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,6 @@ class ShapeBasis:
         The e names, as ARKit calls them where it has one.
     """
 
-    identity: Floats
-    expressions: Floats
+    identity: NDArray[np.float32]
+    expressions: NDArray[np.float32]
     expression_names: tuple[str, ...]

@@ -154,8 +154,29 @@ def test_face_is_brow_to_chin_without_ears(template):
     assert len(named) > 0.98 * len(face)
 
 
+def test_other_people_lie_within_the_shapes(template):
+    """Random persons are made of one-sided shape targets, the basis of half their difference."""
+    shapes, skin = template.shapes, template.skin.vertices
+    persons = [
+        builtin.builtin_expression({}, builtin.random_identity(seed)).vertices - skin
+        for seed in (1, 2)
+    ]
+    face = template.face_vertices
+    centred = [person[face] - person[face].mean(axis=0) for person in persons]
+    basis = shapes.identity[:, face] - shapes.identity[:, face].mean(axis=1, keepdims=True)
+    columns = basis.reshape(len(basis), -1).T
+    for person in centred:
+        strength = np.linalg.lstsq(columns, person.ravel(), rcond=1e-6)[0]
+        left = person.ravel() - columns @ strength
+        assert np.linalg.norm(left) < 0.4 * np.linalg.norm(person)
+    number = shapes.expression_names.index("jawOpen")
+    opened = builtin.builtin_expression({"jawOpen": 1.0}).vertices - skin
+    np.testing.assert_allclose(shapes.expressions[number], opened, atol=1e-4)
+
+
 def test_template_survives_the_cache(template, tmp_path):
     template.save(tmp_path / "template.npz")
     again = Template.load(tmp_path / "template.npz")
     np.testing.assert_array_equal(again.parting, template.parting)
+    np.testing.assert_array_equal(again.shapes.identity, template.shapes.identity)
     assert [muscle.name for muscle in again.muscles] == [m.name for m in template.muscles]
