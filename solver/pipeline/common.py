@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from solver.errors import InputError
@@ -27,3 +27,17 @@ def within(step: Step, start: float, end: float) -> Step:
     """Map a part's progress into [start, end] of the whole."""
     given = {**step.as_dict(), "fraction": start + step.fraction * (end - start)}
     return Step(**given)
+
+
+def refuse(faults: Sequence[InputError]) -> None:
+    """Raise what is wrong with the inputs, all of it at once, so that all can be mended at once."""
+    if not faults:
+        return
+    if len(faults) == 1:
+        raise faults[0]
+    messages = "; ".join(fault.message for fault in faults)
+    raise InputError(
+        "scan.several",
+        f"{len(faults)} scans can not be used: {messages}",
+        faults=[fault.as_dict() for fault in faults],
+    )

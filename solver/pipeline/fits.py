@@ -16,7 +16,7 @@ from solver.fitting.face import Face, State
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.objective import Regulariser, Target
 from solver.model import SubjectModel
-from solver.pipeline.common import Options, take
+from solver.pipeline.common import Options, refuse, take
 from solver.progress import Progress, Step, silent
 from solver.rig.export import write_rig
 from solver.rig.result import ExpressionFit, Rig, load_activations, load_weights
@@ -130,10 +130,16 @@ def _read(
     progress(Step("read", 0.0, message=f"{len(captures)} scans"))
     subject = SubjectModel.load(model)
     skin = subject.skin
-    scans = {
-        name: read_registered(path, skin.faces, len(skin.vertices), neutral=skin.vertices)
-        for name, path in captures.items()
-    }
+    scans: dict[str, Floats] = {}
+    faults: list[InputError] = []
+    for name, path in captures.items():
+        try:
+            scans[name] = read_registered(
+                path, skin.faces, len(skin.vertices), neutral=skin.vertices
+            )
+        except InputError as fault:
+            faults.append(fault)
+    refuse(faults)
     return subject, scans
 
 
