@@ -1,4 +1,4 @@
-"""Reading a folder of BodyParts3D meshes (DBCLS, CC BY 4.0): ``index.csv`` and one PLY a part.
+"""Reading BodyParts3D (DBCLS, CC BY 4.0): its release 3.0, or ``index.csv`` and one PLY a part.
 
 BodyParts3D is in mm with x to the subject's left, -y forward and z up; everything here is returned
 with y up and z forward.
@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from solver.anatomy.public_bodyparts3d import public_parts
 from solver.errors import InputError
 from solver.surface import Floats, Surface
 
@@ -41,17 +42,33 @@ def to_subject_axes(points: Floats) -> Floats:
 
 
 def read_parts(folder: Path) -> dict[str, Part]:
-    """Return name -> :class:`Part`, in mm with y up, of every mesh the index lists.
+    """Return name -> :class:`Part`, in mm with y up.
+
+    With an ``index.csv`` they are the meshes that it lists; without one, ``folder`` is the download
+    as DBCLS publishes it (:mod:`solver.anatomy.public_bodyparts3d`).
 
     Raises
     ------
     InputError
-        ``anatomy.index`` if ``index.csv`` is missing or lacks a column, ``anatomy.mesh`` if a mesh
-        it lists is missing or unreadable.
+        ``anatomy.index`` if there is neither or the index lacks a column, ``anatomy.mesh`` if a
+        mesh it lists is missing or unreadable, or as
+        :func:`~solver.anatomy.public_bodyparts3d.public_parts`.
     """
     index = folder / "index.csv"
-    if not index.is_file():
-        raise InputError("anatomy.index", f"there is no index.csv in {folder}", file=str(index))
+    parts = _indexed(index) if index.is_file() else _published(folder)
+    for side in ("left", "right"):
+        _name_eye_rings(parts, side)
+    return parts
+
+
+def _published(folder: Path) -> dict[str, Part]:
+    return {
+        name: Part(category, surface.moved(to_subject_axes(surface.vertices)))
+        for name, category, surface in public_parts(folder)
+    }
+
+
+def _indexed(index: Path) -> dict[str, Part]:
     with index.open(newline="") as stream:
         reader = csv.DictReader(stream)
         missing = _COLUMNS - set(reader.fieldnames or ())
@@ -59,13 +76,10 @@ def read_parts(folder: Path) -> dict[str, Part]:
             raise InputError(
                 "anatomy.index", f"{index} lacks the columns {sorted(missing)}", file=str(index)
             )
-        parts = {
-            row["name"]: Part(row["category"], _read_mesh(folder / f"{row['fma_id']}.ply"))
+        return {
+            row["name"]: Part(row["category"], _read_mesh(index.with_name(f"{row['fma_id']}.ply")))
             for row in reader
         }
-    for side in ("left", "right"):
-        _name_eye_rings(parts, side)
-    return parts
 
 
 def _name_eye_rings(parts: dict[str, Part], side: str) -> None:

@@ -1,7 +1,8 @@
-"""Reading a folder of ICT-FaceKit (USC Institute for Creative Technologies, MIT): the head's mesh.
+"""Reading ICT-FaceKit (USC Institute for Creative Technologies, MIT): a head that varies.
 
-``ict_facekit.npz`` holds ``V`` (26719, 3) neutral in cm, ``quads`` with -1 in the fourth column of
-a triangle, ``E`` and ``ex`` expression displacements and their names, ``I`` and ``idn`` identities.
+It comes as it is published, or as one file: ``ict_facekit.npz`` holds ``V`` (26719, 3) neutral in
+cm, ``quads`` with -1 in the fourth column of a triangle, ``E`` and ``ex`` expression displacements
+and their names, ``I`` and ``idn`` identities.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from solver.anatomy.public_ict_facekit import public_facekit
 from solver.anatomy.shapes import ShapeBasis
 from solver.errors import InputError
 from solver.surface import Floats, Ints, Surface
@@ -59,24 +61,32 @@ class FaceKit:
 def read_facekit(folder: Path) -> FaceKit:
     """Return the neutral head, its expressions and its identities.
 
+    ``folder`` holds ``ict_facekit.npz``, or else the model as USC ICT publishes it
+    (:mod:`solver.anatomy.public_ict_facekit`).
+
     Raises
     ------
     InputError
-        ``faces.unreadable`` if ``ict_facekit.npz`` is missing or not such a file,
-        ``faces.topology`` if its vertices are not those of ICT-FaceKit.
+        ``faces.unreadable`` if there is neither or ``ict_facekit.npz`` is not such a file,
+        ``faces.topology`` if its vertices are not those of ICT-FaceKit, or as
+        :func:`~solver.anatomy.public_ict_facekit.public_facekit`.
     """
     path = folder / "ict_facekit.npz"
+    if not path.exists():
+        return _face_kit(public_facekit(folder), folder)
     try:
         with np.load(path, allow_pickle=False) as data:
-            vertices = data["V"].astype(float) * MM_PER_UNIT
-            faces = triangulate(data["quads"].astype(np.int64))
-            expressions = data["E"].astype(float) * MM_PER_UNIT
-            names = [str(name) for name in data["ex"]]
-            identities = data["I"].astype(float) * MM_PER_UNIT
+            return _face_kit(dict(data), path)
+    except InputError:
+        raise
     except (OSError, KeyError, TypeError, ValueError, EOFError, BadZipFile) as error:
         raise InputError(
             "faces.unreadable", f"{path} is not an ICT-FaceKit file: {error}", file=str(path)
         ) from error
+
+
+def _face_kit(data: dict[str, np.ndarray], path: Path) -> FaceKit:
+    vertices = data["V"].astype(float) * MM_PER_UNIT
     if len(vertices) != VERTEX_COUNT:
         raise InputError(
             "faces.topology",
@@ -85,8 +95,10 @@ def read_facekit(folder: Path) -> FaceKit:
             expected=VERTEX_COUNT,
             found=len(vertices),
         )
-    deltas = dict(zip(names, expressions, strict=True))
-    return FaceKit(Surface(vertices, faces), deltas, identities)
+    skin = Surface(vertices, triangulate(data["quads"].astype(np.int64)))
+    names = [str(name) for name in data["ex"]]
+    deltas = dict(zip(names, data["E"].astype(float) * MM_PER_UNIT, strict=True))
+    return FaceKit(skin, deltas, data["I"].astype(float) * MM_PER_UNIT)
 
 
 def triangulate(quads: Ints) -> Ints:
