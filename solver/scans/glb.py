@@ -10,14 +10,19 @@ import json
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from solver.scans.faults import empty, truncated, unreadable, unsupported
 from solver.surface import Floats
 
 MM_PER_METRE = 1000.0
 FLOAT = 5126
+COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", FLOAT: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 JSON_CHUNK, BINARY_CHUNK = b"JSON", b"BIN\0"
 MAX_DEPTH = 64
+NOT_VALID = (KeyError, IndexError, TypeError, AttributeError, OverflowError)
+"""What reading a description that breaks glTF's rules raises."""
 
 
 def read_glb(file: str, content: bytes) -> Floats:
@@ -26,20 +31,24 @@ def read_glb(file: str, content: bytes) -> Floats:
     The scene must show one mesh, whose parts share one list of positions; the transform of its
     node is applied.
     """
-    document, binary = _chunks(file, content)
+    document, binary = read_chunks(file, content)
     try:
-        mesh, transform = _only_mesh(file, document)
+        shown = shown_meshes(file, document)
+        if len(shown) != 1:
+            raise unsupported(file, f"the scene must show exactly one mesh, found {len(shown)}")
+        mesh, transform = shown[0]
         positions = {part["attributes"]["POSITION"] for part in mesh["primitives"]}
         if len(positions) != 1:
             raise unsupported(file, "the parts of the mesh do not share one list of positions")
-        vertices = _floats3(file, document, binary, positions.pop())
-    except (KeyError, IndexError, TypeError, AttributeError, OverflowError) as error:
+        vertices = read_positions(file, document, binary, positions.pop())
+    except NOT_VALID as error:
         raise unreadable(file, f"the glTF description is not valid ({error!r})") from None
     with np.errstate(all="ignore"):  # what overflows is refused as not finite by the caller
         return np.asarray(vertices @ transform[:3, :3].T + transform[:3, 3]) * MM_PER_METRE
 
 
-def _chunks(file: str, content: bytes) -> tuple[dict[str, Any], bytes]:
+def read_chunks(file: str, content: bytes) -> tuple[dict[str, Any], bytes]:
+    """Return the description and the binary buffer of a GLB file."""
     if not content:
         raise empty(file)
     if content[:4] != b"glTF" or content[4:8] != (2).to_bytes(4, "little"):
@@ -70,9 +79,9 @@ def _chunks(file: str, content: bytes) -> tuple[dict[str, Any], bytes]:
     return document, parts.get(BINARY_CHUNK, b"")
 
 
-def _only_mesh(file: str, document: dict[str, Any]) -> tuple[dict[str, Any], Floats]:
-    """Return the one mesh that the scene shows and the (4, 4) transform of its node."""
-    found: list[tuple[int, Floats]] = []
+def shown_meshes(file: str, document: dict[str, Any]) -> list[tuple[dict[str, Any], Floats]]:
+    """Return the meshes that the scene shows, with the (4, 4) transforms of their nodes."""
+    found: list[tuple[dict[str, Any], Floats]] = []
     seen: set[int] = set()
 
     def visit(number: int, parent: Floats, depth: int) -> None:
@@ -82,16 +91,13 @@ def _only_mesh(file: str, document: dict[str, Any]) -> tuple[dict[str, Any], Flo
         node = _item(document["nodes"], number)
         transform = parent @ _transform(file, node)
         if "mesh" in node:
-            found.append((node["mesh"], transform))
+            found.append((_item(document["meshes"], node["mesh"]), transform))
         for child in node.get("children", []):
             visit(child, transform, depth + 1)
 
     for root in _item(document["scenes"], document.get("scene", 0))["nodes"]:
         visit(root, np.eye(4), 0)
-    if len(found) != 1:
-        raise unsupported(file, f"the scene must show exactly one mesh, found {len(found)}")
-    number, transform = found[0]
-    return _item(document["meshes"], number), transform
+    return found
 
 
 def _item(items: list[Any], number: int) -> Any:
@@ -121,28 +127,41 @@ def _transform(file: str, node: dict[str, Any]) -> Floats:
     return transform
 
 
-def _floats3(file: str, document: dict[str, Any], binary: bytes, number: int) -> Floats:
+def read_positions(file: str, document: dict[str, Any], binary: bytes, number: int) -> Floats:
+    """Return the positions (n, 3) of accessor ``number``."""
     accessor = _item(document["accessors"], number)
     if accessor["type"] != "VEC3" or accessor["componentType"] != FLOAT:
         raise unsupported(file, "the positions are not stored as 32-bit floats")
+    positions = read_accessor(file, document, binary, number)
+    if len(positions) == 0:
+        raise empty(file)
+    return positions.astype(np.float64)
+
+
+def read_accessor(
+    file: str, document: dict[str, Any], binary: bytes, number: int
+) -> NDArray[np.generic]:
+    """Return the rows (n, width) of accessor ``number`` as they are stored."""
+    accessor = _item(document["accessors"], number)
     if "sparse" in accessor or "bufferView" not in accessor:
-        raise unsupported(file, "sparse or compressed positions are not supported")
+        raise unsupported(file, "sparse or compressed data are not supported")
     view = _item(document["bufferViews"], accessor["bufferView"])
     if _item(document["buffers"], view["buffer"]).get("uri") is not None:
-        raise unsupported(file, "the positions lie in another file")
-    count, stride = accessor["count"], view.get("byteStride", 12)
+        raise unsupported(file, "the data lie in another file")
+    kind, width = np.dtype(COMPONENTS[accessor["componentType"]]), WIDTHS[accessor["type"]]
+    size = kind.itemsize * width
+    count, stride = accessor["count"], view.get("byteStride", size)
     start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
     if not all(isinstance(value, int) and value >= 0 for value in (count, stride, start)):
-        raise unreadable(file, "the counts and offsets of the positions are not valid")
+        raise unreadable(file, "the counts and offsets of the data are not valid")
     if count == 0:
-        raise empty(file)
-    expected = start + (count - 1) * stride + 12
-    if stride < 12 or expected > len(binary):
+        return np.zeros((0, width), kind)
+    expected = start + (count - 1) * stride + size
+    if stride < size or expected > len(binary):
         raise truncated(
             file,
-            f"the positions need {expected} bytes, found {len(binary)}",
+            f"the data need {expected} bytes, found {len(binary)}",
             expected=expected,
             found=len(binary),
         )
-    rows = np.ndarray((count, 3), "<f4", binary, start, (stride, 4))
-    return rows.astype(np.float64)
+    return np.ndarray((count, width), kind, binary, start, (stride, kind.itemsize))

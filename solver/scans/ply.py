@@ -28,13 +28,19 @@ MAX_DIGITS = 12
 class Element:
     """One element of the header: its rows, and per property (name, NumPy type).
 
-    A list property is entered with the type of its length, the least it takes in a row.
+    A list property is entered with the type of its length, the least it takes in a row; ``items``
+    maps its name to the type of its items.
     """
 
     name: str
     count: int
     properties: list[tuple[str, str]] = field(default_factory=list)
-    has_list: bool = False
+    items: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def has_list(self) -> bool:
+        """Return whether rows differ in length."""
+        return bool(self.items)
 
     def row_type(self, byte_order: str) -> np.dtype:
         """Return the type of a binary row (without the items of lists)."""
@@ -43,7 +49,7 @@ class Element:
 
 def read_ply(file: str, content: bytes) -> Floats:
     """Return the vertices (n, 3) of PLY ``content``; ``file`` names it in errors."""
-    form, elements, body, body_line = _header(file, content)
+    form, elements, body, body_line = read_header(file, content)
     vertices = elements[0] if elements else Element("", 0)
     if vertices.name != "vertex" or vertices.has_list:
         raise unsupported(file, "the first element must be 'vertex', without list properties")
@@ -68,7 +74,7 @@ def read_ply(file: str, content: bytes) -> Floats:
     return np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float64)
 
 
-def _header(file: str, content: bytes) -> tuple[str, list[Element], int, int]:
+def read_header(file: str, content: bytes) -> tuple[str, list[Element], int, int]:
     """Return the format, the elements, and where the body starts (byte, line)."""
     form = ""
     elements: list[Element] = []
@@ -110,7 +116,8 @@ def _add_property(file: str, line: int, element: Element, words: list[str]) -> N
         raise unreadable(file, "not a property this format knows", line=line)
     if any(name == other for other, _ in element.properties):
         raise unreadable(file, f"property {name[:60]!r} appears twice", line=line)
-    element.has_list |= is_list
+    if is_list:
+        element.items[name] = TYPES[types[1]]
     element.properties.append((name, TYPES[types[0]]))
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from solver.errors import InputError
 from solver.scans.faults import check_finite, empty, truncated, unreadable, unsupported
+from solver.scans.rows import numbers_by_row
 from solver.surface import Floats, Ints
 
 HEADER_BYTES = 84
@@ -19,9 +20,7 @@ def read_stl(file: str, content: bytes, faces: Ints, vertex_count: int) -> Float
     STL shares no vertices, so its facets must be the template's ``faces`` (f, 3) in the same order;
     corners that are one vertex in the template must lie in one place.
     """
-    if not content:
-        raise empty(file)
-    corners = _ascii(file, content) if _is_ascii(content) else _binary(file, content)
+    corners = read_facets(file, content)
     if len(corners) == 0:
         raise empty(file)
     if len(corners) != len(faces):
@@ -34,6 +33,13 @@ def read_stl(file: str, content: bytes, faces: Ints, vertex_count: int) -> Float
         )
     check_finite(file, corners.reshape(-1, 3))
     return _numbered(file, corners, faces, vertex_count)
+
+
+def read_facets(file: str, content: bytes) -> Floats:
+    """Return the corners (f, 3, 3) of the triangles of STL ``content``."""
+    if not content:
+        raise empty(file)
+    return _ascii(file, content) if _is_ascii(content) else _binary(file, content)
 
 
 def _numbered(file: str, corners: Floats, faces: Ints, vertex_count: int) -> Floats:
@@ -81,6 +87,16 @@ def _binary(file: str, content: bytes) -> Floats:
 
 
 def _ascii(file: str, content: bytes) -> Floats:
+    rows = [row.lstrip()[6:] for row in content.split(b"\n") if row.lstrip().startswith(b"vertex")]
+    parsed = numbers_by_row(b"\n".join(rows)) if rows else None
+    ends = content.rstrip().rpartition(b"\n")[2].split()[:1] == [b"endsolid"]
+    if parsed is not None and (parsed[1] == 3).all() and len(rows) % 3 == 0 and ends:
+        return parsed[0].reshape(-1, 3, 3)
+    return _ascii_line_by_line(file, content)
+
+
+def _ascii_line_by_line(file: str, content: bytes) -> Floats:
+    """Return the same, or name the line that is at fault."""
     corners: list[list[float]] = []
     ended = False
     for line, row in enumerate(content.splitlines(), start=1):
