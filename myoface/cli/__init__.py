@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 
 from myoface.cli.app import app
+from myoface.cli.assets import assets
 from myoface.cli.client import jobs, rigs, subjects, templates, upload
 from myoface.cli.console import complain
 from myoface.cli.demo import demo
@@ -23,6 +24,7 @@ for group, name in (
     (rigs, "rigs"),
     (templates, "templates"),
     (template, "template"),
+    (assets, "assets"),
     (solve, "solve"),
 ):
     app.add_typer(group, name=name)

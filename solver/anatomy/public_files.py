@@ -101,7 +101,7 @@ def obj_mesh(file: PublicFile) -> tuple[Floats, Ints]:
 
 
 def _vertices(file: PublicFile, rows: list[bytes]) -> Floats:
-    vertices = []
+    vertices: list[tuple[float, float, float]] = []
     for line, row in enumerate(rows, start=1):
         if row.startswith(b"v "):
             try:

@@ -1,0 +1,69 @@
+"""What can be fetched: where it is, how to know that it is the right file, and its licence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from typing import Literal
+
+Name = Literal["bodyparts3d", "ict-facekit"]
+
+
+@dataclass(frozen=True)
+class Asset:
+    """One archive of an owner.
+
+    ``size`` (bytes) and ``sha256`` are None where the owner packs the archive anew for each
+    request; ``members`` are files that it must hold (the end of their path) with their sha256, or
+    None where any content will do.
+    """
+
+    name: Name
+    title: str
+    url: str
+    file: str
+    size: int | None
+    sha256: str | None
+    members: Mapping[str, str | None]
+
+    @property
+    def licence(self) -> str:
+        """The licence as it is shown before anything is fetched."""
+        path = resources.files("myoface.assets").joinpath(f"licences/{self.name}.txt")
+        return path.read_text(encoding="utf-8")
+
+
+FACEKIT_COMMIT = "da5f95a607f5e6b37755b38d3385d7f2853732e5"
+
+CATALOGUE: dict[Name, Asset] = {
+    asset.name: asset
+    for asset in (
+        Asset(
+            name="bodyparts3d",
+            title="BodyParts3D 3.0 (99 % reduced): skull and muscles of one man",
+            url="https://dbarchive.biosciencedbc.jp/data/bodyparts3d/20110915/BodyParts3D_3.0_obj_99.zip",
+            file="BodyParts3D_3.0_obj_99.zip",
+            size=134_113_358,
+            sha256="2125f6d761b14ead4ee64f71713f56f3f0f29982693ff20aac63474470cb92f4",
+            members={"FMA52748.obj": None, "FMA46841.obj": None},
+        ),
+        Asset(
+            name="ict-facekit",
+            title="ICT-FaceKit (light): a head with 100 identities and 57 expressions",
+            url=f"https://github.com/USC-ICT/ICT-FaceKit/archive/{FACEKIT_COMMIT}.zip",
+            file=f"ICT-FaceKit-{FACEKIT_COMMIT[:7]}.zip",
+            size=None,
+            sha256=None,
+            members={
+                "FaceXModel/generic_neutral_mesh.obj": (
+                    "eedbc2576d8e5ea57f55255b8f98263213a1efb5431d8bfceed1d7aef10271f9"
+                ),
+                "FaceXModel/jawOpen.obj": (
+                    "8d84355e10f48b05550980cee385bcd426f4797090da76a20de0535bb2f99f4a"
+                ),
+                "FaceXModel/identity099.obj": None,
+            },
+        ),
+    )
+}

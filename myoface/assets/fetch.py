@@ -1,0 +1,187 @@
+"""Fetching an asset: resumed where it broke off, kept only if it is the right file.
+
+What an archive must be is known from the catalogue. Where it is not, the first copy that arrives is
+trusted, and its hash is written to ``fetched.json`` beside it: every later one must be the same.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from zipfile import BadZipFile, ZipFile
+
+import httpx
+
+from myoface.assets.catalogue import Asset
+from myoface.assets.download import download
+from myoface.transfer import Transferred, sha256_of, unheard
+from solver.errors import InputError
+
+RECORD = "fetched.json"
+
+
+@dataclass(frozen=True)
+class Fetched:
+    """What is recorded of a fetched file; ``expected`` is where its hash was known from.
+
+    That is ``catalogue``, ``option`` (the user gave it) or ``first use``.
+    """
+
+    source: str
+    size: int
+    sha256: str
+    expected: str
+    at: str
+
+
+def fetch(
+    http: httpx.Client,
+    asset: Asset,
+    folder: Path,
+    *,
+    mirror: str | None = None,
+    file: Path | None = None,
+    sha256: str | None = None,
+    progress: Transferred = unheard,
+) -> Path:
+    """Return the asset's archive in ``folder``, fetching it if it is not there.
+
+    Parameters
+    ----------
+    mirror
+        Address of a folder that holds the archive under its name, instead of the owner's.
+    file
+        A copy at hand, instead of any address.
+    sha256
+        What the archive must be, instead of what the catalogue knows.
+
+    Raises
+    ------
+    InputError
+        ``assets.hash`` or ``assets.content`` for another file than expected (it is not kept),
+        ``assets.file`` if ``file`` can not be read.
+    ApiError
+        If the address does not answer or refuses.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    target = folder / asset.file
+    expected = _expected(asset, folder, sha256)
+    if target.exists():
+        found = sha256_of(target)
+        if found != expected.sha256 and expected.sha256 is not None:
+            raise _another_file(target, expected, found, "delete it and try again")
+        _check_content(asset, target, expected)
+        _record(folder, target, str(target), expected, found)
+        return target
+    part = folder / f"{asset.file}.part"
+    if file is not None:
+        source = str(file)
+        _copy(file, part)
+    else:
+        source = asset.url if mirror is None else f"{mirror.rstrip('/')}/{asset.file}"
+        size = asset.size if expected.sha256 == asset.sha256 else None
+        known = expected.sha256 is not None
+        download(http, source, part, size=size, resumable=known, progress=progress)
+    found = sha256_of(part)
+    try:
+        if found != expected.sha256 and expected.sha256 is not None:
+            raise _another_file(part.with_suffix(""), expected, found, "it was not kept")
+        _check_content(asset, part, expected)
+    except InputError:
+        part.unlink()
+        raise
+    os.replace(part, target)
+    (folder / "LICENCE.txt").write_text(asset.licence, encoding="utf-8")
+    _record(folder, target, source, expected, found)
+    return target
+
+
+@dataclass(frozen=True)
+class _Expected:
+    sha256: str | None
+    known_from: str
+
+
+def _expected(asset: Asset, folder: Path, sha256: str | None) -> _Expected:
+    if sha256 is not None:
+        return _Expected(sha256.lower(), "option")
+    if asset.sha256 is not None:
+        return _Expected(asset.sha256, "catalogue")
+    before = _records(folder).get(asset.file)
+    return _Expected(None if before is None else before["sha256"], "first use")
+
+
+def _another_file(path: Path, expected: _Expected, found: str, what_now: str) -> InputError:
+    known_from = {
+        "option": "you gave",
+        "catalogue": "is known of it",
+        "first use": f"the first copy had ({RECORD})",
+    }[expected.known_from]
+    return InputError(
+        "assets.hash",
+        f"{path.name} has sha256 {found}, not {expected.sha256}, which {known_from}; {what_now}",
+        file=str(path),
+        expected=expected.sha256,
+        found=found,
+    )
+
+
+def _copy(file: Path, part: Path) -> None:
+    try:
+        shutil.copyfile(file, part)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise InputError(
+            "assets.file", f"{file} can not be copied: {error.strerror}", file=str(file)
+        ) from error
+
+
+def _check_content(asset: Asset, path: Path, expected: _Expected) -> None:
+    """Raise ``assets.content`` if an archive lacks a file or holds another version of it.
+
+    Versions are of no account where the user says what the archive must be.
+    """
+    try:
+        with ZipFile(path) as archive:
+            names = archive.namelist()
+            for ending, sha256 in asset.members.items():
+                member = next((name for name in names if name.endswith(ending)), None)
+                if member is None:
+                    raise _wrong_content(asset, f"holds no {ending}")
+                found = hashlib.sha256(archive.read(member)).hexdigest()
+                if sha256 not in (None, found) and expected.known_from != "option":
+                    raise _wrong_content(asset, f"holds another version of {ending}")
+    except (OSError, BadZipFile, EOFError) as error:
+        raise _wrong_content(asset, f"is no ZIP archive ({error})") from error
+
+
+def _wrong_content(asset: Asset, reason: str) -> InputError:
+    return InputError("assets.content", f"{asset.file} {reason}", file=asset.file)
+
+
+def _records(folder: Path) -> dict[str, dict[str, str]]:
+    path = folder / RECORD
+    if not path.exists():
+        return {}
+    try:
+        records: dict[str, dict[str, str]] = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InputError(
+            "assets.record", f"{path} can not be read: {error}", file=str(path)
+        ) from error
+    return records
+
+
+def _record(folder: Path, target: Path, source: str, expected: _Expected, sha256: str) -> None:
+    records = _records(folder)
+    if records.get(target.name, {}).get("sha256") == sha256:
+        return
+    moment = datetime.now(UTC).isoformat(timespec="seconds")
+    entry = Fetched(source, target.stat().st_size, sha256, expected.known_from, moment)
+    text = json.dumps({**records, target.name: asdict(entry)}, indent=2)
+    (folder / RECORD).write_text(text + "\n", encoding="utf-8")

@@ -1,0 +1,68 @@
+"""Commands that fetch anatomy and face models of others."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import httpx
+import typer
+
+from myoface.assets.catalogue import CATALOGUE, Asset, Name
+from myoface.assets.fetch import fetch as fetch_asset
+from myoface.cli.console import out, show_table, transfer_bar
+
+assets = typer.Typer(help="Anatomy and face models of others.", no_args_is_help=True)
+
+TIMEOUT = httpx.Timeout(30.0, connect=10.0)
+
+
+@assets.command("list")
+def list_assets() -> None:
+    """List what can be fetched, from where."""
+    rows = [(asset.name, asset.title, asset.url) for asset in CATALOGUE.values()]
+    show_table(("name", "what", "address"), rows)
+
+
+@assets.command()
+def fetch(
+    name: Name,
+    to: Annotated[
+        Path | None, typer.Option(file_okay=False, help="folder; default: one of that name here")
+    ] = None,
+    mirror: Annotated[
+        str | None, typer.Option(help="address of a folder that holds the archive")
+    ] = None,
+    file: Annotated[
+        Path | None, typer.Option(exists=True, dir_okay=False, help="a copy that you have")
+    ] = None,
+    sha256: Annotated[str | None, typer.Option(help="what the archive must be")] = None,
+    accept_licence: Annotated[
+        bool, typer.Option("--accept-licence", help="do not ask about the licence")
+    ] = False,
+) -> None:
+    """Fetch a model from its owner after showing its licence; checked, and resumed if it broke."""
+    if mirror is not None and file is not None:
+        raise typer.BadParameter("--mirror and --file exclude one another")
+    asset = CATALOGUE[name]
+    _agree(asset, accept_licence)
+    folder = to or Path(name)
+    with (
+        httpx.Client(follow_redirects=True, timeout=TIMEOUT) as http,
+        transfer_bar(asset.file) as bar,
+    ):
+        archive = fetch_asset(
+            http, asset, folder, mirror=mirror, file=file, sha256=sha256, progress=bar
+        )
+    option = "--anatomy" if name == "bodyparts3d" else "--faces"
+    out.print(f"{archive}\nUse it: myoface template build {option} {folder} ...", markup=False)
+
+
+def _agree(asset: Asset, accepted: bool) -> None:
+    out.print(asset.licence, markup=False)
+    if accepted:
+        return
+    if not sys.stdin.isatty():
+        raise typer.BadParameter("nobody can answer here: accept with --accept-licence")
+    typer.confirm("Do you accept this licence?", abort=True)
