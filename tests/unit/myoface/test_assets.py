@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 from myoface.assets.catalogue import CATALOGUE, Asset
 from myoface.assets.fetch import RECORD, fetch
-from myoface.cli import app
+from myoface.cli.app import app
 from myoface.errors import ApiError
 from solver.errors import InputError
 
