@@ -5,15 +5,12 @@ It is what ``build_model`` makes, what every fit reads, and is stored as one NPZ
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-from zipfile import BadZipFile
 
-import numpy as np
 import scipy.sparse as sp
 
+from solver.archive import Archive, Arrays, csr_arrays, csr_from, with_prefix
 from solver.errors import InputError
 from solver.surface import Floats, Ints, Surface
 
@@ -66,7 +63,7 @@ class SubjectModel:
     regions
         Name -> skin vertices, for reports.
     template
-        Name and version of the template that was used.
+        ``name``, ``version`` and ``sha256`` of the template that was used.
     """
 
     rest: Floats
@@ -94,24 +91,42 @@ class SubjectModel:
         """Return m, the number of muscles (the passive column not counted)."""
         return len(self.muscle_names)
 
+    @property
+    def sha256(self) -> str:
+        """Return the hash of all that the model holds."""
+        return self._archive().sha256
+
     def save(self, path: Path) -> None:
         """Write the model as NPZ, without pickles."""
-        arrays: dict[str, np.ndarray] = {
+        self._archive().write(path)
+
+    @classmethod
+    def load(cls, path: Path) -> SubjectModel:
+        """Read a model written by :meth:`save`.
+
+        Raises :class:`InputError` (``model.unreadable``, ``model.format``) if the file is not one.
+        """
+        archive = Archive.read(path, "model", "a subject model", FORMAT)
+        try:
+            return cls._from_archive(archive)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(
+                "model.unreadable", f"{path.name} is not a subject model: {error}", file=path.name
+            ) from error
+
+    def _archive(self) -> Archive:
+        arrays: Arrays = {
             "rest": self.rest,
             "tets": self.tets,
             "cranium": self.cranium,
             "mandible": self.mandible,
             "cut": self.cut,
             "sliding": self.sliding,
-            "weights_data": self.weights.data,
-            "weights_indices": self.weights.indices,
-            "weights_indptr": self.weights.indptr,
+            **csr_arrays("weights", self.weights),
             "skin_vertices": self.skin.vertices,
             "skin_faces": self.skin.faces,
             "embedded": self.embedded,
-            "embedding_data": self.embedding.data,
-            "embedding_indices": self.embedding.indices,
-            "embedding_indptr": self.embedding.indptr,
+            **csr_arrays("embedding", self.embedding),
             "offset": self.offset,
             "attached_mandible": self.attached_mandible,
             "face": self.face,
@@ -122,8 +137,7 @@ class SubjectModel:
             for number, surface in enumerate(surfaces.values()):
                 arrays[f"{kind}_{number}_vertices"] = surface.vertices
                 arrays[f"{kind}_{number}_faces"] = surface.faces
-        for name, ids in self.regions.items():
-            arrays[f"region_{name}"] = ids
+        arrays |= {f"region_{name}": ids for name, ids in self.regions.items()}
         header = {
             "format": FORMAT,
             "units": "mm",
@@ -132,39 +146,11 @@ class SubjectModel:
             "bones": list(self.bones),
             "template": self.template,
         }
-        arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
-        with path.open("wb") as stream:
-            np.savez_compressed(stream, allow_pickle=False, **arrays)
+        return Archive(header, arrays)
 
     @classmethod
-    def load(cls, path: Path) -> SubjectModel:
-        """Read a model written by :meth:`save`.
-
-        Raises :class:`InputError` (``model.unreadable``, ``model.format``) if the file is not one.
-        """
-        try:
-            with np.load(path, allow_pickle=False) as data:
-                header = json.loads(bytes(data["header"]))
-                if header["format"] != FORMAT:
-                    raise InputError(
-                        "model.format",
-                        f"{path.name} has model format {header['format']}, not {FORMAT}",
-                        file=path.name,
-                    )
-                return cls._from_arrays(header, dict(data))
-        except InputError:
-            raise
-        except (OSError, KeyError, TypeError, ValueError, EOFError, BadZipFile) as error:
-            raise InputError(
-                "model.unreadable", f"{path.name} is not a subject model: {error}", file=path.name
-            ) from error
-
-    @classmethod
-    def _from_arrays(cls, header: dict[str, Any], data: dict[str, np.ndarray]) -> SubjectModel:
-        def csr(name: str, columns: int) -> sp.csr_array:
-            indptr = data[f"{name}_indptr"]
-            parts = (data[f"{name}_data"], data[f"{name}_indices"], indptr)
-            return sp.csr_array(parts, shape=(len(indptr) - 1, columns))
+    def _from_archive(cls, archive: Archive) -> SubjectModel:
+        header, data = archive.header, archive.arrays
 
         def surfaces(kind: str) -> dict[str, Surface]:
             return {
@@ -181,20 +167,16 @@ class SubjectModel:
             cut=data["cut"],
             sliding=data["sliding"],
             muscle_names=names,
-            weights=csr("weights", len(names) + 1),
+            weights=csr_from("weights", data, len(names) + 1),
             skin=Surface(data["skin_vertices"], data["skin_faces"]),
             embedded=data["embedded"],
-            embedding=csr("embedding", len(data["rest"])),
+            embedding=csr_from("embedding", data, len(data["rest"])),
             offset=data["offset"],
             attached_mandible=data["attached_mandible"],
             face=data["face"],
             jaw=JawFrame(data["jaw_origin"], data["jaw_axes"]),
             muscles=surfaces("muscle"),
             bones=surfaces("bone"),
-            regions={
-                key.removeprefix("region_"): ids
-                for key, ids in data.items()
-                if key.startswith("region_")
-            },
+            regions=with_prefix(data, "region_"),
             template=header["template"],
         )

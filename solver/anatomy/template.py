@@ -7,16 +7,15 @@ one NPZ file without pickles.
 
 from __future__ import annotations
 
-import hashlib
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
 from solver.anatomy.shapes import ShapeBasis
+from solver.anatomy.template_check import check_template
+from solver.anatomy.template_mesh import TemplateMesh
+from solver.archive import Archive, Arrays, with_prefix
 from solver.errors import InputError
 from solver.surface import Floats, Ints, Surface
 
@@ -67,6 +66,8 @@ class Template:
     shapes
         How the skin varies over persons and expressions, where that is known; registration fits
         it to a scan before it fits the vertices.
+    mesh
+        The tetrahedra that every person's model shares, where they have been made.
     """
 
     name: str
@@ -87,10 +88,43 @@ class Template:
     landmarks: dict[str, int] = field(default_factory=dict)
     regions: dict[str, Ints] = field(default_factory=dict)
     shapes: ShapeBasis | None = None
+    mesh: TemplateMesh | None = None
+
+    @property
+    def parted(self) -> Surface:
+        """Return the skin with the lips parted."""
+        return self.skin.moved(self.skin.vertices + self.parting)
+
+    @property
+    def sha256(self) -> str:
+        """Return the hash of all that the template holds."""
+        return self._archive().sha256
 
     def save(self, path: Path) -> str:
-        """Write the template as NPZ and return the sha256 of the file."""
-        arrays: dict[str, np.ndarray] = {
+        """Write the template as NPZ and return its :attr:`sha256`."""
+        archive = self._archive()
+        archive.write(path)
+        return archive.sha256
+
+    @classmethod
+    def load(cls, path: Path) -> Template:
+        """Read a template written by :meth:`save`.
+
+        Raises :class:`InputError`: ``template.unreadable`` or ``template.format`` if the file is
+        not one, else as :func:`solver.anatomy.template_check.check_template`.
+        """
+        archive = Archive.read(path, "template", "a template", FORMAT)
+        try:
+            template = cls._from_archive(archive)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(
+                "template.unreadable", f"{path.name} is not a template: {error}", file=path.name
+            ) from error
+        check_template(template, path.name)
+        return template
+
+    def _archive(self) -> Archive:
+        arrays: Arrays = {
             "skin_vertices": self.skin.vertices,
             "skin_faces": self.skin.faces,
             "flesh_faces": self.flesh_faces,
@@ -111,11 +145,12 @@ class Template:
             arrays[f"muscle_{number}_axis"] = np.stack(
                 [muscle.fibre, muscle.origin, muscle.insertion]
             )
-        for name, ids in self.regions.items():
-            arrays[f"region_{name}"] = ids
+        arrays |= {f"region_{name}": ids for name, ids in self.regions.items()}
         if self.shapes is not None:
             arrays["shapes_identity"] = self.shapes.identity
             arrays["shapes_expressions"] = self.shapes.expressions
+        if self.mesh is not None:
+            arrays |= {f"mesh_{name}": array for name, array in self.mesh.arrays().items()}
         header = {
             "format": FORMAT,
             "name": self.name,
@@ -125,36 +160,11 @@ class Template:
             "landmarks": self.landmarks,
             "expression_names": self.shapes.expression_names if self.shapes else (),
         }
-        arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
-        with path.open("wb") as stream:
-            np.savez_compressed(stream, allow_pickle=False, **arrays)
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        return Archive(header, arrays)
 
     @classmethod
-    def load(cls, path: Path) -> Template:
-        """Read a template written by :meth:`save`.
-
-        Raises :class:`InputError` (``template.unreadable``) if the file is not one.
-        """
-        try:
-            with np.load(path, allow_pickle=False) as data:
-                header = json.loads(bytes(data["header"]))
-                if header["format"] != FORMAT:
-                    raise InputError(
-                        "template.format",
-                        f"{path.name} has template format {header['format']}, not {FORMAT}",
-                        file=path.name,
-                    )
-                return cls._from_arrays(header, dict(data))
-        except InputError:
-            raise
-        except (OSError, KeyError, TypeError, ValueError, EOFError, BadZipFile) as error:
-            raise InputError(
-                "template.unreadable", f"{path.name} is not a template: {error}", file=path.name
-            ) from error
-
-    @classmethod
-    def _from_arrays(cls, header: dict[str, Any], data: dict[str, np.ndarray]) -> Template:
+    def _from_archive(cls, archive: Archive) -> Template:
+        header, data = archive.header, archive.arrays
         muscles = []
         for number, name in enumerate(header["muscles"]):
             fibre, origin, insertion = data[f"muscle_{number}_axis"]
@@ -167,6 +177,7 @@ class Template:
                 data["shapes_expressions"],
                 tuple(header["expression_names"]),
             )
+        mesh = with_prefix(data, "mesh_")
         back_z, bottom_y = data["planes"]
         return cls(
             name=header["name"],
@@ -185,10 +196,7 @@ class Template:
             back_z=float(back_z),
             bottom_y=float(bottom_y),
             landmarks=header["landmarks"],
-            regions={
-                key.removeprefix("region_"): ids
-                for key, ids in data.items()
-                if key.startswith("region_")
-            },
+            regions=with_prefix(data, "region_"),
             shapes=shapes,
+            mesh=TemplateMesh.from_arrays(mesh, len(muscles)) if mesh else None,
         )
