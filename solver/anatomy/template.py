@@ -7,11 +7,12 @@ one NPZ file without pickles.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from solver.anatomy.depths import Depth
 from solver.anatomy.shapes import ShapeBasis
 from solver.anatomy.template_check import check_template
 from solver.anatomy.template_mesh import TemplateMesh
@@ -27,7 +28,7 @@ class Muscle:
     """One muscle: a closed-enough ``surface`` in mm and its main ``fibre`` direction, unit (3,).
 
     ``fibre`` points from origin (bone) to insertion (skin); ``origin`` and ``insertion`` (3,) are
-    the centres of the two attachments, in mm.
+    the centres of the two attachments, in mm. The fibres of a ``ring`` run around an opening.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Muscle:
     fibre: Floats
     origin: Floats
     insertion: Floats
+    ring: bool = False
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,10 @@ class Template:
     shapes
         How the skin varies over persons and expressions, where that is known; registration fits
         it to a scan before it fits the vertices.
+    licence
+        What the template may be used for, by its sources; empty where nobody said.
+    depths
+        Soft-tissue depths that the bones were placed by.
     mesh
         The tetrahedra that every person's model shares, where they have been made.
     """
@@ -88,6 +94,8 @@ class Template:
     landmarks: dict[str, int] = field(default_factory=dict)
     regions: dict[str, Ints] = field(default_factory=dict)
     shapes: ShapeBasis | None = None
+    licence: str = ""
+    depths: tuple[Depth, ...] = ()
     mesh: TemplateMesh | None = None
 
     @property
@@ -159,6 +167,9 @@ class Template:
             "muscles": [muscle.name for muscle in self.muscles],
             "landmarks": self.landmarks,
             "expression_names": self.shapes.expression_names if self.shapes else (),
+            "rings": [muscle.name for muscle in self.muscles if muscle.ring],
+            "licence": self.licence,
+            "depths": [astuple(depth) for depth in self.depths],
         }
         return Archive(header, arrays)
 
@@ -169,7 +180,8 @@ class Template:
         for number, name in enumerate(header["muscles"]):
             fibre, origin, insertion = data[f"muscle_{number}_axis"]
             surface = Surface(data[f"muscle_{number}_vertices"], data[f"muscle_{number}_faces"])
-            muscles.append(Muscle(name, surface, fibre, origin, insertion))
+            ring = name in header.get("rings", ())
+            muscles.append(Muscle(name, surface, fibre, origin, insertion, ring))
         shapes = None
         if "shapes_identity" in data:
             shapes = ShapeBasis(
@@ -198,5 +210,7 @@ class Template:
             landmarks=header["landmarks"],
             regions=with_prefix(data, "region_"),
             shapes=shapes,
+            licence=header.get("licence", ""),
+            depths=tuple(Depth(*row) for row in header.get("depths", ())),
             mesh=TemplateMesh.from_arrays(mesh, len(muscles)) if mesh else None,
         )
