@@ -38,8 +38,8 @@ from myoface.resources import (
 from myoface.transfer import Transferred, unheard
 
 DEFAULT_URL = "http://127.0.0.1:8765"
-LONGEST_LIST = 1000
-"""The service lists at most so many things, the newest."""
+LONGEST_PAGE = 1000
+"""The service lists at most so many things at a time."""
 
 TIMEOUT = httpx.Timeout(30.0)
 # The service sends a comment line at least this often while a job has nothing to tell.
@@ -128,11 +128,17 @@ class Client:
         *,
         role: Role = "expression",
         name: str | None = None,
+        registered: bool = True,
+        landmarks: Path | None = None,
         resume: str | None = None,
         started: Callable[[str], None] | None = None,
         progress: Transferred = unheard,
     ) -> Capture:
-        """Upload a scan and add it to a subject, named like the file unless ``name`` is given."""
+        """Upload a scan and add it to a subject, named like the file unless ``name`` is given.
+
+        ``registered`` is false for what comes from the scanner; ``landmarks`` is a file.
+        """
+        marks = None if landmarks is None else self.upload(landmarks).id
         sent = self.upload(path, resume=resume, started=started, progress=progress)
         return self._post(
             f"/v1/subjects/{subject_id}/captures",
@@ -140,11 +146,27 @@ class Client:
             name=name or path.stem,
             role=role,
             upload_id=sent.id,
+            registered=registered,
+            landmarks_upload_id=marks,
         )
 
     def captures(self, subject_id: str) -> list[Capture]:
-        """Return a subject's scans."""
+        """Return a subject's scans, newest first."""
         return self._list(f"/v1/subjects/{subject_id}/captures", Capture)
+
+    def capture(self, subject_id: str, capture_id: str) -> Capture:
+        """Return one scan, with its newest check and registration."""
+        return self._get(f"/v1/subjects/{subject_id}/captures/{capture_id}", Capture)
+
+    def set_landmarks(self, subject_id: str, capture_id: str, path: Path) -> Capture:
+        """Upload landmarks on a scan, in place of those it had."""
+        url = f"/v1/subjects/{subject_id}/captures/{capture_id}/landmarks"
+        body = {"upload_id": self.upload(path).id}
+        return Capture.model_validate(self._send("PUT", url, json=body).json())
+
+    def delete_capture(self, subject_id: str, capture_id: str) -> None:
+        """Delete a scan with its checks and registrations."""
+        self._send("DELETE", f"/v1/subjects/{subject_id}/captures/{capture_id}")
 
     # Jobs
 
@@ -197,24 +219,22 @@ class Client:
         if it failed or was canceled.
         """
         patience = Patience()
-        last_event: str | None = None
         while True:
             job = Job.model_validate(patiently(self.http, "GET", f"/v1/jobs/{job_id}").json())
             watch(job)
             if job.state in FINAL_STATES:
                 return _succeeded(job)
             with patience.retrying():
-                for event in self._events(job_id, last_event):
+                for event in self._events(job_id, job.last_event_id):
                     patience.reset()
-                    last_event = event.id or last_event
                     if event.event != "progress":
                         break  # the state has changed: read the whole job again
                     watch(
                         job.model_copy(update={"progress": Progress.model_validate(event.json())})
                     )
 
-    def _events(self, job_id: str, last_event: str | None) -> Iterator[ServerSentEvent]:
-        headers = {"Last-Event-ID": last_event} if last_event else {}
+    def _events(self, job_id: str, after: int) -> Iterator[ServerSentEvent]:
+        headers = {"Last-Event-ID": str(after)}
         url = f"/v1/jobs/{job_id}/events"
         with connect_sse(self.http, "GET", url, headers=headers, timeout=EVENTS_TIMEOUT) as source:
             checked(source.response)
@@ -244,8 +264,13 @@ class Client:
 
     def _list(self, url: str, kind: type[R], /, **query: Any) -> list[R]:
         given = {key: value for key, value in query.items() if value is not None}
-        body = self._send("GET", url, params={"limit": LONGEST_LIST, **given}).json()
-        return [kind.model_validate(item) for item in body["items"]]
+        found: list[R] = []
+        while True:
+            page = self._send("GET", url, params={"limit": LONGEST_PAGE, **given}).json()
+            found += map(kind.model_validate, page["items"])
+            if page.get("next") is None:
+                return found
+            given["cursor"] = page["next"]
 
 
 def _succeeded(job: Job) -> Job:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import httpx
 
 UNREACHABLE = "client.unreachable"
+NUMBER = re.compile(r"(-?\d[\d,]*(\.\d+)?)")
 LOCATING_KEYS = ("file", "line", "vertex", "expected", "found", "field")
 
 
@@ -52,5 +54,17 @@ def describe(problem: dict[str, Any]) -> str:
     """Return a problem document as one line: what, where (unless that said it), code."""
     text = str(problem.get("detail") or problem.get("message") or problem.get("title") or "failed")
     known = {key: problem[key] for key in LOCATING_KEYS if problem.get(key) is not None}
-    where = [f"{key} {value}" for key, value in known.items() if str(value) not in text]
+    where = [f"{key} {value}" for key, value in known.items() if not _says(text, value)]
     return f"{text} ({', '.join([*where, problem.get('code', 'unknown')])})"
+
+
+def _says(text: str, value: Any) -> bool:
+    """Tell whether ``text`` has ``value`` in it, a number as rounded as a sentence has it."""
+    if isinstance(value, (list, tuple)):
+        return all(_says(text, each) for each in value)
+    if not isinstance(value, (int, float)):
+        return str(value) in text
+    return any(
+        abs(float(number.replace(",", "")) - value) <= 0.5 * 10.0 ** -len(decimals[1:])
+        for number, decimals in NUMBER.findall(text)
+    )

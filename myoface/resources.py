@@ -8,7 +8,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict
 
 Role = Literal["neutral", "expression"]
-Kind = Literal["build_model", "fit_geometry", "fit_activations"]
+Kind = Literal["check_scan", "register_scan", "build_model", "fit_geometry", "fit_activations"]
 State = Literal["queued", "running", "canceling", "succeeded", "failed", "canceled"]
 
 FINAL_STATES: frozenset[State] = frozenset({"succeeded", "failed", "canceled"})
@@ -49,12 +49,31 @@ class Subject(Resource):
     created_at: datetime | None = None
 
 
+class Check(Resource):
+    """The newest check of a scan: ``good``, ``usable`` or ``bad``."""
+
+    job_id: str
+    verdict: str
+
+
+class Registration(Resource):
+    """The newest registration of a raw scan; ``artifact_id`` is its mesh."""
+
+    job_id: str
+    artifact_id: str
+    sha256: str
+
+
 class Capture(Resource):
-    """A named scan of a subject."""
+    """A named scan of a subject, ``registered`` or as the scanner made it."""
 
     id: str
     name: str
     role: Role
+    registered: bool = True
+    landmarks: str | None = None
+    check: Check | None = None
+    registration: Registration | None = None
     filename: str | None = None
     sha256: str | None = None
     created_at: datetime | None = None
@@ -82,9 +101,10 @@ class Progress(Resource):
 
 
 class Result(Resource):
-    """What a succeeded job left."""
+    """What a succeeded job left; ``summary`` holds its verdict or figures."""
 
     rig_id: str | None = None
+    summary: dict[str, Any] | None = None
     artifacts: list[Artifact] = []
 
 
@@ -103,6 +123,7 @@ class Job(Resource):
     kind: Kind
     state: State
     attempt: int
+    last_event_id: int = 0
     progress: Progress | None = None
     error: dict[str, Any] | None = None
     result: Result | None = None

@@ -103,7 +103,7 @@ class Stack:
         told.wait()
 
     def pid(self, name: str) -> int:
-        """Return the process id of ``broker``, ``api``, ``short`` or ``long``."""
+        """Return the process id of ``broker``, ``api`` or a queue's worker."""
         if name == "broker" and self._broker:
             return self._broker.pid
         return next(child.pid for child in self._children if child.name == name)

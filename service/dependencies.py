@@ -40,4 +40,7 @@ ReadSession = Annotated[Session, Depends(_reading, scope="function")]
 # "function": the commit, and the wake-up calls after it, come before the response.
 WriteSession = Annotated[Session, Depends(_writing, scope="function")]
 
+Cursor = Annotated[
+    str | None, Query(max_length=200, description="`next` of the page before; default: the newest")
+]
 Limit = Annotated[int, Query(ge=1, le=1000, description="at most so many items")]

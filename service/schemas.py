@@ -46,7 +46,8 @@ class View(BaseModel):
     model_config = ConfigDict(from_attributes=True)
 
 
-class Page(BaseModel, Generic[Item]):
-    """A list, newest first."""
+class Page(View, Generic[Item]):
+    """A list, newest first; pass `next` as `cursor` to go on, null is the end."""
 
     items: list[Item]
+    next: str | None = None

@@ -55,6 +55,7 @@ class Settings(BaseSettings):
         default=300, gt=0, description="unreferenced files older than this go"
     )
 
+    ingest_workers: int = Field(default=1, ge=1)
     short_workers: int = Field(default=1, ge=1)
     long_workers: int = Field(default=1, ge=1)
     solver_threads: int = Field(default=os.cpu_count() or 1, ge=1)

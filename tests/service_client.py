@@ -16,6 +16,8 @@ import httpx
 
 from myoface.stack import Stack
 from service.settings import Settings
+from service.store import jobs
+from service.store.models import Artifact
 
 ROOT = Path(__file__).parents[1]
 OFFSET_STREAM = "application/offset+octet-stream"
@@ -56,10 +58,18 @@ class Studio:
         return location.rsplit("/", 1)[1]
 
     def capture(self, subject_id: str, name: str, role: str = "expression", **orders: Any) -> str:
+        return self._add(subject_id, name, role, orders)
+
+    def raw(self, subject_id: str, name: str, role: str = "expression", **orders: Any) -> str:
+        return self._add(subject_id, name, role, orders, registered=False)
+
+    def _add(
+        self, subject_id: str, name: str, role: str, orders: dict[str, Any], **more: Any
+    ) -> str:
         lines = [f"# {name}", *(f"#! {key} {value}" for key, value in orders.items())]
         upload_id = self.upload(f"{name} of Alex.obj", "\n".join(lines).encode())
         path = f"/v1/subjects/{subject_id}/captures"
-        return self.post(path, name=name, role=role, upload_id=upload_id)["id"]
+        return self.post(path, name=name, role=role, upload_id=upload_id, **more)["id"]
 
     def subject(self, **orders: Any) -> str:
         subject_id: str = self.post("/v1/subjects", name="Alex")["id"]
@@ -69,9 +79,28 @@ class Studio:
     def modelled(self) -> str:
         """Return a subject whose model is built."""
         subject_id = self.subject()
-        job = self.finished(self.submit("build_model", subject_id))
-        assert job["state"] == "succeeded", job
+        self.done("build_model", subject_id)
         return subject_id
+
+    def done(self, kind: str, subject_id: str, **more: Any) -> Any:
+        """Return a job that was submitted and has succeeded."""
+        job = self.finished(self.submit(kind, subject_id, **more))
+        assert job["state"] == "succeeded", job
+        return job
+
+    def pretend(
+        self, job_id: str, artifacts: dict[str, str], summary: dict[str, Any] | None = None
+    ) -> None:
+        """Do what a worker does with a job, without one; ``artifacts`` is name -> sha256."""
+        store = self.http.app.state.store  # type: ignore[attr-defined]
+        left = [
+            Artifact(job_id=job_id, name=name, size=1, sha256=sha256, media_type="x")
+            for name, sha256 in artifacts.items()
+        ]
+        with store.write() as session:
+            claim = jobs.claim(session, job_id, "test", 10)
+            assert claim
+            assert jobs.succeed(session, job_id, claim.attempt, left, summary=summary)
 
     def submit(self, kind: str, subject_id: str, **more: Any) -> str:
         return self.post("/v1/jobs", kind=kind, subject_id=subject_id, **more)["id"]

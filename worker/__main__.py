@@ -1,4 +1,4 @@
-"""``python -m worker short|long``: a worker for one queue."""
+"""``python -m worker ingest|short|long``: a worker for one queue."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def main() -> None:
     logs.configure(settings.log_json)
     if settings.stack_pid:
         die_with_parent(settings.stack_pid, signal.SIGTERM)
-    concurrency = settings.short_workers if queue == "short" else settings.long_workers
+    concurrency = getattr(settings, f"{queue}_workers")
     # Threads: each only watches a solver process, and all end with this process.
     app.worker_main(
         [

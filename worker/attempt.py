@@ -17,6 +17,7 @@ MEDIA_TYPES = {
     ".npz": "application/x-npz",
     ".json": "application/json",
     ".png": "image/png",
+    ".ply": "model/ply",
 }
 
 

@@ -26,6 +26,15 @@ from service.parent import die_with_parent
 if TYPE_CHECKING:
     from solver.progress import Progress, Step
 
+TELLING = {
+    "check_scan": "check.json",
+    "register_scan": "registration.json",
+    "build_model": "model.json",
+    "fit_geometry": "report.json",
+    "fit_activations": "report.json",
+}
+"""The file of each kind of job that holds its verdict or figures."""
+
 log = structlog.get_logger()
 
 
@@ -60,11 +69,11 @@ def main(folder: Path) -> int:
 
 
 def solve(folder: Path, progress: Progress) -> dict[str, Any]:
-    """Call the pipeline; returns ``{expressions, summary}`` for a rig, nothing for a model."""
+    """Call the pipeline; returns ``{summary, expressions}``, what the job tells of its results."""
     from solver import pipeline
 
     job = json.loads((folder / "job.json").read_text())
-    out, options = folder / "out", job["options"]
+    out, kind = folder / "out", job["kind"]
     captures: dict[str, Path] = {}
     files: dict[str, Path] = {}
     for item in job["inputs"]:
@@ -72,35 +81,31 @@ def solve(folder: Path, progress: Progress) -> dict[str, Any]:
             captures[item["name"]] = Path(item["path"])
         else:
             files[item["role"]] = Path(item["path"])
+    template, landmarks = files.get("template"), files.get("landmarks")
+    how: dict[str, Any] = {"options": job["options"], "progress": progress}
 
-    if job["kind"] == "build_model":
-        pipeline.build_model(
-            files["neutral"],
-            out,
-            template=files.get("template"),
-            options=options,
-            progress=progress,
+    if kind == "check_scan":
+        pipeline.check_scan(files["scan"], out, template=template, landmarks=landmarks, **how)
+    elif kind == "register_scan":
+        neutral = files.get("neutral")
+        pipeline.register_scan(
+            files["scan"], out, template=template, neutral=neutral, landmarks=landmarks, **how
         )
-        return {}
-    if job["kind"] == "fit_geometry":
-        pipeline.fit_geometry(files["model"], captures, out, options=options, progress=progress)
+    elif kind == "build_model":
+        pipeline.build_model(files["neutral"], out, template=template, **how)
+    elif kind == "fit_geometry":
+        pipeline.fit_geometry(files["model"], captures, out, **how)
     else:
-        pipeline.fit_activations(
-            files["model"],
-            files["weights"],
-            captures,
-            out,
-            rig=files["rig"],
-            options=options,
-            progress=progress,
-        )
-    return _describe(out)
+        rig = files["rig"]
+        pipeline.fit_activations(files["model"], files["weights"], captures, out, rig=rig, **how)
+    return _describe(out / TELLING[kind])
 
 
-def _describe(out: Path) -> dict[str, Any]:
-    report = json.loads((out / "report.json").read_text())
-    expressions = list(report.pop("expressions"))
-    return {"expressions": expressions, "summary": report}
+def _describe(file: Path) -> dict[str, Any]:
+    """Return what a job tells of its results; a rig's expressions are told apart."""
+    summary = json.loads(file.read_text())
+    expressions = list(summary.pop("expressions", ()))
+    return {"expressions": expressions, "summary": summary}
 
 
 def to_pipe(write: Callable[[str], Any]) -> Progress:

@@ -45,6 +45,7 @@ class Supervisor:
         self._name = name
         self._stopping = stopping
         self._renewed = 0.0
+        self._unwritten: tuple[list[dict[str, Any]], list[str]] = ([], [])
 
     def run(self, job_id: str) -> None:
         """Claim the job, do it and commit. Not to be had (done, taken, canceled): do nothing."""
@@ -54,6 +55,7 @@ class Supervisor:
             log.info("job.not_mine", job_id=job_id)
             return
         self._renewed = time.monotonic()
+        self._unwritten = ([], [])
         with structlog.contextvars.bound_contextvars(job_id=job_id, attempt=claim.attempt):
             log.info("job.claimed", kind=claim.kind)
             folder = AttemptFolder(self._settings.work, claim)
@@ -101,9 +103,12 @@ class Supervisor:
     def _beat(self, claim: Claim, process: SolverProcess) -> None:
         """Renew the lease, pass on what the solver said, and see whether to stop.
 
-        A database that does not answer is no reason to stop before the lease has run out.
+        A database that does not answer is no reason to stop before the lease has run out; what
+        was said meanwhile is written down when it does.
         """
-        steps, lines = process.steps(), process.lines()
+        steps, lines = self._unwritten
+        steps.extend(process.steps())
+        lines.extend(process.lines())
         try:
             with self._store.write() as session:
                 state = jobs.beat(
@@ -120,6 +125,7 @@ class Supervisor:
                 raise LeaseLostError from error
             return
         self._renewed = time.monotonic()
+        self._unwritten = ([], [])
         if state is None:
             raise LeaseLostError
         if state is State.CANCELING:
@@ -132,7 +138,12 @@ class Supervisor:
             artifacts = folder.store(self._store.files)
             with self._store.write() as session:
                 done = jobs.succeed(
-                    session, claim.job_id, claim.attempt, artifacts, folder.rig(result)
+                    session,
+                    claim.job_id,
+                    claim.attempt,
+                    artifacts,
+                    summary=result["summary"],
+                    rig=folder.rig(result),
                 )
             log.info("job.succeeded" if done else "job.fenced")
         elif error is not None:

@@ -1,14 +1,17 @@
-"""The table of captures."""
+"""The table of captures, and the jobs that are about one of them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sqlalchemy import select
-from sqlalchemy.orm import Session
+from sqlalchemy import delete, select
+from sqlalchemy.orm import Session, selectinload
 
+from service import paging
 from service.errors import unknown
-from service.store.models import Capture
+from service.paging import Slice
+from service.store.models import Capture, Job
+from service.store.transitions import State
 
 
 def get(session: Session, subject_id: str, capture_id: str) -> Capture:
@@ -20,12 +23,14 @@ def get(session: Session, subject_id: str, capture_id: str) -> Capture:
 
 
 def of_subject(session: Session, subject_id: str) -> Sequence[Capture]:
+    """Return all of a subject's captures."""
+    return session.scalars(select(Capture).where(Capture.subject_id == subject_id)).all()
+
+
+def newest(session: Session, subject_id: str, limit: int, cursor: str | None) -> Slice[Capture]:
     """Return a subject's captures, newest first."""
-    return session.scalars(
-        select(Capture)
-        .where(Capture.subject_id == subject_id)
-        .order_by(Capture.created_at.desc(), Capture.name)
-    ).all()
+    query = select(Capture).where(Capture.subject_id == subject_id)
+    return paging.newest(session, query, limit, cursor)
 
 
 def neutral(session: Session, subject_id: str) -> Capture | None:
@@ -33,3 +38,18 @@ def neutral(session: Session, subject_id: str) -> Capture | None:
     return session.scalars(
         select(Capture).where(Capture.subject_id == subject_id, Capture.role == "neutral")
     ).one_or_none()
+
+
+def succeeded_jobs(session: Session, kind: str, capture_ids: Sequence[str]) -> Sequence[Job]:
+    """Return the successful jobs of a kind about single captures, newest first."""
+    return session.scalars(
+        select(Job)
+        .where(Job.capture_id.in_(capture_ids), Job.kind == kind, Job.state == State.SUCCEEDED)
+        .options(selectinload(Job.artifacts))
+        .order_by(Job.created_at.desc(), Job.id.desc())
+    ).all()
+
+
+def delete_jobs(session: Session, capture_id: str) -> None:
+    """Delete the jobs about a capture, with what they left."""
+    session.execute(delete(Job).where(Job.capture_id == capture_id))

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from fastapi import APIRouter
 
 from service.captures import repository, service
-from service.captures.schemas import CaptureView, NewCapture
-from service.dependencies import ReadSession, WriteSession
+from service.captures.schemas import CaptureView, Landmarks, NewCapture
+from service.dependencies import Cursor, Limit, ReadSession, WriteSession
 from service.errors import problems
 from service.schemas import Id, Page
 from service.subjects import repository as subjects
@@ -16,28 +14,42 @@ from service.subjects import repository as subjects
 router = APIRouter(prefix="/v1/subjects/{subject_id}/captures", tags=["captures"])
 
 
-@router.post(
-    "",
-    status_code=201,
-    response_model=CaptureView,
-    summary="Add a scan",
-    responses=problems(404, 409, 410, 422),
-)
-def create(subject_id: Id, new: NewCapture, session: WriteSession) -> Any:
-    """Make a complete upload (OBJ, PLY, GLB or STL) the subject's neutral or an expression."""
-    return service.create(session, subject_id, new)
+@router.post("", status_code=201, summary="Add a scan", responses=problems(404, 409, 410, 422))
+def create(subject_id: Id, new: NewCapture, session: WriteSession) -> CaptureView:
+    """Make a complete upload the subject's neutral or an expression.
+
+    OBJ, PLY, GLB or STL; a raw scan (`registered: false`) may also be an XYZ point cloud.
+    """
+    return service.views(session, [service.create(session, subject_id, new)])[0]
 
 
-@router.get(
-    "",
-    response_model=Page[CaptureView],
-    summary="List a subject's scans",
-    responses=problems(404, 422),
-)
-def index(subject_id: Id, session: ReadSession) -> Any:
+@router.get("", summary="List a subject's scans", responses=problems(404, 422))
+def index(
+    subject_id: Id, session: ReadSession, limit: Limit = 100, cursor: Cursor = None
+) -> Page[CaptureView]:
     """List a subject's captures, newest first."""
     subjects.get(session, subject_id)
-    return {"items": repository.of_subject(session, subject_id)}
+    found = repository.newest(session, subject_id, limit, cursor)
+    return Page(items=service.views(session, found.items), next=found.next)
+
+
+@router.get("/{capture_id}", summary="Show a scan", responses=problems(404, 422))
+def show(subject_id: Id, capture_id: Id, session: ReadSession) -> CaptureView:
+    """Show a capture with its newest check and registration."""
+    return service.views(session, [repository.get(session, subject_id, capture_id)])[0]
+
+
+@router.put(
+    "/{capture_id}/landmarks",
+    summary="Give a scan landmarks",
+    responses=problems(404, 409, 410, 422),
+)
+def set_landmarks(
+    subject_id: Id, capture_id: Id, given: Landmarks, session: WriteSession
+) -> CaptureView:
+    """Make a complete upload (JSON, LJSON or CSV) the scan's landmarks, instead of earlier ones."""
+    capture = service.set_landmarks(session, subject_id, capture_id, given)
+    return service.views(session, [capture])[0]
 
 
 @router.delete(
@@ -47,5 +59,5 @@ def index(subject_id: Id, session: ReadSession) -> Any:
     responses=problems(404, 409, 422),
 )
 def delete(subject_id: Id, capture_id: Id, session: WriteSession) -> None:
-    """Delete a capture, for example to replace a bad scan."""
+    """Delete a capture with its checks and registrations, for example to replace a bad scan."""
     service.delete(session, subject_id, capture_id)

@@ -7,7 +7,9 @@ from typing import Literal
 
 from pydantic import Field
 
+from service.captures.registered import mesh
 from service.schemas import Body, Id, Name, View
+from service.store.models import Capture, Job
 
 Role = Literal["neutral", "expression"]
 
@@ -18,16 +20,91 @@ class NewCapture(Body):
     name: Name = Field(examples=["smile"])
     role: Role
     upload_id: Id
+    registered: bool = Field(
+        default=True,
+        description="true: the file has the template's vertices in its order; "
+        "false: it is what the scanner made, and `register_scan` comes before models and fits",
+    )
+    landmarks_upload_id: Id | None = Field(
+        default=None, description="a complete upload with landmarks on this scan"
+    )
+
+
+class Landmarks(Body):
+    """Landmarks on a scan, as the file of a complete upload."""
+
+    upload_id: Id
+
+
+class CheckView(View):
+    """The newest check of a scan; the findings are in its job's result."""
+
+    job_id: str
+    verdict: str = Field(description="`good`, `usable` or `bad`")
+    finished_at: datetime
+
+
+class RegistrationView(View):
+    """The newest registration of a raw scan: `artifact_id` is its mesh."""
+
+    job_id: str
+    artifact_id: str
+    sha256: str
+    finished_at: datetime
 
 
 class CaptureView(View):
-    """A named scan of a subject."""
+    """A named scan of a subject; `landmarks` is the name of their file."""
 
     id: str
     subject_id: str
     name: str
     role: Role
+    registered: bool
     filename: str
     size: int
     sha256: str
+    landmarks: str | None
+    check: CheckView | None
+    registration: RegistrationView | None
     created_at: datetime
+
+    @classmethod
+    def of(cls, capture: Capture, check: Job | None, registration: Job | None) -> CaptureView:
+        """Show a capture with the newest jobs about it."""
+        return cls.model_validate(
+            {
+                **{name: getattr(capture, name) for name in _COLUMNS},
+                "landmarks": capture.landmarks_filename,
+                "check": check and _check(check),
+                "registration": registration and _registration(registration),
+            }
+        )
+
+
+_COLUMNS = (
+    "id",
+    "subject_id",
+    "name",
+    "role",
+    "registered",
+    "filename",
+    "size",
+    "sha256",
+    "created_at",
+)
+
+
+def _check(job: Job) -> dict[str, object]:
+    assert job.summary is not None, "a check leaves its verdict"
+    return {"job_id": job.id, "verdict": job.summary["verdict"], "finished_at": job.finished_at}
+
+
+def _registration(job: Job) -> dict[str, object]:
+    made = mesh(job)
+    return {
+        "job_id": job.id,
+        "artifact_id": made.id,
+        "sha256": made.sha256,
+        "finished_at": job.finished_at,
+    }

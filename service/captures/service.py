@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import PurePath
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from service.captures import repository
-from service.captures.schemas import NewCapture
+from service.captures import registered, repository
+from service.captures.schemas import CaptureView, Landmarks, NewCapture
 from service.errors import Problem
-from service.store.models import Capture, Subject
+from service.store.models import Capture, Job, Subject, Upload
 from service.subjects import repository as subjects
 from service.subjects.service import refuse_while_busy
 from service.uploads import repository as uploads
 
 FORMATS = (".obj", ".ply", ".glb", ".stl")
+RAW_FORMATS = (*FORMATS, ".xyz")
+LANDMARK_FORMATS = (".json", ".ljson", ".csv")
 
 
 def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
@@ -24,14 +27,73 @@ def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
     # Two captures of one subject at a time would both find the name free.
     session.execute(select(Subject.id).where(Subject.id == subject_id).with_for_update())
     upload = uploads.get_complete(session, new.upload_id)
-    if PurePath(upload.filename).suffix.lower() not in FORMATS:
+    if new.registered:
+        _check_format(upload, "capture.format", "a registered scan", FORMATS)
+    else:
+        _check_format(upload, "capture.format", "a raw scan", RAW_FORMATS)
+    _refuse_a_second(session, subject_id, new)
+    capture = Capture(
+        subject_id=subject_id,
+        name=new.name,
+        role=new.role,
+        registered=new.registered,
+        filename=upload.filename,
+        size=upload.size,
+        sha256=upload.sha256,
+    )
+    if new.landmarks_upload_id is not None:
+        _give_landmarks(session, capture, new.landmarks_upload_id)
+    session.add(capture)
+    session.flush()
+    return capture
+
+
+def views(session: Session, captures: Sequence[Capture]) -> list[CaptureView]:
+    """Show captures with the newest check and registration of each."""
+    ids = [capture.id for capture in captures]
+    checks = _newest(repository.succeeded_jobs(session, "check_scan", ids))
+    registrations = _newest(repository.succeeded_jobs(session, registered.KIND, ids))
+    return [
+        CaptureView.of(capture, checks.get(capture.id), registrations.get(capture.id))
+        for capture in captures
+    ]
+
+
+def set_landmarks(session: Session, subject_id: str, capture_id: str, given: Landmarks) -> Capture:
+    """Give a scan landmarks, in place of those it had; jobs submitted earlier keep theirs."""
+    capture = repository.get(session, subject_id, capture_id)
+    _give_landmarks(session, capture, given.upload_id)
+    return capture
+
+
+def delete(session: Session, subject_id: str, capture_id: str) -> None:
+    """Delete a scan with its checks and registrations; the sweeper removes the files."""
+    capture = repository.get(session, subject_id, capture_id)
+    refuse_while_busy(session, subject_id)
+    uploads.forget(session, capture.uploaded)
+    repository.delete_jobs(session, capture_id)
+    session.delete(capture)
+
+
+def _give_landmarks(session: Session, capture: Capture, upload_id: str) -> None:
+    upload = uploads.get_complete(session, upload_id)
+    _check_format(upload, "landmarks.format", "a file of landmarks", LANDMARK_FORMATS)
+    capture.landmarks_filename, capture.landmarks_sha256 = upload.filename, upload.sha256
+
+
+def _check_format(upload: Upload, code: str, what: str, formats: Sequence[str]) -> None:
+    if PurePath(upload.filename).suffix.lower() not in formats:
         raise Problem(
             422,
-            "capture.format",
-            f"{upload.filename}: a scan is one of {', '.join(FORMATS)}",
+            code,
+            f"{upload.filename}: {what} is one of {', '.join(formats)}",
             file=upload.filename,
-            expected=list(FORMATS),
+            expected=list(formats),
         )
+
+
+def _refuse_a_second(session: Session, subject_id: str, new: NewCapture) -> None:
+    """Raise a problem if the subject has a capture of this name, or another neutral."""
     for other in repository.of_subject(session, subject_id):
         if other.name == new.name:
             raise Problem(
@@ -47,22 +109,7 @@ def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
                 f"the subject has a neutral capture, {other.name}; delete it first",
                 capture_id=other.id,
             )
-    capture = Capture(
-        subject_id=subject_id,
-        name=new.name,
-        role=new.role,
-        filename=upload.filename,
-        size=upload.size,
-        sha256=upload.sha256,
-    )
-    session.add(capture)
-    session.flush()
-    return capture
 
 
-def delete(session: Session, subject_id: str, capture_id: str) -> None:
-    """Delete a scan; the sweeper removes the file."""
-    capture = repository.get(session, subject_id, capture_id)
-    refuse_while_busy(session, subject_id)
-    uploads.forget_scans(session, [capture.sha256])
-    session.delete(capture)
+def _newest(jobs: Sequence[Job]) -> dict[str | None, Job]:
+    return {job.capture_id: job for job in reversed(jobs)}

@@ -1,73 +1,132 @@
 """The files a job reads, looked up and fixed when it is submitted.
 
 An input is ``{"role", "name", "filename", "sha256"}``: ``filename`` is the user's own name for the
-file, so that an error in it can name it.
+file, so that an error in it can name it. Of a raw capture, models and fits read the registered
+form.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from service.captures import repository as captures
+from service.captures.registered import neutral_of, registered_form
 from service.errors import Problem, unknown
 from service.jobs import repository
 from service.jobs.schemas import NewJob
 from service.kinds import Kind
 from service.rigs import repository as rigs
-from service.store.models import Capture, Rig
+from service.store.models import Capture, Job, Rig
 from service.subjects import repository as subjects
 from service.templates import repository as templates
 
 Input = dict[str, Any]
 
 
-def resolve(session: Session, kind: Kind, new: NewJob) -> tuple[list[Input], str | None]:
-    """Return what a job will read, and the id of the job that made its model, if it uses one."""
+@dataclass(frozen=True)
+class Inputs:
+    """What a job reads, the capture it is about and the job that made its model, if any."""
+
+    files: list[Input]
+    capture_id: str | None = None
+    model_job_id: str | None = None
+
+
+def resolve(session: Session, kind: Kind, new: NewJob) -> Inputs:
+    """Return what a job will read."""
     subjects.get(session, new.subject_id)
-    for member, read in (("captures", "captures"), ("rig_id", "rig")):
-        if getattr(new, member) and read not in kind.reads:
-            raise Problem(422, "job.unexpected", f"{kind.kind} takes no {member}", member=member)
-    inputs: list[Input] = []
-    model_job_id = None
+    _refuse_unread(kind, new)
+    if "capture" in kind.reads:
+        return _about_one_capture(session, kind, new)
     if "neutral" in kind.reads:
-        inputs += _neutral(session, new)
-    if "model" in kind.reads:
-        model_job_id = _newest_model(session, new)
-    if "rig" in kind.reads:
-        rig = _parent(session, new)
-        model_job_id = rig.model_job_id
-        inputs += [
-            _artifact(session, rig.job_id, "weights", "muscle_weights.npz"),
-            _artifact(session, rig.job_id, "rig", "activations.npz"),
-        ]
-    if model_job_id:
-        inputs.append(_artifact(session, model_job_id, "model", "model.npz"))
-    if "captures" in kind.reads:
-        inputs += _captures(session, new)
-    return inputs, model_job_id
+        return Inputs([_neutral(session, new.subject_id), *_template(session, new.subject_id)])
+    return _of_a_model(session, kind, new)
 
 
-def _neutral(session: Session, new: NewJob) -> list[Input]:
-    neutral = captures.neutral(session, new.subject_id)
+def _refuse_unread(kind: Kind, new: NewJob) -> None:
+    for member, reads in (("captures", {"captures", "capture"}), ("rig_id", {"rig"})):
+        if getattr(new, member) and reads.isdisjoint(kind.reads):
+            raise Problem(422, "job.unexpected", f"{kind.kind} takes no {member}", member=member)
+
+
+def _about_one_capture(session: Session, kind: Kind, new: NewJob) -> Inputs:
+    """Return the scan as it was uploaded with its landmarks, and what else ``kind`` reads."""
+    if len(new.captures) != 1:
+        raise Problem(
+            422,
+            "job.one_capture",
+            f"{kind.kind} takes one capture, not {len(new.captures)}",
+            member="captures",
+        )
+    capture = captures.get(session, new.subject_id, new.captures[0])
+    if capture.registered and kind.leaves == "registration":
+        raise Problem(
+            409,
+            "capture.is_registered",
+            f"{capture.name} was uploaded as a registered scan: there is nothing to register",
+            capture_id=capture.id,
+        )
+    files = [_input("scan", capture.name, capture.filename, capture.sha256)]
+    if capture.landmarks_filename and capture.landmarks_sha256:
+        files.append(
+            _input("landmarks", capture.name, capture.landmarks_filename, capture.landmarks_sha256)
+        )
+    if "neutral" in kind.reads and capture.role != "neutral":
+        files.append(_neutral(session, new.subject_id, of_an_expression=True))
+    return Inputs([*files, *_template(session, new.subject_id)], capture_id=capture.id)
+
+
+def _neutral(session: Session, subject_id: str, *, of_an_expression: bool = False) -> Input:
+    neutral = captures.neutral(session, subject_id)
     if neutral is None:
         raise Problem(
             409,
             "subject.no_neutral",
             "the subject has no neutral capture",
-            subject_id=new.subject_id,
+            subject_id=subject_id,
         )
-    found = [_capture("neutral", neutral)]
-    template_id = subjects.get(session, new.subject_id).template_id
-    if template_id:
-        template = templates.get(session, template_id)
-        found.append(_input("template", template.name, template.filename, template.sha256))
-    return found
+    if (form := registered_form(session, neutral)) is not None:
+        return _input("neutral", neutral.name, form.filename, form.sha256)
+    if of_an_expression:
+        raise Problem(
+            409,
+            "subject.neutral_not_registered",
+            f"an expression is registered from the neutral: register {neutral.name} first",
+            subject_id=subject_id,
+            capture_id=neutral.id,
+        )
+    raise _not_registered({neutral.id: _REGISTER_FIRST.format(name=neutral.name)})
 
 
-def _newest_model(session: Session, new: NewJob) -> str:
+def _template(session: Session, subject_id: str) -> list[Input]:
+    """Return the subject's template; none: the solver has one of its own."""
+    template_id = subjects.get(session, subject_id).template_id
+    if template_id is None:
+        return []
+    template = templates.get(session, template_id)
+    return [_input("template", template.name, template.filename, template.sha256)]
+
+
+def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
+    """Return a model, the parent rig if ``kind`` reads one, and the expressions to fit."""
+    if "rig" in kind.reads:
+        rig = _parent(session, new)
+        model = repository.get(session, rig.model_job_id)
+        files = [
+            _artifact(session, rig.job_id, "weights", "muscle_weights.npz"),
+            _artifact(session, rig.job_id, "rig", "activations.npz"),
+        ]
+    else:
+        model, files = _newest_model(session, new), []
+    files.append(_artifact(session, model.id, "model", "model.npz"))
+    return Inputs([*files, *_expressions(session, new, model)], model_job_id=model.id)
+
+
+def _newest_model(session: Session, new: NewJob) -> Job:
     job = repository.newest_model(session, new.subject_id)
     if job is None:
         raise Problem(
@@ -76,7 +135,7 @@ def _newest_model(session: Session, new: NewJob) -> str:
             "the subject has no model; run build_model first",
             subject_id=new.subject_id,
         )
-    return job.id
+    return job
 
 
 def _parent(session: Session, new: NewJob) -> Rig:
@@ -88,7 +147,24 @@ def _parent(session: Session, new: NewJob) -> Rig:
     return rig
 
 
-def _captures(session: Session, new: NewJob) -> list[Input]:
+def _expressions(session: Session, new: NewJob, model: Job) -> list[Input]:
+    """Return the registered forms of the chosen expressions, in the frame of the model's neutral.
+
+    All that can not be read are named at once.
+    """
+    inputs, faults = [], {}
+    for capture in _chosen(session, new):
+        form = registered_form(session, capture, neutral_of(model))
+        if form is None:
+            faults[capture.id] = _what_to_do(session, capture)
+        else:
+            inputs.append(_input("capture", capture.name, form.filename, form.sha256))
+    if faults:
+        raise _not_registered(faults)
+    return inputs
+
+
+def _chosen(session: Session, new: NewJob) -> list[Capture]:
     if not new.captures:
         raise Problem(422, "job.missing", f"{new.kind} needs captures", member="captures")
     rows = session.scalars(
@@ -107,16 +183,35 @@ def _captures(session: Session, new: NewJob) -> list[Input]:
                 f"{found[capture_id].name} is the neutral capture",
                 capture_id=capture_id,
             )
-    return [_capture("capture", found[capture_id]) for capture_id in dict.fromkeys(new.captures)]
+    return [found[capture_id] for capture_id in dict.fromkeys(new.captures)]
+
+
+_REGISTER_FIRST = "{name} is a raw scan: register it first"
+_REGISTER_AGAIN = "{name} was registered from an earlier neutral: register it again"
+_BUILD_AGAIN = "{name} belongs to a newer neutral than the model's: build the model again"
+
+
+def _what_to_do(session: Session, capture: Capture) -> str:
+    """Say why a raw expression can not be fitted to a model of another neutral than its own.
+
+    Either the expression or the model is behind the subject's neutral as it is now.
+    """
+    if registered_form(session, capture) is None:
+        return _REGISTER_FIRST.format(name=capture.name)
+    neutral = captures.neutral(session, capture.subject_id)
+    now = neutral and registered_form(session, neutral)
+    is_current = now is not None and registered_form(session, capture, now.sha256) is not None
+    return (_BUILD_AGAIN if is_current else _REGISTER_AGAIN).format(name=capture.name)
+
+
+def _not_registered(faults: dict[str, str]) -> Problem:
+    detail, capture_ids = "; ".join(faults.values()), list(faults)
+    return Problem(409, "capture.not_registered", detail, capture_ids=capture_ids)
 
 
 def _artifact(session: Session, job_id: str, role: str, name: str) -> Input:
     artifact = rigs.artifact_of_job(session, job_id, name)
     return _input(role, name, name, artifact.sha256)
-
-
-def _capture(role: str, capture: Capture) -> Input:
-    return _input(role, capture.name, capture.filename, capture.sha256)
 
 
 def _input(role: str, name: str, filename: str, sha256: str) -> Input:

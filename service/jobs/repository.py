@@ -5,13 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sqlalchemy import func, select
-from sqlalchemy.orm import Session, selectinload
+from sqlalchemy.orm import Session, selectinload, undefer
 
+from service import paging
 from service.errors import unknown
+from service.paging import Slice
 from service.store.models import Event, Job, LogLine
 from service.store.transitions import State
 
-PARTS = (selectinload(Job.attempts), selectinload(Job.artifacts), selectinload(Job.rig))
+PARTS = (
+    selectinload(Job.attempts),
+    selectinload(Job.artifacts),
+    selectinload(Job.rig),
+    undefer(Job.last_event_id),
+)
 
 
 def get(session: Session, job_id: str) -> Job:
@@ -29,12 +36,13 @@ def newest(
     state: State | None,
     kind: str | None,
     limit: int,
-) -> Sequence[Job]:
+    cursor: str | None,
+) -> Slice[Job]:
     """Return jobs, newest first."""
     wanted = {Job.subject_id: subject_id, Job.state: state, Job.kind: kind}
     conditions = [column == value for column, value in wanted.items() if value is not None]
-    query = select(Job).where(*conditions).order_by(Job.created_at.desc())
-    return session.scalars(query.options(*PARTS).limit(limit)).all()
+    query = select(Job).where(*conditions).options(*PARTS)
+    return paging.newest(session, query, limit, cursor)
 
 
 def newest_model(session: Session, subject_id: str) -> Job | None:

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Depends, Header, Query, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from sqlalchemy.exc import IntegrityError
 
-from service.dependencies import Limit, ReadSession, SettingsDep, StoreDep, WriteSession
+from service.dependencies import Cursor, Limit, ReadSession, SettingsDep, StoreDep, WriteSession
 from service.errors import problems
 from service.jobs import repository, service
 from service.jobs.events import stream
@@ -59,10 +59,14 @@ def index(
     state: State | None = None,
     kind: Name | None = None,
     limit: Limit = 100,
+    cursor: Cursor = None,
 ) -> Page[JobView]:
     """List jobs, newest first."""
-    jobs = repository.newest(session, subject_id=subject_id, state=state, kind=kind, limit=limit)
-    return Page(items=[JobView.of(job, repository.queue_position(session, job)) for job in jobs])
+    jobs = repository.newest(
+        session, subject_id=subject_id, state=state, kind=kind, limit=limit, cursor=cursor
+    )
+    views = [JobView.of(job, repository.queue_position(session, job)) for job in jobs.items]
+    return Page(items=views, next=jobs.next)
 
 
 @router.get("/{job_id}", summary="Show a job", responses=problems(404, 422))

@@ -19,7 +19,9 @@ class NewJob(Body):
     kind: str = Field(examples=["fit_geometry"])
     subject_id: Id
     captures: list[Id] = Field(
-        default=[], max_length=1000, description="ids of expression captures"
+        default=[],
+        max_length=1000,
+        description="ids of expression captures; `check_scan` and `register_scan`: of one capture",
     )
     rig_id: Id | None = Field(default=None, description="the parent rig")
     options: dict[str, Any] = Field(default={}, description="the kind's options")
@@ -72,6 +74,9 @@ class Result(View):
     """What a finished job left."""
 
     rig_id: str | None = None
+    summary: dict[str, Any] | None = Field(
+        description="a check's verdict and findings, or the figures of a registration, model or rig"
+    )
     artifacts: list[ArtifactView]
 
 
@@ -94,6 +99,7 @@ class JobView(View):
     result: Result | None
     attempts: list[AttemptView]
     cancel: CancelView | None
+    last_event_id: int = Field(description="pass it as `Last-Event-ID` to watch what comes next")
     created_at: datetime
     started_at: datetime | None
     finished_at: datetime | None
@@ -101,7 +107,11 @@ class JobView(View):
     @classmethod
     def of(cls, job: Job, queue_position: int | None) -> JobView:
         """Show a job."""
-        result = {"rig_id": job.rig.id if job.rig else None, "artifacts": job.artifacts}
+        result = {
+            "rig_id": job.rig.id if job.rig else None,
+            "summary": job.summary,
+            "artifacts": job.artifacts,
+        }
         return cls.model_validate(
             {
                 **job.request,
@@ -122,6 +132,7 @@ _COLUMNS = (
     "error",
     "attempts",
     "cancel",
+    "last_event_id",
     "created_at",
     "started_at",
     "finished_at",

@@ -29,15 +29,16 @@ def submit(
             raise Problem(409, "job.conflict", "this id has another job already", job_id=job_id)
         return job, False
     kind = _kind(new)
-    inputs, model_job_id = resolve(session, kind, new)
+    inputs = resolve(session, kind, new)
     job = Job(
         id=job_id or new_id(),
         subject_id=new.subject_id,
         kind=kind.kind,
         queue=kind.queue,
         request=request,
-        inputs=inputs,
-        model_job_id=model_job_id,
+        inputs=inputs.files,
+        capture_id=inputs.capture_id,
+        model_job_id=inputs.model_job_id,
         max_attempts=max_attempts,
     )
     jobs.create(session, job)

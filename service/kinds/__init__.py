@@ -9,15 +9,16 @@ from typing import Any, Literal
 
 from jsonschema import Draft202012Validator
 
-Read = Literal["neutral", "captures", "model", "rig"]
+Read = Literal["capture", "neutral", "captures", "template", "model", "rig"]
 
 
 @dataclass(frozen=True)
 class Kind:
     """A kind of job.
 
-    ``reads`` names the inputs that are looked up at submission, ``options`` is a JSON Schema and
-    ``queue`` the Celery queue.
+    ``reads`` names the inputs that are looked up at submission: ``capture`` is one scan as it was
+    uploaded, with its landmarks; ``neutral`` and ``captures`` are registered scans, the subject's
+    neutral and chosen expressions. ``options`` is a JSON Schema and ``queue`` the Celery queue.
     """
 
     kind: str
@@ -25,7 +26,7 @@ class Kind:
     description: str
     queue: str
     reads: list[Read]
-    leaves: Literal["model", "rig"]
+    leaves: Literal["check", "registration", "model", "rig"]
     options: dict[str, Any]
 
     def faults(self, options: dict[str, Any]) -> list[dict[str, str]]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from sqlalchemy import select
 from sqlalchemy.orm import Session, selectinload
 
+from service import paging
 from service.errors import Problem, unknown
+from service.paging import Slice
 from service.store.models import Artifact, Rig
 
 
@@ -19,12 +19,12 @@ def get(session: Session, rig_id: str) -> Rig:
     return rig
 
 
-def newest(session: Session, subject_id: str | None, limit: int) -> Sequence[Rig]:
+def newest(session: Session, subject_id: str | None, limit: int, cursor: str | None) -> Slice[Rig]:
     """Return rigs, newest first."""
-    query = select(Rig).options(selectinload(Rig.artifacts)).order_by(Rig.created_at.desc())
+    query = select(Rig).options(selectinload(Rig.artifacts))
     if subject_id is not None:
         query = query.where(Rig.subject_id == subject_id)
-    return session.scalars(query.limit(limit)).all()
+    return paging.newest(session, query, limit, cursor)
 
 
 def artifact(session: Session, artifact_id: str) -> Artifact:

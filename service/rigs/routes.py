@@ -7,9 +7,10 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Query, Response
 from fastapi.responses import FileResponse
 
-from service.dependencies import Limit, ReadSession, StoreDep
+from service.dependencies import Cursor, Limit, ReadSession, StoreDep
 from service.errors import problems
 from service.rigs import repository
+from service.rigs.download import Download
 from service.rigs.schemas import RigView
 from service.schemas import FileName, Id, Page
 from service.store.models import Artifact
@@ -22,16 +23,19 @@ FILE: dict[int | str, dict[str, Any]] = {
     200: {"description": "The file", "content": {"application/octet-stream": {}}},
     206: {"description": "A range of the file"},
     304: {"description": "The caller's copy is the file"},
-    **problems(404, 416, 422),
+    **problems(400, 404, 416, 422),
 }
 
 
 @router.get("/rigs", response_model=Page[RigView], summary="List rigs", responses=problems(422))
 def index(
-    session: ReadSession, subject_id: Annotated[Id | None, Query()] = None, limit: Limit = 100
+    session: ReadSession,
+    subject_id: Annotated[Id | None, Query()] = None,
+    limit: Limit = 100,
+    cursor: Cursor = None,
 ) -> Any:
     """List rigs, newest first."""
-    return {"items": repository.newest(session, subject_id, limit)}
+    return repository.newest(session, subject_id, limit, cursor)
 
 
 @router.get(
@@ -82,7 +86,7 @@ def _file(artifact: Artifact, store: Store, if_none_match: str | None) -> Respon
     known = {tag.strip().removeprefix("W/") for tag in (if_none_match or "").split(",")}
     if known & {headers["ETag"], "*"}:
         return Response(status_code=304, headers=headers)
-    return FileResponse(
+    return Download(
         store.files.path(artifact.sha256),
         headers=headers,
         media_type=artifact.media_type,

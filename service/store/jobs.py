@@ -108,10 +108,17 @@ def beat(
 
 
 def succeed(
-    session: Session, job_id: str, attempt: int, artifacts: Sequence[Artifact], rig: Rig | None
+    session: Session,
+    job_id: str,
+    attempt: int,
+    artifacts: Sequence[Artifact],
+    *,
+    summary: dict[str, Any] | None = None,
+    rig: Rig | None = None,
 ) -> bool:
     """Commit the results of an attempt; False: it is not this worker's to commit."""
-    if _step(session, job_id, State.SUCCEEDED, Job.attempt == attempt, error=None) is None:
+    values: dict[str, Any] = {"error": None, "summary": summary}
+    if _step(session, job_id, State.SUCCEEDED, Job.attempt == attempt, **values) is None:
         return False
     session.add_all(artifacts)
     if rig is not None:

@@ -19,8 +19,10 @@ from sqlalchemy import (
     Text,
     TypeDecorator,
     UniqueConstraint,
+    func,
+    select,
 )
-from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column, relationship
+from sqlalchemy.orm import DeclarativeBase, Mapped, column_property, mapped_column, relationship
 
 from service.store.transitions import State
 
@@ -112,7 +114,7 @@ class Subject(Base):
 
 
 class Capture(Stored, Base):
-    """A named scan of a subject."""
+    """A named scan of a subject: registered, or raw as the scanner made it."""
 
     __tablename__ = "captures"
     __table_args__ = (UniqueConstraint("subject_id", "name"),)
@@ -122,54 +124,15 @@ class Capture(Stored, Base):
     )
     name: Mapped[str] = mapped_column(String(64))
     role: Mapped[str] = mapped_column(String(16))
+    registered: Mapped[bool] = mapped_column(default=True)
+    landmarks_filename: Mapped[str | None] = mapped_column(String(255))
+    landmarks_sha256: Mapped[str | None] = mapped_column(String(64), index=True)
     created_at: Mapped[datetime] = mapped_column(default=now)
 
-
-class Job(Base):
-    """A piece of work. ``inputs`` fixes at submission which files it reads."""
-
-    __tablename__ = "jobs"
-    __table_args__ = (Index("ix_jobs_state_queue", "state", "queue", "created_at"),)
-    id: Mapped[str] = mapped_column(String(36), primary_key=True, default=new_id)
-    subject_id: Mapped[str] = mapped_column(
-        ForeignKey("subjects.id", ondelete="CASCADE"), index=True
-    )
-    kind: Mapped[str] = mapped_column(String(32))
-    queue: Mapped[str] = mapped_column(String(16))
-    request: Mapped[dict[str, Any]]
-    inputs: Mapped[list[Any]]
-    model_job_id: Mapped[str | None] = mapped_column(String(36))
-
-    state: Mapped[State] = mapped_column(default=State.QUEUED)
-    attempt: Mapped[int] = mapped_column(default=0)
-    max_attempts: Mapped[int]
-    lease_owner: Mapped[str | None] = mapped_column(String(100))
-    lease_until: Mapped[datetime | None]
-    sends: Mapped[int] = mapped_column(default=0)
-    sent_at: Mapped[datetime | None]
-
-    progress: Mapped[dict[str, Any] | None]
-    error: Mapped[dict[str, Any] | None]
-    cancel: Mapped[dict[str, Any] | None]
-    created_at: Mapped[datetime] = mapped_column(default=now)
-    started_at: Mapped[datetime | None]
-    finished_at: Mapped[datetime | None]
-
-    attempts: Mapped[list[Attempt]] = relationship(order_by="Attempt.number", viewonly=True)
-    artifacts: Mapped[list[Artifact]] = relationship(order_by="Artifact.name", viewonly=True)
-    rig: Mapped[Rig | None] = relationship(viewonly=True)
-
-
-class Attempt(Base):
-    """One claim of a job by a worker."""
-
-    __tablename__ = "attempts"
-    job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True)
-    number: Mapped[int] = mapped_column(primary_key=True)
-    worker: Mapped[str] = mapped_column(String(100))
-    started_at: Mapped[datetime]
-    finished_at: Mapped[datetime | None]
-    outcome: Mapped[str | None] = mapped_column(String(16))
+    @property
+    def uploaded(self) -> list[str]:
+        """The sha256 of the files that were uploaded for it."""
+        return list(filter(None, (self.sha256, self.landmarks_sha256)))
 
 
 class Event(Base):
@@ -183,6 +146,61 @@ class Event(Base):
     kind: Mapped[str] = mapped_column(String(16))
     data: Mapped[dict[str, Any]]
     created_at: Mapped[datetime] = mapped_column(default=now)
+
+
+class Job(Base):
+    """A piece of work. ``inputs`` fixes at submission which files it reads.
+
+    One about a single capture has its ``capture_id`` and is deleted with it.
+    """
+
+    __tablename__ = "jobs"
+    __table_args__ = (Index("ix_jobs_state_queue", "state", "queue", "created_at"),)
+    id: Mapped[str] = mapped_column(String(36), primary_key=True, default=new_id)
+    subject_id: Mapped[str] = mapped_column(
+        ForeignKey("subjects.id", ondelete="CASCADE"), index=True
+    )
+    kind: Mapped[str] = mapped_column(String(32))
+    queue: Mapped[str] = mapped_column(String(16))
+    request: Mapped[dict[str, Any]]
+    inputs: Mapped[list[Any]]
+    model_job_id: Mapped[str | None] = mapped_column(String(36))
+    capture_id: Mapped[str | None] = mapped_column(String(36), index=True)
+
+    state: Mapped[State] = mapped_column(default=State.QUEUED)
+    attempt: Mapped[int] = mapped_column(default=0)
+    max_attempts: Mapped[int]
+    lease_owner: Mapped[str | None] = mapped_column(String(100))
+    lease_until: Mapped[datetime | None]
+    sends: Mapped[int] = mapped_column(default=0)
+    sent_at: Mapped[datetime | None]
+
+    progress: Mapped[dict[str, Any] | None]
+    error: Mapped[dict[str, Any] | None]
+    summary: Mapped[dict[str, Any] | None]
+    cancel: Mapped[dict[str, Any] | None]
+    created_at: Mapped[datetime] = mapped_column(default=now)
+    started_at: Mapped[datetime | None]
+    finished_at: Mapped[datetime | None]
+
+    attempts: Mapped[list[Attempt]] = relationship(order_by="Attempt.number", viewonly=True)
+    artifacts: Mapped[list[Artifact]] = relationship(order_by="Artifact.name", viewonly=True)
+    rig: Mapped[Rig | None] = relationship(viewonly=True)
+    last_event_id: Mapped[int] = column_property(
+        select(func.max(Event.id)).where(Event.job_id == id).scalar_subquery(), deferred=True
+    )
+
+
+class Attempt(Base):
+    """One claim of a job by a worker."""
+
+    __tablename__ = "attempts"
+    job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True)
+    number: Mapped[int] = mapped_column(primary_key=True)
+    worker: Mapped[str] = mapped_column(String(100))
+    started_at: Mapped[datetime]
+    finished_at: Mapped[datetime | None]
+    outcome: Mapped[str | None] = mapped_column(String(16))
 
 
 class LogLine(Base):

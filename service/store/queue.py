@@ -13,7 +13,8 @@ from redis.exceptions import RedisError
 from redis.retry import Retry
 
 RUN_JOB = "myoface.run_job"
-QUEUES = ("short", "long")
+QUEUES = ("ingest", "short", "long")
+"""Checks wait for no fit: their verdict is wanted while the person is in the chair."""
 
 ONCE: dict[str, Any] = {
     "socket_timeout": 2,
@@ -36,7 +37,7 @@ def celery_app(broker_url: str) -> Celery:
         task_serializer="json",
         task_ignore_result=True,
         task_acks_late=True,
-        task_default_queue=QUEUES[0],
+        task_default_queue="short",
         worker_prefetch_multiplier=1,
         worker_hijack_root_logger=False,
         worker_send_task_events=False,

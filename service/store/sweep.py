@@ -88,8 +88,15 @@ def collect_garbage(store: Store, age: float) -> int:
     """Remove files that no row refers to; returns how many."""
     referenced: set[str] = set()
     with store.read() as session:
-        for table in (Artifact, Capture, Template, Upload):
-            referenced.update(filter(None, session.scalars(select(table.sha256).distinct())))
+        files = (
+            Artifact.sha256,
+            Capture.sha256,
+            Capture.landmarks_sha256,
+            Template.sha256,
+            Upload.sha256,
+        )
+        for column in files:
+            referenced.update(filter(None, session.scalars(select(column).distinct())))
         active = select(Job.inputs).where(Job.state.not_in(FINAL))
         for inputs in session.scalars(active):
             referenced.update(item["sha256"] for item in inputs)

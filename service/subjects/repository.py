@@ -7,7 +7,9 @@ from collections.abc import Sequence
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from service import paging
 from service.errors import unknown
+from service.paging import Slice
 from service.store.models import Job, Subject
 from service.store.transitions import FINAL
 
@@ -20,9 +22,9 @@ def get(session: Session, subject_id: str) -> Subject:
     return subject
 
 
-def newest(session: Session, limit: int) -> Sequence[Subject]:
+def newest(session: Session, limit: int, cursor: str | None) -> Slice[Subject]:
     """Return subjects, newest first."""
-    return session.scalars(select(Subject).order_by(Subject.created_at.desc()).limit(limit)).all()
+    return paging.newest(session, select(Subject), limit, cursor)
 
 
 def active_jobs(session: Session, subject_id: str) -> Sequence[str]:

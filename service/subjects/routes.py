@@ -6,7 +6,7 @@ from typing import Any
 
 from fastapi import APIRouter
 
-from service.dependencies import Limit, ReadSession, WriteSession
+from service.dependencies import Cursor, Limit, ReadSession, WriteSession
 from service.errors import problems
 from service.schemas import Id, Page
 from service.subjects import repository, service
@@ -28,9 +28,9 @@ def create(new: NewSubject, session: WriteSession) -> Any:
 
 
 @router.get("", response_model=Page[SubjectView], summary="List subjects", responses=problems(422))
-def index(session: ReadSession, limit: Limit = 100) -> Any:
+def index(session: ReadSession, limit: Limit = 100, cursor: Cursor = None) -> Any:
     """List subjects, newest first."""
-    return {"items": repository.newest(session, limit)}
+    return repository.newest(session, limit, cursor)
 
 
 @router.get(

@@ -39,6 +39,6 @@ def delete(session: Session, subject_id: str) -> None:
     """Delete a subject with all that is its own; the sweeper removes the files."""
     subject = repository.get(session, subject_id)
     refuse_while_busy(session, subject_id)
-    scans = [capture.sha256 for capture in captures.of_subject(session, subject_id)]
-    uploads.forget_scans(session, scans)
+    for capture in captures.of_subject(session, subject_id):
+        uploads.forget(session, capture.uploaded)
     session.delete(subject)

@@ -6,7 +6,7 @@ from typing import Any
 
 from fastapi import APIRouter, Response
 
-from service.captures.service import FORMATS
+from service.captures.service import FORMATS, LANDMARK_FORMATS, RAW_FORMATS
 from service.dependencies import SettingsDep, StoreDep
 from service.kinds import KINDS
 from service.schemas import Page
@@ -23,6 +23,8 @@ def limits(settings: SettingsDep) -> Limits:
         max_upload_bytes=settings.max_upload_bytes,
         upload_ttl=settings.upload_ttl,
         scan_formats=list(FORMATS),
+        raw_scan_formats=list(RAW_FORMATS),
+        landmark_formats=list(LANDMARK_FORMATS),
         max_attempts=settings.max_attempts,
     )
 

@@ -16,6 +16,8 @@ class Limits(BaseModel):
     max_upload_bytes: int
     upload_ttl: float
     scan_formats: list[str]
+    raw_scan_formats: list[str]
+    landmark_formats: list[str]
     max_attempts: int
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from service import paging
 from service.errors import unknown
+from service.paging import Slice
 from service.store.models import Template
 
 
@@ -19,6 +19,6 @@ def get(session: Session, template_id: str) -> Template:
     return template
 
 
-def newest(session: Session, limit: int) -> Sequence[Template]:
+def newest(session: Session, limit: int, cursor: str | None) -> Slice[Template]:
     """Return templates, newest first."""
-    return session.scalars(select(Template).order_by(Template.created_at.desc()).limit(limit)).all()
+    return paging.newest(session, select(Template), limit, cursor)

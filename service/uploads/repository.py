@@ -38,6 +38,6 @@ def get_complete(session: Session, upload_id: str) -> Upload:
     return upload
 
 
-def forget_scans(session: Session, sha256s: Sequence[str]) -> None:
-    """Delete the uploads of deleted scans, which would keep the files until they expire."""
+def forget(session: Session, sha256s: Sequence[str]) -> None:
+    """Delete the uploads of what was deleted, which would keep the files until they expire."""
     session.execute(delete(Upload).where(Upload.complete, Upload.sha256.in_(sha256s)))

@@ -59,7 +59,7 @@ def test_jobs_that_can_not_be(studio: Studio) -> None:
             "option",
         ),
     ]
-    _pretend_model(studio, subject)
+    studio.pretend(studio.submit("build_model", subject), {"model.npz": "0" * 64})
     cases += [
         (
             {"kind": "fit_geometry", "subject_id": subject, "captures": [foreign]},
@@ -191,15 +191,16 @@ def test_options_are_checked_before_the_job_is_queued(studio: Studio) -> None:
     assert studio.get("/v1/jobs")["items"] == []
 
 
-def _pretend_model(studio: Studio, subject: str) -> None:
-    """Do what a worker does, without a solver."""
-    from service.store import jobs
-    from service.store.models import Artifact
-
-    store = studio.http.app.state.store  # type: ignore[attr-defined]
-    job = studio.submit("build_model", subject)
-    artifact = Artifact(job_id=job, name="model.npz", size=1, sha256="0" * 64, media_type="x")
-    with store.write() as session:
-        claim = jobs.claim(session, job, "test", 10)
-        assert claim
-        assert jobs.succeed(session, job, claim.attempt, [artifact], None)
+def test_lists_go_on_where_a_page_ends(studio: Studio) -> None:
+    names = [f"subject {number}" for number in range(5)]
+    ids = [studio.post("/v1/subjects", name=name)["id"] for name in names]
+    first = studio.get("/v1/subjects?limit=2")
+    studio.http.delete(f"/v1/subjects/{ids[3]}")  # the last that was shown
+    second = studio.get(f"/v1/subjects?limit=2&cursor={first['next']}")
+    third = studio.get(f"/v1/subjects?limit=2&cursor={second['next']}")
+    pages = [[each["name"] for each in page["items"]] for page in (first, second, third)]
+    assert pages == [names[:2:-1], names[2:0:-1], names[:1]]
+    assert third["next"] is None
+    for cursor in ("x", "bm9uc2Vuc2UgeA==", "ä"):
+        answer = studio.http.get("/v1/jobs", params={"cursor": cursor})
+        assert (answer.status_code, answer.json()["code"]) == (422, "request.cursor")

@@ -90,8 +90,8 @@ def test_a_lost_attempt_is_fenced_off(url: str, tmp_path: Path) -> None:
     assert second
     with store.write() as session:
         assert jobs.beat(session, job_id, first.attempt, 30) is None
-        assert not jobs.succeed(session, job_id, first.attempt, [], None)
-        assert jobs.succeed(session, job_id, second.attempt, [], None)
+        assert not jobs.succeed(session, job_id, first.attempt, [])
+        assert jobs.succeed(session, job_id, second.attempt, [])
     with store.read() as session:
         job = session.get(Job, job_id)
         assert job

@@ -58,6 +58,10 @@ def test_artifacts_have_etags_and_ranges(studio: Studio) -> None:
     assert (part.status_code, part.content) == (206, whole.content[4:10])
     again = studio.http.get(path, headers={"If-None-Match": whole.headers["etag"]})
     assert again.status_code == 304
+    for wanted, status in (("bytes=9999999-", 416), ("lines=1-2", 400)):
+        refused = studio.http.get(path, headers={"Range": wanted})
+        assert (refused.status_code, refused.json()["code"]) == (status, "artifact.range")
+        assert refused.headers["content-range"] == f"bytes */{glb['size']}"
 
 
 def test_events_tell_the_story_and_resume(studio: Studio) -> None:

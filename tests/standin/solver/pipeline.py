@@ -14,6 +14,36 @@ from solver.errors import InputError
 from solver.progress import Step
 
 
+def check_scan(scan, out, *, template=None, landmarks=None, options=None, progress):
+    _work([scan], progress)
+    verdict = dict(_orders(scan)).get("verdict", "good")
+    faults = ["mouth"] if verdict == "bad" else []
+    findings = [
+        {
+            "code": f"scan.{fault}",
+            "severity": "bad",
+            "message": f"{scan} has no {fault}",
+            "advice": f"scan again with the {fault} in view",
+        }
+        for fault in faults
+    ]
+    figures = {"landmarks": landmarks and landmarks.read_text(), "options": options}
+    check = {"verdict": verdict, "findings": findings, "figures": figures}
+    (out / "check.json").write_text(json.dumps(check))
+    (out / "check.png").write_bytes(b"PNG")
+
+
+def register_scan(
+    scan, out, *, template=None, neutral=None, landmarks=None, options=None, progress
+):
+    _work([scan], progress)
+    beside = neutral.read_bytes() if neutral else b""
+    (out / "registered.ply").write_bytes(b"registered " + scan.read_bytes() + beside)
+    figures = {"mean_mm": 0.3, "neutral": neutral and neutral.name}
+    (out / "registration.json").write_text(json.dumps(figures))
+    (out / "distance.png").write_bytes(b"PNG")
+
+
 def build_model(neutral, out, *, template=None, options=None, progress):
     _work([neutral], progress)
     (out / "model.npz").write_bytes(b"model of " + neutral.read_bytes())

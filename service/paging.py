@@ -1,0 +1,52 @@
+"""Lists in pages, newest first: a cursor stands for the last row that was shown."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any, Generic, TypeVar
+from uuid import UUID
+
+from sqlalchemy import Select, and_, or_
+from sqlalchemy.orm import Session
+
+from service.errors import Problem
+
+Row = TypeVar("Row")
+
+
+@dataclass(frozen=True)
+class Slice(Generic[Row]):
+    """Rows of a list, and the cursor for those that follow, None after the last."""
+
+    items: list[Row]
+    next: str | None
+
+
+def newest(session: Session, query: Select[Row], limit: int, cursor: str | None) -> Slice[Row]:
+    """Return a page of a query over a table with ``created_at`` and ``id``.
+
+    A row that is deleted between two pages neither repeats nor hides others.
+    """
+    table: Any = query.column_descriptions[0]["entity"]
+    if cursor is not None:
+        created_at, row_id = _read(cursor)
+        later = and_(table.created_at == created_at, table.id < row_id)
+        query = query.where(or_(table.created_at < created_at, later))
+    query = query.order_by(table.created_at.desc(), table.id.desc()).limit(limit + 1)
+    rows: list[Any] = list(session.scalars(query))
+    following = _write(rows[limit - 1]) if len(rows) > limit else None
+    return Slice(rows[:limit], following)
+
+
+def _write(row: Any) -> str:
+    return base64.urlsafe_b64encode(f"{row.created_at.isoformat()} {row.id}".encode()).decode()
+
+
+def _read(cursor: str) -> tuple[datetime, str]:
+    try:
+        created_at, row_id = base64.urlsafe_b64decode(cursor).decode().split(" ")
+        return datetime.fromisoformat(created_at).astimezone(UTC), str(UUID(row_id))
+    except (ValueError, OverflowError) as error:  # not base64, not UTF-8, not two words, no date
+        raise Problem(422, "request.cursor", "the cursor is not one of this service's") from error
