@@ -3,7 +3,11 @@
 On a coarse model, forward problem (equilibrium) and activation problem (A) are solved by both, one
 after the other in one process, from the same start: the neutral face. ``objective_ratio`` is the
 reduced objective over IPOPT's, the one furthest from 1 at top level; ``speedup`` IPOPT's time over
-the reduced solver's, the least at top level.
+the reduced solver's, the least at top level. An expression that one of them can not solve has the
+reason as ``failed`` and no figures.
+
+The prior is heavier than in a fit: at w_a <= 0.2 the coarse face buckles in a broad smile, where
+there are several minima and IPOPT, with the Gauss-Newton Hessian, may not converge.
 """
 
 from __future__ import annotations
@@ -34,7 +38,7 @@ def main() -> None:
     parser = report.parser(__doc__ or "")
     subjects.add_options(parser)
     parser.add_argument("--edge-mm", type=float, default=COARSE_EDGE_MM)
-    parser.add_argument("--w-a", type=float, default=0.1, help="weight of the activations' prior")
+    parser.add_argument("--w-a", type=float, default=0.5, help="weight of the activations' prior")
     options = parser.parse_args()
     report.write(run(options), options.json)
 
@@ -53,15 +57,20 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
     expressions = []
     for name in names:
         target = Target.from_points(scans[name].vertices[model.face])
-        expressions.append({"name": name, **compare(face, model, target, regulariser, rest)})
+        try:
+            figures = compare(face, model, target, regulariser, rest)
+        except SolveError as error:
+            figures = {"failed": str(error)}
+        expressions.append({"name": name, **figures})
+    solved = [e for e in expressions if "failed" not in e]
     return {
         "vertices": len(model.rest),
         "tets": len(model.tets),
         "muscles": model.muscle_count,
-        "objective_ratio": furthest_from_one([e["objective_ratio"] for e in expressions]),
-        "speedup": min(e["speedup"] for e in expressions),
-        "max_position_difference_mm": max(e["max_position_difference_mm"] for e in expressions),
-        "forward_speedup": min(e["forward_speedup"] for e in expressions),
+        "objective_ratio": furthest_from_one([e["objective_ratio"] for e in solved]),
+        "speedup": min(e["speedup"] for e in solved),
+        "max_position_difference_mm": max(e["max_position_difference_mm"] for e in solved),
+        "forward_speedup": min(e["forward_speedup"] for e in solved),
         "expressions": expressions,
     }
 
