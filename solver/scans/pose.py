@@ -1,0 +1,173 @@
+"""Where a face is in a scan, at any place, in any direction and unit.
+
+Many starts (directions x places of the nose tip) are scored on a few points, the best are refined
+by iterated closest points (Besl & McKay 1992) with a similarity (Umeyama 1991), trimmed so that
+hair, shoulders and holes do not pull (Chetverikov et al. 2005).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import permutations, product
+
+import numpy as np
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from solver.scans.sample import Samples, sample
+from solver.surface import Floats, Surface
+
+COARSE_POINTS, FINE_POINTS = 160, 1200
+TREE_POINTS = 6000
+REACH_MM = 30.0  # what is farther from the face than this is not there
+SLAB_MM = 30.0  # one candidate for the nose tip in each
+CLOSE_MM = 8.0
+REFINED = 12
+KEPT = 0.75
+SIZES = (0.72, 1.38)
+"""Least and greatest size of a person's face by the template's."""
+GOOD_SHARE, GOOD_MM = 0.75, 2.6
+EXTRA_DIRECTIONS = 240
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A similarity from the scan's frame to the template's: y = scale * rotation x + translation.
+
+    ``coverage`` is the share of the face's points that have the scan within CLOSE_MM, facing the
+    same way; ``residual_mm`` is the mean distance of the scan from the face's planes there.
+    """
+
+    scale: float
+    rotation: Floats
+    translation: Floats
+    residual_mm: float
+    coverage: float
+
+    def apply(self, points: Floats) -> Floats:
+        """Return points (n, 3) of the scan in the template's frame."""
+        return self.scale * points @ self.rotation.T + self.translation
+
+    @property
+    def cost(self) -> float:
+        """Return the mean distance in mm, where what is not covered counts as REACH_MM."""
+        return self.coverage * self.residual_mm + (1 - self.coverage) * REACH_MM
+
+
+class FacePoints:
+    """Points of a template's face: ``points`` (n, 3), ``normals`` (n, 3) and the nose tip (3,)."""
+
+    def __init__(self, face: Surface) -> None:
+        samples = sample(face.vertices, face.faces, None, FINE_POINTS)
+        self.points, self.normals = samples.points, samples.normals
+        used = face.vertices[np.unique(face.faces)]
+        self.nose_tip: Floats = used[np.argmax(used[:, 2])]
+
+
+def axis_directions() -> Floats:
+    """Return the 24 rotations (24, 3, 3) that map axes onto axes."""
+    found = []
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            matrix = np.zeros((3, 3))
+            matrix[range(3), order] = signs
+            if np.linalg.det(matrix) > 0:
+                found.append(matrix)
+    return np.array(found)
+
+
+def all_directions() -> Floats:
+    """Return rotations (n, 3, 3) about 30 degrees apart."""
+    return np.asarray(Rotation.random(EXTRA_DIRECTIONS, rng=np.random.default_rng(5)).as_matrix())
+
+
+def find_pose(face: FacePoints, scan: Samples, scales: list[float], directions: Floats) -> Pose:
+    """Return the best pose of all ``scales`` (mm per unit) and start ``directions`` (n, 3, 3)."""
+    coarse = sample(scan.points, np.zeros((0, 3), np.int64), scan.normals, TREE_POINTS)
+    tree = KDTree(coarse.points)
+    step = len(face.points) // COARSE_POINTS
+    starts = []
+    for scale, direction in product(scales, directions):
+        turned = scale * coarse.points @ direction.T
+        for place in _nose_candidates(turned):
+            shift = face.nose_tip - place
+            back = (face.points[::step] - shift) @ direction / scale
+            gap, near = tree.query(back, distance_upper_bound=REACH_MM / scale)
+            gap = np.minimum(gap * scale, REACH_MM)
+            normals = coarse.normals[np.minimum(near, len(coarse.normals) - 1)] @ direction.T
+            facing = np.abs((normals * face.normals[::step]).sum(axis=1))
+            cost = np.where(facing > 0.5, gap, np.minimum(gap + 10.0, REACH_MM)).mean()
+            starts.append((float(cost), scale, direction, shift))
+    starts.sort(key=lambda start: start[0])
+    refined = [
+        (
+            refine(face, coarse, tree, Pose(scale, direction, shift, 0.0, 0.0), scale, step, 12),
+            scale,
+        )
+        for _, scale, direction, shift in starts[:REFINED]
+    ]
+    refined.sort(key=lambda found: found[0].cost)
+    fine_tree = KDTree(scan.points)
+    finer = [refine(face, scan, fine_tree, pose, scale, 1, 15) for pose, scale in refined[:2]]
+    return min(finer, key=lambda pose: pose.cost)
+
+
+def is_good(pose: Pose) -> bool:
+    """Return whether the pose is so good that no other start need be tried."""
+    return pose.coverage > GOOD_SHARE and pose.residual_mm < GOOD_MM
+
+
+def _nose_candidates(turned: Floats) -> Floats:
+    """Return the foremost points of horizontal slabs, (k, 3)."""
+    height = np.floor(turned[:, 1] / SLAB_MM).astype(np.int64)
+    order = np.lexsort((turned[:, 2], height))
+    last = np.flatnonzero(np.diff(height[order], append=np.iinfo(np.int64).max))
+    return turned[order[last]]
+
+
+def refine(
+    face: FacePoints,
+    scan: Samples,
+    tree: KDTree,
+    start: Pose,
+    size: float,
+    step: int,
+    iterations: int,
+) -> Pose:
+    """Improve a pose by iterated closest points on every ``step``-th point of the face.
+
+    The scale stays within SIZES of ``size``.
+    """
+    points, normals = face.points[::step], face.normals[::step]
+    scale, rotation, translation = start.scale, start.rotation, start.translation
+    for _ in range(iterations):
+        back = (points - translation) @ rotation / scale
+        gap, near = tree.query(back)
+        facing = np.abs((scan.normals[near] @ rotation.T * normals).sum(axis=1))
+        weight = gap + np.where(facing > 0.5, 0.0, np.quantile(gap, KEPT))
+        kept = weight <= np.quantile(weight, KEPT)
+        scale, rotation, translation = _similarity(scan.points[near[kept]], points[kept])
+        scale = float(np.clip(scale, size * SIZES[0], size * SIZES[1]))
+        translation = points[kept].mean(0) - scale * rotation @ scan.points[near[kept]].mean(0)
+    back = (points - translation) @ rotation / scale
+    gap, near = tree.query(back)
+    gap = gap * scale
+    facing = (scan.normals[near] @ rotation.T * normals).sum(axis=1)
+    if not scan.oriented:
+        facing = np.abs(facing)
+    close = gap < CLOSE_MM
+    covered = max(close & (facing > 0.5), close & (facing < -0.5), key=np.sum)
+    offsets = scale * scan.points[near] @ rotation.T + translation - points
+    off_plane = np.abs((offsets * normals).sum(axis=1))
+    residual = float(off_plane[covered].mean()) if covered.any() else REACH_MM
+    return Pose(scale, rotation, translation, residual, float(covered.mean()))
+
+
+def _similarity(start: Floats, end: Floats) -> tuple[float, Floats, Floats]:
+    """Return scale, rotation and translation that best map ``start`` to ``end`` (Umeyama 1991)."""
+    a, b = start - start.mean(axis=0), end - end.mean(axis=0)
+    u, strengths, vt = np.linalg.svd(b.T @ a)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    rotation = (u * signs) @ vt
+    scale = float((strengths * signs).sum() / (a * a).sum())
+    return scale, rotation, end.mean(axis=0) - scale * rotation @ start.mean(axis=0)
