@@ -64,6 +64,9 @@ class SubjectModel:
         Name -> skin vertices, for reports.
     template
         ``name``, ``version`` and ``sha256`` of the template that was used.
+    mesh_source
+        ``transport`` if the tets are the template's, ``mesher`` if they were made for this person,
+        then with the reason if transport was tried.
     """
 
     rest: Floats
@@ -85,6 +88,7 @@ class SubjectModel:
     bones: dict[str, Surface]
     regions: dict[str, Ints]
     template: dict[str, str]
+    mesh_source: str = "mesher"
 
     @property
     def muscle_count(self) -> int:
@@ -145,6 +149,7 @@ class SubjectModel:
             "muscles": list(self.muscles),
             "bones": list(self.bones),
             "template": self.template,
+            "mesh_source": self.mesh_source,
         }
         return Archive(header, arrays)
 
@@ -179,4 +184,5 @@ class SubjectModel:
             bones=surfaces("bone"),
             regions=with_prefix(data, "region_"),
             template=header["template"],
+            mesh_source=header.get("mesh_source", "mesher"),
         )

@@ -11,8 +11,8 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from solver.anatomy.template import Template
 from solver.anatomy.tetrahedra import EdgeLengths, background_grid
-from solver.anatomy.transfer import Carried
 from solver.surface import Floats, Ints, Surface
 
 MARGIN_MM = 4.0
@@ -50,6 +50,11 @@ class Planes:
     back_z: float
     bottom_y: float
 
+    @classmethod
+    def of(cls, head: Template) -> Planes:
+        """Return the planes of a template."""
+        return cls(head.back_z, head.bottom_y)
+
     def in_front(self, points: Floats, margin: float = 0.0) -> np.ndarray:
         """Return (n,) True where a point is at least ``margin`` inside both planes."""
         behind = points[..., 2] < self.back_z + margin
@@ -57,10 +62,11 @@ class Planes:
         return ~(behind | below)
 
 
-def domain_soup(carried: Carried, flesh_faces: Ints, planes: Planes) -> Surface:
+def domain_soup(head: Template) -> Surface:
     """Return every triangle the tetrahedra have to follow: parted skin, bones and cut planes."""
-    skin = Surface(carried.parted.vertices, carried.parted.faces[flesh_faces])
-    surfaces = [_clipped(part, planes) for part in (skin, carried.cranium, carried.mandible)]
+    planes = Planes.of(head)
+    skin = Surface(head.parted.vertices, head.skin.faces[head.flesh_faces])
+    surfaces = [_clipped(part, planes) for part in (skin, head.cranium, head.mandible)]
     points = surfaces[0].vertices
     lo, hi = points.min(axis=0) - MARGIN_MM, points.max(axis=0) + MARGIN_MM
     lo = np.maximum(lo, [-np.inf, planes.bottom_y - MARGIN_MM, planes.back_z - MARGIN_MM])
@@ -98,34 +104,30 @@ def joined(surfaces: list[Surface]) -> Surface:
     )
 
 
-def edge_lengths(
-    soup: Surface, skin: Floats, face: Ints, regions: dict[str, Ints], edge_mm: float
-) -> EdgeLengths:
-    """Return wanted edge lengths: fine at lips, eyes and nose, ``edge_mm`` on the face.
-
-    ``skin`` (n, 3) is the parted skin, ``face`` and ``regions`` number its vertices.
-    """
+def edge_lengths(head: Template, soup: Surface, edge_mm: float) -> EdgeLengths:
+    """Return wanted edge lengths: fine at lips, eyes and nose, ``edge_mm`` on the face."""
     lo, hi = soup.vertices.min(axis=0) - GRID_MM, soup.vertices.max(axis=0) + GRID_MM
     points, tets = background_grid(lo, hi, GRID_MM)
     lengths = np.full(len(points), DEEP_FACTOR * edge_mm)
-    wanted = [(face, 1.0)]
-    wanted += [(regions[name], part) for name, part in FINE_REGIONS.items() if name in regions]
+    wanted = [(head.face_vertices, 1.0)]
+    wanted += [
+        (head.regions[name], part) for name, part in FINE_REGIONS.items() if name in head.regions
+    ]
+    skin = head.parted.vertices
     for vertices, part in wanted:
         distance = cKDTree(skin[vertices]).query(points)[0]
         lengths = np.minimum(lengths, part * edge_mm + GROWTH * np.maximum(distance - GRID_MM, 0))
     return EdgeLengths(points, tets, lengths)
 
 
-def label_tets(
-    vertices: Floats, tets: Ints, carried: Carried, flesh_faces: Ints, planes: Planes
-) -> Ints:
+def label_tets(head: Template, vertices: Floats, tets: Ints) -> Ints:
     """Return the :class:`Label` (t,) of tetrahedra by winding numbers at their centres."""
     centres = vertices[tets].mean(axis=1)
-    skin = Surface(carried.parted.vertices, carried.parted.faces[flesh_faces])
+    skin = Surface(head.parted.vertices, head.skin.faces[head.flesh_faces])
     labels = np.where(_inside(skin, centres), Label.FLESH, Label.OUTSIDE)
-    labels[(labels == Label.FLESH) & _inside(carried.cranium, centres)] = Label.CRANIUM
-    labels[(labels == Label.FLESH) & _inside(carried.mandible, centres)] = Label.MANDIBLE
-    labels[(labels == Label.FLESH) & ~planes.in_front(centres)] = Label.CUT
+    labels[(labels == Label.FLESH) & _inside(head.cranium, centres)] = Label.CRANIUM
+    labels[(labels == Label.FLESH) & _inside(head.mandible, centres)] = Label.MANDIBLE
+    labels[(labels == Label.FLESH) & ~Planes.of(head).in_front(centres)] = Label.CUT
     return labels.astype(np.int64)
 
 

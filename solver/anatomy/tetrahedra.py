@@ -136,20 +136,16 @@ def volumes(vertices: Floats, tets: Ints) -> Floats:
     return np.asarray(np.linalg.det(edges) / 6.0)
 
 
-def smallest_dihedral_angle(vertices: Floats, tets: Ints) -> float:
-    """Return the smallest dihedral angle of all tetrahedra, in degrees."""
+def dihedral_angles(vertices: Floats, tets: Ints) -> Floats:
+    """Return the six dihedral angles (t, 6) of each tetrahedron, in degrees."""
     corners = vertices[tets]
     normals = []
     for face in ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)):
         a, b, c = (corners[:, k] for k in face)
         normal = np.cross(b - a, c - a)
         normals.append(normal / np.linalg.norm(normal, axis=1, keepdims=True))
-    angles = [
-        np.pi - np.arccos(np.clip(np.sum(normals[i] * normals[j], axis=1), -1, 1))
-        for i in range(4)
-        for j in range(i)
-    ]
-    return float(np.degrees(np.min(angles)))
+    cosines = [np.sum(normals[i] * normals[j], axis=1) for i in range(4) for j in range(i)]
+    return np.asarray(180.0 - np.degrees(np.arccos(np.clip(np.stack(cosines, axis=1), -1, 1))))
 
 
 def _run_child(source: Path, target: Path) -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
 from solver.anatomy.skin_depth import SkinDepth
 from solver.anatomy.template import Muscle, Template
-from solver.anatomy.warp import interpolate, spread
+from solver.anatomy.warp import Warp, interpolate, spread
 from solver.surface import Floats, Surface
 
 CORRESPONDENCES = 900
@@ -18,31 +18,28 @@ CLEARANCE_MM = 1.8
 CLEARANCE_STEPS = 8
 
 
-@dataclass(frozen=True)
-class Carried:
-    """The template's anatomy in the person; see :class:`Template` for the fields."""
+def skin_warp(template: Template, neutral: Floats) -> Warp:
+    """Return the smooth map of space from the template's head to the one with skin ``neutral``.
 
-    skin: Surface
-    parted: Surface
-    cranium: Surface
-    mandible: Surface
-    muscles: tuple[Muscle, ...]
-    condyles: Floats
-
-
-def carry(template: Template, neutral: Floats) -> Carried:
-    """Return bones, muscles, condyles and parted skin of the person with skin ``neutral`` (n, 3).
-
-    The warp goes through about :data:`CORRESPONDENCES` flesh vertices spread over the skin.
+    It goes through about :data:`CORRESPONDENCES` flesh vertices spread over the skin.
     """
     flesh = np.unique(template.skin.faces[template.flesh_faces])
     source = template.skin.vertices
     chosen = flesh[spread(source[flesh], CORRESPONDENCES)]
-    warp = interpolate(source[chosen], neutral[chosen], SMOOTHING_MM)
-    parting = warp(source + template.parting) - warp(source)
-    skin = template.skin.moved(neutral)
-    before = SkinDepth(Surface(source, template.skin.faces[template.flesh_faces]))
-    after = SkinDepth(Surface(neutral, skin.faces[template.flesh_faces]))
+    return interpolate(source[chosen], neutral[chosen], SMOOTHING_MM)
+
+
+def carry(template: Template, neutral: Floats, warp: Warp) -> Template:
+    """Return the anatomy of the person with skin ``neutral`` (n, 3), without shapes and tets.
+
+    ``warp`` is the person's :func:`skin_warp`. The cut planes move outwards where the face
+    reaches further than the template's.
+    """
+    source = template.skin.vertices
+    before, after = (
+        SkinDepth(Surface(skin, template.skin.faces[template.flesh_faces]))
+        for skin in (source, neutral)
+    )
 
     def bone(surface: Surface) -> Surface:
         least = np.minimum(before(surface.vertices)[0], CLEARANCE_MM)
@@ -59,13 +56,20 @@ def carry(template: Template, neutral: Floats) -> Carried:
             insertion,
         )
 
-    return Carried(
-        skin=skin,
-        parted=skin.moved(neutral + parting),
+    face = template.face_vertices
+    reach = neutral[face].min(axis=0) - source[face].min(axis=0)
+    return replace(
+        template,
+        skin=template.skin.moved(neutral),
+        parting=warp(source + template.parting) - warp(source),
         cranium=bone(template.cranium),
         mandible=bone(template.mandible),
         muscles=tuple(carried(muscle) for muscle in template.muscles),
         condyles=warp(template.condyles),
+        back_z=template.back_z + min(0.0, float(reach[2])),
+        bottom_y=template.bottom_y + min(0.0, float(reach[1])),
+        shapes=None,
+        mesh=None,
     )
 
 

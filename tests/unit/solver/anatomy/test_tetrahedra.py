@@ -5,7 +5,7 @@ import trimesh
 from solver.anatomy.tetrahedra import (
     EdgeLengths,
     background_grid,
-    smallest_dihedral_angle,
+    dihedral_angles,
     tetrahedralize,
     volumes,
 )
@@ -40,7 +40,7 @@ def test_ball_is_filled_without_inverted_tets():
     inside = np.linalg.norm(vertices[tets].mean(axis=1), axis=1) < 14.5
     expected = trimesh.Trimesh(surface.vertices, surface.faces).volume
     assert sizes[inside].sum() == pytest.approx(expected, rel=0.1)
-    assert smallest_dihedral_angle(vertices, tets) > 3
+    assert dihedral_angles(vertices, tets).min() > 3
 
 
 def test_mesher_that_does_not_come_back_is_killed():
@@ -58,5 +58,5 @@ def test_mesher_that_dies_is_an_error_with_its_last_words():
 
 def test_dihedral_angle_of_a_regular_tetrahedron():
     corners = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
-    angle = smallest_dihedral_angle(corners, np.array([[0, 1, 2, 3]]))
+    angle = dihedral_angles(corners, np.array([[0, 1, 2, 3]])).min()
     assert angle == pytest.approx(np.degrees(np.arccos(1 / 3)))

@@ -1,0 +1,183 @@
+"""Tetrahedra of a head from scratch: how a template gets the mesh that every person shares."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from solver.anatomy.closing import closed
+from solver.anatomy.domain import (
+    DEEP_FACTOR,
+    Flesh,
+    Label,
+    Planes,
+    choose_flesh,
+    domain_soup,
+    edge_lengths,
+    label_tets,
+)
+from solver.anatomy.embedding import Embedding, barycentric, embed
+from solver.anatomy.guidance import guidance
+from solver.anatomy.muscle_weights import initial_weights
+from solver.anatomy.relaxation import relaxed
+from solver.anatomy.template import Template
+from solver.anatomy.template_mesh import TemplateMesh
+from solver.anatomy.tetrahedra import tetrahedralize
+from solver.errors import SolveError
+from solver.progress import Progress, Step, silent
+from solver.surface import Floats, Ints
+
+EDGE_MM = 9.0
+ENVELOPE = 0.08
+"""Distance between flesh surface and skin as a part of the edge length."""
+GREATEST_ENVELOPE_MM = 1.6
+MESHER_SECONDS = 900.0
+JAW_FREE_MM = 15.0
+"""Within this distance of the mandible a cut plane is free: the jaw's angle moves with the jaw."""
+FRONTALIS_MM = 6.0
+"""Forehead: the skull's vertices this near to the frontalis slide instead of being fixed."""
+EMBED_MM = 0.25
+"""Skin further from the flesh than this part of the edge length does not follow it."""
+FITTING_ROUNDS = 3
+"""Of binding the skin to the mesh and fitting the mesh to the skin."""
+
+
+def with_mesh(
+    template: Template, edge_mm: float = EDGE_MM, progress: Progress = silent
+) -> Template:
+    """Return the template with tetrahedra of its own neutral; see :func:`make_mesh`."""
+    return replace(template, mesh=make_mesh(template, edge_mm, progress))
+
+
+def make_mesh(
+    head: Template, edge_mm: float = EDGE_MM, progress: Progress = silent
+) -> TemplateMesh:
+    """Fill the flesh between a head's skin and bones with tetrahedra (1 to 6 minutes).
+
+    The lips are parted to mesh them, then closed; the mesh is relaxed in both poses. fTetWild is
+    not reproducible: the same head gives another mesh every time.
+
+    Parameters
+    ----------
+    head
+        Anatomy in any neutral: a template's own, or one carried into a person.
+    edge_mm
+        Edge length of tetrahedra on the face; lips, eyes and nose are finer, neck and scalp
+        coarser. 9 mm gives about 7k vertices and 25k tetrahedra.
+    progress
+        Told about the phases ``mesh``, ``relax`` and ``muscles``.
+
+    Raises
+    ------
+    SolveError
+        ``mesher.timeout``, ``mesher.crashed``, ``mesh.inverted`` or ``mesh.uncovered``.
+    """
+    progress(Step("mesh", 0.0, message="tetrahedra by fTetWild"))
+    flesh = _mesh(head, edge_mm)
+    progress(Step("relax", 0.85))
+    flesh, bound = _fitted(head, flesh)
+    embedded, rows, jaw_skin = _embedded(head, bound, edge_mm)
+    held = np.unique(np.concatenate(list(flesh.held.values())))
+    start = closed(head, flesh.vertices, flesh.tets, flesh.outside, held)
+    guides = guidance(head, head.skin.vertices, embedded, rows, held, flesh.vertices[held], start)
+    rest = relaxed(start, flesh.tets, guides)
+    progress(Step("muscles", 0.92))
+    weights = initial_weights(rest, flesh.tets, [muscle.surface for muscle in head.muscles])
+    progress(Step("muscles", 1.0))
+    return TemplateMesh(
+        edge_mm=edge_mm,
+        vertices=rest,
+        tets=flesh.tets,
+        **_held(head, flesh),
+        embedded=embedded,
+        embedding=rows,
+        attached_mandible=jaw_skin,
+        weights=weights,
+    )
+
+
+def _mesh(head: Template, edge_mm: float) -> Flesh:
+    soup = domain_soup(head)
+    vertices, tets = tetrahedralize(
+        soup,
+        DEEP_FACTOR * edge_mm,
+        envelope_mm=min(ENVELOPE * edge_mm, GREATEST_ENVELOPE_MM),
+        lengths=edge_lengths(head, soup, edge_mm),
+        timeout_s=MESHER_SECONDS,
+    )
+    return choose_flesh(vertices, tets, label_tets(head, vertices, tets))
+
+
+def _flesh_skin(head: Template) -> Ints:
+    return np.unique(head.skin.faces[head.flesh_faces])
+
+
+def _fitted(head: Template, flesh: Flesh) -> tuple[Flesh, Embedding]:
+    """Return the flesh fitted to the parted skin in least squares, and the skin bound to it."""
+    skin = _flesh_skin(head)
+    parted = head.parted.vertices
+    bound = embed(parted[skin], flesh.vertices, flesh.outside)
+    for _ in range(FITTING_ROUNDS):
+        near = bound.distance < GREATEST_ENVELOPE_MM
+        held, held_at = _on_bones(head, flesh)
+        guides = guidance(head, parted, skin[near], bound.rows[near], held, held_at, flesh.vertices)
+        flesh = replace(flesh, vertices=relaxed(flesh.vertices, flesh.tets, guides))
+        bound = embed(parted[skin], flesh.vertices, flesh.outside)
+    return flesh, bound
+
+
+def _on_bones(head: Template, flesh: Flesh) -> tuple[Ints, Floats]:
+    """Return the held vertices and the nearest points (h, 3) of what holds them."""
+    place = flesh.vertices.copy()
+    for label, bone in ((Label.CRANIUM, head.cranium), (Label.MANDIBLE, head.mandible)):
+        ids = flesh.held[label]
+        corners, shares, _ = barycentric(flesh.vertices[ids], bone)
+        place[ids] = np.einsum("nk,nkd->nd", shares, bone.vertices[corners])
+    held = np.unique(np.concatenate(list(flesh.held.values())))
+    return held, place[held]
+
+
+def _embedded(head: Template, bound: Embedding, edge_mm: float) -> tuple[Ints, Embedding, Ints]:
+    """Return the skin vertices that follow the flesh, their rows, and those that follow the jaw.
+
+    Vertices are bound in the parted pose: there the upper lip is far from the lower.
+    """
+    skin = _flesh_skin(head)
+    parted = head.parted.vertices[skin]
+    in_front = Planes.of(head).in_front(parted)
+    near = (bound.distance < EMBED_MM * edge_mm) & in_front
+    lost = skin[np.isin(skin, head.face_vertices) & ~near]
+    if len(lost):
+        raise SolveError(
+            "mesh.uncovered",
+            f"{len(lost)} face vertices, the first is {lost[0]}, are too far from the flesh",
+            vertex=int(lost[0]),
+            count=len(lost),
+        )
+    loose = ~near & in_front
+    to_jaw = cKDTree(head.mandible.vertices).query(parted[loose])[0]
+    to_skull = cKDTree(head.cranium.vertices).query(parted[loose])[0]
+    jaw_skin = np.union1d(head.attached_mandible, skin[loose][to_jaw < to_skull])
+    return skin[near], bound.rows[near], jaw_skin
+
+
+def _held(head: Template, flesh: Flesh) -> dict[str, Ints]:
+    """Return vertex numbers by what holds them; a vertex of the mandible is held by it only."""
+    mandible = flesh.held[Label.MANDIBLE]
+    cranium = np.setdiff1d(flesh.held[Label.CRANIUM], mandible)
+    cut = np.setdiff1d(flesh.held[Label.CUT], np.union1d(mandible, cranium))
+    jaw = cKDTree(head.mandible.vertices)
+    cut = cut[jaw.query(flesh.vertices[cut])[0] > JAW_FREE_MM]
+    frontalis = [m.surface.vertices for m in head.muscles if "frontalis" in m.name]
+    sliding = cranium[:0]
+    if frontalis:
+        distance = cKDTree(np.vstack(frontalis)).query(flesh.vertices[cranium])[0]
+        sliding = cranium[distance < FRONTALIS_MM]
+    return {
+        "cranium": np.setdiff1d(cranium, sliding),
+        "mandible": mandible,
+        "cut": cut,
+        "sliding": sliding,
+    }
