@@ -10,6 +10,7 @@ from solver.anatomy.builtin import builtin_capture_set, builtin_template
 from solver.anatomy.capture_set import CaptureSet
 from solver.anatomy.ict_captures import ict_capture_set
 from solver.anatomy.ict_template import build_ict_template
+from solver.anatomy.mesh_cache import meshed
 from solver.model import SubjectModel
 
 
@@ -30,4 +31,5 @@ def load(options: argparse.Namespace, edge_mm: float) -> tuple[SubjectModel, Cap
     else:
         captures = ict_capture_set(options.faces, options.subject, options.capture_sets)
         template = build_ict_template(options.anatomy, options.faces)
+    template = meshed(template, edge_mm)
     return build_subject_model(template, captures.neutral.vertices, edge_mm=edge_mm), captures

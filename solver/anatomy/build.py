@@ -125,6 +125,7 @@ def model_summary(model: SubjectModel) -> dict[str, Any]:
     face = np.ascontiguousarray(model.skin.faces[np.isin(model.skin.faces, model.face).all(axis=1)])
     bones = joined(list(model.bones.values())).vertices
     clearance = np.sqrt(igl.point_mesh_squared_distance(bones, skin, face)[0].min())
+    enclosed = {name: enclosed_volume(surface) for name, surface in model.muscles.items()}
     kept = muscle_volumes(model.rest, model.tets, model.weights)
     sizes = volumes(model.rest, model.tets)
     return {
@@ -146,8 +147,11 @@ def model_summary(model: SubjectModel) -> dict[str, Any]:
             for name, volume in zip(model.muscle_names, kept, strict=True)
         },
         "muscle_volume_kept": {
-            name: round(float(volume) / enclosed_volume(model.muscles[name]), 2)
+            name: round(float(volume) / enclosed[name], 2)
             for name, volume in zip(model.muscle_names, kept, strict=True)
+        },
+        "muscle_volume_enclosed_cm3": {
+            name: round(volume / 1000.0, 3) for name, volume in enclosed.items()
         },
         "embedded": len(model.embedded),
         "face_vertices": len(model.face),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from solver.anatomy.build import build_subject_model, model_summary
 from solver.anatomy.builtin import builtin_template
+from solver.anatomy.mesh_cache import meshed
 from solver.anatomy.template import Template
 from solver.pipeline.common import Options, take, within
 from solver.progress import Progress, Step, silent
@@ -24,20 +25,23 @@ def build_model(
 ) -> list[Path]:
     """Build a subject's model from a registered neutral scan.
 
-    Options: ``edge_mm``, the tets' edge length. Writes ``model.npz``, ``model.json``,
-    ``anatomy.png`` and ``tets.png``. Raises :class:`solver.errors.InputError` for a scan or
-    template that can not be used, :class:`solver.errors.SolveError` if no mesh can be made.
+    Options: ``edge_mm``, the tets' edge length; a template without such tets gets them first, in
+    minutes, and they are kept in the cache folder for everybody. Writes ``model.npz``,
+    ``model.json``, ``anatomy.png`` and ``tets.png``. Raises :class:`solver.errors.InputError` for
+    a scan or template that can not be used, :class:`solver.errors.SolveError` if no mesh can be
+    made.
     """
     given = take(options, {"edge_mm": 9.0})
     out.mkdir(parents=True, exist_ok=True)
     progress(Step("read", 0.0, message=neutral.name))
     anatomy = builtin_template() if template is None else Template.load(template)
     vertices = read_registered(neutral, anatomy.skin.faces, len(anatomy.skin.vertices))
+    anatomy = meshed(anatomy, given["edge_mm"], lambda step: progress(within(step, 0.02, 0.7)))
     model = build_subject_model(
         anatomy,
         vertices,
         edge_mm=given["edge_mm"],
-        progress=lambda step: progress(within(step, 0.02, 0.93)),
+        progress=lambda step: progress(within(step, 0.7, 0.93)),
     )
     files = [out / name for name in ("model.npz", "model.json", "anatomy.png", "tets.png")]
     model.save(files[0])
