@@ -82,7 +82,7 @@ def place(scan: RawScan, template: Template, frame: Mapping[str, Any] = FRAME) -
 
 def samples_of(scan: RawScan, count: int = SAMPLES) -> Samples:
     """Return points spread over the scan, in its own frame; what is not a number is left out."""
-    finite = np.isfinite(scan.vertices).all(axis=1)
+    finite = np.asarray(np.isfinite(scan.vertices).all(axis=1))
     vertices = np.where(finite[:, None], scan.vertices, 0.0)
     if len(scan.faces):
         return sample(vertices, scan.faces[finite[scan.faces].all(axis=1)], None, count)
