@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import structlog
 
-from solver.anatomy.builtin_depths import OuterSkin
+from solver.anatomy.builtin_depths import OuterSkin, depth_table
 from solver.anatomy.builtin_head import Head
 from solver.anatomy.builtin_muscles import build_muscles
 from solver.anatomy.builtin_regions import Regions
@@ -125,6 +125,8 @@ def build_template(head: Head) -> Template:
         landmarks=head.landmarks,
         regions=regions.named(),
         shapes=shape_basis(head),
+        licence="CC0 1.0",
+        depths=depth_table(head),
     )
 
 

@@ -12,10 +12,14 @@ import trimesh
 from scipy.interpolate import RBFInterpolator
 
 from solver.anatomy.builtin_head import Head
+from solver.anatomy.depths import Depth
 from solver.surface import Floats, Ints
 
 HIDDEN_PART_OF_LINING = 0.97
 """Skin that sees less than 3 % of its hemisphere is lining: mouth, eye sockets, nostrils."""
+
+NO_BONE = "aperture"
+"""Source of rows where there is no bone, which only say that it is not near."""
 
 DIRECTIONS = 400
 OFF_SKIN_MM = 0.05
@@ -89,21 +93,35 @@ def depth_fields(head: Head) -> dict[str, Callable[[Floats], Floats]]:
 
     The table's means are interpolated with the radial kernel r, which passes through them.
     """
-    with resources.files("solver.anatomy.data").joinpath("soft_tissue_depths.csv").open() as stream:
-        rows = list(csv.DictReader(stream))
+    rows = _read_table("soft_tissue_depths.csv")
     fields: dict[str, Callable[[Floats], Floats]] = {}
     for bone in ("cranium", "mandible"):
         sites, depths = [], []
-        for row in rows:
-            if row["bone"] == bone:
-                for vertex in sides(head, row["landmark"]):
-                    sites.append(head.neutral[vertex])
-                    depths.append(float(row["depth_mm"]))
+        for row in (row for row in rows if row["bone"] == bone):
+            for name in sides(head, row["landmark"]):
+                sites.append(head.neutral[head.landmarks[name]])
+                depths.append(float(row["depth_mm"]))
         fields[bone] = RBFInterpolator(np.array(sites), np.array(depths), kernel="linear")
     return fields
 
 
-def sides(head: Head, landmark: str) -> list[int]:
-    """Return the vertex of a mid-line landmark, or the left and right vertices of a paired one."""
+def depth_table(head: Head) -> tuple[Depth, ...]:
+    """Return the depths with their references, one a landmark, where there is bone."""
+    references = {row["key"]: row["reference"] for row in _read_table("sources.csv")}
+    return tuple(
+        Depth(name, row["bone"], float(row["depth_mm"]), None, references[row["source"]])
+        for row in _read_table("soft_tissue_depths.csv")
+        if row["source"] != NO_BONE
+        for name in sides(head, row["landmark"])
+    )
+
+
+def _read_table(name: str) -> list[dict[str, str]]:
+    with resources.files("solver.anatomy.data").joinpath(name).open() as stream:
+        return list(csv.DictReader(stream))
+
+
+def sides(head: Head, landmark: str) -> list[str]:
+    """Return a mid-line landmark itself, or the left and right names of a paired one."""
     names = (landmark, f"{landmark}_l", f"{landmark}_r")
-    return [head.landmarks[name] for name in names if name in head.landmarks]
+    return [name for name in names if name in head.landmarks]
