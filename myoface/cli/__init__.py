@@ -6,7 +6,8 @@ import logging
 
 from myoface.cli.app import app
 from myoface.cli.assets import assets
-from myoface.cli.client import jobs, rigs, subjects, templates, upload
+from myoface.cli.captures import add, captures
+from myoface.cli.client import jobs, rigs, subjects, templates
 from myoface.cli.console import complain
 from myoface.cli.demo import demo
 from myoface.cli.offline import solve
@@ -16,10 +17,12 @@ from myoface.errors import ApiError, StackError, describe
 from service import logs
 from solver.errors import InputError, SolveError
 
-for command in (up, demo, doctor, upload):
+for command in (up, demo, doctor):
     app.command()(command)
+app.command("upload", help="Short for `captures add`.")(add)
 for group, name in (
     (subjects, "subjects"),
+    (captures, "captures"),
     (jobs, "jobs"),
     (rigs, "rigs"),
     (templates, "templates"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 from pydantic import ValidationError
@@ -18,10 +18,32 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
+BAD_SCAN = 3
+"""The exit code of a check whose verdict is bad; 1 says that there was no verdict."""
+
+UnitName = Literal["auto", "mm", "cm", "m", "inch"]
+Axis = Literal["auto", "x", "-x", "y", "-y", "z", "-z"]
+
+SubjectId = Annotated[str, typer.Argument(help="subject id")]
+Unit = Annotated[UnitName, typer.Option(help="unit of a raw scan's coordinates")]
+Up = Annotated[Axis, typer.Option(help="a raw scan's axis to the top of the head")]
+Forward = Annotated[Axis, typer.Option(help="a raw scan's axis out of the face")]
+LandmarksFile = Annotated[
+    Path | None,
+    typer.Option("--landmarks", exists=True, dir_okay=False, help="JSON, LJSON or CSV"),
+]
 Url = Annotated[str, typer.Option("--url", envvar="MYOFACE_URL", help="the service")]
 Scan = Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="OBJ, PLY, GLB or STL")]
+RawScan = Annotated[
+    Path, typer.Argument(exists=True, dir_okay=False, help="OBJ, PLY, STL, GLB or point cloud")
+]
 NewFile = Annotated[Path, typer.Option("--output", "-o", dir_okay=False, help="file to write")]
 NewFolder = Annotated[Path, typer.Option("--output", "-o", file_okay=False, help="folder to fill")]
+
+
+def frame_options(unit: UnitName, up: Axis, forward: Axis) -> dict[str, str]:
+    """Return how a raw scan lies in space, as options of ``check_scan`` and ``register_scan``."""
+    return {"unit": unit, "up": up, "forward": forward}
 
 
 def read_settings(**given: Any) -> Settings:

@@ -1,25 +1,26 @@
-"""Commands that talk to a service: subjects, templates, upload, jobs, rigs."""
+"""Commands that talk to a service: subjects, templates, jobs, rigs."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, cast
 
 import typer
 
-from myoface.cli.app import NewFolder, Url
-from myoface.cli.console import JobView, err, out, show_table, transfer_bar
+from myoface.cli.app import NewFolder, SubjectId, Url
+from myoface.cli.captures import choose, show_captures
+from myoface.cli.console import JobView, out, show_table, transfer_bar
 from myoface.client import DEFAULT_URL, Client
-from myoface.errors import UNREACHABLE, ApiError, describe
-from myoface.resources import Job, Kind, Role
+from myoface.errors import describe
+from myoface.resources import Artifact, Job, Kind
 
 subjects = typer.Typer(help="People.", no_args_is_help=True)
 templates = typer.Typer(help="Template anatomies of a service.", no_args_is_help=True)
 jobs = typer.Typer(help="Work: submit, follow, cancel.", no_args_is_help=True)
 rigs = typer.Typer(help="Fitted faces.", no_args_is_help=True)
 
-SubjectId = Annotated[str, typer.Argument(help="subject id")]
 JobId = Annotated[str, typer.Argument(help="job id")]
 RigId = Annotated[str, typer.Argument(help="rig id")]
 
@@ -49,10 +50,7 @@ def show_subject(subject: SubjectId, url: Url = DEFAULT_URL) -> None:
     with Client(url) as client:
         found = client.subject(subject)
         out.print(f"{found.name} ({found.id})", markup=False)
-        captures = client.captures(subject)
-        show_table(
-            ("capture", "name", "role"), [(each.id, each.name, each.role) for each in captures]
-        )
+        show_captures(client.captures(subject))
         _show_jobs(client.jobs(subject_id=subject))
         _show_rigs(client, subject)
 
@@ -91,39 +89,6 @@ def add_template(
         out.print(client.create_template(name or file.stem, file, progress=progress).id)
 
 
-def upload(
-    subject: SubjectId,
-    files: Annotated[
-        list[Path], typer.Argument(exists=True, dir_okay=False, help="OBJ, PLY, GLB or STL")
-    ],
-    neutral: Annotated[bool, typer.Option("--neutral", help="this is the neutral scan")] = False,
-    resume: Annotated[str | None, typer.Option(help="upload id of an interrupted upload")] = None,
-    url: Url = DEFAULT_URL,
-) -> None:
-    """Upload a subject's scans, each named like its file, and print the capture ids."""
-    if len(files) > 1 and (neutral or resume):
-        raise typer.BadParameter("--neutral and --resume take one file")
-    with Client(url) as client:
-        for file in files:
-            _upload_one(client, subject, file, "neutral" if neutral else "expression", resume)
-
-
-def _upload_one(client: Client, subject: str, file: Path, role: Role, resume: str | None) -> None:
-    begun = [resume] if resume else []
-    try:
-        with transfer_bar(file.name) as progress:
-            capture = client.add_capture(
-                subject, file, role=role, resume=resume, started=begun.append, progress=progress
-            )
-    except (ApiError, KeyboardInterrupt) as error:
-        if begun and getattr(error, "code", UNREACHABLE) == UNREACHABLE:
-            err.print(
-                f"{file.name}: go on with `myoface upload ... --resume {begun[-1]}`", markup=False
-            )
-        raise
-    out.print(f"{capture.id}  {capture.name}")
-
-
 @jobs.command("list")
 def list_jobs(
     subject: Annotated[str | None, typer.Option(help="subject id")] = None,
@@ -138,7 +103,7 @@ def list_jobs(
 
 @jobs.command("submit")
 def submit_job(
-    kind: Annotated[str, typer.Argument(help="build_model, fit_geometry or fit_activations")],
+    kind: Annotated[str, typer.Argument(help="build_model, fit_geometry ..., see /v1/solvers")],
     subject: SubjectId,
     capture: Annotated[
         list[str] | None, typer.Option(help="name or id of a capture; repeat")
@@ -150,18 +115,15 @@ def submit_job(
 ) -> None:
     """Submit a job; without --capture a fit takes all the subject's expressions."""
     with Client(url) as client:
-        known = {
-            each.name: each.id for each in client.captures(subject) if each.role == "expression"
-        }
-        names = [] if kind == "build_model" else capture or list(known)
-        for name in names:
-            if name not in known and name not in known.values():
-                has = ", ".join(sorted(known)) or "none"
-                raise typer.BadParameter(f"--capture {name}: the subject's expressions are {has}")
+        chosen = []
+        if capture:
+            chosen = choose(client.captures(subject), capture)
+        elif kind in ("fit_geometry", "fit_activations"):
+            chosen = [each for each in client.captures(subject) if each.role == "expression"]
         job = client.submit(
             cast(Kind, kind),
             subject,
-            captures=[known.get(name, name) for name in names],
+            captures=[each.id for each in chosen],
             rig_id=rig,
             options=_read_options(options),
         )
@@ -215,6 +177,21 @@ def cancel_job(
         out.print(client.cancel(job, reason).state)
 
 
+@jobs.command("download")
+def download_job(job: JobId, output: NewFolder = Path("job"), url: Url = DEFAULT_URL) -> None:
+    """Download the files that a job left, such as a model's pictures."""
+    with Client(url) as client:
+        found = client.job(job).result
+        _download(client, found.artifacts if found else [], output)
+
+
+def _download(client: Client, artifacts: Iterable[Artifact], folder: Path) -> None:
+    for artifact in artifacts:
+        with transfer_bar(artifact.name) as progress:
+            client.download(artifact, folder / artifact.name, progress=progress)
+        out.print(f"{folder / artifact.name}", markup=False)
+
+
 def _show_jobs(found: list[Job]) -> None:
     rows = [
         (
@@ -243,10 +220,7 @@ def list_rigs(
 def download_rig(rig: RigId, output: NewFolder = Path("rig"), url: Url = DEFAULT_URL) -> None:
     """Download a rig's files, checked and resumed where an earlier download broke off."""
     with Client(url) as client:
-        for artifact in client.rig(rig).artifacts:
-            with transfer_bar(artifact.name) as progress:
-                client.download(artifact, output / artifact.name, progress=progress)
-            out.print(f"{output / artifact.name}", markup=False)
+        _download(client, client.rig(rig).artifacts, output)
 
 
 def _show_rigs(client: Client, subject: str | None) -> None:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from rich.cells import cell_len, set_cell_size
 from rich.console import Console
@@ -25,6 +25,12 @@ from myoface.resources import Job
 from myoface.transfer import Transferred
 from solver.progress import Step
 
+VERDICTS = {
+    "good": ("green", "good"),
+    "usable": ("yellow", "usable, with flaws"),
+    "bad": ("red", "bad: it can not be used"),
+}
+
 out = Console(highlight=False, soft_wrap=True)
 err = Console(stderr=True, highlight=False, soft_wrap=True)
 
@@ -41,6 +47,24 @@ def show_table(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None
     for number, line in enumerate(lines):
         text = "  ".join(map(set_cell_size, line, widths)).rstrip()
         out.print(text, markup=False, style=None if number else "bold")
+
+
+def show_verdict(title: str, check: Mapping[str, Any]) -> None:
+    """Show the verdict of a check of a scan, and each finding with its advice."""
+    style, words = VERDICTS[check["verdict"]]
+    out.print(f"{escape(title)}: [{style}]{words}[/]")
+    for finding in check["findings"]:
+        out.print(f"  - {finding['message']}", markup=False)
+        if finding.get("advice"):
+            out.print(f"    {finding['advice']}", markup=False)
+
+
+def show_registration(title: str, figures: Mapping[str, Any]) -> None:
+    """Show that a scan is registered, and how near."""
+    out.print(f"{title}: registered", markup=False)
+    rows = [(key, value) for key, value in figures.items() if isinstance(value, (int, float))]
+    for key, value in rows:
+        out.print(f"  {key.replace('_', ' ')}: {value:g}", markup=False)
 
 
 @contextmanager

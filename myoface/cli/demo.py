@@ -19,7 +19,7 @@ from myoface.cli.app import read_settings
 from myoface.cli.console import complain, out, show_table
 from myoface.client import Client
 from myoface.demo.khronos_validator import khronos_validation
-from myoface.demo.outcome import Bars, Outcome
+from myoface.demo.outcome import Bars, Outcome, millimetres
 from solver.anatomy.builtin_source import cache_directory
 from solver.rig.gltf_check import validate_glb
 
@@ -139,8 +139,8 @@ def _tell(outcome: Outcome, output: Path) -> None:
     show_table(("phase", "seconds"), [(p, f"{s:.1f}") for p, s in outcome.seconds.items()])
     out.print()
     figures = outcome.as_dict()
-    out.print(f"training mean  {figures['train_mean_mm']:.3f} mm")
-    out.print(f"unseen mean    {figures['test_mean_mm']:.3f} mm")
+    out.print(f"training mean  {millimetres(figures['train_mean_mm'], 3)}")
+    out.print(f"unseen mean    {millimetres(figures['test_mean_mm'], 3)}")
     out.print(f"inverted tets  {figures['inverted']} of {figures['tets']}")
     out.print(f"muscles        {figures['muscles']}")
     out.print(f"seconds        {figures['seconds']}")

@@ -2,30 +2,99 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from myoface.cli.app import NewFolder, Scan
-from myoface.cli.console import JobView, out
+from myoface.cli.app import (
+    BAD_SCAN,
+    Forward,
+    LandmarksFile,
+    NewFolder,
+    RawScan,
+    Scan,
+    Unit,
+    Up,
+    frame_options,
+)
+from myoface.cli.console import JobView, out, show_registration, show_verdict
 
 solve = typer.Typer(help="Solve here, without a service.", no_args_is_help=True)
 
 Model = Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="model.npz")]
 Scans = Annotated[list[Path], typer.Argument(exists=True, dir_okay=False, help="expression scans")]
+TemplateFile = Annotated[
+    Path | None, typer.Option("--template", exists=True, help="template NPZ; default: built-in")
+]
 
 
 # The solver is imported where it is used: compiled numerics take seconds to load.
+
+
+@solve.command("check-scan")
+def check_scan(
+    scan: RawScan,
+    output: NewFolder = Path("check"),
+    template: TemplateFile = None,
+    landmarks: LandmarksFile = None,
+    unit: Unit = "auto",
+    up: Up = "auto",
+    forward: Forward = "auto",
+) -> None:
+    """Tell whether a scan can be used, and what to do if not; ends with 3 if it is bad."""
+    from solver.pipeline import check_scan as check
+
+    options = frame_options(unit, up, forward)
+    with JobView("check-scan") as view, _made(output):
+        check(scan, output, template=template, landmarks=landmarks, options=options, progress=view)
+    found = json.loads((output / "check.json").read_text(encoding="utf-8"))
+    show_verdict(scan.name, found)
+    out.print(f"{output / 'check.png'}", markup=False)
+    if found["verdict"] == "bad":
+        raise typer.Exit(BAD_SCAN)
+
+
+@solve.command("register-scan")
+def register_scan(
+    scan: RawScan,
+    output: NewFolder = Path("registered"),
+    neutral: Annotated[
+        Path | None,
+        typer.Option(exists=True, dir_okay=False, help="of an expression: registered neutral"),
+    ] = None,
+    template: TemplateFile = None,
+    landmarks: LandmarksFile = None,
+    unit: Unit = "auto",
+    up: Up = "auto",
+    forward: Forward = "auto",
+) -> None:
+    """Put the template's vertices on a raw scan."""
+    from solver.pipeline import register_scan as register
+
+    with JobView("register-scan") as view, _made(output):
+        register(
+            scan,
+            output,
+            template=template,
+            neutral=neutral,
+            landmarks=landmarks,
+            options=frame_options(unit, up, forward),
+            progress=view,
+        )
+    figures = json.loads((output / "registration.json").read_text(encoding="utf-8"))
+    show_registration(scan.name, figures)
+    out.print(f"{output / 'registered.ply'}", markup=False)
 
 
 @solve.command("build-model")
 def build_model(
     neutral: Scan,
     output: NewFolder = Path("model"),
-    template: Annotated[
-        Path | None, typer.Option(exists=True, help="template NPZ; default: built-in")
-    ] = None,
+    template: TemplateFile = None,
     edge_mm: Annotated[
         float | None, typer.Option(min=3, max=30, help="edge length of the tetrahedra")
     ] = None,
@@ -34,8 +103,8 @@ def build_model(
     from solver.pipeline import build_model as build
 
     options = {} if edge_mm is None else {"edge_mm": edge_mm}
-    with JobView("build-model") as view:
-        build(neutral, _made(output), template=template, options=options, progress=view)
+    with JobView("build-model") as view, _made(output):
+        build(neutral, output, template=template, options=options, progress=view)
     out.print(f"{output / 'model.npz'}", markup=False)
 
 
@@ -44,8 +113,8 @@ def fit_geometry(model: Model, scans: Scans, output: NewFolder = Path("rig")) ->
     """Fit muscle geometry, activations and jaw to several expressions at once."""
     from solver.pipeline import fit_geometry as fit
 
-    with JobView("geometry") as view:
-        fit(model, _named(scans), _made(output), progress=view)
+    with JobView("geometry") as view, _made(output):
+        fit(model, _named(scans), output, progress=view)
     out.print(f"{output / 'rig.glb'}", markup=False)
 
 
@@ -62,8 +131,8 @@ def fit_activations(
     from solver.pipeline import fit_activations as fit
 
     weights = rig / "muscle_weights.npz"
-    with JobView("activations") as view:
-        fit(model, weights, _named(scans), _made(output), rig=rig, progress=view)
+    with JobView("activations") as view, _made(output):
+        fit(model, weights, _named(scans), output, rig=rig, progress=view)
     out.print(f"{output / 'rig.glb'}", markup=False)
 
 
@@ -74,6 +143,13 @@ def _named(scans: list[Path]) -> dict[str, Path]:
     return named
 
 
-def _made(folder: Path) -> Path:
+@contextmanager
+def _made(folder: Path) -> Iterator[None]:
+    """Make a folder for the block's results; one that stays empty goes again."""
+    is_new = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
-    return folder
+    try:
+        yield
+    finally:
+        if is_new and not any(folder.iterdir()):
+            folder.rmdir()

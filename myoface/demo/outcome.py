@@ -16,6 +16,11 @@ class Bars:
     test_mm: float
 
 
+def millimetres(mean: float | None, decimals: int) -> str:
+    """Return a mean distance in words; None: there were no scans to take it over."""
+    return "no scans" if mean is None else f"{mean:.{decimals}f} mm"
+
+
 @dataclass(frozen=True)
 class Outcome:
     """A finished demonstration; ``report`` is the rig's report.json, ``seconds`` per phase."""
@@ -40,7 +45,7 @@ class Outcome:
             ("unseen", self.report["test_mean_mm"], self.bars.test_mm),
         )
         for title, mean, bar in means:
-            if not mean <= bar:
+            if mean is not None and not mean <= bar:
                 failures.append(f"{title} mean {mean:.3f} mm is over the bar of {bar} mm")
         return failures
 

@@ -8,7 +8,7 @@ from importlib import resources
 from pathlib import Path
 from string import Template
 
-from myoface.demo.outcome import Outcome
+from myoface.demo.outcome import Outcome, millimetres
 
 ROLES = {"train": "training", "test": "unseen"}
 
@@ -20,8 +20,8 @@ def write_page(path: Path, title: str, outcome: Outcome) -> None:
     filled = Template(page).substitute(
         title=escape(title),
         verdict=_verdict(outcome),
-        train=f"{report['train_mean_mm']:.2f}",
-        test=f"{report['test_mean_mm']:.2f}",
+        train=millimetres(report["train_mean_mm"], 2),
+        test=millimetres(report["test_mean_mm"], 2),
         inverted=report["inverted"],
         tets=f"{report['tets']:,}",
         muscles=report["muscles"],

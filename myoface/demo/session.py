@@ -52,17 +52,14 @@ class Session:
 
         model = solve("build_model")
         geometry = solve("fit_geometry", captures=[ids[each] for each in captures.train])
-        rig = solve(
-            "fit_activations",
-            captures=[ids[each] for each in captures.test],
-            rig_id=_result(geometry).rig_id,
-        )
+        done = [model, geometry]
+        if captures.test:
+            unseen = [ids[each] for each in captures.test]
+            done.append(solve("fit_activations", captures=unseen, rig_id=_result(geometry).rig_id))
 
         with self.timed("download"):
             # Later files take the place of earlier ones of the same name: the last rig is whole.
-            files = {
-                each.name: each for job in (model, geometry, rig) for each in _result(job).artifacts
-            }
+            files = {each.name: each for job in done for each in _result(job).artifacts}
             self._download(files.values())
         report: dict[str, Any] = json.loads((self.folder / "report.json").read_text())
         return report

@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Literal
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from service.captures.registered import mesh
 from service.schemas import Body, Id, Name, View
@@ -17,7 +17,21 @@ Role = Literal["neutral", "expression"]
 class NewCapture(Body):
     """A scan, as the file of a complete upload."""
 
-    name: Name = Field(examples=["smile"])
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "examples": [
+                {
+                    "name": "smile",
+                    "role": "expression",
+                    "upload_id": "0b7f2f0c-50d3-4b84-a0b4-3b0a8b0c7a01",
+                    "registered": False,
+                }
+            ]
+        },
+    )
+
+    name: Name
     role: Role
     upload_id: Id
     registered: bool = Field(

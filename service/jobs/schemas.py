@@ -16,7 +16,21 @@ from service.store.transitions import State
 class NewJob(Body):
     """A piece of work; which members a kind needs is in `GET /v1/solvers`."""
 
-    kind: str = Field(examples=["fit_geometry"])
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "examples": [
+                {
+                    "kind": "check_scan",
+                    "subject_id": "8c1d3a52-0f4e-4c5b-9b39-1f3a4f1f6c11",
+                    "captures": ["f2a6c0de-7d1b-4a54-8a55-5f9f3c8c9e02"],
+                    "options": {"unit": "cm", "up": "z"},
+                }
+            ]
+        },
+    )
+
+    kind: str
     subject_id: Id
     captures: list[Id] = Field(
         default=[],

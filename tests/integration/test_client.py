@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -101,6 +102,25 @@ def test_a_job_is_followed_over_a_breaking_line(
     job = breaking.wait(client.submit("build_model", subject.id).id, seen.append)
     assert job.state == "succeeded"
     assert {each.progress.phase for each in seen if each.progress} == {"geometry"}
+
+
+def test_who_comes_late_is_not_told_the_old_news(client: Client, tmp_path: Path) -> None:
+    subject = client.create_subject("Ada")
+    client.add_capture(subject.id, scan(tmp_path, "neutral", "seconds 2"), role="neutral")
+    job = client.submit("build_model", subject.id)
+    while (begun := client.job(job.id)).progress is None or not begun.progress.iteration:
+        time.sleep(0.05)
+    seen: list[Job] = []
+    client.wait(job.id, seen.append)
+    iterations = [each.progress.iteration or 0 for each in seen if each.progress]
+    assert iterations == sorted(iterations)
+    assert iterations[0] >= begun.progress.iteration
+
+
+def test_lists_are_read_to_their_end(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("myoface.client.LONGEST_PAGE", 2)
+    made = [client.create_subject(f"number {number}").id for number in range(5)]
+    assert [each.id for each in client.subjects()][:5] == made[::-1]
 
 
 def test_a_failed_job_is_an_error_that_locates_the_fault(client: Client, tmp_path: Path) -> None:

@@ -1,0 +1,249 @@
+"""Commands about a subject's scans: add, check, register, list, delete."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from myoface.cli.app import (
+    BAD_SCAN,
+    Forward,
+    LandmarksFile,
+    SubjectId,
+    Unit,
+    Up,
+    Url,
+    frame_options,
+)
+from myoface.cli.console import (
+    JobView,
+    err,
+    out,
+    show_registration,
+    show_table,
+    show_verdict,
+    transfer_bar,
+)
+from myoface.client import DEFAULT_URL, Client
+from myoface.errors import UNREACHABLE, ApiError
+from myoface.resources import Capture, Job, Kind, Result, Role
+
+captures = typer.Typer(
+    help="A subject's scans: add, check, register, list, delete.", no_args_is_help=True
+)
+
+Names = Annotated[
+    list[str] | None, typer.Argument(help="names or ids of captures; default: all that apply")
+]
+Files = Annotated[
+    list[Path],
+    typer.Argument(exists=True, dir_okay=False, help="OBJ, PLY, GLB or STL; raw also XYZ"),
+]
+Results = Annotated[
+    Path | None, typer.Option("--output", "-o", file_okay=False, help="folder for the jobs' files")
+]
+
+
+@captures.command()
+def add(
+    subject: SubjectId,
+    files: Files,
+    neutral: Annotated[bool, typer.Option("--neutral", help="this is the neutral scan")] = False,
+    raw: Annotated[bool, typer.Option("--raw", help="as the scanner made it")] = False,
+    landmarks: LandmarksFile = None,
+    check: Annotated[bool, typer.Option("--check", help="and tell whether it can be used")] = False,
+    unit: Unit = "auto",
+    up: Up = "auto",
+    forward: Forward = "auto",
+    resume: Annotated[str | None, typer.Option(help="upload id of an interrupted upload")] = None,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Upload scans, each named like its file, and print the capture ids.
+
+    With --check the command ends with 3 if a scan is bad.
+    """
+    if len(files) > 1 and (neutral or resume or landmarks):
+        raise typer.BadParameter("--neutral, --landmarks and --resume take one file")
+    role: Role = "neutral" if neutral else "expression"
+    with Client(url) as client:
+        added = [
+            _upload(client, subject, file, role, registered=not raw, marks=landmarks, resume=resume)
+            for file in files
+        ]
+        if check:
+            _check(client, subject, added, frame_options(unit, up, forward), None)
+
+
+@captures.command("list")
+def list_captures(subject: SubjectId, url: Url = DEFAULT_URL) -> None:
+    """List a subject's scans with their newest verdicts and registrations."""
+    with Client(url) as client:
+        show_captures(client.captures(subject))
+
+
+@captures.command()
+def check(
+    subject: SubjectId,
+    names: Names = None,
+    output: Results = None,
+    unit: Unit = "auto",
+    up: Up = "auto",
+    forward: Forward = "auto",
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Tell whether scans can be used, and what to do if not; ends with 3 if one is bad."""
+    with Client(url) as client:
+        chosen = choose(client.captures(subject), names)
+        _check(client, subject, chosen, frame_options(unit, up, forward), output)
+
+
+@captures.command()
+def register(
+    subject: SubjectId,
+    names: Names = None,
+    output: Results = None,
+    unit: Unit = "auto",
+    up: Up = "auto",
+    forward: Forward = "auto",
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Register raw scans, the neutral first; by default those that are not registered yet."""
+    options = frame_options(unit, up, forward)
+    with Client(url) as client:
+        raw = [each for each in client.captures(subject) if not each.registered]
+        chosen = choose(raw, names) if names else [each for each in raw if not each.registration]
+        if not chosen:
+            out.print("no raw scan waits to be registered")
+        for capture in sorted(chosen, key=lambda each: each.role != "neutral"):
+            job = _solve(client, "register_scan", subject, capture, options, output)
+            show_registration(capture.name, _result(job).summary or {})
+
+
+@captures.command()
+def landmarks(
+    subject: SubjectId,
+    name: Annotated[str, typer.Argument(help="name or id of the capture")],
+    file: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="JSON, LJSON or CSV")],
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Give a scan landmarks, instead of those it had, for its next check or registration."""
+    with Client(url) as client:
+        (capture,) = choose(client.captures(subject), [name])
+        client.set_landmarks(subject, capture.id, file)
+
+
+@captures.command()
+def delete(
+    subject: SubjectId,
+    names: Annotated[list[str], typer.Argument(help="names or ids of captures")],
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Delete scans with their checks and registrations; models and rigs made of them stay."""
+    with Client(url) as client:
+        for capture in choose(client.captures(subject), names):
+            client.delete_capture(subject, capture.id)
+
+
+def choose(captures: Iterable[Capture], names: list[str] | None) -> list[Capture]:
+    """Return the captures with these names or ids, all if there are none."""
+    known = list(captures)
+    if not names:
+        return known
+    found = {key: each for each in known for key in (each.name, each.id)}
+    for name in names:
+        if name not in found:
+            has = ", ".join(sorted(each.name for each in known)) or "none"
+            raise typer.BadParameter(f"{name}: the subject's captures to choose from are {has}")
+    return [found[name] for name in names]
+
+
+def show_captures(captures: Iterable[Capture]) -> None:
+    """Show a table of captures."""
+    rows = [
+        (each.id, each.name, each.role, _form(each), each.check and each.check.verdict)
+        for each in captures
+    ]
+    show_table(("capture", "name", "role", "form", "check"), rows)
+
+
+def _form(capture: Capture) -> str:
+    if capture.registered:
+        return "registered"
+    return "raw, registered" if capture.registration else "raw"
+
+
+def _upload(
+    client: Client,
+    subject: str,
+    file: Path,
+    role: Role,
+    *,
+    registered: bool,
+    marks: Path | None,
+    resume: str | None,
+) -> Capture:
+    begun = [resume] if resume else []
+    try:
+        with transfer_bar(file.name) as progress:
+            capture = client.add_capture(
+                subject,
+                file,
+                role=role,
+                registered=registered,
+                landmarks=marks,
+                resume=resume,
+                started=begun.append,
+                progress=progress,
+            )
+    except (ApiError, KeyboardInterrupt) as error:
+        if begun and getattr(error, "code", UNREACHABLE) == UNREACHABLE:
+            err.print(
+                f"{file.name}: go on with `myoface captures add ... --resume {begun[-1]}`",
+                markup=False,
+            )
+        raise
+    out.print(f"{capture.id}  {capture.name}", markup=False)
+    return capture
+
+
+def _check(
+    client: Client,
+    subject: str,
+    captures: Iterable[Capture],
+    options: dict[str, Any],
+    output: Path | None,
+) -> None:
+    verdicts = set()
+    for capture in captures:
+        job = _solve(client, "check_scan", subject, capture, options, output)
+        summary = _result(job).summary or {}
+        show_verdict(capture.name, summary)
+        verdicts.add(summary["verdict"])
+    if "bad" in verdicts:
+        raise typer.Exit(BAD_SCAN)
+
+
+def _solve(
+    client: Client,
+    kind: Kind,
+    subject: str,
+    capture: Capture,
+    options: dict[str, Any],
+    output: Path | None,
+) -> Job:
+    """Run a job about one capture; its files go to ``output/<capture>``."""
+    job = client.submit(kind, subject, captures=[capture.id], options=options)
+    with JobView(f"{kind} {capture.name}") as view:
+        done = client.wait(job.id, view.watch)
+    if output is not None:
+        for artifact in _result(done).artifacts:
+            client.download(artifact, output / capture.name / artifact.name)
+    return done
+
+
+def _result(job: Job) -> Result:
+    assert job.result is not None, "a job that succeeded has a result"
+    return job.result

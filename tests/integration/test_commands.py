@@ -1,0 +1,89 @@
+"""The command line of a capture station against a running service."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from myoface.cli import app
+from myoface.client import Client
+from tests.service_client import running
+
+Command = Callable[..., Result]
+
+
+@pytest.fixture(scope="module")
+def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    with running(tmp_path_factory.mktemp("stack")) as (stack, _):
+        yield stack.url
+
+
+@pytest.fixture
+def myoface(url: str) -> Command:
+    def run(*words: str | Path, code: int = 0) -> Result:
+        done = CliRunner().invoke(app, [*map(str, words), "--url", url])
+        assert done.exit_code == code, done.output
+        return done
+
+    return run
+
+
+def scan(folder: Path, name: str, *orders: str) -> Path:
+    path = folder / f"{name}.obj"
+    path.write_text("\n".join([f"# {name}", *(f"#! {order}" for order in orders)]))
+    return path
+
+
+def test_a_session_at_the_station(myoface: Command, url: str, tmp_path: Path) -> None:
+    subject = myoface("subjects", "add", "Ada").output.strip()
+    marks = tmp_path / "marks.csv"
+    marks.write_text("nose,0,0,0")
+    neutral = scan(tmp_path, "neutral")
+    good = myoface(
+        *("captures", "add", subject, neutral, "--neutral", "--raw", "--check"),
+        *("--landmarks", marks, "--unit", "cm"),
+    )
+    assert "neutral: good" in good.output
+    blink = scan(tmp_path, "blink", "verdict bad")
+    bad = myoface("captures", "add", subject, blink, "--raw", "--check", code=3)
+    assert "blink: bad: it can not be used" in bad.output
+    assert "blink.obj has no mouth" in bad.output
+    assert "scan again with the mouth in view" in bad.output
+    myoface("captures", "delete", subject, "blink")
+
+    myoface("captures", "add", subject, scan(tmp_path, "smile"), "--raw")
+    registered = myoface("captures", "register", subject, "-o", tmp_path / "out").output
+    assert registered.index("neutral: registered") < registered.index("smile: registered")
+    smile = (tmp_path / "out" / "smile" / "registered.ply").read_text()
+    assert smile == "registered # smileregistered # neutral"
+    assert "no raw scan waits" in myoface("captures", "register", subject).output
+
+    rows = myoface("captures", "list", subject).output.splitlines()[1:]
+    assert [row.split()[1:] for row in rows] == [
+        ["smile", "expression", "raw,", "registered"],
+        ["neutral", "neutral", "raw,", "registered", "good"],
+    ]
+    job = myoface("jobs", "submit", "build_model", subject).output.split()[0]
+    myoface("jobs", "download", job, "-o", tmp_path / "model")
+    assert (tmp_path / "model" / "model.npz").exists()
+    with Client(url) as client:
+        checks = client.jobs(subject_id=subject, kind="check_scan")
+    assert checks[-1].result is not None
+    assert checks[-1].result.summary == {
+        "verdict": "good",
+        "findings": [],
+        "figures": {
+            "landmarks": "nose,0,0,0",
+            "options": {"unit": "cm", "up": "auto", "forward": "auto"},
+        },
+    }
+
+
+def test_an_unknown_name_is_refused_with_those_there_are(myoface: Command, tmp_path: Path) -> None:
+    subject = myoface("subjects", "add", "Ada").output.strip()
+    myoface("upload", subject, scan(tmp_path, "smile"))
+    refused = myoface("captures", "delete", subject, "smiel", code=2)
+    assert "choose from are smile" in " ".join(refused.output.replace("│", " ").split())
