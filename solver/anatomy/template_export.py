@@ -1,0 +1,118 @@
+"""Writing a template as the folder that :mod:`solver.anatomy.template_folder` reads."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from solver.anatomy.folder_tables import vertex_ranges
+from solver.anatomy.template import Muscle, Template
+from solver.anatomy.template_folder import DESCRIPTION, FORMAT
+from solver.errors import InputError
+from solver.scans.ply_write import write_ply
+from solver.surface import Floats, Ints
+
+
+def write_template(template: Template, folder: Path) -> None:
+    """Write a template, without its tetrahedra, into a new or empty folder, in mm.
+
+    Raises :class:`InputError` (``template.folder``) if there is something in it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    if any(folder.iterdir()):
+        raise InputError("template.folder", f"{folder} is not empty", file=str(folder))
+    (folder / DESCRIPTION).write_text(_description(template), encoding="utf-8")
+    write_ply(folder / "skin.ply", template.skin)
+    write_ply(folder / "parted.ply", template.parted)
+    write_ply(folder / "cranium.ply", template.cranium)
+    write_ply(folder / "mandible.ply", template.mandible)
+    _write_muscles(template.muscles, folder)
+    _write_table(folder / "landmarks.csv", ("name", "vertex"), template.landmarks.items())
+    if template.depths:
+        columns = ("landmark", "bone", "depth_mm", "sd_mm", "source")
+        rows = [
+            (depth.landmark, depth.bone, depth.mean, depth.deviation, depth.source)
+            for depth in template.depths
+        ]
+        _write_table(folder / "depths.csv", columns, rows)
+    parts = {
+        "flesh": template.skin.faces[template.flesh_faces],
+        "face": template.face_vertices,
+        "with_cranium": template.attached_cranium,
+        "with_mandible": template.attached_mandible,
+    }
+    _write_sets(folder / "parts.json", parts)
+    _write_sets(folder / "regions.json", template.regions)
+    if template.shapes is not None:
+        numbers = [f"{number:03d}" for number in range(len(template.shapes.identity))]
+        _write_shapes(template, folder / "identities", numbers, template.shapes.identity)
+        names = template.shapes.expression_names
+        _write_shapes(template, folder / "expressions", names, template.shapes.expressions)
+
+
+def _description(template: Template) -> str:
+    left, right = (_numbers(point) for point in template.condyles)
+    return f"""\
+format = {FORMAT}
+name = {json.dumps(template.name)}
+version = {json.dumps(template.version)}
+source = {json.dumps(template.source)}
+licence = {json.dumps(template.licence or "unknown")}
+
+[frame]  # unit and axes of meshes and of points in tables; x is to the subject's left
+unit = "mm"
+up = "y"
+forward = "z"
+
+[planes]  # there is no flesh behind and below
+back = {template.back_z!r}
+bottom = {template.bottom_y!r}
+
+[condyles]  # centres of the mandible's
+left = {left}
+right = {right}
+"""
+
+
+def _write_muscles(muscles: Iterable[Muscle], folder: Path) -> None:
+    (folder / "muscles").mkdir()
+    points = [f"{point}_{axis}" for point in ("origin", "insertion", "fibre") for axis in "xyz"]
+    rows = []
+    for muscle in muscles:
+        file = f"muscles/{re.sub(r'[^A-Za-z0-9]+', '_', muscle.name)}.ply"
+        write_ply(folder / file, muscle.surface)
+        values = np.concatenate([muscle.origin, muscle.insertion, muscle.fibre])
+        rows.append((muscle.name, file, "yes" if muscle.ring else "no", *values.tolist()))
+    _write_table(folder / "muscles.csv", ("name", "file", "ring", *points), rows)
+
+
+def _write_shapes(
+    template: Template, folder: Path, names: Iterable[str], deltas: np.ndarray
+) -> None:
+    folder.mkdir()
+    for name, delta in zip(names, deltas, strict=True):
+        write_ply(folder / f"{name}.ply", template.skin.moved(template.skin.vertices + delta))
+
+
+def _write_table(path: Path, columns: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(columns)
+        writer.writerows(rows)
+
+
+def _write_sets(path: Path, sets: dict[str, Ints]) -> None:
+    lines = [
+        f"  {json.dumps(name)}: {json.dumps(vertex_ranges(np.unique(vertices)))}"
+        for name, vertices in sets.items()
+    ]
+    path.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+
+
+def _numbers(point: Floats) -> str:
+    return json.dumps([float(value) for value in point])
