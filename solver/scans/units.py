@@ -10,7 +10,15 @@ import numpy as np
 
 from solver.anatomy.template import Template
 from solver.errors import InputError
-from solver.scans.pose import FacePoints, Pose, all_directions, axis_directions, find_pose, is_good
+from solver.scans.pose import (
+    FacePoints,
+    Pose,
+    all_directions,
+    axis_directions,
+    find_pose,
+    is_face,
+    is_good,
+)
 from solver.scans.raw import RawScan
 from solver.scans.sample import Samples, sample
 from solver.surface import Floats, Surface
@@ -70,7 +78,7 @@ def place(scan: RawScan, template: Template, frame: Mapping[str, Any] = FRAME) -
     Raises :class:`InputError`: ``options.unit``, ``options.axes``, ``scan.not_a_face``.
     """
     found = place_samples(samples_of(scan), FacePoints(face_of(template)), frame, scan.mm_per_unit)
-    if not is_good(found.pose):
+    if not is_face(found.pose):
         raise InputError(
             "scan.not_a_face",
             f"{scan.file} shows no face: the best fit covers {found.pose.coverage:.0%} of a face, "
