@@ -84,6 +84,13 @@ def all_directions() -> Floats:
     return np.asarray(Rotation.random(EXTRA_DIRECTIONS, rng=np.random.default_rng(5)).as_matrix())
 
 
+def directions_around(rotation: Floats) -> Floats:
+    """Return rotations (26, 3, 3) that lie about 35 degrees off ``rotation``, in all ways."""
+    axes = np.array([axis for axis in product((-1, 0, 1), repeat=3) if any(axis)], np.float64)
+    turns = axes / np.linalg.norm(axes, axis=1, keepdims=True) * np.radians(35.0)
+    return np.asarray(Rotation.from_rotvec(turns).as_matrix() @ rotation)
+
+
 def find_pose(face: FacePoints, scan: Samples, scales: list[float], directions: Floats) -> Pose:
     """Return the best pose of all ``scales`` (mm per unit) and start ``directions`` (n, 3, 3)."""
     coarse = sample(scan.points, np.zeros((0, 3), np.int64), scan.normals, TREE_POINTS)

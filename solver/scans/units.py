@@ -15,6 +15,7 @@ from solver.scans.pose import (
     Pose,
     all_directions,
     axis_directions,
+    directions_around,
     find_pose,
     is_face,
     is_good,
@@ -105,16 +106,19 @@ def place_samples(
     directions = [_within(start, frame) for start in (axis_directions(), all_directions())]
     low, high = np.quantile(samples.points, [0.005, 0.995], axis=0)
     extent = float((high - low).max())
-    best: Pose | None = None
+    poses: list[Pose] = []
+
+    def is_found(scales: list[float], starts: Floats) -> bool:
+        poses.append(find_pose(face, samples, scales, starts))
+        poses.sort(key=lambda pose: pose.cost)
+        return is_good(poses[0])
+
     for scales in _scale_rounds(extent, str(frame["unit"]), declared):
-        for starts in directions:
-            pose = find_pose(face, samples, scales, starts)
-            if best is None or pose.cost < best.cost:
-                best = pose
-            if is_good(best):
-                return _placement(best, face, str(frame["unit"]), declared)
-    assert best is not None
-    return _placement(best, face, str(frame["unit"]), declared)
+        if any(is_found(scales, starts) for starts in directions):
+            break
+        if is_found([poses[0].scale], directions_around(poses[0].rotation)) or is_face(poses[0]):
+            break
+    return _placement(poses[0], face, str(frame["unit"]), declared)
 
 
 def _within(directions: Floats, frame: Mapping[str, Any]) -> Floats:
