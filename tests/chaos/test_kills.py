@@ -19,12 +19,13 @@ LEASE = 2.0
 LAUNCH = """
 import sys, time
 from pathlib import Path
+from service.store.queue import QUEUES
 from tests.chaos.test_kills import _fit
 from tests.service_client import running
 
 with running(Path(sys.argv[1]), lease=2) as (stack, studio):
     job = _fit(studio, seconds=2)
-    processes = [stack.pid(name) for name in ("api", "short", "long")] + studio.solvers(stack)
+    processes = [stack.pid(name) for name in ("api", *QUEUES)] + studio.solvers(stack)
     print("working", job, *processes, flush=True)
     time.sleep(60)
 """
