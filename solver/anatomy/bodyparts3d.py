@@ -13,10 +13,13 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from solver.anatomy.domain import joined
 from solver.anatomy.public_bodyparts3d import public_parts
 from solver.errors import InputError
 from solver.surface import Floats, Surface
 
+MIDDLE_X = -0.65
+"""The plane of symmetry is x = -0.65 mm."""
 _COLUMNS = {"fma_id", "category", "name"}
 # Chewing muscles of the face's outer layer; the pterygoids lie inside the jaw and the occipital
 # belly and temporoparietalis behind the flesh.
@@ -123,11 +126,50 @@ def muscle_names(parts: dict[str, Part]) -> list[str]:
     return sorted(facial) + sorted(chewing)
 
 
+def named(parts: dict[str, Part], name: str) -> Surface:
+    """Return a part's surface; raises :class:`InputError` (``anatomy.part``) if it is missing."""
+    if name not in parts:
+        raise InputError("anatomy.part", f"the anatomy has no part named '{name}'", part=name)
+    return parts[name].surface
+
+
+def reflected(points: Floats) -> Floats:
+    """Return points (..., 3) on the other side of the mid-plane."""
+    return np.asarray(points * np.array([-1.0, 1.0, 1.0]) + np.array([2 * MIDDLE_X, 0.0, 0.0]))
+
+
+def symmetric(parts: dict[str, Part]) -> dict[str, Part]:
+    """Return parts of the same names that are the left half of the anatomy and its mirror image.
+
+    The man is nearly symmetric (muscles to 0.5 mm), and what is carried into a symmetric head is
+    wanted so.
+    """
+    result = {}
+    for name, part in parts.items():
+        left = parts.get(name.replace("right", "left"))
+        surface = part.surface
+        if "right" in name and left is not None:
+            surface = _mirror_image(left.surface)
+        elif "left" not in name:
+            surface = _halves(surface)
+        result[name] = Part(part.category, surface)
+    return result
+
+
+def _mirror_image(surface: Surface) -> Surface:
+    return Surface(reflected(surface.vertices), surface.faces[:, ::-1].copy())
+
+
+def _halves(surface: Surface) -> Surface:
+    """Return the left half, cut at the mid-plane, and its mirror image."""
+    on_left = (surface.vertices[surface.faces, 0] > MIDDLE_X).any(axis=1)
+    numbers, faces = np.unique(surface.faces[on_left], return_inverse=True)
+    vertices = surface.vertices[numbers]
+    vertices[:, 0] = np.maximum(vertices[:, 0], MIDDLE_X)
+    half = Surface(vertices, faces.reshape(-1, 3).astype(np.int64))
+    return joined([half, _mirror_image(half)])
+
+
 def merged(parts: dict[str, Part], *categories: str) -> Surface:
     """Return all parts of some categories as one surface."""
-    surfaces = [part.surface for part in parts.values() if part.category in categories]
-    offsets = np.cumsum([0] + [len(surface.vertices) for surface in surfaces[:-1]])
-    return Surface(
-        np.vstack([surface.vertices for surface in surfaces]),
-        np.vstack([s.faces + offset for s, offset in zip(surfaces, offsets, strict=True)]),
-    )
+    return joined([part.surface for part in parts.values() if part.category in categories])

@@ -6,9 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from solver.anatomy import bodyparts3d, ict_facekit
+from solver.anatomy.bodyparts3d import Part
 from solver.anatomy.ict_template import build_ict_template
+from solver.anatomy.muscle_weights import enclosed_volume
 from solver.anatomy.skin_depth import SkinDepth
 from solver.errors import InputError
 from solver.surface import Surface
@@ -69,4 +72,24 @@ def test_bones_and_muscles_lie_under_the_skin():
         if "platysma" not in muscle.name:
             assert depth(muscle.surface.vertices)[0].min() > -0.5, muscle.name
     left, right = template.condyles
-    assert np.allclose(left * [-1, 1, 1], right, atol=4)
+    assert np.allclose(left * [-1, 1, 1], right, atol=1)
+
+
+def test_the_other_half_is_the_mirror_image():
+    """A skewed box and two muscles, of which the right one is another shape."""
+    box = trimesh.creation.box(extents=[10, 4, 4])
+    box.apply_translation([2.0, 0, 0])
+    whole = Surface(np.asarray(box.vertices), np.asarray(box.faces, np.int64))
+    parts = {
+        "chin": Part("cranium", whole),
+        "left ear": Part("muscle", whole.moved(whole.vertices + np.array([20, 0, 0]))),
+        "right ear": Part("muscle", whole.moved(whole.vertices - [60, 0, 0])),
+    }
+    found = bodyparts3d.symmetric(parts)
+    chin = found["chin"].surface
+    middle = bodyparts3d.MIDDLE_X
+    assert chin.vertices[:, 0].max() == 7.0
+    assert chin.vertices[:, 0].min() == 2 * middle - 7.0
+    assert enclosed_volume(chin) == pytest.approx(2 * (7.0 - middle) * 16)
+    left, right = (found[f"{side} ear"].surface.vertices for side in ("left", "right"))
+    np.testing.assert_allclose(right, bodyparts3d.reflected(left))
