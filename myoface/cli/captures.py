@@ -20,6 +20,7 @@ from myoface.cli.app import (
 )
 from myoface.cli.console import (
     JobView,
+    complain,
     err,
     out,
     show_registration,
@@ -110,16 +111,29 @@ def register(
     forward: Forward = "auto",
     url: Url = DEFAULT_URL,
 ) -> None:
-    """Register raw scans, the neutral first; by default those that are not registered yet."""
+    """Register raw scans, the neutral first; by default those that are not registered yet.
+
+    An expression that fails does not keep the others back; the command then ends with 1.
+    """
     options = frame_options(unit, up, forward)
+    failed = False
     with Client(url) as client:
         raw = [each for each in client.captures(subject) if not each.registered]
         chosen = choose(raw, names) if names else [each for each in raw if not each.registration]
         if not chosen:
             out.print("no raw scan waits to be registered")
         for capture in sorted(chosen, key=lambda each: each.role != "neutral"):
-            job = _solve(client, "register_scan", subject, capture, options, output)
-            show_registration(capture.name, _result(job).summary or {})
+            try:
+                job = _solve(client, "register_scan", subject, capture, options, output)
+            except ApiError as error:
+                if capture.role == "neutral" or error.code == UNREACHABLE:
+                    raise
+                complain(str(error))
+                failed = True
+            else:
+                show_registration(capture.name, _result(job).summary or {})
+    if failed:
+        raise typer.Exit(1)
 
 
 @captures.command()

@@ -16,8 +16,8 @@ from service.subjects import repository as subjects
 from service.subjects.service import refuse_while_busy
 from service.uploads import repository as uploads
 
-FORMATS = (".obj", ".ply", ".glb", ".stl")
-RAW_FORMATS = (*FORMATS, ".xyz")
+FORMATS = (".obj", ".ply", ".stl", ".glb")
+RAW_FORMATS = (*FORMATS, ".xyz", ".pts", ".asc", ".csv", ".txt", ".xyzn", ".xyzrgb")
 LANDMARK_FORMATS = (".json", ".ljson", ".csv")
 
 

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from service.captures import service as captures
 from service.kinds import KINDS
 from service.store.queue import QUEUES
 from solver import pipeline
 from solver.errors import InputError
 from solver.mechanics.linear import SOLVERS
+from solver.scans import raw, read
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -18,12 +20,17 @@ def test_options_are_those_of_the_pipeline(kind: str, tmp_path: Path) -> None:
     if not hasattr(pipeline, kind):
         pytest.skip(f"the solver does not know {kind} yet")
     files = (2 if kind == "fit_activations" else 1) * [tmp_path / "x"]
-    captures = [{"smile": tmp_path / "smile.obj"}] if kind.startswith("fit_") else []
+    scans = [{"smile": tmp_path / "smile.obj"}] if kind.startswith("fit_") else []
     with pytest.raises(InputError) as caught:
-        getattr(pipeline, kind)(*files, *captures, tmp_path, options={"no such option": 1})
+        getattr(pipeline, kind)(*files, *scans, tmp_path, options={"no such option": 1})
     assert caught.value.code == "options.unknown"
     assert caught.value.context["expected"] == sorted(KINDS[kind].options["properties"])
     assert KINDS[kind].queue in QUEUES
+
+
+def test_scans_may_be_what_the_solver_reads() -> None:
+    assert captures.FORMATS == read.FORMATS
+    assert tuple(raw.FORMATS) == captures.RAW_FORMATS
 
 
 def test_linear_solvers_are_those_of_the_solver() -> None:

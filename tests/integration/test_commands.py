@@ -54,11 +54,14 @@ def test_a_session_at_the_station(myoface: Command, url: str, tmp_path: Path) ->
     assert "scan again with the mouth in view" in bad.output
     myoface("captures", "delete", subject, "blink")
 
-    myoface("captures", "add", subject, scan(tmp_path, "smile"), "--raw")
-    registered = myoface("captures", "register", subject, "-o", tmp_path / "out").output
+    frown, smile = scan(tmp_path, "frown", "fault nan"), scan(tmp_path, "smile")
+    myoface("captures", "add", subject, smile, frown, "--raw")
+    registered = myoface("captures", "register", subject, "-o", tmp_path / "out", code=1).output
     assert registered.index("neutral: registered") < registered.index("smile: registered")
-    smile = (tmp_path / "out" / "smile" / "registered.ply").read_text()
-    assert smile == "registered # smileregistered # neutral"
+    mesh = (tmp_path / "out" / "smile" / "registered.ply").read_text()
+    assert mesh == "registered # smileregistered # neutral"
+    assert "frown.obj has a NaN in line 3" in registered
+    myoface("captures", "delete", subject, "frown")
     assert "no raw scan waits" in myoface("captures", "register", subject).output
 
     rows = myoface("captures", "list", subject).output.splitlines()[1:]

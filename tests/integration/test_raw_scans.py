@@ -194,7 +194,7 @@ def test_inputs_are_fixed_when_a_job_is_submitted(studio: Studio) -> None:
 def test_what_a_capture_may_be_made_of(studio: Studio) -> None:
     subject = studio.post("/v1/subjects", name="Alex")["id"]
     path = f"/v1/subjects/{subject}/captures"
-    cloud, marks = studio.upload("cloud.xyz", b"0 0 0"), studio.upload("marks.txt", b"0 0 0")
+    cloud, marks = studio.upload("cloud.xyz", b"0 0 0"), studio.upload("marks.doc", b"0 0 0")
     body = {"name": "smile", "role": "expression", "upload_id": cloud}
     cases = [
         (body, "capture.format"),
