@@ -162,7 +162,7 @@ def _scale_rounds(extent: float, unit: str, declared: float | None) -> list[list
 
 
 def _placement(pose: Pose, face: FacePoints, unit: str, declared: float | None) -> Placement:
-    factor, name = _unit(pose.scale, unit, declared)
+    factor, name = unit_of(pose.scale, unit, declared)
     size = factor / pose.scale
     centre = face.points.mean(axis=0)
     file_centre = (centre - pose.translation) @ pose.rotation / pose.scale
@@ -181,7 +181,7 @@ def _placement(pose: Pose, face: FacePoints, unit: str, declared: float | None) 
 PLAUSIBLE_SIZES = (0.77, 1.3)
 
 
-def _unit(scale: float, unit: str, declared: float | None) -> tuple[float, str | None]:
+def unit_of(scale: float, unit: str, declared: float | None) -> tuple[float, str | None]:
     """Return mm per unit and the unit's name for a fitted scale to the template.
 
     The given unit comes first, then the declared one, then the one that makes the likeliest size,
