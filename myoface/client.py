@@ -3,7 +3,7 @@
 with Client("http://127.0.0.1:8765") as client:
     subject = client.create_subject("Ada")
     client.add_capture(subject.id, Path("neutral.obj"), role="neutral")
-    job = client.wait(client.submit("build_model", subject.id).id)
+    job = client.run("build_model", subject.id)
 """
 
 from __future__ import annotations
@@ -190,6 +190,12 @@ class Client:
         body = {key: value for key, value in body.items() if value}
         url = f"/v1/jobs/{uuid.uuid4()}"
         return Job.model_validate(patiently(self.http, "PUT", url, json=body).json())
+
+    def run(
+        self, kind: Kind, subject_id: str, *, watch: Watcher = unwatched, **request: Any
+    ) -> Job:
+        """Submit a job and wait for it; see :meth:`submit` and :meth:`wait`."""
+        return self.wait(self.submit(kind, subject_id, **request).id, watch)
 
     def job(self, job_id: str) -> Job:
         """Return a job as it stands."""

@@ -249,9 +249,8 @@ def _solve(
     output: Path | None,
 ) -> Job:
     """Run a job about one capture; its files go to ``output/<capture>``."""
-    job = client.submit(kind, subject, captures=[capture.id], options=options)
     with JobView(f"{kind} {capture.name}") as view:
-        done = client.wait(job.id, view.watch)
+        done = client.run(kind, subject, captures=[capture.id], options=options, watch=view.watch)
     if output is not None:
         for artifact in _result(done).artifacts:
             client.download(artifact, output / capture.name / artifact.name)
