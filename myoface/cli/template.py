@@ -1,43 +1,149 @@
-"""Commands that make template anatomies."""
+"""Commands that make template anatomies, and say what is in one."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from myoface.cli.app import NewFile
-from myoface.cli.console import out
-from solver.anatomy.template import Template
+from myoface.cli.app import NewFile, NewFolder
+from myoface.cli.console import JobView, out, show_table
 
-template = typer.Typer(help="Make template anatomies.", no_args_is_help=True)
+if TYPE_CHECKING:
+    from solver.anatomy.template import Template
 
-Folder = Annotated[Path, typer.Option(exists=True, file_okay=False)]
+template = typer.Typer(help="Make and check template anatomies.", no_args_is_help=True)
+
+Given = Annotated[
+    Path | None,
+    typer.Argument(exists=True, help="NPZ, or a template folder or its ZIP; default: built-in"),
+]
+MARKS = {"error": "[bold red]error[/]", "warning": "[yellow]look at[/]"}
+
+
+# The solver is imported where it is used: compiled numerics take seconds to load.
 
 
 @template.command()
-def build(anatomy: Folder, faces: Folder, output: NewFile = Path("template.npz")) -> None:
-    """Build a template from a BodyParts3D and an ICT-FaceKit folder."""
-    from solver.anatomy.ict_template import build_ict_template
+def build(
+    anatomy: Annotated[
+        Path | None, typer.Option(exists=True, file_okay=False, help="BodyParts3D")
+    ] = None,
+    faces: Annotated[
+        Path | None, typer.Option(exists=True, file_okay=False, help="ICT-FaceKit")
+    ] = None,
+    folder: Annotated[
+        Path | None, typer.Option(exists=True, help="a template folder of your own, or its ZIP")
+    ] = None,
+    builtin: Annotated[bool, typer.Option("--builtin", help="the built-in face")] = False,
+    output: NewFile = Path("template.npz"),
+    edge_mm: Annotated[
+        float, typer.Option(min=3, max=30, help="edge length of the tetrahedra")
+    ] = 9.0,
+    mesh: Annotated[
+        bool, typer.Option(help="make the tetrahedra that every subject will share")
+    ] = True,
+) -> None:
+    """Build a template from --anatomy and --faces, from --folder, or the --builtin one."""
+    from solver.anatomy.meshing import with_mesh
 
-    with out.status("fitting skull and muscles into the head (about a minute)"):
-        made = build_ict_template(anatomy, faces)
-    _save(made, output)
-
-
-@template.command()
-def builtin(output: NewFile = Path("template.npz")) -> None:
-    """Write the built-in template."""
-    from solver.anatomy.builtin import builtin_template
-
-    _save(builtin_template(), output)
-
-
-def _save(made: Template, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    digest = made.save(path)
+    sources = [anatomy is not None and faces is not None, folder is not None, builtin]
+    if sum(sources) != 1 or (anatomy is None) != (faces is None):
+        raise typer.BadParameter("give --anatomy and --faces, or --folder, or --builtin")
+    made = _made(anatomy, faces, folder)
+    if mesh:
+        with JobView("template") as view:
+            made = with_mesh(made, edge_mm, view)
+    output.parent.mkdir(parents=True, exist_ok=True)
+    digest = made.save(output)
     out.print(
-        f"{path}: {made.name} {made.version}, {len(made.muscles)} muscles, sha256 {digest}",
+        f"{output}: {made.name} {made.version}, {len(made.muscles)} muscles, sha256 {digest}",
         markup=False,
     )
+
+
+@template.command()
+def check(
+    given: Given = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="report; - prints it")] = None,
+) -> None:
+    """Say what is wrong with a template; exit code 1 if it can not be used."""
+    from solver.anatomy.template_report import report_template
+
+    report = report_template(_load(given))
+    text = json.dumps(report.as_dict(), indent=2)
+    if str(json_file) == "-":
+        typer.echo(text)
+    else:
+        if json_file is not None:
+            json_file.write_text(text + "\n", encoding="utf-8")
+        for finding in report.findings:
+            out.print(f"{MARKS[finding.severity]} {finding.about}: {finding.message}")
+        worth = "can be used" if report.good else "can not be used"
+        name = f"{report.figures['name']} {report.figures['version']}"
+        out.print(f"{name}: {worth}, {len(report.findings)} findings", markup=False)
+    if not report.good:
+        raise typer.Exit(1)
+
+
+@template.command()
+def show(
+    given: Given = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", file_okay=False, help="folder for pictures")
+    ] = None,
+) -> None:
+    """Show what a template holds; with --output also draw it from three sides."""
+    from solver.anatomy.template_report import template_figures
+
+    loaded = _load(given)
+    show_table(("what", "how much"), list(_rows(template_figures(loaded))))
+    if output is not None:
+        from solver.rig.pictures import template_picture
+
+        output.mkdir(parents=True, exist_ok=True)
+        template_picture(loaded, output / "anatomy.png")
+        out.print(f"{output / 'anatomy.png'}", markup=False)
+
+
+@template.command()
+def export(given: Given = None, output: NewFolder = Path("template")) -> None:
+    """Write a template as a folder of meshes and tables, to change it or as an example."""
+    from solver.anatomy.template_export import write_template
+
+    write_template(_load(given), output)
+    out.print(f"{output}", markup=False)
+
+
+def _made(anatomy: Path | None, faces: Path | None, folder: Path | None) -> Template:
+    if anatomy is not None and faces is not None:
+        from solver.anatomy.ict_template import build_ict_template
+
+        with out.status("fitting skull and muscles into the head (about a minute)"):
+            return build_ict_template(anatomy, faces)
+    return _load(folder)
+
+
+def _load(given: Path | None) -> Template:
+    from solver.anatomy.builtin import builtin_template
+    from solver.anatomy.template import Template
+    from solver.anatomy.template_folder import read_template
+
+    if given is None:
+        return builtin_template()
+    return Template.load(given) if given.suffix == ".npz" else read_template(given)
+
+
+def _rows(figures: dict[str, Any]) -> list[tuple[str, object]]:
+    """Return figures as rows; those of a group follow its name, indented."""
+    rows: list[tuple[str, object]] = []
+    for name, value in figures.items():
+        words = name.replace("_", " ")
+        if isinstance(value, dict):
+            rows.append((words, None))
+            rows += [(f"  {each}", figure) for each, figure in value.items()]
+        else:
+            rows.append((words, value))
+    return rows

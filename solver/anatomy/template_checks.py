@@ -170,7 +170,7 @@ def check_mesh(template: Template) -> Iterator[Finding]:
     """Check the tetrahedra and what they hold of the muscles."""
     mesh = template.mesh
     if mesh is None:
-        yield warning("mesh.missing", "mesh", "no tetrahedra yet: each subject gets its own")
+        yield warning("mesh.missing", "mesh", "no tetrahedra yet: they are made with the first subject")
         return
     inverted = int(np.sum(volumes(mesh.vertices, mesh.tets) <= 0))
     if inverted:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from solver.anatomy.template import Template
 from solver.model import SubjectModel
 from solver.rig import colours
 from solver.rig.head import Head
@@ -22,7 +24,7 @@ THREE_QUARTER, SECTION, SIDE = np.radians(38.0), np.radians(62.0), np.radians(88
 
 def fit_picture(model: SubjectModel, fit: ExpressionFit, path: Path) -> None:
     """Draw scan, fit and error (mm, on ``model.face``) side by side, from two cameras."""
-    error = fit.error_mm[model.face]
+    error = fit.measured_error(model.face)
     head = Head(model.skin)
     scan, solved = head.lit(fit.target), head.lit(fit.skin)
     bodies = {
@@ -40,35 +42,60 @@ def fit_picture(model: SubjectModel, fit: ExpressionFit, path: Path) -> None:
     for column, (title, body) in enumerate(bodies.items()):
         left = column * cell[0]
         for row, yaw in enumerate((0.0, THREE_QUARTER)):
-            image = faded(render([body], _camera(model, yaw), *cell))
+            image = faded(render([body], _camera(model.skin.vertices, model.face, yaw), *cell))
             page.panel((left, HEADER + row * cell[1]), image)
         page.text((left + cell[0] // 2, HEADER), title, 20, anchor="ma")
     page.scale((WIDTH - cell[0] + 60, HEADER + 2 * cell[1] + 12), cell[0] - 130)
     page.save(path)
 
 
+@dataclass(frozen=True)
+class _Anatomy:
+    """What a picture of an anatomy shows; ``middle`` is the x of the plane between the sides."""
+
+    skin: Surface
+    face: Ints
+    bones: dict[str, Surface]
+    muscles: dict[str, Surface]
+    middle: float
+
+
 def anatomy_picture(model: SubjectModel, path: Path) -> None:
     """Draw bones and muscles inside the skin: half cut open, and through transparent skin."""
-    palette = colours.muscle_colours(model.muscle_names)
-    head = Head(model.skin)
-    lit = head.lit(model.skin.vertices)
-    inside = _inside(model, palette, head.body(lit, np.vstack([head.eyes, head.teeth])))
+    middle = float(model.jaw.origin[0])
+    anatomy = _Anatomy(model.skin, model.face, model.bones, model.muscles, middle)
+    detail = f"{model.muscle_count} muscles, {len(model.tets)} tets, {len(model.rest)} vertices"
+    _draw_anatomy(anatomy, path, "Anatomy", detail)
+
+
+def template_picture(template: Template, path: Path) -> None:
+    """Draw bones and muscles inside a template's skin, as :func:`anatomy_picture` does."""
+    anatomy = _Anatomy(
+        template.skin,
+        template.face_vertices,
+        {"cranium": template.cranium, "mandible": template.mandible},
+        {muscle.name: muscle.surface for muscle in template.muscles},
+        float(template.condyles[:, 0].mean()),
+    )
+    title = f"Template {template.name} {template.version}"
+    detail = f"{len(template.muscles)} muscles, {len(template.skin.vertices)} skin vertices"
+    _draw_anatomy(anatomy, path, title, detail)
+
+
+def _draw_anatomy(anatomy: _Anatomy, path: Path, title: str, detail: str) -> None:
+    palette = colours.muscle_colours(tuple(anatomy.muscles))
+    head = Head(anatomy.skin)
+    lit = head.lit(anatomy.skin.vertices)
+    inside = _inside(anatomy, palette, head.body(lit, np.vstack([head.eyes, head.teeth])))
     glass = head.body(lit, head.skin, opacity=0.1)
-    is_right = lit.surface.vertices[lit.surface.faces, 0].mean(axis=1) < model.jaw.origin[0]
+    is_right = lit.surface.vertices[lit.surface.faces, 0].mean(axis=1) < anatomy.middle
     right_half = head.body(lit, lit.surface.faces[is_right])
     views = [
         ("front, left half of the skin removed", 0.0, [inside, glass, right_half]),
         ("three quarters", THREE_QUARTER, [inside, glass]),
         ("left side", SIDE, [inside, glass]),
     ]
-    _views_with_legend(
-        path,
-        model,
-        views,
-        "Anatomy",
-        f"{model.muscle_count} muscles, {len(model.tets)} tets, {len(model.rest)} vertices",
-        palette,
-    )
+    _views_with_legend(path, anatomy.skin.vertices, anatomy.face, views, title, detail, palette)
 
 
 def tets_picture(model: SubjectModel, path: Path) -> None:
@@ -85,7 +112,8 @@ def tets_picture(model: SubjectModel, path: Path) -> None:
     shown = [(title, yaw, [_tet_body(model, keep, colour)]) for title, yaw, keep in views]
     _views_with_legend(
         path,
-        model,
+        model.skin.vertices,
+        model.face,
         shown,
         "Tetrahedra",
         f"{len(model.tets)} tets, {len(model.rest)} vertices; colour: muscle with the greatest "
@@ -96,7 +124,8 @@ def tets_picture(model: SubjectModel, path: Path) -> None:
 
 def _views_with_legend(
     path: Path,
-    model: SubjectModel,
+    skin: Floats,
+    face: Ints,
     views: list[tuple[str, float, list[Body]]],
     title: str,
     detail: str,
@@ -107,7 +136,7 @@ def _views_with_legend(
     page = Page(WIDTH, HEADER + cell[1] + 48 + rows * swatch_height() + MARGIN)
     page.heading(title, detail)
     for column, (name, yaw, bodies) in enumerate(views):
-        image = faded(render(bodies, _camera(model, yaw), *cell))
+        image = faded(render(bodies, _camera(skin, face, yaw), *cell))
         page.panel((column * cell[0], HEADER), image)
         place = (column * cell[0] + cell[0] // 2, HEADER + cell[1] + 6)
         page.text(place, name, 17, anchor="ma")
@@ -115,24 +144,23 @@ def _views_with_legend(
     page.save(path)
 
 
-def _camera(model: SubjectModel, yaw: float) -> Camera:
+def _camera(skin: Floats, face: Ints, yaw: float) -> Camera:
     """Return a camera that shows the face with the head around it."""
-    face = model.skin.vertices[model.face]
-    low, high = face.min(axis=0), face.max(axis=0)
+    low, high = skin[face].min(axis=0), skin[face].max(axis=0)
     height = high[1] - low[1]
     centre = (low + high) / 2 + np.array([0.0, 0.06 * height, 0.0])
-    head = model.skin.vertices[model.skin.vertices[:, 1] > low[1]]
+    head = skin[skin[:, 1] > low[1]]
     centre[2] = (head[:, 2].min() + head[:, 2].max()) / 2
     return Camera(centre, span=1.62 * height, yaw=yaw)
 
 
-def _inside(model: SubjectModel, palette: dict[str, Colour], organs: Body) -> Body:
+def _inside(anatomy: _Anatomy, palette: dict[str, Colour], organs: Body) -> Body:
     """Return bones, muscles, and the eyes and teeth of ``organs`` as one body."""
     used, numbers = np.unique(organs.drawn.faces, return_inverse=True)
     eyes_and_teeth = Surface(organs.drawn.vertices[used], numbers.reshape(-1, 3).astype(np.int64))
     pieces = [(eyes_and_teeth, organs.colour[used])]
-    pieces += [(bone, np.array([colours.BONE])) for bone in model.bones.values()]
-    for name, muscle in model.muscles.items():
+    pieces += [(bone, np.array([colours.BONE])) for bone in anatomy.bones.values()]
+    for name, muscle in anatomy.muscles.items():
         pieces.append((muscle, colours.linear(np.array([palette[colours.both_sides(name)]]))))
     counts = [len(piece.vertices) for piece, _ in pieces]
     starts = np.cumsum(counts) - counts
