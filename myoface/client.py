@@ -202,7 +202,7 @@ class Client:
         return self._get(f"/v1/jobs/{job_id}", Job)
 
     def jobs(self, **filters: str | None) -> list[Job]:
-        """Return jobs, newest first, filtered by ``subject_id``, ``state`` or ``kind``."""
+        """Return jobs, newest first, filtered by subject_id, capture_id, state or kind."""
         return self._list("/v1/jobs", Job, **filters)
 
     def log(self, job_id: str, *, after: int = 0) -> Iterator[LogLine]:

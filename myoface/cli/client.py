@@ -11,10 +11,10 @@ import typer
 
 from myoface.cli.app import NewFolder, SubjectId, Url
 from myoface.cli.captures import choose, show_captures
-from myoface.cli.console import JobView, out, show_table, transfer_bar
+from myoface.cli.console import JobView, out, show_table, show_verdict, transfer_bar
 from myoface.client import DEFAULT_URL, Client
 from myoface.errors import describe
-from myoface.resources import Artifact, Job, Kind
+from myoface.resources import Artifact, Job, Kind, Result
 
 subjects = typer.Typer(help="People.", no_args_is_help=True)
 templates = typer.Typer(help="Template anatomies of a service.", no_args_is_help=True)
@@ -154,8 +154,11 @@ def _follow(client: Client, job: Job) -> None:
         ended = client.wait(job.id, view.watch)
     attempts = "" if ended.attempt == 1 else f" at attempt {ended.attempt}"
     out.print(f"{ended.kind} succeeded{attempts}")
-    if ended.result is not None and ended.result.rig_id:
-        out.print(f"rig {ended.result.rig_id}")
+    result = ended.result or Result()
+    if ended.kind == "check_scan":
+        show_verdict("scan", result.summary or {})
+    if result.rig_id:
+        out.print(f"rig {result.rig_id}")
 
 
 @jobs.command("log")

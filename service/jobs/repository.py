@@ -33,13 +33,19 @@ def newest(
     session: Session,
     *,
     subject_id: str | None,
+    capture_id: str | None,
     state: State | None,
     kind: str | None,
     limit: int,
     cursor: str | None,
 ) -> Slice[Job]:
     """Return jobs, newest first."""
-    wanted = {Job.subject_id: subject_id, Job.state: state, Job.kind: kind}
+    wanted = {
+        Job.subject_id: subject_id,
+        Job.capture_id: capture_id,
+        Job.state: state,
+        Job.kind: kind,
+    }
     conditions = [column == value for column, value in wanted.items() if value is not None]
     query = select(Job).where(*conditions).options(*PARTS)
     return paging.newest(session, query, limit, cursor)

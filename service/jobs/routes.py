@@ -56,6 +56,7 @@ def put(
 def index(
     session: ReadSession,
     subject_id: Annotated[Id | None, Query()] = None,
+    capture_id: Annotated[Id | None, Query(description="checks and registrations of it")] = None,
     state: State | None = None,
     kind: Name | None = None,
     limit: Limit = 100,
@@ -63,7 +64,13 @@ def index(
 ) -> Page[JobView]:
     """List jobs, newest first."""
     jobs = repository.newest(
-        session, subject_id=subject_id, state=state, kind=kind, limit=limit, cursor=cursor
+        session,
+        subject_id=subject_id,
+        capture_id=capture_id,
+        state=state,
+        kind=kind,
+        limit=limit,
+        cursor=cursor,
     )
     views = [JobView.of(job, repository.queue_position(session, job)) for job in jobs.items]
     return Page(items=views, next=jobs.next)

@@ -82,6 +82,8 @@ def test_a_bad_scan_is_a_verdict_and_no_failure(working: Studio) -> None:
     assert finding["message"] == "smile of Alex.obj has no mouth"
     shown = working.get(f"/v1/subjects/{subject}/captures")["items"]
     assert [each["check"]["verdict"] for each in shown] == ["bad"]
+    about = working.get(f"/v1/jobs?capture_id={capture}")["items"]
+    assert [each["id"] for each in about] == [check["id"]]
 
 
 def test_a_long_job_keeps_no_verdict_waiting(working: Studio) -> None:

@@ -103,10 +103,19 @@ def test_a_lost_attempt_is_fenced_off(url: str, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_whole_service_runs_on_it(url: str, tmp_path: Path) -> None:
     with running(tmp_path, database_url=url) as (_, studio):
-        subject = studio.modelled()
-        capture = studio.capture(subject, "smile")
-        job = studio.finished(studio.submit("fit_geometry", subject, captures=[capture]))
-        assert job["state"] == "succeeded", job
+        subject = studio.post("/v1/subjects", name="Alex")["id"]
+        neutral, smile = studio.raw(subject, "neutral", "neutral"), studio.raw(subject, "smile")
+        for capture in (neutral, smile):
+            studio.done("check_scan", subject, captures=[capture])
+            studio.done("register_scan", subject, captures=[capture])
+        studio.done("build_model", subject)
+        studio.done("fit_geometry", subject, captures=[smile])
+        first = studio.get(f"/v1/jobs?subject_id={subject}&limit=4")
+        rest = studio.get(f"/v1/jobs?subject_id={subject}&limit=4&cursor={first['next']}")
+        assert [len(first["items"]), len(rest["items"]), rest["next"]] == [4, 2, None]
+        shown = studio.get(f"/v1/subjects/{subject}/captures")["items"]
+        assert [each["check"]["verdict"] for each in shown] == ["good", "good"]
+        assert studio.http.delete(f"/v1/subjects/{subject}/captures/{smile}").status_code == 204
         assert studio.http.delete(f"/v1/subjects/{subject}").status_code == 204
         assert studio.get(f"/v1/jobs?subject_id={subject}")["items"] == []
 
