@@ -155,8 +155,8 @@ def _follow(client: Client, job: Job) -> None:
     attempts = "" if ended.attempt == 1 else f" at attempt {ended.attempt}"
     out.print(f"{ended.kind} succeeded{attempts}")
     result = ended.result or Result()
-    if ended.kind == "check_scan":
-        show_verdict("scan", result.summary or {})
+    if ended.kind == "check_scan" and result.summary:
+        show_verdict("scan", result.summary)
     if result.rig_id:
         out.print(f"rig {result.rig_id}")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, Self
@@ -53,18 +53,23 @@ def show_verdict(title: str, check: Mapping[str, Any]) -> None:
     """Show the verdict of a check of a scan, and each finding with its advice."""
     style, words = VERDICTS[check["verdict"]]
     out.print(f"{escape(title)}: [{style}]{words}[/]")
-    for finding in check["findings"]:
+    _show_findings(check["findings"])
+
+
+def show_registration(title: str, registration: Mapping[str, Any]) -> None:
+    """Show how near a registered face is to its scan, and each finding with its advice."""
+    words = f"registered, {registration['coverage']:.0%} of the face seen"
+    if registration["mean_mm"] is not None:
+        words += f", {registration['mean_mm']:.2f} mm off the scan on average"
+    out.print(f"{title}: {words}", markup=False)
+    _show_findings(registration["findings"])
+
+
+def _show_findings(findings: Iterable[Mapping[str, str]]) -> None:
+    for finding in findings:
         out.print(f"  - {finding['message']}", markup=False)
         if finding.get("advice"):
             out.print(f"    {finding['advice']}", markup=False)
-
-
-def show_registration(title: str, figures: Mapping[str, Any]) -> None:
-    """Show that a scan is registered, and how near."""
-    out.print(f"{title}: registered", markup=False)
-    rows = [(key, value) for key, value in figures.items() if isinstance(value, (int, float))]
-    for key, value in rows:
-        out.print(f"  {key.replace('_', ' ')}: {value:g}", markup=False)
 
 
 @contextmanager

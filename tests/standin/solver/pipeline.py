@@ -39,7 +39,8 @@ def register_scan(
     _work([scan], progress)
     beside = neutral.read_bytes() if neutral else b""
     (out / "registered.ply").write_bytes(b"registered " + scan.read_bytes() + beside)
-    figures = {"mean_mm": 0.3, "neutral": neutral and neutral.name}
+    figures = {"mean_mm": 0.3, "coverage": 0.8, "findings": []}
+    figures["neutral"] = neutral and neutral.name
     (out / "registration.json").write_text(json.dumps(figures))
     (out / "distance.png").write_bytes(b"PNG")
 
