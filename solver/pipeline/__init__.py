@@ -6,5 +6,6 @@ process of its own, the offline command line directly.
 
 from solver.pipeline.fits import fit_activations, fit_geometry
 from solver.pipeline.models import build_model
+from solver.pipeline.registration import register_scan
 
-__all__ = ["build_model", "fit_activations", "fit_geometry"]
+__all__ = ["build_model", "fit_activations", "fit_geometry", "register_scan"]

@@ -21,7 +21,7 @@ from solver.progress import Progress, Step, silent
 from solver.rig.export import write_rig
 from solver.rig.result import ExpressionFit, Rig, load_activations, load_weights
 from solver.scans.read import read_registered
-from solver.surface import Floats
+from solver.scans.registered import RegisteredScan
 
 NEW_EXPRESSION = {"w_a": 2e-3, "w_v": 1e-2, "w_b": 1e-6}
 """Weights for an expression that S was not fitted to: w_a low from the start."""
@@ -123,14 +123,14 @@ def fit_activations(
 
 def _read(
     model: Path, captures: Mapping[str, Path], progress: Progress
-) -> tuple[SubjectModel, dict[str, Floats]]:
+) -> tuple[SubjectModel, dict[str, RegisteredScan]]:
     """Read the model and the registered scans; all are checked before any work begins."""
     if not captures:
         raise InputError("fit.no_captures", "a fit needs at least one expression scan")
     progress(Step("read", 0.0, message=f"{len(captures)} scans"))
     subject = SubjectModel.load(model)
     skin = subject.skin
-    scans: dict[str, Floats] = {}
+    scans: dict[str, RegisteredScan] = {}
     faults: list[InputError] = []
     for name, path in captures.items():
         try:
@@ -143,15 +143,15 @@ def _read(
     return subject, scans
 
 
-def _target(model: SubjectModel, scan: Floats) -> Target:
-    return Target.from_points(scan[model.face])
+def _target(model: SubjectModel, scan: RegisteredScan) -> Target:
+    return Target.from_points(scan.vertices[model.face], scan.confidence[model.face])
 
 
 def _expression(
     face: Face,
     name: str,
     role: str,
-    scan: Floats,
+    scan: RegisteredScan,
     target: Target,
     state: State,
     *,
@@ -160,7 +160,7 @@ def _expression(
 ) -> ExpressionFit:
     points = face.face_points(state.x)
     residual = target.residual(points)
-    error = np.full(len(scan), np.nan)
+    error = np.full(len(scan.vertices), np.nan)
     error[face.model.face] = target.distances(points)
     return ExpressionFit(
         name=name,
@@ -168,7 +168,7 @@ def _expression(
         activations=state.pose.a,
         jaw=state.pose.b,
         skin=face.whole_skin(state.x, state.pose.b),
-        target=scan,
+        target=scan.vertices,
         error_mm=error,
         inverted=face.flesh.inverted(state.x),
         iterations=iterations,

@@ -35,7 +35,7 @@ def build_model(
     out.mkdir(parents=True, exist_ok=True)
     progress(Step("read", 0.0, message=neutral.name))
     anatomy = builtin_template() if template is None else Template.load(template)
-    vertices = read_registered(neutral, anatomy.skin.faces, len(anatomy.skin.vertices))
+    vertices = read_registered(neutral, anatomy.skin.faces, len(anatomy.skin.vertices)).vertices
     anatomy = meshed(anatomy, given["edge_mm"], lambda step: progress(within(step, 0.02, 0.7)))
     model = build_subject_model(
         anatomy,

@@ -15,8 +15,8 @@ from solver.surface import Ints
 def report(rig: Rig) -> dict[str, Any]:
     """Return the figures of a rig as plain JSON values; distances in mm, times in seconds.
 
-    Means are over ``model.face``, and ``train_mean_mm`` and ``test_mean_mm`` are the means of the
-    expressions' means (None without any). ``inverted`` is the sum over the expressions.
+    Means are over the part of ``model.face`` that the scan shows (``coverage``), ``train_mean_mm``
+    and ``test_mean_mm`` are the means of the expressions' means (None without any). ``inverted`` is the sum over the expressions.
     """
     model = rig.model
     return {
@@ -39,9 +39,10 @@ def write_report(path: Path, rig: Rig) -> None:
 
 
 def _expression(fit: ExpressionFit, face: Ints, regions: dict[str, Ints]) -> dict[str, Any]:
-    error = fit.error_mm[face]
+    error = fit.measured_error(face)
     return {
         "role": fit.role,
+        "coverage": round(len(error) / len(face), 4),
         "mean_mm": _mm(error.mean()),
         "p95_mm": _mm(np.percentile(error, 95)),
         "max_mm": _mm(error.max()),
@@ -50,15 +51,17 @@ def _expression(fit: ExpressionFit, face: Ints, regions: dict[str, Ints]) -> dic
         "seconds": round(fit.seconds, 3),
         "jaw": [round(float(value), 6) for value in fit.jaw],
         "regions": {
-            name: _mm(fit.error_mm[seen].mean())
+            name: _mm(seen.mean())
             for name, ids in regions.items()
-            if len(seen := np.intersect1d(ids, face))
+            if len(seen := fit.measured_error(np.intersect1d(ids, face)))
         },
     }
 
 
 def _role_mean(rig: Rig, role: str) -> float | None:
-    means = [fit.error_mm[rig.model.face].mean() for fit in rig.expressions if fit.role == role]
+    means = [
+        fit.measured_error(rig.model.face).mean() for fit in rig.expressions if fit.role == role
+    ]
     return _mm(np.mean(means)) if means else None
 
 

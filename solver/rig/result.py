@@ -17,7 +17,7 @@ import scipy.sparse as sp
 
 from solver.errors import InputError
 from solver.model import SubjectModel
-from solver.surface import Floats
+from solver.surface import Floats, Ints
 
 FORMAT = 1
 
@@ -36,7 +36,8 @@ class ExpressionFit:
     skin, target
         (v, 3) the whole scan topology in mm: as solved and as scanned.
     error_mm
-        (v,) distance between them on the face's vertices, NaN elsewhere.
+        (v,) distance between them on the face's vertices, NaN elsewhere and where the scan has
+        no confidence.
     inverted
         Number of tets with det F <= 0.
     iterations, seconds
@@ -56,6 +57,11 @@ class ExpressionFit:
     iterations: int
     seconds: float
     objective: float
+
+    def measured_error(self, vertices: Ints) -> Floats:
+        """Return the errors (k,) in mm of those ``vertices`` that the scan shows."""
+        error = self.error_mm[vertices]
+        return error[np.isfinite(error)]
 
 
 @dataclass(frozen=True)

@@ -47,8 +47,11 @@ class Element:
         return np.dtype([(name, byte_order + code) for name, code in self.properties])
 
 
-def read_ply(file: str, content: bytes) -> Floats:
-    """Return the vertices (n, 3) of PLY ``content``; ``file`` names it in errors."""
+def read_ply(file: str, content: bytes, also: str | None = None) -> Floats:
+    """Return the vertices (n, 3) of PLY ``content``; ``file`` names it in errors.
+
+    Where the vertices have the property ``also``, it is the fourth column.
+    """
     form, elements, body, body_line = read_header(file, content)
     vertices = elements[0] if elements else Element("", 0)
     if vertices.name != "vertex" or vertices.has_list:
@@ -58,8 +61,9 @@ def read_ply(file: str, content: bytes) -> Floats:
     names = [name for name, _ in vertices.properties]
     if not {"x", "y", "z"} <= set(names):
         raise unreadable(file, "the vertices have no x, y and z")
+    wanted = [*"xyz", also] if also in names else [*"xyz"]
     if form == "ascii":
-        columns = [names.index(axis) for axis in "xyz"]
+        columns = [names.index(name) for name in wanted]
         return _ascii_vertices(file, content[body:], elements, columns, body_line)
     order = BYTE_ORDERS[form]
     expected = sum(element.count * element.row_type(order).itemsize for element in elements)
@@ -71,7 +75,7 @@ def read_ply(file: str, content: bytes) -> Floats:
             found=len(content) - body,
         )
     rows = np.frombuffer(content, vertices.row_type(order), count=vertices.count, offset=body)
-    return np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float64)
+    return np.stack([rows[name] for name in wanted], axis=1).astype(np.float64)
 
 
 def read_header(file: str, content: bytes) -> tuple[str, list[Element], int, int]:
@@ -133,7 +137,7 @@ def _ascii_vertices(
             expected=expected,
             found=len(rows),
         )
-    vertices = np.empty((elements[0].count, 3))
+    vertices = np.empty((elements[0].count, len(columns)))
     width = len(elements[0].properties)
     for vertex in range(len(vertices)):
         words = rows[vertex].split()

@@ -143,7 +143,7 @@ def test_glb_holds_the_expressions_and_reads_back(rig: Rig, tmp_path: Path) -> N
     assert validate_glb(path, NAMES) == []
     skin = rig.model.skin
     np.testing.assert_allclose(
-        read_registered(path, skin.faces, len(skin.vertices)), skin.vertices, atol=1e-4
+        read_registered(path, skin.faces, len(skin.vertices)).vertices, skin.vertices, atol=1e-4
     )
     document = pygltflib.GLTF2().load(str(path))
     mesh = document.meshes[0]

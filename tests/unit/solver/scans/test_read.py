@@ -55,7 +55,7 @@ FORMS = [(suffix, False) for suffix in FORMATS] + [(".ply", True), (".stl", True
 @pytest.mark.parametrize(("suffix", "ascii_form"), FORMS)
 def test_vertices_come_back_in_order(suffix: str, ascii_form: bool, tmp_path: Path) -> None:
     path = write(tmp_path / f"head{suffix}", HEAD, ascii_form=ascii_form)
-    vertices = read_registered(path, HEAD.faces, COUNT, neutral=HEAD.vertices)
+    vertices = read_registered(path, HEAD.faces, COUNT, neutral=HEAD.vertices).vertices
     assert vertices.dtype == np.float64
     np.testing.assert_allclose(vertices, HEAD.vertices, atol=1e-4)
 
@@ -63,14 +63,16 @@ def test_vertices_come_back_in_order(suffix: str, ascii_form: bool, tmp_path: Pa
 def test_blank_lines_after_an_ascii_stl_are_no_cut(tmp_path: Path) -> None:
     path = write(tmp_path / "head.stl", HEAD, ascii_form=True)
     path.write_bytes(path.read_bytes() + b"\n\n")
-    assert len(read_registered(path, HEAD.faces, COUNT)) == COUNT
+    assert len(read_registered(path, HEAD.faces, COUNT).vertices) == COUNT
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_a_real_head_survives_every_format(suffix: str, tmp_path: Path) -> None:
     neutral, smile = ict_capture("neutral"), ict_capture("smile")
     path = write(tmp_path / f"smile{suffix}", smile)
-    vertices = read_registered(path, smile.faces, len(smile.vertices), neutral=neutral.vertices)
+    vertices = read_registered(
+        path, smile.faces, len(smile.vertices), neutral=neutral.vertices
+    ).vertices
     np.testing.assert_allclose(vertices, smile.vertices, atol=1e-4)
 
 
@@ -80,7 +82,7 @@ def test_obj_with_texture_colours_negative_numbers_and_comments(tmp_path: Path) 
     path = tmp_path / "head.obj"
     text = "\r\n".join(["# Gesicht \xfc", "mtllib a.mtl", "vt 0 0", *rows, "s off", *faces])
     path.write_bytes(text.encode("latin-1"))
-    np.testing.assert_array_equal(read_registered(path, HEAD.faces, COUNT), HEAD.vertices)
+    np.testing.assert_array_equal(read_registered(path, HEAD.faces, COUNT).vertices, HEAD.vertices)
 
 
 def test_glb_transform_of_the_node_is_applied(tmp_path: Path) -> None:
@@ -92,7 +94,9 @@ def test_glb_transform_of_the_node_is_applied(tmp_path: Path) -> None:
     path = tmp_path / "head.glb"
     scene.export(path)
     expected = HEAD.vertices @ turn[:3, :3].T + 1000 * turn[:3, 3]
-    np.testing.assert_allclose(read_registered(path, HEAD.faces, COUNT), expected, atol=1e-3)
+    np.testing.assert_allclose(
+        read_registered(path, HEAD.faces, COUNT).vertices, expected, atol=1e-3
+    )
 
 
 @pytest.mark.parametrize("value", ["nan", "inf", "-Infinity"])
@@ -211,7 +215,7 @@ def test_only_input_errors_leave_the_readers(
     path.write_bytes(content)
     small = trimesh.creation.icosphere(subdivisions=0)
     try:
-        vertices = read_registered(path, np.asarray(small.faces, np.int64), 12)
+        vertices = read_registered(path, np.asarray(small.faces, np.int64), 12).vertices
     except InputError as error:
         json.dumps(error.as_dict(), allow_nan=False)
     else:

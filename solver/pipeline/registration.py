@@ -1,0 +1,64 @@
+"""The job that brings a raw scan into a template's topology."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from solver.anatomy.builtin import builtin_template
+from solver.anatomy.template import Template
+from solver.pipeline.common import Options, take
+from solver.progress import Progress, Step, silent
+from solver.registration.picture import distance_picture
+from solver.registration.register import register
+from solver.registration.report import report
+from solver.registration.topology import topology
+from solver.scans.landmarks import match, read_landmarks
+from solver.scans.mend import mend
+from solver.scans.raw import read_raw
+from solver.scans.read import read_registered
+from solver.scans.registered import write_registered
+from solver.scans.units import FRAME
+
+
+def register_scan(
+    scan: Path,
+    out: Path,
+    *,
+    template: Path | None = None,
+    neutral: Path | None = None,
+    landmarks: Path | None = None,
+    options: Options = None,
+    progress: Progress = silent,
+) -> list[Path]:
+    """Register a raw scan: a neutral, or an expression if the person's ``neutral`` is given.
+
+    ``neutral`` is the person's registered neutral, ``landmarks`` an optional file of
+    :func:`solver.scans.landmarks.read_landmarks`, in the scan's own unit and axes. Options:
+    ``unit``, ``up`` and ``forward`` of the scan. Writes ``registered.ply`` (the template's
+    vertices in mm with the property ``confidence``), ``registration.json`` and ``distance.png``.
+    Raises :class:`solver.errors.InputError` for files that can not be used and for a scan without
+    a face (``scan.not_a_face``).
+    """
+    frame = take(options, FRAME)
+    out.mkdir(parents=True, exist_ok=True)
+    progress(Step("read", 0.0, message=scan.name))
+    anatomy = builtin_template() if template is None else Template.load(template)
+    skin = anatomy.skin
+    rest = None
+    if neutral is not None:
+        rest = read_registered(neutral, skin.faces, len(skin.vertices)).vertices
+    marks = None
+    if landmarks is not None:
+        marks = match(landmarks.name, read_landmarks(landmarks), anatomy)
+    raw, _ = mend(read_raw(scan))
+    known = topology(anatomy)
+    registered = register(raw, known, rest, frame=frame, landmarks=marks, progress=progress)
+    progress(Step("pictures", 0.85))
+    files = [out / name for name in ("registered.ply", "registration.json", "distance.png")]
+    write_registered(files[0], registered.skin, registered.trust.confidence)
+    figures = report(registered, known)
+    files[1].write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    distance_picture(registered, known, files[2])
+    progress(Step("done", 1.0))
+    return files

@@ -1,0 +1,183 @@
+"""Free-form registration: every skin vertex on its own, as smooth as the data allow.
+
+    min over d  sum_i w_i A_i |d_i - p_i|^2  +  l^4 |Laplacian d|^2  +  m l^2 |grad d|^2
+                + sum over touching (i, j) of k_ij |x_i + d_i - x_j - d_j - gap_ij|^2
+
+d are displacements (mm) from a start shape, p_i the way to the scan's tangent plane at the closest
+point, A_i the vertex's area and l the length (mm) below which detail is smoothed. From round to
+round l shrinks, as the stiffness does in Amberg, Romdhani & Vetter, "Optimal step nonrigid ICP
+algorithms for surface registration" (CVPR 2007). Bending is measured by the discrete biharmonic
+energy (Botsch & Kobbelt 2004); what the scan does not show follows from it. Lips that lie close in
+the start keep the gap they have in the template, as no scanner sees between them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from solver.mechanics.linear import Rslab
+from solver.registration.correspondence import pair
+from solver.registration.scan_surface import ScanSurface
+from solver.registration.similarity import Similarity
+from solver.registration.topology import Topology
+from solver.rig.normals import vertex_normals
+from solver.surface import Floats, Ints, Surface
+
+MEMBRANE = 0.02
+"""m: keeps what the scan does not show from swinging out."""
+COTANGENT = (0.05, 4.0)
+TOUCH_FADES_MM = 1.5
+"""Gap of the start at which lips no longer count as touching."""
+LIP_STRENGTH = 5.0
+"""k of a touching pair, by the weight of a vertex that the scan shows."""
+PINNED, PIN_MM2 = 0.8, 20.0
+"""Share of the rounds that landmarks guide, and the area of skin each speaks for."""
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round: smoothing ``length`` and ``reach`` of the closest points, in mm."""
+
+    length: float
+    reach: float
+
+
+def rounds(lengths: tuple[float, ...], reaches: tuple[float, ...]) -> tuple[Round, ...]:
+    """Return rounds with these lengths and reaches."""
+    return tuple(Round(*both) for both in zip(lengths, reaches, strict=True))
+
+
+REFINE = rounds((12, 10, 8, 6, 5, 4, 4, 3.5, 3.5, 3.5), (5, 5, 4, 4, 3, 3, 3, 2.5, 2.5, 2.5))
+"""From a start that a shape model has brought close."""
+FROM_AFAR = rounds(
+    (80,) * 5
+    + (50,) * 5
+    + (35,) * 5
+    + (25,) * 5
+    + (17,) * 4
+    + (12,) * 4
+    + (9, 9, 7, 7, 6, 6, 5, 5, 4, 4, 4),
+    (12,) * 5
+    + (12,) * 5
+    + (10,) * 5
+    + (8,) * 5
+    + (7,) * 4
+    + (6,) * 4
+    + (5, 5, 5, 4, 4, 4, 3, 3, 3, 3, 3),
+)
+"""From another person's shape."""
+
+
+class Skin:
+    """The deforming part of a template at ``start`` (n, 3), ready to be smoothed."""
+
+    def __init__(self, start: Floats, topology: Topology) -> None:
+        self.vertices, numbers = np.unique(topology.flesh, return_inverse=True)
+        self.faces: Ints = numbers.reshape(-1, 3).astype(np.int64)
+        self.start = start[self.vertices]
+        self.outer = np.searchsorted(self.vertices, topology.outer)
+        self._membrane, self.area = _laplacian(Surface(self.start, self.faces))
+        self._bending = self._membrane @ sp.diags_array(1 / self.area) @ self._membrane
+        self._touch, self._closing = self._lips(topology)
+        pattern = sp.csr_array(abs(self._bending) + abs(self._membrane) + abs(self._touch))
+        pattern.sort_indices()
+        self._pattern = pattern
+        self._diagonal = pattern.indices == np.repeat(
+            np.arange(len(self.area)), np.diff(pattern.indptr)
+        )
+        self._solver = Rslab(pattern)
+
+    def smooth(self, goals: Floats, weights: Floats, length: float) -> Floats:
+        """Return the displacements (k, 3) that meet ``goals`` (k, 3) as ``weights`` (k,) say."""
+        data = weights * self.area
+        stiffness = length**4 * self._bending + MEMBRANE * length**2 * self._membrane + self._touch
+        # adding 0 x pattern keeps the entries of all parts
+        matrix = sp.csr_array(stiffness + 0 * self._pattern)
+        matrix.sort_indices()
+        matrix.data[self._diagonal] += data + 1e-6 * self.area
+        factor = self._solver.factor(matrix.data)
+        return factor.solve(data[:, None] * goals + self._closing)
+
+    def _lips(self, topology: Topology) -> tuple[sp.csr_array, Floats]:
+        """Return the matrix of the touching pairs' springs, and the force that closes them."""
+        rest = topology.template.skin.vertices[self.vertices]
+        one, other = np.searchsorted(self.vertices, topology.touching).T
+        gap = self.start[one] - self.start[other]
+        strength = np.exp(-np.sum((gap / TOUCH_FADES_MM) ** 2, axis=1))
+        strength *= LIP_STRENGTH * np.minimum(self.area[one], self.area[other])
+        rows = np.tile(np.arange(len(one)), 2)
+        ends = (rows, np.concatenate([one, other]))
+        signs = np.repeat([1.0, -1.0], len(one))
+        difference = sp.csr_array((signs, ends), shape=(len(one), len(rest)))
+        weighted = difference.T @ sp.diags_array(strength)
+        return sp.csr_array(weighted @ difference), weighted @ (rest[one] - rest[other] - gap)
+
+
+def free_form(
+    scan: ScanSurface,
+    motion: Similarity,
+    start: Floats,
+    topology: Topology,
+    schedule: tuple[Round, ...],
+    pins: tuple[Ints, Floats] | None = None,
+) -> Floats:
+    """Return the vertices (n, 3) of ``start`` (n, 3) moved onto the scan.
+
+    Parameters
+    ----------
+    motion
+        Takes the scan into the frame of ``start``.
+    schedule
+        The rounds, coarse to fine.
+    pins
+        Vertices (j,) and where landmarks say they are (j, 3); they guide all but the last rounds.
+    """
+    skin = Skin(start, topology)
+    moved = np.zeros_like(skin.start)
+    for number, stage in enumerate(schedule):
+        current = skin.start + moved
+        normals = vertex_normals(Surface(current, skin.faces))[skin.outer]
+        pairs = pair(scan, motion, current[skin.outer], normals, stage.reach)
+        goals, weights = moved.copy(), np.zeros(len(moved))
+        goals[skin.outer] += pairs.offset[:, None] * pairs.normals
+        weights[skin.outer] = pairs.weights
+        if pins is not None and number < PINNED * len(schedule):
+            numbers = np.searchsorted(skin.vertices, pins[0])
+            goals[numbers] = pins[1] - skin.start[numbers]
+            weights[numbers] = PIN_MM2 / skin.area[numbers]
+        moved = skin.smooth(goals, weights, stage.length)
+    result = start.copy()
+    result[skin.vertices] += moved
+    return result
+
+
+def _laplacian(surface: Surface) -> tuple[sp.csr_array, Floats]:
+    """Return the cotangent Laplacian (positive) with bounded weights, and vertex areas (mm^2)."""
+    count = len(surface.vertices)
+    corners = surface.vertices[surface.faces]
+    rows, columns, values = [], [], []
+    for corner in range(3):
+        a, b, c = (corners[:, (corner + k) % 3] for k in range(3))
+        u, v = b - a, c - a
+        cross = np.linalg.norm(np.cross(u, v), axis=1)
+        cotangent = np.einsum("nd,nd->n", u, v) / (2 * cross + 1e-12)
+        rows.append(surface.faces[:, (corner + 1) % 3])
+        columns.append(surface.faces[:, (corner + 2) % 3])
+        values.append(cotangent)
+    half = sp.csr_array(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))),
+        shape=(count, count),
+    )
+    weights = sp.csr_array(half + half.T)
+    weights.data = np.clip(weights.data, *COTANGENT)
+    laplacian = sp.csr_array(sp.diags_array(weights.sum(axis=1)) - weights)
+    double = np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    area = np.zeros(count)
+    for corner in range(3):
+        np.add.at(area, surface.faces[:, corner], double / 6)
+    return laplacian, np.maximum(area, 0.02 * np.median(area))

@@ -1,0 +1,132 @@
+"""``registration.json``: how well a scan was registered, and what that means, in plain words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from solver.registration.register import Registration
+from solver.registration.topology import Topology
+from solver.surface import Ints
+
+GOOD_MEAN_MM, GOOD_P95_MM = 0.5, 1.5
+LITTLE_COVER, MUCH_COVER = 0.5, 0.9
+UNUSUAL_SHAPE = 2.0
+"""Times the expected length of the identity weights."""
+
+
+def report(registered: Registration, topology: Topology) -> dict[str, Any]:
+    """Return the figures and findings as plain JSON values; lengths in mm.
+
+    Distances are from registered vertices to the scan's surface, over the covered outer face;
+    ``coverage`` is the share of the outer face that the scan shows. ``motion`` takes a point p of
+    the file to scale * rotation p + translation.
+    """
+    start, trust, face = registered.start, registered.trust, topology.face
+    seen = face[trust.covered[face]]
+    distance = trust.distance_mm[seen]
+    figures = {
+        "mean_mm": _rounded(distance.mean()) if len(seen) else None,
+        "p95_mm": _rounded(np.percentile(distance, 95)) if len(seen) else None,
+        "max_mm": _rounded(distance.max()) if len(seen) else None,
+        "coverage": _rounded(len(seen) / len(face)),
+        "mean_confidence": _rounded(trust.confidence[face].mean()),
+        "folded": len(registered.folded),
+        "vertices": len(registered.skin.vertices),
+        "scan_vertices": len(start.scan.vertices),
+        "regions": _regions(registered, topology),
+    }
+    motion = registered.motion
+    return {
+        **figures,
+        "unit": start.unit,
+        "motion": {
+            "scale": start.mm_per_unit * motion.scale,
+            "rotation": np.round(motion.rotation, 9).tolist(),
+            "rotation_degrees": _rounded(motion.degrees),
+            "translation": np.round(motion.shift, 6).tolist(),
+        },
+        "shape_weights": np.round(registered.shape_weights, 4).tolist(),
+        "findings": findings(registered, topology, seen),
+    }
+
+
+def findings(registered: Registration, topology: Topology, seen: Ints) -> list[dict[str, str]]:
+    """Return what an operator should know, each with code, severity, message and advice."""
+    found = []
+
+    def note(code: str, severity: str, message: str, advice: str) -> None:
+        found.append({"code": code, "severity": severity, "message": message, "advice": advice})
+
+    coverage = len(seen) / len(topology.face)
+    distance = registered.trust.distance_mm[seen]
+    if coverage < MUCH_COVER:
+        note(
+            "registration.holes",
+            "warning" if coverage < LITTLE_COVER else "info",
+            f"The scan shows {coverage:.0%} of the face; the rest is filled in smoothly and does "
+            "not count in the fits.",
+            "Fill large holes by another take, if they lie where the face moves.",
+        )
+    if len(seen) and (distance.mean() > GOOD_MEAN_MM or np.percentile(distance, 95) > GOOD_P95_MM):
+        note(
+            "registration.far",
+            "warning",
+            f"The registered face lies {distance.mean():.2f} mm off the scan on average, 95 % of "
+            f"it within {np.percentile(distance, 95):.2f} mm.",
+            "Look at distance.png: hair, a beard, glasses or spikes show in dark red.",
+        )
+    if registered.start.unit is None:
+        note(
+            "registration.unit",
+            "warning",
+            "The scan's size fits no unit; it was given the size of the template or the neutral.",
+            "State the unit, so that the subject gets the true size.",
+        )
+    regions = _regions(registered, topology)
+    unseen = sorted(name for name, figures in regions.items() if figures["coverage"] < LITTLE_COVER)
+    if unseen:
+        note(
+            "registration.unseen_regions",
+            "info",
+            f"Mostly not in the scan: {', '.join(name.replace('_', ' ') for name in unseen)}.",
+            "Their shape is the likeliest one, not a measured one.",
+        )
+    shapes = topology.template.shapes
+    weights = registered.shape_weights
+    if shapes is not None and len(weights) == len(shapes.identity):
+        length = float(np.linalg.norm(weights) / np.sqrt(max(len(weights), 1)))
+        if length > UNUSUAL_SHAPE:
+            note(
+                "registration.unusual_shape",
+                "info",
+                "The face differs much from those the template knows.",
+                "Check distance.png; give landmarks if eyes or mouth are in the wrong place.",
+            )
+    if len(registered.folded):
+        note(
+            "registration.folded",
+            "warning",
+            f"{len(registered.folded)} triangles of the registered skin are turned over.",
+            "Check distance.png where the skin is creased.",
+        )
+    return found
+
+
+def _regions(registered: Registration, topology: Topology) -> dict[str, dict[str, Any]]:
+    trust = registered.trust
+    figures = {}
+    for name, vertices in topology.template.regions.items():
+        outer = np.intersect1d(vertices, topology.face)
+        if len(outer):
+            seen = outer[trust.covered[outer]]
+            figures[name] = {
+                "coverage": _rounded(len(seen) / len(outer)),
+                "mean_mm": _rounded(trust.distance_mm[seen].mean()) if len(seen) else None,
+            }
+    return figures
+
+
+def _rounded(value: float | np.floating) -> float:
+    return round(float(value), 4)

@@ -1,0 +1,227 @@
+"""A raw scan made ready for questions: which point is closest, and is that an edge of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import igl
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from solver.errors import InputError
+from solver.registration.neighbours import adjacency
+from solver.scans.raw import RawScan
+from solver.surface import Floats, Ints, Surface
+
+MAX_VERTICES = 120_000
+"""More than this is thinned: a 1.5 mm grid on a head, well below a template's edges."""
+LEAST_VERTICES = 100
+NORMAL_RADIUS_MM = 2.5
+"""Normals are averaged over about this radius, as noise turns those of small triangles."""
+SMALL_PIECE = 0.01
+"""Share of the area (or points) under which a separate piece counts as debris."""
+CLOUD_NEIGHBOURS = 12
+
+
+@dataclass(frozen=True)
+class Matches:
+    """The closest points of a scan.
+
+    ``points`` and unit ``normals`` (n, 3), ``distance`` (n,) in the scan's unit, and whether the
+    closest point lies ``at_edge`` of the scan, where there is no data beyond.
+    """
+
+    points: Floats
+    normals: Floats
+    distance: Floats
+    at_edge: NDArray[np.bool_]
+
+
+class ScanSurface(Protocol):
+    """A scan with outward unit ``normals`` (n, 3) at its ``vertices`` (n, 3)."""
+
+    vertices: Floats
+    normals: Floats
+    faces: Ints
+
+    def closest(self, points: Floats) -> Matches:
+        """Return the closest points of the scan to ``points`` (n, 3)."""
+
+
+def scan_surface(scan: RawScan, mm_per_unit: float) -> ScanSurface:
+    """Return a mended scan in mm ready for registration: thinned, no debris, normals outward.
+
+    Raises :class:`InputError` (``scan.empty``) if next to nothing is left.
+    """
+    vertices = mm_per_unit * scan.vertices
+    if len(scan.faces):
+        surface = _without_debris(_thinned(Surface(vertices, scan.faces)))
+        _check(len(surface.vertices), scan.file)
+        return MeshScan(_outward(surface))
+    points = _thinned_points(vertices)
+    _check(len(points), scan.file)
+    return CloudScan(points)
+
+
+class MeshScan:
+    """A triangle mesh; see :class:`ScanSurface`."""
+
+    def __init__(self, surface: Surface) -> None:
+        self.vertices, self.faces = surface.vertices, surface.faces
+        self.normals = _smooth_normals(surface)
+        self._edge_opposite, self._edge_vertex = _boundary(surface)
+        self._tree = igl.AABB()
+        self._tree.init(self.vertices, self.faces)
+
+    def closest(self, points: Floats) -> Matches:
+        """See :class:`ScanSurface`; the points lie on triangles."""
+        squared, face, near = self._tree.squared_distance(self.vertices, self.faces, points)
+        corners = self.faces[face]
+        weights = _barycentric(near, self.vertices[corners])
+        normals = np.einsum("nk,nkd->nd", weights, self.normals[corners])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12
+        on_edge = (self._edge_opposite[face] & (weights < 1e-4)).any(axis=1)
+        at_vertex = (self._edge_vertex[corners] & (weights > 1 - 1e-4)).any(axis=1)
+        return Matches(near, normals, np.sqrt(squared), on_edge | at_vertex)
+
+
+class CloudScan:
+    """Points without triangles; see :class:`ScanSurface`."""
+
+    def __init__(self, points: Floats) -> None:
+        self.vertices, self.faces = points, np.zeros((0, 3), np.int64)
+        self._tree = cKDTree(points)
+        distance, near = self._tree.query(points, CLOUD_NEIGHBOURS)
+        self._spacing = float(np.median(distance[:, -1]))
+        centred = points[near] - points[near].mean(axis=1, keepdims=True)
+        normals = np.linalg.svd(centred, full_matrices=False)[2][:, 2]
+        outward = points - np.median(points, axis=0)
+        normals *= np.sign(np.einsum("nd,nd->n", normals, outward) + 1e-12)[:, None]
+        for _ in range(8):
+            mean = normals[near].mean(axis=1)
+            normals *= np.sign(np.einsum("nd,nd->n", normals, mean) + 1e-12)[:, None]
+        mean = normals[near].mean(axis=1)
+        self.normals = mean / (np.linalg.norm(mean, axis=1, keepdims=True) + 1e-12)
+
+    def closest(self, points: Floats) -> Matches:
+        """See :class:`ScanSurface`; the points lie on planes through neighbours."""
+        distance, near = self._tree.query(points, CLOUD_NEIGHBOURS)
+        weights = 1 / (distance**2 + (0.3 * self._spacing) ** 2)
+        weights /= weights.sum(axis=1, keepdims=True)
+        centre = np.einsum("nk,nkd->nd", weights, self.vertices[near])
+        normals = np.einsum("nk,nkd->nd", weights, self.normals[near])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12
+        height = np.einsum("nd,nd->n", points - centre, normals)
+        foot = points - height[:, None] * normals
+        beside = np.linalg.norm(foot - centre, axis=1)
+        far = beside > 0.8 * self._spacing
+        foot[far] = centre[far]
+        return Matches(foot, normals, np.linalg.norm(points - foot, axis=1), far)
+
+
+def _check(count: int, file: str) -> None:
+    if count < LEAST_VERTICES:
+        raise InputError(
+            "scan.empty",
+            f"{file} holds only {count} usable points; a face needs thousands",
+            file=file,
+            found=count,
+        )
+
+
+def _thinned(surface: Surface) -> Surface:
+    """Cluster vertices on a grid, as fine as :data:`MAX_VERTICES` allows (Rossignac 1993)."""
+    if len(surface.vertices) <= MAX_VERTICES:
+        return surface
+    area = float(igl.doublearea(surface.vertices, surface.faces).sum()) / 2
+    cell = 1.2 * np.sqrt(area / MAX_VERTICES)
+    points, number = _clustered(surface.vertices, cell)
+    return _compact(points, number[surface.faces])
+
+
+def _thinned_points(points: Floats) -> Floats:
+    cell = float(np.ptp(points, axis=0).max()) / 400 if len(points) > MAX_VERTICES else 0.0
+    while len(points) > MAX_VERTICES:
+        points, cell = _clustered(points, cell)[0], 1.2 * cell
+    return points
+
+
+def _clustered(points: Floats, cell: float) -> tuple[Floats, Ints]:
+    """Return the means of the points in each cell, and the cell of every point."""
+    keys = np.floor((points - points.min(axis=0)) / cell).astype(np.int64)
+    _, number, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
+    number = number.reshape(-1)
+    sums = np.stack([np.bincount(number, points[:, axis]) for axis in range(3)], axis=1)
+    return sums / count[:, None], number
+
+
+def _compact(vertices: Floats, faces: Ints) -> Surface:
+    """Drop faces that use a vertex twice or lie on another face, and unused vertices."""
+    a, b, c = faces.T
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    used, numbers = np.unique(faces[np.sort(first)], return_inverse=True)
+    return Surface(vertices[used], numbers.reshape(-1, 3).astype(np.int64))
+
+
+def _without_debris(surface: Surface) -> Surface:
+    count = len(surface.vertices)
+    label = connected_components(adjacency(surface.faces, count), directed=False)[1]
+    area = np.nan_to_num(igl.doublearea(surface.vertices, surface.faces))
+    owner = label[surface.faces[:, 0]]
+    share = np.bincount(owner, area) / max(float(area.sum()), 1e-12)
+    return _compact(surface.vertices, surface.faces[share[owner] >= SMALL_PIECE])
+
+
+def _outward(surface: Surface) -> Surface:
+    """Return the scan, its faces wound the other way if most of them look inward."""
+    corners = surface.vertices[surface.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    away = corners.mean(axis=1) - np.median(surface.vertices, axis=0)
+    if float(np.sum(normal * away)) >= 0:
+        return surface
+    return Surface(surface.vertices, np.ascontiguousarray(surface.faces[:, ::-1]))
+
+
+def _smooth_normals(surface: Surface) -> Floats:
+    corners = surface.vertices[surface.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    count = len(surface.vertices)
+    sums = np.zeros((count, 3))
+    for corner in range(3):
+        np.add.at(sums, surface.faces[:, corner], normal)
+    edge = float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)))
+    steps = int(np.clip((NORMAL_RADIUS_MM / edge) ** 2, 0, 30))
+    mean = adjacency(surface.faces, count) + sp.eye_array(count, format="csr")
+    for _ in range(steps):
+        sums = mean @ sums
+        sums /= np.linalg.norm(sums, axis=1, keepdims=True) + 1e-12
+    return np.asarray(sums / (np.linalg.norm(sums, axis=1, keepdims=True) + 1e-12))
+
+
+def _boundary(surface: Surface) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return per face and corner whether the edge opposite has one face, and boundary vertices."""
+    edges = np.stack([surface.faces[:, [1, 2]], surface.faces[:, [2, 0]], surface.faces[:, [0, 1]]])
+    edges = np.sort(edges, axis=2).reshape(-1, 2)
+    keys = edges[:, 0] * len(surface.vertices) + edges[:, 1]
+    _, number, count = np.unique(keys, return_inverse=True, return_counts=True)
+    single = count[number.reshape(-1)] == 1
+    vertex = np.zeros(len(surface.vertices), dtype=bool)
+    vertex[edges[single]] = True
+    return single.reshape(3, -1).T, vertex
+
+
+def _barycentric(points: Floats, corners: Floats) -> Floats:
+    """Return the weights (n, 3) of points that lie in triangles ``corners`` (n, 3, 3)."""
+    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    w = points - corners[:, 0]
+    uu, uv, vv, wu, wv = (
+        np.einsum("nd,nd->n", *pair) for pair in ((u, u), (u, v), (v, v), (w, u), (w, v))
+    )
+    area = uu * vv - uv * uv + 1e-30
+    b, c = (vv * wu - uv * wv) / area, (uu * wv - uv * wu) / area
+    return np.asarray(np.clip(np.stack([1 - b - c, b, c], axis=1), 0.0, 1.0))

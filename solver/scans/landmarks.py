@@ -1,0 +1,230 @@
+"""Landmarks of a raw scan from a file: JSON, CSV or the 68 points of an ``ljson``.
+
+Landmarks carry a template's names (``sellion``, ``cheilion_l``; ``_l`` is the subject's left). The
+68 points of the iBUG scheme (Sagonas et al. 2013) and MediaPipe's face mesh are named by tables.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from solver.anatomy.template import Template
+from solver.anatomy.warp import similarity
+from solver.errors import InputError
+from solver.surface import Floats, Ints
+
+IBUG_68 = {
+    8: "menton",
+    17: "brow_lateral_r",
+    21: "brow_medial_r",
+    22: "brow_medial_l",
+    26: "brow_lateral_l",
+    27: "sellion",
+    30: "nose_tip",
+    31: "alar_curvature_r",
+    33: "subnasale",
+    35: "alar_curvature_l",
+    36: "exocanthion_r",
+    39: "endocanthion_r",
+    42: "endocanthion_l",
+    45: "exocanthion_l",
+    48: "cheilion_r",
+    51: "labrale_superius",
+    54: "cheilion_l",
+    57: "labrale_inferius",
+    62: "stomion_superius",
+    66: "stomion_inferius",
+}
+"""Point of the 68-point scheme, from 0 -> name."""
+MEDIAPIPE = {
+    1: "nose_tip",
+    2: "subnasale",
+    33: "exocanthion_r",
+    133: "endocanthion_r",
+    362: "endocanthion_l",
+    263: "exocanthion_l",
+    61: "cheilion_r",
+    291: "cheilion_l",
+    0: "labrale_superius",
+    17: "labrale_inferius",
+    13: "stomion_superius",
+    14: "stomion_inferius",
+    152: "menton",
+    168: "sellion",
+}
+"""Vertex of MediaPipe's face mesh -> name."""
+SYNONYMS = {"pronasale": "nose_tip", "nasion": "sellion"}
+"""Names of one place in different templates."""
+LABELS_68 = (  # in the scheme's order; the first brow and eye are the subject's right
+    (("jaw", "chin"), 17),
+    (("left_eyebrow", "leyebrow"), 5),
+    (("right_eyebrow", "reyebrow"), 5),
+    (("nose",), 9),
+    (("left_eye", "leye"), 6),
+    (("right_eye", "reye"), 6),
+    (("mouth",), 20),
+)
+MIRRORED_MM = 4.0
+LEAST_LANDMARKS = 4
+MISPLACED_MM = 20.0
+
+Points = dict[str, Floats]
+
+
+def read_landmarks(path: Path) -> Points:
+    """Return name -> point (3,), in the scan's own unit and axes.
+
+    JSON holds an object of name -> [x, y, z] (also under the key ``landmarks``), CSV the columns
+    name, x, y, z (a heading is skipped), ``ljson`` 68 points. Raises :class:`InputError`
+    (``landmarks.unreadable``, ``landmarks.format``) naming file and line or landmark.
+    """
+    suffix = path.suffix.lower()
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise _unreadable(path, str(error)) from error
+    if suffix == ".csv":
+        return _csv(path, text)
+    if suffix not in (".json", ".ljson"):
+        raise InputError(
+            "landmarks.format",
+            f"{path.name}: landmarks are a .json, .ljson or .csv file",
+            file=path.name,
+            expected=[".json", ".ljson", ".csv"],
+            found=suffix,
+        )
+    try:
+        content = json.loads(text)
+    except ValueError as error:
+        raise _unreadable(path, str(error)) from error
+    if isinstance(content, dict) and "groups" in content:
+        return _ljson(path, content)
+    if isinstance(content, dict) and isinstance(content.get("landmarks"), dict):
+        content = content["landmarks"]
+    if not isinstance(content, dict) or not content:
+        raise _unreadable(path, "an object of name -> [x, y, z] is expected")
+    return {str(name): _point(path, str(name), value) for name, value in content.items()}
+
+
+def landmark_vertices(template: Template) -> dict[str, int]:
+    """Return name -> skin vertex, those of the right side mirrored from the left where missing."""
+    found = dict(template.landmarks)
+    for name, other in SYNONYMS.items():
+        if name in found:
+            found.setdefault(other, found[name])
+    points = template.skin.vertices[template.face_vertices]
+    for name, vertex in list(found.items()):
+        twin = name[:-2] + "_r"
+        if name.endswith("_l") and twin not in found:
+            mirrored = template.skin.vertices[vertex] * np.array([-1.0, 1.0, 1.0])
+            distance = np.linalg.norm(points - mirrored, axis=1)
+            if distance.min() < MIRRORED_MM:
+                found[twin] = int(template.face_vertices[np.argmin(distance)])
+    return found
+
+
+def match(file: str, points: Points, template: Template) -> tuple[Floats, Ints]:
+    """Return the points (k, 3) that the template knows, and their vertices (k,).
+
+    Raises :class:`InputError`: ``landmarks.unknown`` if the template knows too few of the names,
+    ``landmarks.swapped`` if left and right are exchanged, ``landmarks.misplaced`` if they do not
+    lie as on a face, with the worst ``landmark``.
+    """
+    known = landmark_vertices(template)
+    named = {SYNONYMS.get(name, name): point for name, point in points.items()}
+    names = sorted(named.keys() & known.keys())
+    if len(names) < LEAST_LANDMARKS:
+        raise InputError(
+            "landmarks.unknown",
+            f"{file}: the template knows {len(names)} of these landmarks, at least "
+            f"{LEAST_LANDMARKS} are needed; it knows {', '.join(sorted(known))}",
+            file=file,
+            expected=sorted(known),
+            found=sorted(points),
+        )
+    rest = template.skin.vertices
+    given = np.array([named[name] for name in names])
+    vertices = np.array([known[name] for name in names])
+    swapped = np.array([known.get(_other_side(name), known[name]) for name in names])
+    error, swapped_error = _misfit(given, rest[vertices]), _misfit(given, rest[swapped])
+    if swapped_error.mean() < 0.6 * error.mean():
+        raise InputError(
+            "landmarks.swapped",
+            f"{file}: left and right are exchanged; _l means the subject's left",
+            file=file,
+        )
+    worst = int(np.argmax(error))
+    if error[worst] > MISPLACED_MM:
+        raise InputError(
+            "landmarks.misplaced",
+            f"{file}: {names[worst]} lies {error[worst]:.0f} mm from where a face has it",
+            file=file,
+            landmark=names[worst],
+            found=float(error[worst]),
+            expected=MISPLACED_MM,
+        )
+    return given, vertices
+
+
+def _misfit(points: Floats, rest: Floats) -> Floats:
+    scale, rotation, shift = similarity(points, rest)
+    return np.asarray(np.linalg.norm(scale * points @ rotation.T + shift - rest, axis=1))
+
+
+def _other_side(name: str) -> str:
+    sides = {"_l": "_r", "_r": "_l"}
+    return name[:-2] + sides.get(name[-2:], name[-2:])
+
+
+def _ljson(path: Path, content: Mapping[str, Any]) -> Points:
+    try:
+        group = next(iter(content["groups"].values())) if content["groups"] else content
+        rows = group["landmarks"]["points"]
+        masks = {label["label"].lower(): label["mask"] for label in group.get("labels", [])}
+    except (KeyError, TypeError, AttributeError, StopIteration) as error:
+        raise _unreadable(path, "not an ljson file with landmarks and points") from error
+    if len(rows) != 68:
+        raise _unreadable(path, f"{len(rows)} points; only the 68-point scheme is known")
+    order = list(range(68))
+    ordered = [masks.get(name) for names, _ in LABELS_68 for name in names if name in masks]
+    counts = [count for _, count in LABELS_68]
+    if [len(mask) for mask in ordered if mask] == counts:
+        order = [number for mask in ordered for number in mask or ()]
+    return {name: _point(path, name, rows[order[k]]) for k, name in IBUG_68.items()}
+
+
+def _csv(path: Path, text: str) -> Points:
+    points: Points = {}
+    for number, line in enumerate(text.splitlines(), start=1):
+        cells = [cell.strip() for cell in line.split(",")]
+        if not any(cells) or (number == 1 and cells[0].lower() in ("name", "landmark")):
+            continue
+        if len(cells) != 4:
+            raise _unreadable(path, "four columns are expected: name, x, y, z", line=number)
+        points[cells[0]] = _point(path, cells[0], cells[1:], line=number)
+    if not points:
+        raise _unreadable(path, "it holds no landmarks")
+    return points
+
+
+def _point(path: Path, name: str, value: Any, **where: Any) -> Floats:
+    try:
+        x, y, z = (float(number) for number in value)
+    except (TypeError, ValueError):
+        raise _unreadable(path, f"{name} is not three numbers", landmark=name, **where) from None
+    if not all(math.isfinite(number) for number in (x, y, z)):
+        raise _unreadable(path, f"{name} is not finite", landmark=name, **where)
+    return np.array([x, y, z])
+
+
+def _unreadable(path: Path, reason: str, **where: Any) -> InputError:
+    place = f", line {where['line']}" if "line" in where else ""
+    return InputError(
+        "landmarks.unreadable", f"{path.name}{place}: {reason}", file=path.name, **where
+    )
