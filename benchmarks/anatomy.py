@@ -24,14 +24,13 @@ from solver.anatomy.ict_facekit import FaceKit, read_facekit
 from solver.anatomy.ict_template import build_ict_template
 from solver.anatomy.meshing import EDGE_MM, with_mesh
 from solver.anatomy.template import Template
+from solver.anatomy.warp import similarity
 from solver.mechanics import jaw
 from solver.model import SubjectModel
 from solver.surface import Floats
 
 SMALL_MM3 = 600.0
 """Muscles below this volume are the small ones."""
-CORNERS = 0.15
-"""Part of the mouth's width at each corner where the lips are one."""
 
 
 def main() -> None:
@@ -89,7 +88,6 @@ def _subject(template: Template, kit: FaceKit, seed: int | None) -> dict[str, An
         for name, volume in figures["muscle_volume_enclosed_cm3"].items()
         if 1000.0 * volume < SMALL_MM3
     ]
-    mean, greatest = jaw_residual(model, kit, neutral.vertices)
     return {
         "inverted": figures["inverted"],
         "min_dihedral_deg": figures["smallest_dihedral_deg"],
@@ -97,9 +95,8 @@ def _subject(template: Template, kit: FaceKit, seed: int | None) -> dict[str, An
         "embed_mean_mm": figures["embedding_mean_mm"],
         "muscles": model.muscle_count,
         "bone_clearance_mm": figures["bone_clearance_mm"],
-        "lips_separate": lips_separate(model),
-        "jaw_teeth_residual_mm": mean,
-        "jaw_teeth_residual_max_mm": greatest,
+        "lips_separate": lips_separate(template),
+        **jaw_residuals(model, kit, neutral.vertices),
         "small_muscle_volume_kept": min(kept[name] for name in small),
         "small_muscles": len(small),
         "seconds": seconds,
@@ -112,35 +109,48 @@ def _subject(template: Template, kit: FaceKit, seed: int | None) -> dict[str, An
     }
 
 
-def jaw_residual(model: SubjectModel, kit: FaceKit, neutral: Floats) -> tuple[float, float]:
-    """Return root mean square and maximum in mm of what five degrees of freedom miss.
+def jaw_residuals(model: SubjectModel, kit: FaceKit, neutral: Floats) -> dict[str, float]:
+    """Return what the jaw's degrees of freedom miss of the lower teeth's motion in ``jawOpen``.
 
-    They are fitted to the motion of the lower teeth in the head's ``jawOpen``.
+    ``jawOpen`` is one displacement for all heads: on teeth of another size it stretches them,
+    which no bone does. ``jaw_teeth_residual_mm`` is therefore against the nearest rigid motion,
+    and ``jaw_stretch_mm`` is how far that is from ``jawOpen``; both root mean squares.
     """
     ids = slice(ict_facekit.LOWER_TEETH.start, ict_facekit.LOWER_TEETH.stop)
     teeth = neutral[ids]
     opened = teeth + kit.deltas["jawOpen"][ids]
+    _, rotation, _ = similarity(teeth, opened)
+    rigid = (teeth - teeth.mean(axis=0)) @ rotation.T + opened.mean(axis=0)
     fit = least_squares(
-        lambda b: (jaw.move(model.jaw, teeth, b) - opened).ravel(),
+        lambda b: (jaw.move(model.jaw, teeth, b) - rigid).ravel(),
         np.zeros(jaw.DEGREES_OF_FREEDOM),
         lambda b: jaw.jacobian(model.jaw, teeth, b).reshape(-1, jaw.DEGREES_OF_FREEDOM),
     )
-    missed = np.linalg.norm(jaw.move(model.jaw, teeth, fit.x) - opened, axis=1)
-    return float(np.sqrt(np.mean(missed**2))), float(missed.max())
+    missed = np.linalg.norm(jaw.move(model.jaw, teeth, fit.x) - rigid, axis=1)
+    stretch = np.linalg.norm(rigid - opened, axis=1)
+    return {
+        "jaw_teeth_residual_mm": float(np.sqrt(np.mean(missed**2))),
+        "jaw_teeth_residual_max_mm": float(missed.max()),
+        "jaw_stretch_mm": float(np.sqrt(np.mean(stretch**2))),
+    }
 
 
-def lips_separate(model: SubjectModel) -> bool:
-    """Return whether no tet joins skin of the upper lip to skin of the lower, corners left out."""
-    skin = model.skin.vertices
-    lips = {name: model.regions[name] for name in ("upper_lip", "lower_lip")}
-    across = skin[np.concatenate(list(lips.values())), 0]
-    margin = CORNERS * np.ptp(across)
-    touches = []
-    for ids in lips.values():
-        inner = ids[(skin[ids, 0] > across.min() + margin) & (skin[ids, 0] < across.max() - margin)]
-        rows = model.embedding[np.flatnonzero(np.isin(model.embedded, inner))]
-        touches.append(np.isin(model.tets, rows.indices[rows.data > 0]).any(axis=1))
-    return not bool((touches[0] & touches[1]).any())
+def lips_separate(template: Template) -> bool:
+    """Return whether no tet joins skin of one lip to skin of the other.
+
+    The lips are the skin that parting them moves up, or down, by at least half of the widest; the
+    tets and what skin lies on them are the same for everybody.
+    """
+    mesh = template.mesh
+    if mesh is None:
+        return False
+    upwards = template.parting[mesh.embedded, 1]
+    corners = mesh.tets[mesh.embedded_in]
+    surface = mesh.shares > 0
+    touched = []
+    for lip in (upwards > upwards.max() / 2, upwards < upwards.min() / 2):
+        touched.append(np.isin(mesh.tets, corners[lip][surface[lip]]).any(axis=1))
+    return not bool((touched[0] & touched[1]).any())
 
 
 if __name__ == "__main__":

@@ -8,7 +8,9 @@ import igl
 import numpy as np
 import structlog
 
-from solver.anatomy.domain import joined
+from solver.anatomy.domain import boundary, joined
+from solver.anatomy.embedding import barycentric
+from solver.anatomy.fibres import fibre_directions
 from solver.anatomy.jaw_frame import jaw_frame
 from solver.anatomy.meshing import EDGE_MM, make_mesh
 from solver.anatomy.muscle_weights import enclosed_volume, muscle_volumes
@@ -20,7 +22,7 @@ from solver.anatomy.transport import transport
 from solver.errors import InputError, SolveError
 from solver.model import SubjectModel
 from solver.progress import Progress, Step, silent
-from solver.surface import Floats
+from solver.surface import Floats, Surface
 
 log = structlog.get_logger(__name__)
 
@@ -74,6 +76,8 @@ def build_subject_model(
 def _assembled(
     template: Template, person: Template, mesh: TemplateMesh, made_by: str
 ) -> SubjectModel:
+    skin = person.skin.vertices
+    embedding = mesh.embedding(skin)
     return SubjectModel(
         rest=mesh.vertices,
         tets=mesh.tets,
@@ -85,8 +89,8 @@ def _assembled(
         weights=mesh.weights,
         skin=person.skin,
         embedded=mesh.embedded,
-        embedding=mesh.embedding,
-        offset=person.skin.vertices[mesh.embedded] - mesh.embedding @ mesh.vertices,
+        embedding=embedding,
+        offset=skin[mesh.embedded] - embedding @ mesh.vertices,
         attached_mandible=mesh.attached_mandible,
         face=person.face_vertices,
         jaw=jaw_frame(person.condyles),
@@ -95,6 +99,7 @@ def _assembled(
         regions=person.regions,
         template={"name": template.name, "version": template.version, "sha256": template.sha256},
         mesh_source=made_by,
+        fibres=fibre_directions(mesh.vertices, mesh.tets, mesh.weights, person.muscles),
     )
 
 
@@ -118,9 +123,15 @@ def _check(template: Template, neutral: Floats) -> None:
 
 
 def model_summary(model: SubjectModel) -> dict[str, Any]:
-    """Return figures to judge a model by: counts, angles, embedding error, volumes, clearance."""
+    """Return figures to judge a model by: counts, angles, embedding error, volumes, clearance.
+
+    ``embedding_*_mm`` is what the embedding leaves to an offset, ``surface_*_mm`` how far the face
+    skin lies from the outside of the tets, ``bone_clearance_mm`` how near a bone comes to it.
+    """
     misses = np.linalg.norm(model.offset, axis=1)
     on_face = np.isin(model.embedded, model.face)
+    surface = boundary(model.tets)
+    depth = barycentric(model.skin.vertices[model.face], Surface(model.rest, surface))[2]
     skin = model.skin.vertices
     face = np.ascontiguousarray(model.skin.faces[np.isin(model.skin.faces, model.face).all(axis=1)])
     bones = joined(list(model.bones.values())).vertices
@@ -157,5 +168,7 @@ def model_summary(model: SubjectModel) -> dict[str, Any]:
         "face_vertices": len(model.face),
         "embedding_mean_mm": float(misses[on_face].mean()),
         "embedding_max_mm": float(misses[on_face].max()),
+        "surface_mean_mm": float(depth.mean()),
+        "surface_max_mm": float(depth.max()),
         "bone_clearance_mm": float(clearance),
     }

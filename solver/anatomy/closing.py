@@ -20,8 +20,8 @@ def closed(head: Template, vertices: Floats, tets: Ints, outside: Ints, held: In
     """
     skin_side = np.setdiff1d(outside, held)
     skin = Surface(head.parted.vertices, head.skin.faces[head.flesh_faces])
-    corners, shares = barycentric(vertices[skin_side], skin)[:2]
-    displacement = np.einsum("nk,nkd->nd", shares, -head.parting[corners])
+    face, shares, _ = barycentric(vertices[skin_side], skin)
+    displacement = np.einsum("nk,nkd->nd", shares, -head.parting[skin.faces[face]])
     known = np.concatenate([skin_side, held])
     values = np.vstack([displacement, np.zeros((len(held), 3))])
     return vertices + harmonic_displacement(vertices, tets, known, values)

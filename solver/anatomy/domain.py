@@ -140,13 +140,14 @@ def _inside(surface: Surface, points: Floats) -> np.ndarray:
 class Flesh:
     """Kept tetrahedra in the parted pose.
 
-    ``outside`` (f, 3) are the faces towards the air, the skin and its linings; ``held`` label ->
-    vertex numbers on a bone or cut plane.
+    ``outside`` (f, 3) are the faces towards the air, the skin and its linings, ``outside_of`` (f,)
+    their tets; ``held`` label -> vertex numbers on a bone or cut plane.
     """
 
     vertices: Floats
     tets: Ints
     outside: Ints
+    outside_of: Ints
     held: dict[Label, Ints]
 
 
@@ -162,7 +163,7 @@ def choose_flesh(vertices: Floats, tets: Ints, labels: Ints) -> Flesh:
     for label in HOLDING:
         # By the faces of all flesh, kept or not: what lies on a bone is held by it.
         on[label] = np.zeros(len(vertices), dtype=bool)
-        on[label][sides[label]] = True
+        on[label][sides[label][0]] = True
     fixed = np.any(list(on.values()), axis=0)
     bridge = on[Label.CRANIUM][tets].any(axis=1) & on[Label.MANDIBLE][tets].any(axis=1)
     kept = np.flatnonzero(flesh & ~bridge & ~fixed[tets].all(axis=1))
@@ -170,16 +171,21 @@ def choose_flesh(vertices: Floats, tets: Ints, labels: Ints) -> Flesh:
     numbers, own = np.unique(tets[kept], return_inverse=True)
     renumber = np.full(len(vertices), -1)
     renumber[numbers] = np.arange(len(numbers))
+    outside, owner = _faces_towards(tets, labels, kept)[Label.OUTSIDE]
     return Flesh(
         vertices[numbers],
         own.reshape(-1, 4),
-        renumber[_faces_towards(tets, labels, kept)[Label.OUTSIDE]],
+        renumber[outside],
+        np.searchsorted(kept, owner),
         {label: np.flatnonzero(mask[numbers]) for label, mask in on.items()},
     )
 
 
-def _faces_towards(tets: Ints, labels: Ints, kept: Ints) -> dict[Label, Ints]:
-    """Return label -> faces of ``kept`` with such a tetrahedron, not itself kept, beyond."""
+def _faces_towards(tets: Ints, labels: Ints, kept: Ints) -> dict[Label, tuple[Ints, Ints]]:
+    """Return label -> faces of ``kept`` with such a tetrahedron, not itself kept, beyond.
+
+    With the faces (f, 3) come the numbers (f,) of the kept tetrahedra they belong to.
+    """
     faces = tets[:, _FACES].reshape(-1, 3)
     owner = np.repeat(np.arange(len(tets)), 4)
     order = np.lexsort(np.sort(faces, axis=1).T)
@@ -192,7 +198,8 @@ def _faces_towards(tets: Ints, labels: Ints, kept: Ints) -> dict[Label, Ints]:
     outer = is_kept[owner] & ~is_kept[twin]
     # Beyond the box there is nothing.
     beyond = np.append(labels, Label.OUTSIDE)[twin]
-    return {label: faces[outer & (beyond == label)] for label in Label}
+    sides = {label: outer & (beyond == label) for label in Label}
+    return {label: (faces[side], owner[side]) for label, side in sides.items()}
 
 
 def _large_pieces(tets: Ints) -> np.ndarray:
@@ -205,3 +212,12 @@ def _large_pieces(tets: Ints) -> np.ndarray:
     graph = sp.coo_array((np.ones(len(same)), pairs), shape=(len(tets), len(tets)))
     _, piece = connected_components(graph, directed=False)
     return np.asarray(np.bincount(piece)[piece] >= LEAST_PIECE * len(tets))
+
+
+def boundary(tets: Ints) -> Ints:
+    """Return the faces (f, 3) that belong to one tetrahedron only, turned outwards."""
+    faces = tets[:, _FACES].reshape(-1, 3)
+    _, first, count = np.unique(
+        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
+    )
+    return np.asarray(faces[first[count == 1]])

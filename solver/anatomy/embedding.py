@@ -1,8 +1,6 @@
-"""How points follow a surface: barycentric in the nearest triangle."""
+"""How skin vertices follow the flesh: in the tetrahedron under the nearest outer triangle."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import igl
 import numpy as np
@@ -10,31 +8,12 @@ import scipy.sparse as sp
 
 from solver.surface import Floats, Ints, Surface
 
-
-@dataclass(frozen=True)
-class Embedding:
-    """Rows (n, p) of barycentric weights and the ``distance`` (n,) in mm of what they miss."""
-
-    rows: sp.csr_array
-    distance: Floats
-
-
-def embed(points: Floats, vertices: Floats, faces: Ints) -> Embedding:
-    """Bind ``points`` (n, 3) to the nearest point of the flesh's outer ``faces`` (f, 3).
-
-    The surface is used rather than the tetrahedra behind it: it follows the skin closely, and
-    what is missed becomes a constant offset.
-    """
-    corners, shares, distance = barycentric(points, Surface(vertices, faces))
-    numbers = np.repeat(np.arange(len(points)), 3)
-    rows = sp.csr_array(
-        (shares.ravel(), (numbers, corners.ravel())), shape=(len(points), len(vertices))
-    )
-    return Embedding(rows, distance)
+LEAST_SHARE = -0.25
+"""A vertex may lie outside its tetrahedron as far as no barycentric coordinate is below this."""
 
 
 def barycentric(points: Floats, surface: Surface) -> tuple[Ints, Floats, Floats]:
-    """Return the nearest triangles' corners (n, 3), the shares (n, 3) and the distance (n,)."""
+    """Return the nearest triangles (n,), the shares (n, 3) in them and the distance (n,)."""
     points = np.ascontiguousarray(points)
     squared, face, closest = igl.point_mesh_squared_distance(
         points, surface.vertices, surface.faces
@@ -42,4 +21,37 @@ def barycentric(points: Floats, surface: Surface) -> tuple[Ints, Floats, Floats]
     corners = surface.faces[face]
     a, b, c = (np.ascontiguousarray(surface.vertices[corners[:, k]]) for k in range(3))
     shares = np.asarray(igl.barycentric_coordinates(np.ascontiguousarray(closest), a, b, c))
-    return corners, shares, np.sqrt(np.asarray(squared))
+    return np.asarray(face), shares, np.sqrt(np.asarray(squared))
+
+
+def rows_of(corners: Ints, shares: Floats, count: int) -> sp.csr_array:
+    """Return CSR rows (n, count) with ``shares`` (n, k) in the columns ``corners`` (n, k)."""
+    indptr = np.arange(0, corners.size + 1, corners.shape[1])
+    parts = (shares.ravel(), corners.ravel(), indptr)
+    rows = sp.csr_array(parts, shape=(len(corners), count), copy=True)
+    rows.sort_indices()
+    return rows
+
+
+def shares_in_tets(points: Floats, vertices: Floats, corners: Ints, inside: Floats) -> Floats:
+    """Return barycentric coordinates (n, 4) of points in given tetrahedra, bounded.
+
+    Parameters
+    ----------
+    points
+        (n, 3) points in or near their tetrahedra.
+    vertices
+        (p, 3) vertices of the mesh.
+    corners
+        (n, 4) corners of the tetrahedron of each point.
+    inside
+        (n, 4) coordinates of a point in or on that tetrahedron. Where the point's own have one
+        below :data:`LEAST_SHARE` they are drawn towards these: what is missed is an offset.
+    """
+    origin = vertices[corners[:, 0]]
+    edges = np.swapaxes(vertices[corners[:, 1:]] - origin[:, None], 1, 2)
+    last = np.linalg.solve(edges, (points - origin)[..., None])[..., 0]
+    exact = np.column_stack([1.0 - last.sum(axis=1), last])
+    room = (inside - LEAST_SHARE) / np.maximum(inside - exact, 1e-12)
+    part = np.minimum(np.where(exact < inside, room, 1.0).min(axis=1), 1.0)[:, None]
+    return np.asarray(part * exact + (1.0 - part) * inside)

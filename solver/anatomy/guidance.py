@@ -14,7 +14,7 @@ SKIN_PULL = 4.0
 """Of a skin vertex, on the face and elsewhere; 1/mm^2."""
 BONE_PULL = 10.0
 """Of a vertex on a bone or cut plane."""
-STAY = 0.01
+STAY = 0.1
 """Of every vertex to where it starts, so that nothing drifts that is not pulled."""
 
 
@@ -22,7 +22,7 @@ def guidance(
     head: Template,
     skin: Floats,
     embedded: Ints,
-    embedding: sp.csr_array,
+    surface_rows: sp.csr_array,
     held: Ints,
     held_at: Floats,
     start: Floats,
@@ -35,8 +35,8 @@ def guidance(
         Says which skin vertices are the face's.
     skin
         (n, 3) positions the skin should have.
-    embedded, embedding
-        (e,) skin vertices that follow the mesh, and their (e, p) rows.
+    embedded, surface_rows
+        (e,) skin vertices that follow the mesh, and the (e, p) rows of their surface points.
     held, held_at
         (h,) vertices on bones and cut planes, and where they belong, (h, 3).
     start
@@ -46,7 +46,7 @@ def guidance(
     pull = np.where(np.isin(embedded, head.face_vertices), FACE_PULL, SKIN_PULL)
     return Guides.joined(
         [
-            Guides(embedding, skin[embedded], pull),
+            Guides(surface_rows, skin[embedded], pull),
             Guides.of_vertices(held, held_at, BONE_PULL, count),
             Guides.of_vertices(np.arange(count), start, STAY, count),
         ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -18,7 +18,7 @@ from solver.anatomy.domain import (
     edge_lengths,
     label_tets,
 )
-from solver.anatomy.embedding import Embedding, barycentric, embed
+from solver.anatomy.embedding import barycentric, rows_of
 from solver.anatomy.guidance import guidance
 from solver.anatomy.muscle_weights import initial_weights
 from solver.anatomy.relaxation import relaxed
@@ -27,7 +27,7 @@ from solver.anatomy.template_mesh import TemplateMesh
 from solver.anatomy.tetrahedra import tetrahedralize
 from solver.errors import SolveError
 from solver.progress import Progress, Step, silent
-from solver.surface import Floats, Ints
+from solver.surface import Floats, Ints, Surface
 
 EDGE_MM = 9.0
 ENVELOPE = 0.08
@@ -77,8 +77,9 @@ def make_mesh(
     progress(Step("mesh", 0.0, message="tetrahedra by fTetWild"))
     flesh = _mesh(head, edge_mm)
     progress(Step("relax", 0.85))
-    flesh, bound = _fitted(head, flesh)
-    embedded, rows, jaw_skin = _embedded(head, bound, edge_mm)
+    flesh = _fitted(head, flesh)
+    embedded, bound, jaw_skin = _bound_skin(head, flesh, edge_mm)
+    rows = rows_of(flesh.tets[bound.tet], bound.shares, len(flesh.vertices))
     held = np.unique(np.concatenate(list(flesh.held.values())))
     start = closed(head, flesh.vertices, flesh.tets, flesh.outside, held)
     guides = guidance(head, head.skin.vertices, embedded, rows, held, flesh.vertices[held], start)
@@ -92,7 +93,8 @@ def make_mesh(
         tets=flesh.tets,
         **_held(head, flesh),
         embedded=embedded,
-        embedding=rows,
+        embedded_in=bound.tet,
+        shares=bound.shares,
         attached_mandible=jaw_skin,
         weights=weights,
     )
@@ -110,22 +112,18 @@ def _mesh(head: Template, edge_mm: float) -> Flesh:
     return choose_flesh(vertices, tets, label_tets(head, vertices, tets))
 
 
-def _flesh_skin(head: Template) -> Ints:
-    return np.unique(head.skin.faces[head.flesh_faces])
-
-
-def _fitted(head: Template, flesh: Flesh) -> tuple[Flesh, Embedding]:
-    """Return the flesh fitted to the parted skin in least squares, and the skin bound to it."""
-    skin = _flesh_skin(head)
+def _fitted(head: Template, flesh: Flesh) -> Flesh:
+    """Return the flesh with its vertices fitted to the parted skin in least squares."""
+    skin = np.unique(head.skin.faces[head.flesh_faces])
     parted = head.parted.vertices
-    bound = embed(parted[skin], flesh.vertices, flesh.outside)
     for _ in range(FITTING_ROUNDS):
+        bound = _bound(flesh, parted[skin])
         near = bound.distance < GREATEST_ENVELOPE_MM
+        rows = rows_of(flesh.tets[bound.tet], bound.shares, len(flesh.vertices))[near]
         held, held_at = _on_bones(head, flesh)
-        guides = guidance(head, parted, skin[near], bound.rows[near], held, held_at, flesh.vertices)
+        guides = guidance(head, parted, skin[near], rows, held, held_at, flesh.vertices)
         flesh = replace(flesh, vertices=relaxed(flesh.vertices, flesh.tets, guides))
-        bound = embed(parted[skin], flesh.vertices, flesh.outside)
-    return flesh, bound
+    return flesh
 
 
 def _on_bones(head: Template, flesh: Flesh) -> tuple[Ints, Floats]:
@@ -133,19 +131,37 @@ def _on_bones(head: Template, flesh: Flesh) -> tuple[Ints, Floats]:
     place = flesh.vertices.copy()
     for label, bone in ((Label.CRANIUM, head.cranium), (Label.MANDIBLE, head.mandible)):
         ids = flesh.held[label]
-        corners, shares, _ = barycentric(flesh.vertices[ids], bone)
-        place[ids] = np.einsum("nk,nkd->nd", shares, bone.vertices[corners])
+        face, shares, _ = barycentric(flesh.vertices[ids], bone)
+        place[ids] = np.einsum("nk,nkd->nd", shares, bone.vertices[bone.faces[face]])
     held = np.unique(np.concatenate(list(flesh.held.values())))
     return held, place[held]
 
 
-def _embedded(head: Template, bound: Embedding, edge_mm: float) -> tuple[Ints, Embedding, Ints]:
-    """Return the skin vertices that follow the flesh, their rows, and those that follow the jaw.
+@dataclass(frozen=True)
+class Bound:
+    """Points bound to the outside of a flesh: tet (n,), ``shares`` (n, 4), ``distance`` (n,) mm."""
+
+    tet: Ints
+    shares: Floats
+    distance: Floats
+
+
+def _bound(flesh: Flesh, points: Floats) -> Bound:
+    face, shares, distance = barycentric(points, Surface(flesh.vertices, flesh.outside))
+    tet = flesh.outside_of[face]
+    corners = flesh.outside[face]
+    same = flesh.tets[tet][:, :, None] == corners[:, None, :]
+    return Bound(tet, np.einsum("nck,nk->nc", same, shares), distance)
+
+
+def _bound_skin(head: Template, flesh: Flesh, edge_mm: float) -> tuple[Ints, Bound, Ints]:
+    """Return the skin vertices that follow the flesh, how, and those that follow the jaw.
 
     Vertices are bound in the parted pose: there the upper lip is far from the lower.
     """
-    skin = _flesh_skin(head)
+    skin = np.unique(head.skin.faces[head.flesh_faces])
     parted = head.parted.vertices[skin]
+    bound = _bound(flesh, parted)
     in_front = Planes.of(head).in_front(parted)
     near = (bound.distance < EMBED_MM * edge_mm) & in_front
     lost = skin[np.isin(skin, head.face_vertices) & ~near]
@@ -160,7 +176,7 @@ def _embedded(head: Template, bound: Embedding, edge_mm: float) -> tuple[Ints, E
     to_jaw = cKDTree(head.mandible.vertices).query(parted[loose])[0]
     to_skull = cKDTree(head.cranium.vertices).query(parted[loose])[0]
     jaw_skin = np.union1d(head.attached_mandible, skin[loose][to_jaw < to_skull])
-    return skin[near], bound.rows[near], jaw_skin
+    return skin[near], Bound(bound.tet[near], bound.shares[near], bound.distance[near]), jaw_skin
 
 
 def _held(head: Template, flesh: Flesh) -> dict[str, Ints]:

@@ -53,14 +53,17 @@ def check_template(template: Template, file: str) -> None:
             check.numbers(f"mesh {name}", getattr(mesh, name), count)
         for name in ("embedded", "attached_mandible"):
             check.numbers(f"mesh {name}", getattr(mesh, name), skin)
-        for name, matrix, rows in (
-            ("embedding", mesh.embedding, len(mesh.embedded)),
-            ("weights", mesh.weights, len(mesh.tets)),
+        check.numbers("mesh embedded_in", mesh.embedded_in, len(mesh.tets))
+        check.points("mesh shares", mesh.shares, (len(mesh.embedded_in), 4))
+        weights = mesh.weights
+        check.points("mesh weights", weights.data, (len(weights.indices),))
+        check.numbers("mesh weights", weights.indices, weights.shape[1])
+        for name, found, wanted in (
+            ("weights", weights.shape[0], len(mesh.tets)),
+            ("embedded_in", len(mesh.embedded_in), len(mesh.embedded)),
         ):
-            check.points(f"mesh {name}", matrix.data, (len(matrix.indices),))
-            check.numbers(f"mesh {name}", matrix.indices, matrix.shape[1])
-            if matrix.shape[0] != rows:
-                check.wrong("shape", f"mesh {name}", f"has {matrix.shape[0]} rows, not {rows}")
+            if found != wanted:
+                check.wrong("shape", f"mesh {name}", f"has {found} rows, not {wanted}")
 
 
 class _Check:

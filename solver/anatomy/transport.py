@@ -51,7 +51,7 @@ def transport(template: Template, person: Template, mesh: TemplateMesh, warp: Wa
         person,
         person.skin.vertices,
         mesh.embedded,
-        mesh.embedding,
+        mesh.surface_rows,
         held,
         place[held],
         start,
@@ -61,6 +61,6 @@ def transport(template: Template, person: Template, mesh: TemplateMesh, warp: Wa
 
 def _follow(points: Floats, before: Surface, after: Surface) -> Floats:
     """Return where points (n, 3) near a surface go when it moves."""
-    corners, shares, _ = barycentric(points, before)
-    moved = (after.vertices - before.vertices)[corners]
+    face, shares, _ = barycentric(points, before)
+    moved = (after.vertices - before.vertices)[before.faces[face]]
     return np.asarray(points + np.einsum("nk,nkd->nd", shares, moved))

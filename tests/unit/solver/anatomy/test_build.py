@@ -1,55 +1,20 @@
-"""A ball for a head: everything build_subject_model promises, without any data."""
+"""From a ball for a head to a model: everything build_subject_model promises, without any data."""
 
 import numpy as np
 import pytest
-import trimesh
 
 from solver.anatomy.build import build_subject_model, model_summary
-from solver.anatomy.template import Muscle, Template
 from solver.anatomy.tetrahedra import volumes
 from solver.errors import InputError
 from solver.model import SubjectModel
-from solver.surface import Surface
+from tests.unit.solver.ball import ball_template
 
 LOWER = np.array([0.0, -20.0, 2.0])
 
 
-def ball(centre, radius, subdivisions=3):
-    mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
-    return Surface(np.asarray(mesh.vertices) + centre, np.asarray(mesh.faces, np.int64))
-
-
 @pytest.fixture(scope="module")
 def template():
-    skin = ball([0, 0, 0], 60.0)
-    up, z = skin.vertices[:, 1], skin.vertices[:, 2]
-    parting = np.zeros_like(skin.vertices)
-    parting[:, 1] = 3 * np.exp(-(((up + 15) / 10) ** 2)) * (z > 0)
-    surface = ball([0, 10, 45], 6.0, 2)
-    muscle = Muscle(
-        "frontalis",
-        surface,
-        np.array([0.0, 0, 1]),
-        np.array([0, 10.0, 39]),
-        np.array([0, 10.0, 51]),
-    )
-    return Template(
-        name="ball",
-        version="1",
-        source="test",
-        skin=skin,
-        flesh_faces=np.arange(len(skin.faces)),
-        face_vertices=np.flatnonzero((z > 5) & (up > -40)),
-        attached_cranium=np.flatnonzero(z < -20),
-        attached_mandible=np.array([], dtype=np.int64),
-        parting=parting,
-        cranium=ball([0, 15, 0], 36.0),
-        mandible=ball([0, -36, 12], 10.0),
-        muscles=(muscle,),
-        condyles=np.array([[30.0, 0, 0], [-30.0, 1, 0]]),
-        back_z=0.0,
-        bottom_y=-52.0,
-    )
+    return ball_template()
 
 
 @pytest.fixture(scope="module")
