@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from solver.anatomy import bodyparts3d, ict_facekit
 from solver.anatomy.ict_anatomy import carry_anatomy
+from solver.anatomy.ict_depths import both_sides, depth_table
 from solver.anatomy.ict_facekit import FaceKit
 from solver.anatomy.ict_regions import LANDMARKS, named_regions
-from solver.anatomy.template import Muscle, Template
+from solver.anatomy.muscle_axes import bodyparts3d_muscle
+from solver.anatomy.template import Template
 from solver.anatomy.warp import similarity
 from solver.surface import Floats, Ints, Surface
 
@@ -33,14 +35,14 @@ def build_ict_template(anatomy_dir: Path, faces_dir: Path) -> Template:
     Parameters
     ----------
     anatomy_dir
-        ``index.csv`` and the PLY meshes it lists (mm); see :mod:`solver.anatomy.bodyparts3d`.
+        BodyParts3D, in one of the forms that :mod:`solver.anatomy.bodyparts3d` reads.
     faces_dir
-        Holds ``ict_facekit.npz`` (cm); see :mod:`solver.anatomy.ict_facekit`.
+        ICT-FaceKit, in one of the forms that :mod:`solver.anatomy.ict_facekit` reads.
 
     Raises
     ------
     InputError
-        ``anatomy.*`` or ``faces.*`` where a folder lacks what is needed.
+        ``anatomy.*``, ``faces.*`` or ``download.*`` where a folder lacks what is needed.
     """
     parts = bodyparts3d.read_parts(anatomy_dir)
     kit = ict_facekit.read_facekit(faces_dir)
@@ -51,6 +53,7 @@ def build_ict_template(anatomy_dir: Path, faces_dir: Path) -> Template:
     face = np.array(ict_facekit.NARROW_FACE)
     attached_mandible = _moving_with_jaw(kit)
     attached = np.arange(ict_facekit.FLESH.stop, len(skin.vertices))
+    depth_landmarks, depths = depth_table(skin.vertices)
     return Template(
         name="ict-bodyparts3d",
         version="1",
@@ -63,28 +66,19 @@ def build_ict_template(anatomy_dir: Path, faces_dir: Path) -> Template:
         parting=PARTING * np.sum([kit.deltas[name] for name in PARTING_EXPRESSIONS], axis=0),
         cranium=anatomy.cranium,
         mandible=anatomy.mandible,
-        muscles=tuple(with_axis(name, surface, skull) for name, surface in anatomy.muscles.items()),
+        muscles=tuple(
+            replace(with_axis(name, surface, skull), ring="orbicularis" in name)
+            for name, surface in anatomy.muscles.items()
+        ),
         condyles=_condyles(anatomy.jaw),
         back_z=BACK_Z,
         bottom_y=BOTTOM_Y,
-        landmarks=dict(LANDMARKS),
+        landmarks={**depth_landmarks, **both_sides(LANDMARKS, skin.vertices)},
         regions=named_regions(skin.vertices),
         shapes=ict_facekit.shape_basis(kit),
+        licence="MIT (ICT-FaceKit) and CC BY 4.0 (BodyParts3D)",
+        depths=depths,
     )
-
-
-def with_axis(name: str, surface: Surface, skull: Floats) -> Muscle:
-    """Return a muscle whose axis is its longest extent, from the end nearer to ``skull`` (k, 3)."""
-    centred = surface.vertices - surface.vertices.mean(axis=0)
-    axis = np.linalg.svd(centred, full_matrices=False)[2][0]
-    along = centred @ axis
-    low, high = np.quantile(along, [0.1, 0.9])
-    ends = [surface.vertices[along <= low], surface.vertices[along >= high]]
-    tree = cKDTree(skull)
-    ends.sort(key=lambda end: float(tree.query(end)[0].mean()))
-    origin, insertion = (end.mean(axis=0) for end in ends)
-    fibre = (insertion - origin) / np.linalg.norm(insertion - origin)
-    return Muscle(name, surface, fibre, origin, insertion)
 
 
 def _moving_with_jaw(kit: FaceKit) -> Ints:
