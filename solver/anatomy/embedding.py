@@ -6,6 +6,7 @@ import igl
 import numpy as np
 import scipy.sparse as sp
 
+from solver.anatomy.tetrahedra import barycentric_in_tets
 from solver.surface import Floats, Ints, Surface
 
 LEAST_SHARE = -0.25
@@ -48,10 +49,7 @@ def shares_in_tets(points: Floats, vertices: Floats, corners: Ints, inside: Floa
         (n, 4) coordinates of a point in or on that tetrahedron. Where the point's own have one
         below :data:`LEAST_SHARE` they are drawn towards these: what is missed is an offset.
     """
-    origin = vertices[corners[:, 0]]
-    edges = np.swapaxes(vertices[corners[:, 1:]] - origin[:, None], 1, 2)
-    last = np.linalg.solve(edges, (points - origin)[..., None])[..., 0]
-    exact = np.column_stack([1.0 - last.sum(axis=1), last])
+    exact = barycentric_in_tets(points, vertices[corners])
     room = (inside - LEAST_SHARE) / np.maximum(inside - exact, 1e-12)
     part = np.minimum(np.where(exact < inside, room, 1.0).min(axis=1), 1.0)[:, None]
     return np.asarray(part * exact + (1.0 - part) * inside)

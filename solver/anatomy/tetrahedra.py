@@ -136,6 +136,13 @@ def volumes(vertices: Floats, tets: Ints) -> Floats:
     return np.asarray(np.linalg.det(edges) / 6.0)
 
 
+def barycentric_in_tets(points: Floats, corners: Floats) -> Floats:
+    """Return barycentric coordinates (n, 4) of points (n, 3) in tetrahedra (n, 4, 3)."""
+    edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
+    last = np.linalg.solve(edges, (points - corners[:, 0])[..., None])[..., 0]
+    return np.column_stack([1.0 - last.sum(axis=1), last])
+
+
 def dihedral_angles(vertices: Floats, tets: Ints) -> Floats:
     """Return the six dihedral angles (t, 6) of each tetrahedron, in degrees."""
     corners = vertices[tets]

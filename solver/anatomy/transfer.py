@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -45,17 +46,6 @@ def carry(template: Template, neutral: Floats, warp: Warp) -> Template:
         least = np.minimum(before(surface.vertices)[0], CLEARANCE_MM)
         return surface.moved(_deep_enough(warp(surface.vertices), least, after))
 
-    def carried(muscle: Muscle) -> Muscle:
-        origin, insertion = warp(np.stack([muscle.origin, muscle.insertion]))
-        axis = insertion - origin
-        return Muscle(
-            muscle.name,
-            muscle.surface.moved(warp(muscle.surface.vertices)),
-            axis / np.linalg.norm(axis),
-            origin,
-            insertion,
-        )
-
     face = template.face_vertices
     reach = neutral[face].min(axis=0) - source[face].min(axis=0)
     return replace(
@@ -64,12 +54,25 @@ def carry(template: Template, neutral: Floats, warp: Warp) -> Template:
         parting=warp(source + template.parting) - warp(source),
         cranium=bone(template.cranium),
         mandible=bone(template.mandible),
-        muscles=tuple(carried(muscle) for muscle in template.muscles),
+        muscles=tuple(carried_muscle(muscle, warp) for muscle in template.muscles),
         condyles=warp(template.condyles),
         back_z=template.back_z + min(0.0, float(reach[2])),
         bottom_y=template.bottom_y + min(0.0, float(reach[1])),
         shapes=None,
         mesh=None,
+    )
+
+
+def carried_muscle(muscle: Muscle, motion: Callable[[Floats], Floats]) -> Muscle:
+    """Return a muscle whose points have all been moved by ``motion``, (n, 3) -> (n, 3)."""
+    origin, insertion = motion(np.stack([muscle.origin, muscle.insertion]))
+    axis = insertion - origin
+    return Muscle(
+        muscle.name,
+        muscle.surface.moved(motion(muscle.surface.vertices)),
+        axis / np.linalg.norm(axis),
+        origin,
+        insertion,
     )
 
 
