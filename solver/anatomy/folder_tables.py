@@ -124,7 +124,7 @@ def read_vertex_sets(path: Path, count: int) -> dict[str, Ints]:
 def vertex_ranges(vertices: Ints) -> list[int | str]:
     """Return ascending vertex numbers as a list that :func:`read_vertex_sets` reads."""
     starts = np.flatnonzero(np.diff(vertices, prepend=-2) != 1)
-    ends = np.append(starts[1:], len(vertices)) - 1
+    ends = np.flatnonzero(np.diff(vertices, append=-2) != 1)
     return [
         int(vertices[start]) if start == end else f"{vertices[start]}-{vertices[end]}"
         for start, end in zip(starts, ends, strict=True)

@@ -8,75 +8,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.sparse as sp
-import trimesh
 
 from solver.anatomy.depths import Depth
-from solver.anatomy.template import Muscle, Template
-from solver.anatomy.template_mesh import TemplateMesh
+from solver.anatomy.template import Template
 from solver.anatomy.template_report import report_template
 from solver.surface import Surface
+from tests.ball_head import ball, ball_head
 
 Change = Callable[[Template], Template]
 
 
-def ball(centre: tuple[float, float, float], radius: float, fineness: int = 2) -> Surface:
-    mesh = trimesh.creation.icosphere(subdivisions=fineness, radius=radius)
-    return Surface(np.asarray(mesh.vertices) + centre, np.asarray(mesh.faces, dtype=np.int64))
-
-
-def muscle(name: str, x: float) -> Muscle:
-    origin, insertion = np.array([x, -10.0, 66.0]), np.array([x, -10.0, 90.0])
-    return Muscle(name, ball((x, -10, 80), 8.0), np.array([0.0, 0.0, 1.0]), origin, insertion)
-
-
-def head() -> Template:
-    """Return a ball of 100 mm with a skull, a jaw, two muscles and one tetrahedron."""
-    skin = ball((0, 0, 0), 100.0, 3)
-    front = np.flatnonzero(skin.vertices[:, 2] > 5)
-    tip = int(np.argmax(skin.vertices[:, 2]))
-    left, right = (int(np.argmax(sign * skin.vertices[front, 0])) for sign in (1, -1))
-    count = len(front)
-    mesh = TemplateMesh(
-        edge_mm=9.0,
-        vertices=np.array([[0.0, 0, 0], [200, 0, 0], [0, 200, 0], [0, 0, 200]]),
-        tets=np.array([[0, 1, 2, 3]]),
-        cranium=np.zeros(0, np.int64),
-        mandible=np.zeros(0, np.int64),
-        cut=np.zeros(0, np.int64),
-        sliding=np.zeros(0, np.int64),
-        embedded=front,
-        embedded_in=np.zeros(count, np.int64),
-        shares=np.full((count, 4), 0.25),
-        attached_mandible=np.zeros(0, np.int64),
-        weights=sp.csr_array(np.array([[0.99, 0.005, 0.005]])),
-    )
-    return Template(
-        name="ball",
-        version="1",
-        source="by hand",
-        licence="CC0 1.0",
-        skin=skin,
-        flesh_faces=np.arange(len(skin.faces)),
-        face_vertices=front,
-        attached_cranium=np.zeros(0, np.int64),
-        attached_mandible=np.zeros(0, np.int64),
-        parting=np.full_like(skin.vertices, 1.0),
-        cranium=ball((0, 25, 10), 60.0),
-        mandible=ball((0, -60, 20), 22.0),
-        muscles=(muscle("puller_l", 20.0), muscle("puller_r", -20.0)),
-        condyles=np.array([[20.0, -55.0, 20.0], [-20.0, -55.0, 20.0]]),
-        back_z=-50.0,
-        bottom_y=-101.0,
-        landmarks={"tip": tip, "side_l": int(front[left]), "side_r": int(front[right])},
-        regions={"face": front},
-        depths=(Depth("tip", "cranium", 36.0, 2.0, "by construction"),),
-        mesh=mesh,
-    )
-
-
 @pytest.fixture(scope="module")
 def sound() -> Template:
-    return head()
+    return ball_head()
 
 
 def test_sound_template_has_no_findings(sound: Template) -> None:
