@@ -47,7 +47,7 @@ def build(
     ] = True,
 ) -> None:
     """Build a template from --anatomy and --faces, from --folder, or the --builtin one."""
-    from solver.anatomy.meshing import with_mesh
+    from solver.anatomy.mesh_cache import meshed
 
     sources = [anatomy is not None and faces is not None, folder is not None, builtin]
     if sum(sources) != 1 or (anatomy is None) != (faces is None):
@@ -55,7 +55,7 @@ def build(
     made = _made(anatomy, faces, folder)
     if mesh:
         with JobView("template") as view:
-            made = with_mesh(made, edge_mm, view)
+            made = meshed(made, edge_mm, view)
     output.parent.mkdir(parents=True, exist_ok=True)
     digest = made.save(output)
     out.print(
