@@ -11,6 +11,7 @@ from solver.rig.normals import vertex_normals
 from solver.surface import Floats, Ints, Surface
 
 WIDENINGS = 10
+SHORTEST_MM = 0.05
 
 
 def folded_triangles(before: Floats, after: Floats, faces: Ints) -> Ints:
@@ -26,19 +27,21 @@ def unfolded(before: Floats, after: Floats, faces: Ints) -> Floats:
     """Return ``after`` (n, 3) with no triangle turned over against ``before`` (n, 3).
 
     Around every fold the displacement from ``before`` is laid anew, with the least bending that
-    fits the skin beside it; the patch grows ring by ring until the fold is gone.
+    fits the skin beside it; its patch grows ring by ring until the fold is gone.
     """
     graph = adjacency(faces, len(before))
-    laplacian = sp.csr_array(sp.diags_array(graph.sum(axis=1)) - graph)
-    bending = sp.csr_array(laplacian @ laplacian)
-    patch = np.zeros(len(before))
-    for _ in range(WIDENINGS):
+    bending = _bending(before, graph)
+    inside = np.zeros(0, dtype=np.int64)
+    for rings in range(1, WIDENINGS + 1):
         folds = folded_triangles(before, after, faces)
         if not len(folds):
             break
+        patch = np.zeros(len(before))
         patch[faces[folds]] = 1.0
-        patch += graph @ patch
-        inside, outside = np.flatnonzero(patch), np.flatnonzero(patch == 0)
+        for _ in range(rings):
+            patch = graph @ patch + patch
+        inside = np.union1d(inside, np.flatnonzero(patch))
+        outside = np.setdiff1d(np.arange(len(before)), inside)
         displacement = after - before
         rows = bending[inside]
         matrix = sp.csc_array(rows[:, inside] + 1e-9 * sp.eye_array(len(inside)))
@@ -46,6 +49,17 @@ def unfolded(before: Floats, after: Floats, faces: Ints) -> Floats:
         after = after.copy()
         after[inside] = before[inside] + laid
     return after
+
+
+def _bending(vertices: Floats, graph: sp.csr_array) -> sp.csr_array:
+    """Return the squared Laplacian with weights 1 / length^2: close vertices move alike."""
+    edges = sp.coo_array(graph)
+    squared = np.sum((vertices[edges.row] - vertices[edges.col]) ** 2, axis=1)
+    weights = sp.csr_array(
+        (1 / (squared + SHORTEST_MM**2), (edges.row, edges.col)), shape=graph.shape
+    )
+    laplacian = sp.csr_array(sp.diags_array(weights.sum(axis=1)) - weights)
+    return sp.csr_array(laplacian @ laplacian)
 
 
 def _agreement(vertices: Floats, faces: Ints) -> Floats:
