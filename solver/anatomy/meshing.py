@@ -36,6 +36,8 @@ GREATEST_ENVELOPE_MM = 1.6
 MESHER_SECONDS = 900.0
 JAW_FREE_MM = 15.0
 """Within this distance of the mandible a cut plane is free: the jaw's angle moves with the jaw."""
+FACE_FREE_MM = 20.0
+"""So is one this near to the face under the jaw: the throat is drawn along."""
 FRONTALIS_MM = 6.0
 """Forehead: the skull's vertices this near to the frontalis slide instead of being fixed."""
 EMBED_MM = 0.25
@@ -184,8 +186,7 @@ def _held(head: Template, flesh: Flesh) -> dict[str, Ints]:
     mandible = flesh.held[Label.MANDIBLE]
     cranium = np.setdiff1d(flesh.held[Label.CRANIUM], mandible)
     cut = np.setdiff1d(flesh.held[Label.CUT], np.union1d(mandible, cranium))
-    jaw = cKDTree(head.mandible.vertices)
-    cut = cut[jaw.query(flesh.vertices[cut])[0] > JAW_FREE_MM]
+    cut = cut[~_drawn_along(head, flesh.vertices[cut])]
     frontalis = [m.surface.vertices for m in head.muscles if "frontalis" in m.name]
     sliding = cranium[:0]
     if frontalis:
@@ -197,3 +198,12 @@ def _held(head: Template, flesh: Flesh) -> dict[str, Ints]:
         "cut": cut,
         "sliding": sliding,
     }
+
+
+def _drawn_along(head: Template, points: Floats) -> np.ndarray:
+    """Return (n,) True for points of a cut plane that move with jaw or face."""
+    face = head.skin.vertices[head.face_vertices]
+    throat = points[:, 1] < head.mandible.vertices[:, 1].min()
+    near_face = cKDTree(face).query(points)[0] < FACE_FREE_MM
+    near_jaw = cKDTree(head.mandible.vertices).query(points)[0] < JAW_FREE_MM
+    return np.asarray(near_jaw | (throat & near_face))
