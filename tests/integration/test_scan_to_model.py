@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 
 from myoface.client import Client
-from myoface.resources import Job
+from myoface.resources import Capture, Job, Role
 from myoface.stack import Stack
 from service.settings import Settings
+from solver.anatomy.builtin import builtin_capture_set
+from solver.surface import Surface
 from tests.fixtures import data_folder
 
 VERDICT_S = 60
@@ -60,6 +64,37 @@ def test_a_raw_scan_becomes_a_model(
     for name in PICTURES:
         with Image.open(tmp_path / name) as picture:
             assert min(picture.size) >= 200, name
+
+
+@pytest.mark.slow
+def test_raw_neutral_and_smile_become_a_rig(client: Client, tmp_path: Path) -> None:
+    scans = builtin_capture_set()
+    subject = client.create_subject("Ada")
+
+    def captured(name: str, surface: Surface, role: Role) -> Capture:
+        path = tmp_path / f"{name}.obj"
+        as_scanned(surface).export(path)
+        return client.add_capture(subject.id, path, role=role, registered=False)
+
+    neutral = captured("neutral", scans.neutral, "neutral")
+    smile = captured("smile", scans.train["smile"], "expression")
+    for capture in (neutral, smile):
+        check = client.run("check_scan", subject.id, captures=[capture.id])
+        assert summary(check)["verdict"] in ("good", "usable"), summary(check)
+        registration = client.run("register_scan", subject.id, captures=[capture.id])
+        assert summary(registration)["mean_mm"] < 0.3
+    client.run("build_model", subject.id, options={"edge_mm": 16.0})
+    rig = client.run("fit_geometry", subject.id, captures=[smile.id], options={"rounds": 2})
+    assert summary(rig)["inverted"] == 0
+    assert summary(rig)["train_mean_mm"] < 1.0
+
+
+def as_scanned(surface: Surface) -> trimesh.Trimesh:
+    """Return a surface in cm, with z up and -y forward, and in no template's order."""
+    order = np.random.default_rng(0).permutation(len(surface.vertices))
+    number = np.argsort(order)
+    x, y, z = surface.vertices[order].T / 10.0
+    return trimesh.Trimesh(np.column_stack([x, -z, y]), number[surface.faces], process=False)
 
 
 def seconds(job: Job) -> float:
