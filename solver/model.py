@@ -67,6 +67,10 @@ class SubjectModel:
     mesh_source
         ``transport`` if the tets are the template's, ``mesher`` if they were made for this person,
         then with the reason if transport was tried.
+    fibres
+        (nnz, 3) unit fibre directions, one for each stored entry of ``weights``, from origin to
+        insertion or around a ring, and zero in the passive column. None in models made before
+        fibres were.
     """
 
     rest: Floats
@@ -89,6 +93,7 @@ class SubjectModel:
     regions: dict[str, Ints]
     template: dict[str, str]
     mesh_source: str = "mesher"
+    fibres: Floats | None = None
 
     @property
     def muscle_count(self) -> int:
@@ -142,6 +147,8 @@ class SubjectModel:
                 arrays[f"{kind}_{number}_vertices"] = surface.vertices
                 arrays[f"{kind}_{number}_faces"] = surface.faces
         arrays |= {f"region_{name}": ids for name, ids in self.regions.items()}
+        if self.fibres is not None:
+            arrays["fibres"] = self.fibres
         header = {
             "format": FORMAT,
             "units": "mm",
@@ -185,4 +192,5 @@ class SubjectModel:
             regions=with_prefix(data, "region_"),
             template=header["template"],
             mesh_source=header.get("mesh_source", "mesher"),
+            fibres=data.get("fibres"),
         )

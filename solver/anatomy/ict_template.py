@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -67,8 +66,7 @@ def build_ict_template(anatomy_dir: Path, faces_dir: Path) -> Template:
         cranium=anatomy.cranium,
         mandible=anatomy.mandible,
         muscles=tuple(
-            replace(with_axis(name, surface, skull), ring="orbicularis" in name)
-            for name, surface in anatomy.muscles.items()
+            bodyparts3d_muscle(name, surface, skull) for name, surface in anatomy.muscles.items()
         ),
         condyles=_condyles(anatomy.jaw),
         back_z=BACK_Z,

@@ -24,7 +24,7 @@ from solver.anatomy.folder_tables import (
     read_vertex_sets,
     vertex_fault,
 )
-from solver.anatomy.ict_template import with_axis
+from solver.anatomy.muscle_axes import with_axis
 from solver.anatomy.shapes import ShapeBasis
 from solver.anatomy.template import Muscle, Template
 from solver.anatomy.template_check import check_template

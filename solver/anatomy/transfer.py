@@ -65,14 +65,16 @@ def carry(template: Template, neutral: Floats, warp: Warp) -> Template:
 
 def carried_muscle(muscle: Muscle, motion: Callable[[Floats], Floats]) -> Muscle:
     """Return a muscle whose points have all been moved by ``motion``, (n, 3) -> (n, 3)."""
-    origin, insertion = motion(np.stack([muscle.origin, muscle.insertion]))
-    axis = insertion - origin
-    return Muscle(
-        muscle.name,
-        muscle.surface.moved(motion(muscle.surface.vertices)),
-        axis / np.linalg.norm(axis),
-        origin,
-        insertion,
+    middle = (muscle.origin + muscle.insertion) / 2
+    half = muscle.fibre * np.linalg.norm(muscle.insertion - muscle.origin) / 2
+    points = np.stack([muscle.origin, muscle.insertion, middle - half, middle + half])
+    origin, insertion, start, end = motion(points)
+    return replace(
+        muscle,
+        surface=muscle.surface.moved(motion(muscle.surface.vertices)),
+        fibre=(end - start) / np.linalg.norm(end - start),
+        origin=origin,
+        insertion=insertion,
     )
 
 

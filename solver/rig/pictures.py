@@ -15,6 +15,7 @@ from solver.rig.page import HEADER, MARGIN, Colour, Page, swatch_columns, swatch
 from solver.rig.raster import Camera
 from solver.rig.render import Body, Lit, faded, render
 from solver.rig.result import ExpressionFit
+from solver.rig.strokes import fibre_threads
 from solver.surface import Floats, Ints, Surface
 
 WIDTH = 1600
@@ -96,6 +97,13 @@ def _draw_anatomy(anatomy: _Anatomy, path: Path, title: str, detail: str) -> Non
         ("left side", SIDE, [inside, glass]),
     ]
     _views_with_legend(path, anatomy.skin.vertices, anatomy.face, views, title, detail, palette)
+
+
+def fibres_picture(model: SubjectModel, path: Path) -> None:
+    """Draw the muscles' fibres over the bones, as :func:`anatomy_picture` draws the muscles."""
+    middle = float(model.jaw.origin[0])
+    anatomy = _Anatomy(model.skin, model.face, model.bones, fibre_threads(model), middle)
+    _draw_anatomy(anatomy, path, "Fibres", "Laplace fields between the muscles' attachments")
 
 
 def tets_picture(model: SubjectModel, path: Path) -> None:
