@@ -9,6 +9,7 @@ import trimesh
 from solver.anatomy.depths import Depth
 from solver.anatomy.template import Muscle, Template
 from solver.anatomy.template_mesh import TemplateMesh
+from solver.scans.landmarks import IBUG_68
 from solver.surface import Surface
 
 
@@ -27,7 +28,9 @@ def ball_head() -> Template:
     skin = ball((0, 0, 0), 100.0, 3)
     front = np.flatnonzero(skin.vertices[:, 2] > 5)
     tip = int(np.argmax(skin.vertices[:, 2]))
-    left, right = (int(np.argmax(sign * skin.vertices[front, 0])) for sign in (1, -1))
+    left, right = (int(front[np.argmax(sign * skin.vertices[front, 0])]) for sign in (1, -1))
+    places = {"l": left, "r": right}
+    landmarks = {name: places.get(name.rpartition("_")[2], tip) for name in IBUG_68.values()}
     count = len(front)
     mesh = TemplateMesh(
         edge_mm=9.0,
@@ -60,7 +63,7 @@ def ball_head() -> Template:
         condyles=np.array([[20.0, -55.0, 20.0], [-20.0, -55.0, 20.0]]),
         back_z=-50.0,
         bottom_y=-101.0,
-        landmarks={"tip": tip, "side_l": int(front[left]), "side_r": int(front[right])},
+        landmarks={**landmarks, "tip": tip, "side_l": left, "side_r": right},
         regions={"face": front},
         depths=(Depth("tip", "cranium", 36.0, 2.0, "by construction"),),
         mesh=mesh,

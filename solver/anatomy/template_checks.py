@@ -12,6 +12,7 @@ from solver.anatomy.skin_depth import SkinDepth, boundary_edges
 from solver.anatomy.template import Template
 from solver.anatomy.template_finding import Finding, error, warning
 from solver.anatomy.tetrahedra import dihedral_angles, volumes
+from solver.scans.landmarks import IBUG_68, SYNONYMS
 from solver.surface import Floats, Surface
 
 FACE_MM = (90.0, 320.0)
@@ -119,6 +120,14 @@ def check_landmarks(template: Template) -> Iterator[Finding]:
     if not template.landmarks:
         yield error("landmarks.missing", "landmarks", "there is none")
     used = np.unique(flesh_surface(template).faces)
+    known = {SYNONYMS.get(name, name) for name in template.landmarks}
+    unknown = sorted(set(IBUG_68.values()) - known)
+    if unknown:
+        yield warning(
+            "landmarks.scheme",
+            "landmarks",
+            f"of those that landmark files of scans name, these are not there: {', '.join(unknown)}",
+        )
     alone = []
     for name, vertex in template.landmarks.items():
         if vertex not in used:
@@ -170,7 +179,9 @@ def check_mesh(template: Template) -> Iterator[Finding]:
     """Check the tetrahedra and what they hold of the muscles."""
     mesh = template.mesh
     if mesh is None:
-        yield warning("mesh.missing", "mesh", "no tetrahedra yet: they are made with the first subject")
+        yield warning(
+            "mesh.missing", "mesh", "no tetrahedra yet: they are made with the first subject"
+        )
         return
     inverted = int(np.sum(volumes(mesh.vertices, mesh.tets) <= 0))
     if inverted:

@@ -93,6 +93,10 @@ FAULTS: dict[str, tuple[str, Change]] = {
     "muscle.pair": ("warning", lambda t: left(t, surface=ball((30, -10, 75), 12.0))),
     "muscle.side": ("error", lambda t: left(t, surface=ball((-30, -10, 80), 8.0))),
     "landmarks.missing": ("error", lambda t: replace(t, landmarks={}, depths=())),
+    "landmarks.scheme": (
+        "warning",
+        lambda t: replace(t, landmarks={k: v for k, v in t.landmarks.items() if k != "menton"}),
+    ),
     "landmarks.side": (
         "error",
         lambda t: replace(t, landmarks={**t.landmarks, "side_l": t.landmarks["side_r"]}),
