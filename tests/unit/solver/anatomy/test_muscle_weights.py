@@ -2,7 +2,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from solver.anatomy.muscle_weights import CANDIDATE_MM, initial_weights, muscle_volumes
+from solver.anatomy.muscle_weights import (
+    CANDIDATE_MM,
+    enclosed_volume,
+    initial_weights,
+    muscle_volumes,
+)
 from solver.anatomy.tetrahedra import background_grid
 from solver.surface import Surface
 
@@ -49,6 +54,17 @@ def test_overlapping_muscles_share_and_leave_nothing_passive(flesh):
     muscle = box([0, 0, 0], [60, 30, 30])
     weights = initial_weights(*flesh, [muscle, muscle]).toarray()
     assert np.allclose(weights, [0, 0.5, 0.5])
+
+
+def test_volume_of_a_surface_with_a_gap_or_a_turned_face():
+    """The sum over triangles would depend on where the origin is."""
+    whole = tilted(box([10, 10, 10], [30, 16, 14]))
+    ball = trimesh.creation.icosphere(3, radius=9)
+    holed = Surface(np.asarray(ball.vertices), np.asarray(ball.faces, np.int64)[6:])
+    turned = Surface(ball.vertices, np.vstack([ball.faces[:6, ::-1], ball.faces[6:]]))
+    assert enclosed_volume(whole) == pytest.approx(20 * 6 * 4)
+    for surface in (holed, turned):
+        assert enclosed_volume(surface) == pytest.approx(ball.volume, rel=0.03)
 
 
 def test_surface_turned_inside_out_counts_the_same(flesh):
