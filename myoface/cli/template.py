@@ -95,17 +95,19 @@ def show(
         Path | None, typer.Option("--output", "-o", file_okay=False, help="folder for pictures")
     ] = None,
 ) -> None:
-    """Show what a template holds; with --output also draw it from three sides."""
+    """Show what a template holds; with --output also draw its anatomy and its skin."""
     from solver.anatomy.template_report import template_figures
 
     loaded = _load(given)
     show_table(("what", "how much"), list(_rows(template_figures(loaded))))
     if output is not None:
         from solver.rig.pictures import template_picture
+        from solver.rig.skin_picture import skin_picture
 
         output.mkdir(parents=True, exist_ok=True)
-        template_picture(loaded, output / "anatomy.png")
-        out.print(f"{output / 'anatomy.png'}", markup=False)
+        for name, draw in (("anatomy.png", template_picture), ("skin.png", skin_picture)):
+            draw(loaded, output / name)
+            out.print(f"{output / name}", markup=False)
 
 
 @template.command()

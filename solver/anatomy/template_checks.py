@@ -126,7 +126,7 @@ def check_landmarks(template: Template) -> Iterator[Finding]:
         yield warning(
             "landmarks.scheme",
             "landmarks",
-            f"of those that landmark files of scans name, these are not there: {', '.join(unknown)}",
+            f"missing of those that landmark files of scans name: {', '.join(unknown)}",
         )
     alone = []
     for name, vertex in template.landmarks.items():

@@ -52,7 +52,8 @@ def test_show_prints_the_hash_and_draws(saved: Path, tmp_path: Path) -> None:
     told = run("show", saved, "-o", tmp_path / "pictures")
     assert Template.load(saved).sha256 in told
     assert "puller_l" in told
-    assert (tmp_path / "pictures" / "anatomy.png").stat().st_size > 10_000
+    for name in ("anatomy.png", "skin.png"):
+        assert (tmp_path / "pictures" / name).stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(
