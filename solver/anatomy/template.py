@@ -14,7 +14,7 @@ import numpy as np
 
 from solver.anatomy.depths import Depth
 from solver.anatomy.shapes import ShapeBasis
-from solver.anatomy.template_check import check_template
+from solver.anatomy.template_arrays import check_arrays
 from solver.anatomy.template_mesh import TemplateMesh
 from solver.archive import Archive, Arrays, with_prefix
 from solver.errors import InputError
@@ -119,7 +119,7 @@ class Template:
         """Read a template written by :meth:`save`.
 
         Raises :class:`InputError`: ``template.unreadable`` or ``template.format`` if the file is
-        not one, else as :func:`solver.anatomy.template_check.check_template`.
+        not one, else as :func:`solver.anatomy.template_arrays.check_arrays`.
         """
         archive = Archive.read(path, "template", "a template", FORMAT)
         try:
@@ -128,7 +128,7 @@ class Template:
             raise InputError(
                 "template.unreadable", f"{path.name} is not a template: {error}", file=path.name
             ) from error
-        check_template(template, path.name)
+        check_arrays(template, path.name)
         return template
 
     def _archive(self) -> Archive:

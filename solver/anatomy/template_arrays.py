@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from solver.anatomy.template import Template
 
 
-def check_template(template: Template, file: str) -> None:
+def check_arrays(template: Template, file: str) -> None:
     """Raise what is wrong with a template's arrays; ``file`` is named in the message.
 
     Raises
