@@ -12,6 +12,7 @@ import typer
 from myoface.assets.catalogue import CATALOGUE, Asset, Name
 from myoface.assets.fetch import fetch as fetch_asset
 from myoface.cli.console import out, show_table, transfer_bar
+from myoface.errors import ApiError
 
 assets = typer.Typer(help="Anatomy and face models of others.", no_args_is_help=True)
 
@@ -48,13 +49,17 @@ def fetch(
     asset = CATALOGUE[name]
     _agree(asset, accept_licence)
     folder = to or Path(name)
-    with (
-        httpx.Client(follow_redirects=True, timeout=TIMEOUT) as http,
-        transfer_bar(asset.file) as bar,
-    ):
-        archive = fetch_asset(
-            http, asset, folder, mirror=mirror, file=file, sha256=sha256, progress=bar
-        )
+    try:
+        with (
+            httpx.Client(follow_redirects=True, timeout=TIMEOUT) as http,
+            transfer_bar(asset.file) as bar,
+        ):
+            archive = fetch_asset(
+                http, asset, folder, mirror=mirror, file=file, sha256=sha256, progress=bar
+            )
+    except ApiError as error:
+        detail = f"{error.problem['detail']}; --mirror or --file take it from elsewhere"
+        raise ApiError({**error.problem, "detail": detail}) from error
     option = "--anatomy" if name == "bodyparts3d" else "--faces"
     out.print(f"{archive}\nUse it: myoface template build {option} {folder} ...", markup=False)
 
