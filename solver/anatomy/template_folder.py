@@ -27,7 +27,7 @@ from solver.anatomy.folder_tables import (
 from solver.anatomy.muscle_axes import with_axis
 from solver.anatomy.shapes import ShapeBasis
 from solver.anatomy.template import Muscle, Template
-from solver.anatomy.template_check import check_template
+from solver.anatomy.template_arrays import check_arrays
 from solver.errors import InputError
 from solver.scans.raw import read_raw
 from solver.surface import Floats, Surface
@@ -84,7 +84,7 @@ def read_template(path: Path) -> Template:
         ``template.missing`` for a file that is not there, ``template.unreadable``,
         ``template.table`` (with ``line``), ``template.vertex`` (with ``vertex``),
         ``template.mesh``, ``template.frame`` or ``template.value`` for one that is wrong, and the
-        codes of :func:`solver.anatomy.template_check.check_template`.
+        codes of :func:`solver.anatomy.template_arrays.check_arrays`.
     """
     if path.is_dir():
         return _read(path)
@@ -139,7 +139,7 @@ def _read(folder: Path) -> Template:
         shapes=shapes,
         depths=_depths(folder),
     )
-    check_template(template, folder.name)
+    check_arrays(template, folder.name)
     return template
 
 
