@@ -29,9 +29,10 @@ from solver.anatomy.builtin_source import (
     fetch_wheel,
 )
 from solver.anatomy.capture_set import CaptureSet
+from solver.anatomy.contact_regions import contact_regions
 from solver.anatomy.domain import joined
 from solver.anatomy.template import Template
-from solver.surface import Surface
+from solver.surface import Ints, Surface
 
 VERSION = "1"
 SOURCE = (
@@ -123,11 +124,18 @@ def build_template(head: Head) -> Template:
         back_z=BACK_Z,
         bottom_y=BOTTOM_Y,
         landmarks=head.landmarks,
-        regions=regions.named(),
+        regions={**regions.named(), **_contact_regions(head)},
         shapes=shape_basis(head),
         licence="CC0 1.0",
         depths=depth_table(head),
     )
+
+
+def _contact_regions(head: Head) -> dict[str, Ints]:
+    parts = head.part_vertices
+    touching = {name: parts[name] for name in ("upper_teeth", "lower_teeth")}
+    touching |= {f"{side}_eyeball": parts[f"{side}_eye"] for side in ("left", "right")}
+    return contact_regions(head.neutral, parts["skin"], touching, head.landmarks)
 
 
 def _bed(head: Head, skin: OuterSkin, skull: Skull) -> Surface:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from solver.anatomy import bodyparts3d, ict_facekit
+from solver.anatomy.contact_regions import contact_regions
 from solver.anatomy.ict_anatomy import carry_anatomy
 from solver.anatomy.ict_depths import both_sides, depth_table
 from solver.anatomy.ict_facekit import FaceKit
@@ -53,12 +54,17 @@ def build_ict_template(anatomy_dir: Path, faces_dir: Path) -> Template:
     attached_mandible = _moving_with_jaw(kit)
     attached = np.arange(ict_facekit.FLESH.stop, len(skin.vertices))
     depth_landmarks, depths = depth_table(skin.vertices)
+    landmarks = {**depth_landmarks, **both_sides(LANDMARKS, skin.vertices)}
+    flesh_faces = ict_facekit.faces_within(skin.faces, ict_facekit.FLESH)
+    touching = contact_regions(
+        skin.vertices, np.unique(skin.faces[flesh_faces]), _teeth_and_eyes(skin.vertices), landmarks
+    )
     return Template(
         name="ict-bodyparts3d",
         version="1",
         source="ICT-FaceKit (USC ICT, MIT); BodyParts3D (DBCLS, CC BY 4.0)",
         skin=skin,
-        flesh_faces=ict_facekit.faces_within(skin.faces, ict_facekit.FLESH),
+        flesh_faces=flesh_faces,
         face_vertices=face[in_front[face]],
         attached_cranium=np.setdiff1d(attached, attached_mandible),
         attached_mandible=attached_mandible,
@@ -71,12 +77,22 @@ def build_ict_template(anatomy_dir: Path, faces_dir: Path) -> Template:
         condyles=_condyles(anatomy.jaw),
         back_z=BACK_Z,
         bottom_y=BOTTOM_Y,
-        landmarks={**depth_landmarks, **both_sides(LANDMARKS, skin.vertices)},
-        regions=named_regions(skin.vertices),
+        landmarks=landmarks,
+        regions={**named_regions(skin.vertices), **touching},
         shapes=ict_facekit.shape_basis(kit),
         licence="MIT (ICT-FaceKit) and CC BY 4.0 (BodyParts3D)",
         depths=depths,
     )
+
+
+def _teeth_and_eyes(skin: Floats) -> dict[str, Ints]:
+    eyeballs = np.array(ict_facekit.EYEBALLS)
+    return {
+        "upper_teeth": np.array(ict_facekit.UPPER_TEETH),
+        "lower_teeth": np.array(ict_facekit.LOWER_TEETH),
+        "left_eyeball": eyeballs[skin[eyeballs, 0] > 0],
+        "right_eyeball": eyeballs[skin[eyeballs, 0] < 0],
+    }
 
 
 def _moving_with_jaw(kit: FaceKit) -> Ints:
