@@ -4,8 +4,9 @@ Each reads files, writes its results into a folder and reports progress. A worke
 process of its own, the offline command line directly.
 """
 
+from solver.pipeline.checks import check_scan
 from solver.pipeline.fits import fit_activations, fit_geometry
 from solver.pipeline.models import build_model
 from solver.pipeline.registration import register_scan
 
-__all__ = ["build_model", "fit_activations", "fit_geometry", "register_scan"]
+__all__ = ["build_model", "check_scan", "fit_activations", "fit_geometry", "register_scan"]

@@ -25,6 +25,7 @@ CLOSE_MM = 8.0
 REFINED, FINER = 12, 4
 SETTLING = 12
 SOFT_MM = 0.5
+UNCOVERED_MM = 10.0
 KEPT = 0.75
 SIZES = (0.72, 1.38)
 """Least and greatest size of a person's face by the template's."""
@@ -53,8 +54,8 @@ class Pose:
 
     @property
     def cost(self) -> float:
-        """Return the mean distance in mm, where what is not covered counts as REACH_MM."""
-        return self.coverage * self.residual_mm + (1 - self.coverage) * REACH_MM
+        """Return the mean distance in mm, where what is not covered counts as UNCOVERED_MM."""
+        return self.coverage * self.residual_mm + (1 - self.coverage) * UNCOVERED_MM
 
 
 class FacePoints:

@@ -13,6 +13,7 @@ from solver.scans.rows import columns, fan, numbers_by_row
 from solver.surface import Floats, Ints
 
 VERTEX, FACE, NORMAL = (b"v ", b"v\t"), (b"f ", b"f\t"), (b"vn ", b"vn\t")
+CUT_SHARE = 0.05
 GROUP = (b"g ", b"g\t", b"o ", b"o\t")
 
 
@@ -39,6 +40,12 @@ def read_raw_obj(file: str, content: bytes) -> Mesh:
     faces, faces_text = _faces(file, content, lines, len(vertices))
     if not len(faces) and not content.endswith(b"\n"):
         raise truncated(file, "it ends within a line, before the first face")
+    if not content.endswith(b"\n"):
+        unused = len(vertices) - len(np.unique(faces))
+        if unused > CUT_SHARE * len(vertices):
+            raise truncated(
+                file, f"it ends without a line end and {unused} vertices are in no face"
+            )
     return Mesh(
         vertices=vertices,
         faces=faces,

@@ -113,8 +113,10 @@ def place_samples(
         poses.sort(key=lambda pose: pose.cost)
         return is_good(poses[0])
 
-    for scales in _scale_rounds(extent, str(frame["unit"]), declared):
-        if any(is_found(scales, starts) for starts in directions):
+    rounds = _scale_rounds(extent, str(frame["unit"]), declared)
+    for number, scales in enumerate(rounds):
+        likely = directions if number + 1 < len(rounds) else directions[:1]
+        if any(is_found(scales, starts) for starts in likely):
             break
         if is_found([poses[0].scale], directions_around(poses[0].rotation)) or is_face(poses[0]):
             break
@@ -138,6 +140,12 @@ def _within(directions: Floats, frame: Mapping[str, Any]) -> Floats:
     if not kept.any():
         raise InputError("options.axes", "up and forward must be two different axes")
     return directions[kept]
+
+
+def known_scales(extent: float, unit: str, declared: float | None) -> list[float]:
+    """Return the likely mm per unit for a scan of this ``extent`` in its own unit."""
+    rounds = _scale_rounds(extent, unit, declared)
+    return rounds[0] if rounds else [1.0]
 
 
 def _scale_rounds(extent: float, unit: str, declared: float | None) -> list[list[float]]:

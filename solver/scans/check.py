@@ -1,0 +1,203 @@
+"""The ingest check: what is in a raw scan, and what is wrong with it.
+
+Within seconds: the file and its mesh, the face's place, unit and axes, what is missing of it, how
+noisy it is, mouth and eyes, landmarks. A bad scan is no exception but a verdict.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solver.anatomy.template import Template
+from solver.errors import InputError
+from solver.scans.cover import Cover, cover
+from solver.scans.eyes import closed_eyes
+from solver.scans.face_findings import (
+    Features,
+    cover_findings,
+    feature_findings,
+    roughness_findings,
+)
+from solver.scans.file_findings import file_findings
+from solver.scans.findings import Finding, of_error
+from solver.scans.landmark_findings import landmark_findings
+from solver.scans.likeness import fit_likeness
+from solver.scans.mend import mend
+from solver.scans.mouth import lip_gap
+from solver.scans.parts import second_face, visible_part
+from solver.scans.place_findings import axis_findings, unit_findings, winding_findings
+from solver.scans.pose import FacePoints, is_face
+from solver.scans.raw import RawScan, read_raw
+from solver.scans.roughness import roughness, spikes
+from solver.scans.sample import Samples
+from solver.scans.units import Placement, face_of, known_scales, place_samples, samples_of
+from solver.surface import Floats, Surface
+
+AROUND_FACE_MM = 25.0
+FACE_SAMPLES = 60_000
+
+
+@dataclass
+class Check:
+    """What a check has found: findings, figures, and what the picture shows.
+
+    ``scan`` is the mended scan and ``placement`` its place, both None if it can not be read;
+    ``cover`` what is missing of its face, None if there is no face; ``marked`` (n,) the vertices of
+    the scan with a fault.
+    """
+
+    findings: list[Finding] = field(default_factory=list)
+    figures: dict[str, Any] = field(default_factory=dict)
+    scan: RawScan | None = None
+    placement: Placement | None = None
+    cover: Cover | None = None
+    marked: NDArray[np.bool_] | None = None
+
+
+def check(
+    path: Path, template: Template, frame: Mapping[str, Any], role: str, landmarks: Path | None
+) -> Check:
+    """Check the raw scan at ``path``; ``frame`` as for :func:`solver.scans.units.place`.
+
+    ``role`` is ``neutral``, ``expression`` or ``unknown``: an open mouth or closed eyes are only
+    wrong in a neutral. Raises :class:`InputError` only for options that do not exist.
+    """
+    result = Check()
+    try:
+        raw = read_raw(path)
+    except InputError as error:
+        result.findings.append(of_error(error))
+        return result
+    scan, mending = mend(raw)
+    result.findings += file_findings(raw, mending)
+    result.figures |= {"vertices": len(raw.vertices), "triangles": len(raw.faces)}
+    if len(scan.vertices) < 100 or (len(raw.faces) and not len(scan.faces)):
+        empty = InputError("scan.empty", f"{raw.file} holds no surface", file=raw.file)
+        result.findings.append(of_error(empty))
+        return result
+    result.scan = scan
+    samples = samples_of(scan)
+    surface = face_of(template)
+    face = FacePoints(surface)
+    place = place_samples(samples, face, frame, scan.mm_per_unit)
+    result.figures |= {
+        "coverage": round(place.pose.coverage, 3),
+        "likeness_mm": round(place.pose.residual_mm, 2),
+    }
+    if not is_face(place.pose):
+        result.findings.append(_no_face(scan, samples, surface, place, frame))
+        return result
+    result.placement = place
+    result.figures |= {
+        "unit": place.unit,
+        "mm_per_unit": place.mm_per_unit,
+        "up": place.up,
+        "forward": place.forward,
+        "size": round(place.size, 3),
+    }
+    result.findings += unit_findings(scan, place, frame)
+    result.findings += axis_findings(place, frame)
+    if second_face(samples, face, place.pose) is not None:
+        message = f"{scan.file} shows two heads."
+        result.findings.append(Finding("scan.two_heads", "error", message))
+    winding = winding_findings(scan, samples, face, place)
+    if landmarks is not None:
+        winding = _with_landmarks(result, landmarks, template, samples, place, winding)
+    result.findings += winding
+    _look_closer(result, scan, place, template, surface, role)
+    return result
+
+
+def _no_face(
+    scan: RawScan, samples: Samples, face: Surface, place: Placement, frame: Mapping[str, Any]
+) -> Finding:
+    """Return whether a scan without a whole face shows half a face or none."""
+    extent = float(np.ptp(np.quantile(samples.points, [0.005, 0.995], axis=0), axis=0).max())
+    scales = known_scales(extent, str(frame["unit"]), scan.mm_per_unit)
+    part = visible_part(samples, face, scales)
+    if part is not None:
+        message = f"{scan.file} shows only the {part[0]} half of a face."
+        return Finding("scan.half_face", "error", message, {"part": part[0]})
+    return Finding(
+        "scan.not_a_face",
+        "error",
+        f"{scan.file} shows no face: the best fit covers {place.pose.coverage:.0%} of a face and "
+        f"is {place.pose.residual_mm:.1f} mm off.",
+    )
+
+
+def _with_landmarks(
+    result: Check,
+    landmarks: Path,
+    template: Template,
+    samples: Samples,
+    place: Placement,
+    winding: list[Finding],
+) -> list[Finding]:
+    """Add what is wrong with the landmarks; return the winding's findings in their light.
+
+    Landmarks are set on the scan as it is seen. If their sides are exchanged and the triangles
+    face inwards too, it is the scan that is mirrored; if only the triangles do, it is not.
+    """
+    found = landmark_findings(landmarks, template, samples, place)
+    swapped = any(finding.code == "landmarks.swapped" for finding in found)
+    if not any(finding.code == "scan.mirrored" for finding in winding):
+        result.findings += found
+        return winding
+    if swapped:
+        message = "The scan is mirrored: its triangles face inwards, left and right are exchanged."
+        return [Finding("scan.mirrored", "error", message)]
+    result.findings += found
+    return [finding for finding in winding if finding.code != "scan.mirrored"]
+
+
+def _look_closer(
+    result: Check,
+    scan: RawScan,
+    place: Placement,
+    template: Template,
+    face: Surface,
+    role: str,
+) -> None:
+    """Add what the face lacks, its noise and spikes, its mouth and eyes."""
+    points = samples_of(scan, FACE_SAMPLES)
+    there = place.pose.apply(points.points)
+    around = _around(there, face, AROUND_FACE_MM)
+    near = Samples(points.points[around], points.normals[around], points.oriented)
+    fitted = fit_likeness(near, place.pose, template, face)
+    pose = fitted.pose
+    size = place.mm_per_unit / pose.scale
+    seen = cover(
+        near.moved(pose.scale, pose.rotation, pose.translation), fitted.skin, template, face
+    )
+    vertices = pose.apply(scan.vertices)
+    rough = roughness(vertices * size, seen.points[seen.covered] * size)
+    marked = np.zeros(len(vertices), bool)
+    if len(scan.faces):
+        marked = spikes(vertices * size, scan.faces) & _around(vertices, face, 2 * AROUND_FACE_MM)
+    surface = Surface(vertices, scan.faces)
+    features = Features(lip_gap(surface, template), closed_eyes(surface, fitted, template))
+    result.findings += cover_findings(seen)
+    result.findings += roughness_findings(rough, int(marked.sum()))
+    result.findings += feature_findings(features, rough, role)
+    result.cover = seen
+    result.marked = marked
+    result.figures |= {
+        "covered": round(seen.share(), 3),
+        "noise_mm": None if np.isnan(rough.noise_mm) else round(rough.noise_mm, 2),
+        "spacing_mm": round(rough.spacing_mm, 2),
+        "lip_gap_mm": features.lip_gap_mm,
+        "spikes": int(marked.sum()),
+    }
+
+
+def _around(points: Floats, face: Surface, margin: float) -> NDArray[np.bool_]:
+    corners = face.vertices[np.unique(face.faces)]
+    low, high = corners.min(axis=0) - margin, corners.max(axis=0) + margin
+    return np.asarray(((points > low) & (points < high)).all(axis=1))

@@ -1,0 +1,119 @@
+"""The picture of a check: the scan from the front and from both sides, its faults in colour."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from solver.rig.raster import Camera, look
+from solver.scans.check import Check
+from solver.scans.relief import FAR_MM
+from solver.surface import Floats, Ints, Surface
+
+WIDTH, HEIGHT = 420, 520
+SUPERSAMPLING = 2
+YAWS = (0.0, np.radians(45), np.radians(-45))
+SPAN_MM = 330.0
+LIGHT = np.array([0.35, 0.45, 0.82])
+GREY = np.array([0.80, 0.78, 0.76])
+INWARD = np.array([0.45, 0.52, 0.66])
+FAULT = np.array([0.93, 0.55, 0.10])
+MISSING = np.array([0.86, 0.10, 0.12])
+BACKGROUND = np.array([0.975, 0.975, 0.98])
+LARGEST_POINT = 3
+
+
+def check_picture(check: Check, title: str, path: Path) -> None:
+    """Write the picture of a check as PNG: three views, what is missing of the face in red.
+
+    Orange vertices are spikes; triangles that face inwards are blue. Without a scan the picture
+    holds only the title.
+    """
+    views = [_view(check, yaw) for yaw in YAWS] if check.scan is not None else []
+    sheet = Image.new("RGB", (WIDTH * len(YAWS), HEIGHT + 40), _rgb(BACKGROUND))
+    for number, view in enumerate(views):
+        sheet.paste(Image.fromarray(view), (WIDTH * number, 40))
+    ImageDraw.Draw(sheet).text((14, 10), title, (40, 40, 46), ImageFont.load_default(18))
+    sheet.save(path)
+
+
+def _rgb(colour: Floats) -> tuple[int, int, int]:
+    red, green, blue = (round(float(value) * 255) for value in colour)
+    return red, green, blue
+
+
+def _view(check: Check, yaw: float) -> np.ndarray:
+    surface, centre, span = _placed(check)
+    camera = Camera(centre, span, yaw, distance=FAR_MM)
+    wide, high = WIDTH * SUPERSAMPLING, HEIGHT * SUPERSAMPLING
+    image = np.broadcast_to(BACKGROUND, (high, wide, 3)).copy()
+    depth = np.full((high, wide), np.inf)
+    if len(surface.faces):
+        _draw_mesh(image, depth, camera, surface, check)
+    else:
+        _draw_points(image, depth, camera.project(surface.vertices, wide, high), GREY, 2)
+    if check.cover is not None:
+        missing = check.cover.points[~check.cover.covered]
+        _draw_points(image, depth + 25.0, camera.project(missing, wide, high), MISSING, 5)
+    image = image.reshape(HEIGHT, SUPERSAMPLING, WIDTH, SUPERSAMPLING, 3).mean(axis=(1, 3))
+    return np.asarray(np.clip(image * 255, 0, 255), np.uint8)
+
+
+def _placed(check: Check) -> tuple[Surface, Floats, float]:
+    """Return the scan as it is to be seen, the middle of the view and its height."""
+    scan = check.scan
+    assert scan is not None
+    if check.placement is not None and check.cover is not None:
+        vertices = check.placement.pose.apply(scan.vertices)
+        return Surface(vertices, scan.faces), np.median(check.cover.points, axis=0), SPAN_MM
+    low, high = np.quantile(scan.vertices, [0.002, 0.998], axis=0)
+    scale = SPAN_MM / 1.2 / float((high - low).max() + 1e-30)
+    return Surface((scan.vertices - (low + high) / 2) * scale, scan.faces), np.zeros(3), SPAN_MM
+
+
+def _draw_mesh(
+    image: Floats, depth: Floats, camera: Camera, surface: Surface, check: Check
+) -> None:
+    seen = look(camera, surface, image.shape[1], image.shape[0])
+    mask = np.asarray(seen.mask)
+    if not mask.any():
+        return
+    corners = surface.vertices[surface.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-30
+    smooth = _smooth(normals, surface.faces, len(surface.vertices))
+    normal = seen.interpolate(smooth).astype(np.float64)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-30
+    facing = normals[seen.triangle[mask]] @ camera.axes[2]
+    light = np.abs(normal @ (camera.axes.T @ LIGHT))
+    colour = np.where(facing[:, None] >= 0, GREY, INWARD)
+    if check.marked is not None and check.marked.any():
+        fault = np.asarray(check.marked[surface.faces].any(axis=1))[seen.triangle[mask]]
+        colour[fault] = FAULT
+    image[mask] = colour * (0.25 + 0.75 * light[:, None])
+    place = seen.interpolate(surface.vertices).astype(np.float64)
+    depth[mask] = camera.distance - (place - camera.centre) @ camera.axes[2]
+
+
+def _smooth(normals: Floats, faces: Ints, count: int) -> Floats:
+    sums = np.zeros((count, 3))
+    for axis in range(3):
+        sums[:, axis] = np.bincount(faces.ravel(), np.repeat(normals[:, axis], 3), minlength=count)
+    return sums
+
+
+def _draw_points(image: Floats, depth: Floats, pixels: Floats, colour: Floats, radius: int) -> None:
+    """Draw points (n, 3: column, row, depth) as squares where nothing nearer is drawn."""
+    rows, columns = depth.shape
+    order = np.argsort(-pixels[:, 2])
+    for down in range(-radius, radius + 1):
+        for right in range(-radius, radius + 1):
+            column = np.rint(pixels[order, 0]).astype(int) + right
+            row = np.rint(pixels[order, 1]).astype(int) + down
+            inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+            row, column, far = row[inside], column[inside], pixels[order, 2][inside]
+            shown = far <= depth[row, column]
+            shade = np.clip(1.15 - (far[shown] - (FAR_MM - 60.0)) / 320.0, 0.35, 1.0)
+            image[row[shown], column[shown]] = colour * shade[:, None]

@@ -1,0 +1,149 @@
+"""How much of the face a scan covers: what is missing, where, and how large the holes are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import igl
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from solver.anatomy.template import Template
+from solver.scans.relief import relief
+from solver.scans.sample import Samples, sample
+from solver.surface import Floats, Surface
+
+POINTS = 5000
+BORDER_MM = 12.0
+"""So near the rim of the template's face, scans may end."""
+OPENING_MM = 4.0
+"""So near the template's own openings (lids, lips, nostrils), scans may be torn."""
+HIDDEN_MM = 2.0
+LEAST_GAP_MM = 3.5
+SIDE_MM = 8.0
+MISFIT_MM = 15.0
+SLIDES = 4
+
+
+@dataclass(frozen=True)
+class Hole:
+    """A hole in the face: its ``area_mm2``, its ``centre`` (3,) and the ``region`` it is in."""
+
+    area_mm2: float
+    centre: Floats
+    region: str
+
+
+@dataclass(frozen=True)
+class Cover:
+    """Points (n, 3) of the face that a scan should show, and which of them it does.
+
+    ``area_mm2`` is the area of one point.
+    """
+
+    points: Floats
+    covered: NDArray[np.bool_]
+    holes: list[Hole]
+
+    def share(self, side: str = "all") -> float:
+        """Return the share covered of the ``left``, ``right``, ``upper`` or ``lower`` face."""
+        middle = np.median(self.points[:, 1])
+        chosen = {
+            "all": np.ones(len(self.points), bool),
+            "left": self.points[:, 0] > SIDE_MM,
+            "right": self.points[:, 0] < -SIDE_MM,
+            "upper": self.points[:, 1] > middle,
+            "lower": self.points[:, 1] <= middle,
+        }[side]
+        return float(self.covered[chosen].mean())
+
+
+def cover(scan: Samples, skin: Floats, template: Template, face: Surface) -> Cover:
+    """Return what ``scan``, in the template's frame, covers of the fitted ``skin`` (n, 3).
+
+    ``face`` is the part of the template's skin that is fitted, in its numbers.
+    """
+    fitted = Surface(skin, face.faces)
+    samples = sample(skin, face.faces, None, POINTS)
+    seen = _seen_from_front(fitted, samples)
+    inner = ~_near_rims(samples.points, fitted)
+    points = samples.points[seen & inner]
+    area = _area(fitted) / POINTS
+    tree = KDTree(scan.points)
+    spacing = float(np.median(tree.query(scan.points[::7], k=2)[0][:, 1]))
+    gap = _sideways_gap(points, samples.normals[seen & inner], tree)
+    covered = np.asarray(gap < max(LEAST_GAP_MM, 4 * spacing))
+    return Cover(points, covered, _holes(points[~covered], area, skin, template))
+
+
+def _sideways_gap(points: Floats, normals: Floats, tree: KDTree) -> Floats:
+    """Return how far (n,) the scan is beside each point's normal: in a hole, not where it misfits.
+
+    Each point slides along its normal to the height of its closest scan point, and again from
+    there, up to MISFIT_MM.
+    """
+    height = np.zeros(len(points))
+    gap = np.empty(len(points))
+    for _ in range(SLIDES):
+        gap, near = tree.query(points + height[:, None] * normals)
+        height = ((tree.data[near] - points) * normals).sum(axis=1).clip(-MISFIT_MM, MISFIT_MM)
+    return np.asarray(gap)
+
+
+def _area(surface: Surface) -> float:
+    return float(igl.doublearea(surface.vertices, surface.faces).sum() / 2)
+
+
+def _seen_from_front(fitted: Surface, samples: Samples) -> NDArray[np.bool_]:
+    """Return which samples neither lie in a fold nor face sideways, where few scanners see."""
+    used = fitted.vertices[np.unique(fitted.faces)]
+    low, high = used.min(axis=0), used.max(axis=0)
+    size = high - low + 4.0
+    front = relief(fitted, (low + high) / 2, (float(size[0]), float(size[1])), 1.0)
+    column = np.clip(np.rint(samples.points[:, 0] - front.x[0]), 0, len(front.x) - 1)
+    row = np.clip(np.rint(front.y[0] - samples.points[:, 1]), 0, len(front.y) - 1)
+    height = front.height[row.astype(int), column.astype(int)]
+    return np.asarray(samples.points[:, 2] > np.nan_to_num(height, nan=-1e9) - HIDDEN_MM)
+
+
+def _near_rims(points: Floats, fitted: Surface) -> NDArray[np.bool_]:
+    """Return which points lie near the outer rim of the face or near one of its openings."""
+    loops = igl.boundary_loop_all(fitted.faces)
+    near = np.zeros(len(points), bool)
+    rim = max(loops, key=lambda loop: float(np.ptp(fitted.vertices[loop], axis=0).sum()))
+    for loop in loops:
+        limit = BORDER_MM if loop is rim else OPENING_MM
+        near |= KDTree(fitted.vertices[loop]).query(points)[0] < limit
+    return near
+
+
+def _holes(missing: Floats, area: float, skin: Floats, template: Template) -> list[Hole]:
+    """Return the clusters of missing points, the largest first."""
+    if len(missing) == 0:
+        return []
+    pairs = KDTree(missing).query_pairs(2.2 * np.sqrt(area), output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(missing), len(missing)))
+    count, label = connected_components(graph, directed=False)
+    holes = []
+    for number in range(count):
+        members = missing[label == number]
+        centre = members.mean(axis=0)
+        holes.append(Hole(len(members) * area, centre, _region(centre, skin, template)))
+    return sorted(holes, key=lambda hole: -hole.area_mm2)
+
+
+def _region(place: Floats, skin: Floats, template: Template) -> str:
+    """Return the name of the region nearest to ``place`` (3,), with its side."""
+    nearest = {
+        name: float(np.linalg.norm(skin[ids] - place, axis=1).min())
+        for name, ids in template.regions.items()
+        if len(ids)
+    }
+    if not nearest:
+        return "face"
+    name = min(nearest, key=lambda region: nearest[region]).replace("_", " ")
+    side = "left " if place[0] > SIDE_MM else "right " if place[0] < -SIDE_MM else ""
+    return side + name

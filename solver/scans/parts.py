@@ -1,0 +1,64 @@
+"""More or less than one face in a scan: a second head, or only a part of a face."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from solver.scans.pose import (
+    FacePoints,
+    Pose,
+    all_directions,
+    axis_directions,
+    find_pose,
+    is_face,
+)
+from solver.scans.sample import Samples
+from solver.surface import Surface
+
+PART_SHARE = 0.8
+PART_MM = {"left": 1.7, "right": 1.7, "upper": 1.55, "lower": 1.7}
+"""A bare skull has a forehead too: its upper half fits to 1.64 mm, a face's to 1.5 mm."""
+OTHER_SHARE = 0.08
+HEAD_MM = np.array([[-95.0, -210.0, -220.0], [95.0, 190.0, 120.0]])
+"""The box about a face's middle that its own head fills."""
+
+
+def parts_of(face: Surface) -> dict[str, FacePoints]:
+    """Return the ``left``, ``right``, ``upper`` and ``lower`` halves of a template's face."""
+    centre = face.vertices[face.faces].mean(axis=1)
+    middle = np.median(centre[:, 1])
+    halves = {
+        "left": centre[:, 0] > 0,
+        "right": centre[:, 0] < 0,
+        "upper": centre[:, 1] > middle,
+        "lower": centre[:, 1] < middle,
+    }
+    return {
+        name: FacePoints(Surface(face.vertices, face.faces[kept])) for name, kept in halves.items()
+    }
+
+
+def visible_part(scan: Samples, face: Surface, scales: list[float]) -> tuple[str, Pose] | None:
+    """Return which half of a face a scan shows that shows no whole one, and where; else None."""
+    best: tuple[str, Pose] | None = None
+    for directions in (axis_directions(), all_directions()):
+        for name, part in parts_of(face).items():
+            pose = find_pose(part, scan, scales, directions)
+            is_part = pose.coverage > PART_SHARE and pose.residual_mm < PART_MM[name]
+            if is_part and (best is None or pose.cost < best[1].cost):
+                best = name, pose
+        if best is not None:
+            break
+    return best
+
+
+def second_face(scan: Samples, face: FacePoints, pose: Pose) -> Pose | None:
+    """Return the pose of another face in the scan than the one at ``pose``, if there is one."""
+    there = pose.apply(scan.points) - face.points.mean(axis=0)
+    outside = ((there < HEAD_MM[0]) | (there > HEAD_MM[1])).any(axis=1)
+    if outside.sum() < OTHER_SHARE * len(outside):
+        return None
+    rest = Samples(scan.points[outside], scan.normals[outside], scan.oriented)
+    directions = np.concatenate([pose.rotation[None], axis_directions() @ pose.rotation])
+    other = find_pose(face, rest, [pose.scale], directions)
+    return other if is_face(other) else None
