@@ -14,7 +14,7 @@ from solver.anatomy.meshing import EDGE_MM, with_mesh
 from solver.anatomy.template import Template
 from solver.progress import Progress, silent
 
-MAKING = 2
+MAKING = 3
 """Part of the name in the cache; counts up where meshes are made in another way."""
 
 log = structlog.get_logger(__name__)

@@ -42,11 +42,9 @@ def initial_weights(vertices: Floats, tets: Ints, muscles: list[Surface]) -> sp.
         column_parts.append(np.full(len(candidates), column))
         fraction_parts.append(_fractions(vertices[tets[candidates]], muscle))
     rows, columns = np.concatenate(row_parts), np.concatenate(column_parts)
-    fractions = np.concatenate(fraction_parts)
-    total = np.bincount(rows, fractions, minlength=len(tets))
-    # Muscles overlap where they interlace, so that shares may exceed the whole.
-    fractions /= np.maximum(total, 1.0)[rows]
-    passive = 1.0 - np.minimum(total, 1.0)
+    sizes = np.array([enclosed_volume(muscle) for muscle in muscles])
+    fractions = _without_overlap(rows, np.concatenate(fraction_parts), sizes[columns - 1])
+    passive = 1.0 - np.minimum(np.bincount(rows, fractions, minlength=len(tets)), 1.0)
     every = np.arange(len(tets))
     rows = np.concatenate([every, rows])
     columns = np.concatenate([np.zeros(len(tets), dtype=np.int64), columns])
@@ -56,6 +54,19 @@ def initial_weights(vertices: Floats, tets: Ints, muscles: list[Surface]) -> sp.
     return sp.csr_array(
         (values[order], columns[order], indptr), shape=(len(tets), len(muscles) + 1)
     )
+
+
+def _without_overlap(rows: Ints, fractions: Floats, sizes: Floats) -> Floats:
+    """Return the fractions (k,) with no tet, of number ``rows`` (k,), filled more than wholly.
+
+    Muscles overlap where they interlace. What is too much is taken from each by its fraction times
+    its size in mm^3, ``sizes`` (k,): a large muscle hardly misses what would be half of a small one.
+    """
+    excess = np.maximum(np.bincount(rows, fractions) - 1.0, 0.0)
+    yielding = fractions * sizes
+    total = np.maximum(np.bincount(rows, yielding), 1e-12)
+    left = np.maximum(fractions - (excess / total)[rows] * yielding, 0.0)
+    return np.asarray(left / np.maximum(np.bincount(rows, left), 1.0)[rows])
 
 
 def muscle_volumes(vertices: Floats, tets: Ints, weights: sp.csr_array) -> Floats:

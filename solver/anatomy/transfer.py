@@ -14,7 +14,7 @@ from solver.surface import Floats, Surface
 
 CORRESPONDENCES = 900
 SMOOTHING_MM = 2.0
-CLEARANCE_MM = 1.8
+CLEARANCE_MM = 1.9
 """Bones stay this deep under the skin where they do in the template."""
 CLEARANCE_STEPS = 8
 
