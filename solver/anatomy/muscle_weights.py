@@ -60,7 +60,7 @@ def _without_overlap(rows: Ints, fractions: Floats, sizes: Floats) -> Floats:
     """Return the fractions (k,) with no tet, of number ``rows`` (k,), filled more than wholly.
 
     Muscles overlap where they interlace. What is too much is taken from each by its fraction times
-    its size in mm^3, ``sizes`` (k,): a large muscle hardly misses what would be half of a small one.
+    its size in mm^3, ``sizes`` (k,): large muscles hardly miss what would be half of a small one.
     """
     excess = np.maximum(np.bincount(rows, fractions) - 1.0, 0.0)
     yielding = fractions * sizes
