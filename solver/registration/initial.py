@@ -18,10 +18,10 @@ from solver.scans.raw import RawScan
 from solver.scans.units import AXES, EXTENT_MM, UNITS, unit_of
 from solver.surface import Floats, Ints
 
-FAR_MM = 7.0
-"""A face that fits no better than this on average is none."""
+CLOSE_MM, FAR_MM = 5.7, 6.5
+"""A face that fits better than the first on average is found; one worse than the second is none."""
 HEAD_MM = (170.0, 230.0, 310.0, 420.0, 570.0)
-"""Extents to try for a scan whose numbers make no head in any unit."""
+"""Extents to try for a scan in which no face of a person's size was found."""
 
 
 @dataclass(frozen=True)
@@ -46,50 +46,52 @@ def start_by_shape(raw: RawScan, patch: FacePatch, frame: Mapping[str, Any]) -> 
     """Find the face of a mended scan by its shape alone.
 
     ``frame`` holds the options ``unit``, ``up`` and ``forward``. Raises :class:`InputError`:
-    ``options.unit``, ``options.axes``, ``scan.not_a_face``.
+    ``options.unit``, ``options.axes``, ``scan.not_a_face``, ``scan.empty``.
     """
     upright = (_axis(frame, "up"), _axis(frame, "forward"))
     best: tuple[float, float, ScanSurface, Similarity] | None = None
-    for factor in _factors(raw, str(frame["unit"])):
-        scan = scan_surface(raw, factor)
-        motion, misfit = find_face(patch, scan, upright)
-        if best is None or misfit < best[0]:
-            best = misfit, factor, scan, motion
+    likely, others = _factors(raw, str(frame["unit"]))
+    for factors in (likely, others):
+        for factor in factors:
+            scan = scan_surface(raw, factor)
+            motion, misfit = find_face(patch, scan, upright)
+            if best is None or misfit < best[0]:
+                best = misfit, factor, scan, motion
+        if best is not None and best[0] < CLOSE_MM:
+            break
     assert best is not None
     misfit, factor, scan, motion = best
     if misfit > FAR_MM:
-        raise InputError(
-            "scan.not_a_face",
-            f"{raw.file} shows no face: the best place for one is {misfit:.1f} mm off on average",
-            file=raw.file,
-            found=misfit,
-            expected=FAR_MM,
-        )
+        raise not_a_face(raw.file, f"the best place for one is {misfit:.1f} mm off on average")
     motion = align(scan, motion, patch.points, patch.normals, sizes=True)
-    return _in_unit(raw, factor, motion, patch.points.mean(axis=0), str(frame["unit"]))
+    total, name = _unit(raw, motion.scale * factor, frame)
+    scan = scan if total == factor else scan_surface(raw, total)
+    resized = _resized(motion, total / factor, patch.points.mean(axis=0))
+    return Start(scan, resized, total, name)
 
 
 def start_by_landmarks(raw: RawScan, pins: Pins, model: Floats, frame: Mapping[str, Any]) -> Start:
     """Place a mended scan by landmarks on the ``model`` (n, 3); the points are as in the file."""
     motion = Similarity(*similarity(pins.points, model[pins.vertices]))
-    centre = model[pins.vertices].mean(axis=0)
-    return _in_unit(raw, 1.0, motion, centre, str(frame["unit"]))
+    mm_per_unit, name = _unit(raw, motion.scale, frame)
+    resized = _resized(motion, mm_per_unit, model[pins.vertices].mean(axis=0))
+    return Start(scan_surface(raw, mm_per_unit), resized, mm_per_unit, name)
 
 
-def _in_unit(raw: RawScan, factor: float, motion: Similarity, centre: Floats, unit: str) -> Start:
-    """Give a scan of known unit its true size, about the face's ``centre`` (3,)."""
-    total = motion.scale * factor
-    mm_per_unit, name = unit_of(total, unit, raw.mm_per_unit)
-    about = motion.inverse()(centre[None])[0] * mm_per_unit / factor
-    shift = centre - motion.rotation @ about
-    scan = scan_surface(raw, mm_per_unit)
-    return Start(scan, Similarity(1.0, motion.rotation, shift), mm_per_unit, name)
+def _unit(raw: RawScan, scale: float, frame: Mapping[str, Any]) -> tuple[float, str | None]:
+    return unit_of(scale, str(frame["unit"]), raw.mm_per_unit)
 
 
-def _factors(raw: RawScan, unit: str) -> list[float]:
-    """Return the mm per unit to try."""
+def _resized(motion: Similarity, factor: float, centre: Floats) -> Similarity:
+    """Return the motion of a scan ``factor`` times as large, without scale, about ``centre``."""
+    there = factor * motion.inverse()(centre[None])[0]
+    return Similarity(1.0, motion.rotation, centre - motion.rotation @ there)
+
+
+def _factors(raw: RawScan, unit: str) -> tuple[list[float], list[float]]:
+    """Return the mm per unit to try first, and those to try if none fits well."""
     if unit in UNITS:
-        return [UNITS[unit]]
+        return [UNITS[unit]], []
     if unit != "auto":
         raise InputError(
             "options.unit",
@@ -100,7 +102,12 @@ def _factors(raw: RawScan, unit: str) -> list[float]:
     extent = max(float((high - low).max()), 1e-30)
     declared = [] if raw.mm_per_unit is None else [raw.mm_per_unit]
     likely = [f for f in declared or UNITS.values() if EXTENT_MM[0] <= f * extent <= EXTENT_MM[1]]
-    return likely or [mm / extent for mm in HEAD_MM]
+    return likely, [mm / extent for mm in HEAD_MM]
+
+
+def not_a_face(file: str, reason: str) -> InputError:
+    """Return the error for a scan in which no face was found."""
+    return InputError("scan.not_a_face", f"{file} shows no whole face: {reason}", file=file)
 
 
 def _axis(frame: Mapping[str, Any], name: str) -> Floats | None:

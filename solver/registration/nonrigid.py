@@ -1,7 +1,7 @@
 """Free-form registration: every skin vertex on its own, as smooth as the data allow.
 
     min over d  sum_i w_i A_i |d_i - p_i|^2  +  l^4 |Laplacian d|^2  +  m l^2 |grad d|^2
-                + sum over touching (i, j) of k_ij |x_i + d_i - x_j - d_j - gap_ij|^2
+              + sum over touching (i, j) of k_ij |x_i + d_i - x_j - d_j - gap_ij|^2
 
 d are displacements (mm) from a start shape, p_i the way to the scan's tangent plane at the closest
 point, A_i the vertex's area and l the length (mm) below which detail is smoothed. From round to
@@ -30,7 +30,7 @@ MEMBRANE = 0.02
 """m: keeps what the scan does not show from swinging out."""
 COTANGENT = (0.05, 4.0)
 TOUCH_FADES_MM = 1.5
-"""Gap of the start at which lips no longer count as touching."""
+"""How far lips may be apart in the start and still be closed."""
 LIP_STRENGTH = 5.0
 """k of a touching pair, by the weight of a vertex that the scan shows."""
 PINNED, PIN_MM2 = 0.8, 20.0
@@ -105,15 +105,15 @@ class Skin:
         """Return the matrix of the touching pairs' springs, and the force that closes them."""
         rest = topology.template.skin.vertices[self.vertices]
         one, other = np.searchsorted(self.vertices, topology.touching).T
-        gap = self.start[one] - self.start[other]
-        strength = np.exp(-np.sum((gap / TOUCH_FADES_MM) ** 2, axis=1))
+        closing = rest[one] - rest[other] - (self.start[one] - self.start[other])
+        strength = np.exp(-np.sum((closing / TOUCH_FADES_MM) ** 2, axis=1))
         strength *= LIP_STRENGTH * np.minimum(self.area[one], self.area[other])
         rows = np.tile(np.arange(len(one)), 2)
         ends = (rows, np.concatenate([one, other]))
         signs = np.repeat([1.0, -1.0], len(one))
         difference = sp.csr_array((signs, ends), shape=(len(one), len(rest)))
         weighted = difference.T @ sp.diags_array(strength)
-        return sp.csr_array(weighted @ difference), weighted @ (rest[one] - rest[other] - gap)
+        return sp.csr_array(weighted @ difference), weighted @ closing
 
 
 def free_form(

@@ -21,8 +21,12 @@ THIN_MM = 4.0
 """Spacing of the scan's points in the search."""
 TIP_SPACING_MM = 11.0
 TIP_RADIUS_MM = 22.0
-MOST_TIPS = 260
+TIP_AREA_MM = 50.0
+TIPS_AN_AREA = 3
+MOST_TIPS = 800
 ROLLS = 14
+STAGES = ((30, 2, 1200), (70, 5, 96), (250, 12, 10), (900, 15, 1))
+"""Points of the face, steps, and how many poses go on to the next stage."""
 KEPT = 0.75
 """Share of the face's points that must fit; the others may lie in holes."""
 CUT_MM = 12.0
@@ -73,7 +77,7 @@ def find_face(
     cloud, directions = _thin(scan.vertices, scan.normals)
     tree = cKDTree(cloud)
     poses = _allowed(_starts(patch, cloud, directions, tree), upright)
-    for points, steps, survivors in ((70, 5, 96), (250, 12, 10), (900, 15, 1)):
+    for points, steps, survivors in STAGES:
         sample = patch.thinned(points)
         for _ in range(steps):
             poses = _step(poses, sample, cloud, directions, tree)
@@ -85,9 +89,8 @@ def find_face(
 
 
 def _thin(vertices: Floats, normals: Floats) -> tuple[Floats, Floats]:
-    keys = np.floor((vertices - vertices.min(axis=0)) / THIN_MM).astype(np.int64)
-    _, number = np.unique(keys, axis=0, return_inverse=True)
-    number = number.reshape(-1)
+    """Return the means of points and normals in every cell of a grid."""
+    _, number = _cells(vertices, THIN_MM)
     count = np.bincount(number)[:, None]
 
     def mean(values: Floats) -> Floats:
@@ -99,17 +102,28 @@ def _thin(vertices: Floats, normals: Floats) -> tuple[Floats, Floats]:
     return mean(vertices), direction
 
 
+def _cells(points: Floats, size: float) -> tuple[Ints, Ints]:
+    """Return the first point of every cell of a grid, and the cell of every point."""
+    keys = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
+    _, first, number = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    return first, number.reshape(-1)
+
+
 def _starts(patch: FacePatch, cloud: Floats, directions: Floats, tree: cKDTree) -> Poses:
     """Put the nose tip on the places that stand out most, with all turns about the normal."""
-    keys = np.floor((cloud - cloud.min(axis=0)) / TIP_SPACING_MM).astype(np.int64)
-    _, first = np.unique(keys, axis=0, return_index=True)
+    first, _ = _cells(cloud, TIP_SPACING_MM)
     near = tree.query_ball_point(cloud[first], TIP_RADIUS_MM)
     height, forward = np.empty(len(first)), np.empty((len(first), 3))
     for number, members in enumerate(near):
         mean = directions[members].mean(axis=0)
         forward[number] = mean / (np.linalg.norm(mean) + 1e-12)
-        height[number] = (cloud[members].mean(axis=0) - cloud[first[number]]) @ forward[number]
-    chosen = np.argsort(height, kind="stable")[: min(MOST_TIPS, max(60, len(first) // 2))]
+        height[number] = (cloud[first[number]] - cloud[members].mean(axis=0)) @ forward[number]
+    # the highest of every neighbourhood, so that spikes and clothes leave room for the nose
+    _, area = _cells(cloud[first], TIP_AREA_MM)
+    order = np.lexsort((-height, area))
+    rank = np.arange(len(order)) - np.searchsorted(area[order], area[order])
+    best = order[rank < TIPS_AN_AREA]
+    chosen = best[np.argsort(-height[best], kind="stable")[:MOST_TIPS]]
     tips, forward = cloud[first[chosen]], forward[chosen]
     side = np.cross(np.eye(3)[np.argmin(np.abs(forward), axis=1)], forward)
     side /= np.linalg.norm(side, axis=1, keepdims=True)

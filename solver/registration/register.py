@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from solver.anatomy.template import Template
 from solver.progress import Progress, Step, silent
 from solver.registration.confidence import Trust, trust
 from solver.registration.folds import folded_triangles, unfolded
 from solver.registration.hidden import carry_hidden
-from solver.registration.initial import Pins, Start, start_by_landmarks, start_by_shape
+from solver.registration.initial import Pins, Start, not_a_face, start_by_landmarks, start_by_shape
 from solver.registration.nonrigid import FROM_AFAR, REFINE, free_form
 from solver.registration.pose import FacePatch
 from solver.registration.rigid import align
@@ -26,6 +27,7 @@ from solver.scans.raw import RawScan
 from solver.scans.units import FRAME
 from solver.surface import Floats, Ints, Surface
 
+LEAST_COVER, FARTHEST_MM = 0.15, 1.0
 STILL = 0.1
 """Least weight of the vertices on which an expression's head is aligned."""
 
@@ -86,13 +88,18 @@ def register(
     skin = topology.template.skin
     model = skin if neutral is None else skin.moved(neutral)
     if landmarks is None:
-        start, pins = start_by_shape(raw, _face_patch(model, topology), frame), None
+        looked_for = topology.face if neutral is None else topology.firm
+        patch = _face_patch(model, looked_for, topology.template)
+        start, pins = start_by_shape(raw, patch, frame), None
     else:
         start = start_by_landmarks(raw, Pins(*landmarks), model.vertices, frame)
         pins = Pins(start.mm_per_unit * landmarks[0], landmarks[1])
     if neutral is None:
-        return _register_neutral(start, topology, pins, progress)
-    return _register_expression(start, topology, neutral, pins, progress)
+        found = _register_neutral(start, topology, pins, progress)
+    else:
+        found = _register_expression(start, topology, neutral, pins, progress)
+    _check(raw.file, found, topology)
+    return found
 
 
 def _register_neutral(
@@ -143,12 +150,23 @@ def _register_expression(
     return Registration(start, skin, seen, motion.then(back), weights, folds)
 
 
-def _face_patch(model: Surface, topology: Topology) -> FacePatch:
-    """Return the outer face of a neutral; its tip is what stands out most."""
-    points = model.vertices[topology.face]
-    tip = topology.template.landmarks.get("nose_tip", topology.template.landmarks.get("pronasale"))
+def _check(file: str, found: Registration, topology: Topology) -> None:
+    """Raise ``scan.not_a_face`` where even free form could not come near."""
+    seen = topology.face[found.trust.covered[topology.face]]
+    share = len(seen) / len(topology.face)
+    if share < LEAST_COVER:
+        raise not_a_face(file, f"only {share:.0%} of a face could be laid on it")
+    distance = float(found.trust.distance_mm[seen].mean())
+    if distance > FARTHEST_MM:
+        raise not_a_face(file, f"a face laid on it stays {distance:.1f} mm off on average")
+
+
+def _face_patch(model: Surface, vertices: Ints, template: Template) -> FacePatch:
+    """Return the face of a neutral, with the nose's tip: a landmark, or what stands out most."""
+    points = model.vertices[vertices]
+    tip = template.landmarks.get("nose_tip", template.landmarks.get("pronasale"))
     place = points[np.argmax(points[:, 2])] if tip is None else model.vertices[tip]
-    return FacePatch(points, vertex_normals(model)[topology.face], place)
+    return FacePatch(points, vertex_normals(model)[vertices], place)
 
 
 def _own_size(

@@ -12,8 +12,10 @@ from solver.registration.hidden import rigid_groups
 from solver.registration.outer import outer_skin
 from solver.surface import Ints
 
-TOUCHING_MM = 1.2
-PARTED_MM = 1.0
+TOUCHING_MM = 2.1
+FAR_MM = 8.0
+PARTED_SHARE = 0.3
+"""Share of the widest parting by which lips that touch come apart."""
 MOBILE_MM = 0.4
 """Root mean square displacement over the expressions that halves a vertex's stability."""
 STABLE_REGIONS = ("forehead", "nose")
@@ -31,6 +33,8 @@ class Topology:
         (k,) vertices that a scanner sees.
     face
         (j,) outer vertices of the face: where it is looked for and where errors are reported.
+    firm
+        (i,) vertices of the face that no expression moves far: where it is looked for in one.
     touching
         (p, 2) vertices that touch at rest and part when the mouth opens: the lips.
     groups
@@ -43,6 +47,7 @@ class Topology:
     flesh: Ints
     outer: Ints
     face: Ints
+    firm: Ints
     touching: Ints
     groups: list[Ints]
     stable: np.ndarray
@@ -52,11 +57,13 @@ def topology(template: Template) -> Topology:
     """Find outer skin, lips that touch, rigid parts and stable skin of a template."""
     outer = np.flatnonzero(outer_skin(template))
     flesh = template.skin.faces[template.flesh_faces]
+    face = np.intersect1d(template.face_vertices, outer)
     return Topology(
         template=template,
         flesh=flesh,
         outer=outer,
-        face=np.intersect1d(template.face_vertices, outer),
+        face=face,
+        firm=_firm(template, face),
         touching=_touching(template, np.unique(flesh)),
         groups=rigid_groups(template),
         stable=_stable(template, outer),
@@ -64,14 +71,32 @@ def topology(template: Template) -> Topology:
 
 
 def _touching(template: Template, vertices: Ints) -> Ints:
+    """Pair every lip vertex with the closest one that parting takes away from it, each once."""
     rest = template.skin.vertices
-    pairs = cKDTree(rest[vertices]).query_pairs(TOUCHING_MM, output_type="ndarray")
-    one, other = vertices[pairs].T
-    gap = np.linalg.norm(rest[one] - rest[other], axis=1)
     parted = rest + template.parting
-    wide = np.linalg.norm(parted[one] - parted[other], axis=1)
-    apart = wide > 3 * gap + PARTED_MM
-    return np.stack([one[apart], other[apart]], axis=1)
+    pairs = vertices[cKDTree(rest[vertices]).query_pairs(TOUCHING_MM, output_type="ndarray")]
+    gap, opened = (
+        np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
+        for points in (rest, parted)
+    )
+    opened -= gap
+    apart = np.flatnonzero(opened > PARTED_SHARE * opened.max(initial=0.0))
+    chosen: list[Ints] = []
+    taken: set[int] = set()
+    for pair in pairs[apart[np.argsort(gap[apart], kind="stable")]]:
+        if taken.isdisjoint(pair.tolist()):
+            taken.update(pair.tolist())
+            chosen.append(pair)
+    return np.array(chosen, dtype=np.int64).reshape(-1, 2)
+
+
+def _firm(template: Template, face: Ints) -> Ints:
+    """Leave out what moves farther than :data:`FAR_MM`; without shapes, the lower half."""
+    if template.shapes is not None and len(template.shapes.expressions):
+        moves = np.linalg.norm(template.shapes.expressions[:, face], axis=2).max(axis=0)
+        return face[moves < FAR_MM]
+    height = template.skin.vertices[face, 1]
+    return face[height > (height.min() + height.max()) / 2]
 
 
 def _stable(template: Template, outer: Ints) -> np.ndarray:

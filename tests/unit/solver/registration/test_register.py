@@ -1,0 +1,89 @@
+"""Scans that are spoilt on purpose come back to the vertices they were made of."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.corruption import Corruption, corrupted
+from solver.anatomy.builtin import builtin_template
+from solver.errors import InputError
+from solver.registration.register import register
+from solver.registration.report import report
+from solver.registration.topology import topology
+from solver.scans.mend import mend
+from solver.scans.units import FRAME
+
+SMILE = {"mouthSmileLeft": 0.9, "mouthSmileRight": 0.9, "jawOpen": 0.4, "browInnerUp": 0.6}
+
+
+@pytest.fixture(scope="module")
+def known():
+    return topology(builtin_template())
+
+
+@pytest.fixture(scope="module")
+def person(known):
+    """A person the template does not have, and their smile, as surfaces with known vertices."""
+    template = known.template
+    shapes = template.shapes
+    who = 0.5 * np.random.default_rng(7).standard_normal(len(shapes.identity))
+    neutral = template.skin.vertices + np.tensordot(who, shapes.identity, 1)
+    weights = [SMILE.get(name, 0.0) for name in shapes.expression_names]
+    smile = neutral + np.tensordot(weights, shapes.expressions, 1)
+    return template.skin.moved(neutral), template.skin.moved(smile)
+
+
+@pytest.fixture(scope="module")
+def neutral(known, person):
+    raw = corrupted(person[0], 3, Corruption(unit_mm=10.0))
+    return register(mend(raw)[0], known)
+
+
+def errors(found, truth, known):
+    return np.linalg.norm(found - truth, axis=1)[known.template.face_vertices]
+
+
+def test_neutral_in_any_pose_and_unit_finds_its_vertices(known, person, neutral):
+    assert neutral.start.unit == "cm"
+    assert errors(neutral.skin.vertices, person[0].vertices, known).mean() < 0.8
+    assert len(neutral.folded) == 0
+
+
+def test_holes_have_no_confidence_and_the_rest_lies_on_the_scan(known, neutral):
+    trust = neutral.trust
+    hidden = np.setdiff1d(np.arange(len(trust.confidence)), known.outer)
+    assert not trust.confidence[hidden].any()
+    assert not trust.confidence[~trust.covered].any()
+    covered = trust.covered[known.face].mean()
+    assert 0.6 < covered < 0.95  # a fifth was cut out
+    figures = report(neutral, known)
+    assert figures["mean_mm"] < 0.3
+    assert figures["coverage"] == pytest.approx(covered, abs=1e-3)
+    assert "registration.holes" in [finding["code"] for finding in figures["findings"]]
+
+
+def test_expression_keeps_the_head_where_the_neutral_has_it(known, person, neutral):
+    raw = corrupted(person[1], 5, Corruption(unit_mm=1000.0))
+    found = register(mend(raw)[0], known, neutral.skin.vertices)
+    moved = found.skin.vertices - neutral.skin.vertices
+    assert errors(moved, person[1].vertices - person[0].vertices, known).mean() < 0.6
+    assert found.start.unit == "m"
+
+
+def test_without_shapes_the_surface_is_still_met(known, person):
+    plain = topology(replace(known.template, shapes=None))
+    raw = corrupted(person[0], 4, Corruption(hole_share=0.0))
+    found = register(mend(raw)[0], plain)
+    seen = plain.face[found.trust.covered[plain.face]]
+    assert found.trust.distance_mm[seen].mean() < 0.4
+    assert len(found.folded) == 0
+
+
+def test_what_is_no_face_is_refused(known, person):
+    raw = corrupted(person[0], 6, Corruption(hole_share=0.0))
+    ball = raw.vertices - raw.vertices.mean(axis=0)
+    ball *= 90.0 / np.linalg.norm(ball, axis=1, keepdims=True)
+    with pytest.raises(InputError) as caught:
+        register(mend(replace(raw, vertices=ball))[0], known, frame={**FRAME, "unit": "mm"})
+    assert caught.value.code == "scan.not_a_face"
