@@ -38,7 +38,7 @@ class AttemptFolder:
         for number, item in enumerate(self._claim.inputs):
             path = self.path / "inputs" / str(number) / item["filename"]
             files.fetch(item["sha256"], path)
-            inputs.append({"role": item["role"], "name": item["name"], "path": str(path)})
+            inputs.append({**item, "path": str(path)})
         job = {"kind": self._claim.kind, "inputs": inputs, "options": self._claim.options}
         (self.path / "job.json").write_text(json.dumps(job))
 

@@ -76,7 +76,9 @@ def solve(folder: Path, progress: Progress) -> dict[str, Any]:
     out, kind = folder / "out", job["kind"]
     captures: dict[str, Path] = {}
     files: dict[str, Path] = {}
+    capture_role = "unknown"
     for item in job["inputs"]:
+        capture_role = item.get("capture_role", capture_role)
         if item["role"] == "capture":
             captures[item["name"]] = Path(item["path"])
         else:
@@ -85,6 +87,7 @@ def solve(folder: Path, progress: Progress) -> dict[str, Any]:
     how: dict[str, Any] = {"options": job["options"], "progress": progress}
 
     if kind == "check_scan":
+        how["options"] = {**job["options"], "role": capture_role}
         pipeline.check_scan(files["scan"], out, template=template, landmarks=landmarks, **how)
     elif kind == "register_scan":
         neutral = files.get("neutral")

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -27,6 +27,7 @@ solve = typer.Typer(help="Solve here, without a service.", no_args_is_help=True)
 
 Model = Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="model.npz")]
 Scans = Annotated[list[Path], typer.Argument(exists=True, dir_okay=False, help="expression scans")]
+CaptureRole = Literal["unknown", "neutral", "expression"]
 TemplateFile = Annotated[
     Path | None, typer.Option("--template", exists=True, help="template NPZ; default: built-in")
 ]
@@ -39,6 +40,7 @@ TemplateFile = Annotated[
 def check_scan(
     scan: RawScan,
     output: NewFolder = Path("check"),
+    role: Annotated[CaptureRole, typer.Option(help="what the scan is meant to be")] = "unknown",
     template: TemplateFile = None,
     landmarks: LandmarksFile = None,
     unit: Unit = "auto",
@@ -48,7 +50,7 @@ def check_scan(
     """Tell whether a scan can be used, and what to do if not; ends with 3 if it is bad."""
     from solver.pipeline import check_scan as check
 
-    options = frame_options(unit, up, forward)
+    options = {**frame_options(unit, up, forward), "role": role}
     with JobView("check-scan") as view, _made(output):
         check(scan, output, template=template, landmarks=landmarks, options=options, progress=view)
     found = json.loads((output / "check.json").read_text(encoding="utf-8"))

@@ -1,8 +1,8 @@
 """The files a job reads, looked up and fixed when it is submitted.
 
 An input is ``{"role", "name", "filename", "sha256"}``: ``filename`` is the user's own name for the
-file, so that an error in it can name it. Of a raw capture, models and fits read the registered
-form.
+file, so that an error in it can name it. The scan that a job is about has its ``capture_role`` too.
+Of a raw capture, models and fits read the registered form.
 """
 
 from __future__ import annotations
@@ -70,7 +70,8 @@ def _about_one_capture(session: Session, kind: Kind, new: NewJob) -> Inputs:
             f"{capture.name} was uploaded as a registered scan: there is nothing to register",
             capture_id=capture.id,
         )
-    files = [_input("scan", capture.name, capture.filename, capture.sha256)]
+    scan = _input("scan", capture.name, capture.filename, capture.sha256)
+    files = [{**scan, "capture_role": capture.role}]
     if capture.landmarks_filename and capture.landmarks_sha256:
         files.append(
             _input("landmarks", capture.name, capture.landmarks_filename, capture.landmarks_sha256)

@@ -81,7 +81,7 @@ def test_a_session_at_the_station(myoface: Command, url: str, tmp_path: Path) ->
         "findings": [],
         "figures": {
             "landmarks": "nose,0,0,0",
-            "options": {"unit": "cm", "up": "auto", "forward": "auto"},
+            "options": {"unit": "cm", "up": "auto", "forward": "auto", "role": "neutral"},
         },
     }
 

@@ -43,7 +43,10 @@ def test_raw_scans_become_a_model_and_a_rig(working: Studio) -> None:
     options = {"unit": "cm", "up": "-z"}
     check = working.done("check_scan", subject, captures=[neutral], options=options)
     assert check["result"]["summary"]["verdict"] == "good"
-    assert check["result"]["summary"]["figures"] == {"landmarks": "{}", "options": options}
+    assert check["result"]["summary"]["figures"] == {
+        "landmarks": "{}",
+        "options": {**options, "role": "neutral"},
+    }
     assert [each["name"] for each in check["result"]["artifacts"]] == ["check.json", "check.png"]
 
     registration = working.done("register_scan", subject, captures=[neutral])

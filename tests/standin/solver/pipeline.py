@@ -21,7 +21,7 @@ def check_scan(scan, out, *, template=None, landmarks=None, options=None, progre
     findings = [
         {
             "code": f"scan.{fault}",
-            "severity": "bad",
+            "severity": "error",
             "message": f"{scan} has no {fault}",
             "advice": f"scan again with the {fault} in view",
         }
