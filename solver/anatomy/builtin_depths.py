@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable
+from copy import copy
 from importlib import resources
 
 import igl
 import numpy as np
+import scipy.sparse as sp
 import trimesh
 from scipy.interpolate import RBFInterpolator
+from scipy.sparse.linalg import spsolve
 
 from solver.anatomy.builtin_head import Head
 from solver.anatomy.depths import Depth
@@ -22,6 +25,7 @@ NO_BONE = "aperture"
 """Source of rows where there is no bone, which only say that it is not near."""
 
 DIRECTIONS = 400
+UNCHECKED = " Not yet compared with the printed table."
 OFF_SKIN_MM = 0.05
 
 
@@ -47,8 +51,29 @@ class OuterSkin:
         visible[self.visible_vertices] = True
         self.faces: Ints = skin[visible[skin].all(axis=1)]
         self.normals: Floats = normals
+        self._index()
+
+    def _index(self) -> None:
         self._tree = igl.AABB()
         self._tree.init(self.vertices, self.faces)
+
+    def stretched_over(self, vertices: Ints) -> OuterSkin:
+        """Return this skin with some vertices drawn tight between the others (harmonic).
+
+        Muscles beside the ear run under the head's side, not along the ear.
+        """
+        edges = igl.adjacency_matrix(self.faces).astype(float).tocsr()
+        laplacian = (sp.diags_array(edges.sum(axis=1).A1) - edges).tocsr()
+        free = np.intersect1d(vertices, self.visible_vertices)
+        rest = np.setdiff1d(np.unique(self.faces), free)
+        tight = copy(self)
+        tight.vertices = self.vertices.copy()
+        tight.vertices[free] = spsolve(
+            laplacian[free][:, free].tocsc(), -(laplacian[free][:, rest] @ self.vertices[rest])
+        )
+        tight.normals = np.nan_to_num(igl.per_vertex_normals(tight.vertices, self.faces))
+        tight._index()
+        return tight
 
     def closest(self, points: Floats) -> tuple[Floats, Ints, Floats]:
         """Return distance (k,), face (k,) and closest point (k, 3) of the visible skin."""
@@ -106,10 +131,20 @@ def depth_fields(head: Head) -> dict[str, Callable[[Floats], Floats]]:
 
 
 def depth_table(head: Head) -> tuple[Depth, ...]:
-    """Return the depths with their references, one a landmark, where there is bone."""
+    """Return the depths with their references, one a landmark, where there is bone.
+
+    Most were entered from memory of the cited tables: the reference says so until a row has been
+    compared with the printed one (``checked``).
+    """
     references = {row["key"]: row["reference"] for row in _read_table("sources.csv")}
     return tuple(
-        Depth(name, row["bone"], float(row["depth_mm"]), None, references[row["source"]])
+        Depth(
+            name,
+            row["bone"],
+            float(row["depth_mm"]),
+            None,
+            references[row["source"]] + UNCHECKED * (row["checked"] == "no"),
+        )
         for row in _read_table("soft_tissue_depths.csv")
         if row["source"] != NO_BONE
         for name in sides(head, row["landmark"])

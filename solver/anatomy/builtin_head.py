@@ -25,6 +25,7 @@ MM_PER_UNIT = 106.0
 an adult's measures (menton to vertex 227 mm, bizygomatic breadth 137 mm)."""
 
 NECK_CUT_Y = -130.0
+LEAST_WING_MM = 0.05
 
 AVERAGE_ADULT = {
     f"macrodetails/{origin}-{sex}-young": 1 / 6
@@ -144,6 +145,12 @@ class Head:
         """Return the head of one person (default: the average adult) in one expression."""
         vertices = self.neutral + self.identity(identity or {}) + self.expression(expression)
         return Surface(vertices, self.faces)
+
+    @cached_property
+    def ears(self) -> Ints:
+        """Vertices of both ears: what MakeHuman moves when ears stand out."""
+        wings = self.identity({f"ears/{side}-ear-wing-incr": 1.0 for side in "lr"})
+        return np.flatnonzero(np.linalg.norm(wings, axis=1) > LEAST_WING_MM)
 
     @cached_property
     def mirror(self) -> Ints:

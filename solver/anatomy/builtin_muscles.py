@@ -73,7 +73,7 @@ def build_muscles(head: Head, skin: OuterSkin, bed: Surface) -> tuple[Muscle, ..
 
     Paired muscles get the suffixes ``_l`` and ``_r``, the right one being the mirror image.
     """
-    sweep = _Sweep(head, skin, bed)
+    sweep = _Sweep(head, skin.stretched_over(head.ears), bed)
     muscles = []
     for row in read_muscles():
         left = sweep.muscle(row)

@@ -45,14 +45,17 @@ def build_skull(head: Head, skin: OuterSkin) -> Skull:
     """Build cranium and mandible for the head at rest."""
     shape = json.loads(resources.files("solver.anatomy.data").joinpath("skull.json").read_text())
     grid = _HalfGrid()
-    depth, face, _ = skin.depth(grid.points)
+    # The bone behind the ear does not follow its relief.
+    smooth = skin.stretched_over(head.ears)
+    depth, face, _ = smooth.depth(grid.points)
     fields = depth_fields(head)
     at_vertices = {
-        bone: field(skin.vertices).clip(LEAST_CLEARANCE_MM) for bone, field in fields.items()
+        bone: field(smooth.vertices).clip(LEAST_CLEARANCE_MM) for bone, field in fields.items()
     }
     under = {
         bone: depth - values[skin.faces[face]].mean(axis=1) for bone, values in at_vertices.items()
     }
+    depth = np.minimum(depth, skin.depth(grid.points)[0])
     bones = {
         "mandible": np.minimum(_mandible(grid.points, shape), under["mandible"]),
         "cranium": _cranium(grid.points, shape, under["cranium"]),
