@@ -1,7 +1,9 @@
 """(A): activations and jaw of one expression, S being known.
 
 Reduced-space Gauss-Newton: x is eliminated through the equilibrium, the dense Jacobian by (a, b)
-comes from one factorisation, and Levenberg-Marquardt damping keeps the steps in reach.
+comes from one factorisation, and Levenberg-Marquardt damping keeps the steps in reach. On the way
+the equilibrium is only approached: one or two Newton corrections a step, the rest of the way being
+part of the linear model, as in a full-space (SQP) method. The last state is settled.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ DAMPING_START = 0.1
 DAMPING_GROWTH = 8.0
 DAMPING_LEAST = 1e-6
 MAX_TRIALS = 6
-"""Steps tried from one state, each more damped, before it counts as the minimum."""
+"""Steps tried from one state, each shorter and more damped, before it counts as the minimum."""
 
 JAW_DAMPING = 1e-3
 
@@ -31,7 +33,13 @@ LARGEST_STEP = 0.4
 LARGEST_TURN = 0.1
 """Trust in the linear model: change of an activation's entry and of the jaw's angles per step."""
 
-HALVINGS = 3
+SHORTEST_TRUST = 2.0**-6
+"""Part of the full trust, halved with every failure, that is kept from step to step."""
+
+
+SETTLINGS = 3
+BUCKLED = 1.005
+"""A state whose f grows by more than this factor as it settles was not near its equilibrium."""
 
 
 @dataclass(frozen=True)
@@ -54,10 +62,13 @@ class ActivationFit:
 Listener = Callable[[int, float], None]
 """Called after each accepted step with the iteration and the objective."""
 
+Mover = Callable[[Face, sp.csr_array, State, Floats, Pose], State]
+"""Goes from a state to a pose nearby by the flesh's linear response: Face.approach or follow."""
+
 
 def objective(face: Face, target: Target, regulariser: Regulariser, state: State) -> float:
-    """Return f at a settled state (see :mod:`solver.fitting.objective`)."""
-    residual = target.residual(face.face_points(state.x))
+    """Return f at a state's estimate (see :mod:`solver.fitting.objective`)."""
+    residual = target.residual(face.face_points(state.estimate))
     return float(residual @ residual) + regulariser.value(state.pose)
 
 
@@ -70,28 +81,76 @@ def fit(
     options: ActivationOptions | None = None,
     listen: Listener | None = None,
 ) -> ActivationFit:
-    """Minimise f over (a, b) from a settled ``start``."""
+    """Minimise f over (a, b) from ``start`` and settle the result.
+
+    Where the flesh buckles as it settles, the fit goes on from there (from the rest pose, if it
+    does not settle at all) with every state on the way settled too. Raises :class:`SolveError`
+    (``solve.*``) if the face can not be settled even so.
+    """
     options = options or ActivationOptions()
+    best = None
+    found = improve(face, S, target, regulariser, start, options, listen)
+    iterations = found.iterations
+    for _ in range(SETTLINGS):
+        state = _settled(face, S, found.state)
+        if state is not None:
+            value = objective(face, target, regulariser, state)
+            if best is None or value < best.objective:
+                best = ActivationFit(state, value, iterations)
+            if value <= BUCKLED * found.objective:
+                break
+        state = best.state if best else face.rest_state(S)
+        found = improve(face, S, target, regulariser, state, options, listen, Face.follow)
+        iterations += found.iterations
+    if best is None:
+        raise SolveError("solve.no_convergence", "the fitted face does not come to rest")
+    return best
+
+
+def _settled(face: Face, S: sp.csr_array, state: State) -> State | None:
+    try:
+        return face.settle(S, state.pose, state.x)
+    except SolveError:
+        return None
+
+
+def improve(
+    face: Face,
+    S: sp.csr_array,
+    target: Target,
+    regulariser: Regulariser,
+    start: State,
+    options: ActivationOptions,
+    listen: Listener | None = None,
+    go: Mover = Face.approach,
+) -> ActivationFit:
+    """Minimise f over (a, b), going from state to state by ``go``; the last is as good as that."""
     state = start
     value = objective(face, target, regulariser, state)
-    damping = DAMPING_START
+    damping, trust = DAMPING_START, 1.0
     for iteration in range(1, options.max_iterations + 1):
         model = _linearise(face, S, target, regulariser, state)
         accepted = None
         for _ in range(MAX_TRIALS):
-            step = model.step(damping)
-            trial = _try(face, S, state, step, model.flesh)
+            step = model.step(damping, trust)
+            pose = Pose(state.pose.a + step[:-5].reshape(-1, 6), state.pose.b + step[-5:])
+            try:
+                trial = go(face, S, state, model.flesh @ step, pose)
+            except SolveError:
+                trial = None
             if trial is not None:
                 trial_value = objective(face, target, regulariser, trial)
                 if trial_value < value:
                     accepted = trial
                     break
             damping *= DAMPING_GROWTH
+            trust = max(0.5 * trust, SHORTEST_TRUST)
         if accepted is None:
             return ActivationFit(state, value, iteration)
         gain = value - trial_value
         if gain > 0.5 * model.predicted_gain(step):
             damping = max(damping / DAMPING_GROWTH, DAMPING_LEAST)
+            trust = min(2.0 * trust, 1.0)
         state, value = accepted, trial_value
         if listen:
             listen(iteration, value)
@@ -108,8 +167,8 @@ class _Linearised:
     hessian: Floats
     flesh: Floats
 
-    def step(self, damping: float) -> Floats:
-        """Solve (H + damping D^2) step = -gradient, D the units of (a, b); cut to the trust."""
+    def step(self, damping: float, trust: float) -> Floats:
+        """Solve (H + damping D^2) step = -gradient, D the units of (a, b); cut to the ``trust``."""
         damped = self.hessian.copy()
         units = np.concatenate([np.ones(len(damped) - 5), JAW_UNITS**2 * JAW_DAMPING])
         damped[np.diag_indices_from(damped)] += damping * units
@@ -117,7 +176,7 @@ class _Linearised:
         longest = max(
             np.abs(step[:-5]).max() / LARGEST_STEP, np.abs(step[-5:-3]).max() / LARGEST_TURN
         )
-        return np.asarray(step / max(longest, 1.0))
+        return np.asarray(step / max(longest / trust, 1.0))
 
     def predicted_gain(self, step: Floats) -> float:
         return float(-self.gradient @ step - 0.5 * step @ self.hessian @ step)
@@ -129,20 +188,9 @@ def _linearise(
     jacobian = Sensitivity(face, S, state).by_pose()
     weighted = jacobian.skin
     weighted *= np.sqrt(np.repeat(target.weights, 3))[:, None]
-    residual = target.residual(face.face_points(state.x))
+    residual = target.residual(face.face_points(state.estimate))
     return _Linearised(
         2.0 * weighted.T @ residual + regulariser.gradient(state.pose),
         2.0 * weighted.T @ weighted + regulariser.gauss_newton(state.pose),
         jacobian.flesh,
     )
-
-
-def _try(face: Face, S: sp.csr_array, state: State, step: Floats, flesh: Floats) -> State | None:
-    """Settle the face at the stepped pose, halving a step out of reach; None if none goes."""
-    for _ in range(HALVINGS):
-        pose = Pose(state.pose.a + step[:-5].reshape(-1, 6), state.pose.b + step[-5:])
-        try:
-            return face.settle(S, pose, face.guess(S, state, flesh @ step, pose))
-        except SolveError:
-            step *= 0.5
-    return None

@@ -36,7 +36,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class State:
-    """A pose with the equilibrium it leads to."""
+    """A pose with the equilibrium it leads to, settled or approached."""
 
     pose: Pose
     equilibrium: Equilibrium
@@ -45,6 +45,14 @@ class State:
     def x(self) -> Floats:
         """Return the vertices (p, 3)."""
         return self.equilibrium.x
+
+    @property
+    def estimate(self) -> Floats:
+        """Return where the vertices (p, 3) come to rest: ``x`` itself where the state is settled.
+
+        One of its tets may be inverted.
+        """
+        return self.equilibrium.estimate
 
 
 class Face:
@@ -98,20 +106,35 @@ class Face:
         )
         return State(pose, result)
 
-    def guess(self, S: sp.csr_array, state: State, response: Floats, pose: Pose) -> Floats:
-        """Return where to start settling at ``pose`` with ``S``, (p, 3): least energy on a line.
+    def approach(self, S: sp.csr_array, state: State, response: Floats, pose: Pose) -> State:
+        """Go from ``state`` to a pose nearby, only so near to its equilibrium as a fit needs.
 
-        The line leads from ``state`` along the flesh's linear ``response`` (size,), the mandible
+        ``response`` (size,) is the flesh's linear response to the change of pose (or of S).
+        Raises :class:`SolveError` where that is too far for a few Newton steps.
+        """
+        a = self.tet_activations(S, pose.a)
+        x = self._guess(state, response, pose, a)
+        return State(pose, equilibrium.approach(self.flesh, self.linear, x, a))
+
+    def follow(self, S: sp.csr_array, state: State, response: Floats, pose: Pose) -> State:
+        """Do as :meth:`approach`, but settle."""
+        guess = self._guess(state, response, pose, self.tet_activations(S, pose.a))
+        return self.settle(S, pose, guess)
+
+    def _guess(self, state: State, response: Floats, pose: Pose, a: Floats) -> Floats:
+        """Return where to start at ``pose`` with activations ``a`` (n, 6): least energy on a line.
+
+        The line leads from ``state`` to its estimate and along the ``response``, the mandible
         being where ``pose`` says. The whole response often flattens a few tets, from where Newton
         takes long to come back.
         """
-        a = self.tet_activations(S, pose.a)
+        motion = response.reshape(-1, 3) + (state.estimate - state.x)[self.flesh.free]
         base = state.x.copy()
         base[self.model.mandible] = self.mandible(pose.b)
         guesses = []
         for part in GUESSES:
             x = base.copy()
-            x[self.flesh.free] += part * response.reshape(-1, 3)
+            x[self.flesh.free] += part * motion
             guesses.append(x)
         return min(guesses, key=lambda x: self.flesh.energy(x, a))
 

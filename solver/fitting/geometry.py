@@ -80,7 +80,7 @@ def fit(
                 listen("activations", number, mean_error(face, targets, states))
             prior = face.rest_pose() if number == 0 else states[name].pose
             regulariser = Regulariser(w_a, options.w_v, options.w_b, prior)
-            fitted = activation.fit(
+            fitted = activation.improve(
                 face, S, target, regulariser, states[name], ActivationOptions(iterations, 1e-3)
             )
             states[name] = fitted.state
@@ -90,13 +90,20 @@ def fit(
         problem = WeightProblem(face, targets, w_s, S.data)
         improved = weights.fit(problem, S, states, options.geometry_iterations, damping)
         S, states, damping = improved.S, improved.states, improved.damping
+    # the states were only approached: settle them, together with a last step of the activations
+    for name, target in targets.items():
+        regulariser = Regulariser(options.w_a[1], options.w_v, options.w_b, states[name].pose)
+        last = ActivationOptions(options.activation_iterations, 1e-3)
+        fitted = activation.fit(face, S, target, regulariser, states[name], last)
+        states[name] = fitted.state
+        steps[name] += fitted.iterations
     return GeometryFit(S, states, steps)
 
 
 def mean_error(face: Face, targets: Mapping[str, Target], states: Mapping[str, State]) -> float:
     """Return the mean distance over the face skin and the expressions, mm."""
     errors = [
-        np.nanmean(target.distances(face.face_points(states[name].x)))
+        np.nanmean(target.distances(face.face_points(states[name].estimate)))
         for name, target in targets.items()
     ]
     return float(np.mean(errors))

@@ -37,10 +37,10 @@ class WeightProblem:
     prior: Floats
 
     def value(self, S: sp.csr_array, states: Mapping[str, State]) -> float:
-        """Return the objective at settled states."""
+        """Return the objective at the states' estimates."""
         total = 0.5 * self.w_s * float(np.sum((S.data - self.prior) ** 2))
         for name, target in self.targets.items():
-            residual = target.residual(self.face.face_points(states[name].x))
+            residual = target.residual(self.face.face_points(states[name].estimate))
             total += float(residual @ residual)
         return total
 
@@ -55,7 +55,7 @@ class WeightProblem:
         roots = {name: np.sqrt(np.repeat(t.weights, 3)) for name, t in self.targets.items()}
         gradient = self.w_s * (S.data - self.prior)
         for name, target in self.targets.items():
-            residual = target.residual(self.face.face_points(states[name].x))
+            residual = target.residual(self.face.face_points(states[name].estimate))
             gradient += 2.0 * responses[name].by_geometry_adjoint(roots[name] * residual)
         free = simplex.free_entries(S.data, gradient, S.indptr)
 
@@ -86,7 +86,10 @@ def fit(
     iterations: int,
     damping: float,
 ) -> WeightFit:
-    """Improve S from settled ``states`` by at most ``iterations`` steps; it never gets worse."""
+    """Improve S from ``states`` by at most ``iterations`` steps; it never gets worse.
+
+    The states are only approached, here as in the fit of activations.
+    """
     value = problem.value(S, states)
     for _ in range(iterations):
         responses = {name: Sensitivity(problem.face, S, state) for name, state in states.items()}
@@ -94,15 +97,15 @@ def fit(
         for halving in range(HALVINGS):
             values = simplex.project(S.data + 0.5**halving * step, S.indptr)
             trial = replace_values(S, values)
-            settled = _settled(problem.face, trial, states, responses, values - S.data)
-            if settled is not None and problem.value(trial, settled) < value:
+            near = _approached(problem.face, trial, states, responses, values - S.data)
+            if near is not None and problem.value(trial, near) < value:
                 break
         else:
             return WeightFit(S, states, damping * 4.0**HALVINGS)
         # a step that had to be halved says how much too far the linear problem reached
         damping *= 4.0**halving if halving else 0.25
-        previous, value = value, problem.value(trial, settled)
-        S, states = trial, settled
+        previous, value = value, problem.value(trial, near)
+        S, states = trial, near
         if previous - value < LEAST_GAIN * value:
             break
     return WeightFit(S, states, damping)
@@ -134,19 +137,19 @@ def conjugate_gradients(
     return x
 
 
-def _settled(
+def _approached(
     face: Face,
     S: sp.csr_array,
     states: Mapping[str, State],
     responses: Mapping[str, Sensitivity],
     change: Floats,
 ) -> dict[str, State] | None:
-    """Settle every pose with S, which has changed by ``change``; None if one of them can not be."""
-    settled = {}
+    """Approach every pose with S, which has changed by ``change``; None if one is too far."""
+    approached = {}
     for name, state in states.items():
-        start = face.guess(S, state, responses[name].flesh_by_geometry(change), state.pose)
+        response = responses[name].flesh_by_geometry(change)
         try:
-            settled[name] = face.settle(S, state.pose, start)
+            approached[name] = face.approach(S, state, response, state.pose)
         except SolveError:
             return None
-    return settled
+    return approached

@@ -6,6 +6,7 @@ definite is the projected one used. A line search keeps the energy finite, hence
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,16 +26,24 @@ MAX_ITERATIONS = 40
 ARMIJO = 1e-4
 SHORTEST_STEP = 2.0**-30
 
+REACH_MM = 0.3
+"""A Newton step no longer than this is taken to end in the equilibrium."""
+
+CORRECTIONS = 3
+
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """A solution x (p, 3) with the factorised Hessian there.
+    """Vertices x (p, 3) with the factorised Hessian there, and what Newton's next step leads to.
 
-    ``residual`` is |grad E| over the nodal forces at unit strain, ``iterations`` counts Newton
-    steps, ``minimum`` tells that the Hessian is positive definite (else ``factor`` is projected).
+    ``estimate`` (p, 3) is that step's end: the equilibrium to second order, x itself where that is
+    solved. ``residual`` is |grad E| over the nodal forces at unit strain, ``iterations`` counts
+    Newton steps, ``minimum`` tells that the Hessian is positive definite (else ``factor`` is
+    projected).
     """
 
     x: Floats
+    estimate: Floats
     factor: Factor
     residual: float
     iterations: int
@@ -74,6 +83,41 @@ def solve(
     Raises :class:`SolveError`: ``solve.inverted`` if a tet is inverted at the start,
     ``solve.no_convergence`` if it stops at a residual above both ``tolerance`` and ``STALLED``.
     """
+    found = _newton(flesh, linear, x, a, lambda now: now.residual <= tolerance, max_iterations)
+    if found.residual > max(tolerance, STALLED):
+        raise SolveError(
+            "solve.no_convergence",
+            f"equilibrium stopped at a residual of {found.residual:.1e} after "
+            f"{found.iterations} steps",
+            residual=found.residual,
+        )
+    return found
+
+
+def approach(flesh: Flesh, linear: LinearSolver, x: Floats, a: Floats) -> Equilibrium:
+    """Take Newton steps from ``x`` (p, 3) until the next one is shorter than :data:`REACH_MM`.
+
+    Inside a fit that is near enough: ``estimate`` is what the fit compares with its target. Raises
+    :class:`SolveError`: ``solve.inverted``, or ``solve.far`` after :data:`CORRECTIONS` steps.
+    """
+
+    def near(now: Equilibrium) -> bool:
+        return float(np.abs(now.estimate - now.x).max()) <= REACH_MM
+
+    found = _newton(flesh, linear, x, a, near, CORRECTIONS)
+    if not near(found):
+        raise SolveError("solve.far", "the equilibrium is too far for a few steps")
+    return found
+
+
+def _newton(
+    flesh: Flesh,
+    linear: LinearSolver,
+    x: Floats,
+    a: Floats,
+    done: Callable[[Equilibrium], bool],
+    max_iterations: int,
+) -> Equilibrium:
     energy = flesh.energy(x, a)
     if not np.isfinite(energy):
         raise SolveError(
@@ -83,21 +127,17 @@ def solve(
         gradient = flesh.gradient(x, a)
         residual = float(np.linalg.norm(gradient)) / flesh.force_scale
         factor, raw = factorise(flesh, linear, x, a)
-        if residual <= tolerance or iteration == max_iterations:
-            break
         direction = -factor.solve(gradient)
-        slope = float(gradient @ direction)
-        step = _line_search(flesh, x, a, direction, energy, slope)
+        estimate = x.copy()
+        estimate[flesh.free] += direction.reshape(-1, 3)
+        now = Equilibrium(x, estimate, factor, residual, iteration, raw)
+        if iteration == max_iterations or done(now):
+            break
+        step = _line_search(flesh, x, a, direction, energy, float(gradient @ direction))
         if step is None:
             break
         x, energy = step
-    if residual > max(tolerance, STALLED):
-        raise SolveError(
-            "solve.no_convergence",
-            f"equilibrium stopped at a residual of {residual:.1e} after {iteration} steps",
-            residual=residual,
-        )
-    return Equilibrium(x, factor, residual, iteration, raw)
+    return now
 
 
 def _line_search(
