@@ -94,9 +94,9 @@ def _firm(template: Template, face: Ints) -> Ints:
     """Leave out what moves farther than :data:`FAR_MM`; without shapes, the lower half."""
     if template.shapes is not None and len(template.shapes.expressions):
         moves = np.linalg.norm(template.shapes.expressions[:, face], axis=2).max(axis=0)
-        return face[moves < FAR_MM]
+        return np.asarray(face[moves < FAR_MM])
     height = template.skin.vertices[face, 1]
-    return face[height > (height.min() + height.max()) / 2]
+    return np.asarray(face[height > (height.min() + height.max()) / 2])
 
 
 def _stable(template: Template, outer: Ints) -> np.ndarray:
