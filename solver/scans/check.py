@@ -40,6 +40,8 @@ from solver.scans.units import Placement, face_of, known_scales, place_samples, 
 from solver.surface import Floats, Surface
 
 AROUND_FACE_MM = 25.0
+AROUND_HEAD_MM = np.array([[40.0, 10.0, 60.0], [40.0, 70.0, 40.0]])
+"""Below and above the face along x, y, z: the head without neck and shoulders."""
 FACE_SAMPLES = 60_000
 
 
@@ -180,12 +182,12 @@ def _look_closer(
     rough = roughness(vertices * size, seen.points[seen.covered] * size)
     marked = np.zeros(len(vertices), bool)
     if len(scan.faces):
-        marked = spikes(vertices * size, scan.faces) & _around(vertices, face, 2 * AROUND_FACE_MM)
+        marked = spikes(vertices * size, scan.faces) & _around(vertices, face, AROUND_HEAD_MM)
     surface = Surface(vertices, scan.faces)
     features = Features(lip_gap(surface, template), closed_eyes(surface, fitted, template))
     result.findings += cover_findings(seen)
     result.findings += roughness_findings(rough, int(marked.sum()))
-    result.findings += feature_findings(features, rough, role)
+    result.findings += feature_findings(features, role)
     result.cover = seen
     result.marked = marked
     result.figures |= {
@@ -197,7 +199,9 @@ def _look_closer(
     }
 
 
-def _around(points: Floats, face: Surface, margin: float) -> NDArray[np.bool_]:
+def _around(points: Floats, face: Surface, margin: float | Floats) -> NDArray[np.bool_]:
+    """Return which points lie in the box about the face, larger by ``margin`` (below, above)."""
+    below, above = np.broadcast_to(margin, (2, 3)) if np.ndim(margin) else (margin, margin)
     corners = face.vertices[np.unique(face.faces)]
-    low, high = corners.min(axis=0) - margin, corners.max(axis=0) + margin
+    low, high = corners.min(axis=0) - below, corners.max(axis=0) + above
     return np.asarray(((points > low) & (points < high)).all(axis=1))

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from solver.anatomy.template import Template
 from solver.scans.relief import relief
 from solver.scans.sample import Samples, sample
-from solver.surface import Floats, Surface
+from solver.surface import Floats, Ints, Surface
 
 POINTS = 5000
 BORDER_MM = 12.0
@@ -24,17 +24,23 @@ OPENING_MM = 4.0
 HIDDEN_MM = 2.0
 LEAST_GAP_MM = 3.5
 SIDE_MM = 8.0
+RIM_MM = 5.0
 MISFIT_MM = 15.0
 SLIDES = 4
+BEHIND_MM = (8.0, 14.0, 20.0, 26.0, 32.0)
 
 
 @dataclass(frozen=True)
 class Hole:
-    """A hole in the face: its ``area_mm2``, its ``centre`` (3,) and the ``region`` it is in."""
+    """A hole in the face: its ``area_mm2``, its ``centre`` (3,) and the ``region`` it is in.
+
+    ``at_rim`` tells that it reaches the rim of the face: the scan ends there.
+    """
 
     area_mm2: float
     centre: Floats
     region: str
+    at_rim: bool
 
 
 @dataclass(frozen=True)
@@ -76,20 +82,24 @@ def cover(scan: Samples, skin: Floats, template: Template, face: Surface) -> Cov
     spacing = float(np.median(tree.query(scan.points[::7], k=2)[0][:, 1]))
     gap = _sideways_gap(points, samples.normals[seen & inner], tree)
     covered = np.asarray(gap < max(LEAST_GAP_MM, 4 * spacing))
-    return Cover(points, covered, _holes(points[~covered], area, skin, template))
+    missing = points[~covered]
+    at_rim = _rim_gap(missing, fitted) < BORDER_MM + RIM_MM
+    return Cover(points, covered, _holes(missing, at_rim, area, skin, template))
 
 
 def _sideways_gap(points: Floats, normals: Floats, tree: KDTree) -> Floats:
     """Return how far (n,) the scan is beside each point's normal: in a hole, not where it misfits.
 
     Each point slides along its normal to the height of its closest scan point, and again from
-    there, up to MISFIT_MM.
+    there, up to MISFIT_MM. What lies straight behind it, as teeth behind open lips, counts too.
     """
     height = np.zeros(len(points))
     gap = np.empty(len(points))
     for _ in range(SLIDES):
         gap, near = tree.query(points + height[:, None] * normals)
         height = ((tree.data[near] - points) * normals).sum(axis=1).clip(-MISFIT_MM, MISFIT_MM)
+    for depth in BEHIND_MM:
+        gap = np.minimum(gap, tree.query(points - depth * normals)[0])
     return np.asarray(gap)
 
 
@@ -111,16 +121,27 @@ def _seen_from_front(fitted: Surface, samples: Samples) -> NDArray[np.bool_]:
 
 def _near_rims(points: Floats, fitted: Surface) -> NDArray[np.bool_]:
     """Return which points lie near the outer rim of the face or near one of its openings."""
-    loops = igl.boundary_loop_all(fitted.faces)
-    near = np.zeros(len(points), bool)
-    rim = max(loops, key=lambda loop: float(np.ptp(fitted.vertices[loop], axis=0).sum()))
-    for loop in loops:
-        limit = BORDER_MM if loop is rim else OPENING_MM
-        near |= KDTree(fitted.vertices[loop]).query(points)[0] < limit
+    near = _rim_gap(points, fitted) < BORDER_MM
+    for opening in _loops(fitted)[1:]:
+        near |= KDTree(fitted.vertices[opening]).query(points)[0] < OPENING_MM
     return near
 
 
-def _holes(missing: Floats, area: float, skin: Floats, template: Template) -> list[Hole]:
+def _rim_gap(points: Floats, fitted: Surface) -> Floats:
+    """Return how far (n,) points lie from the outer rim of the face."""
+    rim = _loops(fitted)[0]
+    return np.asarray(KDTree(fitted.vertices[rim]).query(points)[0])
+
+
+def _loops(fitted: Surface) -> list[Ints]:
+    """Return the vertices of the boundaries, the outer rim first."""
+    loops = [np.asarray(loop) for loop in igl.boundary_loop_all(fitted.faces)]
+    return sorted(loops, key=lambda loop: -float(np.ptp(fitted.vertices[loop], axis=0).sum()))
+
+
+def _holes(
+    missing: Floats, at_rim: NDArray[np.bool_], area: float, skin: Floats, template: Template
+) -> list[Hole]:
     """Return the clusters of missing points, the largest first."""
     if len(missing) == 0:
         return []
@@ -129,9 +150,10 @@ def _holes(missing: Floats, area: float, skin: Floats, template: Template) -> li
     count, label = connected_components(graph, directed=False)
     holes = []
     for number in range(count):
-        members = missing[label == number]
-        centre = members.mean(axis=0)
-        holes.append(Hole(len(members) * area, centre, _region(centre, skin, template)))
+        chosen = label == number
+        members = missing[chosen]
+        centre, ends = members.mean(axis=0), bool(at_rim[chosen].any())
+        holes.append(Hole(len(members) * area, centre, _region(centre, skin, template), ends))
     return sorted(holes, key=lambda hole: -hole.area_mm2)
 
 

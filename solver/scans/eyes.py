@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
+from scipy.spatial import KDTree
 
 from solver.anatomy.template import Template
 from solver.scans.likeness import Likeness
@@ -17,6 +18,7 @@ SMOOTH = 1.0
 STEEPEST = 1.0
 ALIKE = 0.75
 AHEAD = 0.15
+NEAR_MM, COARSE_MM, FEWEST = 16.0, 2.2, 60
 
 
 def closed_eyes(scan: Surface, fitted: Likeness, template: Template) -> dict[str, bool]:
@@ -37,6 +39,9 @@ def closed_eyes(scan: Surface, fitted: Likeness, template: Template) -> dict[str
         blink = shapes.expressions[shapes.expression_names.index(name)]
         strength = np.linalg.norm(blink, axis=1)
         centre = fitted.neutral[strength > 0.3 * strength.max()].mean(axis=0)
+        if _spacing(scan.vertices, centre) > COARSE_MM:
+            found[side.lower()] = False
+            continue
         margin = 2 * SEARCH_MM
         there = _slopes(relief(scan, centre, (WINDOW_MM[0] + margin, WINDOW_MM[1] + margin), 1.0))
         likeness = [
@@ -47,6 +52,14 @@ def closed_eyes(scan: Surface, fitted: Likeness, template: Template) -> dict[str
         ]
         found[side.lower()] = likeness[1] > ALIKE and likeness[1] > likeness[0] + AHEAD
     return found
+
+
+def _spacing(vertices: Floats, centre: Floats) -> float:
+    """Return the median distance of neighbouring vertices about an eye."""
+    near = vertices[np.linalg.norm(vertices - centre, axis=1) < NEAR_MM]
+    if len(near) < FEWEST:
+        return float("inf")
+    return float(np.median(KDTree(near).query(near, k=2)[0][:, 1]))
 
 
 def _slopes(front: Relief) -> Floats:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from solver.scans.cover import Cover
 from solver.scans.findings import Finding, Severity
 from solver.scans.roughness import Roughness
 
-HOLE_MM2 = 60.0
+HOLE_MM2, CUT_OFF_MM2 = 60.0, 300.0
 LEAST_COVER, LEAST_SIDE = 0.7, 0.6
 NOISE_MM, MUCH_NOISE_MM = 0.5, 1.5
 COARSE_MM = 6.0
@@ -18,7 +16,6 @@ COARSE_NOISE = 0.2
 """A coarse scan is that much rougher, by its spacing: the quadratic misses folds of the skin."""
 MANY_SPIKES = 4
 LIPS_APART_MM = 3.0
-FINE_EYES_MM = 3.2
 
 
 @dataclass(frozen=True)
@@ -40,8 +37,14 @@ def cover_findings(cover: Cover) -> list[Finding]:
         if worst in ("upper", "lower"):
             message = f"{1 - whole:.0%} of the face is missing, most of it in the {worst} half."
         found.append(Finding("scan.coverage", "error", message, {"covered": round(whole, 3)}))
-    holes = [hole for hole in cover.holes if hole.area_mm2 > HOLE_MM2]
-    if holes and not found:
+    cut = [hole for hole in cover.holes if hole.at_rim and hole.area_mm2 > CUT_OFF_MM2]
+    if cut and not found:
+        area = sum(hole.area_mm2 for hole in cut)
+        regions = ", ".join(dict.fromkeys(hole.region for hole in cut))
+        message = f"The scan ends before the face does: {area / 100:.0f} cm2 miss at the {regions}."
+        found.append(Finding("scan.cut_off", "warning", message, {"area_mm2": round(area)}))
+    holes = [hole for hole in cover.holes if not hole.at_rim and hole.area_mm2 > HOLE_MM2]
+    if holes:
         largest = holes[0]
         number = "a hole" if len(holes) == 1 else f"{len(holes)} holes"
         message = (
@@ -72,7 +75,7 @@ def roughness_findings(rough: Roughness, spikes: int) -> list[Finding]:
     return found
 
 
-def feature_findings(features: Features, rough: Roughness, role: str) -> list[Finding]:
+def feature_findings(features: Features, role: str) -> list[Finding]:
     """Return whether the mouth is open or the eyes are closed, which a neutral may not have.
 
     In a scan of unknown ``role`` they are only mentioned, in an expression not at all.
@@ -86,6 +89,6 @@ def feature_findings(features: Features, rough: Roughness, role: str) -> list[Fi
         figures = {"found": features.lip_gap_mm}
         found.append(Finding("scan.mouth_open", severity, message, figures))
     closed = [side for side, is_closed in features.closed.items() if is_closed]
-    if len(closed) == 2 and np.nan_to_num(rough.spacing_mm, nan=9.0) < FINE_EYES_MM:
+    if len(closed) == 2:
         found.append(Finding("scan.eyes_closed", severity, "The eyes are closed.", {}))
     return found

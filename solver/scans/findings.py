@@ -47,6 +47,7 @@ ADVICE = {
     "scan.half_face": "Scan again from both sides, so that both cheeks and ears are seen.",
     "scan.two_heads": "Cut the other person out of the scan, or scan one person alone.",
     "scan.coverage": "Scan again, and cover the side that is missing.",
+    "scan.cut_off": "Scan again if skin is missing; hair before forehead and temples is no harm.",
     "scan.holes": "Scan again if a hole lies where the face moves: brows, cheeks, lips, chin.",
     "scan.noise": "Let the person hold still, more light, closer; then scan again.",
     "scan.spikes": "Nothing to do if they lie in the hair; cut them off if they lie on the face.",

@@ -30,7 +30,7 @@ KEPT = 0.75
 SIZES = (0.72, 1.38)
 """Least and greatest size of a person's face by the template's."""
 GOOD_SHARE, GOOD_MM = 0.85, 2.0
-FACE_SHARE, FACE_MM = 0.72, 2.6
+FACE_SHARE, FACE_COST = 0.72, 3.6
 EXTRA_DIRECTIONS = 240
 
 
@@ -134,10 +134,10 @@ def is_good(pose: Pose) -> bool:
 def is_face(pose: Pose) -> bool:
     """Return whether what the pose found is a whole face.
 
-    Faces of others than the template's person fit it to 0.8 to 1.8 mm; skulls, spheres and boxes
-    to 2.6 to 4 mm with 0.3 to 0.7 of it covered.
+    Faces of other persons, with any expression, have a cost of up to 3.2; skulls and lumpy balls
+    of 4.1 and more.
     """
-    return pose.coverage > FACE_SHARE and pose.residual_mm < FACE_MM
+    return pose.coverage > FACE_SHARE and pose.cost < FACE_COST
 
 
 def _nose_candidates(turned: Floats) -> Floats:
