@@ -9,8 +9,8 @@ import scipy.sparse as sp
 from solver.anatomy.tetrahedra import barycentric_in_tets
 from solver.surface import Floats, Ints, Surface
 
-LEAST_SHARE = -0.25
-"""A vertex may lie outside its tetrahedron as far as no barycentric coordinate is below this."""
+LEAST_SHARE = -1.0
+"""A vertex may lie outside its tetrahedron by as much as that is high."""
 
 
 def barycentric(points: Floats, surface: Surface) -> tuple[Ints, Floats, Floats]:

@@ -13,10 +13,11 @@ from solver.surface import Floats, Ints, Surface
 class SkinDepth:
     """Signed distance to a skin whose holes (mouth, lids, neck) are closed by fans.
 
-    With open holes the teeth would count as outside.
+    With open holes the teeth would count as outside. Distances may be taken to a part of the skin
+    only, ``nearest`` (f, 3).
     """
 
-    def __init__(self, skin: Surface) -> None:
+    def __init__(self, skin: Surface, nearest: Ints | None = None) -> None:
         edges, hole = boundary_edges(skin.faces)
         centres = [
             skin.vertices[np.unique(edges[hole == number])].mean(axis=0, keepdims=True)
@@ -26,7 +27,7 @@ class SkinDepth:
         caps = np.column_stack([edges[:, ::-1], len(skin.vertices) + hole])
         self._vertices = np.vstack([skin.vertices, *centres])
         self._faces = np.vstack([skin.faces, caps])
-        self._skin = skin.faces
+        self._skin = skin.faces if nearest is None else nearest
         self._tree = igl.AABB()
         self._tree.init(self._vertices, self._skin)
 

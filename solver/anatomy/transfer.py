@@ -37,14 +37,10 @@ def carry(template: Template, neutral: Floats, warp: Warp) -> Template:
     reaches further than the template's.
     """
     source = template.skin.vertices
-    before, after = (
-        SkinDepth(Surface(skin, template.skin.faces[template.flesh_faces]))
-        for skin in (source, neutral)
-    )
+    before, after = _Depths(template, source), _Depths(template, neutral)
 
     def bone(surface: Surface) -> Surface:
-        least = np.minimum(before(surface.vertices)[0], CLEARANCE_MM)
-        return surface.moved(_deep_enough(warp(surface.vertices), least, after))
+        return surface.moved(_deep_enough(surface.vertices, warp(surface.vertices), before, after))
 
     face = template.face_vertices
     reach = neutral[face].min(axis=0) - source[face].min(axis=0)
@@ -78,13 +74,29 @@ def carried_muscle(muscle: Muscle, motion: Callable[[Floats], Floats]) -> Muscle
     )
 
 
-def _deep_enough(points: Floats, least: Floats, depth: SkinDepth) -> Floats:
-    # A bone that reaches through the lining of the mouth has no depth to keep.
-    kept = least > 0
+class _Depths:
+    """How deep points lie under all skin of the flesh, and how far from the face's."""
+
+    def __init__(self, template: Template, skin: Floats) -> None:
+        flesh = template.skin.faces[template.flesh_faces]
+        on_face = np.isin(flesh, template.face_vertices).all(axis=1)
+        self.flesh = SkinDepth(Surface(skin, flesh))
+        self.face = SkinDepth(Surface(skin, flesh), flesh[on_face])
+
+
+def _deep_enough(points: Floats, moved: Floats, before: _Depths, after: _Depths) -> Floats:
+    """Return ``moved`` (n, 3) pushed as deep as ``points`` (n, 3), or :data:`CLEARANCE_MM`.
+
+    Between face and lining there may be no room for both; then the face's skin is kept clear.
+    """
     for _ in range(CLEARANCE_STEPS):
-        depths, deeper = depth(points)
-        missing = np.where(kept, np.maximum(least - depths, 0.0), 0.0)
-        if not missing.any():
+        start = moved
+        for skin_before, skin_after in ((before.flesh, after.flesh), (before.face, after.face)):
+            least = np.minimum(skin_before(points)[0], CLEARANCE_MM)
+            depths, deeper = skin_after(moved)
+            # A bone that reaches through the lining of the mouth has no depth to keep.
+            missing = np.where(least > 0, np.maximum(least - depths, 0.0), 0.0)
+            moved = moved + missing[:, None] * deeper
+        if np.array_equal(moved, start):
             break
-        points = points + missing[:, None] * deeper
-    return points
+    return moved
