@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import igl
@@ -12,16 +11,14 @@ import structlog
 from solver.anatomy.domain import boundary, joined
 from solver.anatomy.embedding import barycentric
 from solver.anatomy.fibres import fibre_directions
-from solver.anatomy.flesh_motion import FleshMotion
 from solver.anatomy.jaw_frame import jaw_frame
 from solver.anatomy.meshing import EDGE_MM, make_mesh
 from solver.anatomy.muscle_weights import enclosed_volume, muscle_volumes
-from solver.anatomy.template import Muscle, Template
+from solver.anatomy.template import Template
 from solver.anatomy.template_mesh import TemplateMesh
 from solver.anatomy.tetrahedra import dihedral_angles, volumes
-from solver.anatomy.transfer import carried_muscle, carry, skin_warp
+from solver.anatomy.transfer import carry, skin_warp
 from solver.anatomy.transport import transport
-from solver.anatomy.warp import Warp
 from solver.errors import InputError, SolveError
 from solver.model import SubjectModel
 from solver.progress import Progress, Step, silent
@@ -64,8 +61,7 @@ def build_subject_model(
     if template.mesh is not None and template.mesh.edge_mm == edge_mm:
         progress(Step("transport", 0.2))
         try:
-            mesh = transport(template, person, template.mesh, warp)
-            person = replace(person, muscles=_in_tets(template, mesh, warp))
+            mesh, person = transport(template, template.mesh, person, warp)
             made_by = "transport"
         except SolveError as error:
             log.warning("the template's tets can not be carried", reason=str(error))
@@ -75,13 +71,6 @@ def build_subject_model(
     model = _assembled(template, person, mesh, made_by)
     progress(Step("done", 1.0))
     return model
-
-
-def _in_tets(template: Template, mesh: TemplateMesh, warp: Warp) -> tuple[Muscle, ...]:
-    """Return the template's muscles moved with its tets, which S says they fill."""
-    assert template.mesh is not None
-    motion = FleshMotion(template.mesh.vertices, mesh.tets, mesh.vertices, warp)
-    return tuple(carried_muscle(muscle, motion) for muscle in template.muscles)
 
 
 def _assembled(

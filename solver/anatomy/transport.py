@@ -11,35 +11,43 @@ from dataclasses import replace
 import numpy as np
 
 from solver.anatomy.embedding import barycentric
+from solver.anatomy.flesh_motion import FleshMotion
 from solver.anatomy.guidance import guidance
 from solver.anatomy.relaxation import relaxed
 from solver.anatomy.template import Template
 from solver.anatomy.template_mesh import TemplateMesh
+from solver.anatomy.tetrahedra import dihedral_angles
+from solver.anatomy.transfer import carried_muscle
 from solver.anatomy.warp import Warp
+from solver.errors import SolveError
 from solver.surface import Floats, Surface
 
+LEAST_DEG = 5.0
+"""A mesh with a smaller dihedral angle is of no use."""
 
-def transport(template: Template, person: Template, mesh: TemplateMesh, warp: Warp) -> TemplateMesh:
-    """Return the template's ``mesh`` in a person.
+
+def transport(
+    template: Template, mesh: TemplateMesh, person: Template, warp: Warp
+) -> tuple[TemplateMesh, Template]:
+    """Return the template's mesh in a person, and the person with muscles moved as their tets are.
 
     Parameters
     ----------
     template
         The head the mesh was made for.
+    mesh
+        The template's tets.
     person
         The template carried into the person by ``warp``.
-    mesh
-        The mesh to carry.
     warp
         The map of space between their skins.
 
     Raises
     ------
     SolveError
-        ``mesh.inverted``.
+        ``mesh.inverted`` or ``mesh.flat``.
     """
     start = warp(mesh.vertices)
-    held = np.concatenate([mesh.cranium, mesh.sliding, mesh.mandible, mesh.cut])
     place = start.copy()
     cranium = np.concatenate([mesh.cranium, mesh.sliding])
     for ids, before, after in (
@@ -47,16 +55,21 @@ def transport(template: Template, person: Template, mesh: TemplateMesh, warp: Wa
         (mesh.mandible, template.mandible, person.mandible),
     ):
         place[ids] = _follow(mesh.vertices[ids], before, after)
+    held = np.concatenate([cranium, mesh.mandible, mesh.cut])
     guides = guidance(
-        person,
-        person.skin.vertices,
-        mesh.embedded,
-        mesh.surface_rows,
-        held,
-        place[held],
-        start,
+        person, person.skin.vertices, mesh.embedded, mesh.surface_rows, held, place[held], start
     )
-    return replace(mesh, vertices=relaxed(start, mesh.tets, guides))
+    moved = relaxed(start, mesh.tets, guides)
+    narrow = dihedral_angles(moved, mesh.tets).min()
+    if narrow < LEAST_DEG:
+        raise SolveError(
+            "mesh.flat",
+            f"a tetrahedron is left with a dihedral angle of {narrow:.1f} degrees",
+            degrees=float(narrow),
+        )
+    motion = FleshMotion(mesh.vertices, mesh.tets, moved, warp)
+    muscles = tuple(carried_muscle(muscle, motion) for muscle in template.muscles)
+    return replace(mesh, vertices=moved), replace(person, muscles=muscles)
 
 
 def _follow(points: Floats, before: Surface, after: Surface) -> Floats:
