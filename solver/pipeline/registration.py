@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 from solver.anatomy.builtin import builtin_template
@@ -19,6 +20,9 @@ from solver.scans.raw import read_raw
 from solver.scans.read import read_registered
 from solver.scans.registered import write_registered
 from solver.scans.units import FRAME
+
+LANDMARKER_VARIABLE = "MYOFACE_FACE_LANDMARKER"
+"""Environment variable with the path of MediaPipe's face landmarker; without it none is used."""
 
 
 def register_scan(
@@ -53,7 +57,16 @@ def register_scan(
         marks = match(landmarks.name, read_landmarks(landmarks), anatomy)
     raw, _ = mend(read_raw(scan))
     known = topology(anatomy)
-    registered = register(raw, known, rest, frame=frame, landmarks=marks, progress=progress)
+    model = os.environ.get(LANDMARKER_VARIABLE)
+    registered = register(
+        raw,
+        known,
+        rest,
+        frame=frame,
+        landmarks=marks,
+        landmarker=Path(model) if model else None,
+        progress=progress,
+    )
     progress(Step("pictures", 0.85))
     files = [out / name for name in ("registered.ply", "registration.json", "distance.png")]
     write_registered(files[0], registered.skin, registered.trust.confidence)

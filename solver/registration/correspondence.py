@@ -8,7 +8,7 @@ import numpy as np
 
 from solver.registration.scan_surface import ScanSurface
 from solver.registration.similarity import Similarity
-from solver.surface import Floats
+from solver.surface import Floats, Ints
 
 MIN_COSINE = 0.5
 """Normals further apart than 60 degrees are not of the same place."""
@@ -28,17 +28,31 @@ class Pairs:
     weights: Floats
 
 
+@dataclass(frozen=True)
+class Pins:
+    """Landmarks: ``points`` (k, 3) of the scan and the ``vertices`` (k,) they mark."""
+
+    points: Floats
+    vertices: Ints
+
+
 def pair(
-    scan: ScanSurface, motion: Similarity, points: Floats, normals: Floats, reach: float
+    scan: ScanSurface,
+    motion: Similarity,
+    points: Floats,
+    normals: Floats,
+    reach: float,
+    *,
+    alike: bool = False,
 ) -> Pairs:
     """Return the closest points of a moved scan to model ``points`` (n, 3).
 
     ``reach`` (mm) is the distance at which a pair's weight is a quarter (Geman & McClure 1987) and
     a third of the one at which it is none; neither edges of the scan nor surfaces that face
-    elsewhere count.
+    elsewhere count. With ``alike``, points that face the same way come before closer ones.
     """
     back = motion.inverse()
-    found = scan.closest(back(points))
+    found = scan.alike(back(points), back.turn(normals)) if alike else scan.closest(back(points))
     targets, directions = motion(found.points), motion.turn(found.normals)
     distance = found.distance * motion.scale
     cosine = np.einsum("nd,nd->n", normals, directions)
@@ -47,6 +61,18 @@ def pair(
     weights[found.at_edge | (distance > 3 * reach)] = 0.0
     offset = np.einsum("nd,nd->n", targets - points, directions)
     return Pairs(targets, directions, offset, weights)
+
+
+def pinned(pairs: Pairs, points: Floats, targets: Floats, weight: float) -> Pairs:
+    """Add landmarks: model ``points`` (k, 3) held at ``targets`` (k, 3) along all three axes."""
+    axes = np.tile(np.eye(3), (len(points), 1))
+    places, goals = np.repeat(points, 3, axis=0), np.repeat(targets, 3, axis=0)
+    return Pairs(
+        np.concatenate([pairs.points, goals]),
+        np.concatenate([pairs.normals, axes]),
+        np.concatenate([pairs.offset, np.einsum("nd,nd->n", goals - places, axes)]),
+        np.concatenate([pairs.weights, np.full(len(axes), weight)]),
+    )
 
 
 def motion_columns(pairs: Pairs, *, sizes: bool) -> Floats:

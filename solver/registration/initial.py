@@ -10,26 +10,19 @@ import numpy as np
 
 from solver.anatomy.warp import similarity
 from solver.errors import InputError
+from solver.registration.correspondence import Pins
 from solver.registration.pose import FacePatch, find_face
 from solver.registration.rigid import align
 from solver.registration.scan_surface import ScanSurface, scan_surface
 from solver.registration.similarity import Similarity
 from solver.scans.raw import RawScan
 from solver.scans.units import AXES, EXTENT_MM, UNITS, unit_of
-from solver.surface import Floats, Ints
+from solver.surface import Floats
 
 CLOSE_MM, FAR_MM = 5.7, 6.5
 """A face that fits better than the first on average is found; one worse than the second is none."""
 HEAD_MM = (170.0, 230.0, 310.0, 420.0, 570.0)
 """Extents to try for a scan in which no face of a person's size was found."""
-
-
-@dataclass(frozen=True)
-class Pins:
-    """Landmarks: ``points`` (k, 3) of the scan and the ``vertices`` (k,) they mark."""
-
-    points: Floats
-    vertices: Ints
 
 
 @dataclass(frozen=True)

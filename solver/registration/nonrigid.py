@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.mechanics.linear import Rslab
-from solver.registration.correspondence import pair
+from solver.registration.correspondence import Pins, pair
 from solver.registration.scan_surface import ScanSurface
 from solver.registration.similarity import Similarity
 from solver.registration.topology import Topology
@@ -33,42 +33,45 @@ TOUCH_FADES_MM = 1.5
 """How far lips may be apart in the start and still be closed."""
 LIP_STRENGTH = 5.0
 """k of a touching pair, by the weight of a vertex that the scan shows."""
-PINNED, PIN_MM2 = 0.8, 20.0
-"""Share of the rounds that landmarks guide, and the area of skin each speaks for."""
+PIN_MM2 = 20.0
+"""Area of skin that a landmark speaks for."""
 
 
 @dataclass(frozen=True)
 class Round:
-    """One round: smoothing ``length`` and ``reach`` of the closest points, in mm."""
+    """One round: smoothing ``length`` and ``reach`` of the closest points, in mm.
+
+    A round with ``alike`` follows points that face the same way, and so moves vertices along the
+    surface to where they belong; the others follow the tangent planes at the closest points.
+    """
 
     length: float
     reach: float
+    alike: bool = False
 
 
-def rounds(lengths: tuple[float, ...], reaches: tuple[float, ...]) -> tuple[Round, ...]:
-    """Return rounds with these lengths and reaches."""
-    return tuple(Round(*both) for both in zip(lengths, reaches, strict=True))
-
-
-REFINE = rounds((12, 10, 8, 6, 5, 4, 4, 3.5, 3.5, 3.5), (5, 5, 4, 4, 3, 3, 3, 2.5, 2.5, 2.5))
-"""From a start that a shape model has brought close."""
-FROM_AFAR = rounds(
-    (80,) * 5
-    + (50,) * 5
-    + (35,) * 5
-    + (25,) * 5
-    + (17,) * 4
-    + (12,) * 4
-    + (9, 9, 7, 7, 6, 6, 5, 5, 4, 4, 4),
-    (12,) * 5
-    + (12,) * 5
-    + (10,) * 5
-    + (8,) * 5
-    + (7,) * 4
-    + (6,) * 4
-    + (5, 5, 5, 4, 4, 4, 3, 3, 3, 3, 3),
+REFINE = tuple(
+    Round(*both)
+    for both in (
+        *((12, 5), (10, 5), (8, 4), (6, 4), (5, 3), (4, 3), (4, 3)),
+        *((3.5, 2.5),) * 3,
+    )
 )
-"""From another person's shape."""
+"""From a start that a shape model has brought close."""
+FROM_AFAR = (
+    *(
+        Round(*both, alike=True)
+        for both in (*((50, 12),) * 6, *((30, 10),) * 6, *((20, 8),) * 6, *((12, 6),) * 6)
+    ),
+    *(
+        Round(*both)
+        for both in (
+            *((9, 5), (9, 5), (7, 5), (7, 4), (6, 4), (6, 4), (5, 3), (5, 3)),
+            *((4, 3),) * 3,
+        )
+    ),
+)
+"""From another person's shape, or another expression."""
 
 
 class Skin:
@@ -122,7 +125,7 @@ def free_form(
     start: Floats,
     topology: Topology,
     schedule: tuple[Round, ...],
-    pins: tuple[Ints, Floats] | None = None,
+    pins: Pins | None = None,
 ) -> Floats:
     """Return the vertices (n, 3) of ``start`` (n, 3) moved onto the scan.
 
@@ -133,20 +136,24 @@ def free_form(
     schedule
         The rounds, coarse to fine.
     pins
-        Vertices (j,) and where landmarks say they are (j, 3); they guide all but the last rounds.
+        Landmarks; they guide the rounds that follow points alike.
     """
     skin = Skin(start, topology)
     moved = np.zeros_like(skin.start)
-    for number, stage in enumerate(schedule):
+    for stage in schedule:
         current = skin.start + moved
         normals = vertex_normals(Surface(current, skin.faces))[skin.outer]
-        pairs = pair(scan, motion, current[skin.outer], normals, stage.reach)
+        here = current[skin.outer]
+        pairs = pair(scan, motion, here, normals, stage.reach, alike=stage.alike)
         goals, weights = moved.copy(), np.zeros(len(moved))
-        goals[skin.outer] += pairs.offset[:, None] * pairs.normals
+        if stage.alike:
+            goals[skin.outer] += pairs.points - here
+        else:
+            goals[skin.outer] += pairs.offset[:, None] * pairs.normals
         weights[skin.outer] = pairs.weights
-        if pins is not None and number < PINNED * len(schedule):
-            numbers = np.searchsorted(skin.vertices, pins[0])
-            goals[numbers] = pins[1] - skin.start[numbers]
+        if pins is not None and stage.alike:
+            numbers = np.searchsorted(skin.vertices, pins.vertices)
+            goals[numbers] = motion(pins.points) - skin.start[numbers]
             weights[numbers] = PIN_MM2 / skin.area[numbers]
         moved = skin.smooth(goals, weights, stage.length)
     result = start.copy()

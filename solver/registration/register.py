@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,10 @@ import numpy as np
 from solver.anatomy.template import Template
 from solver.progress import Progress, Step, silent
 from solver.registration.confidence import Trust, trust
+from solver.registration.correspondence import Pins
 from solver.registration.folds import folded_triangles, unfolded
 from solver.registration.hidden import carry_hidden
-from solver.registration.initial import Pins, Start, not_a_face, start_by_landmarks, start_by_shape
+from solver.registration.initial import Start, not_a_face, start_by_landmarks, start_by_shape
 from solver.registration.nonrigid import FROM_AFAR, REFINE, free_form
 from solver.registration.pose import FacePatch
 from solver.registration.rigid import align
@@ -23,6 +25,8 @@ from solver.registration.similarity import IDENTITY, Similarity
 from solver.registration.stabilise import head_motion
 from solver.registration.topology import Topology
 from solver.rig.normals import vertex_normals
+from solver.scans.found_landmarks import find_landmarks
+from solver.scans.landmarks import landmark_vertices
 from solver.scans.raw import RawScan
 from solver.scans.units import FRAME
 from solver.surface import Floats, Ints, Surface
@@ -66,6 +70,7 @@ def register(
     *,
     frame: Mapping[str, Any] = FRAME,
     landmarks: tuple[Floats, Ints] | None = None,
+    landmarker: Path | None = None,
     progress: Progress = silent,
 ) -> Registration:
     """Register a mended scan: a neutral, or an expression if ``neutral`` (n, 3) is given.
@@ -78,11 +83,14 @@ def register(
         The options ``unit``, ``up`` and ``forward`` of the scan.
     landmarks
         Points (k, 3) in the scan's own unit and axes, and the vertices (k,) they mark.
+    landmarker
+        Model file with which landmarks are found if none are given.
 
     Raises
     ------
     InputError
-        ``scan.not_a_face``, ``scan.empty``, ``options.unit``, ``options.axes``.
+        ``scan.not_a_face``, ``scan.empty``, ``options.unit``, ``options.axes``,
+        ``landmarks.extra``, ``landmarks.model``.
     """
     progress(Step("pose", 0.1))
     skin = topology.template.skin
@@ -90,7 +98,8 @@ def register(
     if landmarks is None:
         looked_for = topology.face if neutral is None else topology.firm
         patch = _face_patch(model, looked_for, topology.template)
-        start, pins = start_by_shape(raw, patch, frame), None
+        start = start_by_shape(raw, patch, frame)
+        pins = None if landmarker is None else _found(start, patch, topology.template, landmarker)
     else:
         start = start_by_landmarks(raw, Pins(*landmarks), model.vertices, frame)
         pins = Pins(start.mm_per_unit * landmarks[0], landmarks[1])
@@ -102,6 +111,19 @@ def register(
     return found
 
 
+def _found(start: Start, patch: FacePatch, template: Template, model: Path) -> Pins | None:
+    """Return the landmarks that show in pictures of the placed scan; None for a point cloud."""
+    if not len(start.scan.faces):
+        return None
+    placed = Surface(start.motion(start.scan.vertices), start.scan.faces)
+    known, found = landmark_vertices(template), find_landmarks(placed, patch.points, model)
+    names = sorted(known.keys() & found.keys())
+    if not names:
+        return None
+    points = np.array([found[name] for name in names])
+    return Pins(start.motion.inverse()(points), np.array([known[name] for name in names]))
+
+
 def _register_neutral(
     start: Start, topology: Topology, pins: Pins | None, progress: Progress
 ) -> Registration:
@@ -110,13 +132,13 @@ def _register_neutral(
     open_size = start.unit is None
     progress(Step("shape", 0.3))
     if basis is not None and len(basis.identity):
-        fit = fit_shapes(scan, motion, persons(topology, basis), topology, sizes=open_size)
+        fit = fit_shapes(scan, motion, persons(topology, basis), topology, pins, sizes=open_size)
         shape, motion, weights, schedule = fit.vertices, fit.motion, fit.weights, REFINE
     else:
         shape, motion = _own_size(scan, motion, topology, open_size=open_size)
         weights, schedule = np.zeros(0), FROM_AFAR
     progress(Step("free form", 0.6))
-    fitted = free_form(scan, motion, shape, topology, schedule, _placed(pins, motion))
+    fitted = free_form(scan, motion, shape, topology, schedule, pins)
     fitted = unfolded(rest.vertices, fitted, topology.flesh)
     skin = rest.moved(carry_hidden(topology.groups, shape, shape, fitted, topology.outer))
     seen = trust(scan, motion, skin, topology.outer)
@@ -137,10 +159,10 @@ def _register_expression(
     motion = align(scan, start.motion, neutral[still], normals, share, sizes=open_size)
     shape, weights, schedule = neutral, np.zeros(0), FROM_AFAR
     if basis is not None and len(basis.expressions):
-        fit = fit_shapes(scan, motion, expressions(neutral, basis), topology, sizes=open_size)
+        fit = fit_shapes(scan, motion, expressions(neutral, basis), topology, pins, sizes=open_size)
         shape, motion, weights, schedule = fit.vertices, fit.motion, fit.weights, REFINE
     progress(Step("free form", 0.6))
-    fitted = free_form(scan, motion, shape, topology, schedule, _placed(pins, motion))
+    fitted = free_form(scan, motion, shape, topology, schedule, pins)
     fitted = unfolded(neutral, fitted, topology.flesh)
     skin = rest.moved(carry_hidden(topology.groups, neutral, shape, fitted, topology.outer))
     seen = trust(scan, motion, skin, topology.outer)
@@ -184,7 +206,3 @@ def _own_size(
         return rest.vertices, motion
     resize = Similarity(before / motion.scale, IDENTITY.rotation, IDENTITY.shift)
     return resize(rest.vertices), motion.then(resize)
-
-
-def _placed(pins: Pins | None, motion: Similarity) -> tuple[Ints, Floats] | None:
-    return None if pins is None else (pins.vertices, motion(pins.points))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import igl
@@ -25,6 +25,8 @@ NORMAL_RADIUS_MM = 2.5
 SMALL_PIECE = 0.01
 """Share of the area (or points) under which a separate piece counts as debris."""
 CLOUD_NEIGHBOURS = 12
+TURN_MM, ALIKE_NEIGHBOURS = 20.0, 3
+"""A turn by a radian counts as this distance."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,9 @@ class ScanSurface(Protocol):
     def closest(self, points: Floats) -> Matches:
         """Return the closest points of the scan to ``points`` (n, 3)."""
 
+    def alike(self, points: Floats, normals: Floats) -> Matches:
+        """Return scan points that are close and face the same way as ``normals`` (n, 3)."""
+
 
 def scan_surface(scan: RawScan, mm_per_unit: float) -> ScanSurface:
     """Return a mended scan in mm ready for registration: thinned, no debris, normals outward.
@@ -74,6 +79,7 @@ class MeshScan:
         self.vertices, self.faces = surface.vertices, surface.faces
         self.normals = _smooth_normals(surface)
         self._edge_opposite, self._edge_vertex = _boundary(surface)
+        self._alike = Alike(self.vertices, self.normals)
         self._tree = igl.AABB()
         self._tree.init(self.vertices, self.faces)
 
@@ -87,6 +93,11 @@ class MeshScan:
         on_edge = (self._edge_opposite[face] & (weights < 1e-4)).any(axis=1)
         at_vertex = (self._edge_vertex[corners] & (weights > 1 - 1e-4)).any(axis=1)
         return Matches(near, normals, np.sqrt(squared), on_edge | at_vertex)
+
+    def alike(self, points: Floats, normals: Floats) -> Matches:
+        """See :class:`ScanSurface`; the points are means of vertices."""
+        found, near = self._alike(points, normals)
+        return replace(found, at_edge=np.asarray(self._edge_vertex[near].any(axis=1)))
 
 
 class CloudScan:
@@ -106,6 +117,7 @@ class CloudScan:
             normals *= np.sign(np.einsum("nd,nd->n", normals, mean) + 1e-12)[:, None]
         mean = normals[near].mean(axis=1)
         self.normals = mean / (np.linalg.norm(mean, axis=1, keepdims=True) + 1e-12)
+        self._alike = Alike(points, self.normals)
 
     def closest(self, points: Floats) -> Matches:
         """See :class:`ScanSurface`; the points lie on planes through neighbours."""
@@ -121,6 +133,29 @@ class CloudScan:
         far = beside > 0.8 * self._spacing
         foot[far] = centre[far]
         return Matches(foot, normals, np.linalg.norm(points - foot, axis=1), far)
+
+    def alike(self, points: Floats, normals: Floats) -> Matches:
+        """See :class:`ScanSurface`."""
+        return replace(self._alike(points, normals)[0], at_edge=self.closest(points).at_edge)
+
+
+class Alike:
+    """Closest points in place and direction together, as in White et al. (Sci. Rep. 2019)."""
+
+    def __init__(self, vertices: Floats, normals: Floats) -> None:
+        self._vertices, self._normals = vertices, normals
+        self._tree = cKDTree(np.hstack([vertices, TURN_MM * normals]))
+
+    def __call__(self, points: Floats, normals: Floats) -> tuple[Matches, Ints]:
+        """Return means of the most alike vertices, none at an edge, and their numbers (n, k)."""
+        apart, near = self._tree.query(np.hstack([points, TURN_MM * normals]), ALIKE_NEIGHBOURS)
+        weights = 1 / (apart + 0.5) ** 2
+        weights /= weights.sum(axis=1, keepdims=True)
+        place = np.einsum("nk,nkd->nd", weights, self._vertices[near])
+        direction = np.einsum("nk,nkd->nd", weights, self._normals[near])
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True) + 1e-12
+        distance = np.linalg.norm(points - place, axis=1)
+        return Matches(place, direction, distance, np.zeros(len(points), dtype=bool)), near
 
 
 def _check(count: int, file: str) -> None:

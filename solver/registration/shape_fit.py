@@ -11,14 +11,14 @@ prior follows Blanz & Vetter 1999; the alternation is that of iterated closest p
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from solver.anatomy.shapes import ShapeBasis
-from solver.registration.correspondence import motion_columns, pair
+from solver.registration.correspondence import Pins, motion_columns, pair, pinned
 from solver.registration.scan_surface import ScanSurface
 from solver.registration.similarity import Similarity, small_motion
 from solver.registration.topology import Topology
@@ -30,6 +30,8 @@ NOISE_SHARE = 0.2
 """Standard deviation s of the offsets, as a share of the reach."""
 INDEPENDENT = 0.05
 """Neighbouring offsets go together: so many of them count as one observation."""
+PINNED_REACH_MM, PIN_MM = 6.0, 3.0
+"""Landmarks count while the reach is at least the first; their standard deviation."""
 STRONGEST = 1.2
 EXPRESSION_PRIOR = 0.5
 CLOSED_MM = 0.15
@@ -81,10 +83,14 @@ def fit_shapes(
     motion: Similarity,
     shapes: Shapes,
     topology: Topology,
+    pins: Pins | None = None,
     *,
     sizes: bool,
 ) -> ShapeFit:
-    """Fit weights and motion together; with ``sizes`` the scan's size may change."""
+    """Fit weights and motion together; with ``sizes`` the scan's size may change.
+
+    ``pins`` guide the rounds in which the scan's points are still far.
+    """
     outer, faces = topology.outer, topology.template.skin.faces
     count = len(shapes.prior)
     weights = np.zeros(count)
@@ -92,12 +98,18 @@ def fit_shapes(
         model = shapes.at(weights)
         normals = vertex_normals(Surface(model, faces))[outer]
         pairs = pair(scan, motion, model[outer], normals, reach)
-        basis = np.einsum("knd,nd->nk", shapes.displacements[:, outer], pairs.normals)
+        trust = pairs.weights * INDEPENDENT / (NOISE_SHARE * reach) ** 2
+        pairs, rows = replace(pairs, weights=trust), outer
+        if pins is not None and reach >= PINNED_REACH_MM:
+            places, goals = model[pins.vertices], motion(pins.points)
+            pairs = pinned(pairs, places, goals, 1 / PIN_MM**2)
+            rows = np.concatenate([outer, np.repeat(pins.vertices, 3)])
+        basis = np.einsum("knd,nd->nk", shapes.displacements[:, rows], pairs.normals)
         # offset = n . (q - x): the model moves by its weights, the scan by its motion
         columns = np.hstack([-basis, motion_columns(pairs, sizes=sizes)])
-        trust = pairs.weights * INDEPENDENT / (NOISE_SHARE * reach) ** 2
-        normal = (columns * trust[:, None]).T @ columns
-        right = -(columns * trust[:, None]).T @ (pairs.offset + basis @ weights)
+        weighted = columns * pairs.weights[:, None]
+        normal = weighted.T @ columns
+        right = -weighted.T @ (pairs.offset + basis @ weights)
         normal[:count, :count] += shapes.prior
         normal[np.diag_indices_from(normal)] += 1e-9
         solution = _solve(normal, right, count if shapes.bounded else 0)

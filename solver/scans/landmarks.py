@@ -43,7 +43,7 @@ IBUG_68 = {
 }
 """Point of the 68-point scheme, from 0 -> name."""
 MEDIAPIPE = {
-    1: "nose_tip",
+    4: "nose_tip",
     2: "subnasale",
     33: "exocanthion_r",
     133: "endocanthion_r",
@@ -55,7 +55,6 @@ MEDIAPIPE = {
     17: "labrale_inferius",
     13: "stomion_superius",
     14: "stomion_inferius",
-    152: "menton",
     168: "sellion",
 }
 """Vertex of MediaPipe's face mesh -> name."""
