@@ -57,11 +57,15 @@ class Check(Resource):
 
 
 class Registration(Resource):
-    """The newest registration of a raw scan; ``artifact_id`` is its mesh."""
+    """The newest registration of a raw scan; ``artifact_id`` is its mesh.
+
+    An expression's was made from the registered neutral with ``neutral_sha256``.
+    """
 
     job_id: str
     artifact_id: str
     sha256: str
+    neutral_sha256: str | None = None
 
 
 class Capture(Resource):
@@ -77,6 +81,13 @@ class Capture(Resource):
     filename: str | None = None
     sha256: str | None = None
     created_at: datetime | None = None
+
+    @property
+    def registered_sha256(self) -> str | None:
+        """The sha256 of its registered form as it is now; None: it has none."""
+        if self.registered:
+            return self.sha256
+        return self.registration.sha256 if self.registration else None
 
 
 class Artifact(Resource):

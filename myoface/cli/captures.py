@@ -111,15 +111,16 @@ def register(
     forward: Forward = "auto",
     url: Url = DEFAULT_URL,
 ) -> None:
-    """Register raw scans, the neutral first; by default those that are not registered yet.
+    """Register raw scans, the neutral first; by default those that wait for it.
 
-    An expression that fails does not keep the others back; the command then ends with 1.
+    These are the scans that are not registered yet, or from an earlier neutral. An expression that
+    fails does not keep the others back; the command then ends with 1.
     """
     options = frame_options(unit, up, forward)
     failed = False
     with Client(url) as client:
-        raw = [each for each in client.captures(subject) if not each.registered]
-        chosen = choose(raw, names) if names else [each for each in raw if not each.registration]
+        known = client.captures(subject)
+        chosen = choose(known, names) if names else waiting(known)
         if not chosen:
             out.print("no raw scan waits to be registered")
         for capture in sorted(chosen, key=lambda each: each.role != "neutral"):
@@ -176,17 +177,36 @@ def choose(captures: Iterable[Capture], names: list[str] | None) -> list[Capture
 
 def show_captures(captures: Iterable[Capture]) -> None:
     """Show a table of captures."""
+    known = list(captures)
     rows = [
-        (each.id, each.name, each.role, _form(each), each.check and each.check.verdict)
-        for each in captures
+        (each.id, each.name, each.role, _form(each, known), each.check and each.check.verdict)
+        for each in known
     ]
     show_table(("capture", "name", "role", "form", "check"), rows)
 
 
-def _form(capture: Capture) -> str:
+def waiting(captures: Iterable[Capture]) -> list[Capture]:
+    """Return the raw captures that are not registered, or not from the neutral as it is now."""
+    known = list(captures)
+    neutral = next((each.registered_sha256 for each in known if each.role == "neutral"), None)
+    return [
+        each
+        for each in known
+        if not each.registered
+        and (
+            each.registration is None
+            or (each.role == "expression" and each.registration.neutral_sha256 != neutral)
+        )
+    ]
+
+
+def _form(capture: Capture, captures: list[Capture]) -> str:
     if capture.registered:
         return "registered"
-    return "raw, registered" if capture.registration else "raw"
+    if capture.registration is None:
+        return "raw"
+    is_behind = capture in waiting(captures)
+    return "raw, registered from an earlier neutral" if is_behind else "raw, registered"
 
 
 def _upload(

@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import ConfigDict, Field
 
-from service.captures.registered import mesh
+from service.captures.registered import mesh, neutral_of
 from service.schemas import Body, Id, Name, View
 from service.store.models import Capture, Job
 
@@ -64,6 +64,9 @@ class RegistrationView(View):
     job_id: str
     artifact_id: str
     sha256: str
+    neutral_sha256: str | None = Field(
+        description="of an expression: the registered neutral that it was made from"
+    )
     finished_at: datetime
 
 
@@ -120,5 +123,6 @@ def _registration(job: Job) -> dict[str, object]:
         "job_id": job.id,
         "artifact_id": made.id,
         "sha256": made.sha256,
+        "neutral_sha256": neutral_of(job),
         "finished_at": job.finished_at,
     }

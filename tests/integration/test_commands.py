@@ -60,10 +60,17 @@ def test_a_session_at_the_station(myoface: Command, url: str, tmp_path: Path) ->
     assert registered.index("neutral: registered") < registered.index("smile: registered")
     mesh = (tmp_path / "out" / "smile" / "registered.ply").read_text()
     assert "neutral: registered, 80% of the face seen, 0.30 mm off the scan" in registered
-    assert mesh == "registered # smileregistered # neutral"
+    assert mesh == "registered # smile by registered # neutral by nose,0,0,0"
     assert "frown.obj has a NaN in line 3" in registered
     myoface("captures", "delete", subject, "frown")
     assert "no raw scan waits" in myoface("captures", "register", subject).output
+    marks.write_text("nose,1,1,1")
+    myoface("captures", "landmarks", subject, "neutral", marks)
+    myoface("captures", "register", subject, "neutral")
+    assert "from an earlier neutral" in myoface("captures", "list", subject).output
+    again = myoface("captures", "register", subject).output
+    assert "smile: registered" in again
+    assert "neutral: registered" not in again
 
     rows = myoface("captures", "list", subject).output.splitlines()[1:]
     assert [row.split()[1:] for row in rows] == [

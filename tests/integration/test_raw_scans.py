@@ -55,19 +55,16 @@ def test_raw_scans_become_a_model_and_a_rig(working: Studio) -> None:
     assert (shown["check"]["job_id"], shown["check"]["verdict"]) == (check["id"], "good")
     assert shown["registration"]["job_id"] == registration["id"]
     mesh = working.http.get(f"/v1/artifacts/{shown['registration']['artifact_id']}")
-    assert mesh.content == b"registered # neutral"
+    assert mesh.content == b"registered # neutral by {}"
 
     model = working.done("build_model", subject)
-    assert content(working, model, "model.npz") == b"model of registered # neutral"
+    assert content(working, model, "model.npz") == b"model of " + mesh.content
     of_smile = working.done("register_scan", subject, captures=[smile])
-    assert content(working, of_smile, "registered.ply") == mesh_of("smile", mesh.content)
+    expected = b"registered # smile by " + mesh.content
+    assert content(working, of_smile, "registered.ply") == expected
     assert of_smile["result"]["summary"]["neutral"] == "neutral.registered.ply"
     rig = working.done("fit_geometry", subject, captures=[smile])
     assert rig["result"]["summary"] == {"train_mean_mm": 0.4}
-
-
-def mesh_of(name: str, neutral: bytes) -> bytes:
-    return f"registered # {name}".encode() + neutral
 
 
 def content(studio: Studio, job: Any, name: str) -> bytes:

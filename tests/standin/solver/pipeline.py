@@ -37,8 +37,10 @@ def register_scan(
     scan, out, *, template=None, neutral=None, landmarks=None, options=None, progress
 ):
     _work([scan], progress)
-    beside = neutral.read_bytes() if neutral else b""
-    (out / "registered.ply").write_bytes(b"registered " + scan.read_bytes() + beside)
+    mesh = b"registered " + scan.read_bytes()
+    for more in (landmarks, neutral):
+        mesh += b" by " + more.read_bytes() if more else b""
+    (out / "registered.ply").write_bytes(mesh)
     figures = {"mean_mm": 0.3, "coverage": 0.8, "findings": []}
     figures["neutral"] = neutral and neutral.name
     (out / "registration.json").write_text(json.dumps(figures))
