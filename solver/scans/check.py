@@ -185,7 +185,7 @@ def _look_closer(
         marked = spikes(vertices * size, scan.faces) & _around(vertices, face, AROUND_HEAD_MM)
     surface = Surface(vertices, scan.faces)
     features = Features(lip_gap(surface, template), closed_eyes(surface, fitted, template))
-    result.findings += cover_findings(seen)
+    result.findings += cover_findings(seen, features)
     result.findings += roughness_findings(rough, int(marked.sum()))
     result.findings += feature_findings(features, role)
     result.cover = seen

@@ -27,6 +27,7 @@ SIDE_MM = 8.0
 RIM_MM = 5.0
 MISFIT_MM = 15.0
 SLIDES = 4
+MOUTH_MM = 32.0
 BEHIND_MM = (8.0, 14.0, 20.0, 26.0, 32.0)
 
 
@@ -80,18 +81,33 @@ def cover(scan: Samples, skin: Floats, template: Template, face: Surface) -> Cov
     area = _area(fitted) / POINTS
     tree = KDTree(scan.points)
     spacing = float(np.median(tree.query(scan.points[::7], k=2)[0][:, 1]))
-    gap = _sideways_gap(points, samples.normals[seen & inner], tree)
-    covered = np.asarray(gap < max(LEAST_GAP_MM, 4 * spacing))
+    gap = _sideways_gap(
+        points, samples.normals[seen & inner], _at_mouth(points, skin, template), tree
+    )
+    limit = max(LEAST_GAP_MM, 4 * spacing)
+    covered = np.asarray(gap < limit)
     missing = points[~covered]
     at_rim = _rim_gap(missing, fitted) < BORDER_MM + RIM_MM
-    return Cover(points, covered, _holes(missing, at_rim, area, skin, template))
+    return Cover(points, covered, _holes(missing, at_rim, (area, limit), skin, template))
 
 
-def _sideways_gap(points: Floats, normals: Floats, tree: KDTree) -> Floats:
+def _at_mouth(points: Floats, skin: Floats, template: Template) -> NDArray[np.bool_]:
+    lips = [template.landmarks.get(f"stomion_{lip}us") for lip in ("superi", "inferi")]
+    known = [lip for lip in lips if lip is not None]
+    if not known:
+        return np.zeros(len(points), bool)
+    away = np.linalg.norm(points - skin[known].mean(axis=0), axis=1)
+    return np.asarray(away < MOUTH_MM)
+
+
+def _sideways_gap(
+    points: Floats, normals: Floats, mouth: NDArray[np.bool_], tree: KDTree
+) -> Floats:
     """Return how far (n,) the scan is beside each point's normal: in a hole, not where it misfits.
 
     Each point slides along its normal to the height of its closest scan point, and again from
-    there, up to MISFIT_MM. What lies straight behind it, as teeth behind open lips, counts too.
+    there, up to MISFIT_MM. At the ``mouth`` what lies straight behind counts too: teeth and tongue
+    between open lips.
     """
     height = np.zeros(len(points))
     gap = np.empty(len(points))
@@ -99,7 +115,7 @@ def _sideways_gap(points: Floats, normals: Floats, tree: KDTree) -> Floats:
         gap, near = tree.query(points + height[:, None] * normals)
         height = ((tree.data[near] - points) * normals).sum(axis=1).clip(-MISFIT_MM, MISFIT_MM)
     for depth in BEHIND_MM:
-        gap = np.minimum(gap, tree.query(points - depth * normals)[0])
+        gap[mouth] = np.minimum(gap[mouth], tree.query((points - depth * normals)[mouth])[0])
     return np.asarray(gap)
 
 
@@ -140,9 +156,18 @@ def _loops(fitted: Surface) -> list[Ints]:
 
 
 def _holes(
-    missing: Floats, at_rim: NDArray[np.bool_], area: float, skin: Floats, template: Template
+    missing: Floats,
+    at_rim: NDArray[np.bool_],
+    measure: tuple[float, float],
+    skin: Floats,
+    template: Template,
 ) -> list[Hole]:
-    """Return the clusters of missing points, the largest first."""
+    """Return the clusters of missing points, the largest first.
+
+    ``measure`` is the area of one point, and how near the edge of a hole points still count as
+    covered: a round hole is larger than its points by that.
+    """
+    area, edge = measure
     if len(missing) == 0:
         return []
     pairs = KDTree(missing).query_pairs(2.2 * np.sqrt(area), output_type="ndarray")
@@ -153,7 +178,8 @@ def _holes(
         chosen = label == number
         members = missing[chosen]
         centre, ends = members.mean(axis=0), bool(at_rim[chosen].any())
-        holes.append(Hole(len(members) * area, centre, _region(centre, skin, template), ends))
+        size = float(np.pi * (np.sqrt(len(members) * area / np.pi) + edge) ** 2)
+        holes.append(Hole(size, centre, _region(centre, skin, template), ends))
     return sorted(holes, key=lambda hole: -hole.area_mm2)
 
 

@@ -8,7 +8,7 @@ from solver.scans.cover import Cover
 from solver.scans.findings import Finding, Severity
 from solver.scans.roughness import Roughness
 
-HOLE_MM2, CUT_OFF_MM2 = 60.0, 300.0
+HOLE_MM2, CUT_OFF_MM2 = 180.0, 500.0
 LEAST_COVER, LEAST_SIDE = 0.7, 0.6
 NOISE_MM, MUCH_NOISE_MM = 0.5, 1.5
 COARSE_MM = 6.0
@@ -26,8 +26,8 @@ class Features:
     closed: dict[str, bool]
 
 
-def cover_findings(cover: Cover) -> list[Finding]:
-    """Return what is missing of a face: a side, or holes."""
+def cover_findings(cover: Cover, features: Features) -> list[Finding]:
+    """Return what is missing of a face: a side, its end, or holes; open lips are no hole."""
     found = []
     shares = {side: cover.share(side) for side in ("left", "right", "upper", "lower")}
     worst = min(shares, key=lambda side: shares[side])
@@ -44,6 +44,8 @@ def cover_findings(cover: Cover) -> list[Finding]:
         message = f"The scan ends before the face does: {area / 100:.0f} cm2 miss at the {regions}."
         found.append(Finding("scan.cut_off", "warning", message, {"area_mm2": round(area)}))
     holes = [hole for hole in cover.holes if not hole.at_rim and hole.area_mm2 > HOLE_MM2]
+    if features.lip_gap_mm >= LIPS_APART_MM:
+        holes = [hole for hole in holes if not hole.region.endswith("lip")]
     if holes:
         largest = holes[0]
         number = "a hole" if len(holes) == 1 else f"{len(holes)} holes"

@@ -81,8 +81,10 @@ def edge_counts(faces: Ints) -> tuple[Ints, Ints]:
     """Return the edges (e, 2), lower vertex first, and how many triangles have each."""
     edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     size = int(edges.max(initial=0)) + 1
-    keys, counts = np.unique(edges[:, 0] * size + edges[:, 1], return_counts=True)
-    return np.stack([keys // size, keys % size], axis=1), counts
+    keys = np.sort(edges[:, 0] * size + edges[:, 1])
+    first = np.flatnonzero(np.diff(keys, prepend=-1))
+    counts = np.diff(first, append=len(keys))
+    return np.stack([keys[first] // size, keys[first] % size], axis=1), counts
 
 
 def _picked(scan: RawScan, vertices: Ints, faces: Ints) -> RawScan:
@@ -107,7 +109,9 @@ def _is_flat(vertices: Floats, faces: Ints) -> NDArray[np.bool_]:
 
 def _wound_alike(faces: Ints) -> tuple[Ints, int]:
     """Return the triangles, those turned round that the most of their piece run against."""
-    if len(faces) == 0:
+    ends = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    directed = np.sort(ends[:, 0] * (int(faces.max(initial=0)) + 1) + ends[:, 1])
+    if (np.diff(directed) > 0).all():  # neighbours run along their edge in opposite ways
         return faces, 0
     wound, piece = igl.bfs_orient(faces)
     wound = np.asarray(wound, np.int64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from solver.scans.pose import (
     FacePoints,
@@ -15,9 +16,10 @@ from solver.scans.pose import (
 from solver.scans.sample import Samples
 from solver.surface import Surface
 
-PART_SHARE = 0.8
-PART_MM = {"left": 1.7, "right": 1.7, "upper": 1.55, "lower": 1.7}
-"""A bare skull has a forehead too: its upper half fits to 1.64 mm, a face's to 1.5 mm."""
+PART_SHARE, PART_COST = 0.8, 2.35
+"""Halves of other persons' faces cost up to 2.2; skulls and balls 2.5 and more where one is."""
+NOTHING_MM = 18.0
+OPPOSITE = {"left": "right", "right": "left", "upper": "lower", "lower": "upper"}
 OTHER_SHARE = 0.08
 HEAD_MM = np.array([[-95.0, -210.0, -220.0], [95.0, 190.0, 120.0]])
 """The box about a face's middle that its own head fills."""
@@ -40,16 +42,24 @@ def parts_of(face: Surface) -> dict[str, FacePoints]:
 
 def visible_part(scan: Samples, face: Surface, scales: list[float]) -> tuple[str, Pose] | None:
     """Return which half of a face a scan shows that shows no whole one, and where; else None."""
+    parts = parts_of(face)
     best: tuple[str, Pose] | None = None
     for directions in (axis_directions(), all_directions()):
-        for name, part in parts_of(face).items():
+        for name, part in parts.items():
             pose = find_pose(part, scan, scales, directions)
-            is_part = pose.coverage > PART_SHARE and pose.residual_mm < PART_MM[name]
-            if is_part and (best is None or pose.cost < best[1].cost):
+            is_part = pose.coverage > PART_SHARE and pose.cost < PART_COST
+            is_better = best is None or pose.cost < best[1].cost
+            if is_part and is_better and _is_absent(parts[OPPOSITE[name]], scan, pose):
                 best = name, pose
         if best is not None:
             break
     return best
+
+
+def _is_absent(part: FacePoints, scan: Samples, pose: Pose) -> bool:
+    """Return whether most of a part of the face has nothing of the scan about it."""
+    gap, _ = KDTree(pose.apply(scan.points)).query(part.points)
+    return bool((gap > NOTHING_MM).mean() > 0.5)
 
 
 def second_face(scan: Samples, face: FacePoints, pose: Pose) -> Pose | None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from itertools import permutations, product
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
@@ -20,7 +21,7 @@ from solver.surface import Floats, Surface
 COARSE_POINTS, FINE_POINTS = 160, 1200
 TREE_POINTS = 6000
 REACH_MM = 30.0  # what is farther from the face than this is not there
-SLAB_MM = 30.0  # one candidate for the nose tip in each
+CELL_MM = 22.0
 CLOSE_MM = 8.0
 REFINED, FINER = 12, 4
 SETTLING = 12
@@ -141,11 +142,17 @@ def is_face(pose: Pose) -> bool:
 
 
 def _nose_candidates(turned: Floats) -> Floats:
-    """Return the foremost points of horizontal slabs, (k, 3)."""
-    height = np.floor(turned[:, 1] / SLAB_MM).astype(np.int64)
-    order = np.lexsort((turned[:, 2], height))
-    last = np.flatnonzero(np.diff(height[order], append=np.iinfo(np.int64).max))
-    return turned[order[last]]
+    """Return the points (k, 3) that stand out to the front from all around them, about CELL_MM."""
+    cell = np.floor((turned[:, :2] - turned[:, :2].min(axis=0)) / CELL_MM).astype(np.int64)
+    columns, rows = cell.max(axis=0) + 1
+    number = cell[:, 0] * rows + cell[:, 1]
+    order = np.lexsort((turned[:, 2], number))
+    foremost = order[np.flatnonzero(np.diff(number[order], append=-1))]
+    height = np.full(columns * rows, -np.inf)
+    height[number[foremost]] = turned[foremost, 2]
+    around = maximum_filter(height.reshape(columns, rows), 3, mode="constant", cval=-np.inf)
+    stands_out = height[number[foremost]] >= around.ravel()[number[foremost]]
+    return np.asarray(turned[foremost[stands_out]])
 
 
 def refine(
