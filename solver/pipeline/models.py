@@ -11,7 +11,7 @@ from solver.anatomy.mesh_cache import meshed
 from solver.anatomy.template import Template
 from solver.pipeline.common import Options, take, within
 from solver.progress import Progress, Step, silent
-from solver.rig.pictures import anatomy_picture, tets_picture
+from solver.rig.pictures import anatomy_picture, fibres_picture, tets_picture
 from solver.scans.read import read_registered
 
 
@@ -27,9 +27,9 @@ def build_model(
 
     Options: ``edge_mm``, the tets' edge length; a template without such tets gets them first, in
     minutes, and they are kept in the cache folder for everybody. Writes ``model.npz``,
-    ``model.json``, ``anatomy.png`` and ``tets.png``. Raises :class:`solver.errors.InputError` for
-    a scan or template that can not be used, :class:`solver.errors.SolveError` if no mesh can be
-    made.
+    ``model.json``, ``anatomy.png``, ``tets.png`` and ``fibres.png``. Raises
+    :class:`solver.errors.InputError` for a scan or template that can not be used,
+    :class:`solver.errors.SolveError` if no mesh can be made.
     """
     given = take(options, {"edge_mm": 9.0})
     out.mkdir(parents=True, exist_ok=True)
@@ -43,11 +43,13 @@ def build_model(
         edge_mm=given["edge_mm"],
         progress=lambda step: progress(within(step, 0.7, 0.93)),
     )
-    files = [out / name for name in ("model.npz", "model.json", "anatomy.png", "tets.png")]
+    names = ("model.npz", "model.json", "anatomy.png", "tets.png", "fibres.png")
+    files = [out / name for name in names]
     model.save(files[0])
     files[1].write_text(json.dumps(model_summary(model), indent=2), encoding="utf-8")
     progress(Step("pictures", 0.94))
     anatomy_picture(model, files[2])
     tets_picture(model, files[3])
+    fibres_picture(model, files[4])
     progress(Step("done", 1.0))
     return files
