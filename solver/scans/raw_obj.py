@@ -93,18 +93,17 @@ def _normals(lines: list[bytes], vertices: int, faces_text: bytes) -> Floats | N
 
 def _empty_groups(lines: list[bytes]) -> tuple[str, ...]:
     """Return the names of groups and objects that end up without a single face."""
-    faces: dict[str, int] = {}
-    current: list[str] = []
+    named: dict[str, bool] = {}
+    current: dict[bytes, list[str]] = {}
     for line in lines:
-        if line.startswith(FACE):
-            for name in current:
-                faces[name] += 1
-        elif line.startswith(GROUP):
-            words = line.split()[1:]
-            current = [word.decode("utf-8", "replace")[:60] for word in words]
-            for name in current:
-                faces.setdefault(name, 0)
-    return tuple(name for name, count in faces.items() if count == 0) if any(faces.values()) else ()
+        if line.startswith(GROUP):
+            kind, *words = line.split()
+            current[kind] = [word.decode("utf-8", "replace")[:60] for word in words]
+            for name in current[kind]:
+                named.setdefault(name, False)
+        elif current and line.startswith(FACE):
+            named |= dict.fromkeys((name for names in current.values() for name in names), True)
+    return tuple(name for name, has_faces in named.items() if not has_faces)
 
 
 def _named(file: str, content: bytes) -> Exception:
