@@ -93,6 +93,8 @@ def _subject(template: Template, kit: FaceKit, seed: int | None) -> dict[str, An
         "min_dihedral_deg": figures["smallest_dihedral_deg"],
         "embed_max_mm": figures["embedding_max_mm"],
         "embed_mean_mm": figures["embedding_mean_mm"],
+        "surface_max_mm": figures["surface_max_mm"],
+        "surface_mean_mm": figures["surface_mean_mm"],
         "muscles": model.muscle_count,
         "bone_clearance_mm": figures["bone_clearance_mm"],
         "lips_separate": lips_separate(template),

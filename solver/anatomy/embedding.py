@@ -9,8 +9,9 @@ import scipy.sparse as sp
 from solver.anatomy.tetrahedra import barycentric_in_tets
 from solver.surface import Floats, Ints, Surface
 
-LEAST_SHARE = -1.0
-"""A vertex may lie outside its tetrahedron by as much as that is high."""
+LEAST_SHARE = -1.5
+"""A vertex may lie this far outside its tetrahedron, as a part of its height: skin crosses over
+where nostrils meet, and then lies behind the tets it covers."""
 
 
 def barycentric(points: Floats, surface: Surface) -> tuple[Ints, Floats, Floats]:

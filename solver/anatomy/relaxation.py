@@ -20,6 +20,7 @@ import numba as nb
 import numpy as np
 import scipy.sparse as sp
 from scipy.optimize import minimize
+from threadpoolctl import threadpool_limits
 
 from solver.anatomy.tetrahedra import dihedral_angles, volumes
 from solver.errors import SolveError
@@ -117,13 +118,10 @@ def _minimised(
         pull, force = guides.energy(pose)
         return value + pull, (gradient / unit + force).ravel()
 
-    solution = minimize(
-        energy,
-        x.ravel(),
-        jac=True,
-        method="L-BFGS-B",
-        options={"maxiter": iterations, "maxfun": 2 * iterations, "maxcor": 20, "ftol": 1e-9},
-    )
+    options = {"maxiter": iterations, "maxfun": 2 * iterations, "maxcor": 20, "ftol": 1e-9}
+    # On several threads sums are added up in another order, and the last bits differ.
+    with threadpool_limits(1):
+        solution = minimize(energy, x.ravel(), jac=True, method="L-BFGS-B", options=options)
     return np.asarray(solution.x).reshape(x.shape)
 
 
