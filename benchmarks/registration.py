@@ -4,8 +4,10 @@
 part that the scan shows, the worst scan. ``corrupted`` are subjects of the capture sets, scanned
 by :mod:`benchmarks.corruption`: distances of the face skin's vertices from where they are known to
 be, without any alignment afterwards (``aligned`` with a rigid one), and errors of the displacement
-from neutral to expression. These subjects are made of the very shapes that the ICT-FaceKit
-template knows, so both are run again with a template that knows none (``..._without_shapes``).
+from neutral to expression. These subjects are made of the very shapes that the ICT-FaceKit template
+knows, so they are registered again with a template that knows only every second identity and
+expression (``..._with_half_the_shapes``), and all with one that knows none
+(``..._without_shapes``).
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from benchmarks import report
 from benchmarks.corruption import Corruption, corrupted
 from solver.anatomy.ict_captures import ict_capture_set
 from solver.anatomy.ict_template import build_ict_template
+from solver.anatomy.shapes import ShapeBasis
 from solver.anatomy.template import Template
 from solver.registration.register import Registration, register
 from solver.registration.similarity import weighted_motion
@@ -59,6 +62,7 @@ def run(options: argparse.Namespace) -> Figures:
     else:
         template = build_ict_template(options.anatomy or options.data / "bodyparts3d", faces)
     known, plain = topology(template), topology(replace(template, shapes=None))
+    half = topology(replace(template, shapes=_half(template.shapes)))
     subjects = options.subjects.split(",")[: 1 if options.quick else None]
     count = 1 if options.quick else options.expressions
     scans = options.data / "scans"
@@ -75,8 +79,15 @@ def run(options: argparse.Namespace) -> Figures:
         "raw": _raw(known, scans),
         "raw_without_shapes": _raw(plain, scans),
         "corrupted": spoilt(known),
+        "corrupted_with_half_the_shapes": spoilt(half),
         "corrupted_without_shapes": spoilt(plain),
     }
+
+
+def _half(shapes: ShapeBasis | None) -> ShapeBasis | None:
+    if shapes is None:
+        return None
+    return ShapeBasis(shapes.identity[::2], shapes.expressions[::2], shapes.expression_names[::2])
 
 
 def _raw(known: Topology, folder: Path) -> Figures:

@@ -50,26 +50,20 @@ class Round:
     alike: bool = False
 
 
-REFINE = tuple(
-    Round(*both)
-    for both in (
-        *((12, 5), (10, 5), (8, 4), (6, 4), (5, 3), (4, 3), (4, 3)),
-        *((3.5, 2.5),) * 3,
-    )
+def _rounds(alike: bool, *groups: tuple[float, float, int]) -> tuple[Round, ...]:
+    """Return the rounds of (length, reach, how many)."""
+    return tuple(Round(length, reach, alike) for length, reach, n in groups for _ in range(n))
+
+
+REFINE = (
+    *_rounds(True, (30, 8, 4), (20, 6, 4), (12, 5, 6)),
+    *_rounds(False, (12, 5, 1), (10, 5, 1), (8, 4, 1), (6, 4, 1), (5, 3, 1), (4, 3, 2)),
+    *_rounds(False, (3.5, 2.5, 3)),
 )
 """From a start that a shape model has brought close."""
 FROM_AFAR = (
-    *(
-        Round(*both, alike=True)
-        for both in (*((50, 12),) * 6, *((30, 10),) * 6, *((20, 8),) * 6, *((12, 6),) * 6)
-    ),
-    *(
-        Round(*both)
-        for both in (
-            *((9, 5), (9, 5), (7, 5), (7, 4), (6, 4), (6, 4), (5, 3), (5, 3)),
-            *((4, 3),) * 3,
-        )
-    ),
+    *_rounds(True, (50, 12, 6), (30, 10, 6), (20, 8, 6), (12, 6, 6)),
+    *_rounds(False, (9, 5, 2), (7, 5, 1), (7, 4, 1), (6, 4, 2), (5, 3, 2), (4, 3, 3)),
 )
 """From another person's shape, or another expression."""
 

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from solver.anatomy.template import Template
 from solver.registration.hidden import rigid_groups
 from solver.registration.outer import outer_skin
-from solver.surface import Ints
+from solver.surface import Floats, Ints
 
 TOUCHING_MM = 2.1
 FAR_MM = 8.0
@@ -18,7 +18,6 @@ PARTED_SHARE = 0.3
 """Share of the widest parting by which lips that touch come apart."""
 MOBILE_MM = 0.4
 """Root mean square displacement over the expressions that halves a vertex's stability."""
-STABLE_REGIONS = ("forehead", "nose")
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ class Topology:
     firm: Ints
     touching: Ints
     groups: list[Ints]
-    stable: np.ndarray
+    stable: Floats
 
 
 def topology(template: Template) -> Topology:
@@ -58,15 +57,16 @@ def topology(template: Template) -> Topology:
     outer = np.flatnonzero(outer_skin(template))
     flesh = template.skin.faces[template.flesh_faces]
     face = np.intersect1d(template.face_vertices, outer)
+    firm = _firm(template, face)
     return Topology(
         template=template,
         flesh=flesh,
         outer=outer,
         face=face,
-        firm=_firm(template, face),
+        firm=firm,
         touching=_touching(template, np.unique(flesh)),
         groups=rigid_groups(template),
-        stable=_stable(template, outer),
+        stable=_stable(template, outer, firm),
     )
 
 
@@ -99,14 +99,12 @@ def _firm(template: Template, face: Ints) -> Ints:
     return np.asarray(face[height > (height.min() + height.max()) / 2])
 
 
-def _stable(template: Template, outer: Ints) -> np.ndarray:
-    """Weigh by how little the expressions move a vertex; without shapes, by named regions."""
+def _stable(template: Template, outer: Ints, firm: Ints) -> Floats:
+    """Weigh by how little the expressions move a vertex; without shapes the upper face counts."""
     weights = np.zeros(len(template.skin.vertices))
     if template.shapes is not None and len(template.shapes.expressions):
         squares = np.sum(template.shapes.expressions[:, outer].astype(float) ** 2, axis=2)
         weights[outer] = 1 / (1 + squares.mean(axis=0) / MOBILE_MM**2) ** 2
-        return weights
-    named = [template.regions[name] for name in STABLE_REGIONS if name in template.regions]
-    weights[np.concatenate(named) if named else template.face_vertices] = 1.0
-    weights[np.setdiff1d(np.arange(len(weights)), outer)] = 0.0
+    else:
+        weights[firm] = 1.0
     return weights

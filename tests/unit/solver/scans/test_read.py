@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from solver.errors import InputError
 from solver.scans.obj import write_obj
 from solver.scans.read import FORMATS, read_registered
+from solver.scans.registered import write_registered
 from solver.surface import Surface
 from tests.fixtures import ict_capture
 
@@ -221,3 +222,23 @@ def test_only_input_errors_leave_the_readers(
     else:
         assert vertices.shape == (12, 3)
         assert np.isfinite(vertices).all()
+
+
+def test_confidence_comes_back_and_is_one_where_nothing_is_said(tmp_path: Path) -> None:
+    confidence = np.linspace(0.0, 1.0, COUNT)
+    write_registered(tmp_path / "a.ply", HEAD, confidence)
+    found = read_registered(tmp_path / "a.ply", HEAD.faces, COUNT)
+    np.testing.assert_array_equal(found.vertices, HEAD.vertices)
+    np.testing.assert_allclose(found.confidence, confidence, atol=1e-7)
+    plain = read_registered(write(tmp_path / "b.ply", HEAD), HEAD.faces, COUNT)
+    assert (plain.confidence == 1.0).all()
+
+
+@pytest.mark.parametrize("wrong", [-0.1, 1.5, np.nan])
+def test_a_confidence_that_is_none_is_named(wrong: float, tmp_path: Path) -> None:
+    confidence = np.ones(COUNT)
+    confidence[7] = wrong
+    write_registered(tmp_path / "a.ply", HEAD, confidence)
+    error = fault(tmp_path / "a.ply")
+    assert error.code == "scan.confidence"
+    assert error.context["vertex"] == 7
