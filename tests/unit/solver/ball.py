@@ -17,7 +17,9 @@ def ball_template():
     up, z = skin.vertices[:, 1], skin.vertices[:, 2]
     parting = np.zeros_like(skin.vertices)
     parting[:, 1] = 3 * np.exp(-(((up + 15) / 10) ** 2)) * (z > 0)
-    surface = ball([0, 10, 45], 6.0, 2)
+    # wide enough that some vertex of the skull always lies under it
+    surface = ball([0, 0, 0], 6.0, 2)
+    surface = surface.moved(surface.vertices * [3, 2, 1] + [0, 10, 45])
     muscle = Muscle(
         "frontalis",
         surface,
