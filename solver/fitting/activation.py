@@ -83,9 +83,9 @@ def fit(
 ) -> ActivationFit:
     """Minimise f over (a, b) from ``start`` and settle the result.
 
-    Where the flesh buckles as it settles, the fit goes on from there (from the rest pose, if it
-    does not settle at all) with every state on the way settled too. Raises :class:`SolveError`
-    (``solve.*``) if the face can not be settled even so.
+    Where the flesh buckles as it settles, the fit goes on from there; if it does not settle at
+    all, from the rest pose, with every state on the way settled too. Raises :class:`SolveError`
+    (``solve.no_convergence``) if the face can not be settled even so.
     """
     options = options or ActivationOptions()
     best = None
@@ -99,8 +99,9 @@ def fit(
                 best = ActivationFit(state, value, iterations)
             if value <= BUCKLED * found.objective:
                 break
+        go = Face.follow if state is None else Face.approach
         state = best.state if best else face.rest_state(S)
-        found = improve(face, S, target, regulariser, state, options, listen, Face.follow)
+        found = improve(face, S, target, regulariser, state, options, listen, go)
         iterations += found.iterations
     if best is None:
         raise SolveError("solve.no_convergence", "the fitted face does not come to rest")

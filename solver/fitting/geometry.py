@@ -21,6 +21,9 @@ from solver.fitting.weights import WeightProblem
 DAMPING_START = 1e-5
 """Of the S block, in units of w_s."""
 
+LAST = ActivationOptions(20, tolerance=1e-3)
+"""Of the activations, once S is found."""
+
 
 @dataclass(frozen=True)
 class GeometryOptions:
@@ -30,7 +33,7 @@ class GeometryOptions:
     prior of both is where the round started. ``w_v`` weighs the muscles' volume.
     """
 
-    rounds: int = 6
+    rounds: int = 10
     w_a: tuple[float, float] = (0.2, 2e-3)
     w_s: tuple[float, float] = (1e-4, 1e-6)
     w_v: float = 1e-2
@@ -93,8 +96,7 @@ def fit(
     # the states were only approached: settle them, together with a last step of the activations
     for name, target in targets.items():
         regulariser = Regulariser(options.w_a[1], options.w_v, options.w_b, states[name].pose)
-        last = ActivationOptions(options.activation_iterations, 1e-3)
-        fitted = activation.fit(face, S, target, regulariser, states[name], last)
+        fitted = activation.fit(face, S, target, regulariser, states[name], LAST)
         states[name] = fitted.state
         steps[name] += fitted.iterations
     return GeometryFit(S, states, steps)

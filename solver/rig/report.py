@@ -16,7 +16,8 @@ def report(rig: Rig) -> dict[str, Any]:
     """Return the figures of a rig as plain JSON values; distances in mm, times in seconds.
 
     Means are over the part of ``model.face`` that the scan shows (``coverage``), ``train_mean_mm``
-    and ``test_mean_mm`` are the means of the expressions' means (None without any). ``inverted`` is the sum over the expressions.
+    and ``test_mean_mm`` are the means of the expressions' means (None without any). ``inverted`` is
+    the sum over the expressions.
     """
     model = rig.model
     return {
