@@ -12,6 +12,7 @@ import structlog
 from solver.anatomy.builtin_source import cache_directory
 from solver.anatomy.meshing import EDGE_MM, with_mesh
 from solver.anatomy.template import Template
+from solver.errors import InputError
 from solver.progress import Progress, silent
 
 MAKING = 3
@@ -30,10 +31,24 @@ def meshed(template: Template, edge_mm: float = EDGE_MM, progress: Progress = si
         return template
     bare = replace(template, mesh=None)
     path = cache_directory() / f"meshed-{MAKING}-{bare.sha256[:16]}-{edge_mm:g}mm.npz"
-    if not path.exists():
+    kept = _kept(path)
+    if kept is None:
         log.info("making the template's tets", template=template.name, to=str(path))
         _keep(with_mesh(bare, edge_mm, progress), path)
-    return Template.load(path)
+        kept = Template.load(path)
+    return kept
+
+
+def _kept(path: Path) -> Template | None:
+    """Return the template in the cache; none if there is none, or a file that was spoilt."""
+    if not path.exists():
+        return None
+    try:
+        return Template.load(path)
+    except InputError as error:
+        log.warning("the template's tets are made anew", reason=str(error))
+        path.unlink(missing_ok=True)
+        return None
 
 
 def _keep(template: Template, path: Path) -> None:
