@@ -55,7 +55,8 @@ def start_by_shape(raw: RawScan, patch: FacePatch, frame: Mapping[str, Any]) -> 
     assert best is not None
     misfit, factor, scan, motion = best
     if misfit > FAR_MM:
-        raise not_a_face(raw.file, f"the best place for one is {misfit:.1f} mm off on average")
+        unit = f", read in {frame['unit']}," if frame["unit"] in UNITS else ""
+        raise not_a_face(raw.file, f"the best place for one{unit} is {misfit:.1f} mm off")
     motion = align(scan, motion, patch.points, patch.normals, sizes=True)
     total, name = _unit(raw, motion.scale * factor, frame)
     scan = scan if total == factor else scan_surface(raw, total)

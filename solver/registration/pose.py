@@ -177,10 +177,10 @@ def _step(
     targets = cloud[near]
     centre = np.einsum("pn,pni->pi", weights, placed)
     goal = np.einsum("pn,pni->pi", weights, targets)
-    spread_ = np.einsum(
+    covariance = np.einsum(
         "pn,pni,pnj->pij", weights, targets - goal[:, None], placed - centre[:, None]
     )
-    u, _, vt = np.linalg.svd(spread_)
+    u, _, vt = np.linalg.svd(covariance)
     u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
     turn = u @ vt
     shift = goal - np.einsum("pij,pj->pi", turn, centre)

@@ -28,7 +28,7 @@ from solver.surface import Floats, Surface
 REACHES_MM = (12.0, 12.0, 10.0, 10.0, 8.0, 8.0, 6.0, 6.0, *(4.0,) * 6, *(3.0,) * 8, *(2.0,) * 6)
 NOISE_SHARE = 0.2
 """Standard deviation s of the offsets, as a share of the reach."""
-INDEPENDENT = 0.05
+INDEPENDENT = 0.02
 """Neighbouring offsets go together: so many of them count as one observation."""
 PINNED_REACH_MM, PIN_MM = 6.0, 3.0
 """Landmarks count while the reach is at least the first; their standard deviation."""
