@@ -17,8 +17,12 @@ from scipy.spatial import cKDTree
 from solver.anatomy.template import Muscle
 from solver.surface import Floats, Ints
 
-END = 0.05
-"""Part of a muscle's length at each end where the potential is given."""
+STRAIGHT_END, BENT_END = 0.15, 0.05
+"""Part of a muscle's length at each end where the potential is given. Less takes the top of a dome,
+such as frontalis has, for the whole end, and fibres fan out from it; more takes the side of a bent
+muscle, such as half a ring, for its end."""
+BENT = 0.16
+"""A muscle is bent if its middle lies off its axis by more than this part of its length."""
 REACH_MM = 5.0
 """Muscle further than this from its candidates is outside the flesh."""
 LEAST_SHARE = 0.01
@@ -69,6 +73,17 @@ def _basis(vertices: Floats, tets: Ints) -> tuple[Floats, Floats]:
     return gradients, np.linalg.det(edges) / 6.0
 
 
+def _bend(muscle: Muscle) -> float:
+    """Return how far a muscle's middle lies off the line between its ends, by their distance."""
+    corners = muscle.surface.vertices[muscle.surface.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normals, axis=1)
+    off = np.average(corners.mean(axis=1), axis=0, weights=area)
+    off = off - (muscle.origin + muscle.insertion) / 2
+    off = off - muscle.fibre * (off @ muscle.fibre)
+    return float(np.linalg.norm(off) / np.linalg.norm(muscle.insertion - muscle.origin))
+
+
 class _Field:
     """Potentials on the candidates of one muscle, with the conductivity times volume of each."""
 
@@ -92,7 +107,8 @@ class _Field:
         low, high = np.quantile(extent, [0.02, 0.98])
         guess = (self._points @ muscle.fibre - low) / (high - low)
         place = (extent[cKDTree(surface).query(self._points)[1]] - low) / (high - low)
-        given = (place < END) | (place > 1 - END)
+        end = BENT_END if _bend(muscle) > BENT else STRAIGHT_END
+        given = (place < end) | (place > 1 - end)
         potential = self._solved(np.zeros(len(guess)), guess, given)
         return self._gradient(potential)
 

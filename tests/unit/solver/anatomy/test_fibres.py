@@ -76,6 +76,23 @@ def test_muscle_that_bends_is_followed():
     assert np.sum(directions * tangent, axis=1).mean() > 0.93
 
 
+def test_fibres_of_a_dome_do_not_fan_out():
+    """Frontalis ends above in a wide arch, below in a straight border."""
+    vertices, tets = flesh([-24, -4, -10], [24, 44, 10], 3.0)
+    dome = trimesh.creation.cylinder(radius=18, height=7, sections=48).subdivide().subdivide()
+    points = dome.vertices * [1, 0.5, 1] + [0, 30, 0]
+    points[dome.vertices[:, 1] < 0, 1] = 30 + 1.6 * dome.vertices[dome.vertices[:, 1] < 0, 1]
+    muscle = Muscle(
+        "dome",
+        Surface(points, np.asarray(dome.faces)),
+        np.array([0.0, -1, 0]),
+        np.array([0.0, 38, 0]),
+        np.array([0.0, 2, 0]),
+    )
+    _, directions = found(vertices, tets, muscle, 0.5)
+    assert (-directions[:, 1]).mean() > 0.98
+
+
 @pytest.mark.parametrize(("side", "sign"), [("left", 1), ("right", -1)])
 def test_axes_of_known_muscles_come_from_the_table(side, sign):
     """Temporalis is longer from front to back than it is high: its fibres run down all the same."""
