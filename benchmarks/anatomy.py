@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from benchmarks import report
 from solver.anatomy import ict_facekit
@@ -22,10 +21,9 @@ from solver.anatomy.build import build_subject_model, model_summary
 from solver.anatomy.ict_captures import identity
 from solver.anatomy.ict_facekit import FaceKit, read_facekit
 from solver.anatomy.ict_template import build_ict_template
+from solver.anatomy.jaw_frame import jaw_residual
 from solver.anatomy.meshing import EDGE_MM, with_mesh
 from solver.anatomy.template import Template
-from solver.anatomy.warp import similarity
-from solver.mechanics import jaw
 from solver.model import SubjectModel
 from solver.surface import Floats
 
@@ -120,20 +118,11 @@ def jaw_residuals(model: SubjectModel, kit: FaceKit, neutral: Floats) -> dict[st
     """
     ids = slice(ict_facekit.LOWER_TEETH.start, ict_facekit.LOWER_TEETH.stop)
     teeth = neutral[ids]
-    opened = teeth + kit.deltas["jawOpen"][ids]
-    _, rotation, _ = similarity(teeth, opened)
-    rigid = (teeth - teeth.mean(axis=0)) @ rotation.T + opened.mean(axis=0)
-    fit = least_squares(
-        lambda b: (jaw.move(model.jaw, teeth, b) - rigid).ravel(),
-        np.zeros(jaw.DEGREES_OF_FREEDOM),
-        lambda b: jaw.jacobian(model.jaw, teeth, b).reshape(-1, jaw.DEGREES_OF_FREEDOM),
-    )
-    missed = np.linalg.norm(jaw.move(model.jaw, teeth, fit.x) - rigid, axis=1)
-    stretch = np.linalg.norm(rigid - opened, axis=1)
+    found = jaw_residual(model.jaw, teeth, teeth + kit.deltas["jawOpen"][ids])
     return {
-        "jaw_teeth_residual_mm": float(np.sqrt(np.mean(missed**2))),
-        "jaw_teeth_residual_max_mm": float(missed.max()),
-        "jaw_stretch_mm": float(np.sqrt(np.mean(stretch**2))),
+        "jaw_teeth_residual_mm": found.rms,
+        "jaw_teeth_residual_max_mm": found.greatest,
+        "jaw_stretch_mm": found.not_rigid,
     }
 
 
