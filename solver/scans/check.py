@@ -184,7 +184,7 @@ def _look_closer(
     if len(scan.faces):
         marked = spikes(vertices * size, scan.faces) & _around(vertices, face, AROUND_HEAD_MM)
     surface = Surface(vertices, scan.faces)
-    features = Features(lip_gap(surface, template), closed_eyes(surface, fitted, template))
+    features = Features(lip_gap(surface, template), closed_eyes(surface, fitted.skin, template))
     result.findings += cover_findings(seen, features)
     result.findings += roughness_findings(rough, int(marked.sum()))
     result.findings += feature_findings(features, role)

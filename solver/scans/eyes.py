@@ -1,57 +1,82 @@
-"""Whether the eyes are closed: the scan beside the template's open and closed eyes."""
+"""Whether the eyes are closed, by where the lids' edge lies in the scan itself.
+
+Seen from the front the surface falls back sharply under the edge of an upper lid. Of an open eye
+this edge lies above the line between the corners of the eye; of a closed one it has come down to
+the lower lid, and above it the lid is smooth.
+"""
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, maximum_filter1d
 from scipy.spatial import KDTree
 
 from solver.anatomy.template import Template
-from solver.scans.likeness import Likeness
-from solver.scans.relief import Relief, relief
+from solver.scans.landmarks import landmark_vertices
+from solver.scans.relief import relief
 from solver.surface import Floats, Surface
 
-STEP_MM = 1.0
-WINDOW_MM = (40.0, 28.0)
-SEARCH_MM = 5
-SMOOTH = 1.0
-STEEPEST = 1.0
-ALIKE = 0.75
-AHEAD = 0.15
+STEP_MM = 0.5
+ABOVE_MM, BELOW_MM = 15.0, 22.0
+MIDDLE = 0.5  # of the eye's width
+SMOOTH_MM, WIDE_MM, ARCH_MM = 0.6, 3.5, 3.5
+STEEPEST = 2.0
+UPPER_MM = (-2.0, 11.0)
+LOWER_MM = (-13.0, -4.0)
+"""Heights over the line between the corners where the edge of an open and of a closed lid lies."""
+SHARP, AHEAD, THIN_MM = 0.6, 1.6, 7.5
 NEAR_MM, COARSE_MM, FEWEST = 16.0, 2.2, 60
 
 
-def closed_eyes(scan: Surface, fitted: Likeness, template: Template) -> dict[str, bool]:
+def closed_eyes(scan: Surface, skin: Floats, template: Template) -> dict[str, bool]:
     """Return ``left`` and ``right`` -> whether that eye is surely closed.
 
-    ``scan`` lies in the fitted template's frame. The slopes around the eye are compared with those
-    of the fitted template with that eye open and closed (normalised cross-correlation, at the best
-    of small shifts). A scan too coarse or too unlike either says nothing and counts as open.
+    ``scan`` lies in the frame of ``skin`` (n, 3), the template's skin fitted to it. An eye that is
+    scanned too coarsely, or whose corners the template does not name, counts as open.
     """
-    shapes = template.shapes
-    if shapes is None:
-        return {}
+    known = landmark_vertices(template)
     found = {}
-    for side in ("Left", "Right"):
-        name = f"eyeBlink{side}"
-        if name not in shapes.expression_names:
-            continue
-        blink = shapes.expressions[shapes.expression_names.index(name)]
-        strength = np.linalg.norm(blink, axis=1)
-        centre = fitted.neutral[strength > 0.3 * strength.max()].mean(axis=0)
-        if _spacing(scan.vertices, centre) > COARSE_MM:
-            found[side.lower()] = False
-            continue
-        margin = 2 * SEARCH_MM
-        there = _slopes(relief(scan, centre, (WINDOW_MM[0] + margin, WINDOW_MM[1] + margin), 1.0))
-        likeness = [
-            _best_match(
-                there, _slopes(relief(Surface(eye, template.skin.faces), centre, WINDOW_MM, 1.0))
-            )
-            for eye in (fitted.neutral, fitted.neutral + blink)
-        ]
-        found[side.lower()] = likeness[1] > ALIKE and likeness[1] > likeness[0] + AHEAD
+    for side in ("left", "right"):
+        names = [f"{corner}canthion_{side[0]}" for corner in ("endo", "exo")]
+        if all(name in known for name in names):
+            corners = skin[[known[name] for name in names]]
+            found[side] = _is_closed(scan, corners)
     return found
+
+
+def _is_closed(scan: Surface, corners: Floats) -> bool:
+    middle = corners.mean(axis=0)
+    if _spacing(scan.vertices, middle) > COARSE_MM:
+        return False
+    width = MIDDLE * abs(float(corners[0, 0] - corners[1, 0]))
+    centre = middle + np.array([0.0, (ABOVE_MM - BELOW_MM) / 2, 0.0])
+    front = relief(scan, centre, (width, ABOVE_MM + BELOW_MM), STEP_MM)
+    if np.isfinite(front.height).mean() < 0.5:
+        return False
+    fall, height = _falls(front.height), front.y - middle[1]
+    upper = _within(fall, height, UPPER_MM)
+    lower = _within(fall, height, LOWER_MM)
+    sharp = height[fall > 0.5 * fall.max()]
+    return bool(lower > max(SHARP, AHEAD * upper) and np.ptp(sharp) < THIN_MM)
+
+
+def _falls(height: Floats) -> Floats:
+    """Return how steeply (rows,) the surface falls downwards, sharper than brow and cheek do."""
+    rows = np.arange(len(height))
+    filled = np.zeros_like(height)
+    for column, values in enumerate(height.T):
+        known = np.isfinite(values)
+        if known.any():
+            filled[:, column] = np.interp(rows, rows[known], values[known])
+    smooth = gaussian_filter(filled, SMOOTH_MM / STEP_MM)
+    sharp = smooth - gaussian_filter(smooth, (WIDE_MM / STEP_MM, 0.0))
+    fall = -np.gradient(sharp, STEP_MM, axis=0)
+    arched = maximum_filter1d(fall.clip(0, STEEPEST), round(ARCH_MM / STEP_MM), axis=0)
+    return np.asarray(np.median(arched, axis=1))
+
+
+def _within(fall: Floats, height: Floats, band: tuple[float, float]) -> float:
+    return float(fall[(height > band[0]) & (height < band[1])].max())
 
 
 def _spacing(vertices: Floats, centre: Floats) -> float:
@@ -60,28 +85,3 @@ def _spacing(vertices: Floats, centre: Floats) -> float:
     if len(near) < FEWEST:
         return float("inf")
     return float(np.median(KDTree(near).query(near, k=2)[0][:, 1]))
-
-
-def _slopes(front: Relief) -> Floats:
-    """Return the smoothed slopes (rows, columns, 2), 0 where nothing is known."""
-    known = np.isfinite(front.height)
-    weight = gaussian_filter(known.astype(float), SMOOTH)
-    height = gaussian_filter(np.where(known, front.height, 0.0), SMOOTH) / np.maximum(weight, 1e-3)
-    slopes = np.stack(np.gradient(height, STEP_MM), axis=2).clip(-STEEPEST, STEEPEST)
-    slopes[weight < 0.5] = 0.0
-    return np.asarray(slopes)
-
-
-def _best_match(there: Floats, wanted: Floats) -> float:
-    rows, columns = wanted.shape[:2]
-    steps = range(2 * SEARCH_MM + 1)
-    return max(
-        _correlation(there[down : down + rows, right : right + columns], wanted)
-        for down in steps
-        for right in steps
-    )
-
-
-def _correlation(a: Floats, b: Floats) -> float:
-    a, b = a - a.mean(axis=(0, 1)), b - b.mean(axis=(0, 1))
-    return float((a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum() + 1e-12))

@@ -91,6 +91,8 @@ def feature_findings(features: Features, role: str) -> list[Finding]:
         figures = {"found": features.lip_gap_mm}
         found.append(Finding("scan.mouth_open", severity, message, figures))
     closed = [side for side, is_closed in features.closed.items() if is_closed]
-    if len(closed) == 2:
-        found.append(Finding("scan.eyes_closed", severity, "The eyes are closed.", {}))
+    if closed:
+        both = len(closed) == 2
+        message = "Both eyes are closed." if both else f"The {closed[0]} eye is closed."
+        found.append(Finding("scan.eyes_closed", severity, message, {"eyes": closed}))
     return found

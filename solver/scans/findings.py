@@ -55,6 +55,10 @@ ADVICE = {
     "scan.eyes_closed": "If this is the neutral, scan again with the eyes open.",
     # landmarks
     "landmarks.swapped": "Swap the names of the left and right landmarks: left is the subject's.",
+    "landmarks.misplaced": "Set this landmark again, or leave it out.",
+    "landmarks.unknown": "Use the names that the message lists.",
+    "landmarks.unreadable": "Send landmarks as name, x, y, z in JSON or CSV.",
+    "landmarks.format": "Send landmarks as name, x, y, z in JSON or CSV.",
     "landmarks.off_surface": "Check that the landmarks belong to this scan, in the same unit.",
 }
 

@@ -1,0 +1,53 @@
+"""The job that checks a scan: its files, and that a bad scan is a verdict and no exception."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from solver.anatomy.builtin import builtin_expression
+from solver.errors import InputError
+from solver.pipeline import check_scan
+from solver.scans.obj import write_obj
+
+
+def test_a_neutral_with_an_open_mouth_is_bad_as_an_expression_it_is_good(tmp_path: Path) -> None:
+    scan = tmp_path / "scan.obj"
+    write_obj(scan, builtin_expression({"jawOpen": 0.5}))
+    verdicts = {}
+    for role in ("neutral", "expression", "unknown"):
+        report, picture = check_scan(scan, tmp_path / role, options={"role": role})
+        found = json.loads(report.read_text(encoding="utf-8"))
+        verdicts[role] = (found["verdict"], [entry["code"] for entry in found["findings"]])
+        assert Image.open(picture).width > 1000
+    assert verdicts == {
+        "neutral": ("bad", ["scan.mouth_open"]),
+        "expression": ("good", []),
+        "unknown": ("good", ["scan.mouth_open"]),
+    }
+
+
+@pytest.mark.parametrize("content", [b"", b"v 1 2", b"\x00\x01" * 500])
+def test_an_unreadable_scan_is_a_verdict_with_advice(content: bytes, tmp_path: Path) -> None:
+    scan = tmp_path / "scan.obj"
+    scan.write_bytes(content)
+    report, picture = check_scan(scan, tmp_path / "out")
+    found = json.loads(report.read_text(encoding="utf-8"))
+    assert found["verdict"] == "bad"
+    (finding,) = found["findings"]
+    assert finding["severity"] == "error"
+    assert "scan.obj" in finding["message"]
+    assert finding["advice"]
+    assert picture.exists()
+
+
+@pytest.mark.parametrize("options", [{"role": "boss"}, {"unit": "mile"}, {"up": "w"}, {"x": 1}])
+def test_options_that_do_not_exist_are_refused(options: dict, tmp_path: Path) -> None:
+    scan = tmp_path / "scan.obj"
+    write_obj(scan, builtin_expression({}))
+    with pytest.raises(InputError) as caught:
+        check_scan(scan, tmp_path / "out", options=options)
+    assert caught.value.code.startswith("options.")
