@@ -14,6 +14,7 @@ from solver.surface import Floats, Ints
 
 TOUCHING_MM = 2.1
 FAR_MM = 8.0
+BELOW_TIP_MM = 8.0
 PARTED_SHARE = 0.3
 """Share of the widest parting by which lips that touch come apart."""
 MOBILE_MM = 0.4
@@ -91,12 +92,13 @@ def _touching(template: Template, vertices: Ints) -> Ints:
 
 
 def _firm(template: Template, face: Ints) -> Ints:
-    """Leave out what moves farther than :data:`FAR_MM`; without shapes, the lower half."""
+    """Leave out what moves farther than :data:`FAR_MM`; without shapes, what is below the nose."""
     if template.shapes is not None and len(template.shapes.expressions):
         moves = np.linalg.norm(template.shapes.expressions[:, face], axis=2).max(axis=0)
         return np.asarray(face[moves < FAR_MM])
-    height = template.skin.vertices[face, 1]
-    return np.asarray(face[height > (height.min() + height.max()) / 2])
+    points = template.skin.vertices[face]
+    tip = points[np.argmax(points[:, 2])]
+    return np.asarray(face[points[:, 1] > tip[1] - BELOW_TIP_MM])
 
 
 def _stable(template: Template, outer: Ints, firm: Ints) -> Floats:
