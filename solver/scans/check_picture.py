@@ -6,15 +6,17 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
+from scipy.spatial import KDTree
 
 from solver.rig.raster import Camera, look
 from solver.scans.check import Check
 from solver.scans.relief import FAR_MM
+from solver.scans.sample import estimated_normals
 from solver.surface import Floats, Ints, Surface
 
 WIDTH, HEIGHT = 420, 520
 SUPERSAMPLING = 2
-YAWS = (0.0, np.radians(45), np.radians(-45))
+YAWS = (0.0, np.radians(42), np.radians(-42))
 SPAN_MM = 330.0
 LIGHT = np.array([0.35, 0.45, 0.82])
 GREY = np.array([0.80, 0.78, 0.76])
@@ -22,7 +24,11 @@ INWARD = np.array([0.45, 0.52, 0.66])
 FAULT = np.array([0.93, 0.55, 0.10])
 MISSING = np.array([0.86, 0.10, 0.12])
 BACKGROUND = np.array([0.975, 0.975, 0.98])
-LARGEST_POINT = 3
+MOST_POINTS = 100_000
+LARGEST_DISC, MISSING_PIXELS = 8, 8
+BEHIND_MM = 25.0
+"""What is missing is drawn where the fitted face has it, even if the scan lies before it."""
+BACK_MM = 45.0
 
 
 def check_picture(check: Check, title: str, path: Path) -> None:
@@ -53,10 +59,12 @@ def _view(check: Check, yaw: float) -> np.ndarray:
     if len(surface.faces):
         _draw_mesh(image, depth, camera, surface, check)
     else:
-        _draw_points(image, depth, camera.project(surface.vertices, wide, high), GREY, 2)
+        _draw_cloud(image, depth, camera, surface.vertices)
     if check.cover is not None:
         missing = check.cover.points[~check.cover.covered]
-        _draw_points(image, depth + 25.0, camera.project(missing, wide, high), MISSING, 5)
+        red = np.broadcast_to(MISSING, missing.shape)
+        pixels = camera.project(missing, wide, high)
+        _draw_discs(image, depth + BEHIND_MM, pixels, red, MISSING_PIXELS)
     image = image.reshape(HEIGHT, SUPERSAMPLING, WIDTH, SUPERSAMPLING, 3).mean(axis=(1, 3))
     return np.asarray(np.clip(image * 255, 0, 255), np.uint8)
 
@@ -67,7 +75,11 @@ def _placed(check: Check) -> tuple[Surface, Floats, float]:
     assert scan is not None
     if check.placement is not None and check.cover is not None:
         vertices = check.placement.pose.apply(scan.vertices)
-        return Surface(vertices, scan.faces), np.median(check.cover.points, axis=0), SPAN_MM
+        if any(finding.code == "scan.two_heads" for finding in check.findings):
+            low, high = np.quantile(vertices, [0.002, 0.998], axis=0)
+            return Surface(vertices, scan.faces), (low + high) / 2, 1.6 * float((high - low).max())
+        middle = np.median(check.cover.points, axis=0) - np.array([0.0, 0.0, BACK_MM])
+        return Surface(vertices, scan.faces), middle, SPAN_MM
     low, high = np.quantile(scan.vertices, [0.002, 0.998], axis=0)
     scale = SPAN_MM / 1.2 / float((high - low).max() + 1e-30)
     return Surface((scan.vertices - (low + high) / 2) * scale, scan.faces), np.zeros(3), SPAN_MM
@@ -104,16 +116,30 @@ def _smooth(normals: Floats, faces: Ints, count: int) -> Floats:
     return sums
 
 
-def _draw_points(image: Floats, depth: Floats, pixels: Floats, colour: Floats, radius: int) -> None:
-    """Draw points (n, 3: column, row, depth) as squares where nothing nearer is drawn."""
+def _draw_cloud(image: Floats, depth: Floats, camera: Camera, points: Floats) -> None:
+    """Draw a point cloud as a closed surface: discs as wide as the points lie apart."""
+    shown = points[np.random.default_rng(0).permutation(len(points))[:MOST_POINTS]]
+    gap = float(np.median(KDTree(shown).query(shown[::7], k=2)[0][:, 1]))
+    pixels = camera.project(shown, image.shape[1], image.shape[0])
+    radius = round(2.0 * gap * image.shape[0] / camera.span)
+    light = np.abs(estimated_normals(shown, shown) @ (camera.axes.T @ LIGHT))
+    _draw_discs(image, depth, pixels, GREY * (0.25 + 0.75 * light[:, None]), radius)
+
+
+def _draw_discs(image: Floats, depth: Floats, pixels: Floats, colours: Floats, radius: int) -> None:
+    """Draw points (n, 3: column, row, depth) as discs, the nearest over all others."""
     rows, columns = depth.shape
-    order = np.argsort(-pixels[:, 2])
+    radius = int(np.clip(radius, 2, LARGEST_DISC))
     for down in range(-radius, radius + 1):
         for right in range(-radius, radius + 1):
-            column = np.rint(pixels[order, 0]).astype(int) + right
-            row = np.rint(pixels[order, 1]).astype(int) + down
+            if down * down + right * right > radius * radius:
+                continue
+            column = np.rint(pixels[:, 0]).astype(int) + right
+            row = np.rint(pixels[:, 1]).astype(int) + down
             inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-            row, column, far = row[inside], column[inside], pixels[order, 2][inside]
-            shown = far <= depth[row, column]
-            shade = np.clip(1.15 - (far[shown] - (FAR_MM - 60.0)) / 320.0, 0.35, 1.0)
-            image[row[shown], column[shown]] = colour * shade[:, None]
+            row, column, far = row[inside], column[inside], pixels[inside, 2]
+            order = np.argsort(-far)  # of several points in a pixel, the last written stays
+            row, column, far = row[order], column[order], far[order]
+            nearer = far < depth[row, column]
+            image[row[nearer], column[nearer]] = colours[inside][order][nearer]
+            depth[row[nearer], column[nearer]] = far[nearer]
