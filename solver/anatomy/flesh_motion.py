@@ -22,6 +22,7 @@ class FleshMotion:
     def __init__(self, vertices: Floats, tets: Ints, moved: Floats, warp: Warp) -> None:
         """Take a mesh, ``vertices`` (p, 3) and ``tets`` (t, 4), and where it ``moved``, (p, 3)."""
         self._vertices, self._tets, self._warp = vertices, tets, warp
+        self._surface = Surface(vertices, boundary(tets))
         self._correction = moved - warp(vertices)
         self._tree = igl.AABB()
         self._tree.init(vertices, tets)
@@ -36,8 +37,7 @@ class FleshMotion:
         shares = barycentric_in_tets(points[inside], self._vertices[corners])
         correction[inside] = np.einsum("nk,nkd->nd", shares, self._correction[corners])
         if len(outside):
-            surface = Surface(self._vertices, boundary(self._tets))
-            face, shares, _ = barycentric(points[outside], surface)
-            corners = surface.faces[face]
+            face, shares, _ = barycentric(points[outside], self._surface)
+            corners = self._surface.faces[face]
             correction[outside] = np.einsum("nk,nkd->nd", shares, self._correction[corners])
         return self._warp(points) + correction
