@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,9 @@ import scipy.sparse as sp
 from solver.errors import InputError
 
 Arrays = dict[str, np.ndarray]
+
+NOT_READABLE = (OSError, EOFError, BadZipFile, RuntimeError, zlib.error)
+"""What reading a ZIP raises that is damaged, or packed in a way that is not known."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,7 @@ class Archive:
                 arrays = dict(data)
                 header = json.loads(bytes(arrays.pop("header")))
                 found = header["format"]
-        except (OSError, KeyError, TypeError, ValueError, EOFError, BadZipFile) as error:
+        except (*NOT_READABLE, KeyError, TypeError, ValueError) as error:
             raise InputError(
                 f"{kind}.unreadable", f"{path.name} is not {noun}: {error}", file=path.name
             ) from error

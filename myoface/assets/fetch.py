@@ -10,6 +10,7 @@ import hashlib
 import json
 import os
 import shutil
+import zlib
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -156,7 +157,7 @@ def _check_content(asset: Asset, path: Path, expected: _Expected) -> None:
                 found = hashlib.sha256(archive.read(member)).hexdigest()
                 if sha256 not in (None, found) and expected.known_from != "option":
                     raise _wrong_content(asset, f"holds another version of {ending}")
-    except (OSError, BadZipFile, EOFError) as error:
+    except (OSError, EOFError, BadZipFile, RuntimeError, zlib.error) as error:
         raise _wrong_content(asset, f"is no ZIP archive ({error})") from error
 
 

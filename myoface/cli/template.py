@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.markup import escape
 
 from myoface.cli.app import NewFile, NewFolder
 from myoface.cli.console import JobView, out, show_table
@@ -80,7 +81,7 @@ def check(
         if json_file is not None:
             json_file.write_text(text + "\n", encoding="utf-8")
         for finding in report.findings:
-            out.print(f"{MARKS[finding.severity]} {finding.about}: {finding.message}")
+            out.print(f"{MARKS[finding.severity]} {escape(f'{finding.about}: {finding.message}')}")
         worth = "can be used" if report.good else "can not be used"
         name = f"{report.figures['name']} {report.figures['version']}"
         out.print(f"{name}: {worth}, {len(report.findings)} findings", markup=False)

@@ -112,7 +112,7 @@ def read_vertex_sets(path: Path, count: int) -> dict[str, Ints]:
     text = _text(path)
     try:
         sets = json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError("template.unreadable", f"{path.name}: {error}", file=path.name) from error
     if not isinstance(sets, dict) or not all(isinstance(value, list) for value in sets.values()):
         raise InputError(
@@ -136,7 +136,8 @@ def _vertices(file: str, name: str, items: list[Any], count: int) -> Ints:
     for item in items:
         found = _RANGE.fullmatch(item) if isinstance(item, str) else None
         if found:
-            numbers.extend(range(int(found[1]), int(found[2]) + 1))
+            # the first that is too large is enough to tell, and a range may be very long
+            numbers.extend(range(int(found[1]), min(int(found[2]), count) + 1))
         elif isinstance(item, int) and not isinstance(item, bool):
             numbers.append(item)
         else:

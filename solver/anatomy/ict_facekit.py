@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
 from solver.anatomy.public_ict_facekit import public_facekit
 from solver.anatomy.shapes import ShapeBasis
+from solver.archive import NOT_READABLE
 from solver.errors import InputError
 from solver.surface import Floats, Ints, Surface
 
@@ -79,7 +79,7 @@ def read_facekit(folder: Path) -> FaceKit:
             return _face_kit(dict(data), path)
     except InputError:
         raise
-    except (OSError, KeyError, TypeError, ValueError, EOFError, BadZipFile) as error:
+    except (*NOT_READABLE, KeyError, TypeError, ValueError) as error:
         raise InputError(
             "faces.unreadable", f"{path} is not an ICT-FaceKit file: {error}", file=str(path)
         ) from error

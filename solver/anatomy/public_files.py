@@ -9,6 +9,7 @@ from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
+from solver.archive import NOT_READABLE
 from solver.errors import InputError
 from solver.surface import Floats, Ints
 
@@ -42,7 +43,7 @@ class PublicFile:
                 return self.path.read_bytes()
             with ZipFile(self.path) as archive:
                 return archive.read(self.member)
-        except (OSError, BadZipFile, EOFError) as error:
+        except NOT_READABLE as error:
             raise InputError(
                 "download.unreadable", f"{self} can not be read: {error}", file=str(self)
             ) from error

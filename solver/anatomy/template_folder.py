@@ -11,7 +11,7 @@ import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile, ZipFile
+from zipfile import ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from solver.anatomy.muscle_axes import with_axis
 from solver.anatomy.shapes import ShapeBasis
 from solver.anatomy.template import Muscle, Template
 from solver.anatomy.template_arrays import check_arrays
+from solver.archive import NOT_READABLE
 from solver.errors import InputError
 from solver.scans.raw import read_raw
 from solver.surface import Floats, Surface
@@ -92,7 +93,7 @@ def read_template(path: Path) -> Template:
         try:
             with ZipFile(path) as archive:
                 archive.extractall(unpacked)
-        except (OSError, BadZipFile, EOFError) as error:
+        except NOT_READABLE as error:
             raise InputError(
                 "template.unreadable",
                 f"{path.name} is neither a folder nor a ZIP: {error}",
@@ -145,8 +146,10 @@ def _read(folder: Path) -> Template:
 
 def _frame(description: dict[str, Any]) -> Frame:
     given = description.get("frame", {})
+    if not isinstance(given, dict):
+        raise _value_fault("frame is no table")
     return Frame.named(
-        given.get("unit", "mm"), str(given.get("up", "y")), str(given.get("forward", "z"))
+        str(given.get("unit", "mm")), str(given.get("up", "y")), str(given.get("forward", "z"))
     )
 
 
@@ -179,7 +182,10 @@ def _muscles(folder: Path, frame: Frame, skull: Floats) -> tuple[Muscle, ...]:
         name = row.required("name")
         if name in muscles:
             raise row.fault(f"there is another muscle {name}")
-        surface = _mesh(folder, name, frame, folder / row.required("file"))
+        file = folder / row.required("file")
+        if not file.resolve().is_relative_to(folder.resolve()):
+            raise row.fault(f"file lies outside the folder: {row.text('file')!r}")
+        surface = _mesh(folder, name, frame, file)
         muscles[name] = _muscle(row, name, surface, frame, skull)
     if not muscles:
         raise _value_fault("there is no muscle", "muscles.csv")
@@ -207,7 +213,7 @@ def _landmarks(folder: Path, count: int) -> dict[str, int]:
         name, text = row.required("name"), row.required("vertex")
         if name in landmarks:
             raise row.fault(f"there is another landmark {name}")
-        if not text.isdigit():
+        if not text.isdecimal():
             raise row.fault(f"vertex is no number: {text!r}")
         if int(text) >= count:
             reason = f"vertex {text} is none of the skin's {count}"
@@ -288,6 +294,8 @@ def _parting(
             f"{folder.name} has neither parted.ply nor parted.obj, and {DESCRIPTION} no [parting]",
             file="parted.ply",
         )
+    if not isinstance(description["parting"], dict):
+        raise _value_fault("parting is no table")
     parting = np.zeros_like(skin.vertices)
     known = () if shapes is None else shapes.expression_names
     for name in description["parting"]:

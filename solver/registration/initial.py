@@ -15,6 +15,7 @@ from solver.registration.pose import FacePatch, find_face
 from solver.registration.rigid import align
 from solver.registration.scan_surface import ScanSurface, scan_surface
 from solver.registration.similarity import Similarity
+from solver.scans.faults import empty
 from solver.scans.raw import RawScan
 from solver.scans.units import AXES, EXTENT_MM, UNITS, unit_of
 from solver.surface import Floats
@@ -42,6 +43,8 @@ def start_by_shape(raw: RawScan, patch: FacePatch, frame: Mapping[str, Any]) -> 
     ``options.unit``, ``options.axes``, ``scan.not_a_face``, ``scan.empty``.
     """
     upright = (_axis(frame, "up"), _axis(frame, "forward"))
+    if not len(raw.vertices):
+        raise empty(raw.file)
     best: tuple[float, float, ScanSurface, Similarity] | None = None
     likely, others = _factors(raw, str(frame["unit"]))
     for factors in (likely, others):

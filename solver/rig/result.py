@@ -10,11 +10,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 import scipy.sparse as sp
 
+from solver.archive import NOT_READABLE
 from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
@@ -184,7 +184,7 @@ def _reading(path: Path) -> Iterator[None]:
         yield
     except InputError:
         raise
-    except (OSError, KeyError, IndexError, TypeError, ValueError, EOFError, BadZipFile) as error:
+    except (*NOT_READABLE, LookupError, TypeError, ValueError) as error:
         raise InputError(
             "rig.unreadable", f"{path.name} is not part of a rig: {error}", file=path.name
         ) from error

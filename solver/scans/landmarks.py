@@ -100,7 +100,7 @@ def read_landmarks(path: Path) -> Points:
         )
     try:
         content = json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise _unreadable(path, str(error)) from error
     if isinstance(content, dict) and "groups" in content:
         return _ljson(path, content)
@@ -149,6 +149,10 @@ def match(file: str, points: Points, template: Template) -> tuple[Floats, Ints]:
         )
     rest = template.skin.vertices
     given = np.array([named[name] for name in names])
+    if np.ptp(given, axis=0).max() == 0:
+        raise InputError(
+            "landmarks.misplaced", f"{file}: all landmarks lie in one place", file=file
+        )
     vertices = np.array([known[name] for name in names])
     swapped = np.array([known.get(_other_side(name), known[name]) for name in names])
     error, swapped_error = _misfit(given, rest[vertices]), _misfit(given, rest[swapped])
@@ -186,16 +190,16 @@ def _ljson(path: Path, content: Mapping[str, Any]) -> Points:
         group = next(iter(content["groups"].values())) if content["groups"] else content
         rows = group["landmarks"]["points"]
         masks = {label["label"].lower(): label["mask"] for label in group.get("labels", [])}
-    except (KeyError, TypeError, AttributeError, StopIteration) as error:
+        count = len(rows)
+        ordered = [masks[name] for names, _ in LABELS_68 for name in names if name in masks]
+        if [len(mask) for mask in ordered] == [length for _, length in LABELS_68]:
+            rows = [rows[number] for mask in ordered for number in mask]
+        points = {name: rows[number] for number, name in IBUG_68.items() if count == 68}
+    except (LookupError, TypeError, AttributeError, StopIteration) as error:
         raise _unreadable(path, "not an ljson file with landmarks and points") from error
-    if len(rows) != 68:
-        raise _unreadable(path, f"{len(rows)} points; only the 68-point scheme is known")
-    order = list(range(68))
-    ordered = [masks.get(name) for names, _ in LABELS_68 for name in names if name in masks]
-    counts = [count for _, count in LABELS_68]
-    if [len(mask) for mask in ordered if mask] == counts:
-        order = [number for mask in ordered for number in mask or ()]
-    return {name: _point(path, name, rows[order[k]]) for k, name in IBUG_68.items()}
+    if count != 68:
+        raise _unreadable(path, f"{count} points; only the 68-point scheme is known")
+    return {name: _point(path, name, point) for name, point in points.items()}
 
 
 def _csv(path: Path, text: str) -> Points:
@@ -215,7 +219,7 @@ def _csv(path: Path, text: str) -> Points:
 def _point(path: Path, name: str, value: Any, **where: Any) -> Floats:
     try:
         x, y, z = (float(number) for number in value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise _unreadable(path, f"{name} is not three numbers", landmark=name, **where) from None
     if not all(math.isfinite(number) for number in (x, y, z)):
         raise _unreadable(path, f"{name} is not finite", landmark=name, **where)

@@ -118,6 +118,8 @@ def _add_property(file: str, line: int, element: Element, words: list[str]) -> N
     types, name = words[int(is_list) : -1], words[-1] if words else ""
     if len(types) != (2 if is_list else 1) or any(word not in TYPES for word in types):
         raise unreadable(file, "not a property this format knows", line=line)
+    if is_list and TYPES[types[0]].startswith("f"):
+        raise unreadable(file, "the length of a list must be a whole number", line=line)
     if any(name == other for other, _ in element.properties):
         raise unreadable(file, f"property {name[:60]!r} appears twice", line=line)
     if is_list:

@@ -102,15 +102,20 @@ def _length(name: str) -> str:
 
 
 def _list_lengths(element: Element, content: bytes, position: int, order: str) -> dict[str, int]:
-    """Return how many items each list of the row at ``position`` has (0 behind the end)."""
+    """Return how many items each list of the row at ``position`` has (0 behind the end).
+
+    Of a list longer than the file, only as many are counted as no longer fit in it.
+    """
     lengths: dict[str, int] = {}
     for name, code in element.properties:
         kind = np.dtype(order + code)
         if name in element.items:
             value = content[position : position + kind.itemsize]
             whole = len(value) == kind.itemsize
-            lengths[name] = max(int(np.frombuffer(value, kind)[0]), 0) if whole else 0
-            position += lengths[name] * np.dtype(element.items[name]).itemsize
+            announced = max(int(np.frombuffer(value, kind)[0]), 0) if whole else 0
+            size = np.dtype(element.items[name]).itemsize
+            lengths[name] = min(announced, len(content) // size + 1)
+            position += lengths[name] * size
         position += kind.itemsize
     return lengths
 

@@ -72,6 +72,8 @@ def test_a_misplaced_landmark_is_named(points, template):
         ("a.json", "[1, 2]", "landmarks.unreadable"),
         ("a.json", '{"sellion": [1, 2]}', "landmarks.unreadable"),
         ("a.json", '{"groups": {}}', "landmarks.unreadable"),
+        ("a.ljson", '{"groups": {"a": {"landmarks": {"points": 5}}}}', "landmarks.unreadable"),
+        ("a.json", "[" * 100_000, "landmarks.unreadable"),
         ("a.txt", "", "landmarks.format"),
     ],
 )
@@ -79,6 +81,11 @@ def test_faults_are_named(tmp_path, name, content, code):
     path = tmp_path / name
     path.write_text(content)
     assert code_of(read_landmarks, path).code == code
+
+
+def test_landmarks_in_one_place_are_refused(points, template):
+    in_one = dict.fromkeys(points, np.zeros(3))
+    assert code_of(match, "a.json", in_one, template).code == "landmarks.misplaced"
 
 
 def test_unknown_names_are_answered_with_the_known(points, template):

@@ -159,6 +159,23 @@ def test_faults_are_named_with_their_line(
     assert name in error.message
 
 
+@pytest.mark.parametrize(
+    ("kind", "length", "code"),
+    [("uint", b"\xff\xff\xff\xff", "scan.truncated"), ("float", bytes(4), "scan.unreadable")],
+)
+def test_ply_list_of_no_possible_length(
+    kind: str, length: bytes, code: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.ply"
+    header = (
+        "ply\nformat binary_little_endian 1.0\nelement vertex 3\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        f"element face 1\nproperty list {kind} int vertex_indices\nend_header\n"
+    )
+    path.write_bytes(header.encode() + bytes(36) + length + bytes(12))
+    assert fault(path).code == code
+
+
 def test_nan_is_kept_by_the_reader_and_mended_with_its_triangles(tmp_path: Path) -> None:
     vertices = VERTICES.copy()
     vertices[17, 1] = math.nan
