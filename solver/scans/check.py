@@ -65,7 +65,7 @@ class Check:
 def check(
     path: Path, template: Template, frame: Mapping[str, Any], role: str, landmarks: Path | None
 ) -> Check:
-    """Check the raw scan at ``path``; ``frame`` as for :func:`solver.scans.units.place`.
+    """Check the raw scan at ``path``; ``frame`` as for :func:`solver.scans.units.place_samples`.
 
     ``role`` is ``neutral``, ``expression`` or ``unknown``: an open mouth or closed eyes are only
     wrong in a neutral. Raises :class:`InputError` only for options that do not exist.

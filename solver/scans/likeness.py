@@ -34,16 +34,10 @@ IGNORED = ("eyeLook", "Pupil", "tongue")
 
 @dataclass(frozen=True)
 class Likeness:
-    """The fitted template: its whole skin, the pose it was fitted in, and the weights.
-
-    ``skin`` (n, 3) in mm in the template's frame, with all weights; ``neutral`` (n, 3) without the
-    expressions; ``expressions`` name -> weight.
-    """
+    """The fitted template: its whole ``skin`` (n, 3) in mm in its own frame, the scan's pose."""
 
     skin: Floats
-    neutral: Floats
     pose: Pose
-    expressions: dict[str, float]
 
 
 def fit_likeness(scan: Samples, pose: Pose, template: Template, face: Surface) -> Likeness:
@@ -54,23 +48,20 @@ def fit_likeness(scan: Samples, pose: Pose, template: Template, face: Surface) -
     """
     skin, shapes = template.skin.vertices, template.shapes
     if shapes is None:
-        return Likeness(skin, skin, pose, {})
+        return Likeness(skin, pose)
     numbers, faces = np.unique(face.faces, return_inverse=True)
     faces = faces.reshape(-1, 3).astype(np.int64)
-    names = [name for name in shapes.expression_names if not name.startswith(IGNORED)]
-    chosen = [shapes.expression_names.index(name) for name in names]
+    chosen = [
+        number
+        for number, name in enumerate(shapes.expression_names)
+        if not name.startswith(IGNORED)
+    ]
     basis = np.concatenate([shapes.identity[:IDENTITIES], shapes.expressions[chosen]])
     people = min(IDENTITIES, len(shapes.identity))
     precision = np.full(len(basis), EXPRESSION_SD**-2)
     precision[:people] = 1.0
     weights, found = _fit(scan, pose, skin[numbers], faces, basis[:, numbers], precision, people)
-    neutral = skin + np.tensordot(weights[:people], basis[:people], 1)
-    return Likeness(
-        skin=neutral + np.tensordot(weights[people:], basis[people:], 1),
-        neutral=neutral,
-        pose=found,
-        expressions=dict(zip(names, weights[people:].tolist(), strict=True)),
-    )
+    return Likeness(skin + np.tensordot(weights, basis, 1), found)
 
 
 def _fit(

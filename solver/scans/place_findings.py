@@ -14,7 +14,6 @@ from solver.scans.raw import RawScan
 from solver.scans.sample import Samples
 from solver.scans.units import UNITS, Placement
 
-UPSIDE = {"-x": "-x", "-y": "-y", "-z": "-z"}
 MOST_INWARD, SOME_INWARD = 0.8, 0.1
 
 

@@ -72,23 +72,6 @@ def face_of(template: Template) -> Surface:
     return Surface(skin.vertices, skin.faces[is_face[skin.faces].all(axis=1)])
 
 
-def place(scan: RawScan, template: Template, frame: Mapping[str, Any] = FRAME) -> Placement:
-    """Find the face of a raw scan, and with it the scan's unit and axes.
-
-    ``frame`` may give ``unit``, ``up`` and ``forward`` (as :data:`FRAME`); the rest is found.
-    Raises :class:`InputError`: ``options.unit``, ``options.axes``, ``scan.not_a_face``.
-    """
-    found = place_samples(samples_of(scan), FacePoints(face_of(template)), frame, scan.mm_per_unit)
-    if not is_face(found.pose):
-        raise InputError(
-            "scan.not_a_face",
-            f"{scan.file} shows no face: the best fit covers {found.pose.coverage:.0%} of a face, "
-            f"{found.pose.residual_mm:.1f} mm off",
-            file=scan.file,
-        )
-    return found
-
-
 def samples_of(scan: RawScan, count: int = SAMPLES) -> Samples:
     """Return points spread over the scan, in its own frame; what is not a number is left out."""
     finite = np.asarray(np.isfinite(scan.vertices).all(axis=1))
@@ -102,7 +85,11 @@ def samples_of(scan: RawScan, count: int = SAMPLES) -> Samples:
 def place_samples(
     samples: Samples, face: FacePoints, frame: Mapping[str, Any], declared: float | None
 ) -> Placement:
-    """Return the best place of the face in ``samples``, however bad; see :func:`place`."""
+    """Find the best place of the face in ``samples``, however bad, and with it unit and axes.
+
+    ``frame`` gives ``unit``, ``up`` and ``forward`` (as :data:`FRAME`), ``declared`` the mm per
+    unit that the format declares. Raises :class:`InputError`: ``options.unit``, ``options.axes``.
+    """
     directions = [_within(start, frame) for start in (axis_directions(), all_directions())]
     low, high = np.quantile(samples.points, [0.005, 0.995], axis=0)
     extent = float((high - low).max())
