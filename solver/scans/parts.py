@@ -8,7 +8,6 @@ from scipy.spatial import KDTree
 from solver.scans.pose import (
     FacePoints,
     Pose,
-    all_directions,
     axis_directions,
     find_pose,
     is_face,
@@ -44,15 +43,12 @@ def visible_part(scan: Samples, face: Surface, scales: list[float]) -> tuple[str
     """Return which half of a face a scan shows that shows no whole one, and where; else None."""
     parts = parts_of(face)
     best: tuple[str, Pose] | None = None
-    for directions in (axis_directions(), all_directions()):
-        for name, part in parts.items():
-            pose = find_pose(part, scan, scales, directions)
-            is_part = pose.coverage > PART_SHARE and pose.cost < PART_COST
-            is_better = best is None or pose.cost < best[1].cost
-            if is_part and is_better and _is_absent(parts[OPPOSITE[name]], scan, pose):
-                best = name, pose
-        if best is not None:
-            break
+    for name, part in parts.items():
+        pose = find_pose(part, scan, scales, axis_directions())
+        is_part = pose.coverage > PART_SHARE and pose.cost < PART_COST
+        is_better = best is None or pose.cost < best[1].cost
+        if is_part and is_better and _is_absent(parts[OPPOSITE[name]], scan, pose):
+            best = name, pose
     return best
 
 

@@ -23,7 +23,7 @@ TREE_POINTS = 6000
 REACH_MM = 30.0  # what is farther from the face than this is not there
 CELL_MM = 22.0
 CLOSE_MM = 8.0
-REFINED, FINER = 12, 4
+TRIED, REFINED, FINER = 250, 36, 5
 SETTLING = 12
 SOFT_MM = 0.5
 UNCOVERED_MM = 10.0
@@ -32,7 +32,7 @@ SIZES = (0.72, 1.38)
 """Least and greatest size of a person's face by the template's."""
 GOOD_SHARE, GOOD_MM = 0.85, 2.0
 FACE_SHARE, FACE_COST = 0.72, 3.6
-EXTRA_DIRECTIONS = 240
+EXTRA_DIRECTIONS = 420
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def axis_directions() -> Floats:
 
 
 def all_directions() -> Floats:
-    """Return rotations (n, 3, 3) about 30 degrees apart."""
+    """Return rotations (n, 3, 3) about 25 degrees apart."""
     return np.asarray(Rotation.random(EXTRA_DIRECTIONS, rng=np.random.default_rng(5)).as_matrix())
 
 
@@ -111,18 +111,22 @@ def find_pose(face: FacePoints, scan: Samples, scales: list[float], directions: 
             cost = np.where(facing > 0.5, gap, np.minimum(gap + 10.0, REACH_MM)).mean()
             starts.append((float(cost), scale, direction, shift))
     starts.sort(key=lambda start: start[0])
-    refined = [
-        (
-            refine(face, coarse, tree, Pose(scale, direction, shift, 0.0, 0.0), scale, step, 12),
-            scale,
-        )
-        for _, scale, direction, shift in starts[:REFINED]
+    each = min(TRIED, 2 * TRIED // len(scales), 3 * len(directions))
+    found = [
+        (Pose(scale, direction, shift, 0.0, 0.0), scale)
+        for size in scales  # at a small scale all is near: only starts of one scale compare
+        for _, scale, direction, shift in [start for start in starts if start[1] == size][:each]
     ]
-    refined.sort(key=lambda found: found[0].cost)
+    for stride, iterations, kept in ((2 * step, 4, REFINED), (step, 12, FINER)):
+        found = [
+            (refine(face, coarse, tree, pose, size, stride, iterations), size)
+            for pose, size in found
+        ]
+        found = sorted(found, key=lambda pair: pair[0].cost)[:kept]
     fine_tree = KDTree(scan.points)
     finer = [
         _settled(face, scan, fine_tree, refine(face, scan, fine_tree, pose, size, 1, 10), size)
-        for pose, size in refined[:FINER]
+        for pose, size in found
     ]
     return min(finer, key=lambda pose: pose.cost)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from benchmarks.bad_scans import BAD_SCANS, Subject
 from benchmarks.ingest import builtin_subject
@@ -18,7 +19,14 @@ from solver.scans.units import FRAME
 from solver.surface import Surface
 from tests.fixtures import data_folder, ict_capture
 
-SLOW = ("skull", "a million vertices", "scale wrong by 10, large", "scale wrong by 1000, large")
+SLOW = (
+    "not a face",
+    "half a face",
+    "skull",
+    "a million vertices",
+    "scale wrong by 10, large",
+    "scale wrong by 1000, large",
+)
 
 
 @cache
@@ -105,3 +113,14 @@ def written(folder: Path, surface: Surface) -> Path:
     path = folder / "scan.obj"
     write_obj(path, surface)
     return path
+
+
+def test_unit_and_axes_are_found_in_any_pose(tmp_path: Path) -> None:
+    head = subject().head
+    turn = Rotation.random(rng=np.random.default_rng(2)).as_matrix()
+    path = written(tmp_path, head.moved(head.vertices @ turn.T / 25.4 + 7.0))
+    place = checked(path, "neutral").placement
+    assert place is not None
+    assert place.unit == "inch"
+    back = place.apply(head.vertices @ turn.T / 25.4 + 7.0)
+    assert np.linalg.norm(back - head.vertices, axis=1).max() < 1.5
