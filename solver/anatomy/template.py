@@ -207,7 +207,7 @@ class Template:
             condyles=data["condyles"],
             back_z=float(back_z),
             bottom_y=float(bottom_y),
-            landmarks=header["landmarks"],
+            landmarks=dict(header["landmarks"]),
             regions=with_prefix(data, "region_"),
             shapes=shapes,
             licence=header.get("licence", ""),

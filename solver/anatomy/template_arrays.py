@@ -87,8 +87,8 @@ class _Check:
             self.wrong("nan", name, f"has an entry that is not finite, at {place.tolist()}")
 
     def numbers(self, name: str, array: np.ndarray, count: int, columns: int = 0) -> None:
-        shape = (len(array), columns) if columns else (len(array),)
-        if array.shape != shape or array.dtype.kind != "i":
+        fits = array.shape[1:] == ((columns,) if columns else ()) and array.ndim > 0
+        if not fits or array.dtype.kind != "i":
             self.wrong("shape", name, f"has shape {array.shape} of {array.dtype}")
         outside = np.argwhere((array < 0) | (array >= count))
         if len(outside):

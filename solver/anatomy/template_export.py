@@ -21,7 +21,8 @@ from solver.surface import Floats, Ints
 def write_template(template: Template, folder: Path) -> None:
     """Write a template, without its tetrahedra, into a new or empty folder, in mm.
 
-    Raises :class:`InputError` (``template.folder``) if there is something in it.
+    Raises :class:`InputError`: ``template.folder`` if there is something in it, ``template.value``
+    for a shape whose name would lead out of it.
     """
     folder.mkdir(parents=True, exist_ok=True)
     if any(folder.iterdir()):
@@ -59,10 +60,10 @@ def _description(template: Template) -> str:
     left, right = (_numbers(point) for point in template.condyles)
     return f"""\
 format = {FORMAT}
-name = {json.dumps(template.name)}
-version = {json.dumps(template.version)}
-source = {json.dumps(template.source)}
-licence = {json.dumps(template.licence or "unknown")}
+name = {_quoted(template.name)}
+version = {_quoted(template.version)}
+source = {_quoted(template.source)}
+licence = {_quoted(template.licence or "unknown")}
 
 [frame]  # unit and axes of meshes and of points in tables; x is to the subject's left
 unit = "mm"
@@ -77,6 +78,10 @@ bottom = {template.bottom_y!r}
 left = {left}
 right = {right}
 """
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)  # TOML knows no surrogate pairs
 
 
 def _write_muscles(muscles: Iterable[Muscle], folder: Path) -> None:
@@ -96,6 +101,10 @@ def _write_shapes(
 ) -> None:
     folder.mkdir()
     for name, delta in zip(names, deltas, strict=True):
+        if name != Path(name).name:
+            raise InputError(
+                "template.value", f"the shape {name!r} has no name for a file", file=str(folder)
+            )
         write_ply(folder / f"{name}.ply", template.skin.moved(template.skin.vertices + delta))
 
 

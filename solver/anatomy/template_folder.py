@@ -31,20 +31,15 @@ from solver.anatomy.template_arrays import check_arrays
 from solver.archive import NOT_READABLE
 from solver.errors import InputError
 from solver.scans.raw import read_raw
+from solver.scans.units import AXES, UNITS
 from solver.surface import Floats, Surface
 
 FORMAT = 1
 DESCRIPTION = "template.toml"
 SUFFIXES = (".ply", ".obj")
-MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 PARTS = ("flesh", "face", "with_cranium", "with_mandible")
 """Sets of skin vertices in ``parts.json``."""
 BONES = ("cranium", "mandible")
-_AXES = {
-    sign + axis: np.eye(3)[number] * (-1 if sign else 1)
-    for number, axis in enumerate("xyz")
-    for sign in ("", "-")
-}
 
 
 @dataclass(frozen=True)
@@ -59,12 +54,12 @@ class Frame:
 
         Raises :class:`InputError` (``template.frame``).
         """
-        if unit not in MM_PER_UNIT or up not in _AXES or forward not in _AXES:
-            raise _frame_fault(f"unit is one of {', '.join(MM_PER_UNIT)}, axes are x, -x ... -z")
-        left = np.cross(_AXES[up], _AXES[forward])
+        if unit not in UNITS or up not in AXES or forward not in AXES:
+            raise _frame_fault(f"unit is one of {', '.join(UNITS)}, axes are x, -x ... -z")
+        left = np.cross(AXES[up], AXES[forward])
         if not left.any():
             raise _frame_fault(f"up ({up}) and forward ({forward}) are along one axis")
-        return cls(MM_PER_UNIT[unit] * np.stack([left, _AXES[up], _AXES[forward]]))
+        return cls(UNITS[unit] * np.stack([left, AXES[up], AXES[forward]]))
 
     def __call__(self, points: Floats) -> Floats:
         """Return points (..., 3) in mm, x to the subject's left, y up, z forward."""
