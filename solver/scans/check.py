@@ -43,6 +43,8 @@ AROUND_FACE_MM = 25.0
 AROUND_HEAD_MM = np.array([[40.0, 10.0, 60.0], [40.0, 70.0, 40.0]])
 """Below and above the face along x, y, z: the head without neck and shoulders."""
 FACE_SAMPLES = 60_000
+EXTENTS = (1e-9, 1e9)
+"""Least and greatest extent of a scan in its own unit, whatever that is."""
 
 
 @dataclass
@@ -82,6 +84,11 @@ def check(
     if len(scan.vertices) < 100 or (len(raw.faces) and not len(scan.faces)):
         empty = InputError("scan.empty", f"{raw.file} holds no surface", file=raw.file)
         result.findings.append(of_error(empty))
+        return result
+    low, high = np.quantile(scan.vertices, [0.005, 0.995], axis=0)
+    if not EXTENTS[0] < float((high - low).max()) < EXTENTS[1]:
+        message = f"No unit makes what is in {raw.file} as large as a face."
+        result.findings.append(Finding("scan.unit_unknown", "error", message))
         return result
     result.scan = scan
     samples = samples_of(scan)

@@ -14,6 +14,8 @@ from solver.surface import Floats, Ints
 
 FLAT = 1e-7
 """A triangle is flat if twice its area is less than this share of its longest edge squared."""
+ENDLESS = 1e100
+"""A coordinate beyond this counts as infinite: distances from it can not be measured."""
 WELDED_SHARE = 0.02
 """Fewer vertices in the place of another are separate parts that touch, and stay."""
 
@@ -45,7 +47,7 @@ def mend(scan: RawScan) -> tuple[RawScan, Mending]:
     become one with them; flat and repeated triangles go; the triangles of each piece are wound
     alike, as most of them were; vertices that no triangle uses go. The unit and axes stay.
     """
-    finite = np.asarray(np.isfinite(scan.vertices).all(axis=1))
+    finite = np.asarray((np.abs(scan.vertices) < ENDLESS).all(axis=1))
     lost = np.flatnonzero(~finite)
     numbers = np.flatnonzero(finite)
     first, place = weld(scan.vertices[finite])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -42,6 +43,19 @@ def test_an_unreadable_scan_is_a_verdict_with_advice(content: bytes, tmp_path: P
     assert "scan.obj" in finding["message"]
     assert finding["advice"]
     assert picture.exists()
+
+
+@pytest.mark.parametrize(
+    ("size", "code"),
+    [(1e-300, "scan.unit_unknown"), (1e90, "scan.unit_unknown"), (1e307, "scan.empty")],
+)
+def test_a_size_beyond_all_units_is_a_verdict(size: float, code: str, tmp_path: Path) -> None:
+    scan = tmp_path / "scan.xyz"
+    np.savetxt(scan, size * np.random.default_rng(0).standard_normal((300, 3)))
+    report, _ = check_scan(scan, tmp_path / "out")
+    found = json.loads(report.read_text(encoding="utf-8"))
+    assert found["verdict"] == "bad"
+    assert code in [entry["code"] for entry in found["findings"]]
 
 
 @pytest.mark.parametrize("options", [{"role": "boss"}, {"unit": "mile"}, {"up": "w"}, {"x": 1}])
