@@ -29,6 +29,9 @@ def check_arrays(template: Template, file: str) -> None:
     check.numbers("flesh_faces", template.flesh_faces, len(template.skin.faces))
     for name in ("face_vertices", "attached_cranium", "attached_mandible"):
         check.numbers(name, getattr(template, name), skin)
+    for name in ("flesh_faces", "face_vertices"):
+        if not len(getattr(template, name)):
+            check.wrong("shape", name, "is empty")
     for name, ids in template.regions.items():
         check.numbers(f"region {name}", ids, skin)
     for name, vertex in template.landmarks.items():

@@ -134,9 +134,12 @@ def _read(
     faults: list[InputError] = []
     for name, path in captures.items():
         try:
-            scans[name] = read_registered(
-                path, skin.faces, len(skin.vertices), neutral=skin.vertices
-            )
+            scan = read_registered(path, skin.faces, len(skin.vertices), neutral=skin.vertices)
+            if not scan.confidence[subject.face].any():
+                raise InputError(
+                    "scan.confidence", f"{path.name} has no confidence on the face", file=path.name
+                )
+            scans[name] = scan
         except InputError as fault:
             faults.append(fault)
     refuse(faults)

@@ -192,6 +192,7 @@ FAULTS = [
     ("muscles.csv", "muscles/", "../muscles/", "template.table", "outside the folder"),
     ("parts.json", '"6-11"', '"6-12"', "template.vertex", "vertex 12 is none"),
     ("parts.json", '"6-11"', '"6-99999999999"', "template.vertex", "vertex 12 is none"),
+    ("parts.json", '"face": [', '"face": [], "other": [', "template.shape", "face_vertices is"),
     ("parts.json", '"with_mandible"', '"jaw"', "template.value", "lacks with_mandible"),
     ("regions.json", '"upper": [0', '"upper": ["x"', "template.vertex", "like '10-20'"),
     ("regions.json", "}", "", "template.unreadable", r"regions\.json"),
