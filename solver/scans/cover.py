@@ -27,6 +27,7 @@ SIDE_MM = 8.0
 RIM_MM = 5.0
 MISFIT_MM = 15.0
 SLIDES = 4
+NEARBY_MM = (-6.0, -3.0, 3.0, 6.0)
 MOUTH_MM = 32.0
 BEHIND_MM = (8.0, 14.0, 20.0, 26.0, 32.0)
 
@@ -110,10 +111,13 @@ def _sideways_gap(
     between open lips.
     """
     height = np.zeros(len(points))
-    gap = np.empty(len(points))
+    gap = np.full(len(points), np.inf)
     for _ in range(SLIDES):
-        gap, near = tree.query(points + height[:, None] * normals)
+        beside, near = tree.query(points + height[:, None] * normals)
+        gap = np.minimum(gap, beside)
         height = ((tree.data[near] - points) * normals).sum(axis=1).clip(-MISFIT_MM, MISFIT_MM)
+    for depth in NEARBY_MM:  # where a slide swings between two layers, as lashes and brow
+        gap = np.minimum(gap, tree.query(points - depth * normals)[0])
     for depth in BEHIND_MM:
         gap[mouth] = np.minimum(gap[mouth], tree.query((points - depth * normals)[mouth])[0])
     return np.asarray(gap)

@@ -44,8 +44,8 @@ def cover_findings(cover: Cover, features: Features) -> list[Finding]:
         message = f"The scan ends before the face does: {area / 100:.0f} cm2 miss at the {regions}."
         found.append(Finding("scan.cut_off", "warning", message, {"area_mm2": round(area)}))
     holes = [hole for hole in cover.holes if not hole.at_rim and hole.area_mm2 > HOLE_MM2]
-    if features.lip_gap_mm >= LIPS_APART_MM:
-        holes = [hole for hole in holes if not hole.region.endswith("lip")]
+    if features.lip_gap_mm >= LIPS_APART_MM:  # a rough fit may have the chin where the mouth is
+        holes = [hole for hole in holes if not hole.region.endswith(("lip", "chin"))]
     if holes:
         largest = holes[0]
         number = "a hole" if len(holes) == 1 else f"{len(holes)} holes"
