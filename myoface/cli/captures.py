@@ -172,7 +172,7 @@ def choose(captures: Iterable[Capture], names: list[str] | None) -> list[Capture
         if name not in found:
             has = ", ".join(sorted(each.name for each in known)) or "none"
             raise typer.BadParameter(f"{name}: the subject's captures to choose from are {has}")
-    return [found[name] for name in names]
+    return list({found[name].id: found[name] for name in names}.values())
 
 
 def show_captures(captures: Iterable[Capture]) -> None:

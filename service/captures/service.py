@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import PurePath
 
-from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from service.captures import registered, repository
 from service.captures.schemas import CaptureView, Landmarks, NewCapture
 from service.errors import Problem
-from service.store.models import Capture, Job, Subject, Upload
+from service.store.models import Capture, Job, Upload
 from service.subjects import repository as subjects
 from service.subjects.service import refuse_while_busy
 from service.uploads import repository as uploads
@@ -23,9 +22,8 @@ LANDMARK_FORMATS = (".json", ".ljson", ".csv")
 
 def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
     """Add a scan to a subject; its mesh is read by a worker, never here."""
-    subjects.get(session, subject_id)
     # Two captures of one subject at a time would both find the name free.
-    session.execute(select(Subject.id).where(Subject.id == subject_id).with_for_update())
+    subjects.lock(session, subject_id)
     upload = uploads.get_complete(session, new.upload_id)
     if new.registered:
         _check_format(upload, "capture.format", "a registered scan", FORMATS)
@@ -68,6 +66,8 @@ def set_landmarks(session: Session, subject_id: str, capture_id: str, given: Lan
 
 def delete(session: Session, subject_id: str, capture_id: str) -> None:
     """Delete a scan with its checks and registrations; the sweeper removes the files."""
+    # A job submitted meanwhile would outlive the scan it reads.
+    subjects.lock(session, subject_id)
     capture = repository.get(session, subject_id, capture_id)
     refuse_while_busy(session, subject_id)
     uploads.forget(session, capture.uploaded)

@@ -14,6 +14,7 @@ from service.kinds import KINDS, Kind
 from service.store import jobs
 from service.store.models import Job, new_id
 from service.store.transitions import FINAL
+from service.subjects import repository as subjects
 
 
 def submit(
@@ -29,6 +30,7 @@ def submit(
             raise Problem(409, "job.conflict", "this id has another job already", job_id=job_id)
         return job, False
     kind = _kind(new)
+    subjects.lock(session, new.subject_id)
     inputs = resolve(session, kind, new)
     job = Job(
         id=job_id or new_id(),

@@ -22,6 +22,14 @@ def get(session: Session, subject_id: str) -> Subject:
     return subject
 
 
+def lock(session: Session, subject_id: str) -> Subject:
+    """Return a subject that nobody else can change, or give jobs or captures, until the commit."""
+    subject = session.get(Subject, subject_id, with_for_update=True)
+    if subject is None:
+        raise unknown("subject", subject_id)
+    return subject
+
+
 def newest(session: Session, limit: int, cursor: str | None) -> Slice[Subject]:
     """Return subjects, newest first."""
     return paging.newest(session, select(Subject), limit, cursor)

@@ -37,7 +37,7 @@ def refuse_while_busy(session: Session, subject_id: str) -> None:
 
 def delete(session: Session, subject_id: str) -> None:
     """Delete a subject with all that is its own; the sweeper removes the files."""
-    subject = repository.get(session, subject_id)
+    subject = repository.lock(session, subject_id)
     refuse_while_busy(session, subject_id)
     for capture in captures.of_subject(session, subject_id):
         uploads.forget(session, capture.uploaded)

@@ -36,6 +36,7 @@ from solver.surface import Floats, Surface
 
 FORMAT = 1
 DESCRIPTION = "template.toml"
+MAX_UNPACKED_BYTES = 2 * 2**30
 SUFFIXES = (".ply", ".obj")
 PARTS = ("flesh", "face", "with_cranium", "with_mandible")
 """Sets of skin vertices in ``parts.json``."""
@@ -87,6 +88,15 @@ def read_template(path: Path) -> Template:
     with tempfile.TemporaryDirectory() as unpacked:
         try:
             with ZipFile(path) as archive:
+                size = sum(entry.file_size for entry in archive.infolist())
+                if size > MAX_UNPACKED_BYTES:
+                    raise InputError(
+                        "template.too_large",
+                        f"{path.name} unpacks to {size} bytes; at most {MAX_UNPACKED_BYTES} can be",
+                        file=path.name,
+                        expected=MAX_UNPACKED_BYTES,
+                        found=size,
+                    )
                 archive.extractall(unpacked)
         except NOT_READABLE as error:
             raise InputError(
