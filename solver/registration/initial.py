@@ -28,12 +28,17 @@ HEAD_MM = (170.0, 230.0, 310.0, 420.0, 570.0)
 
 @dataclass(frozen=True)
 class Start:
-    """A scan in mm and its motion onto the face; ``unit`` is None where its size fits no unit."""
+    """A scan in mm and its motion onto the face.
+
+    ``unit`` is None where ``mm_per_unit`` is no unit's, ``size_known`` false where the size is
+    only the face's it was laid on: it fits neither a unit nor a decimal slip of one.
+    """
 
     scan: ScanSurface
     motion: Similarity
     mm_per_unit: float
     unit: str | None
+    size_known: bool
 
 
 def start_by_shape(raw: RawScan, patch: FacePatch, frame: Mapping[str, Any]) -> Start:
@@ -61,10 +66,11 @@ def start_by_shape(raw: RawScan, patch: FacePatch, frame: Mapping[str, Any]) -> 
         unit = f", read in {frame['unit']}," if frame["unit"] in UNITS else ""
         raise not_a_face(raw.file, f"the best place for one{unit} is {misfit:.1f} mm off")
     motion = align(scan, motion, patch.points, patch.normals, sizes=True)
-    total, name = _unit(raw, motion.scale * factor, frame)
+    fitted = motion.scale * factor
+    total, name = _unit(raw, fitted, frame)
     scan = scan if total == factor else scan_surface(raw, total)
     resized = _resized(motion, total / factor, patch.points.mean(axis=0))
-    return Start(scan, resized, total, name)
+    return Start(scan, resized, total, name, size_known=total != fitted)
 
 
 def start_by_landmarks(raw: RawScan, pins: Pins, model: Floats, frame: Mapping[str, Any]) -> Start:
@@ -72,7 +78,8 @@ def start_by_landmarks(raw: RawScan, pins: Pins, model: Floats, frame: Mapping[s
     motion = Similarity(*similarity(pins.points, model[pins.vertices]))
     mm_per_unit, name = _unit(raw, motion.scale, frame)
     resized = _resized(motion, mm_per_unit, model[pins.vertices].mean(axis=0))
-    return Start(scan_surface(raw, mm_per_unit), resized, mm_per_unit, name)
+    known = mm_per_unit != motion.scale
+    return Start(scan_surface(raw, mm_per_unit), resized, mm_per_unit, name, size_known=known)
 
 
 def _unit(raw: RawScan, scale: float, frame: Mapping[str, Any]) -> tuple[float, str | None]:

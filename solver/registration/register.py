@@ -129,7 +129,7 @@ def _register_neutral(
 ) -> Registration:
     scan, motion, template = start.scan, start.motion, topology.template
     rest, basis = template.skin, template.shapes
-    open_size = start.unit is None
+    open_size = not start.size_known
     progress(Step("shape", 0.3))
     if basis is not None and len(basis.identity):
         fit = fit_shapes(scan, motion, persons(topology, basis), topology, pins, sizes=open_size)
@@ -151,7 +151,7 @@ def _register_expression(
 ) -> Registration:
     scan, template = start.scan, topology.template
     rest, basis = template.skin.moved(neutral), template.shapes
-    open_size = start.unit is None
+    open_size = not start.size_known
     progress(Step("shape", 0.3))
     still = np.flatnonzero(topology.stable > STILL)
     normals = vertex_normals(rest)[still]

@@ -77,7 +77,7 @@ def findings(registered: Registration, topology: Topology, seen: Ints) -> list[d
             f"it within {np.percentile(distance, 95):.2f} mm.",
             "Look at distance.png: hair, a beard, glasses or spikes show in dark red.",
         )
-    if registered.start.unit is None:
+    if not registered.start.size_known:
         note(
             "registration.unit",
             "warning",

@@ -34,7 +34,8 @@ def wrong_vertex_count(file: str, expected: int, found: int) -> InputError:
     """Return the error for another topology than the template's."""
     return InputError(
         "scan.vertex_count",
-        f"{file} has {found} vertices; the template's topology has {expected}",
+        f"{file} has {found} vertices; the template's topology has {expected}; a raw scan is sent "
+        "as raw and registered first",
         file=file,
         expected=expected,
         found=found,

@@ -50,6 +50,15 @@ def test_neutral_in_any_pose_and_unit_finds_its_vertices(known, person, neutral)
     assert len(neutral.folded) == 0
 
 
+def test_a_decimal_slip_of_the_unit_keeps_the_persons_size(known, person):
+    raw = corrupted(person[0], 3, Corruption(unit_mm=0.001))
+    found = register(mend(raw)[0], known)
+    assert found.start.mm_per_unit == pytest.approx(0.001)
+    assert errors(found.skin.vertices, person[0].vertices, known).mean() < 0.8
+    codes = [finding["code"] for finding in report(found, known)["findings"]]
+    assert "registration.unit" not in codes
+
+
 def test_holes_have_no_confidence_and_the_rest_lies_on_the_scan(known, neutral):
     trust = neutral.trust
     hidden = np.setdiff1d(np.arange(len(trust.confidence)), known.outer)
