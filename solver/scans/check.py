@@ -30,7 +30,7 @@ from solver.scans.landmark_findings import landmark_findings
 from solver.scans.likeness import fit_likeness
 from solver.scans.mend import mend
 from solver.scans.mouth import lip_gap
-from solver.scans.parts import second_face, visible_part
+from solver.scans.parts import has_second_face, visible_part
 from solver.scans.place_findings import axis_findings, unit_findings, winding_findings
 from solver.scans.pose import FacePoints, is_face
 from solver.scans.raw import RawScan, read_raw
@@ -112,7 +112,7 @@ def check(
     }
     result.findings += unit_findings(scan, place, frame)
     result.findings += axis_findings(place, frame)
-    if second_face(samples, face, place.pose) is not None:
+    if has_second_face(samples, face, place.pose):
         message = f"{scan.file} shows two heads."
         result.findings.append(Finding("scan.two_heads", "error", message))
     winding = winding_findings(scan, samples, face, place)
@@ -131,8 +131,8 @@ def _no_face(
     scales = known_scales(extent, str(frame["unit"]), scan.mm_per_unit)
     part = visible_part(samples, face, scales)
     if part is not None:
-        message = f"{scan.file} shows only the {part[0]} half of a face."
-        return Finding("scan.half_face", "error", message, {"part": part[0]})
+        message = f"{scan.file} shows only the {part} half of a face."
+        return Finding("scan.half_face", "error", message, {"part": part})
     return Finding(
         "scan.not_a_face",
         "error",

@@ -39,8 +39,8 @@ def parts_of(face: Surface) -> dict[str, FacePoints]:
     }
 
 
-def visible_part(scan: Samples, face: Surface, scales: list[float]) -> tuple[str, Pose] | None:
-    """Return which half of a face a scan shows that shows no whole one, and where; else None."""
+def visible_part(scan: Samples, face: Surface, scales: list[float]) -> str | None:
+    """Return which half of a face a scan shows that shows no whole one; else None."""
     parts = parts_of(face)
     best: tuple[str, Pose] | None = None
     for name, part in parts.items():
@@ -49,7 +49,7 @@ def visible_part(scan: Samples, face: Surface, scales: list[float]) -> tuple[str
         is_better = best is None or pose.cost < best[1].cost
         if is_part and is_better and _is_absent(parts[OPPOSITE[name]], scan, pose):
             best = name, pose
-    return best
+    return None if best is None else best[0]
 
 
 def _is_absent(part: FacePoints, scan: Samples, pose: Pose) -> bool:
@@ -58,13 +58,12 @@ def _is_absent(part: FacePoints, scan: Samples, pose: Pose) -> bool:
     return bool((gap > NOTHING_MM).mean() > 0.5)
 
 
-def second_face(scan: Samples, face: FacePoints, pose: Pose) -> Pose | None:
-    """Return the pose of another face in the scan than the one at ``pose``, if there is one."""
+def has_second_face(scan: Samples, face: FacePoints, pose: Pose) -> bool:
+    """Return whether there is another face in the scan than the one at ``pose``."""
     there = pose.apply(scan.points) - face.points.mean(axis=0)
     outside = ((there < HEAD_MM[0]) | (there > HEAD_MM[1])).any(axis=1)
     if outside.sum() < OTHER_SHARE * len(outside):
-        return None
+        return False
     rest = Samples(scan.points[outside], scan.normals[outside], scan.oriented)
     directions = np.concatenate([pose.rotation[None], axis_directions() @ pose.rotation])
-    other = find_pose(face, rest, [pose.scale], directions)
-    return other if is_face(other) else None
+    return is_face(find_pose(face, rest, [pose.scale], directions))

@@ -15,6 +15,7 @@ from scipy.ndimage import maximum_filter
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from solver.anatomy.warp import similarity
 from solver.scans.sample import Samples, sample
 from solver.surface import Floats, Surface
 
@@ -180,7 +181,7 @@ def refine(
         facing = np.abs((scan.normals[near] @ rotation.T * normals).sum(axis=1))
         weight = gap + np.where(facing > 0.5, 0.0, np.quantile(gap, KEPT))
         kept = weight <= np.quantile(weight, KEPT)
-        scale, rotation, translation = _similarity(scan.points[near[kept]], points[kept])
+        scale, rotation, translation = similarity(scan.points[near[kept]], points[kept])
         scale = float(np.clip(scale, size * SIZES[0], size * SIZES[1]))
         translation = points[kept].mean(0) - scale * rotation @ scan.points[near[kept]].mean(0)
     return _judged(points, normals, scan, tree, (scale, rotation, translation))
@@ -238,13 +239,3 @@ def _judged(
     off_plane = np.abs((offsets * normals).sum(axis=1))
     residual = float(off_plane[covered].mean()) if covered.any() else REACH_MM
     return Pose(scale, rotation, translation, residual, float(covered.mean()))
-
-
-def _similarity(start: Floats, end: Floats) -> tuple[float, Floats, Floats]:
-    """Return scale, rotation and translation that best map ``start`` to ``end`` (Umeyama 1991)."""
-    a, b = start - start.mean(axis=0), end - end.mean(axis=0)
-    u, strengths, vt = np.linalg.svd(b.T @ a)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    rotation = (u * signs) @ vt
-    scale = float((strengths * signs).sum() / (a * a).sum())
-    return scale, rotation, end.mean(axis=0) - scale * rotation @ start.mean(axis=0)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from solver.errors import InputError
-from solver.scans.faults import empty
+from solver.scans.content import read_content
 from solver.scans.glb import MM_PER_METRE
 from solver.scans.mesh import Mesh
 from solver.scans.raw_glb import read_raw_glb
@@ -85,7 +85,7 @@ def read_raw(path: Path) -> RawScan:
             expected=list(FORMATS),
             found=suffix,
         )
-    content = _content(path)
+    content = read_content(path, MAX_BYTES, "a raw scan")
     held = sniff(file, content, FORMATS[suffix])
     mesh = READERS[held](file, content)
     if len(mesh.vertices) > MAX_VERTICES:
@@ -107,24 +107,3 @@ def read_raw(path: Path) -> RawScan:
         suffix_format=FORMATS[suffix],
         empty_groups=mesh.empty_groups,
     )
-
-
-def _content(path: Path) -> bytes:
-    try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise InputError(
-                "scan.too_large",
-                f"{path.name} has {size} bytes; a raw scan has at most {MAX_BYTES}",
-                file=path.name,
-                expected=MAX_BYTES,
-                found=size,
-            )
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(
-            "scan.unreadable", f"{path.name} can not be read: {error.strerror}", file=path.name
-        ) from None
-    if not content.strip():
-        raise empty(path.name)
-    return content

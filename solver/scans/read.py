@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from solver.errors import InputError
-from solver.scans.faults import check_finite, empty, wrong_vertex_count
+from solver.scans.content import read_content
+from solver.scans.faults import check_finite, wrong_vertex_count
 from solver.scans.glb import read_glb
 from solver.scans.obj import read_obj
 from solver.scans.plausible import check_alignment, check_scale, check_vertex_order
@@ -45,7 +46,7 @@ def read_registered(
             expected=list(FORMATS),
             found=suffix,
         )
-    content = _content(path)
+    content = read_content(path, MAX_BYTES, "a registered scan")
     confidence = np.ones(vertex_count)
     if suffix == ".obj":
         vertices = read_obj(file, content)
@@ -81,24 +82,3 @@ def _split(file: str, columns: Floats) -> tuple[Floats, Floats]:
             found=str(confidence[vertex]),
         )
     return vertices, confidence
-
-
-def _content(path: Path) -> bytes:
-    try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise InputError(
-                "scan.too_large",
-                f"{path.name} has {size} bytes; a registered scan has at most {MAX_BYTES}",
-                file=path.name,
-                expected=MAX_BYTES,
-                found=size,
-            )
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(
-            "scan.unreadable", f"{path.name} can not be read: {error.strerror}", file=path.name
-        ) from None
-    if not content.strip():
-        raise empty(path.name)
-    return content
