@@ -2,8 +2,8 @@
 
 Every kernel takes positions ``x`` (p, 3), ``tets`` (n, 4), shape-function gradients ``N``
 (n, 4, 3), rest volumes ``volume`` (n,), activations ``a`` (n, 6), the material arrays ``mu``,
-``lam`` and ``stiffness`` (n,), and fills an array with one entry per tet. Scattering is left to the
-caller, so tets are independent and the loops run on all threads.
+``lam``, ``kappa`` and ``stiffness`` (n,), and fills an array with one entry per tet. Scattering is
+left to the caller, so tets are independent and the loops run on all threads.
 """
 
 from __future__ import annotations
@@ -54,6 +54,7 @@ def energies(
     a: Floats,
     mu: Floats,
     lam: Floats,
+    kappa: Floats,
     stiffness: Floats,
     out: Floats,
 ) -> None:
@@ -66,7 +67,7 @@ def energies(
         for e in range(chunk * CHUNK, min(n, (chunk + 1) * CHUNK)):
             deformation_gradient(x, tets[e], N[e], F)
             symmetric(a[e], A)
-            out[e] = volume[e] * density(F, A, mu[e], lam[e], stiffness[e], work)
+            out[e] = volume[e] * density(F, A, mu[e], lam[e], kappa[e], stiffness[e], work)
 
 
 @nb.njit(cache=True, parallel=True, error_model="numpy")
@@ -78,6 +79,7 @@ def forces(
     a: Floats,
     mu: Floats,
     lam: Floats,
+    kappa: Floats,
     stiffness: Floats,
     out: Floats,
 ) -> None:
@@ -91,7 +93,7 @@ def forces(
         for e in range(chunk * CHUNK, min(n, (chunk + 1) * CHUNK)):
             deformation_gradient(x, tets[e], N[e], F)
             symmetric(a[e], A)
-            stress(F, A, mu[e], lam[e], stiffness[e], work, P)
+            stress(F, A, mu[e], lam[e], kappa[e], stiffness[e], work, P)
             for v in range(4):
                 for i in range(3):
                     out[e, v, i] = volume[e] * (
@@ -108,6 +110,7 @@ def stiffness_blocks(
     a: Floats,
     mu: Floats,
     lam: Floats,
+    kappa: Floats,
     stiffness: Floats,
     project: bool,
     out: Floats,
@@ -130,7 +133,9 @@ def stiffness_blocks(
             K = out[e]
             deformation_gradient(x, tets[e], N[e], F)
             symmetric(a[e], A)
-            count, curvature = hessian_modes(F, A, mu[e], lam[e], stiffness[e], project, work, c, W)
+            count, curvature = hessian_modes(
+                F, A, mu[e], lam[e], kappa[e], stiffness[e], project, work, c, W
+            )
             for u in range(4):
                 for v in range(u, 4):
                     dot = N[e, u, 0] * N[e, v, 0] + N[e, u, 1] * N[e, v, 1]
@@ -191,6 +196,7 @@ def forces_by_activation(
     volume: Floats,
     a: Floats,
     mu: Floats,
+    kappa: Floats,
     out: Floats,
 ) -> None:
     """Fill ``out`` (n, 4, 3, 6): the nodal forces' derivative by the tet's activation a."""
@@ -203,7 +209,7 @@ def forces_by_activation(
         for e in range(chunk * CHUNK, min(n, (chunk + 1) * CHUNK)):
             deformation_gradient(x, tets[e], N[e], F)
             symmetric(a[e], A)
-            stress_by_activation(F, A, mu[e], work, D)
+            stress_by_activation(F, A, mu[e], kappa[e], work, D)
             for v in range(4):
                 for i in range(3):
                     for q in range(6):

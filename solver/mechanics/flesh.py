@@ -25,10 +25,11 @@ ALL = slice(None)
 
 @dataclass(frozen=True)
 class Material:
-    """Lame-like parameters of the flesh: ``mu`` and ``lam`` in stress units, and the barrier's."""
+    """Parameters of the flesh's energy (:mod:`solver.mechanics.material`), in stress units."""
 
     mu: float = 1.0
     lam: float = 1.0
+    kappa: float = 0.0
     barrier: float = 5.0
 
 
@@ -82,6 +83,7 @@ class Flesh:
         count = len(self.tets)
         self.mu = np.full(count, material.mu)
         self.lam = np.full(count, material.lam)
+        self.kappa = np.full(count, material.kappa)
         self.barrier = np.full(count, material.barrier)
         is_free = np.ones(len(self.rest), dtype=bool)
         is_free[held] = False
@@ -107,7 +109,7 @@ class Flesh:
     def energy(self, x: Floats, a: Floats) -> float:
         """Return E(x, a); infinite if a tet is inverted."""
         out = np.empty(len(self.tets))
-        elements.energies(*self._state(x, a, ALL, self.lam, self.barrier, out))
+        elements.energies(*self._state(x, a, ALL, self.lam, self.kappa, self.barrier, out))
         return float(out.sum())
 
     def gradient(self, x: Floats, a: Floats) -> Floats:
@@ -117,7 +119,7 @@ class Flesh:
     def forces(self, x: Floats, a: Floats) -> Floats:
         """Return every tet's gradient by its four vertices, (n, 4, 3)."""
         out = np.empty((len(self.tets), 4, 3))
-        elements.forces(*self._state(x, a, ALL, self.lam, self.barrier, out))
+        elements.forces(*self._state(x, a, ALL, self.lam, self.kappa, self.barrier, out))
         return out
 
     def scatter(self, per_tet: Floats) -> Floats:
@@ -128,7 +130,9 @@ class Flesh:
     def hessian(self, x: Floats, a: Floats, *, project: bool = False) -> sp.csr_array:
         """Return d2E/dx2 by the free coordinates; ``project`` makes it positive semi-definite."""
         blocks = np.empty((len(self.tets), 4, 4, 3, 3))
-        elements.stiffness_blocks(*self._state(x, a, ALL, self.lam, self.barrier, project, blocks))
+        elements.stiffness_blocks(
+            *self._state(x, a, ALL, self.lam, self.kappa, self.barrier, project, blocks)
+        )
         pattern, slots, row_length = self._pattern
         data = np.empty(len(pattern.indices))
         elements.scatter_blocks(blocks, slots, row_length, data)
@@ -143,7 +147,14 @@ class Flesh:
         touched = np.flatnonzero(moving[self.tets].any(axis=1))
         blocks = np.empty((len(touched), 4, 4, 3, 3))
         arguments = self._state(
-            x, a, touched, self.lam[touched], self.barrier[touched], False, blocks
+            x,
+            a,
+            touched,
+            self.lam[touched],
+            self.kappa[touched],
+            self.barrier[touched],
+            False,
+            blocks,
         )
         elements.stiffness_blocks(*arguments)
         local = np.einsum("euvij,evjk->euik", blocks, motion[self.tets[touched]])
@@ -154,7 +165,7 @@ class Flesh:
     def forces_by_activation(self, x: Floats, a: Floats) -> Floats:
         """Return the derivative of :meth:`forces` by each tet's activation, (n, 4, 3, 6)."""
         out = np.empty((len(self.tets), 4, 3, 6))
-        elements.forces_by_activation(*self._state(x, a, ALL, out))
+        elements.forces_by_activation(*self._state(x, a, ALL, self.kappa, out))
         return out
 
     def deformation_gradients(self, x: Floats) -> Floats:

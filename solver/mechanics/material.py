@@ -1,10 +1,11 @@
 """The active flesh of one tetrahedron: energy density, stress and Hessian modes.
 
-    psi(F, A) = mu |F - R A|^2 + lambda/2 tr(P - I)^2 + beta(det F)
+    psi(F, A) = mu |F - R A|^2 + lambda/2 tr(P - I)^2 + kappa (det F - det A)^2 + beta(det F)
 
 with R the rotation nearest to F A, F = Q P the polar decomposition, A the symmetric activation of
 the tet (muscle geometry paper, eq. of the active corotated energy; SYSTEM: "S, energy") and beta a
-barrier that is zero while det F > J0 and infinite at det F <= 0, so that no element inverts.
+barrier that is zero while det F > J0 and infinite at det F <= 0, so that no element inverts. The
+muscle geometry paper has kappa = 0, Phace lambda = 0 and kappa = 3 mu.
 
 The rotation must minimise the *whole* first term, R = polar(F A): with R = polar(F) the gradient
 2 mu (F - R A) would not be the derivative of the energy.
@@ -51,6 +52,16 @@ def barrier(J: float, stiffness: float) -> tuple[float, float, float]:
     first = -2.0 * d * log - d * d / J
     second = -2.0 * log - 4.0 * d / J + d * d / (J * J)
     return stiffness * value, stiffness * first, stiffness * second
+
+
+@nb.njit(cache=True, error_model="numpy")
+def volumetric(
+    J: float, target: float, kappa: float, stiffness: float
+) -> tuple[float, float, float]:
+    """Return g(J) = kappa (J - target)^2 + beta(J) and its first two derivatives by J."""
+    value, first, second = barrier(J, stiffness)
+    d = J - target
+    return value + kappa * d * d, first + 2.0 * kappa * d, second + 2.0 * kappa
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -109,10 +120,11 @@ def twist(U: Floats, V: Floats, i: int, j: int, out: Floats) -> None:
 
 
 @nb.njit(cache=True, error_model="numpy")
-def density(F: Floats, A: Floats, mu: float, lam: float, stiffness: float, work: Floats) -> float:
+def density(
+    F: Floats, A: Floats, mu: float, lam: float, kappa: float, stiffness: float, work: Floats
+) -> float:
     """Return psi(F, A); ``work`` is scratch of shape (6, 3, 3)."""
-    J = determinant(F)
-    value, _, _ = barrier(J, stiffness)
+    value, _, _ = volumetric(determinant(F), determinant(A), kappa, stiffness)
     if value == math.inf:
         return value
     s = work[5, 0]
@@ -131,7 +143,14 @@ def density(F: Floats, A: Floats, mu: float, lam: float, stiffness: float, work:
 
 @nb.njit(cache=True, error_model="numpy")
 def stress(
-    F: Floats, A: Floats, mu: float, lam: float, stiffness: float, work: Floats, out: Floats
+    F: Floats,
+    A: Floats,
+    mu: float,
+    lam: float,
+    kappa: float,
+    stiffness: float,
+    work: Floats,
+    out: Floats,
 ) -> None:
     """Write d psi/dF, the first Piola-Kirchhoff stress (3, 3); ``work`` is (6, 3, 3)."""
     s = work[5, 0]
@@ -145,7 +164,7 @@ def stress(
     signed_svd(F, work[1], s, work[2])
     rotation(work[1], work[2], work[3])
     trace = s[0] + s[1] + s[2] - 3.0
-    _, first, _ = barrier(determinant(F), stiffness)
+    _, first, _ = volumetric(determinant(F), determinant(A), kappa, stiffness)
     cofactor(F, work[4])
     for i in range(3):
         for j in range(3):
@@ -158,15 +177,16 @@ def hessian_modes(
     A: Floats,
     mu: float,
     lam: float,
+    kappa: float,
     stiffness: float,
     project: bool,
     work: Floats,
     c: Floats,
     W: Floats,
 ) -> tuple[int, float]:
-    """Write the modes of d2 psi/dF2 = 2 mu I + sum_k c_k W_k W_k^T + b' d2(det F)/dF2.
+    """Write the modes of d2 psi/dF2 = 2 mu I + sum_k c_k W_k W_k^T + g' d2(det F)/dF2.
 
-    ``c`` (MODES,) and ``W`` (MODES, 3, 3) are filled; returned are the number of modes and b', the
+    ``c`` (MODES,) and ``W`` (MODES, 3, 3) are filled; returned are the number of modes and g', the
     factor of the determinant's curvature (zero when projected). With ``project`` the sum is
     positive semi-definite: each term is projected by itself.
     """
@@ -189,7 +209,7 @@ def hessian_modes(
             twist(work[1], work[2], i, j, W[count])
             c[count] = lam * trace * 2.0 / max(s[i] + s[j], 1e-8)
             count += 1
-    _, first, second = barrier(determinant(F), stiffness)
+    _, first, second = volumetric(determinant(F), determinant(A), kappa, stiffness)
     if second != 0.0:
         cofactor(F, W[count])
         c[count] = second
@@ -224,18 +244,26 @@ def _clamp_twists(c: Floats, W: Floats, mu: float) -> None:
 
 
 @nb.njit(cache=True, error_model="numpy")
-def stress_by_activation(F: Floats, A: Floats, mu: float, work: Floats, out: Floats) -> None:
+def stress_by_activation(
+    F: Floats, A: Floats, mu: float, kappa: float, work: Floats, out: Floats
+) -> None:
     """Write d(stress)/da, shape (3, 3, 6): the stress's change by each entry of a in S(a).
 
-    From P = 2 mu (F - R A) with dR = sum_twists 2/(s_i + s_j) w <w, F dA>.
+    From P = 2 mu (F - R A) + 2 kappa (det F - det A) cof F + ..., with
+    dR = sum_twists 2/(s_i + s_j) w <w, F dA> and d(det A) = <cof A, dA>.
     """
     s = work[5, 0]
     multiply(F, A, work[0])
     signed_svd(work[0], work[1], s, work[2])
     rotation(work[1], work[2], work[3])
-    out[:] = 0.0
+    cofactor(F, work[4])
+    cofactor(A, work[0])
     for column in range(6):
         r, q = SYM_ROW[column], SYM_COLUMN[column]
+        volume = 2.0 * kappa * work[0, r, q] * (1.0 if r == q else 2.0)
+        for i in range(3):
+            for j in range(3):
+                out[i, j, column] = -volume * work[4, i, j]
         for i in range(3):
             out[i, q, column] -= 2.0 * mu * work[3, i, r]
             if r != q:

@@ -6,7 +6,7 @@ import pytest
 from solver.mechanics import material
 from solver.mechanics.svd3 import signed_svd
 
-MU, LAM, BARRIER = 1.3, 0.7, 5.0
+MU, LAM, KAPPA, BARRIER = 1.3, 0.7, 1.7, 5.0
 STEP = 1e-6
 
 
@@ -22,13 +22,13 @@ def activation_matrix(a):
 
 def stress(F, A):
     P = np.empty((3, 3))
-    material.stress(F, A, MU, LAM, BARRIER, work(), P)
+    material.stress(F, A, MU, LAM, KAPPA, BARRIER, work(), P)
     return P
 
 
-def hessian(F, A, *, project=False):
+def hessian(F, A, *, project=False, kappa=KAPPA):
     c, W = np.zeros(material.MODES), np.zeros((material.MODES, 3, 3))
-    count, curvature = material.hessian_modes(F, A, MU, LAM, BARRIER, project, work(), c, W)
+    count, curvature = material.hessian_modes(F, A, MU, LAM, kappa, BARRIER, project, work(), c, W)
     H = 2.0 * MU * np.eye(9)
     for k in range(count):
         H += c[k] * np.outer(W[k], W[k])
@@ -74,7 +74,7 @@ def test_derivatives_match_finite_differences(F, a):
     A = activation_matrix(a)
 
     def density(G):
-        return np.array([material.density(G, A, MU, LAM, BARRIER, work())])
+        return np.array([material.density(G, A, MU, LAM, KAPPA, BARRIER, work())])
 
     by_F = central(density, F).reshape(3, 3)
     assert np.abs(by_F).max() > 0.1
@@ -85,7 +85,7 @@ def test_derivatives_match_finite_differences(F, a):
     np.testing.assert_allclose(hessian(F, A), by_FF, rtol=0, atol=1e-6 * np.abs(by_FF).max())
 
     exact = np.empty((3, 3, 6))
-    material.stress_by_activation(F, A, MU, work(), exact)
+    material.stress_by_activation(F, A, MU, KAPPA, work(), exact)
     numeric = np.empty_like(exact)
     for entry in range(6):
         step = np.zeros(6)
@@ -103,7 +103,9 @@ def test_projected_hessian_is_positive_semidefinite_and_exact_where_the_raw_one_
     stretched = np.diag([1.3, 1.2, 1.4])
     rest = np.eye(3)
     np.testing.assert_allclose(
-        hessian(stretched, rest, project=True), hessian(stretched, rest), atol=1e-9
+        hessian(stretched, rest, project=True, kappa=0.0),
+        hessian(stretched, rest, kappa=0.0),
+        atol=1e-9,
     )
 
 
@@ -111,12 +113,14 @@ def test_energy_and_stress_vanish_where_the_activation_is_met():
     A = activation_matrix(np.array([0.8, 0.1, 0.0, 1.1, -0.05, 1.05]))
     R = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
     R *= np.sign(np.linalg.det(R))
-    assert material.density(R @ A, A, MU, 0.0, BARRIER, work()) == pytest.approx(0.0, abs=1e-14)
+    assert material.density(R @ A, A, MU, 0.0, KAPPA, BARRIER, work()) == pytest.approx(
+        0.0, abs=1e-14
+    )
 
 
 def test_inverted_elements_have_infinite_energy():
     F = np.diag([1.0, 1.0, -0.1])
-    assert material.density(F, np.eye(3), MU, LAM, BARRIER, work()) == np.inf
+    assert material.density(F, np.eye(3), MU, LAM, KAPPA, BARRIER, work()) == np.inf
 
 
 @pytest.mark.parametrize("scale", [1e-12, 1.0, 1e9])
