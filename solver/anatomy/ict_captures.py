@@ -40,16 +40,8 @@ def ict_capture_set(faces: Path, subject: str, capture_sets: Path | None = None)
     """
     path = capture_sets or faces / "capture_sets.json"
     sets = _read(path)
-    if subject not in sets["subjects"]:
-        known = ", ".join(sets["subjects"])
-        raise InputError(
-            "captures.subject",
-            f"{path.name} has no subject {subject}, only {known}",
-            file=str(path),
-        )
     kit = read_facekit(faces)
-    seed = sets["subjects"][subject]["identity_seed"]
-    neutral = kit.skin if seed is None else identity(kit, seed)
+    neutral = ict_neutral(kit, faces, subject, capture_sets)
 
     def scans(expressions: dict[str, Weights]) -> dict[str, Surface]:
         return {
@@ -58,6 +50,22 @@ def ict_capture_set(faces: Path, subject: str, capture_sets: Path | None = None)
         }
 
     return CaptureSet(neutral, scans(sets["train"]), scans(sets["test"]))
+
+
+def ict_neutral(
+    kit: FaceKit, faces: Path, subject: str, capture_sets: Path | None = None
+) -> Surface:
+    """Return the neutral of one subject of a capture-sets file; raises as its scans' function."""
+    path = capture_sets or faces / "capture_sets.json"
+    subjects = _read(path)["subjects"]
+    if subject not in subjects:
+        raise InputError(
+            "captures.subject",
+            f"{path.name} has no subject {subject}, only {', '.join(subjects)}",
+            file=str(path),
+        )
+    seed = subjects[subject]["identity_seed"]
+    return kit.skin if seed is None else identity(kit, seed)
 
 
 def identity(kit: FaceKit, seed: int) -> Surface:

@@ -1,0 +1,56 @@
+"""Recordings of Live Link Face: what is read, and how a broken one is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from solver.errors import InputError
+from solver.scans.live_link import ARKIT_NAMES, read_live_link
+from tests.fixtures import data_folder
+
+HEADER = ["Timecode", "BlendShapeCount", *(name[0].upper() + name[1:] for name in ARKIT_NAMES)]
+
+
+def write(path: Path, times: list[str], header: list[str] = HEADER, weight: str = "0.5") -> Path:
+    rows = [[time, "52", *[weight] * (len(header) - 2)] for time in times]
+    path.write_text("\r\n".join(",".join(row) for row in [header, *rows]) + "\r\n")
+    return path
+
+
+def test_a_real_recording() -> None:
+    take = read_live_link(data_folder("performance", "alex_rom_3.csv"))
+    assert take.weights.shape == (4030, 52)
+    assert np.median(np.diff(take.times)) == pytest.approx(1 / 30, abs=1e-4)
+    assert take.weights[0, ARKIT_NAMES.index("eyeBlinkLeft")] == 0.1236470118
+    assert take.weights[0, ARKIT_NAMES.index("jawOpen")] == 0.0190581698
+
+
+def test_time_goes_on_after_midnight(tmp_path: Path) -> None:
+    take = read_live_link(write(tmp_path / "take.csv", ["23:59:59:58.0", "00:00:00:01.0"]))
+    np.testing.assert_allclose(take.times, [0.0, 3 / 60])
+
+
+@pytest.mark.parametrize(
+    ("times", "header", "weight", "code", "line"),
+    [
+        (["1:0:0:0"], [name for name in HEADER if name != "JawOpen"], "0", "columns", 1),
+        (["1:0:0:0", "1:0:0:2", "1:0:0:1"], HEADER, "0", "time_order", 4),
+        (["1:0:0:0", "later"], HEADER, "0", "timecode", 3),
+        (["1:0:0:0"], HEADER, "nan", "value", 2),
+        (["1:0:0:0"], HEADER, "50", "value", 2),
+        (["1:0:0:0"], HEADER, "", "value", 2),
+        ([], HEADER, "0", "unreadable", None),
+    ],
+)
+def test_a_broken_recording_names_the_line(
+    times: list[str], header: list[str], weight: str, code: str, line: int | None, tmp_path: Path
+) -> None:
+    path = write(tmp_path / "take.csv", times, header, weight)
+    with pytest.raises(InputError) as caught:
+        read_live_link(path)
+    assert caught.value.code == f"live_link.{code}"
+    assert caught.value.context.get("line") == line
+    assert "take.csv" in caught.value.message
