@@ -25,6 +25,7 @@ from solver.fitting import activation, reference
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, State
 from solver.fitting.objective import Regulariser, Target
+from solver.fitting.terms import SkinDistance, Term
 from solver.model import SubjectModel
 
 COARSE_EDGE_MM = 18.0
@@ -52,13 +53,13 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
     regulariser = Regulariser(options.w_a, 1e-2, 1e-6, face.rest_pose())
     rest = face.rest_state(model.weights)
     # compile the kernels before anything is timed
-    target = Target.from_points(scans[names[0]].vertices[model.face])
-    activation.fit(face, model.weights, target, regulariser, rest, ActivationOptions(1))
+    data = SkinDistance(face, Target.from_points(scans[names[0]].vertices[model.face]))
+    activation.fit(face, model.weights, data, regulariser, rest, ActivationOptions(1))
     expressions = []
     for name in names:
-        target = Target.from_points(scans[name].vertices[model.face])
+        data = SkinDistance(face, Target.from_points(scans[name].vertices[model.face]))
         try:
-            figures = compare(face, model, target, regulariser, rest)
+            figures = compare(face, model, data, regulariser, rest)
         except SolveError as error:
             figures = {"failed": str(error)}
         expressions.append({"name": name, **figures})
@@ -76,13 +77,13 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def compare(
-    face: Face, model: SubjectModel, target: Target, regulariser: Regulariser, rest: State
+    face: Face, model: SubjectModel, data: Term, regulariser: Regulariser, rest: State
 ) -> dict[str, Any]:
     """Fit one expression by both solvers, then simulate its pose by both."""
     S = model.weights
-    reduced, seconds = timed(lambda: activation.fit(face, S, target, regulariser, rest, CONVERGED))
+    reduced, seconds = timed(lambda: activation.fit(face, S, data, regulariser, rest, CONVERGED))
     full, full_seconds = timed(
-        lambda: reference.activations(face, S, target, regulariser, rest.pose, rest.x)
+        lambda: reference.activations(face, S, data, regulariser, rest.pose, rest.x)
     )
     pose = reduced.state.pose
     settled, forward_seconds = timed(lambda: face.move(S, rest, pose))

@@ -17,8 +17,9 @@ import scipy.sparse as sp
 
 from solver.errors import SolveError
 from solver.fitting.face import Face, Pose, State
-from solver.fitting.objective import JAW_UNITS, Regulariser, Target
+from solver.fitting.objective import JAW_UNITS, Regulariser
 from solver.fitting.sensitivity import Sensitivity
+from solver.fitting.terms import Term
 from solver.surface import Floats
 
 DAMPING_START = 0.1
@@ -66,16 +67,15 @@ Mover = Callable[[Face, sp.csr_array, State, Floats, Pose], State]
 """Goes from a state to a pose nearby by the flesh's linear response: Face.approach or follow."""
 
 
-def objective(face: Face, target: Target, regulariser: Regulariser, state: State) -> float:
+def objective(data: Term, regulariser: Regulariser, state: State) -> float:
     """Return f at a state's estimate (see :mod:`solver.fitting.objective`)."""
-    residual = target.residual(face.face_points(state.estimate))
-    return float(residual @ residual) + regulariser.value(state.pose)
+    return data.value(state.estimate) + regulariser.value(state.pose)
 
 
 def fit(
     face: Face,
     S: sp.csr_array,
-    target: Target,
+    data: Term,
     regulariser: Regulariser,
     start: State,
     options: ActivationOptions | None = None,
@@ -89,19 +89,19 @@ def fit(
     """
     options = options or ActivationOptions()
     best = None
-    found = improve(face, S, target, regulariser, start, options, listen)
+    found = improve(face, S, data, regulariser, start, options, listen)
     iterations = found.iterations
     for _ in range(SETTLINGS):
         state = _settled(face, S, found.state)
         if state is not None:
-            value = objective(face, target, regulariser, state)
+            value = objective(data, regulariser, state)
             if best is None or value < best.objective:
                 best = ActivationFit(state, value, iterations)
             if value <= BUCKLED * found.objective:
                 break
         go = Face.follow if state is None else Face.approach
         state = best.state if best else face.rest_state(S)
-        found = improve(face, S, target, regulariser, state, options, listen, go)
+        found = improve(face, S, data, regulariser, state, options, listen, go)
         iterations += found.iterations
     if best is None:
         raise SolveError("solve.no_convergence", "the fitted face does not come to rest")
@@ -118,7 +118,7 @@ def _settled(face: Face, S: sp.csr_array, state: State) -> State | None:
 def improve(
     face: Face,
     S: sp.csr_array,
-    target: Target,
+    data: Term,
     regulariser: Regulariser,
     start: State,
     options: ActivationOptions,
@@ -127,10 +127,10 @@ def improve(
 ) -> ActivationFit:
     """Minimise f over (a, b), going from state to state by ``go``; the last is as good as that."""
     state = start
-    value = objective(face, target, regulariser, state)
+    value = objective(data, regulariser, state)
     damping, trust = DAMPING_START, 1.0
     for iteration in range(1, options.max_iterations + 1):
-        model = _linearise(face, S, target, regulariser, state)
+        model = _linearise(face, S, data, regulariser, state)
         accepted = None
         for _ in range(MAX_TRIALS):
             step = model.step(damping, trust)
@@ -140,7 +140,7 @@ def improve(
             except SolveError:
                 trial = None
             if trial is not None:
-                trial_value = objective(face, target, regulariser, trial)
+                trial_value = objective(data, regulariser, trial)
                 if trial_value < value:
                     accepted = trial
                     break
@@ -184,14 +184,12 @@ class _Linearised:
 
 
 def _linearise(
-    face: Face, S: sp.csr_array, target: Target, regulariser: Regulariser, state: State
+    face: Face, S: sp.csr_array, data: Term, regulariser: Regulariser, state: State
 ) -> _Linearised:
     jacobian = Sensitivity(face, S, state).by_pose()
-    weighted = jacobian.skin
-    weighted *= np.sqrt(np.repeat(target.weights, 3))[:, None]
-    residual = target.residual(face.face_points(state.estimate))
+    x = state.estimate
     return _Linearised(
-        2.0 * weighted.T @ residual + regulariser.gradient(state.pose),
-        2.0 * weighted.T @ weighted + regulariser.gauss_newton(state.pose),
+        jacobian.transposed(data.gradient(x)) + regulariser.gradient(state.pose),
+        jacobian.contracted(data.curvature(x)) + regulariser.gauss_newton(state.pose),
         jacobian.flesh,
     )

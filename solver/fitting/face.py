@@ -81,9 +81,6 @@ class Face:
         row[model.embedded] = np.arange(len(model.embedded))
         self.face_embedding = sp.csr_array(model.embedding[row[model.face]])
         self.face_offset = model.offset[row[model.face]]
-        self.face_by_free = sp.csr_array(
-            sp.kron(self.face_embedding[:, self.flesh.free], sp.eye_array(3))
-        )
 
     def rest_pose(self) -> Pose:
         """Return the pose of the neutral face."""

@@ -16,6 +16,7 @@ from solver.fitting import activation, weights
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, State
 from solver.fitting.objective import Regulariser, Target
+from solver.fitting.terms import SkinDistance, Term
 from solver.fitting.weights import WeightProblem
 
 DAMPING_START = 1e-5
@@ -72,31 +73,32 @@ def fit(
     options = options or GeometryOptions()
     S = face.model.weights
     rest = face.rest_state(S)
+    data: dict[str, Term] = {name: SkinDistance(face, t) for name, t in targets.items()}
     states = dict.fromkeys(targets, rest)
     steps = dict.fromkeys(targets, 0)
     damping = DAMPING_START
     for number in range(options.rounds):
         w_a, w_s = options.weights(number)
         iterations = options.first_iterations if number == 0 else options.activation_iterations
-        for name, target in targets.items():
+        for name, term in data.items():
             if listen:
                 listen("activations", number, mean_error(face, targets, states))
             prior = face.rest_pose() if number == 0 else states[name].pose
             regulariser = Regulariser(w_a, options.w_v, options.w_b, prior)
             fitted = activation.improve(
-                face, S, target, regulariser, states[name], ActivationOptions(iterations, 1e-3)
+                face, S, term, regulariser, states[name], ActivationOptions(iterations, 1e-3)
             )
             states[name] = fitted.state
             steps[name] += fitted.iterations
         if listen:
             listen("geometry", number, mean_error(face, targets, states))
-        problem = WeightProblem(face, targets, w_s, S.data)
+        problem = WeightProblem(face, data, w_s, S.data)
         improved = weights.fit(problem, S, states, options.geometry_iterations, damping)
         S, states, damping = improved.S, improved.states, improved.damping
     # the states were only approached: settle them, together with a last step of the activations
-    for name, target in targets.items():
+    for name, term in data.items():
         regulariser = Regulariser(options.w_a[1], options.w_v, options.w_b, states[name].pose)
-        fitted = activation.fit(face, S, target, regulariser, states[name], LAST)
+        fitted = activation.fit(face, S, term, regulariser, states[name], LAST)
         states[name] = fitted.state
         steps[name] += fitted.iterations
     return GeometryFit(S, states, steps)

@@ -23,13 +23,19 @@ JAW_UNITS = np.array([100.0, 100.0, 1.0, 1.0, 1.0])
 
 @dataclass(frozen=True)
 class Target:
-    """Where the face skin should be: ``points`` (k, 3) in mm and ``weights`` (k,) that sum to 1."""
+    """Where the face skin should be: ``points`` (k, 3) in mm and ``weights`` (k,) that sum to 1.
+
+    With unit ``normals`` (k, 3) only the distance along them counts (point to plane).
+    """
 
     points: Floats
     weights: Floats
+    normals: Floats | None = None
 
     @classmethod
-    def from_points(cls, points: Floats, weights: Floats | None = None) -> Target:
+    def from_points(
+        cls, points: Floats, weights: Floats | None = None, normals: Floats | None = None
+    ) -> Target:
         """Normalise ``weights`` (k,), all equal if not given.
 
         A point that is not finite counts as unseen (weight 0). Raises :class:`InputError`
@@ -37,19 +43,33 @@ class Target:
         """
         weights = np.ones(len(points)) if weights is None else weights.astype(np.float64)
         seen = np.asarray(np.isfinite(points).all(axis=1))
+        if normals is not None:
+            seen &= np.isfinite(normals).all(axis=1)
+            normals = np.where(seen[:, None], normals, 0.0)
         weights = np.where(seen, weights, 0.0)
         if not (np.isfinite(weights).all() and weights.min() >= 0.0 and weights.sum() > 0.0):
             raise InputError("target.no_weight", "no point of the target has a positive weight")
-        return cls(np.where(seen[:, None], points, 0.0), weights / weights.sum())
+        return cls(np.where(seen[:, None], points, 0.0), weights / weights.sum(), normals)
 
-    def residual(self, points: Floats) -> Floats:
-        """Return sqrt(w_v) (p_v - t_v), shape (3 k,)."""
-        return ((points - self.points) * np.sqrt(self.weights)[:, None]).ravel()
+    def value(self, points: Floats) -> float:
+        """Return sum_v w_v |p_v - t_v|^2, or of the distances along the normals, in mm^2."""
+        return float(self.weights @ np.sum(self._measured(points) ** 2, axis=1))
+
+    def gradient(self, points: Floats) -> Floats:
+        """Return the derivative of :meth:`value` by the points, (k, 3)."""
+        return np.asarray(2.0 * self.weights[:, None] * self._measured(points))
 
     def distances(self, points: Floats) -> Floats:
         """Return |p_v - t_v|, (k,) mm; NaN where the target has no point."""
         distance = np.linalg.norm(points - self.points, axis=1)
         return np.where(self.weights > 0.0, distance, np.nan)
+
+    def _measured(self, points: Floats) -> Floats:
+        """Return the part (k, 3) of p_v - t_v that counts."""
+        offset = points - self.points
+        if self.normals is None:
+            return offset
+        return np.asarray(np.sum(offset * self.normals, axis=1, keepdims=True) * self.normals)
 
 
 @dataclass(frozen=True)

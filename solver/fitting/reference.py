@@ -16,8 +16,9 @@ import scipy.sparse as sp
 
 from solver.errors import SolveError
 from solver.fitting.face import Face, Pose
-from solver.fitting.objective import Regulariser, Target
-from solver.fitting.sensitivity import gradient_by_pose
+from solver.fitting.objective import Regulariser
+from solver.fitting.sensitivity import coordinates, gradient_by_pose
+from solver.fitting.terms import Term
 from solver.surface import Floats, Ints
 
 SUCCESS = (0, 1)
@@ -50,7 +51,7 @@ def forward(
 def activations(
     face: Face,
     S: sp.csr_array,
-    target: Target,
+    data: Term,
     regulariser: Regulariser,
     start: Pose,
     x: Floats,
@@ -62,7 +63,7 @@ def activations(
 
     Raises :class:`SolveError` (``ipopt.failed``) with IPOPT's message.
     """
-    problem = _Activations(face, S, target, regulariser)
+    problem = _Activations(face, S, data, regulariser)
     begin = np.concatenate([x[face.flesh.free].ravel(), start.a.ravel(), start.b])
     solution, info = _solve(problem, begin, face.flesh.size, tolerance, max_iterations)
     pose = problem.pose(solution)
@@ -145,15 +146,13 @@ class _Forward(_Counting):
 class _Activations(_Counting):
     """Variables z = (x of the free vertices, a, b); one constraint per free coordinate."""
 
-    def __init__(
-        self, face: Face, S: sp.csr_array, target: Target, regulariser: Regulariser
-    ) -> None:
+    def __init__(self, face: Face, S: sp.csr_array, data: Term, regulariser: Regulariser) -> None:
         super().__init__(face, S)
-        self._target = target
+        self._data = data
         self._regulariser = regulariser
-        self._roots = np.sqrt(np.repeat(target.weights, 3))
-        self._data_by_free = sp.csr_array(sp.diags_array(self._roots) @ face.face_by_free)
-        self._by_free = sp.csr_array(2.0 * self._data_by_free.T @ self._data_by_free)
+        self._free = coordinates(face.flesh.free)
+        curvature = data.curvature(face.model.rest)
+        self._by_free = curvature[self._free][:, self._free]
         self._jacobian_structure()
         self._hessian_structure()
 
@@ -167,14 +166,14 @@ class _Activations(_Counting):
         return Pose(z[self.flesh.size : -5].reshape(-1, 6), z[-5:])
 
     def objective(self, z: Floats) -> float:
-        residual = self._residual(z)
-        return float(residual @ residual) + self._regulariser.value(self.pose(z))
+        return self._data.value(self.place(z)) + self._regulariser.value(self.pose(z))
 
     def gradient(self, z: Floats) -> Floats:
-        residual, pose = self._residual(z), self.pose(z)
+        pose = self.pose(z)
+        by_x = self._data.gradient(self.place(z)).ravel()
         by_pose = self._regulariser.gradient(pose)
-        by_pose[-5:] += 2.0 * self._data_by_jaw(pose).T @ residual
-        return np.concatenate([2.0 * self._data_by_free.T @ residual, by_pose])
+        by_pose[-5:] += self._jaw_motion(pose).T @ by_x
+        return np.concatenate([by_x[self._free], by_pose])
 
     def constraints(self, z: Floats) -> Floats:
         x, a = self.place(z), self._tet_a(z)
@@ -196,24 +195,23 @@ class _Activations(_Counting):
 
     def hessian(self, z: Floats, _multipliers: Floats, factor: float) -> Floats:
         pose = self.pose(z)
-        by_jaw = self._data_by_jaw(pose)
+        curvature = self._data.curvature(self.place(z))
+        motion = self._jaw_motion(pose)
+        pull = curvature @ motion
         by_pose = self._regulariser.gauss_newton(pose)
-        by_pose[-5:, -5:] += 2.0 * by_jaw.T @ by_jaw
-        cross = 2.0 * by_jaw.T @ self._data_by_free
-        values = [self._by_free.data[self._free_keep], cross.ravel(), by_pose[self._pose_lower]]
+        by_pose[-5:, -5:] += motion.T @ pull
+        by_free = curvature[self._free][:, self._free]
+        cross = pull[self._free].T
+        values = [by_free.data[self._free_keep], cross.ravel(), by_pose[self._pose_lower]]
         return factor * np.concatenate(values)
 
     def _tet_a(self, z: Floats) -> Floats:
         return self.face.tet_activations(self.S, self.pose(z).a)
 
-    def _residual(self, z: Floats) -> Floats:
-        return self._target.residual(self.face.face_points(self.place(z)))
-
-    def _data_by_jaw(self, pose: Pose) -> Floats:
-        """Return the residual's direct derivative by b, (3 k, 5): skin riding on the jaw."""
+    def _jaw_motion(self, pose: Pose) -> Floats:
+        """Return dx/db of what moves with the mandible, (3 p, 5)."""
         direct = self.face.mandible_jacobian(pose.b)
-        rigid = self.face.face_embedding @ direct.reshape(len(direct), -1)
-        return np.asarray(self._roots[:, None] * rigid.reshape(len(self._roots), -1))
+        return direct.reshape(-1, direct.shape[2])
 
     def _jacobian_structure(self) -> None:
         """Find the constraint Jacobian's entries: H, then the nonzero ones by a, then all by b."""

@@ -23,14 +23,41 @@ from solver.surface import Floats, Ints
 
 @dataclass(frozen=True)
 class PoseJacobian:
-    """d(M x)/d(a, b): ``skin`` (3 k, 6 m + 5), and the free vertices' ``flesh`` (size, 6 m + 5)."""
+    """dx/d(a, b): ``flesh`` (size, 6 m + 5) of the free coordinates, ``jaw`` (k, 5) of others.
 
-    skin: Floats
+    ``free`` and ``moving`` (k,) are the places of both among all coordinates (3 p,): what moves
+    with the mandible does so by b alone.
+    """
+
     flesh: Floats
+    jaw: Floats
+    free: Ints
+    moving: Ints
+
+    def transposed(self, gradient: Floats) -> Floats:
+        """Return (dx/d(a, b))^T g for g by x, (p, 3): shape (6 m + 5,)."""
+        flat = gradient.ravel()
+        out = self.flesh.T @ flat[self.free]
+        out[-self.jaw.shape[1] :] += self.jaw.T @ flat[self.moving]
+        return np.asarray(out)
+
+    def contracted(self, curvature: sp.csr_array) -> Floats:
+        """Return (dx/d(a, b))^T C dx/d(a, b) for C (3 p, 3 p): shape (6 m + 5, 6 m + 5)."""
+        touched = np.flatnonzero(np.diff(curvature.indptr))
+        place = np.full(curvature.shape[0], -1)
+        place[self.free] = np.arange(len(self.free))
+        free = place[touched] >= 0
+        rows = np.zeros((len(touched), self.flesh.shape[1]))
+        rows[free] = self.flesh[place[touched[free]]]
+        place[self.free] = -1
+        place[self.moving] = np.arange(len(self.moving))
+        moving = place[touched] >= 0
+        rows[moving, -self.jaw.shape[1] :] += self.jaw[place[touched[moving]]]
+        return np.asarray(rows.T @ (curvature[touched][:, touched] @ rows))
 
 
 class Sensitivity:
-    """The derivatives of the face points M x at one state."""
+    """The derivatives of the vertices x at one state."""
 
     def __init__(self, face: Face, S: sp.csr_array, state: State) -> None:
         self._face = face
@@ -40,26 +67,24 @@ class Sensitivity:
     def by_pose(self) -> PoseJacobian:
         """Return the derivatives by (a, b); a muscle by muscle, six entries each."""
         face, state = self._face, self._state
-        direct = face.mandible_jacobian(state.pose.b)
         response = -state.equilibrium.factor.solve(
             gradient_by_pose(face, self._S, state.pose, state.x)
         )
-        out = face.face_by_free @ response
-        rigid = face.face_embedding @ direct.reshape(len(direct), -1)
-        out[:, -direct.shape[2] :] += rigid.reshape(len(out), -1)
-        return PoseJacobian(np.asarray(out), response)
+        direct = face.mandible_jacobian(state.pose.b)[face.model.mandible]
+        return PoseJacobian(
+            response,
+            direct.reshape(-1, direct.shape[2]),
+            coordinates(face.flesh.free),
+            coordinates(face.model.mandible),
+        )
 
     def flesh_by_geometry(self, change: Floats) -> Floats:
         """Return the free vertices' change (size,) for a change of S's values (nnz,)."""
         return -self._state.equilibrium.factor.solve(self._pull @ change)
 
-    def by_geometry(self, change: Floats) -> Floats:
-        """Return the face points' change (3 k,) for a change of S's values (nnz,)."""
-        return np.asarray(self._face.face_by_free @ self.flesh_by_geometry(change))
-
-    def by_geometry_adjoint(self, residual: Floats) -> Floats:
-        """Return the transpose of :meth:`by_geometry` applied to (3 k,): shape (nnz,)."""
-        adjoint = self._state.equilibrium.factor.solve(self._face.face_by_free.T @ residual)
+    def by_geometry_adjoint(self, gradient: Floats) -> Floats:
+        """Return the transpose of :meth:`flesh_by_geometry` applied to (size,): shape (nnz,)."""
+        adjoint = self._state.equilibrium.factor.solve(gradient)
         return np.asarray(-(self._pull_transposed @ adjoint))
 
     @cached_property
@@ -81,6 +106,11 @@ class Sensitivity:
     @cached_property
     def _pull_transposed(self) -> sp.csr_array:
         return self._pull.T.tocsr()
+
+
+def coordinates(vertices: Ints) -> Ints:
+    """Return where the coordinates of ``vertices`` are among all (3 p,)."""
+    return np.asarray((3 * vertices[:, None] + np.arange(3)).ravel())
 
 
 def gradient_by_pose(face: Face, S: sp.csr_array, pose: Pose, x: Floats) -> Floats:

@@ -16,8 +16,8 @@ import scipy.sparse as sp
 from solver.errors import SolveError
 from solver.fitting import simplex
 from solver.fitting.face import Face, State
-from solver.fitting.objective import Target
-from solver.fitting.sensitivity import Sensitivity
+from solver.fitting.sensitivity import Sensitivity, coordinates
+from solver.fitting.terms import Term
 from solver.surface import Floats
 
 HALVINGS = 5
@@ -29,20 +29,17 @@ LEAST_GAIN = 1e-3
 
 @dataclass(frozen=True)
 class WeightProblem:
-    """sum_k |M x_k(S) - t_k|^2 + w_s/2 |S - S_prior|^2, with ``prior`` the values (nnz,) of S."""
+    """sum_k data_k(x_k(S)) + w_s/2 |S - S_prior|^2, with ``prior`` the values (nnz,) of S."""
 
     face: Face
-    targets: Mapping[str, Target]
+    data: Mapping[str, Term]
     w_s: float
     prior: Floats
 
     def value(self, S: sp.csr_array, states: Mapping[str, State]) -> float:
         """Return the objective at the states' estimates."""
         total = 0.5 * self.w_s * float(np.sum((S.data - self.prior) ** 2))
-        for name, target in self.targets.items():
-            residual = target.residual(self.face.face_points(states[name].estimate))
-            total += float(residual @ residual)
-        return total
+        return total + sum(term.value(states[name].estimate) for name, term in self.data.items())
 
     def step(
         self,
@@ -52,18 +49,21 @@ class WeightProblem:
         damping: float,
     ) -> Floats:
         """Return the change of S's values (nnz,) that minimises the damped linear problem."""
-        roots = {name: np.sqrt(np.repeat(t.weights, 3)) for name, t in self.targets.items()}
+        flesh = self.face.flesh
+        places = coordinates(flesh.free)
         gradient = self.w_s * (S.data - self.prior)
-        for name, target in self.targets.items():
-            residual = target.residual(self.face.face_points(states[name].estimate))
-            gradient += 2.0 * responses[name].by_geometry_adjoint(roots[name] * residual)
+        curvatures = {}
+        for name, term in self.data.items():
+            x = states[name].estimate
+            gradient += responses[name].by_geometry_adjoint(term.gradient(x)[flesh.free].ravel())
+            curvatures[name] = term.curvature(x)[places][:, places]
         free = simplex.free_entries(S.data, gradient, S.indptr)
 
         def product(direction: Floats) -> Floats:
             out = (self.w_s + damping) * direction
             for name, response in responses.items():
-                weighted = roots[name] ** 2 * response.by_geometry(direction)
-                out += 2.0 * response.by_geometry_adjoint(weighted)
+                pull = curvatures[name] @ response.flesh_by_geometry(direction)
+                out += response.by_geometry_adjoint(pull)
             return simplex.tangent(out, free, S.indptr)
 
         right = -simplex.tangent(gradient, free, S.indptr)

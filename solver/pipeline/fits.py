@@ -15,6 +15,7 @@ from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, State
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.objective import Regulariser, Target
+from solver.fitting.terms import SkinDistance
 from solver.model import SubjectModel
 from solver.pipeline.common import Options, refuse, take
 from solver.progress import Progress, Step, silent
@@ -104,7 +105,8 @@ def fit_activations(
             progress(Step("activations", 0.02 + 0.85 * part, iteration, value, message=name))
 
         start = time.perf_counter()
-        fitted = activation.fit(face, S, target, regulariser, rest, stop, listen)
+        data = SkinDistance(face, target)
+        fitted = activation.fit(face, S, data, regulariser, rest, stop, listen)
         expressions.append(
             _expression(
                 face,
@@ -162,7 +164,6 @@ def _expression(
     seconds: float,
 ) -> ExpressionFit:
     points = face.face_points(state.x)
-    residual = target.residual(points)
     error = np.full(len(scan.vertices), np.nan)
     error[face.model.face] = target.distances(points)
     return ExpressionFit(
@@ -176,7 +177,7 @@ def _expression(
         inverted=face.flesh.inverted(state.x),
         iterations=iterations,
         seconds=seconds,
-        objective=float(residual @ residual),
+        objective=target.value(points),
     )
 
 

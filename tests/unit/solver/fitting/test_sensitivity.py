@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from solver.fitting.face import Face, Pose
+from solver.fitting.objective import Target
 from solver.fitting.sensitivity import Sensitivity
+from solver.fitting.terms import SkinDistance
 from solver.fitting.weights import replace_values
 from tests.unit.solver.block import block_model
 
@@ -24,14 +26,14 @@ def posed():
     return face, S, state, rng
 
 
-def differences(face, forward, backward):
-    ends = [face.face_points(state.x) for state in (forward, backward)]
-    return ((ends[0] - ends[1]) / (2 * STEP)).ravel()
+def differences(forward, backward):
+    return ((forward.x - backward.x) / (2 * STEP)).ravel()
 
 
 def test_by_pose(posed):
-    face, S, state, _ = posed
+    face, S, state, rng = posed
     jacobian = Sensitivity(face, S, state).by_pose()
+    numeric = np.empty((state.x.size, 17))
     for column in range(17):
         step = np.zeros(17)
         step[column] = STEP
@@ -39,11 +41,20 @@ def test_by_pose(posed):
             Pose(state.pose.a + s * step[:12].reshape(2, 6), state.pose.b + s * step[12:])
             for s in (1, -1)
         ]
-        numeric = differences(face, *(face.settle(S, pose, state.x) for pose in poses))
-        assert np.abs(numeric).max() > 1e-2
-        np.testing.assert_allclose(
-            jacobian.skin[:, column], numeric, atol=1e-6 * np.abs(numeric).max()
-        )
+        numeric[:, column] = differences(*(face.settle(S, pose, state.x) for pose in poses))
+        assert np.abs(numeric[:, column]).max() > 1e-2
+    scale = np.abs(numeric).max()
+    np.testing.assert_allclose(jacobian.flesh, numeric[jacobian.free], atol=1e-6 * scale)
+    gradient = rng.standard_normal(state.x.shape)
+    np.testing.assert_allclose(
+        jacobian.transposed(gradient), numeric.T @ gradient.ravel(), rtol=1e-5, atol=1e-5 * scale
+    )
+    points = rng.standard_normal((len(face.model.face), 3)) + face.face_points(state.x)
+    curvature = SkinDistance(face, Target.from_points(points)).curvature(state.x)
+    exact = numeric.T @ (curvature @ numeric)
+    np.testing.assert_allclose(
+        jacobian.contracted(curvature), exact, atol=1e-5 * np.abs(exact).max()
+    )
 
 
 def test_by_geometry_and_its_adjoint(posed):
@@ -51,8 +62,9 @@ def test_by_geometry_and_its_adjoint(posed):
     response = Sensitivity(face, S, state)
     change = rng.standard_normal(len(S.data))
     changed = [replace_values(S, S.data + sign * STEP * change) for sign in (1, -1)]
-    numeric = differences(face, *(face.settle(T, state.pose, state.x) for T in changed))
-    exact = response.by_geometry(change)
+    numeric = differences(*(face.settle(T, state.pose, state.x) for T in changed))
+    numeric = numeric.reshape(-1, 3)[face.flesh.free].ravel()
+    exact = response.flesh_by_geometry(change)
     assert np.abs(numeric).max() > 1e-2
     np.testing.assert_allclose(exact, numeric, atol=1e-6 * np.abs(numeric).max())
     residual = rng.standard_normal(len(exact))
