@@ -14,44 +14,16 @@ from solver.errors import InputError
 from solver.surface import Floats
 
 TIMECODE = "timecode"
-SIDED = [
-    "eyeBlink",
-    "eyeLookDown",
-    "eyeLookIn",
-    "eyeLookOut",
-    "eyeLookUp",
-    "eyeSquint",
-    "eyeWide",
-    "mouthSmile",
-    "mouthFrown",
-    "mouthDimple",
-    "mouthStretch",
-    "mouthPress",
-    "mouthLowerDown",
-    "mouthUpperUp",
-    "browDown",
-    "browOuterUp",
-    "cheekSquint",
-    "noseSneer",
-]
-UNSIDED = [
-    "jawForward",
-    "jawRight",
-    "jawLeft",
-    "jawOpen",
-    "mouthClose",
-    "mouthFunnel",
-    "mouthPucker",
-    "mouthRight",
-    "mouthLeft",
-    "mouthRollLower",
-    "mouthRollUpper",
-    "mouthShrugLower",
-    "mouthShrugUpper",
-    "browInnerUp",
-    "cheekPuff",
-    "tongueOut",
-]
+SIDED = (
+    *("eyeBlink", "eyeLookDown", "eyeLookIn", "eyeLookOut", "eyeLookUp", "eyeSquint", "eyeWide"),
+    *("mouthSmile", "mouthFrown", "mouthDimple", "mouthStretch", "mouthPress"),
+    *("mouthLowerDown", "mouthUpperUp", "browDown", "browOuterUp", "cheekSquint", "noseSneer"),
+)
+UNSIDED = (
+    *("jawForward", "jawRight", "jawLeft", "jawOpen", "mouthClose", "mouthFunnel", "mouthPucker"),
+    *("mouthRight", "mouthLeft", "mouthRollLower", "mouthRollUpper", "mouthShrugLower"),
+    *("mouthShrugUpper", "browInnerUp", "cheekPuff", "tongueOut"),
+)
 ARKIT_NAMES = (*(name + side for name in SIDED for side in ("Left", "Right")), *UNSIDED)
 """ARKit's blend shapes; left is the subject's left."""
 
