@@ -89,19 +89,7 @@ class Sensitivity:
 
     @cached_property
     def _pull(self) -> sp.csc_array:
-        """d(grad E)/dS, (size, nnz): column s_ij holds the forces of tet i by A_i, times a_j."""
-        flesh, S = self._face.flesh, self._S
-        columns = np.vstack([IDENTITY, self._state.pose.a])
-        tet_a = self._face.tet_activations(S, self._state.pose.a)
-        by_tet = flesh.forces_by_activation(self._state.x, tet_a)
-        tets = np.repeat(np.arange(len(flesh.tets)), np.diff(S.indptr))
-        values = np.einsum("eviq,eq->evi", by_tet[tets], columns[S.indices])
-        rows = 3 * flesh.free_numbers[flesh.tets[tets]][:, :, None] + np.arange(3)
-        # a held vertex feels no force: its entries are zeroed and go to row 0
-        held = rows < 0
-        values[held], rows[held] = 0.0, 0
-        indptr = 12 * np.arange(len(tets) + 1)
-        return sp.csc_array((values.ravel(), rows.ravel(), indptr), shape=(flesh.size, len(tets)))
+        return gradient_by_geometry(self._face, self._S, self._state.pose, self._state.x)
 
     @cached_property
     def _pull_transposed(self) -> sp.csr_array:
@@ -125,6 +113,24 @@ def gradient_by_pose(face: Face, S: sp.csr_array, pose: Pose, x: Floats) -> Floa
     _add_by_muscle(by_tet, numbers, S.indptr, S.indices, S.data, out)
     out[:, columns:] = flesh.coupling(x, tet_a, direct)
     return out
+
+
+def gradient_by_geometry(face: Face, S: sp.csr_array, pose: Pose, x: Floats) -> sp.csc_array:
+    """Return d(grad_x E)/dS at any x (p, 3), (size, nnz).
+
+    Column s_ij holds the forces of tet i by A_i, times a_j: twelve entries, a tet's vertices.
+    """
+    flesh = face.flesh
+    columns = np.vstack([IDENTITY, pose.a])
+    by_tet = flesh.forces_by_activation(x, face.tet_activations(S, pose.a))
+    tets = np.repeat(np.arange(len(flesh.tets)), np.diff(S.indptr))
+    values = np.einsum("eviq,eq->evi", by_tet[tets], columns[S.indices])
+    rows = 3 * flesh.free_numbers[flesh.tets[tets]][:, :, None] + np.arange(3)
+    # a held vertex feels no force: its entries are zeroed and go to row 0
+    held = rows < 0
+    values[held], rows[held] = 0.0, 0
+    indptr = 12 * np.arange(len(tets) + 1)
+    return sp.csc_array((values.ravel(), rows.ravel(), indptr), shape=(flesh.size, len(tets)))
 
 
 @nb.njit(cache=True)
