@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,6 +82,12 @@ class Face:
         row[model.embedded] = np.arange(len(model.embedded))
         self.face_embedding = sp.csr_array(model.embedding[row[model.face]])
         self.face_offset = model.offset[row[model.face]]
+
+    def with_flesh(self, flesh: Flesh) -> Face:
+        """Return this face with another flesh, whose tets join the same vertices."""
+        other = copy.copy(self)
+        other.flesh = flesh
+        return other
 
     def rest_pose(self) -> Pose:
         """Return the pose of the neutral face."""

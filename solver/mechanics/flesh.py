@@ -68,23 +68,33 @@ class Flesh:
         Numbers of the vertices that do not move freely.
     material
         One material for all tets.
+    shares
+        (n,) the part of its volume that each tet stands for, all of it by default: a tet of two
+        tissues is listed twice.
 
     ``free`` lists the free vertices, ``free_numbers`` (p,) has each vertex's place in that list or
     -1.
     """
 
     def __init__(
-        self, rest: Floats, tets: Ints, held: Ints, material: Material | None = None
+        self,
+        rest: Floats,
+        tets: Ints,
+        held: Ints,
+        material: Material | None = None,
+        shares: Floats | None = None,
     ) -> None:
-        material = material or Material()
+        self.material = material or Material()
         self.rest = np.ascontiguousarray(rest, dtype=np.float64)
         self.tets = np.ascontiguousarray(tets, dtype=np.int64)
         self.gradients, self.volumes = shape_gradients(self.rest, self.tets)
+        if shares is not None:
+            self.volumes = self.volumes * shares
         count = len(self.tets)
-        self.mu = np.full(count, material.mu)
-        self.lam = np.full(count, material.lam)
-        self.kappa = np.full(count, material.kappa)
-        self.barrier = np.full(count, material.barrier)
+        self.mu = np.full(count, self.material.mu)
+        self.lam = np.full(count, self.material.lam)
+        self.kappa = np.full(count, self.material.kappa)
+        self.barrier = np.full(count, self.material.barrier)
         is_free = np.ones(len(self.rest), dtype=bool)
         is_free[held] = False
         self.free = np.flatnonzero(is_free)
@@ -133,6 +143,10 @@ class Flesh:
         elements.stiffness_blocks(
             *self._state(x, a, ALL, self.lam, self.kappa, self.barrier, project, blocks)
         )
+        return self.assemble(blocks)
+
+    def assemble(self, blocks: Floats) -> sp.csr_array:
+        """Sum every tet's blocks (n, 4, 4, 3, 3) of its pairs of vertices: (size, size)."""
         pattern, slots, row_length = self._pattern
         data = np.empty(len(pattern.indices))
         elements.scatter_blocks(blocks, slots, row_length, data)
