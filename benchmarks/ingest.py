@@ -21,6 +21,7 @@ import trimesh
 
 from benchmarks import report
 from benchmarks.bad_scans import BAD_SCANS, Subject
+from benchmarks.documents import Section, Table
 from solver.anatomy.builtin import builtin_capture_set, builtin_expression, builtin_template
 from solver.anatomy.ict_captures import ict_capture_set
 from solver.pipeline.checks import check_scan
@@ -40,7 +41,7 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         figures = run(Path(folder), options)
-    report.write(figures, options.json)
+    report.finish(figures, options, section)
 
 
 def run(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
@@ -80,6 +81,28 @@ def run(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
         "raw": raw,
         "seconds": {str(size): round(timed(subject, size, folder), 2) for size in SIZES},
     }
+
+
+def section(figures: dict[str, Any]) -> Section:
+    """Return the document's section."""
+    faults = [
+        [entry["fault"], f"`{entry['expected']}`", entry["named"], entry["verdict"]]
+        for entry in figures["faults"]
+    ]
+    seconds = [[int(size), value] for size, value in figures["seconds"].items()]
+    alarmed = sum(bool(entry["alarms"]) for entry in figures["good"])
+    return Section(
+        title="The check of raw scans",
+        compared=(
+            "One bad scan for every fault, made from the built-in head: the check has to name the "
+            f"fault and give the verdict. {len(figures['good'])} good scans, in which it has to "
+            f"find nothing: it found something in {alarmed}."
+        ),
+        parts=[
+            Table(["vertices", "seconds"], seconds, "Time of a check:"),
+            Table(["fault", "finding", "named", "verdict"], faults, "Faults:"),
+        ],
+    )
 
 
 def builtin_subject() -> Subject:

@@ -24,6 +24,7 @@ import numpy as np
 
 from benchmarks import report
 from benchmarks.corruption import Corruption, corrupted
+from benchmarks.documents import Section, Table
 from solver.anatomy.ict_captures import ict_capture_set
 from solver.anatomy.ict_template import build_ict_template
 from solver.anatomy.shapes import ShapeBasis
@@ -51,7 +52,7 @@ def main() -> None:
     parser.add_argument("--expressions", type=int, default=4, help="of each subject")
     parser.add_argument("--seed", type=int, default=0, help="of noise, holes and poses")
     options = parser.parse_args()
-    report.write(run(options), options.json)
+    report.finish(run(options), options, section)
 
 
 def run(options: argparse.Namespace) -> Figures:
@@ -82,6 +83,54 @@ def run(options: argparse.Namespace) -> Figures:
         "corrupted_with_half_the_shapes": spoilt(half),
         "corrupted_without_shapes": spoilt(plain),
     }
+
+
+def section(figures: Figures) -> Section:
+    """Return the document's section."""
+    raw = {
+        "mean_surface_mm": "mean, mm",
+        "p95_surface_mm": "95 % below, mm",
+        "scan_to_face_mean_mm": "scan to face, mm",
+        "coverage": "covered",
+        "folded": "folds",
+        "seconds": "seconds",
+    }
+    corrupted = {
+        "mean_vertex_mm": "mean, mm",
+        "worst_vertex_mm": "worst scan, mm",
+        "aligned_vertex_mm": "aligned, mm",
+        "expression_displacement_error_mm": "displacement, mm",
+        "folded": "folds",
+        "seconds": "seconds",
+    }
+
+    def table(kind: str, columns: dict[str, str], caption: str) -> Table:
+        known = {
+            f"{kind}": "all",
+            f"{kind}_with_half_the_shapes": "every second",
+            f"{kind}_without_shapes": "none",
+        }
+        rows = [
+            [words, *(figures[run][key] for key in columns)]
+            for run, words in known.items()
+            if run in figures
+        ]
+        return Table(["the template's shapes", *columns.values()], rows, caption)
+
+    return Section(
+        title="Registration",
+        compared=(
+            f"Raw scans into the topology of `{figures['template']}`, by a template that knows "
+            "shapes of identities and expressions, every second one of them, or none. Real scans "
+            "are compared with the registered surface; corrupted ones (noise, holes, pose, unit) "
+            "with where every vertex of the face is known to be, without any alignment "
+            "(`aligned`: with a rigid one)."
+        ),
+        parts=[
+            table("raw", raw, "Two real scans, the worse of both:"),
+            table("corrupted", corrupted, "Corrupted scans of subjects:"),
+        ],
+    )
 
 
 def _half(shapes: ShapeBasis | None) -> ShapeBasis | None:

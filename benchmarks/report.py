@@ -1,4 +1,4 @@
-"""What every benchmark does at its end: one JSON object, to a file or to standard output."""
+"""What every benchmark does at its end: one JSON object, and its section of the document."""
 
 from __future__ import annotations
 
@@ -6,8 +6,11 @@ import argparse
 import json
 import os
 import sys
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+
+from benchmarks import documents
+from benchmarks.documents import Figures, SectionOf
 
 
 def parser(description: str) -> argparse.ArgumentParser:
@@ -15,15 +18,49 @@ def parser(description: str) -> argparse.ArgumentParser:
     arguments = argparse.ArgumentParser(description=description)
     arguments.add_argument("--json", required=True, help="file to write, - for standard output")
     arguments.add_argument("--quick", action="store_true", help="a smaller run of the same code")
+    arguments.add_argument(
+        "--document", action="store_true", help="write the section in docs/benchmarks.md too"
+    )
     return arguments
 
 
-def write(figures: dict[str, Any], destination: str) -> None:
-    """Write the figures with the machine's size beside them."""
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    machine = {"cores": os.cpu_count(), "memory_gib": round(memory)}
-    text = json.dumps({**figures, "machine": machine}, indent=2, allow_nan=False) + "\n"
+def finish(figures: Figures, options: argparse.Namespace, section: SectionOf) -> None:
+    """Write the figures where ``--json`` says and, with ``--document``, their section."""
+    figures = write(figures, options.json)
+    if options.document:
+        documents.write(figures, section(figures))
+
+
+def write(figures: Figures, destination: str) -> Figures:
+    """Write the figures to a file, or to standard output, and return them as written."""
+    figures = stamped(figures, sys.argv)
+    text = json.dumps(figures, indent=2, allow_nan=False) + "\n"
     if destination == "-":
         sys.stdout.write(text)
     else:
         Path(destination).write_text(text, encoding="utf-8")
+    return figures
+
+
+def stamped(figures: Figures, arguments: list[str]) -> Figures:
+    """Return the figures with the machine's size, the date and the command line beside them."""
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+    name = Path(arguments[0]).stem
+    return {
+        **figures,
+        "machine": {"cores": os.cpu_count(), "memory_gib": round(memory)},
+        "run": {
+            "benchmark": name,
+            "date": datetime.now(UTC).date().isoformat(),
+            "command": f"python -m benchmarks.{name} {' '.join(_public(arguments[1:]))}",
+        },
+    }
+
+
+def _public(arguments: list[str]) -> list[str]:
+    """Return the arguments without this machine's folders, and with ``--json -``."""
+    words = [part for word in arguments for part in word.split("=", 1)]
+    return [
+        "-" if before == "--json" else Path(word).name if Path(word).is_absolute() else word
+        for before, word in zip(["", *words], words, strict=False)
+    ]
