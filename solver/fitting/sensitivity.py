@@ -80,20 +80,26 @@ class Sensitivity:
 
     def flesh_by_geometry(self, change: Floats) -> Floats:
         """Return the free vertices' change (size,) for a change of S's values (nnz,)."""
-        return -self._state.equilibrium.factor.solve(self._pull @ change)
+        forces = np.zeros(self._face.flesh.size)
+        _forces_by_weights(*self._by_weight, change, forces)
+        return -self._state.equilibrium.factor.solve(forces)
 
     def by_geometry_adjoint(self, gradient: Floats) -> Floats:
         """Return the transpose of :meth:`flesh_by_geometry` applied to (size,): shape (nnz,)."""
-        adjoint = self._state.equilibrium.factor.solve(gradient)
-        return np.asarray(-(self._pull_transposed @ adjoint))
+        adjoint = -self._state.equilibrium.factor.solve(gradient)
+        out = np.empty(self._S.nnz)
+        _weights_by_forces(*self._by_weight, adjoint, out)
+        return out
 
     @cached_property
-    def _pull(self) -> sp.csc_array:
-        return gradient_by_geometry(self._face, self._S, self._state.pose, self._state.x)
-
-    @cached_property
-    def _pull_transposed(self) -> sp.csr_array:
-        return self._pull.T.tocsr()
+    def _by_weight(self) -> tuple[Floats, Ints, Ints, Ints, Floats]:
+        """What the forces' derivative by S is made of: by tet and activation, and a_j."""
+        flesh, pose = self._face.flesh, self._state.pose
+        tet_a = self._face.tet_activations(self._S, pose.a)
+        by_tet = flesh.forces_by_activation(self._state.x, tet_a)
+        numbers = flesh.free_numbers[flesh.tets]
+        columns = np.vstack([IDENTITY, pose.a])
+        return by_tet, numbers, self._S.indptr, self._S.indices, columns
 
 
 def coordinates(vertices: Ints) -> Ints:
@@ -131,6 +137,57 @@ def gradient_by_geometry(face: Face, S: sp.csr_array, pose: Pose, x: Floats) -> 
     values[held], rows[held] = 0.0, 0
     indptr = 12 * np.arange(len(tets) + 1)
     return sp.csc_array((values.ravel(), rows.ravel(), indptr), shape=(flesh.size, len(tets)))
+
+
+@nb.njit(cache=True, nogil=True)
+def _forces_by_weights(
+    by_tet: Floats,
+    number: Ints,
+    indptr: Ints,
+    indices: Ints,
+    columns: Floats,
+    change: Floats,
+    out: Floats,
+) -> None:
+    """Add the forces (size,) of a change of S's values (nnz,): tet by tet, by dA_i."""
+    for tet in range(len(by_tet)):
+        by_a = np.zeros(6)
+        for entry in range(indptr[tet], indptr[tet + 1]):
+            for q in range(6):
+                by_a[q] += change[entry] * columns[indices[entry], q]
+        for v in range(4):
+            row = 3 * number[tet, v]
+            if row < 0:
+                continue
+            for i in range(3):
+                for q in range(6):
+                    out[row + i] += by_tet[tet, v, i, q] * by_a[q]
+
+
+@nb.njit(cache=True, nogil=True)
+def _weights_by_forces(
+    by_tet: Floats,
+    number: Ints,
+    indptr: Ints,
+    indices: Ints,
+    columns: Floats,
+    forces: Floats,
+    out: Floats,
+) -> None:
+    """Fill ``out`` (nnz,) with the transpose of :func:`_forces_by_weights` applied to forces."""
+    for tet in range(len(by_tet)):
+        by_a = np.zeros(6)
+        for v in range(4):
+            row = 3 * number[tet, v]
+            if row < 0:
+                continue
+            for i in range(3):
+                for q in range(6):
+                    by_a[q] += by_tet[tet, v, i, q] * forces[row + i]
+        for entry in range(indptr[tet], indptr[tet + 1]):
+            out[entry] = 0.0
+            for q in range(6):
+                out[entry] += by_a[q] * columns[indices[entry], q]
 
 
 @nb.njit(cache=True)
