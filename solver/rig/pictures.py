@@ -43,7 +43,7 @@ def fit_picture(model: SubjectModel, fit: ExpressionFit, path: Path) -> None:
     for column, (title, body) in enumerate(bodies.items()):
         left = column * cell[0]
         for row, yaw in enumerate((0.0, THREE_QUARTER)):
-            image = faded(render([body], _camera(model.skin.vertices, model.face, yaw), *cell))
+            image = faded(render([body], face_camera(model.skin.vertices, model.face, yaw), *cell))
             page.panel((left, HEADER + row * cell[1]), image)
         page.text((left + cell[0] // 2, HEADER), title, 20, anchor="ma")
     page.scale((WIDTH - cell[0] + 60, HEADER + 2 * cell[1] + 12), cell[0] - 130)
@@ -144,7 +144,7 @@ def _views_with_legend(
     page = Page(WIDTH, HEADER + cell[1] + 48 + rows * swatch_height() + MARGIN)
     page.heading(title, detail)
     for column, (name, yaw, bodies) in enumerate(views):
-        image = faded(render(bodies, _camera(skin, face, yaw), *cell))
+        image = faded(render(bodies, face_camera(skin, face, yaw), *cell))
         page.panel((column * cell[0], HEADER), image)
         place = (column * cell[0] + cell[0] // 2, HEADER + cell[1] + 6)
         page.text(place, name, 17, anchor="ma")
@@ -152,7 +152,7 @@ def _views_with_legend(
     page.save(path)
 
 
-def _camera(skin: Floats, face: Ints, yaw: float) -> Camera:
+def face_camera(skin: Floats, face: Ints, yaw: float) -> Camera:
     """Return a camera that shows the face with the head around it."""
     low, high = skin[face].min(axis=0), skin[face].max(axis=0)
     height = high[1] - low[1]
