@@ -1,0 +1,20 @@
+"""The references: the problems as published, in full space, solved by IPOPT.
+
+Slow and trusted. x is a variable and the equilibrium a constraint, with exact sparse Jacobians and
+the Gauss-Newton Hessian of the objective (the curvature of the constraint is left out, as in the
+papers).
+"""
+
+from solver.fitting.reference.activations import activations
+from solver.fitting.reference.common import NotConvergedError, Reference
+from solver.fitting.reference.forward import forward
+from solver.fitting.reference.geometry import GeometryReference, geometry
+
+__all__ = [
+    "GeometryReference",
+    "NotConvergedError",
+    "Reference",
+    "activations",
+    "forward",
+    "geometry",
+]

@@ -1,0 +1,192 @@
+"""What IPOPT's problems share: the call of IPOPT, and a target's part of the objective."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import cyipopt
+import numpy as np
+
+from solver.errors import SolveError
+from solver.fitting.face import Face, Pose
+from solver.fitting.sensitivity import coordinates
+from solver.fitting.terms import Term
+from solver.mechanics.jaw import DEGREES_OF_FREEDOM
+from solver.surface import Floats, Ints
+
+SUCCESS = (0, 1)
+"""IPOPT's Solve_Succeeded and Solved_To_Acceptable_Level."""
+
+UNBOUNDED = 2e19
+"""What IPOPT takes for infinity."""
+
+Answer = TypeVar("Answer")
+
+Listener = Callable[[int, float], None]
+"""Called at each of IPOPT's iterations with its number and the objective."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """IPOPT's answer: pose, x (p, 3), objective, iterations, and the constraint's violation."""
+
+    pose: Pose
+    x: Floats
+    objective: float
+    iterations: int
+    violation: float
+
+
+class NotConvergedError(SolveError):
+    """IPOPT stopped early; ``last`` is where, in the form of the answer."""
+
+    def __init__(self, message: str, iterations: int, last: Any) -> None:
+        text = f"IPOPT stopped after {iterations} iterations: {message}"
+        super().__init__("ipopt.failed", text, iterations=iterations)
+        self.last = last
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The variables (n,) that IPOPT ended with; ``trouble`` says why, if too early."""
+
+    z: Floats
+    objective: float
+    iterations: int
+    violation: float
+    trouble: str | None
+
+    def checked(self, answer: Answer) -> Answer:
+        """Return the answer made of this; raise :class:`NotConvergedError` if it is none."""
+        if self.trouble is not None:
+            raise NotConvergedError(self.trouble, self.iterations, answer)
+        return answer
+
+
+class Problem(ABC):
+    """A problem in cyipopt's form: minimise the objective under constraints, z (n,) being free.
+
+    Without constraints, those methods and the Jacobian's are left out.
+    """
+
+    def __init__(self, listen: Listener | None = None) -> None:
+        self.iterations = 0
+        self._listen = listen
+
+    @abstractmethod
+    def objective(self, z: Floats) -> float:
+        """Return what is minimised."""
+
+    @abstractmethod
+    def gradient(self, z: Floats) -> Floats:
+        """Return its derivative, (n,)."""
+
+    @abstractmethod
+    def hessianstructure(self) -> tuple[Ints, Ints]:
+        """Return rows and columns of the Hessian's lower triangle; those that repeat are summed."""
+
+    @abstractmethod
+    def hessian(self, z: Floats, multipliers: Floats, factor: float) -> Floats:
+        """Return the entries of ``factor`` times the objective's Gauss-Newton Hessian."""
+
+    def intermediate(self, _mode: int, iteration: int, objective: float, *_rest: float) -> bool:
+        """Take IPOPT's report of an iteration."""
+        self.iterations = iteration
+        if self._listen:
+            self._listen(iteration, objective)
+        return True
+
+
+def solve(
+    problem: Problem,
+    start: Floats,
+    constants: Floats,
+    tolerance: float,
+    max_iterations: int,
+    least: Floats | None = None,
+) -> Solution:
+    """Run IPOPT from ``start`` (n,), the constraints (m,) being equal to ``constants``.
+
+    ``least`` (n,) bounds the variables from below, none if not given.
+    """
+    ipopt = cyipopt.Problem(
+        n=len(start),
+        m=len(constants),
+        problem_obj=problem,
+        lb=np.full(len(start), -UNBOUNDED) if least is None else least,
+        cl=constants,
+        cu=constants,
+    )
+    ipopt.add_option("sb", "yes")
+    ipopt.add_option("print_level", 0)
+    ipopt.add_option("tol", tolerance)
+    ipopt.add_option("max_iter", max_iterations)
+    z, info = ipopt.solve(start)
+    message = info["status_msg"]
+    text = message.decode() if isinstance(message, bytes) else str(message)
+    violation = float(np.abs(info["g"] - constants).max(initial=0.0))
+    trouble = None if info["status"] in SUCCESS else text
+    return Solution(np.asarray(z), float(info["obj_val"]), problem.iterations, violation, trouble)
+
+
+def finite(value: float) -> float:
+    """Return the value; tell IPOPT to step back where a tet is inverted."""
+    if not np.isfinite(value):
+        raise cyipopt.CyIpoptEvaluationError
+    return value
+
+
+class Data:
+    """A term's derivatives by (x of the free vertices, b), b from variable ``jaw`` on.
+
+    The pattern of the term's curvature is that at rest.
+    """
+
+    def __init__(self, face: Face, term: Term, jaw: int) -> None:
+        self._face = face
+        self._term = term
+        self._free = coordinates(face.flesh.free)
+        self._riding = coordinates(face.model.mandible)
+        curvature = term.curvature(face.model.rest)
+        by_free = curvature[self._free][:, self._free].tocoo()
+        lower = by_free.col <= by_free.row
+        self._rows, self._columns = by_free.row[lower], by_free.col[lower]
+        touched = curvature[self._riding][:, self._free].tocoo().col
+        self._crossed = np.unique(touched)
+        b = np.arange(DEGREES_OF_FREEDOM)
+        self._square = np.tril_indices(DEGREES_OF_FREEDOM)
+        self.structure = (
+            np.concatenate(
+                [self._rows, np.repeat(jaw + b, len(self._crossed)), jaw + self._square[0]]
+            ),
+            np.concatenate([self._columns, np.tile(self._crossed, len(b)), jaw + self._square[1]]),
+        )
+
+    def gradient(self, x: Floats, b: Floats) -> tuple[Floats, Floats]:
+        """Return the derivatives by the free coordinates (size,) and by b (5,)."""
+        flat = self._term.gradient(x).ravel()
+        return flat[self._free], self._turned(b).T @ flat[self._riding]
+
+    def hessian(self, x: Floats, b: Floats) -> Floats:
+        """Return the Gauss-Newton Hessian's entries, in the order of ``structure``."""
+        curvature = self._term.curvature(x)
+        turned = self._turned(b)
+        by_free = curvature[self._free][:, self._free]
+        riding = curvature[self._riding]
+        cross = turned.T @ riding[:, self._free][:, self._crossed]
+        square = turned.T @ (riding[:, self._riding] @ turned)
+        return np.concatenate(
+            [
+                np.asarray(by_free[self._rows, self._columns]).ravel(),
+                np.asarray(cross).ravel(),
+                square[self._square],
+            ]
+        )
+
+    def _turned(self, b: Floats) -> Floats:
+        """Return the mandible's coordinates by b, (k, 5)."""
+        direct = self._face.mandible_jacobian(b)[self._face.model.mandible]
+        return direct.reshape(-1, DEGREES_OF_FREEDOM)

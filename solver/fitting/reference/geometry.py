@@ -1,0 +1,174 @@
+"""The multi-target problem in full space: (x_k, a_k, b_k) of every expression and their common S.
+
+min  sum_k f_k(x_k, a_k, b_k) + w_s/2 |S - S_prior|^2
+with grad_x E(x_k; a_k, b_k, S) = 0,   sum_j s_ij = 1,   s_ij >= 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from solver.fitting.face import Face, Pose, State
+from solver.fitting.objective import Regulariser
+from solver.fitting.reference.common import UNBOUNDED, Listener, Problem, solve
+from solver.fitting.reference.expression import Expression
+from solver.fitting.sensitivity import gradient_by_geometry
+from solver.fitting.terms import Term
+from solver.fitting.weights import replace_values
+from solver.surface import Floats, Ints
+
+
+@dataclass(frozen=True)
+class GeometryReference:
+    """IPOPT's answer: S, every expression's pose and x (p, 3), objective and iterations."""
+
+    S: sp.csr_array
+    poses: dict[str, Pose]
+    x: dict[str, Floats]
+    objective: float
+    iterations: int
+    violation: float
+
+
+def geometry(
+    face: Face,
+    S: sp.csr_array,
+    data: Mapping[str, Term],
+    regulariser: Regulariser,
+    w_s: float,
+    start: Mapping[str, State],
+    *,
+    tolerance: float = 1e-7,
+    max_iterations: int = 1000,
+    listen: Listener | None = None,
+) -> GeometryReference:
+    """Minimise over all expressions and S by IPOPT, from the ``start`` states and S, the prior.
+
+    One ``regulariser`` with its prior serves all expressions. Raises :class:`NotConvergedError`.
+    """
+    problem = GeometryProblem(face, S, data, regulariser, w_s, listen)
+    begin = [problem.parts[name].start(start[name].pose, start[name].x) for name in data]
+    forces = len(data) * face.flesh.size
+    least = np.full(problem.count, -UNBOUNDED)
+    least[-S.nnz :] = 0.0
+    found = solve(
+        problem,
+        np.concatenate([*begin, S.data]),
+        np.concatenate([np.zeros(forces), np.ones(S.shape[0])]),
+        tolerance,
+        max_iterations,
+        least,
+    )
+    pieces, fitted = problem.split(found.z)
+    answer = GeometryReference(
+        fitted,
+        {name: part.pose(pieces[name]) for name, part in problem.parts.items()},
+        {name: part.place(pieces[name]) for name, part in problem.parts.items()},
+        found.objective,
+        found.iterations,
+        found.violation,
+    )
+    return found.checked(answer)
+
+
+class GeometryProblem(Problem):
+    """Variables (z_1, ..., z_K, values of S); every expression's forces, then the rows' sums."""
+
+    def __init__(
+        self,
+        face: Face,
+        S: sp.csr_array,
+        data: Mapping[str, Term],
+        regulariser: Regulariser,
+        w_s: float,
+        listen: Listener | None = None,
+    ) -> None:
+        super().__init__(listen)
+        self._S = S
+        self._w_s = w_s
+        candidates = replace_values(S, np.ones(S.nnz))
+        self.parts = {
+            name: Expression(face, candidates, term, regulariser) for name, term in data.items()
+        }
+        self._each = next(iter(self.parts.values())).count
+        self._first_weight = self._each * len(self.parts)
+        self.count = self._first_weight + S.nnz
+        self._face = face
+        # a held vertex feels no force: its entries of the derivative by S are left out
+        numbers = face.flesh.free_numbers[face.flesh.tets]
+        tets = np.repeat(np.arange(S.shape[0]), np.diff(S.indptr))
+        self._felt = np.repeat(numbers[tets].ravel() >= 0, 3)
+        self._row_sums = tets
+
+    def split(self, z: Floats) -> tuple[dict[str, Floats], sp.csr_array]:
+        """Return every expression's variables, and S."""
+        pieces = z[: self._first_weight].reshape(len(self.parts), -1)
+        S = replace_values(self._S, z[self._first_weight :])
+        return dict(zip(self.parts, pieces, strict=True)), S
+
+    def objective(self, z: Floats) -> float:
+        """See :class:`Problem`."""
+        pieces, S = self.split(z)
+        change = S.data - self._S.data
+        parts = sum(part.objective(pieces[name]) for name, part in self.parts.items())
+        return float(parts + 0.5 * self._w_s * change @ change)
+
+    def gradient(self, z: Floats) -> Floats:
+        """See :class:`Problem`."""
+        pieces, S = self.split(z)
+        parts = [part.gradient(pieces[name]) for name, part in self.parts.items()]
+        return np.concatenate([*parts, self._w_s * (S.data - self._S.data)])
+
+    def constraints(self, z: Floats) -> Floats:
+        """See :class:`Problem`."""
+        pieces, S = self.split(z)
+        forces = [part.constraints(pieces[name], S) for name, part in self.parts.items()]
+        return np.concatenate([*forces, S.sum(axis=1)])
+
+    def jacobianstructure(self) -> tuple[Ints, Ints]:
+        """See :class:`Problem`."""
+        rows, columns = [], []
+        size = self._face.flesh.size
+        by_weights = self._pull(self._S, self._face.rest_pose(), self._face.model.rest)
+        weights = self._first_weight + np.repeat(np.arange(self._S.nnz), 12)[self._felt]
+        for k, part in enumerate(self.parts.values()):
+            by_part = part.jacobian_structure
+            rows += [k * size + by_part[0], k * size + by_weights.indices[self._felt]]
+            columns += [k * self._each + by_part[1], weights]
+        rows.append(len(self.parts) * size + self._row_sums)
+        columns.append(self._first_weight + np.arange(self._S.nnz))
+        return np.concatenate(rows), np.concatenate(columns)
+
+    def jacobian(self, z: Floats) -> Floats:
+        """See :class:`Problem`."""
+        pieces, S = self.split(z)
+        values = []
+        for name, part in self.parts.items():
+            piece = pieces[name]
+            by_weights = self._pull(S, part.pose(piece), part.place(piece))
+            values += [part.jacobian(piece, S), by_weights.data[self._felt]]
+        return np.concatenate([*values, np.ones(S.nnz)])
+
+    def hessianstructure(self) -> tuple[Ints, Ints]:
+        """See :class:`Problem`."""
+        both = []
+        for side in (0, 1):
+            parts = [
+                k * self._each + part.hessian_structure[side]
+                for k, part in enumerate(self.parts.values())
+            ]
+            both.append(np.concatenate([*parts, np.arange(self._first_weight, self.count)]))
+        return both[0], both[1]
+
+    def hessian(self, z: Floats, multipliers: Floats, factor: float) -> Floats:  # noqa: ARG002
+        """See :class:`Problem`."""
+        pieces, S = self.split(z)
+        parts = [part.hessian(pieces[name]) for name, part in self.parts.items()]
+        return factor * np.concatenate([*parts, np.full(S.nnz, self._w_s)])
+
+    def _pull(self, S: sp.csr_array, pose: Pose, x: Floats) -> sp.csc_array:
+        return gradient_by_geometry(self._face, S, pose, x)
