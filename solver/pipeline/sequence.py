@@ -1,0 +1,171 @@
+"""The job that fits a performance: activations, jaw and head motion, frame after frame."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from solver.errors import InputError
+from solver.fitting.face import Face, Pose
+from solver.fitting.objective import Regulariser
+from solver.fitting.stillness import stillness
+from solver.model import SubjectModel
+from solver.pipeline.common import Options, take
+from solver.pipeline.fits import NEW_EXPRESSION
+from solver.pipeline.follower import Follower, Tracker
+from solver.progress import Progress, Step, silent
+from solver.rig.result import load_weights
+from solver.rig.sequence import FRAMES, SequenceFrame, read_frames, write_frames, write_sequence
+from solver.rig.sequence_picture import Shot, sequence_picture
+from solver.scans.performance import Performance, open_performance
+
+DEFAULTS = {
+    "fps": 30.0,
+    "start": 0,
+    "end": None,
+    "step": 1,
+    "temporal": 0.0,
+    "head_motion": False,
+    "max_iterations": 12,
+    "linear_solver": None,
+}
+CHUNK_FRAMES, CHUNK_SECONDS = 30, 2.0
+"""A file of frames holds so many at most, and is written at the latest after so long."""
+MOST_SHOTS = 6
+"""Frames in the picture."""
+
+
+def fit_sequence(
+    model: Path,
+    weights: Path,
+    performance: Path,
+    out: Path,
+    *,
+    resume: bool = False,
+    options: Options = None,
+    progress: Progress = silent,
+) -> list[Path]:
+    """Fit the frames of a performance with the S of ``weights``, each from the one before.
+
+    ``performance`` is read as :func:`~solver.scans.performance.open_performance` says. Frames that
+    are ready are in ``out/frames``, 30 a file; with ``resume`` those that are there already are
+    kept and the fit goes on after them. A frame that can not be fitted keeps the pose before it.
+
+    Options: ``fps``; ``start``, ``end`` (not included; None: the last) and ``step`` choose frames;
+    ``temporal`` weighs the change of the activations from frame to frame like w_a their size, 0 is
+    none; ``head_motion`` solves the rigid motion of the head; ``max_iterations`` a frame;
+    ``linear_solver``.
+
+    Writes ``sequence.npz``, ``activations.csv``, ``sequence.json`` and ``sequence.png``. Raises
+    :class:`InputError` for what can not be used, ``sequence.nothing`` if no frame could be fitted.
+    """
+    given = take(options, DEFAULTS)
+    out.mkdir(parents=True, exist_ok=True)
+    progress(Step("read", 0.0, message=performance.name))
+    subject = SubjectModel.load(model)
+    S = load_weights(weights, subject)
+    source = open_performance(performance, subject.skin, subject.face)
+    numbers = _chosen(source, given)
+    face = Face(subject, linear=given["linear_solver"])
+    if not resume:
+        shutil.rmtree(out / FRAMES, ignore_errors=True)
+    done = read_frames(out / FRAMES, subject.muscle_count)
+    _check_same(done, numbers)
+    progress(Step("read", 0.01, message=f"{len(numbers)} frames of {len(source)}"))
+    follower = _follower(face, S, given, done[-1] if done else None)
+    shown = set(np.linspace(0, len(numbers) - 1, MOST_SHOTS).round().astype(int).tolist())
+    shots: list[Shot] = []
+    chunks = _Chunks(out / FRAMES, len(done))
+    try:
+        for position in range(len(done), len(numbers)):
+            frame = follower.fit(numbers[position], source.frame(numbers[position]))
+            chunks.add(frame)
+            done.append(frame)
+            if position in shown and frame.status == "fitted":
+                shots.append(follower.shot(frame))
+            progress(_told(frame, position + 1, len(numbers)))
+    finally:
+        chunks.flush()
+    if all(frame.status != "fitted" for frame in done):
+        raise InputError(
+            "sequence.nothing",
+            f"none of the {len(done)} frames of {source.name} could be fitted",
+            file=source.name,
+        )
+    progress(Step("export", 0.96))
+    files = write_sequence(out, done, subject.muscle_names, given["fps"], source.name)
+    if shots:
+        files.append(out / "sequence.png")
+        sequence_picture(subject, shots, source.name, files[-1])
+    progress(Step("done", 1.0))
+    return files
+
+
+def _follower(
+    face: Face, S: sp.csr_array, given: dict[str, Any], last: SequenceFrame | None
+) -> Follower:
+    """Return what fits the frames, from rest or from the ``last`` that is ready."""
+    state = face.rest_state(S)
+    if last is not None:
+        state = face.move(S, state, Pose(last.activations, last.jaw))
+    regulariser = Regulariser(**NEW_EXPRESSION, prior=face.rest_pose())
+    tracker = Tracker(face, S, regulariser, given["temporal"], given["max_iterations"], state)
+    return Follower(tracker, last, stillness(face, S) if given["head_motion"] else None)
+
+
+def _chosen(source: Performance, given: dict[str, Any]) -> range:
+    """Return the numbers of the frames to fit."""
+    end = len(source) if given["end"] is None else given["end"]
+    numbers = range(given["start"], end, given["step"])
+    if end > len(source) or not numbers:
+        raise InputError(
+            "options.frames",
+            f"{source.name} has the frames 0 to {len(source) - 1}: start {given['start']} and end "
+            f"{end} are not within it",
+            expected=len(source),
+            start=given["start"],
+            end=end,
+        )
+    return numbers
+
+
+def _check_same(done: list[SequenceFrame], numbers: range) -> None:
+    if [frame.frame for frame in done] != list(numbers[: len(done)]):
+        raise InputError(
+            "sequence.resume",
+            f"the {len(done)} frames that are ready were chosen with another start, end or step",
+        )
+
+
+def _told(frame: SequenceFrame, count: int, total: int) -> Step:
+    words = f"frame {count} of {total}"
+    if frame.status != "fitted":
+        why = "hardly any of the face is seen" if frame.status == "unseen" else "it does not settle"
+        words += f": {why} in frame {frame.frame}, the pose before it is kept"
+    return Step("frames", 0.01 + 0.95 * count / total, count, None, frame.mean_mm, words)
+
+
+class _Chunks:
+    """Writes frames into files as they come, so many at a time or after so long."""
+
+    def __init__(self, folder: Path, first: int) -> None:
+        self._folder = folder
+        self._first = first
+        self._frames: list[SequenceFrame] = []
+        self._since = time.monotonic()
+
+    def add(self, frame: SequenceFrame) -> None:
+        self._frames.append(frame)
+        if len(self._frames) == CHUNK_FRAMES or time.monotonic() - self._since > CHUNK_SECONDS:
+            self.flush()
+
+    def flush(self) -> None:
+        if self._frames:
+            write_frames(self._folder, self._first, self._frames)
+        self._first += len(self._frames)
+        self._frames, self._since = [], time.monotonic()

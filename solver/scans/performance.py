@@ -1,0 +1,177 @@
+"""Reading a performance: one frame of registered skin points after the other, never all at once.
+
+A performance is an array in a ``.npy`` file or a folder of registered scans. Its points are in mm,
+in the template's order: all skin vertices, or the face's alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from solver.errors import InputError
+from solver.scans.read import FORMATS as SCAN_FORMATS
+from solver.scans.read import read_registered
+from solver.scans.registered import RegisteredScan
+from solver.surface import Floats, Ints, Surface
+
+FORMATS = (".npy",)
+FARTHEST_MM = 1e4
+"""A coordinate beyond it is no place in a studio."""
+SIZES = (0.5, 2.0)
+"""How large a face may be beside the neutral; a wrong unit is farther off."""
+
+
+class Performance(Protocol):
+    """Frames of one person's face."""
+
+    @property
+    def name(self) -> str:
+        """Return the file's or folder's name."""
+
+    def __len__(self) -> int: ...
+
+    def frame(self, number: int) -> RegisteredScan:
+        """Return the face's points (k, 3) in mm and their confidence (k,), 0 where unseen."""
+
+
+def open_performance(path: Path, neutral: Surface, face: Ints) -> Performance:
+    """Open a performance: ``.npy`` or a folder of registered scans, which are sorted by name.
+
+    ``neutral`` (V vertices) is the person's skin at rest, ``face`` (k,) the vertices that frames
+    are read for. Frames are read when they are asked for and raise what is wrong with them then.
+
+    Raises
+    ------
+    InputError
+        ``performance.format``, ``performance.unreadable``, ``performance.empty``,
+        ``performance.shape`` (neither V nor k points a frame) or ``performance.order`` (an array
+        whose frames do not lie one after the other); from a frame ``performance.bounds``
+        (infinite or too far away) or ``performance.unit``, with ``frame`` and ``vertex``, or
+        what :func:`~solver.scans.read.read_registered` finds.
+    """
+    if path.is_dir():
+        return _Folder.open(path, neutral, face)
+    if path.suffix.lower() not in FORMATS:
+        raise InputError(
+            "performance.format",
+            f"{path.name}: a performance is a .npy file or a folder of registered scans",
+            file=path.name,
+            expected=list(FORMATS),
+        )
+    return _Array.open(path, neutral, face)
+
+
+@dataclass(frozen=True)
+class _Array:
+    """Frames (f, V or k, 3) in a file; ``columns`` picks the face's points."""
+
+    name: str
+    points: np.ndarray
+    columns: Ints | slice
+    rest: Floats
+
+    @classmethod
+    def open(cls, path: Path, neutral: Surface, face: Ints) -> _Array:
+        try:
+            points = np.load(path, mmap_mode="r", allow_pickle=False)
+        except (OSError, ValueError, EOFError) as error:
+            raise InputError(
+                "performance.unreadable",
+                f"{path.name} is not a whole array of numbers: {error}",
+                file=path.name,
+            ) from error
+        whole, part = len(neutral.vertices), len(face)
+        is_array = points.ndim == 3 and points.shape[2] == 3 and points.dtype.kind == "f"
+        if not is_array or points.shape[1] not in (whole, part):
+            raise InputError(
+                "performance.shape",
+                f"{path.name} holds {points.dtype} of shape {points.shape}; a performance holds "
+                f"floats of shape (frames, {whole}, 3), all skin vertices, or (frames, {part}, 3), "
+                "the face's",
+                file=path.name,
+                expected=[whole, part],
+                found=list(points.shape),
+            )
+        if not points.flags.c_contiguous:
+            raise InputError(
+                "performance.order",
+                f"{path.name} is stored in Fortran order, its frames are scattered over the file; "
+                "write it with numpy.ascontiguousarray",
+                file=path.name,
+            )
+        _check_any(path, len(points))
+        columns = face if points.shape[1] == whole else slice(None)
+        return cls(path.name, points, columns, neutral.vertices[face])
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def frame(self, number: int) -> RegisteredScan:
+        points = np.asarray(self.points[number][self.columns], np.float64)
+        beyond = (np.abs(points) > FARTHEST_MM).any(axis=1)  # NaN is not: unseen
+        if beyond.any():
+            vertex = int(np.argmax(beyond))
+            raise InputError(
+                "performance.bounds",
+                f"{self.name}, frame {number}: point {vertex} lies at {points[vertex].tolist()} mm",
+                file=self.name,
+                frame=number,
+                vertex=vertex,
+            )
+        seen = np.asarray(np.isfinite(points).all(axis=1))
+        if 2 * seen.sum() > len(seen):
+            _check_size(self.name, number, points[seen], self.rest[seen])
+        return RegisteredScan(np.where(seen[:, None], points, np.nan), seen.astype(np.float64))
+
+
+@dataclass(frozen=True)
+class _Folder:
+    """A scan a frame."""
+
+    name: str
+    paths: list[Path]
+    neutral: Surface
+    face: Ints
+
+    @classmethod
+    def open(cls, path: Path, neutral: Surface, face: Ints) -> _Folder:
+        scans = (each for each in path.iterdir() if each.suffix.lower() in SCAN_FORMATS)
+        paths = sorted(scans, key=lambda each: each.name)
+        _check_any(path, len(paths))
+        return cls(path.name, paths, neutral, face)
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def frame(self, number: int) -> RegisteredScan:
+        path, vertices = self.paths[number], self.neutral.vertices
+        try:
+            scan = read_registered(path, self.neutral.faces, len(vertices))
+        except InputError as error:
+            error.context["frame"] = number
+            raise
+        points = np.where(scan.confidence[:, None] > 0, scan.vertices, np.nan)[self.face]
+        return RegisteredScan(points, scan.confidence[self.face])
+
+
+def _check_any(path: Path, count: int) -> None:
+    if count == 0:
+        raise InputError("performance.empty", f"{path.name} has no frames", file=path.name)
+
+
+def _check_size(file: str, number: int, points: Floats, rest: Floats) -> None:
+    """Raise ``performance.unit`` unless the points (s, 3) spread about as far as at ``rest``."""
+    size = float(np.linalg.norm(points.std(axis=0)) / np.linalg.norm(rest.std(axis=0)))
+    if not SIZES[0] <= size <= SIZES[1]:
+        raise InputError(
+            "performance.unit",
+            f"{file}, frame {number}: the points spread {size:.3g} times as far as the neutral's; "
+            "a performance is in mm, in the template's vertex order",
+            file=file,
+            frame=number,
+            found=size,
+        )
