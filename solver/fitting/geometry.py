@@ -1,7 +1,8 @@
 """The multi-target problem (x, b, a, S): muscle geometry from several expressions at once.
 
-Block coordinate descent as published: activations and jaw of every expression with S held, then S
-with the activations held, the weights w_a and w_s falling from round to round.
+Gauss-Newton steps on S and all poses together (:mod:`solver.fitting.joint`), the weights w_a and
+w_s falling from round to round as published, their priors the resting muscles and the S of the
+start.
 """
 
 from __future__ import annotations
@@ -12,15 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from solver.fitting import activation, weights
+from solver.fitting import activation, joint
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, State
+from solver.fitting.joint import GeometryProblem, Iterate
 from solver.fitting.objective import Regulariser, Target
-from solver.fitting.terms import SkinDistance, Term
-from solver.fitting.weights import WeightProblem
-
-DAMPING_START = 1e-5
-"""Of the S block, in units of w_s."""
+from solver.fitting.terms import Term
 
 LAST = ActivationOptions(20, tolerance=1e-3)
 """Of the activations, once S is found."""
@@ -30,18 +28,19 @@ LAST = ActivationOptions(20, tolerance=1e-3)
 class GeometryOptions:
     """The schedule of the rounds.
 
-    ``w_a`` and ``w_s`` are the weights of the first and last round, geometric in between; the
-    prior of both is where the round started. ``w_v`` weighs the muscles' volume.
+    ``w_a`` and ``w_s`` are the weights of the first and last round, geometric in between; ``w_v``
+    weighs the muscles' volume and ``w_b`` the jaw. The first poses come from
+    ``first_iterations`` of the activations alone. The fit ends before its last round if two
+    rounds in turn gain less than ``tolerance`` f.
     """
 
-    rounds: int = 10
-    w_a: tuple[float, float] = (0.2, 2e-3)
-    w_s: tuple[float, float] = (1e-4, 1e-6)
+    rounds: int = 12
+    w_a: tuple[float, float] = (0.2, 1e-3)
+    w_s: tuple[float, float] = (1e-4, 1e-7)
     w_v: float = 1e-2
     w_b: float = 1e-6
-    first_iterations: int = 4
-    activation_iterations: int = 2
-    geometry_iterations: int = 2
+    first_iterations: int = 1
+    tolerance: float = 3e-3
 
     def weights(self, number: int) -> tuple[float, float]:
         """Return w_a and w_s of round ``number`` (from 0)."""
@@ -52,56 +51,70 @@ class GeometryOptions:
 
 @dataclass(frozen=True)
 class GeometryFit:
-    """S (n, m + 1), and every expression's state and number of activation steps."""
+    """S (n, m + 1), and every expression's state and number of steps."""
 
     S: sp.csr_array
     states: dict[str, State]
     iterations: dict[str, int]
 
 
-Listener = Callable[[str, int, float], None]
-"""Called as work begins: block (``activations``, ``geometry``), round, mean error so far in mm."""
+Listener = Callable[[int, Mapping[str, State]], None]
+"""Called as a round (from 0) begins, with the states so far."""
 
 
 def fit(
     face: Face,
-    targets: Mapping[str, Target],
+    data: Mapping[str, Term],
     options: GeometryOptions | None = None,
+    *,
+    start: sp.csr_array | None = None,
+    structure: sp.csr_array | None = None,
     listen: Listener | None = None,
 ) -> GeometryFit:
-    """Fit S, activations and jaws to all targets, from the model's initial S and the rest pose."""
+    """Fit S, activations and jaws to all data, from S ``start`` and the rest pose.
+
+    Without ``start`` it is the model's geometric S; it has to have that one's pattern.
+    ``structure`` L (k, nnz) adds 1/2 |L S|^2 (:mod:`solver.fitting.symmetry`). Raises
+    :class:`SolveError` (``solve.no_convergence``) if a face can not be settled at the end.
+    """
     options = options or GeometryOptions()
-    S = face.model.weights
+    S = face.model.weights if start is None else start
+    structure = sp.csr_array((0, S.nnz)) if structure is None else structure
     rest = face.rest_state(S)
-    data: dict[str, Term] = {name: SkinDistance(face, t) for name, t in targets.items()}
-    states = dict.fromkeys(targets, rest)
-    steps = dict.fromkeys(targets, 0)
-    damping = DAMPING_START
+    steps = dict.fromkeys(data, options.first_iterations)
+
+    def regulariser(w_a: float) -> Regulariser:
+        return Regulariser(w_a, options.w_v, options.w_b, rest.pose)
+
+    first = ActivationOptions(options.first_iterations)
+    begin = regulariser(options.w_a[0])
+    states = {
+        name: activation.improve(face, S, term, begin, rest, first).state
+        for name, term in data.items()
+    }
+    now = Iterate(S, states)
+    prior = S.data
+    idle = 0
     for number in range(options.rounds):
-        w_a, w_s = options.weights(number)
-        iterations = options.first_iterations if number == 0 else options.activation_iterations
-        for name, term in data.items():
-            if listen:
-                listen("activations", number, mean_error(face, targets, states))
-            prior = face.rest_pose() if number == 0 else states[name].pose
-            regulariser = Regulariser(w_a, options.w_v, options.w_b, prior)
-            fitted = activation.improve(
-                face, S, term, regulariser, states[name], ActivationOptions(iterations, 1e-3)
-            )
-            states[name] = fitted.state
-            steps[name] += fitted.iterations
         if listen:
-            listen("geometry", number, mean_error(face, targets, states))
-        problem = WeightProblem(face, data, w_s, S.data)
-        improved = weights.fit(problem, S, states, options.geometry_iterations, damping)
-        S, states, damping = improved.S, improved.states, improved.damping
+            listen(number, now.states)
+        w_a, w_s = options.weights(number)
+        problem = GeometryProblem(face, data, regulariser(w_a), w_s, prior, structure)
+        before = problem.value(now.S, now.states)
+        now = joint.step(problem, now)
+        gain = before - problem.value(now.S, now.states)
+        steps = {name: count + 1 for name, count in steps.items()}
+        idle = idle + 1 if gain < options.tolerance * before else 0
+        if idle == 2:
+            break
     # the states were only approached: settle them, together with a last step of the activations
+    last = regulariser(options.w_a[1])
+    settled = {}
     for name, term in data.items():
-        regulariser = Regulariser(options.w_a[1], options.w_v, options.w_b, states[name].pose)
-        fitted = activation.fit(face, S, term, regulariser, states[name], LAST)
-        states[name] = fitted.state
+        fitted = activation.fit(face, now.S, term, last, now.states[name], LAST)
+        settled[name] = fitted.state
         steps[name] += fitted.iterations
-    return GeometryFit(S, states, steps)
+    return GeometryFit(now.S, settled, steps)
 
 
 def mean_error(face: Face, targets: Mapping[str, Target], states: Mapping[str, State]) -> float:

@@ -38,23 +38,22 @@ def fit_geometry(
 ) -> list[Path]:
     """Fit S, activations and jaw to several registered expression scans; write the rig's files.
 
-    Options: ``rounds`` of block coordinate descent, ``linear_solver``.
+    Options: at most ``rounds`` of Gauss-Newton, ``linear_solver``.
     """
     given = take(options, {"rounds": GeometryOptions.rounds, "linear_solver": None})
     subject, scans = _read(model, captures, progress)
     face = Face(subject, linear=given["linear_solver"])
     targets = {name: _target(subject, scan) for name, scan in scans.items()}
+    data = {name: SkinDistance(face, target) for name, target in targets.items()}
     schedule = GeometryOptions(rounds=given["rounds"])
-    blocks = schedule.rounds * (len(targets) + 1)
-    done = 0
 
-    def listen(block: str, number: int, error: float) -> None:
-        nonlocal done
-        progress(Step(block, 0.02 + 0.9 * done / blocks, number + 1, mean_error_mm=error))
-        done += 1
+    def listen(number: int, states: Mapping[str, State]) -> None:
+        done = 0.02 + 0.9 * number / schedule.rounds
+        error = geometry.mean_error(face, targets, states)
+        progress(Step("geometry", done, number + 1, mean_error_mm=error))
 
     start = time.perf_counter()
-    fitted = geometry.fit(face, targets, schedule, listen)
+    fitted = geometry.fit(face, data, schedule, listen=listen)
     seconds = time.perf_counter() - start
     expressions = tuple(
         _expression(

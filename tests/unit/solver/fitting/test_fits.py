@@ -1,15 +1,12 @@
 """Fits against what they should find: simulate, take the skin, fit, compare; and against IPOPT."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from solver.errors import InputError
-from solver.fitting import activation, geometry, objective, reference, weights
+from solver.fitting import activation, objective, reference
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, Pose
-from solver.fitting.geometry import GeometryOptions
 from solver.fitting.objective import Regulariser, Target
 from solver.fitting.terms import SkinDistance
 from tests.unit.solver.block import block_model
@@ -64,29 +61,6 @@ def test_reduced_solver_agrees_with_ipopt(face):
     settled = face.move(S, rest, pose)
     energy = reference.forward(face, S, pose, rest.x)
     np.testing.assert_allclose(energy.x, settled.x, atol=1e-4)
-
-
-def test_geometry_fit_improves_on_the_wrong_weights_and_stays_on_the_simplex(face):
-    """Targets come from the true S; the fit starts from one whose muscles are smeared."""
-    true = face.model.weights
-    targets = {f"pose {k}": target_of(face, true, pose) for k, pose in enumerate(poses(4))}
-    smeared = weights.replace_values(true, np.tile([0.6, 0.2, 0.2], true.shape[0]))
-    face_smeared = Face(replace(face.model, weights=smeared))
-    rest = face_smeared.rest_state(smeared)
-    regulariser = Regulariser(1e-3, 1e-3, 1e-6, face_smeared.rest_pose())
-    alone = {
-        name: activation.fit(
-            face_smeared, smeared, SkinDistance(face_smeared, target), regulariser, rest
-        ).state
-        for name, target in targets.items()
-    }
-    before = geometry.mean_error(face_smeared, targets, alone)
-    fitted = geometry.fit(face_smeared, targets, GeometryOptions(rounds=5))
-    after = geometry.mean_error(face_smeared, targets, fitted.states)
-    assert after < 0.5 * before
-    assert fitted.S.data.min() >= 0.0
-    np.testing.assert_allclose(fitted.S.sum(axis=1), 1.0, atol=1e-12)
-    assert all(face.flesh.inverted(state.x) == 0 for state in fitted.states.values())
 
 
 def test_regulariser_derivatives_match_finite_differences(face):

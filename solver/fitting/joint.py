@@ -1,0 +1,235 @@
+"""One Gauss-Newton step on everything the multi-target problem solves for: S, and every a_k, b_k.
+
+    f = sum_k [ data_k(x_k) + regulariser(a_k, b_k) ] + w_s/2 |S - S_prior|^2 + 1/2 |L S|^2
+
+The equilibria x_k are eliminated as everywhere (:mod:`solver.fitting.sensitivity`). Linearised,
+expression k adds g_k . dx_k + 1/2 dx_k . C_k dx_k with dx_k = X_k dS + Z_k dp_k, p_k = (a_k, b_k).
+The matrix of its pose, B_k = Z_k^T C_k Z_k + R_k, is small and dense. Eliminating dp_k as well
+(variable projection: Golub and Pereyra 1973) leaves a system in S alone,
+
+    sum_k X_k^T (C_k - T_k B_k^-1 T_k^T) X_k + w_s + L^T L,    T_k = C_k Z_k,
+
+which is never formed: conjugate gradients need two solves with the stiffness an expression and
+product, and stay on the tangent of the simplex. The published block coordinate descent solves for
+S and the poses in turn, which is the same system without T_k.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sp
+import scipy.sparse.linalg
+
+from solver.errors import SolveError
+from solver.fitting import activation, simplex
+from solver.fitting.activation import LARGEST_STEP, LARGEST_TURN
+from solver.fitting.face import Face, Pose, State
+from solver.fitting.objective import JAW_UNITS, Regulariser
+from solver.fitting.sensitivity import Sensitivity
+from solver.fitting.terms import Term
+from solver.fitting.weights import replace_values
+from solver.surface import Floats
+
+CG_ITERATIONS = 25
+CG_TOLERANCE = 0.1
+
+LARGEST_CHANGE = 0.3
+"""Trust in the linear model: change of an entry of S per step."""
+
+DAMPING_START = 1e-5
+POSE_DAMPING_START = 1e-2
+DAMPING_LEAST, POSE_DAMPING_LEAST = 1e-8, 1e-6
+JAW_DAMPING = 1e-3
+HALVINGS = 4
+
+WELL, BADLY = 0.75, 0.25
+"""Gains, as parts of the predicted, from which on damping falls and below which it grows."""
+
+
+@dataclass(frozen=True)
+class GeometryProblem:
+    """f: the terms and the regulariser of every expression, and the priors of S.
+
+    ``prior`` has the values (nnz,) of S_prior, ``structure`` is L (k, nnz).
+    """
+
+    face: Face
+    data: Mapping[str, Term]
+    regulariser: Regulariser
+    w_s: float
+    prior: Floats
+    structure: sp.csr_array
+
+    def value(self, S: sp.csr_array, states: Mapping[str, State]) -> float:
+        """Return f at the states' estimates."""
+        expressions = [self.expression_value(name, state) for name, state in states.items()]
+        return sum(expressions) + self.prior_value(S.data)
+
+    def expression_value(self, name: str, state: State) -> float:
+        """Return one expression's part of f."""
+        return activation.objective(self.data[name], self.regulariser, state)
+
+    def prior_value(self, values: Floats) -> float:
+        """Return S's own part of f."""
+        away, unlike = values - self.prior, self.structure @ values
+        return float(0.5 * self.w_s * away @ away + 0.5 * unlike @ unlike)
+
+    def prior_gradient(self, values: Floats) -> Floats:
+        """Return the derivative of :meth:`prior_value`, (nnz,)."""
+        away = self.w_s * (values - self.prior)
+        return np.asarray(away + self.structure.T @ (self.structure @ values))
+
+
+@dataclass(frozen=True)
+class Iterate:
+    """Where the fit is, and how far it trusts the linear models of S and of every pose."""
+
+    S: sp.csr_array
+    states: dict[str, State]
+    damping: float = DAMPING_START
+    pose_damping: dict[str, float] = field(default_factory=dict)
+
+
+def step(problem: GeometryProblem, now: Iterate) -> Iterate:
+    """Return a better iterate, or the same S and states with more damping.
+
+    The states are only approached, as in the fit of activations.
+    """
+    damping = {name: now.pose_damping.get(name, POSE_DAMPING_START) for name in now.states}
+    models = {
+        name: _Linearised(problem, name, now.S, state, damping[name])
+        for name, state in now.states.items()
+    }
+    change = _change(problem, now, list(models.values()))
+    before = problem.prior_value(now.S.data)
+    for halving in range(HALVINGS):
+        share = 0.5**halving
+        values = simplex.project(now.S.data + share * change, now.S.indptr)
+        S = replace_values(now.S, values)
+        trials = {
+            name: model.trial(S, values - now.S.data, share) for name, model in models.items()
+        }
+        for name, trial in trials.items():
+            damping[name] = _adapted(damping[name], trial.ratio, POSE_DAMPING_LEAST)
+        gain = sum(trial.gain for trial in trials.values()) + before - problem.prior_value(values)
+        if gain > 0.0:
+            predicted = sum(trial.predicted for trial in trials.values())
+            # a step that had to be halved says how much too far the linear model reached
+            ratio = gain / predicted if halving == 0 else 1.0
+            states = {name: trial.state for name, trial in trials.items() if trial.state}
+            grown = 4.0**halving * now.damping
+            return Iterate(S, states, _adapted(grown, ratio, DAMPING_LEAST), damping)
+    return Iterate(now.S, now.states, 4.0**HALVINGS * now.damping, damping)
+
+
+def _adapted(damping: float, ratio: float, least: float) -> float:
+    """Return the damping after a step that gained ``ratio`` of what its model predicted."""
+    if ratio < BADLY:
+        return 4.0 * damping
+    return max(damping / 4.0, least) if ratio > WELL else damping
+
+
+def _change(problem: GeometryProblem, now: Iterate, models: list[_Linearised]) -> Floats:
+    """Return the change (nnz,) of S's values that minimises the damped model, poses following."""
+    indptr, structure = now.S.indptr, problem.structure
+    gradient = problem.prior_gradient(now.S.data)
+    for model in models:
+        gradient += model.gradient_by_geometry()
+    free = simplex.free_entries(now.S.data, gradient, indptr)
+
+    def product(direction: Floats) -> Floats:
+        out = (problem.w_s + now.damping) * direction + structure.T @ (structure @ direction)
+        for model in models:
+            out += model.product(direction)
+        return simplex.tangent(out, free, indptr)
+
+    system = scipy.sparse.linalg.LinearOperator(
+        (now.S.nnz, now.S.nnz), matvec=product, dtype=np.float64
+    )
+    right = -simplex.tangent(gradient, free, indptr)
+    change, _ = scipy.sparse.linalg.cg(system, right, rtol=CG_TOLERANCE, maxiter=CG_ITERATIONS)
+    return np.asarray(np.clip(change, -LARGEST_CHANGE, LARGEST_CHANGE))
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """What a step did for one expression; no state and an infinite loss where it led too far."""
+
+    state: State | None
+    gain: float
+    predicted: float
+
+    @property
+    def ratio(self) -> float:
+        return self.gain / self.predicted if self.predicted > 0.0 else 0.0
+
+
+class _Linearised:
+    """The Gauss-Newton model of one expression at a state, its pose's part damped."""
+
+    def __init__(
+        self, problem: GeometryProblem, name: str, S: sp.csr_array, state: State, damping: float
+    ) -> None:
+        self._problem, self._name, self._state = problem, name, state
+        self._response = Sensitivity(problem.face, S, state)
+        self._jacobian = jacobian = self._response.by_pose()
+        data, regulariser = problem.data[name], problem.regulariser
+        gradient, curvature = data.gradient(state.estimate), data.curvature(state.estimate)
+        self._by_x = gradient.ravel()[jacobian.free]
+        rows = curvature[jacobian.free]
+        self._curvature = rows[:, jacobian.free]
+        self._touched = np.flatnonzero(np.diff(rows.indptr))
+        self._coupling = self._curvature[self._touched] @ jacobian.flesh
+        self._coupling[:, -5:] += rows[self._touched][:, jacobian.moving] @ jacobian.jaw
+        self._by_pose = jacobian.transposed(gradient) + regulariser.gradient(state.pose)
+        self._hessian = jacobian.contracted(curvature) + regulariser.gauss_newton(state.pose)
+        units = np.concatenate([np.ones(state.pose.a.size), JAW_UNITS**2 * JAW_DAMPING])
+        self._factor = scipy.linalg.cho_factor(self._hessian + damping * np.diag(units))
+
+    def gradient_by_geometry(self) -> Floats:
+        """Return f's derivative (nnz,) by S, the pose following."""
+        by_x = self._by_x.copy()
+        by_x[self._touched] -= self._coupling @ self._solve(self._by_pose)
+        return self._response.by_geometry_adjoint(by_x)
+
+    def product(self, change: Floats) -> Floats:
+        """Return X^T (C - T B^-1 T^T) X applied to a change of S, (nnz,)."""
+        flesh = self._response.flesh_by_geometry(change)
+        pull = self._curvature @ flesh
+        pull[self._touched] -= self._coupling @ self._solve(self._coupled(flesh))
+        return self._response.by_geometry_adjoint(pull)
+
+    def trial(self, S: sp.csr_array, change: Floats, share: float) -> _Trial:
+        """Go to a new S and ``share`` of the way to the pose that goes with it."""
+        problem, state = self._problem, self._state
+        flesh = self._response.flesh_by_geometry(change)
+        by_pose = -self._solve(self._by_pose + self._coupled(flesh))
+        longest = max(
+            np.abs(by_pose[:-5]).max() / LARGEST_STEP, np.abs(by_pose[-5:-3]).max() / LARGEST_TURN
+        )
+        by_pose *= share / max(longest, 1.0)
+        pose = Pose(state.pose.a + by_pose[:-5].reshape(-1, 6), state.pose.b + by_pose[-5:])
+        predicted = self._predicted(flesh, by_pose)
+        try:
+            trial = problem.face.approach(S, state, flesh + self._jacobian.flesh @ by_pose, pose)
+        except SolveError:
+            return _Trial(None, -np.inf, predicted)
+        gain = problem.expression_value(self._name, state)
+        gain -= problem.expression_value(self._name, trial)
+        return _Trial(trial, gain, predicted)
+
+    def _predicted(self, flesh: Floats, by_pose: Floats) -> float:
+        """Return what the undamped model gains by a change of the flesh and of the pose."""
+        slope = self._by_x @ flesh + self._by_pose @ by_pose
+        bend = flesh @ (self._curvature @ flesh) + by_pose @ (self._hessian @ by_pose)
+        return float(-slope - 0.5 * bend - by_pose @ self._coupled(flesh))
+
+    def _coupled(self, flesh: Floats) -> Floats:
+        return np.asarray(self._coupling.T @ flesh[self._touched])
+
+    def _solve(self, right: Floats) -> Floats:
+        return np.asarray(scipy.linalg.cho_solve(self._factor, right))

@@ -1,0 +1,115 @@
+"""The multi-target problem: its linear model against a dense one, and what the fit finds."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.sparse as sp
+
+from solver.fitting import activation, geometry, joint, simplex
+from solver.fitting.face import Face, Pose
+from solver.fitting.geometry import GeometryOptions
+from solver.fitting.joint import GeometryProblem, Iterate
+from solver.fitting.objective import Regulariser, Target
+from solver.fitting.sensitivity import Sensitivity
+from solver.fitting.terms import SkinDistance
+from solver.fitting.weights import replace_values
+from tests.unit.solver.block import block_model
+
+
+@pytest.fixture(scope="module")
+def face():
+    return Face(block_model())
+
+
+def poses(count):
+    """Contractions along x of both muscles, jaw open by some degrees."""
+    rng = np.random.default_rng(4)
+    found = []
+    for _ in range(count):
+        stretch = rng.uniform(0.7, 1.0, 2)
+        a = np.array([[s, 0.05, 0.0, 1.0 / np.sqrt(s), 0.0, 1.0 / np.sqrt(s)] for s in stretch])
+        found.append(Pose(a, np.array([rng.uniform(0.0, 0.15), 0.02, 0.2, -0.5, 0.4])))
+    return found
+
+
+def targets_of(face, count):
+    S = face.model.weights
+    rest = face.rest_state(S)
+    return {
+        f"pose {k}": Target.from_points(face.face_points(face.move(S, rest, pose).x))
+        for k, pose in enumerate(poses(count))
+    }
+
+
+def smeared(model):
+    """Return the model with an S whose muscles are everywhere."""
+    weights = replace_values(model.weights, np.tile([0.6, 0.2, 0.2], len(model.tets)))
+    return replace(model, weights=weights)
+
+
+def test_step_solves_the_dense_system():
+    """Far from bounds, with damping that dwarfs no term, against the normal equations in full."""
+    face = Face(smeared(block_model((3, 2, 2))))
+    S = face.model.weights
+    data = {name: SkinDistance(face, target) for name, target in targets_of(face, 2).items()}
+    regulariser = Regulariser(0.5, 0.1, 1e-4, face.rest_pose())
+    structure = sp.csr_array(0.1 * sp.random_array((5, S.nnz), density=0.1, rng=0))
+    problem = GeometryProblem(face, data, regulariser, 1.0, S.data + 0.01, structure)
+    states = dict.fromkeys(data, face.rest_state(S))
+    count = face.rest_pose().a.size + 5
+    units = np.concatenate([np.ones(count - 5), np.array([1e4, 1e4, 1, 1, 1]) * 1e-3])
+    total = S.nnz + len(data) * count
+    matrix, gradient = np.zeros((total, total)), np.zeros(total)
+    matrix[: S.nnz, : S.nnz] = 2.0 * np.eye(S.nnz) + structure.T @ structure
+    gradient[: S.nnz] = problem.prior_gradient(S.data)
+    for number, (name, term) in enumerate(data.items()):
+        x = states[name].x
+        response = Sensitivity(face, S, states[name])
+        jacobian = response.by_pose()
+        by_all = np.zeros((x.size, total))
+        by_all[jacobian.free, : S.nnz] = np.stack(
+            [response.flesh_by_geometry(column) for column in np.eye(S.nnz)], axis=1
+        )
+        own = slice(S.nnz + number * count, S.nnz + (number + 1) * count)
+        by_all[jacobian.free, own] = jacobian.flesh
+        by_all[jacobian.moving, own.stop - 5 : own.stop] += jacobian.jaw
+        matrix += by_all.T @ (term.curvature(x) @ by_all)
+        gradient += by_all.T @ term.gradient(x).ravel()
+        matrix[own, own] += regulariser.gauss_newton(states[name].pose) + 1e-2 * np.diag(units)
+        gradient[own] += regulariser.gradient(states[name].pose)
+    rows = np.zeros((S.shape[0], total))
+    rows[np.repeat(np.arange(S.shape[0]), 3), np.arange(S.nnz)] = 1.0
+    tangent = scipy.linalg.null_space(rows)
+    expected = -tangent @ np.linalg.solve(tangent.T @ matrix @ tangent, tangent.T @ gradient)
+    expected = simplex.project(S.data + expected[: S.nnz], S.indptr) - S.data
+    found = joint.step(
+        problem, Iterate(S, states, damping=1.0, pose_damping=dict.fromkeys(data, 1e-2))
+    )
+    change = found.S.data - S.data
+    assert np.abs(expected).max() > 1e-2
+    assert np.linalg.norm(change - expected) < joint.CG_TOLERANCE * np.linalg.norm(expected)
+
+
+def test_fit_improves_on_the_wrong_weights_and_stays_on_the_simplex(face):
+    """Targets come from the true S; the fit starts from one whose muscles are smeared."""
+    targets = targets_of(face, 4)
+    start = Face(smeared(face.model))
+    data = {name: SkinDistance(start, target) for name, target in targets.items()}
+    rest = start.rest_state(start.model.weights)
+    regulariser = Regulariser(1e-3, 1e-3, 1e-6, start.rest_pose())
+    alone = {
+        name: activation.fit(start, start.model.weights, term, regulariser, rest).state
+        for name, term in data.items()
+    }
+    before = geometry.mean_error(start, targets, alone)
+    fitted = geometry.fit(start, data, GeometryOptions(rounds=12))
+    after = geometry.mean_error(start, targets, fitted.states)
+    assert after < 0.1 * before
+    assert fitted.S.data.min() >= 0.0
+    np.testing.assert_allclose(fitted.S.sum(axis=1), 1.0, atol=1e-12)
+    assert all(face.flesh.inverted(state.x) == 0 for state in fitted.states.values())
+    # what was found is a good start
+    again = geometry.fit(start, data, GeometryOptions(rounds=2), start=fitted.S)
+    assert geometry.mean_error(start, targets, again.states) < 1.5 * after
