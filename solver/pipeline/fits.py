@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -19,6 +21,7 @@ from solver.fitting.terms import SkinDistance
 from solver.model import SubjectModel
 from solver.pipeline.common import Options, refuse, take
 from solver.progress import Progress, Step, silent
+from solver.rig.certificate import certify, with_round_trips
 from solver.rig.export import write_rig
 from solver.rig.result import ExpressionFit, Rig, load_activations, load_weights
 from solver.scans.read import read_registered
@@ -48,7 +51,7 @@ def fit_geometry(
     schedule = GeometryOptions(rounds=given["rounds"])
 
     def listen(number: int, states: Mapping[str, State]) -> None:
-        done = 0.02 + 0.9 * number / schedule.rounds
+        done = 0.02 + 0.78 * number / schedule.rounds
         error = geometry.mean_error(face, targets, states)
         progress(Step("geometry", done, number + 1, mean_error_mm=error))
 
@@ -68,7 +71,10 @@ def fit_geometry(
         )
         for name in targets
     )
-    return _export(subject, fitted.S, expressions, {"geometry": seconds}, out, progress)
+    settings = asdict(schedule)
+    return _export(
+        face, fitted.S, expressions, {"geometry": seconds}, settings, out, _later(progress, 0.8)
+    )
 
 
 def fit_activations(
@@ -101,7 +107,7 @@ def fit_activations(
 
         def listen(iteration: int, value: float, number: int = number, name: str = name) -> None:
             part = (number + iteration / stop.max_iterations) / len(scans)
-            progress(Step("activations", 0.02 + 0.85 * part, iteration, value, message=name))
+            progress(Step("activations", 0.02 + 0.48 * part, iteration, value, message=name))
 
         start = time.perf_counter()
         data = SkinDistance(face, target)
@@ -119,7 +125,8 @@ def fit_activations(
             )
         )
     seconds = {"activations": time.perf_counter() - begin}
-    return _export(subject, S, tuple(expressions), seconds, out, progress)
+    settings = {**NEW_EXPRESSION, **asdict(stop)}
+    return _export(face, S, tuple(expressions), seconds, settings, out, _later(progress, 0.5))
 
 
 def _read(
@@ -177,21 +184,37 @@ def _expression(
         iterations=iterations,
         seconds=seconds,
         objective=target.value(points),
+        x=state.x,
     )
 
 
 def _export(
-    model: SubjectModel,
+    face: Face,
     S: sp.csr_array,
     expressions: tuple[ExpressionFit, ...],
     seconds: dict[str, float],
+    settings: dict[str, Any],
     out: Path,
     progress: Progress,
 ) -> list[Path]:
-    progress(Step("export", 0.93, message="exports and pictures"))
-    files = write_rig(Rig(model, S, expressions, seconds), out)
+    """Check what was fitted and write the rig's files; ``progress`` counts from 0 to 1 here."""
+
+    def listen(name: str, number: int) -> None:
+        progress(Step("round_trip", 0.85 * number / len(expressions), number + 1, message=name))
+
+    start = time.perf_counter()
+    expressions = with_round_trips(face, S, expressions, listen)
+    seconds = {**seconds, "round_trip": time.perf_counter() - start}
+    rig = Rig(face.model, S, expressions, seconds)
+    progress(Step("export", 0.85, message="certificate, exports and pictures"))
+    files = write_rig(rig, certify(face, rig, settings), out)
     progress(Step("done", 1.0))
     return files
+
+
+def _later(progress: Progress, begin: float) -> Progress:
+    """Return a progress whose way from 0 to 1 is the rest of the job from ``begin``."""
+    return lambda step, /: progress(replace(step, fraction=begin + (1.0 - begin) * step.fraction))
 
 
 def _activations_file(rig: Path) -> Path:

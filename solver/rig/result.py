@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ import scipy.sparse as sp
 from solver.archive import NOT_READABLE
 from solver.errors import InputError
 from solver.model import SubjectModel
+from solver.rig.round_trip import RoundTrip
 from solver.surface import Floats, Ints
 
 FORMAT = 1
@@ -44,6 +45,10 @@ class ExpressionFit:
         How the solve went.
     objective
         Mean squared distance to the target over the face, mm^2.
+    x
+        (p, 3) tet vertices as solved, mm; None in rigs made before they were kept.
+    round_trip
+        What came back when the activations were simulated and fitted again; None if not tried.
     """
 
     name: str
@@ -57,6 +62,8 @@ class ExpressionFit:
     iterations: int
     seconds: float
     objective: float
+    x: Floats | None = None
+    round_trip: RoundTrip | None = None
 
     def measured_error(self, vertices: Ints) -> Floats:
         """Return the errors (k,) in mm of those ``vertices`` that the scan shows."""
@@ -87,6 +94,14 @@ def save_activations(
         rows: np.ndarray = np.array([getattr(fit, field) for fit in expressions], dtype=dtype)
         return rows.reshape(len(expressions), *shape)
 
+    x = np.full((len(expressions), *model.rest.shape), np.nan)
+    trips = np.full((len(expressions), len(fields(RoundTrip))), np.nan)
+    for k, fit in enumerate(expressions):
+        if fit.x is not None:
+            x[k] = fit.x
+        if fit.round_trip is not None:
+            trips[k] = astuple(fit.round_trip)
+
     with path.open("wb") as stream:
         np.savez_compressed(
             stream,
@@ -104,6 +119,8 @@ def save_activations(
             iterations=stacked("iterations", (), np.int64),
             seconds=stacked("seconds", ()),
             objective=stacked("objective", ()),
+            x=x,
+            round_trip=trips,
         )
 
 
@@ -134,6 +151,10 @@ def load_activations(path: Path, model: SubjectModel) -> tuple[ExpressionFit, ..
                 iterations=int(data["iterations"][k]),
                 seconds=float(data["seconds"][k]),
                 objective=float(data["objective"][k]),
+                x=_known(data, "x", k),
+                round_trip=None
+                if (trip := _known(data, "round_trip", k)) is None
+                else RoundTrip(*map(float, trip)),
             )
             for k in range(len(data["names"]))
         )
@@ -176,6 +197,13 @@ def model_hash(model: SubjectModel) -> str:
     digest.update(np.ascontiguousarray(model.rest, dtype="<f8").tobytes())
     digest.update(np.ascontiguousarray(model.tets, dtype="<i8").tobytes())
     return digest.hexdigest()
+
+
+def _known(data: dict[str, np.ndarray], array: str, k: int) -> Floats | None:
+    """Return a row of an array that older rigs do not have; None too where all of it is NaN."""
+    if array not in data or np.isnan(data[array][k]).all():
+        return None
+    return np.asarray(data[array][k], np.float64)
 
 
 @contextmanager

@@ -12,7 +12,9 @@ import pytest
 import scipy.sparse as sp
 
 from solver.errors import InputError
+from solver.fitting.face import Face
 from solver.model import SubjectModel
+from solver.rig.certificate import Certificate, certify
 from solver.rig.export import write_rig
 from solver.rig.gltf import write_glb
 from solver.rig.gltf_check import validate_glb
@@ -48,6 +50,11 @@ def rig(model: SubjectModel) -> Rig:
         expressions=tuple(_fit(model, name, rng) for name in NAMES),
         seconds={"geometry": 1.25},
     )
+
+
+@pytest.fixture(scope="module")
+def certificate(rig: Rig) -> Certificate:
+    return certify(Face(rig.model), rig, {"rounds": 2})
 
 
 def _fit(model: SubjectModel, name: str, rng: np.random.Generator) -> ExpressionFit:
@@ -111,9 +118,11 @@ def test_files_of_another_model_or_of_none_are_refused(rig: Rig, tmp_path: Path)
     assert caught.value.code == "rig.unreadable"
 
 
-def test_report_means_are_over_the_face_and_strict_json(rig: Rig, tmp_path: Path) -> None:
+def test_report_means_are_over_the_face_and_strict_json(
+    rig: Rig, certificate: Certificate, tmp_path: Path
+) -> None:
     path = tmp_path / "report.json"
-    write_report(path, rig)
+    write_report(path, report(rig, certificate))
     figures = json.loads(path.read_text(), parse_constant=pytest.fail)
     moved = ict_capture("smile").vertices - ict_capture("neutral").vertices
     expected = (1 - SHARE) * np.linalg.norm(moved[rig.model.face], axis=1).mean()
@@ -125,7 +134,8 @@ def test_report_means_are_over_the_face_and_strict_json(rig: Rig, tmp_path: Path
     assert figures["train_mean_mm"] == pytest.approx(np.mean(train), abs=1e-3)
     assert figures["test_mean_mm"] == figures["expressions"]["ah"]["mean_mm"]
     assert (figures["inverted"], figures["muscles"]) == (3, 43)
-    assert report(replace(rig, expressions=rig.expressions[:1]))["test_mean_mm"] is None
+    one = replace(rig, expressions=rig.expressions[:1])
+    assert report(one, certificate)["test_mean_mm"] is None
 
 
 def test_parts_of_the_topology(model: SubjectModel) -> None:
@@ -184,8 +194,10 @@ def test_a_broken_glb_is_noticed(rig: Rig, tmp_path: Path) -> None:
     assert any("not finite" in fault for fault in validate_glb(path, NAMES))
 
 
-def test_write_rig_writes_every_file(rig: Rig, tmp_path: Path) -> None:
-    written = write_rig(replace(rig, expressions=rig.expressions[:1]), tmp_path / "rig")
-    names = ["rig.glb", "activations.npz", "muscle_weights.npz", "report.json", "fit_smile.png"]
+def test_write_rig_writes_every_file(rig: Rig, certificate: Certificate, tmp_path: Path) -> None:
+    one = replace(rig, expressions=rig.expressions[:1])
+    written = write_rig(one, certificate, tmp_path / "rig")
+    names = ["rig.glb", "activations.npz", "muscle_weights.npz", "report.json", "report.html"]
+    names.append("fit_smile.png")
     assert [path.name for path in written] == names
     assert all(path.stat().st_size > 500 for path in written)

@@ -1,0 +1,221 @@
+"""The checks of a rig: what is measured, where it is good, and what to do where it is not.
+
+Limits are the project's own, from what fits of captured faces reach, unless a source is named.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from solver.mechanics.equilibrium import STALLED, TOLERANCE
+
+Verdict = Literal["good", "usable", "bad"]
+ORDER: tuple[Verdict, ...] = ("good", "usable", "bad")
+
+
+@dataclass(frozen=True)
+class Check:
+    """A figure with its limits: good up to ``good``, usable up to ``usable``, else bad.
+
+    With ``least`` the figure is good from ``good`` upwards. ``meaning`` and ``advice`` are for the
+    person who reads the page.
+    """
+
+    code: str
+    group: str
+    title: str
+    unit: str
+    good: float
+    usable: float
+    meaning: str
+    advice: str
+    least: bool = False
+
+    def verdict(self, value: float) -> Verdict:
+        """Judge a figure; what is not a number is bad."""
+        sign = -1.0 if self.least else 1.0
+        if sign * value <= sign * self.good:
+            return "good"
+        return "usable" if sign * value <= sign * self.usable else "bad"
+
+
+CHECKS = (
+    Check(
+        "skin.mean",
+        "Skin",
+        "Mean distance",
+        "mm",
+        0.45,
+        1.0,
+        "between scan and fit, over the part of the face that the scan shows",
+        "Look at the expression's picture. If the error is all over the face, the scan is not"
+        " registered to this neutral: register it again. If it is in one place, look there.",
+    ),
+    Check(
+        "skin.p95",
+        "Skin",
+        "Distance of the worst twentieth",
+        "mm",
+        1.3,
+        2.5,
+        "19 of 20 vertices of the face are nearer to the scan than this",
+        "Look at the red patches in the picture: hair, a shadow or a hole in the scan shows as a"
+        " patch with a sharp rim. Mask it or scan again.",
+    ),
+    Check(
+        "skin.region",
+        "Skin",
+        "Mean distance in the worst region",
+        "mm",
+        1.0,
+        2.0,
+        "the region of the face that fits worst",
+        "Fit the muscle geometry with a training expression that moves this region.",
+    ),
+    Check(
+        "skin.coverage",
+        "Skin",
+        "Face that the scan shows",
+        "%",
+        95.0,
+        60.0,
+        "share of the face's vertices with confidence in the scan",
+        "The rest of the face follows the muscles and is not measured. Scan again if it matters.",
+        least=True,
+    ),
+    Check(
+        "flesh.inverted",
+        "Flesh",
+        "Inverted tets",
+        "",
+        0,
+        0,
+        "tets that are turned inside out",
+        "Do not simulate with this expression. Fit it again with more iterations.",
+    ),
+    Check(
+        "flesh.flattest",
+        "Flesh",
+        "Flattest tet",
+        "of its volume",
+        0.05,
+        0.005,
+        "the smallest volume of a tet by its volume at rest",
+        "Harmless for the skin. A simulation that starts here takes small steps; build the model"
+        " with a coarser mesh if it fails.",
+        least=True,
+    ),
+    Check(
+        "flesh.volume",
+        "Flesh",
+        "Change of volume",
+        "%",
+        5.0,
+        10.0,
+        "of the flesh as a whole; living flesh keeps its volume",
+        "The skin is not touched by this. Fit again with a greater volume weight if the volume"
+        " matters to you.",
+    ),
+    Check(
+        "flesh.residual",
+        "Flesh",
+        "Residual force",
+        "",
+        10 * TOLERANCE,
+        STALLED,
+        "what is left of the forces, by the forces at unit strain",
+        "The flesh has not come to rest. Fit this expression again with more iterations.",
+    ),
+    Check(
+        "flesh.minimum",
+        "Flesh",
+        "Unstable equilibrium",
+        "",
+        0,
+        0,
+        "1 if the flesh could snap into another shape",
+        "Simulations may snap away from this shape. Fit the expression again, or leave it out.",
+    ),
+    Check(
+        "muscles.inside_out",
+        "Muscles and jaw",
+        "Muscles turned inside out",
+        "",
+        0,
+        0,
+        "muscles whose activation has no physical shape",
+        "The skin is right, the muscles are not: do not read or edit these activations. Fit with a"
+        " greater weight w_v or w_a.",
+    ),
+    Check(
+        "muscles.beyond",
+        "Muscles and jaw",
+        "Muscles beyond what muscles can do",
+        "",
+        0,
+        np.inf,
+        "shrinking below half, growing beyond double, pushing, or losing volume",
+        "Good for playing the expression back. For reading activations as effort, fit with a"
+        " greater w_a.",
+    ),
+    Check(
+        "jaw.range",
+        "Muscles and jaw",
+        "Jaw beyond what jaws can do",
+        "",
+        0,
+        np.inf,
+        "figures of its motion that are outside the range of healthy jaws",
+        "Check the neutral scan: with parted or clenched teeth there, every jaw angle is off.",
+    ),
+    Check(
+        "trip.skin",
+        "Round trip",
+        "Simulated from rest",
+        "mm",
+        0.05,
+        0.3,
+        "mean distance between the fitted skin and the one simulated from its activations",
+        "This pose has two shapes of rest. Blend into it from a neighbouring expression instead of"
+        " from rest, or fit it again.",
+    ),
+    Check(
+        "trip.snap",
+        "Round trip",
+        "Simulated from rest, greatest",
+        "mm",
+        0.5,
+        2.0,
+        "where the fitted and the simulated skin are furthest apart",
+        "A patch of skin snaps into another shape. Look there in the picture; blend into this pose"
+        " from a neighbouring expression.",
+    ),
+    Check(
+        "trip.refit",
+        "Round trip",
+        "Fitted again",
+        "mm",
+        0.05,
+        0.3,
+        "mean distance between the simulated skin and a new fit to it",
+        "The solver stops before the minimum: fit with more iterations.",
+    ),
+    Check(
+        "trip.activations",
+        "Round trip",
+        "Activations found again",
+        "%",
+        10.0,
+        30.0,
+        "difference of the excited muscles' activations by their distance from rest",
+        "Other activations give the same skin: do not compare single muscles between expressions.",
+    ),
+)
+
+
+def overall(verdicts: list[Verdict]) -> Verdict:
+    """Return the worst of the verdicts; good without any."""
+    return max(verdicts, key=ORDER.index, default="good")

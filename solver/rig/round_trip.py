@@ -1,0 +1,90 @@
+"""Round trip of a fit: its activations simulated from rest, and fitted again to what that gives.
+
+The first half shows whether the pose has another equilibrium than the one that was fitted
+(buckling), the second whether the skin tells the activations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from solver.errors import SolveError
+from solver.fitting import activation
+from solver.fitting.activation import ActivationOptions
+from solver.fitting.face import Face, Pose, State
+from solver.fitting.objective import Regulariser, Target
+from solver.fitting.terms import SkinDistance
+from solver.mechanics.flesh import IDENTITY
+from solver.surface import Floats
+
+EXCITED = 0.05
+"""A muscle whose activation is this far from rest (Frobenius) counts as excited."""
+
+REFIT = {"w_a": 1e-5, "w_v": 1e-3, "w_b": 1e-7}
+"""Light regularisers: the target can be reached, and a bias would be taken for an error."""
+
+STOP = ActivationOptions(25, tolerance=1e-2)
+
+
+@dataclass(frozen=True)
+class RoundTrip:
+    """What came back; NaN throughout where the pose can not be reached from rest.
+
+    ``skin_*_mm`` are distances between the fitted and the simulated skin over the face, ``refit_*``
+    between the simulated and the fitted-again one. ``activation_error`` is the difference of the
+    excited muscles' activations by their distance from rest, NaN if none is excited.
+    """
+
+    skin_mean_mm: float
+    skin_max_mm: float
+    refit_mean_mm: float
+    refit_max_mm: float
+    activation_error: float
+
+    @property
+    def reached(self) -> bool:
+        """Return whether the pose was reached from rest."""
+        return bool(np.isfinite(self.skin_mean_mm))
+
+
+OUT_OF_REACH = RoundTrip(*[np.nan] * 5)
+
+
+def round_trip(
+    face: Face, S: sp.csr_array, pose: Pose, fitted_face: Floats, rest: State
+) -> RoundTrip:
+    """Simulate ``pose`` from ``rest`` and fit it again to the simulated skin.
+
+    ``fitted_face`` (k, 3) is the fitted skin of the face, in mm.
+    """
+    try:
+        simulated = face.move(S, rest, pose)
+    except SolveError:
+        return OUT_OF_REACH
+    points = face.face_points(simulated.x)
+    apart = np.linalg.norm(points - fitted_face, axis=1)
+    regulariser = Regulariser(**REFIT, prior=face.rest_pose())
+    data = SkinDistance(face, Target.from_points(points))
+    again = activation.fit(face, S, data, regulariser, rest, STOP).state
+    left = np.linalg.norm(face.face_points(again.x) - points, axis=1)
+    return RoundTrip(
+        float(apart.mean()),
+        float(apart.max()),
+        float(left.mean()),
+        float(left.max()),
+        activation_error(pose.a, again.pose.a),
+    )
+
+
+def activation_error(a: Floats, found: Floats) -> float:
+    """Return |found - a| by |a - a_I| over the excited muscles of ``a`` (m, 6); NaN without any."""
+    tensor = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])  # an off-diagonal entry stands for two
+    strength = np.sqrt((tensor * (a - IDENTITY) ** 2).sum(axis=1))
+    excited = strength > EXCITED
+    if not excited.any():
+        return float("nan")
+    missed = np.sqrt((tensor * (found - a) ** 2).sum(axis=1))
+    return float(np.linalg.norm(missed[excited]) / np.linalg.norm(strength[excited]))

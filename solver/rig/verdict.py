@@ -1,0 +1,108 @@
+"""The verdict on a rig: its figures against the limits of :mod:`solver.rig.checks`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from solver.model import SubjectModel
+from solver.rig.certificate import Certificate, ExpressionCheck
+from solver.rig.checks import CHECKS, Check, Verdict
+from solver.rig.result import ExpressionFit, Rig
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A check's figure for one expression, with ``detail`` in words where there is more to say."""
+
+    value: float
+    detail: str = ""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A check over all expressions that it could be made for; ``worst`` names one of them."""
+
+    check: Check
+    worst: str
+    measures: dict[str, Measure]
+
+    @property
+    def verdict(self) -> Verdict:
+        """Return the verdict on the worst expression."""
+        return self.of(self.worst)
+
+    def of(self, expression: str) -> Verdict:
+        """Return the verdict on an expression."""
+        return self.check.verdict(self.measures[expression].value)
+
+
+def judge(rig: Rig, certificate: Certificate) -> list[Judgement]:
+    """Judge every check that could be made, in the order of :data:`CHECKS`."""
+    made = {
+        fit.name: _measures(rig.model, fit, certificate.expressions[fit.name])
+        for fit in rig.expressions
+    }
+    judgements = []
+    for check in CHECKS:
+        measures = {name: found[check.code] for name, found in made.items() if check.code in found}
+        if measures:
+            sign = -1.0 if check.least else 1.0
+            worst = max(measures, key=lambda name: _rank(sign * measures[name].value))
+            judgements.append(Judgement(check, worst, measures))
+    return judgements
+
+
+def _rank(value: float) -> float:
+    return np.inf if np.isnan(value) else value
+
+
+def _measures(
+    model: SubjectModel, fit: ExpressionFit, check: ExpressionCheck
+) -> dict[str, Measure]:
+    """Return code -> figure of one expression."""
+    error = fit.measured_error(model.face)
+    inside_out = check.muscles.inside_out
+    found = {
+        "skin.mean": Measure(error.mean()),
+        "skin.p95": Measure(np.percentile(error, 95)),
+        "skin.coverage": Measure(100.0 * len(error) / len(model.face)),
+        "flesh.inverted": Measure(fit.inverted),
+        "muscles.inside_out": Measure(
+            len(inside_out), ", ".join(model.muscle_names[muscle] for muscle in inside_out)
+        ),
+        "jaw.range": Measure(len(check.jaw.faults()), ", ".join(check.jaw.faults())),
+    }
+    regions = {
+        name: fit.measured_error(np.intersect1d(ids, model.face))
+        for name, ids in model.regions.items()
+    }
+    means = {name: seen.mean() for name, seen in regions.items() if len(seen)}
+    if means:
+        worst = max(means, key=lambda name: means[name])
+        found["skin.region"] = Measure(means[worst], worst.replace("_", " "))
+    faulty = [
+        f"{name} {', '.join(faults)}"
+        for number, name in enumerate(model.muscle_names)
+        if (faults := check.muscles.faults(number))
+    ]
+    found["muscles.beyond"] = Measure(len(faulty), "; ".join(faulty))
+    if check.flesh is not None:
+        flesh = check.flesh
+        found |= {
+            "flesh.flattest": Measure(flesh.det_least, f"tet {flesh.flattest}"),
+            "flesh.volume": Measure(abs(flesh.volume_percent), f"{flesh.volume_percent:+.2f} %"),
+            "flesh.residual": Measure(flesh.residual),
+            "flesh.minimum": Measure(0 if flesh.minimum else 1),
+        }
+    if fit.round_trip is not None:
+        trip = fit.round_trip
+        unreached = "" if trip.reached else "not reached from rest"
+        found["trip.skin"] = Measure(trip.skin_mean_mm, unreached)
+        if trip.reached:
+            found["trip.snap"] = Measure(trip.skin_max_mm)
+            found["trip.refit"] = Measure(trip.refit_mean_mm)
+        if np.isfinite(trip.activation_error):
+            found["trip.activations"] = Measure(100.0 * trip.activation_error)
+    return found
