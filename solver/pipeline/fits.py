@@ -12,12 +12,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.errors import InputError
-from solver.fitting import activation, geometry
-from solver.fitting.activation import ActivationOptions
+from solver.fitting import activation, geometry, standard
 from solver.fitting.face import Face, State
 from solver.fitting.geometry import GeometryOptions
-from solver.fitting.objective import Regulariser, Target
-from solver.fitting.terms import SkinDistance
+from solver.fitting.objective import Target
 from solver.model import SubjectModel
 from solver.pipeline.common import Options, refuse, take
 from solver.progress import Progress, Step, silent
@@ -26,9 +24,6 @@ from solver.rig.export import write_rig
 from solver.rig.result import ExpressionFit, Rig, load_activations, load_weights
 from solver.scans.read import read_registered
 from solver.scans.registered import RegisteredScan
-
-NEW_EXPRESSION = {"w_a": 2e-3, "w_v": 1e-2, "w_b": 1e-6}
-"""Weights for an expression that S was not fitted to: w_a low from the start."""
 
 
 def fit_geometry(
@@ -47,7 +42,7 @@ def fit_geometry(
     subject, scans = _read(model, captures, progress)
     face = Face(subject, linear=given["linear_solver"])
     targets = {name: _target(subject, scan) for name, scan in scans.items()}
-    data = {name: SkinDistance(face, target) for name, target in targets.items()}
+    data = standard.terms(face, targets)
     schedule = GeometryOptions(rounds=given["rounds"])
 
     def listen(number: int, states: Mapping[str, State]) -> None:
@@ -92,40 +87,41 @@ def fit_activations(
     ``rig`` (``activations.npz`` of a rig, or its folder) carries that rig's expressions over; a
     new capture of the same name replaces the old. Options: ``max_iterations``, ``linear_solver``.
     """
-    given = take(options, {"max_iterations": 25, "linear_solver": None})
+    known = {"max_iterations": standard.UNSEEN_STOP.max_iterations, "linear_solver": None}
+    given = take(options, known)
     subject, scans = _read(model, captures, progress)
     S = load_weights(weights, subject)
     carried = () if rig is None else load_activations(_activations_file(rig), subject)
     face = Face(subject, linear=given["linear_solver"])
     rest = face.rest_state(S)
-    regulariser = Regulariser(**NEW_EXPRESSION, prior=face.rest_pose())
-    stop = ActivationOptions(given["max_iterations"], tolerance=1e-3)
+    regulariser = standard.unseen_regulariser(face)
+    stop = replace(standard.UNSEEN_STOP, max_iterations=given["max_iterations"])
+    targets = {name: _target(subject, scan) for name, scan in scans.items()}
+    data = standard.terms(face, targets)
     expressions = [fit for fit in carried if fit.name not in scans]
     begin = time.perf_counter()
     for number, (name, scan) in enumerate(scans.items()):
-        target = _target(subject, scan)
 
         def listen(iteration: int, value: float, number: int = number, name: str = name) -> None:
             part = (number + iteration / stop.max_iterations) / len(scans)
             progress(Step("activations", 0.02 + 0.48 * part, iteration, value, message=name))
 
         start = time.perf_counter()
-        data = SkinDistance(face, target)
-        fitted = activation.fit(face, S, data, regulariser, rest, stop, listen)
+        fitted = activation.fit(face, S, data[name], regulariser, rest, stop, listen)
         expressions.append(
             _expression(
                 face,
                 name,
                 "test",
                 scan,
-                target,
+                targets[name],
                 fitted.state,
                 iterations=fitted.iterations,
                 seconds=time.perf_counter() - start,
             )
         )
     seconds = {"activations": time.perf_counter() - begin}
-    settings = {**NEW_EXPRESSION, **asdict(stop)}
+    settings = {**standard.UNSEEN, **asdict(stop)}
     return _export(face, S, tuple(expressions), seconds, settings, out, _later(progress, 0.5))
 
 

@@ -1,0 +1,25 @@
+"""What jobs and benchmarks fit: the terms of every expression, and the weights of an unseen one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from solver.fitting.activation import ActivationOptions
+from solver.fitting.face import Face
+from solver.fitting.objective import Regulariser, Target
+from solver.fitting.terms import SkinDistance, Term
+
+UNSEEN = {"w_a": 1e-3, "w_v": 1e-2, "w_b": 1e-6}
+"""Weights for an expression that S was not fitted to: w_a low from the start."""
+
+UNSEEN_STOP = ActivationOptions(max_iterations=25, tolerance=1e-3)
+
+
+def terms(face: Face, targets: Mapping[str, Target]) -> dict[str, Term]:
+    """Return the data term of every expression."""
+    return {name: SkinDistance(face, target) for name, target in targets.items()}
+
+
+def unseen_regulariser(face: Face) -> Regulariser:
+    """Return the regulariser of an expression that S was not fitted to, around the resting face."""
+    return Regulariser(**UNSEEN, prior=face.rest_pose())
