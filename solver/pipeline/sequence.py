@@ -11,12 +11,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.errors import InputError
+from solver.fitting import standard
 from solver.fitting.face import Face, Pose
-from solver.fitting.objective import Regulariser
 from solver.fitting.stillness import stillness
 from solver.model import SubjectModel
 from solver.pipeline.common import Options, take
-from solver.pipeline.fits import NEW_EXPRESSION
 from solver.pipeline.follower import Follower, Tracker
 from solver.progress import Progress, Step, silent
 from solver.rig.result import load_weights
@@ -113,7 +112,7 @@ def _follower(
     state = face.rest_state(S)
     if last is not None:
         state = face.move(S, state, Pose(last.activations, last.jaw))
-    regulariser = Regulariser(**NEW_EXPRESSION, prior=face.rest_pose())
+    regulariser = standard.unseen_regulariser(face)
     tracker = Tracker(face, S, regulariser, given["temporal"], given["max_iterations"], state)
     return Follower(tracker, last, stillness(face, S) if given["head_motion"] else None)
 
