@@ -2,8 +2,12 @@
 
 Every kernel takes positions ``x`` (p, 3), ``tets`` (n, 4), shape-function gradients ``N``
 (n, 4, 3), rest volumes ``volume`` (n,), activations ``a`` (n, 6), the material arrays ``mu``,
-``lam``, ``kappa`` and ``stiffness`` (n,), and fills an array with one entry per tet. Scattering is
-left to the caller, so tets are independent and the loops run on all threads.
+``lam``, ``kappa`` and ``stiffness`` (n,), and fills an array with one entry per tet. Tets are
+independent, so the loops run on all threads; sums over tets are left to
+:mod:`solver.mechanics.assembly`.
+
+The shape functions sum to one, so what belongs to a tet's first vertex is minus the sum over the
+three others.
 """
 
 from __future__ import annotations
@@ -17,8 +21,8 @@ from solver.mechanics.material import (
     hessian_modes,
     stress,
     stress_by_activation,
-    symmetric,
 )
+from solver.mechanics.polar import Matrix, Symmetric
 from solver.surface import Floats, Ints
 
 CHUNK = 512
@@ -26,23 +30,39 @@ CHUNK = 512
 
 
 @nb.njit(cache=True, error_model="numpy")
-def deformation_gradient(x: Floats, tet: Ints, N: Floats, F: Floats) -> None:
-    """Write F = sum_a x_a (grad N_a)^T, (3, 3), of one tet."""
-    for i in range(3):
-        for j in range(3):
-            F[i, j] = (
-                x[tet[0], i] * N[0, j]
-                + x[tet[1], i] * N[1, j]
-                + x[tet[2], i] * N[2, j]
-                + x[tet[3], i] * N[3, j]
-            )
+def deformation_gradient(x: Floats, tet: Ints, N: Floats) -> Matrix:
+    """Return F = sum_v x_v (grad N_v)^T of one tet."""
+    o, p, q, r = tet[0], tet[1], tet[2], tet[3]
+    ax, ay, az = x[p, 0] - x[o, 0], x[p, 1] - x[o, 1], x[p, 2] - x[o, 2]
+    bx, by, bz = x[q, 0] - x[o, 0], x[q, 1] - x[o, 1], x[q, 2] - x[o, 2]
+    cx, cy, cz = x[r, 0] - x[o, 0], x[r, 1] - x[o, 1], x[r, 2] - x[o, 2]
+    return (
+        ax * N[1, 0] + bx * N[2, 0] + cx * N[3, 0],
+        ax * N[1, 1] + bx * N[2, 1] + cx * N[3, 1],
+        ax * N[1, 2] + bx * N[2, 2] + cx * N[3, 2],
+        ay * N[1, 0] + by * N[2, 0] + cy * N[3, 0],
+        ay * N[1, 1] + by * N[2, 1] + cy * N[3, 1],
+        ay * N[1, 2] + by * N[2, 2] + cy * N[3, 2],
+        az * N[1, 0] + bz * N[2, 0] + cz * N[3, 0],
+        az * N[1, 1] + bz * N[2, 1] + cz * N[3, 1],
+        az * N[1, 2] + bz * N[2, 2] + cz * N[3, 2],
+    )
+
+
+@nb.njit(cache=True, error_model="numpy")
+def activation(a: Floats) -> Symmetric:
+    """Return S(a) of one tet."""
+    return a[0], a[1], a[2], a[3], a[4], a[5]
 
 
 @nb.njit(cache=True, parallel=True, error_model="numpy")
 def deformation_gradients(x: Floats, tets: Ints, N: Floats, out: Floats) -> None:
     """Fill ``out`` (n, 3, 3) with the deformation gradients."""
     for e in nb.prange(len(tets)):
-        deformation_gradient(x, tets[e], N[e], out[e])
+        F = deformation_gradient(x, tets[e], N[e])
+        for i in range(3):
+            for j in range(3):
+                out[e, i, j] = F[3 * i + j]
 
 
 @nb.njit(cache=True, parallel=True, error_model="numpy")
@@ -59,15 +79,9 @@ def energies(
     out: Floats,
 ) -> None:
     """Fill ``out`` (n,) with V psi; infinite where a tet is inverted."""
-    n = len(tets)
-    for chunk in nb.prange((n + CHUNK - 1) // CHUNK):
-        work = np.empty((6, 3, 3))
-        F = np.empty((3, 3))
-        A = np.empty((3, 3))
-        for e in range(chunk * CHUNK, min(n, (chunk + 1) * CHUNK)):
-            deformation_gradient(x, tets[e], N[e], F)
-            symmetric(a[e], A)
-            out[e] = volume[e] * density(F, A, mu[e], lam[e], kappa[e], stiffness[e], work)
+    for e in nb.prange(len(tets)):
+        F = deformation_gradient(x, tets[e], N[e])
+        out[e] = volume[e] * density(F, activation(a[e]), mu[e], lam[e], kappa[e], stiffness[e])
 
 
 @nb.njit(cache=True, parallel=True, error_model="numpy")
@@ -84,21 +98,18 @@ def forces(
     out: Floats,
 ) -> None:
     """Fill ``out`` (n, 4, 3) with the energy's gradient by the four vertices."""
-    n = len(tets)
-    for chunk in nb.prange((n + CHUNK - 1) // CHUNK):
-        work = np.empty((6, 3, 3))
-        F = np.empty((3, 3))
-        A = np.empty((3, 3))
-        P = np.empty((3, 3))
-        for e in range(chunk * CHUNK, min(n, (chunk + 1) * CHUNK)):
-            deformation_gradient(x, tets[e], N[e], F)
-            symmetric(a[e], A)
-            stress(F, A, mu[e], lam[e], kappa[e], stiffness[e], work, P)
-            for v in range(4):
-                for i in range(3):
-                    out[e, v, i] = volume[e] * (
-                        P[i, 0] * N[e, v, 0] + P[i, 1] * N[e, v, 1] + P[i, 2] * N[e, v, 2]
-                    )
+    for e in nb.prange(len(tets)):
+        F = deformation_gradient(x, tets[e], N[e])
+        P = stress(F, activation(a[e]), mu[e], lam[e], kappa[e], stiffness[e])
+        for i in range(3):
+            total = 0.0
+            for v in range(1, 4):
+                force = volume[e] * (
+                    P[3 * i] * N[e, v, 0] + P[3 * i + 1] * N[e, v, 1] + P[3 * i + 2] * N[e, v, 2]
+                )
+                out[e, v, i] = force
+                total += force
+            out[e, 0, i] = -total
 
 
 @nb.njit(cache=True, parallel=True, error_model="numpy")
@@ -115,77 +126,93 @@ def stiffness_blocks(
     project: bool,
     out: Floats,
 ) -> None:
-    """Fill ``out`` (n, 4, 4, 3, 3) with the Hessian blocks of each pair of vertices.
+    """Fill ``out`` (n, PAIRS, 3, 3) with the Hessian blocks of each pair of vertices.
 
-    A mode W contributes V c (W grad N_a) (W grad N_b)^T, so the 12x12 element matrix is a handful
-    of outer products. The curvature of det F, needed where the barrier acts, is the skew matrix of
-    F's action: d2(det F) couples rows i and j of F by the third.
+    A mode W w^T of the Hessian by F contributes V (W grad N_u) (w grad N_v)^T.
     """
     n = len(tets)
     for chunk in nb.prange((n + CHUNK - 1) // CHUNK):
-        work = np.empty((6, 3, 3))
-        F = np.empty((3, 3))
-        A = np.empty((3, 3))
-        c = np.empty(MODES)
-        W = np.empty((MODES, 3, 3))
-        p = np.empty((4, 3))
+        left, right = np.empty((MODES, 9)), np.empty((MODES, 9))
+        p, q = np.empty((MODES, 9)), np.empty((MODES, 9))
+        K = np.empty((9, 9))
         for e in range(chunk * CHUNK, min(n, (chunk + 1) * CHUNK)):
-            K = out[e]
-            deformation_gradient(x, tets[e], N[e], F)
-            symmetric(a[e], A)
+            F = deformation_gradient(x, tets[e], N[e])
+            A = activation(a[e])
             count, curvature = hessian_modes(
-                F, A, mu[e], lam[e], kappa[e], stiffness[e], project, work, c, W
+                F, A, mu[e], lam[e], kappa[e], stiffness[e], project, left, right
             )
-            for u in range(4):
-                for v in range(u, 4):
-                    dot = N[e, u, 0] * N[e, v, 0] + N[e, u, 1] * N[e, v, 1]
-                    dot += N[e, u, 2] * N[e, v, 2]
-                    for i in range(3):
-                        for j in range(3):
-                            K[u, v, i, j] = 0.0
-                        K[u, v, i, i] = 2.0 * mu[e] * dot
+            V = volume[e]
             for k in range(count):
-                for u in range(4):
+                for v in range(3):
+                    n0, n1, n2 = N[e, v + 1, 0], N[e, v + 1, 1], N[e, v + 1, 2]
                     for i in range(3):
-                        p[u, i] = (
-                            W[k, i, 0] * N[e, u, 0]
-                            + W[k, i, 1] * N[e, u, 1]
-                            + W[k, i, 2] * N[e, u, 2]
+                        j = 3 * i
+                        p[k, 3 * v + i] = V * (
+                            left[k, j] * n0 + left[k, j + 1] * n1 + left[k, j + 2] * n2
                         )
-                for u in range(4):
-                    for v in range(u, 4):
-                        for i in range(3):
-                            scaled = c[k] * p[u, i]
-                            for j in range(3):
-                                K[u, v, i, j] += scaled * p[v, j]
-            if curvature != 0.0:
-                add_determinant_curvature(F, N[e], curvature, K)
-            for u in range(4):
-                for v in range(u, 4):
+                        q[k, 3 * v + i] = (
+                            right[k, j] * n0 + right[k, j + 1] * n1 + right[k, j + 2] * n2
+                        )
+            for r in range(9):
+                for c in range(9):
+                    K[r, c] = 0.0
+                for k in range(count):
+                    scale = p[k, r]
+                    for c in range(9):
+                        K[r, c] += scale * q[k, c]
+            for u in range(3):
+                for v in range(u, 3):
+                    dot = N[e, u + 1, 0] * N[e, v + 1, 0] + N[e, u + 1, 1] * N[e, v + 1, 1]
+                    dot += N[e, u + 1, 2] * N[e, v + 1, 2]
                     for i in range(3):
-                        for j in range(3):
-                            K[u, v, i, j] *= volume[e]
-                            if v > u:
-                                K[v, u, j, i] = K[u, v, i, j]
+                        K[3 * u + i, 3 * v + i] += 2.0 * mu[e] * V * dot
+            if curvature != 0.0:
+                add_determinant_curvature(F, N[e], curvature * V, K)
+            spread(K, out[e])
 
 
 @nb.njit(cache=True, error_model="numpy")
-def add_determinant_curvature(F: Floats, N: Floats, scale: float, K: Floats) -> None:
-    """Add scale d2(det F)/dx_u dx_v to the upper blocks of ``K`` (4, 4, 3, 3).
+def add_determinant_curvature(F: Matrix, N: Floats, scale: float, K: Floats) -> None:
+    """Add scale d2(det F)/dx_u dx_v to the upper blocks of ``K`` (9, 9), vertices 1 to 3.
 
     det F = f_0 . (f_1 x f_2) in its rows f_i, so d2/df_i df_j applied to (g_u, g_v) is
     +-f_k . (g_u x g_v) for the remaining row k.
     """
-    for u in range(4):
-        for v in range(u + 1, 4):
-            x0 = N[u, 1] * N[v, 2] - N[u, 2] * N[v, 1]
-            x1 = N[u, 2] * N[v, 0] - N[u, 0] * N[v, 2]
-            x2 = N[u, 0] * N[v, 1] - N[u, 1] * N[v, 0]
+    for u in range(2):
+        for v in range(u + 1, 3):
+            g, h = N[u + 1], N[v + 1]
+            x0 = g[1] * h[2] - g[2] * h[1]
+            x1 = g[2] * h[0] - g[0] * h[2]
+            x2 = g[0] * h[1] - g[1] * h[0]
             for k in range(3):
-                value = scale * (F[k, 0] * x0 + F[k, 1] * x1 + F[k, 2] * x2)
+                value = scale * (F[3 * k] * x0 + F[3 * k + 1] * x1 + F[3 * k + 2] * x2)
                 i, j = (k + 1) % 3, (k + 2) % 3
-                K[u, v, i, j] += value
-                K[u, v, j, i] -= value
+                K[3 * u + i, 3 * v + j] += value
+                K[3 * u + j, 3 * v + i] -= value
+
+
+@nb.njit(cache=True, error_model="numpy")
+def spread(K: Floats, out: Floats) -> None:
+    """Write the blocks ``out`` (PAIRS, 3, 3) from the upper ones of vertices 1 to 3, (9, 9)."""
+    for i in range(3):
+        for j in range(3):
+            b11, b12, b13 = K[i, j], K[i, 3 + j], K[i, 6 + j]
+            b22, b23, b33 = K[3 + i, 3 + j], K[3 + i, 6 + j], K[6 + i, 6 + j]
+            b21, b31, b32 = K[j, 3 + i], K[j, 6 + i], K[3 + j, 6 + i]
+            b01, b02, b03 = -b11 - b21 - b31, -b12 - b22 - b32, -b13 - b23 - b33
+            out[1, i, j] = b01
+            out[2, i, j] = b02
+            out[3, i, j] = b03
+            out[4, i, j] = b11
+            out[5, i, j] = b12
+            out[6, i, j] = b13
+            out[7, i, j] = b22
+            out[8, i, j] = b23
+            out[9, i, j] = b33
+    for i in range(3):
+        for j in range(3):
+            # 00 = -(10 + 20 + 30), the transposes of 01, 02 and 03
+            out[0, i, j] = -out[1, j, i] - out[2, j, i] - out[3, j, i]
 
 
 @nb.njit(cache=True, parallel=True, error_model="numpy")
@@ -202,40 +229,19 @@ def forces_by_activation(
     """Fill ``out`` (n, 4, 3, 6): the nodal forces' derivative by the tet's activation a."""
     n = len(tets)
     for chunk in nb.prange((n + CHUNK - 1) // CHUNK):
-        work = np.empty((6, 3, 3))
-        F = np.empty((3, 3))
-        A = np.empty((3, 3))
-        D = np.empty((3, 3, 6))
+        left, right, D = np.empty((3, 9)), np.empty((3, 9)), np.empty((6, 9))
         for e in range(chunk * CHUNK, min(n, (chunk + 1) * CHUNK)):
-            deformation_gradient(x, tets[e], N[e], F)
-            symmetric(a[e], A)
-            stress_by_activation(F, A, mu[e], kappa[e], work, D)
-            for v in range(4):
-                for i in range(3):
-                    for q in range(6):
-                        out[e, v, i, q] = volume[e] * (
-                            D[i, 0, q] * N[e, v, 0]
-                            + D[i, 1, q] * N[e, v, 1]
-                            + D[i, 2, q] * N[e, v, 2]
+            F = deformation_gradient(x, tets[e], N[e])
+            stress_by_activation(F, activation(a[e]), mu[e], kappa[e], left, right, D)
+            for i in range(3):
+                for q in range(6):
+                    total = 0.0
+                    for v in range(1, 4):
+                        force = volume[e] * (
+                            D[q, 3 * i] * N[e, v, 0]
+                            + D[q, 3 * i + 1] * N[e, v, 1]
+                            + D[q, 3 * i + 2] * N[e, v, 2]
                         )
-
-
-@nb.njit(cache=True)
-def scatter_blocks(blocks: Floats, slots: Ints, row_length: Ints, data: Floats) -> None:
-    """Add element blocks (n, 4, 4, 3, 3) into CSR ``data``.
-
-    ``slots`` (n, 4, 4) is where a block's first entry goes, or -1 where a vertex is held fixed;
-    ``row_length`` (n, 4) how many entries the rows of a tet's vertex have.
-    """
-    data[:] = 0.0
-    for e in range(len(blocks)):
-        for u in range(4):
-            length = row_length[e, u]
-            for v in range(4):
-                slot = slots[e, u, v]
-                if slot < 0:
-                    continue
-                for i in range(3):
-                    start = slot + i * length
-                    for j in range(3):
-                        data[start + j] += blocks[e, u, v, i, j]
+                        out[e, v, i, q] = force
+                        total += force
+                    out[e, 0, i, q] = -total

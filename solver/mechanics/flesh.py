@@ -15,6 +15,7 @@ import scipy.sparse as sp
 
 from solver.errors import InputError
 from solver.mechanics import elements
+from solver.mechanics.assembly import PAIRS, BlockSum, VertexSum, couple
 from solver.surface import Floats, Ints
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
@@ -134,23 +135,22 @@ class Flesh:
 
     def scatter(self, per_tet: Floats) -> Floats:
         """Sum (n, 4, 3, ...) over the tets of each free vertex: (size, ...)."""
-        flat = per_tet.reshape(12 * len(self.tets), *per_tet.shape[3:])
-        return np.asarray(self._incidence @ flat)
+        return self._vertex_sum(per_tet)
 
     def hessian(self, x: Floats, a: Floats, *, project: bool = False) -> sp.csr_array:
         """Return d2E/dx2 by the free coordinates; ``project`` makes it positive semi-definite."""
-        blocks = np.empty((len(self.tets), 4, 4, 3, 3))
         elements.stiffness_blocks(
-            *self._state(x, a, ALL, self.lam, self.kappa, self.barrier, project, blocks)
+            *self._state(x, a, ALL, self.lam, self.kappa, self.barrier, project, self._blocks)
         )
-        return self.assemble(blocks)
+        return self._block_sum(self._blocks)
 
     def assemble(self, blocks: Floats) -> sp.csr_array:
-        """Sum every tet's blocks (n, 4, 4, 3, 3) of its pairs of vertices: (size, size)."""
-        pattern, slots, row_length = self._pattern
-        data = np.empty(len(pattern.indices))
-        elements.scatter_blocks(blocks, slots, row_length, data)
-        return sp.csr_array((data, pattern.indices, pattern.indptr), shape=pattern.shape)
+        """Sum every tet's blocks (n, 4, 4, 3, 3) of its pairs of vertices: (size, size).
+
+        The sum is symmetric: of a pair u, v only the block with u <= v is read.
+        """
+        u, v = np.triu_indices(4)
+        return self._block_sum(np.ascontiguousarray(blocks[:, u, v]))
 
     def coupling(self, x: Floats, a: Floats, motion: Floats) -> Floats:
         """Return the free gradient's change as held vertices move by ``motion`` (p, 3, k).
@@ -159,7 +159,7 @@ class Flesh:
         """
         moving = np.abs(motion).max(axis=(1, 2)) > 0.0
         touched = np.flatnonzero(moving[self.tets].any(axis=1))
-        blocks = np.empty((len(touched), 4, 4, 3, 3))
+        blocks = np.empty((len(touched), PAIRS, 3, 3))
         arguments = self._state(
             x,
             a,
@@ -171,10 +171,10 @@ class Flesh:
             blocks,
         )
         elements.stiffness_blocks(*arguments)
-        local = np.einsum("euvij,evjk->euik", blocks, motion[self.tets[touched]])
-        out = np.zeros((len(self.rest), 3, motion.shape[2]))
-        np.add.at(out, self.tets[touched], local)
-        return out[self.free].reshape(self.size, -1)
+        tets = self.tets[touched]
+        out = np.zeros((len(self.free), 3, motion.shape[2]))
+        couple(blocks, tets, self.free_numbers[tets], motion, out)
+        return out.reshape(self.size, -1)
 
     def forces_by_activation(self, x: Floats, a: Floats) -> Floats:
         """Return the derivative of :meth:`forces` by each tet's activation, (n, 4, 3, 6)."""
@@ -206,38 +206,14 @@ class Flesh:
         )
 
     @cached_property
-    def _incidence(self) -> sp.csr_array:
-        """The 0/1 matrix (size, 12 n) that sums element contributions into free coordinates."""
-        number = self.free_numbers[self.tets].ravel()
-        kept = np.flatnonzero(number >= 0)
-        ones = np.ones(len(kept))
-        vertex = sp.csr_array((ones, (number[kept], kept)), shape=(len(self.free), number.size))
-        return sp.csr_array(sp.kron(vertex, sp.eye_array(3)))
+    def _vertex_sum(self) -> VertexSum:
+        return VertexSum(self.free_numbers[self.tets], len(self.free))
 
     @cached_property
-    def _pattern(self) -> tuple[sp.csr_array, Ints, Ints]:
-        """The Hessian's CSR pattern, and where each tet's blocks go in its data."""
-        number = self.free_numbers[self.tets]
-        row = np.repeat(number, 4, axis=1).ravel()
-        column = np.tile(number, (1, 4)).ravel()
-        both = (row >= 0) & (column >= 0)
-        count = len(self.free)
-        graph = sp.csr_array((np.ones(both.sum()), (row[both], column[both])), shape=(count, count))
-        graph.sum_duplicates()
-        graph.sort_indices()
-        length = np.diff(graph.indptr)
-        place = sp.csr_array(
-            (
-                np.arange(graph.nnz) - np.repeat(graph.indptr[:-1], length),
-                graph.indices,
-                graph.indptr,
-            ),
-            shape=graph.shape,
-        )
-        slots = np.full(row.shape, -1, dtype=np.int64)
-        within = np.asarray(place[row[both], column[both]]).ravel().astype(np.int64)
-        slots[both] = 9 * graph.indptr[row[both]].astype(np.int64) + 3 * within
-        row_length = np.where(number >= 0, 3 * length[np.maximum(number, 0)], 0)
-        pattern = sp.csr_array(sp.kron(graph, np.ones((3, 3)), format="csr"))
-        pattern.sort_indices()
-        return pattern, slots.reshape(-1, 4, 4), row_length.astype(np.int64)
+    def _block_sum(self) -> BlockSum:
+        return BlockSum(self.free_numbers[self.tets], len(self.free))
+
+    @cached_property
+    def _blocks(self) -> Floats:
+        """Room for the tets' blocks, kept: fresh memory costs as much as what is computed."""
+        return np.empty((len(self.tets), PAIRS, 3, 3))

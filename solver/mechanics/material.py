@@ -10,8 +10,9 @@ muscle geometry paper has kappa = 0, Phace lambda = 0 and kappa = 3 mu.
 The rotation must minimise the *whole* first term, R = polar(F A): with R = polar(F) the gradient
 2 mu (F - R A) would not be the derivative of the energy.
 
-The Hessian by F is a multiple of the identity plus rank-one modes, sum_k c_k w_k w_k^T, so neither
-a 9x9 nor a 12x12 matrix is ever decomposed.
+The Hessian by F is a multiple of the identity plus a handful of modes, so that neither a 9x9 nor a
+12x12 matrix is ever decomposed. F is a tuple of nine numbers by rows, A and its coordinates a the
+same tuple of six (see :mod:`solver.mechanics.polar`).
 """
 
 from __future__ import annotations
@@ -21,15 +22,16 @@ import math
 import numba as nb
 import numpy as np
 
+from solver.mechanics.polar import Matrix, Symmetric, cofactor, dot, polar, stretch
 from solver.mechanics.svd3 import signed_svd
 from solver.surface import Floats
-
-MODES = 8
-"""Three twists of F A, the trace and three twists of F, and the determinant."""
 
 SYM_ROW = (0, 0, 0, 1, 1, 2)
 SYM_COLUMN = (0, 1, 2, 1, 2, 2)
 """Sym(3) in the order xx, xy, xz, yy, yz, zz."""
+
+MODES = 8
+"""Three twists of F A, three twists of F, its trace, and its determinant."""
 
 BARRIER_START = 0.35
 """det F below which the barrier acts; no expression of a face needs more compression than that."""
@@ -65,221 +67,244 @@ def volumetric(
 
 
 @nb.njit(cache=True, error_model="numpy")
-def determinant(F: Floats) -> float:
-    """Return det F of a (3, 3) matrix."""
-    return float(
-        F[0, 0] * (F[1, 1] * F[2, 2] - F[1, 2] * F[2, 1])
-        - F[0, 1] * (F[1, 0] * F[2, 2] - F[1, 2] * F[2, 0])
-        + F[0, 2] * (F[1, 0] * F[2, 1] - F[1, 1] * F[2, 0])
+def determinant(F: Matrix) -> float:
+    """Return det F."""
+    a, b, c, d, e, f, g, h, i = F
+    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def symmetric_cofactor(A: Symmetric) -> Symmetric:
+    """Return d(det A)/dA as a symmetric matrix."""
+    xx, xy, xz, yy, yz, zz = A
+    return (
+        yy * zz - yz * yz,
+        xz * yz - xy * zz,
+        xy * yz - xz * yy,
+        xx * zz - xz * xz,
+        xy * xz - xx * yz,
+        xx * yy - xy * xy,
     )
 
 
 @nb.njit(cache=True, error_model="numpy")
-def cofactor(F: Floats, out: Floats) -> None:
-    """Write d(det F)/dF, shape (3, 3), into ``out``."""
-    for i in range(3):
-        a, b = (i + 1) % 3, (i + 2) % 3
-        for j in range(3):
-            c, d = (j + 1) % 3, (j + 2) % 3
-            out[i, j] = F[a, c] * F[b, d] - F[a, d] * F[b, c]
+def symmetric_determinant(A: Symmetric) -> float:
+    """Return det A."""
+    C = symmetric_cofactor(A)
+    return A[0] * C[0] + A[1] * C[1] + A[2] * C[2]
 
 
 @nb.njit(cache=True, error_model="numpy")
-def multiply(X: Floats, Y: Floats, out: Floats) -> None:
-    """Write X Y, all (3, 3), into ``out``."""
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = X[i, 0] * Y[0, j] + X[i, 1] * Y[1, j] + X[i, 2] * Y[2, j]
-
-
-@nb.njit(cache=True, error_model="numpy")
-def symmetric(a: Floats, out: Floats) -> None:
-    """Write S(a), (3, 3), from a (6,) in the order xx, xy, xz, yy, yz, zz."""
-    out[0, 0] = a[0]
-    out[0, 1] = out[1, 0] = a[1]
-    out[0, 2] = out[2, 0] = a[2]
-    out[1, 1] = a[3]
-    out[1, 2] = out[2, 1] = a[4]
-    out[2, 2] = a[5]
-
-
-@nb.njit(cache=True, error_model="numpy")
-def rotation(U: Floats, V: Floats, out: Floats) -> None:
-    """Write U V^T, (3, 3)."""
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = U[i, 0] * V[j, 0] + U[i, 1] * V[j, 1] + U[i, 2] * V[j, 2]
-
-
-@nb.njit(cache=True, error_model="numpy")
-def twist(U: Floats, V: Floats, i: int, j: int, out: Floats) -> None:
-    """Write the twist mode U (e_i e_j^T - e_j e_i^T) V^T / sqrt(2), (3, 3)."""
-    for r in range(3):
-        for c in range(3):
-            out[r, c] = (U[r, i] * V[c, j] - U[r, j] * V[c, i]) * math.sqrt(0.5)
+def times(F: Matrix, A: Symmetric) -> Matrix:
+    """Return F A."""
+    a, b, c, d, e, f, g, h, i = F
+    xx, xy, xz, yy, yz, zz = A
+    return (
+        a * xx + b * xy + c * xz,
+        a * xy + b * yy + c * yz,
+        a * xz + b * yz + c * zz,
+        d * xx + e * xy + f * xz,
+        d * xy + e * yy + f * yz,
+        d * xz + e * yz + f * zz,
+        g * xx + h * xy + i * xz,
+        g * xy + h * yy + i * yz,
+        g * xz + h * yz + i * zz,
+    )
 
 
 @nb.njit(cache=True, error_model="numpy")
 def density(
-    F: Floats, A: Floats, mu: float, lam: float, kappa: float, stiffness: float, work: Floats
+    F: Matrix, A: Symmetric, mu: float, lam: float, kappa: float, stiffness: float
 ) -> float:
-    """Return psi(F, A); ``work`` is scratch of shape (6, 3, 3)."""
-    value, _, _ = volumetric(determinant(F), determinant(A), kappa, stiffness)
-    if value == math.inf:
-        return value
-    s = work[5, 0]
-    multiply(F, A, work[0])
-    signed_svd(work[0], work[1], s, work[2])
-    stretch = s[0] + s[1] + s[2]
-    squares = 0.0
-    for i in range(3):
-        for j in range(3):
-            squares += F[i, j] * F[i, j] + A[i, j] * A[i, j]
-    value += mu * (squares - 2.0 * stretch)
-    signed_svd(F, work[1], s, work[2])
-    trace = s[0] + s[1] + s[2] - 3.0
-    return float(value + 0.5 * lam * trace * trace)
+    """Return psi(F, A)."""
+    J = determinant(F)
+    if J <= 0.0:
+        return math.inf
+    value, _, _ = volumetric(J, symmetric_determinant(A), kappa, stiffness)
+    squares = dot(F, F) + A[0] * A[0] + A[3] * A[3] + A[5] * A[5]
+    squares += 2.0 * (A[1] * A[1] + A[2] * A[2] + A[4] * A[4])
+    trace = stretch(F) - 3.0
+    return value + mu * (squares - 2.0 * stretch(times(F, A))) + 0.5 * lam * trace * trace
 
 
 @nb.njit(cache=True, error_model="numpy")
 def stress(
-    F: Floats,
-    A: Floats,
-    mu: float,
-    lam: float,
-    kappa: float,
-    stiffness: float,
-    work: Floats,
-    out: Floats,
-) -> None:
-    """Write d psi/dF, the first Piola-Kirchhoff stress (3, 3); ``work`` is (6, 3, 3)."""
-    s = work[5, 0]
-    multiply(F, A, work[0])
-    signed_svd(work[0], work[1], s, work[2])
-    rotation(work[1], work[2], work[3])
-    multiply(work[3], A, work[4])
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = 2.0 * mu * (F[i, j] - work[4, i, j])
-    signed_svd(F, work[1], s, work[2])
-    rotation(work[1], work[2], work[3])
-    trace = s[0] + s[1] + s[2] - 3.0
-    _, first, _ = volumetric(determinant(F), determinant(A), kappa, stiffness)
-    cofactor(F, work[4])
-    for i in range(3):
-        for j in range(3):
-            out[i, j] += lam * trace * work[3, i, j] + first * work[4, i, j]
+    F: Matrix, A: Symmetric, mu: float, lam: float, kappa: float, stiffness: float
+) -> Matrix:
+    """Return d psi/dF, the first Piola-Kirchhoff stress."""
+    _, R, _ = polar(times(F, A))
+    B = times(R, A)
+    t, Q, _ = polar(F)
+    C = cofactor(F)
+    _, first, _ = volumetric(determinant(F), symmetric_determinant(A), kappa, stiffness)
+    m, k = 2.0 * mu, lam * (t - 3.0)
+    return (
+        m * (F[0] - B[0]) + k * Q[0] + first * C[0],
+        m * (F[1] - B[1]) + k * Q[1] + first * C[1],
+        m * (F[2] - B[2]) + k * Q[2] + first * C[2],
+        m * (F[3] - B[3]) + k * Q[3] + first * C[3],
+        m * (F[4] - B[4]) + k * Q[4] + first * C[4],
+        m * (F[5] - B[5]) + k * Q[5] + first * C[5],
+        m * (F[6] - B[6]) + k * Q[6] + first * C[6],
+        m * (F[7] - B[7]) + k * Q[7] + first * C[7],
+        m * (F[8] - B[8]) + k * Q[8] + first * C[8],
+    )
 
 
 @nb.njit(cache=True, error_model="numpy")
 def hessian_modes(
-    F: Floats,
-    A: Floats,
+    F: Matrix,
+    A: Symmetric,
     mu: float,
     lam: float,
     kappa: float,
     stiffness: float,
     project: bool,
-    work: Floats,
-    c: Floats,
-    W: Floats,
+    left: Floats,
+    right: Floats,
 ) -> tuple[int, float]:
-    """Write the modes of d2 psi/dF2 = 2 mu I + sum_k c_k W_k W_k^T + g' d2(det F)/dF2.
+    """Write the modes of d2 psi/dF2 = 2 mu I + sum_k left_k right_k^T + g' d2(det F)/dF2.
 
-    ``c`` (MODES,) and ``W`` (MODES, 3, 3) are filled; returned are the number of modes and g', the
-    factor of the determinant's curvature (zero when projected). With ``project`` the sum is
-    positive semi-definite: each term is projected by itself.
+    ``left`` and ``right`` (MODES, 9) are filled; their sum is symmetric. Returned are the number of
+    modes and g', the factor of the determinant's curvature (zero when projected). With ``project``
+    the sum is positive semi-definite: each term is projected by itself.
     """
-    s = work[5, 0]
-    multiply(F, A, work[0])
-    signed_svd(work[0], work[1], s, work[2])
-    for k, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
-        twist(work[1], work[2], i, j, work[3])
-        multiply(work[3], A, W[k])
-        c[k] = -2.0 * mu * 2.0 / max(s[i] + s[j], 1e-8)
+    _, R, Y = polar(times(F, A))
     if project:
-        _clamp_twists(c, W, mu)
-    signed_svd(F, work[1], s, work[2])
-    rotation(work[1], work[2], W[3])
-    c[3] = lam
-    trace = s[0] + s[1] + s[2] - 3.0
-    count = 4
-    if trace > 0.0 or not project:
-        for i, j in ((0, 1), (0, 2), (1, 2)):
-            twist(work[1], work[2], i, j, W[count])
-            c[count] = lam * trace * 2.0 / max(s[i] + s[j], 1e-8)
-            count += 1
-    _, first, second = volumetric(determinant(F), determinant(A), kappa, stiffness)
+        Y = _clamped(Y, A)
+    _twists(R, A, Y, -2.0 * mu, left, right, 0)
+    count = 3
+    t, Q, Y = polar(F)
+    trace = lam * (t - 3.0)
+    if trace > 0.0 or (trace < 0.0 and not project):
+        _twists(Q, (1.0, 0.0, 0.0, 1.0, 0.0, 1.0), Y, trace, left, right, count)
+        count += 3
+    if lam > 0.0:
+        _single(Q, lam, left, right, count)
+        count += 1
+    _, first, second = volumetric(determinant(F), symmetric_determinant(A), kappa, stiffness)
     if second != 0.0:
-        cofactor(F, W[count])
-        c[count] = second
+        _single(cofactor(F), second, left, right, count)
         count += 1
     return count, 0.0 if project else first
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _clamp_twists(c: Floats, W: Floats, mu: float) -> None:
-    """Replace the three twist modes so that 2 mu I + sum c_k W_k W_k^T has no negative eigenvalue.
+def _single(W: Matrix, scale: float, left: Floats, right: Floats, k: int) -> None:
+    for entry in range(9):
+        right[k, entry] = W[entry]
+        left[k, entry] = scale * W[entry]
 
-    The nonzero eigenvalues of the sum are those of the 3x3 Gram matrix of sqrt(-c_k) W_k.
+
+@nb.njit(cache=True, error_model="numpy")
+def _twists(
+    R: Matrix, A: Symmetric, Y: Symmetric, scale: float, left: Floats, right: Floats, k: int
+) -> None:
+    """Write the three modes of the rotation: scale times the second derivative of t(F A) by F.
+
+    That is sum_ij Y^-1_ij W_i W_j^T with W_i = R [e_i]x A, from dR = R [w]x.
     """
-    gram = np.empty((3, 3))
+    xx, xy, xz, yy, yz, zz = A
+    for row in range(3):
+        r0, r1, r2 = R[3 * row], R[3 * row + 1], R[3 * row + 2]
+        right[k, 3 * row] = r2 * xy - r1 * xz
+        right[k, 3 * row + 1] = r2 * yy - r1 * yz
+        right[k, 3 * row + 2] = r2 * yz - r1 * zz
+        right[k + 1, 3 * row] = r0 * xz - r2 * xx
+        right[k + 1, 3 * row + 1] = r0 * yz - r2 * xy
+        right[k + 1, 3 * row + 2] = r0 * zz - r2 * xz
+        right[k + 2, 3 * row] = r1 * xx - r0 * xy
+        right[k + 2, 3 * row + 1] = r1 * xy - r0 * yy
+        right[k + 2, 3 * row + 2] = r1 * xz - r0 * yz
+    xx, xy, xz, yy, yz, zz = Y
+    for entry in range(9):
+        w0, w1, w2 = right[k, entry], right[k + 1, entry], right[k + 2, entry]
+        left[k, entry] = scale * (xx * w0 + xy * w1 + xz * w2)
+        left[k + 1, entry] = scale * (xy * w0 + yy * w1 + yz * w2)
+        left[k + 2, entry] = scale * (xz * w0 + yz * w1 + zz * w2)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _clamped(Y: Symmetric, A: Symmetric) -> Symmetric:
+    """Return M <= Y^-1 such that I - sum_ij M_ij W_i W_j^T has no negative eigenvalue.
+
+    With Y^-1 = L L^T those of the sum are the eigenvalues of L^T G L, where the Gram matrix of the
+    twists is G_ij = <W_i, W_j> = tr(A^2) I - A^2; they are cut at one.
+    """
+    a, b, c, d, e, f = A
+    # L, lower
+    l00 = math.sqrt(Y[0])
+    l10, l20 = Y[1] / l00, Y[2] / l00
+    l11 = math.sqrt(Y[3] - l10 * l10)
+    l21 = (Y[4] - l10 * l20) / l11
+    l22 = math.sqrt(max(Y[5] - l20 * l20 - l21 * l21, 0.0))
+    L = np.array([[l00, 0.0, 0.0], [l10, l11, 0.0], [l20, l21, l22]])
+    xx, yy, zz = a * a + b * b + c * c, b * b + d * d + e * e, c * c + e * e + f * f
+    xy, xz, yz = a * b + b * d + c * e, a * c + b * e + c * f, b * c + d * e + e * f
+    G = np.array([[yy + zz, -xy, -xz], [-xy, xx + zz, -yz], [-xz, -yz, xx + yy]])
+    gram, U, s, V = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, 3))
     for i in range(3):
         for j in range(3):
-            dot = 0.0
-            for r in range(3):
+            gram[i, j] = 0.0
+            for p in range(3):
                 for q in range(3):
-                    dot += W[i, r, q] * W[j, r, q]
-            gram[i, j] = math.sqrt(c[i] * c[j]) * dot
-    values, vectors = np.linalg.eigh(gram)
-    modes = np.zeros((3, 3, 3))
+                    gram[i, j] += L[p, i] * G[p, q] * L[q, j]
+    if gram[0, 0] + gram[1, 1] + gram[2, 2] <= 1.0:
+        return Y
+    # of a positive semi-definite matrix the singular vectors are the eigenvectors
+    signed_svd(gram, U, s, V)
+    M = np.zeros((3, 3))
     for k in range(3):
+        scale = min(1.0, 1.0 / s[k]) if s[k] > 0.0 else 1.0
         for i in range(3):
-            for r in range(3):
-                for q in range(3):
-                    modes[k, r, q] += vectors[i, k] * math.sqrt(-c[i]) * W[i, r, q]
-    for k in range(3):
-        W[k] = modes[k]
-        c[k] = -min(1.0, 2.0 * mu / max(values[k], 1e-300))
+            vi = L[i, 0] * V[0, k] + L[i, 1] * V[1, k] + L[i, 2] * V[2, k]
+            for j in range(3):
+                vj = L[j, 0] * V[0, k] + L[j, 1] * V[1, k] + L[j, 2] * V[2, k]
+                M[i, j] += scale * vi * vj
+    return M[0, 0], M[0, 1], M[0, 2], M[1, 1], M[1, 2], M[2, 2]
 
 
 @nb.njit(cache=True, error_model="numpy")
 def stress_by_activation(
-    F: Floats, A: Floats, mu: float, kappa: float, work: Floats, out: Floats
+    F: Matrix, A: Symmetric, mu: float, kappa: float, left: Floats, right: Floats, out: Floats
 ) -> None:
-    """Write d(stress)/da, shape (3, 3, 6): the stress's change by each entry of a in S(a).
+    """Write d(stress)/da, shape (6, 9): the stress's change by each entry of a in S(a).
 
-    From P = 2 mu (F - R A) + 2 kappa (det F - det A) cof F + ..., with
-    dR = sum_twists 2/(s_i + s_j) w <w, F dA> and d(det A) = <cof A, dA>.
+    The stress 2 mu (F - R A) + 2 kappa (det F - det A) cof F + ... changes by
+    d(R A) = R dA + R [w]x A, Y w = axl(D dA - dA D^T), D = R^T F, and by d(det A) = <cof A, dA>.
+    ``left`` and ``right`` (3, 9) are scratch.
     """
-    s = work[5, 0]
-    multiply(F, A, work[0])
-    signed_svd(work[0], work[1], s, work[2])
-    rotation(work[1], work[2], work[3])
-    cofactor(F, work[4])
-    cofactor(A, work[0])
+    _, R, Y = polar(times(F, A))
+    _twists(R, A, Y, 1.0, left, right, 0)
+    c0 = _rotated_back(R, F[0], F[3], F[6])
+    c1 = _rotated_back(R, F[1], F[4], F[7])
+    c2 = _rotated_back(R, F[2], F[5], F[8])
+    axes = (
+        (0.0, -c0[2], c0[1]),
+        (c0[2], -c1[2], c1[1] - c0[0]),
+        (-c0[1], c0[0] - c2[2], c2[1]),
+        (c1[2], 0.0, -c1[0]),
+        (c2[2] - c1[1], c1[0], -c2[0]),
+        (-c2[1], c2[0], 0.0),
+    )
+    C, B = cofactor(F), symmetric_cofactor(A)
     for column in range(6):
+        z0, z1, z2 = axes[column]
         r, q = SYM_ROW[column], SYM_COLUMN[column]
-        volume = 2.0 * kappa * work[0, r, q] * (1.0 if r == q else 2.0)
+        volume = 2.0 * kappa * B[column] * (1.0 if r == q else 2.0)
+        for k in range(9):
+            turn = z0 * left[0, k] + z1 * left[1, k] + z2 * left[2, k]
+            out[column, k] = -2.0 * mu * turn - volume * C[k]
         for i in range(3):
-            for j in range(3):
-                out[i, j, column] = -volume * work[4, i, j]
-        for i in range(3):
-            out[i, q, column] -= 2.0 * mu * work[3, i, r]
+            out[column, 3 * i + q] -= 2.0 * mu * R[3 * i + r]
             if r != q:
-                out[i, r, column] -= 2.0 * mu * work[3, i, q]
-    for i, j in ((0, 1), (0, 2), (1, 2)):
-        twist(work[1], work[2], i, j, work[4])
-        multiply(work[4], A, work[0])
-        scale = 2.0 * mu * 2.0 / max(s[i] + s[j], 1e-8)
-        for column in range(6):
-            r, q = SYM_ROW[column], SYM_COLUMN[column]
-            # <w, F B> for the basis matrix B with ones at (r, q) and (q, r)
-            dot = 0.0
-            for k in range(3):
-                dot += work[4, k, q] * F[k, r]
-                if r != q:
-                    dot += work[4, k, r] * F[k, q]
-            for k in range(3):
-                for m in range(3):
-                    out[k, m, column] -= scale * dot * work[0, k, m]
+                out[column, 3 * i + r] -= 2.0 * mu * R[3 * i + q]
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _rotated_back(R: Matrix, x: float, y: float, z: float) -> tuple[float, float, float]:
+    return (
+        R[0] * x + R[3] * y + R[6] * z,
+        R[1] * x + R[4] * y + R[7] * z,
+        R[2] * x + R[5] * y + R[8] * z,
+    )

@@ -4,41 +4,33 @@ import numpy as np
 import pytest
 
 from solver.mechanics import material
+from solver.mechanics.polar import cofactor, polar, stretch
 from solver.mechanics.svd3 import signed_svd
 
 MU, LAM, KAPPA, BARRIER = 1.3, 0.7, 1.7, 5.0
 STEP = 1e-6
-
-
-def work():
-    return np.empty((6, 3, 3))
+IDENTITY = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
 
 
 def activation_matrix(a):
-    A = np.empty((3, 3))
-    material.symmetric(a, A)
-    return A
+    return a[[[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
 
 
-def stress(F, A):
-    P = np.empty((3, 3))
-    material.stress(F, A, MU, LAM, KAPPA, BARRIER, work(), P)
-    return P
+def density(F, a, lam=LAM):
+    return material.density(tuple(F.ravel()), tuple(a), MU, lam, KAPPA, BARRIER)
 
 
-def hessian(F, A, *, project=False, kappa=KAPPA):
-    c, W = np.zeros(material.MODES), np.zeros((material.MODES, 3, 3))
-    count, curvature = material.hessian_modes(F, A, MU, LAM, kappa, BARRIER, project, work(), c, W)
-    H = 2.0 * MU * np.eye(9)
-    for k in range(count):
-        H += c[k] * np.outer(W[k], W[k])
-    return H + curvature * central(lambda G: cofactor(G).ravel(), F)
+def stress(F, a):
+    return np.array(material.stress(tuple(F.ravel()), tuple(a), MU, LAM, KAPPA, BARRIER))
 
 
-def cofactor(F):
-    out = np.empty((3, 3))
-    material.cofactor(F, out)
-    return out
+def hessian(F, a, *, project=False, kappa=KAPPA):
+    left, right = np.zeros((material.MODES, 9)), np.zeros((material.MODES, 9))
+    count, curvature = material.hessian_modes(
+        tuple(F.ravel()), tuple(a), MU, LAM, kappa, BARRIER, project, left, right
+    )
+    H = 2.0 * MU * np.eye(9) + left[:count].T @ right[:count]
+    return H + curvature * central(lambda G: np.array(cofactor(tuple(G.ravel()))), F)
 
 
 def central(function, F):
@@ -62,7 +54,7 @@ def states():
             continue
         if len(found) % 3 == 0:
             F *= np.cbrt(0.2 / np.linalg.det(F))
-        a = np.array([1.0, 0, 0, 1, 0, 1]) + 0.3 * rng.standard_normal(6)
+        a = IDENTITY + 0.3 * rng.standard_normal(6)
         A = activation_matrix(a)
         if np.abs(A @ F.T @ F - F.T @ F @ A).max() > 0.3:
             found.append((F, a))
@@ -71,56 +63,76 @@ def states():
 
 @pytest.mark.parametrize(("F", "a"), states())
 def test_derivatives_match_finite_differences(F, a):
-    A = activation_matrix(a)
-
-    def density(G):
-        return np.array([material.density(G, A, MU, LAM, KAPPA, BARRIER, work())])
-
-    by_F = central(density, F).reshape(3, 3)
+    by_F = central(lambda G: np.array([density(G, a)]), F).ravel()
     assert np.abs(by_F).max() > 0.1
-    np.testing.assert_allclose(stress(F, A), by_F, rtol=0, atol=1e-6 * np.abs(by_F).max())
+    np.testing.assert_allclose(stress(F, a), by_F, rtol=0, atol=1e-6 * np.abs(by_F).max())
 
-    by_FF = central(lambda G: stress(G, A).ravel(), F)
+    by_FF = central(lambda G: stress(G, a), F)
     assert np.abs(by_FF).max() > 1.0
-    np.testing.assert_allclose(hessian(F, A), by_FF, rtol=0, atol=1e-6 * np.abs(by_FF).max())
+    np.testing.assert_allclose(hessian(F, a), by_FF, rtol=0, atol=1e-6 * np.abs(by_FF).max())
 
-    exact = np.empty((3, 3, 6))
-    material.stress_by_activation(F, A, MU, KAPPA, work(), exact)
+    exact, scratch = np.empty((6, 9)), np.empty((2, 3, 9))
+    material.stress_by_activation(tuple(F.ravel()), tuple(a), MU, KAPPA, *scratch, exact)
     numeric = np.empty_like(exact)
     for entry in range(6):
         step = np.zeros(6)
         step[entry] = STEP
-        ends = [stress(F, activation_matrix(a + sign * step)) for sign in (1, -1)]
-        numeric[:, :, entry] = (ends[0] - ends[1]) / (2 * STEP)
+        ends = [stress(F, a + sign * step) for sign in (1, -1)]
+        numeric[entry] = (ends[0] - ends[1]) / (2 * STEP)
     assert np.abs(numeric).max() > 0.1
     np.testing.assert_allclose(exact, numeric, rtol=0, atol=1e-6 * np.abs(numeric).max())
 
 
 @pytest.mark.parametrize(("F", "a"), states())
 def test_projected_hessian_is_positive_semidefinite_and_exact_where_the_raw_one_is(F, a):
-    A = activation_matrix(a)
-    assert np.linalg.eigvalsh(hessian(F, A, project=True)).min() > -1e-9
+    projected = hessian(F, a, project=True)
+    assert np.linalg.eigvalsh(0.5 * (projected + projected.T)).min() > -1e-9
     stretched = np.diag([1.3, 1.2, 1.4])
-    rest = np.eye(3)
     np.testing.assert_allclose(
-        hessian(stretched, rest, project=True, kappa=0.0),
-        hessian(stretched, rest, kappa=0.0),
+        hessian(stretched, IDENTITY, project=True, kappa=0.0),
+        hessian(stretched, IDENTITY, kappa=0.0),
         atol=1e-9,
     )
 
 
-def test_energy_and_stress_vanish_where_the_activation_is_met():
-    A = activation_matrix(np.array([0.8, 0.1, 0.0, 1.1, -0.05, 1.05]))
+def test_energy_vanishes_where_the_activation_is_met():
+    a = np.array([0.8, 0.1, 0.0, 1.1, -0.05, 1.05])
     R = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
     R *= np.sign(np.linalg.det(R))
-    assert material.density(R @ A, A, MU, 0.0, KAPPA, BARRIER, work()) == pytest.approx(
-        0.0, abs=1e-14
-    )
+    assert density(R @ activation_matrix(a), a, lam=0.0) == pytest.approx(0.0, abs=1e-14)
 
 
 def test_inverted_elements_have_infinite_energy():
-    F = np.diag([1.0, 1.0, -0.1])
-    assert material.density(F, np.eye(3), MU, LAM, KAPPA, BARRIER, work()) == np.inf
+    assert density(np.diag([1.0, 1.0, -0.1]), IDENTITY) == np.inf
+
+
+def test_polar_decomposition_of_all_kinds_of_matrices():
+    """Near rotations, far from them, nearly flat, nearly lines, and reflections."""
+    rng = np.random.default_rng(11)
+    cases = [scale * rng.standard_normal((3, 3)) for scale in (1e-3, 1.0, 1e3) for _ in range(40)]
+    cases += [np.eye(3) + 0.1 * rng.standard_normal((3, 3)) for _ in range(40)]
+    for small in (1e-1, 1e-3, 1e-5, 1e-7, 0.0):
+        U, V = (np.linalg.qr(rng.standard_normal((3, 3)))[0] for _ in range(2))
+        cases += [U @ np.diag([1.0, 0.7, small]) @ V, U @ np.diag([1.0, 2.0 * small, small]) @ V]
+    for G in cases:
+        t, R, Y = polar(tuple(G.ravel()))
+        R = np.array(R).reshape(3, 3)
+        U, s, Vt = np.linalg.svd(G)
+        sign = np.sign(np.linalg.det(U @ Vt))
+        U[:, 2] *= sign
+        s[2] *= sign
+        gap = s[1] + s[2]
+        assert t == pytest.approx(s.sum(), rel=1e-12)
+        assert stretch(tuple(G.ravel())) == pytest.approx(t, rel=1e-14)
+        np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-10)
+        assert np.linalg.det(R) == pytest.approx(1.0)
+        if gap > 1e-6 * s[0]:
+            np.testing.assert_allclose(R, U @ Vt, atol=1e-13 * s[0] / gap)
+            P = R.T @ G
+            inverse = np.linalg.inv(np.trace(P) * np.eye(3) - P)
+            np.testing.assert_allclose(
+                Y, inverse[np.triu_indices(3)], atol=1e-10 * np.abs(inverse).max() * s[0] / gap
+            )
 
 
 @pytest.mark.parametrize("scale", [1e-12, 1.0, 1e9])

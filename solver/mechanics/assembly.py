@@ -1,0 +1,186 @@
+"""Sums of what the tets give to their vertices: element vectors and blocks to the whole mesh.
+
+Who contributes to an entry is listed once for a mesh; every entry is then summed in the order of
+the tets, so that the result is the same on any number of threads.
+"""
+
+from __future__ import annotations
+
+import numba as nb
+import numpy as np
+import scipy.sparse as sp
+
+from solver.surface import Floats, Ints
+
+PAIR = np.array([[0, 1, 2, 3], [1, 4, 5, 6], [2, 5, 7, 8], [3, 6, 8, 9]])
+"""Number of a pair of a tet's vertices among those with u <= v: 00 01 02 03 11 12 13 22 23 33."""
+
+PAIRS = 10
+
+
+class VertexSum:
+    """Sums (n, 4, 3, ...) over the tets of each free vertex.
+
+    ``numbers`` (n, 4) are the free vertices' numbers below ``count``, -1 for a held vertex.
+    """
+
+    def __init__(self, numbers: Ints, count: int) -> None:
+        self._count = count
+        self._first, self._corners = _grouped(numbers.ravel(), count)
+
+    def __call__(self, per_tet: Floats) -> Floats:
+        """Return the sums, (3 count, ...)."""
+        flat = per_tet.reshape(4 * len(per_tet), -1)
+        out = np.empty((self._count, flat.shape[1]))
+        _sum_rows(flat, self._first, self._corners, out)
+        return out.reshape(3 * self._count, *per_tet.shape[3:])
+
+
+class BlockSum:
+    """Sums the tets' blocks of their pairs of vertices to a symmetric CSR matrix of fixed pattern.
+
+    ``pattern`` has three rows and columns for each free vertex, sorted.
+    """
+
+    def __init__(self, numbers: Ints, count: int) -> None:
+        u, v = np.triu_indices(4)
+        ends = numbers[:, np.stack([u, v])].transpose(1, 0, 2).reshape(2, -1)
+        low, high = ends.min(axis=0), ends.max(axis=0)
+        free = np.flatnonzero(low >= 0)
+        keys = low[free] * count + high[free]
+        entries, entry = np.unique(keys, return_inverse=True)
+        self._first, contributions = _grouped(entry, len(entries))
+        self._blocks = free[contributions]
+        self._turned = ends[0, self._blocks] > ends[1, self._blocks]
+        rows, columns = np.divmod(entries, count)
+        off = rows != columns
+        graph = sp.csr_array(
+            (
+                np.ones(len(entries) + off.sum()),
+                (
+                    np.concatenate([rows, columns[off]]),
+                    np.concatenate([columns, rows[off]]),
+                ),
+            ),
+            shape=(count, count),
+        )
+        graph.sort_indices()
+        self.pattern = sp.csr_array(sp.kron(graph, np.ones((3, 3)), format="csr"))
+        self.pattern.sort_indices()
+        length = np.diff(graph.indptr).astype(np.int64)
+        keys = np.repeat(np.arange(count), length) * count + graph.indices
+        within = np.arange(graph.nnz) - np.repeat(graph.indptr[:-1], length)
+        start = 9 * np.repeat(graph.indptr[:-1].astype(np.int64), length) + 3 * within
+        self._slots = np.stack(
+            [
+                start[np.searchsorted(keys, entries)],
+                start[np.searchsorted(keys, columns * count + rows)],
+            ],
+            axis=1,
+        )
+        self._lengths = 3 * np.stack([length[rows], length[columns]], axis=1)
+
+    def __call__(self, blocks: Floats) -> sp.csr_array:
+        """Return the sum of ``blocks`` (n, PAIRS, 3, 3), those of the pairs u <= v of each tet."""
+        data = np.empty(len(self.pattern.indices))
+        _sum_blocks(
+            blocks.reshape(-1, 3, 3),
+            self._first,
+            self._blocks,
+            self._turned,
+            self._slots,
+            self._lengths,
+            data,
+        )
+        return sp.csr_array(
+            (data, self.pattern.indices, self.pattern.indptr), shape=self.pattern.shape
+        )
+
+
+@nb.njit(cache=True)
+def couple(blocks: Floats, tets: Ints, numbers: Ints, motion: Floats, out: Floats) -> None:
+    """Add the blocks (t, PAIRS, 3, 3) of some tets times their vertices' ``motion`` (p, 3, k).
+
+    ``tets`` (t, 4) are their vertices, ``numbers`` (t, 4) those of the rows of ``out``
+    (rows, 3, k), -1 where there is none.
+    """
+    for e in range(len(tets)):
+        for u in range(4):
+            row = numbers[e, u]
+            if row < 0:
+                continue
+            for v in range(4):
+                B = blocks[e, PAIR[u, v]]
+                for i in range(3):
+                    for j in range(3):
+                        value = B[i, j] if u <= v else B[j, i]
+                        for k in range(out.shape[2]):
+                            out[row, i, k] += value * motion[tets[e, v], j, k]
+
+
+def _grouped(labels: Ints, count: int) -> tuple[Ints, Ints]:
+    """Return where each label's members begin, (count + 1,), and the members' places.
+
+    Negative labels are left out.
+    """
+    members = np.argsort(labels, kind="stable")
+    members = members[np.searchsorted(labels[members], 0) :]
+    first = np.searchsorted(labels[members], np.arange(count + 1))
+    return first, members
+
+
+@nb.njit(cache=True, parallel=True)
+def _sum_rows(flat: Floats, first: Ints, members: Ints, out: Floats) -> None:
+    for row in nb.prange(len(out)):
+        for column in range(out.shape[1]):
+            out[row, column] = 0.0
+        for k in range(first[row], first[row + 1]):
+            member = members[k]
+            for column in range(out.shape[1]):
+                out[row, column] += flat[member, column]
+
+
+@nb.njit(cache=True, parallel=True)
+def _sum_blocks(
+    blocks: Floats,
+    first: Ints,
+    members: Ints,
+    turned: Ints,
+    slots: Ints,
+    lengths: Ints,
+    data: Floats,
+) -> None:
+    """Write every entry's 3x3 sum to its two places in the CSR ``data``."""
+    for entry in nb.prange(len(slots)):
+        b00 = b01 = b02 = b10 = b11 = b12 = b20 = b21 = b22 = 0.0
+        for k in range(first[entry], first[entry + 1]):
+            B = blocks[members[k]]
+            b00 += B[0, 0]
+            b11 += B[1, 1]
+            b22 += B[2, 2]
+            if turned[k]:
+                b01 += B[1, 0]
+                b02 += B[2, 0]
+                b12 += B[2, 1]
+                b10 += B[0, 1]
+                b20 += B[0, 2]
+                b21 += B[1, 2]
+            else:
+                b01 += B[0, 1]
+                b02 += B[0, 2]
+                b12 += B[1, 2]
+                b10 += B[1, 0]
+                b20 += B[2, 0]
+                b21 += B[2, 1]
+        s, length = slots[entry, 0], lengths[entry, 0]
+        data[s], data[s + 1], data[s + 2] = b00, b01, b02
+        s += length
+        data[s], data[s + 1], data[s + 2] = b10, b11, b12
+        s += length
+        data[s], data[s + 1], data[s + 2] = b20, b21, b22
+        s, length = slots[entry, 1], lengths[entry, 1]
+        data[s], data[s + 1], data[s + 2] = b00, b10, b20
+        s += length
+        data[s], data[s + 1], data[s + 2] = b01, b11, b21
+        s += length
+        data[s], data[s + 1], data[s + 2] = b02, b12, b22

@@ -1,0 +1,165 @@
+"""Polar decomposition G = R P of 3x3 matrices for kernels, without singular vectors.
+
+The sum t = s1 + s2 + s3 of the singular values (the smallest with the sign of det G) is the largest
+root of
+
+    (t^2 - I)^2 - 4 II - 8 J t = 0,   I = |G|^2, II = |cof G|^2, J = det G,
+
+since its roots are the four sums +-s1 +-s2 +-s3 with an even number of minus signs. Newton's method
+from sqrt(3 I) >= t falls to it monotonically, in two to four steps near rest. What is known of t
+by G gives the rest: the rotation R nearest to G is dt/dG, implicitly differentiated, and turns as
+
+    dR = R [w]x,   Y w = axl(R^T dG - dG^T R),   Y = tr(P) I - P,   det Y = f'(t) / 8.
+
+Matrices are tuples of nine numbers by rows, symmetric ones of six (xx, xy, xz, yy, yz, zz): a
+compiler keeps them in registers.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba as nb
+import numpy as np
+
+from solver.mechanics.svd3 import signed_svd
+
+Matrix = tuple[float, float, float, float, float, float, float, float, float]
+Symmetric = tuple[float, float, float, float, float, float]
+
+STEPS = 30
+CONVERGED = 1e-9
+"""Last relative Newton step; the error left is of the order of its square."""
+
+CONDITION = 1e-2
+"""det Y / (t^3 / 8) below which rounding in R exceeds about 1e-12: singular vectors take over."""
+
+LEAST_SUM = 1e-8
+"""Where two singular values cancel, the rotation turns by 1 / (s_i + s_j): no faster than this."""
+
+
+@nb.njit(cache=True, error_model="numpy")
+def cofactor(G: Matrix) -> Matrix:
+    """Return d(det G)/dG."""
+    a, b, c, d, e, f, g, h, i = G
+    return (
+        e * i - f * h,
+        f * g - d * i,
+        d * h - e * g,
+        c * h - b * i,
+        a * i - c * g,
+        b * g - a * h,
+        b * f - c * e,
+        c * d - a * f,
+        a * e - b * d,
+    )
+
+
+@nb.njit(cache=True, error_model="numpy")
+def dot(X: Matrix, Y: Matrix) -> float:
+    """Return <X, Y> = tr(X^T Y)."""
+    return (
+        (X[0] * Y[0] + X[1] * Y[1] + X[2] * Y[2])
+        + (X[3] * Y[3] + X[4] * Y[4] + X[5] * Y[5])
+        + (X[6] * Y[6] + X[7] * Y[7] + X[8] * Y[8])
+    )
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _largest_root(square: float, cofactors: float, J: float) -> tuple[float, float]:
+    """Return t and f'(t) for |G|^2, |cof G|^2 and det G; f' = 0 where it must not be trusted."""
+    t = math.sqrt(3.0 * square)
+    for _ in range(STEPS):
+        d = t * t - square
+        slope = 4.0 * t * d - 8.0 * J
+        step = (d * d - 4.0 * cofactors - 8.0 * J * t) / slope
+        t -= step
+        if abs(step) <= CONVERGED * t:
+            slope = 4.0 * t * (t * t - square) - 8.0 * J
+            if slope > CONDITION * t * t * t:
+                return t, slope
+            break
+    return t, 0.0
+
+
+@nb.njit(cache=True, error_model="numpy")
+def stretch(G: Matrix) -> float:
+    """Return tr P = s1 + s2 + s3."""
+    C = cofactor(G)
+    J = G[0] * C[0] + G[1] * C[1] + G[2] * C[2]
+    t, slope = _largest_root(dot(G, G), dot(C, C), J)
+    if slope == 0.0:
+        t, _, _ = _by_singular_vectors(G)
+    return t
+
+
+@nb.njit(cache=True, error_model="numpy")
+def polar(G: Matrix) -> tuple[float, Matrix, Symmetric]:
+    """Return tr P, R and Y^-1."""
+    C = cofactor(G)
+    square = dot(G, G)
+    J = G[0] * C[0] + G[1] * C[1] + G[2] * C[2]
+    t, slope = _largest_root(square, dot(C, C), J)
+    if slope == 0.0:
+        return _by_singular_vectors(G)
+    a, b, c, d, e, f, g, h, i = G
+    # G^T G, and u G - v G G^T G + w cof G with the sum's own t, I, J
+    xx = a * a + d * d + g * g
+    xy = a * b + d * e + g * h
+    xz = a * c + d * f + g * i
+    yy = b * b + e * e + h * h
+    yz = b * c + e * f + h * i
+    zz = c * c + f * f + i * i
+    v = 8.0 / slope
+    u = (4.0 * (t * t - square) + 8.0 * square) / slope
+    w = 8.0 * t / slope
+    R = (
+        u * a - v * (a * xx + b * xy + c * xz) + w * C[0],
+        u * b - v * (a * xy + b * yy + c * yz) + w * C[1],
+        u * c - v * (a * xz + b * yz + c * zz) + w * C[2],
+        u * d - v * (d * xx + e * xy + f * xz) + w * C[3],
+        u * e - v * (d * xy + e * yy + f * yz) + w * C[4],
+        u * f - v * (d * xz + e * yz + f * zz) + w * C[5],
+        u * g - v * (g * xx + h * xy + i * xz) + w * C[6],
+        u * h - v * (g * xy + h * yy + i * yz) + w * C[7],
+        u * i - v * (g * xz + h * yz + i * zz) + w * C[8],
+    )
+    # Y = t I - R^T G, symmetric, and its inverse by the adjugate
+    xx = t - (R[0] * a + R[3] * d + R[6] * g)
+    xy = -(R[0] * b + R[3] * e + R[6] * h)
+    xz = -(R[0] * c + R[3] * f + R[6] * i)
+    yy = t - (R[1] * b + R[4] * e + R[7] * h)
+    yz = -(R[1] * c + R[4] * f + R[7] * i)
+    zz = t - (R[2] * c + R[5] * f + R[8] * i)
+    Y = (
+        v * (yy * zz - yz * yz),
+        v * (xz * yz - xy * zz),
+        v * (xy * yz - xz * yy),
+        v * (xx * zz - xz * xz),
+        v * (xy * xz - xx * yz),
+        v * (xx * yy - xy * xy),
+    )
+    return t, R, Y
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _by_singular_vectors(G: Matrix) -> tuple[float, Matrix, Symmetric]:
+    """Return tr P, R and Y^-1 where two singular values nearly cancel or vanish."""
+    M, U, V, s = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    for i in range(3):
+        for j in range(3):
+            M[i, j] = G[3 * i + j]
+    signed_svd(M, U, s, V)
+    t = s[0] + s[1] + s[2]
+    R = np.zeros((3, 3))
+    Y = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                R[i, j] += U[i, k] * V[j, k]
+                Y[i, j] += V[i, k] * V[j, k] / max(t - s[k], LEAST_SUM)
+    return (
+        t,
+        (R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2]),
+        (Y[0, 0], Y[0, 1], Y[0, 2], Y[1, 1], Y[1, 2], Y[2, 2]),
+    )
