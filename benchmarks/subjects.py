@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from solver.anatomy.build import build_subject_model
@@ -15,21 +16,38 @@ from solver.model import SubjectModel
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that choose a subject; without any it is the built-in person."""
+    """Add the options that choose one subject; without any it is the built-in person."""
+    add_folders(parser)
+    parser.add_argument("--subject", default="A", help="subject of the capture-sets file")
+
+
+def add_folders(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say where subjects come from."""
     parser.add_argument("--anatomy", type=Path, help="folder of BodyParts3D meshes")
     parser.add_argument("--faces", type=Path, help="folder of ICT-FaceKit")
     parser.add_argument("--capture-sets", type=Path, help="capture-sets file (default: in --faces)")
-    parser.add_argument("--subject", default="A", help="subject of the capture-sets file")
 
 
 def load(options: argparse.Namespace, edge_mm: float) -> tuple[SubjectModel, CaptureSet]:
     """Build the chosen subject's model with tets of ``edge_mm`` and return it with the scans."""
+    _, model, captures = next(each(options, [options.subject], edge_mm))
+    return model, captures
+
+
+def each(
+    options: argparse.Namespace, names: Sequence[str], edge_mm: float
+) -> Iterator[tuple[str, SubjectModel, CaptureSet]]:
+    """Yield several subjects of one template: name, model and scans, which are all read first.
+
+    Without folders it is the built-in person alone, whatever the ``names``.
+    """
     if (options.faces is None) != (options.anatomy is None):
         raise SystemExit("--anatomy and --faces go together")
     if options.faces is None:
-        captures, template = builtin_capture_set(), builtin_template()
+        captures, template = {"built-in": builtin_capture_set()}, builtin_template()
     else:
-        captures = ict_capture_set(options.faces, options.subject, options.capture_sets)
+        captures = {n: ict_capture_set(options.faces, n, options.capture_sets) for n in names}
         template = build_ict_template(options.anatomy, options.faces)
     template = meshed(template, edge_mm)
-    return build_subject_model(template, captures.neutral.vertices, edge_mm=edge_mm), captures
+    for name, scans in captures.items():
+        yield name, build_subject_model(template, scans.neutral.vertices, edge_mm=edge_mm), scans
