@@ -52,7 +52,6 @@ def demo(
     json_file: Annotated[Path | None, typer.Option("--json", help="figures; - prints them")] = None,
 ) -> None:
     """Fit a face: the built-in one, or with --anatomy and --faces one of your folders."""
-    from myoface.demo.page import write_page
     from myoface.demo.session import Session
 
     to_stdout = str(json_file) == "-"
@@ -78,7 +77,6 @@ def demo(
         khronos_validation(glb, cache_directory() / "gltf-validator"),
         None if quick else ICT_BARS if faces else BUILTIN_BARS,
     )
-    write_page(output / "report.html", title, outcome)
     _tell(outcome, output)
     text = json.dumps(outcome.as_dict(), indent=2, allow_nan=False)
     if to_stdout:
@@ -139,8 +137,8 @@ def _tell(outcome: Outcome, output: Path) -> None:
     show_table(("phase", "seconds"), [(p, f"{s:.1f}") for p, s in outcome.seconds.items()])
     out.print()
     figures = outcome.as_dict()
-    out.print(f"training mean  {millimetres(figures['train_mean_mm'], 3)}")
-    out.print(f"unseen mean    {millimetres(figures['test_mean_mm'], 3)}")
+    out.print(f"training mean  {millimetres(figures['train_mean_mm'])}")
+    out.print(f"unseen mean    {millimetres(figures['test_mean_mm'])}")
     out.print(f"inverted tets  {figures['inverted']} of {figures['tets']}")
     out.print(f"muscles        {figures['muscles']}")
     out.print(f"seconds        {figures['seconds']}")
@@ -149,4 +147,5 @@ def _tell(outcome: Outcome, output: Path) -> None:
     out.print(
         f"rig.glb        {len(outcome.glb_faults)} faults; Khronos validator: {escape(khronos)}"
     )
+    out.print(f"certificate    {outcome.report['verdict']}")
     out.print(f"look at        {escape(str(output / 'report.html'))}")

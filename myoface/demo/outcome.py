@@ -16,9 +16,9 @@ class Bars:
     test_mm: float
 
 
-def millimetres(mean: float | None, decimals: int) -> str:
+def millimetres(mean: float | None) -> str:
     """Return a mean distance in words; None: there were no scans to take it over."""
-    return "no scans" if mean is None else f"{mean:.{decimals}f} mm"
+    return "no scans" if mean is None else f"{mean:.3f} mm"
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,10 @@ from service.store.store import Store
 router = APIRouter(prefix="/v1", tags=["rigs"])
 
 IfNoneMatch = Annotated[str | None, Header()]
+PAGE = "text/html"
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; sandbox allow-downloads"
+"""What a stored page may do in a browser: show itself, and nothing with this origin's name."""
+
 FILE: dict[int | str, dict[str, Any]] = {
     200: {"description": "The file", "content": {"application/octet-stream": {}}},
     206: {"description": "A range of the file"},
@@ -82,6 +86,7 @@ def _file(artifact: Artifact, store: Store, if_none_match: str | None) -> Respon
         "ETag": f'"{artifact.sha256}"',
         "Cache-Control": "private, max-age=31536000, immutable",
         "X-Content-Type-Options": "nosniff",
+        "Content-Security-Policy": POLICY,
     }
     known = {tag.strip().removeprefix("W/") for tag in (if_none_match or "").split(",")}
     if known & {headers["ETag"], "*"}:
@@ -91,4 +96,5 @@ def _file(artifact: Artifact, store: Store, if_none_match: str | None) -> Respon
         headers=headers,
         media_type=artifact.media_type,
         filename=artifact.name,
+        content_disposition_type="inline" if artifact.media_type == PAGE else "attachment",
     )

@@ -101,7 +101,7 @@ def matrices(a: Floats) -> Floats:
 
 
 JAW_RANGES = {
-    "opening_deg": (-3.0, 51.0),
+    "opening_deg": (-6.0, 51.0),
     "opening_mm": (-4.0, 67.0),
     "sideways_mm": (-18.0, 18.0),
     "condyles_forward_mm": (-2.0, 28.0),
@@ -114,7 +114,7 @@ teeth are 2 to 4 mm apart at rest."""
 
 JAW_WORDS = {
     "opening_deg": ("closes by {:.0f}°", "opens by {:.0f}°"),
-    "opening_mm": ("closes by {:.1f} mm beyond rest", "opens by {:.0f} mm"),
+    "opening_mm": ("closes {:.1f} mm beyond rest", "opens by {:.0f} mm"),
     "sideways_mm": ("goes {:.0f} mm to the right", "goes {:.0f} mm to the left"),
     "condyles_forward_mm": ("is {:.1f} mm behind its sockets", "leaves its sockets by {:.0f} mm"),
     "condyles_down_mm": ("is {:.1f} mm up in its sockets", "drops from its sockets by {:.0f} mm"),

@@ -10,6 +10,7 @@ from typing import Any
 
 from PIL import Image
 
+from solver.rig.colours import both_sides
 from solver.rig.web_markup import figure, row, tag
 
 PICTURE_WIDTH, JPEG_QUALITY = 1400, 86
@@ -29,7 +30,8 @@ def article(anchor: str, name: str, found: dict[str, Any], picture: Path) -> str
 def muscle_rows(expressions: dict[str, Any]) -> tuple[str, str]:
     """Return the heading cells and the rows of muscles by expressions."""
     columns = "".join(f"<th scope='col'>{escape(name)}</th>" for name in expressions)
-    muscles = next(iter(expressions.values()))["muscles"] if expressions else {}
+    names = list(next(iter(expressions.values()))["muscles"]) if expressions else []
+    muscles = sorted(names, key=lambda name: (both_sides(name), name))
     rows = "\n".join(
         f"<tr><th scope='row'>{escape(muscle)}</th>"
         + "".join(_cell(found["muscles"][muscle]) for found in expressions.values())

@@ -33,4 +33,4 @@ def test_scans_in_rig_and_report_out(tmp_path: Path) -> None:
     assert figures["test_mean_mm"] < 1.5
     assert {fit["role"] for fit in figures["expressions"].values()} == {"train", "test"}
     page = (tmp_path / "report.html").read_text()
-    assert page.count("data:image/png;base64") >= 1 + len(figures["expressions"])
+    assert page.count("data:image/jpeg;base64") == len(figures["expressions"])

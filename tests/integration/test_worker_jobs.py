@@ -31,6 +31,7 @@ def test_scans_become_a_rig_and_a_child_rig(studio: Studio) -> None:
     assert [a["name"] for a in first["result"]["artifacts"]] == [
         "activations.npz",
         "muscle_weights.npz",
+        "report.html",
         "report.json",
         "rig.glb",
     ]
@@ -62,6 +63,19 @@ def test_artifacts_have_etags_and_ranges(studio: Studio) -> None:
         refused = studio.http.get(path, headers={"Range": wanted})
         assert (refused.status_code, refused.json()["code"]) == (status, "artifact.range")
         assert refused.headers["content-range"] == f"bytes */{glb['size']}"
+
+
+def test_a_rigs_page_is_shown_but_may_do_nothing(studio: Studio) -> None:
+    _, rig = studio.rigged()
+    page = studio.http.get(f"/v1/rigs/{rig}/artifacts/report.html")
+    assert page.text == "<p>good</p>"
+    assert page.headers["content-type"].startswith("text/html")
+    assert page.headers["content-disposition"].startswith("inline")
+    policy = page.headers["content-security-policy"]
+    assert "default-src 'none'" in policy
+    assert "sandbox" in policy
+    glb = studio.http.get(f"/v1/rigs/{rig}/artifacts/rig.glb")
+    assert glb.headers["content-disposition"].startswith("attachment")
 
 
 def test_events_tell_the_story_and_resume(studio: Studio) -> None:
