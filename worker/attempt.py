@@ -18,6 +18,7 @@ MEDIA_TYPES = {
     ".json": "application/json",
     ".png": "image/png",
     ".ply": "model/ply",
+    ".html": "text/html",
 }
 
 

@@ -71,6 +71,7 @@ def _leave_rig(out, expressions):
     (out / "muscle_weights.npz").write_bytes(b"S")
     report = {"expressions": {name: {} for name in expressions}, "train_mean_mm": 0.4}
     (out / "report.json").write_text(json.dumps(report))
+    (out / "report.html").write_text("<p>good</p>")
 
 
 def _work(scans, progress):
