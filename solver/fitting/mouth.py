@@ -1,0 +1,172 @@
+"""Lips and teeth as one small mesh that moves with the tets: what contact is measured and kept on.
+
+Which lip a vertex belongs to is read off the skin itself: it is the lip whose middle is nearer on
+the surface, from where the way to the other one leads around a corner of the mouth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import igl
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
+
+from solver.anatomy.embedding import rows_of
+from solver.model import SubjectModel
+from solver.surface import Floats, Ints
+
+REACH_MM = 12.0
+"""Skin takes part that is this near to the other lip in the neutral face,"""
+TEETH_REACH_MM = 6.0
+"""or to teeth,"""
+LIPS_MM = 8.0
+"""and to a region that is named a lip."""
+AROUND_MM = 20.0
+"""Skin this near to the lips says what is inside them."""
+MIDDLE = 0.2
+"""Part of a lip's half width, from its middle, that says which lip it is."""
+
+LIPS, AROUND, UPPER_TEETH, LOWER_TEETH = range(4)
+
+
+@dataclass(frozen=True)
+class Mouth:
+    """The parts of a model's skin that touch where the mouth closes, numbered on their own.
+
+    skin
+        (m,) skin vertices, sorted.
+    label
+        (m,) ``LIPS``, the skin ``AROUND`` them, ``UPPER_TEETH`` or ``LOWER_TEETH``.
+    faces
+        (f, 3) triangles between them; those of flesh and of teeth share no vertex.
+    rows, offset
+        (m, p) CSR and (m, 3): positions are ``rows @ x + offset`` at the tets' vertices x. Lower
+        teeth are affine combinations of four mandible vertices; upper teeth stay.
+    """
+
+    skin: Ints
+    label: Ints
+    faces: Ints
+    rows: sp.csr_array
+    offset: Floats
+
+    @classmethod
+    def of(cls, model: SubjectModel) -> Mouth | None:
+        """Find the mouth of a model; None if its regions do not name both lips."""
+        if not {"upper_lip", "lower_lip"} <= set(model.regions):
+            return None
+        vertices, faces = model.skin.vertices, model.skin.faces
+        flesh = faces[np.isin(faces, model.embedded).all(axis=1)]
+        teeth = [model.regions.get(f"{jaw}_teeth", np.empty(0, int)) for jaw in ("upper", "lower")]
+        lips = _lips(model, flesh, np.concatenate(teeth))
+        around = np.intersect1d(flesh, np.flatnonzero(_within(vertices, lips, AROUND_MM)))
+        label = np.full(len(vertices), -1)
+        for name, ids in zip(
+            (AROUND, LIPS, UPPER_TEETH, LOWER_TEETH), (around, lips, *teeth), strict=True
+        ):
+            label[ids] = name
+        skin = np.flatnonzero(label >= 0)
+        number = np.full(len(vertices), -1)
+        number[skin] = np.arange(len(skin))
+        own = np.vstack([flesh, faces[(label[faces] >= UPPER_TEETH).all(axis=1)]])
+        own = own[(label[own] >= 0).all(axis=1)]
+        return cls(skin, label[skin], number[own], *_following(model, skin))
+
+    def points(self, x: Floats) -> Floats:
+        """Return the positions (m, 3) at the tets' vertices x (p, 3)."""
+        return np.asarray(self.rows @ x + self.offset)
+
+    def normals(self, points: Floats) -> Floats:
+        """Return outward unit normals (m, 3), zero at a vertex without triangles."""
+        area = igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_AREA
+        normals: Floats = igl.per_vertex_normals(points, self.faces, area)
+        return np.where(np.isfinite(normals), normals, 0.0)
+
+    @cached_property
+    def flesh(self) -> Ints:
+        """Return the triangles of lips and skin, (f, 3)."""
+        return self.faces_of(LIPS, AROUND)
+
+    @cached_property
+    def rings(self) -> tuple[Ints, Ints]:
+        """Return the triangles of ``flesh`` around each vertex: CSR (m + 1,) and (3 f,)."""
+        order = np.argsort(self.flesh, axis=None, kind="stable")
+        count = len(self.label)
+        return np.searchsorted(self.flesh.ravel()[order], np.arange(count + 1)), order // 3
+
+    def faces_of(self, *labels: int) -> Ints:
+        """Return the triangles of some of the parts, (f, 3)."""
+        return np.ascontiguousarray(self.faces[np.isin(self.label[self.faces], labels).all(axis=1)])
+
+
+def _lips(model: SubjectModel, flesh: Ints, teeth: Ints) -> Ints:
+    """Return the skin vertices of the flesh's triangles (g, 3) that may touch a lip or teeth."""
+    skin = model.skin.vertices
+    edges = np.vstack([flesh[:, [0, 1]], flesh[:, [1, 2]], flesh[:, [2, 0]]])
+    lengths = np.linalg.norm(skin[edges[:, 0]] - skin[edges[:, 1]], axis=1)
+    graph = sp.coo_array((lengths, tuple(edges.T)), shape=(len(skin), len(skin))).tocsr()
+    upper, lower = (
+        dijkstra(graph, directed=False, indices=seeds, min_only=True)
+        for seeds in (_middle(model, "upper_lip", 1.0), _middle(model, "lower_lip", -1.0))
+    )
+    near = _within(skin, teeth, TEETH_REACH_MM)
+    for own, other in ((upper < lower, lower < upper), (lower < upper, upper < lower)):
+        near |= own & _within(skin, np.flatnonzero(other), REACH_MM)
+    named = np.concatenate([model.regions["upper_lip"], model.regions["lower_lip"]])
+    return np.intersect1d(flesh, np.flatnonzero(near & _within(skin, named, LIPS_MM)))
+
+
+def _middle(model: SubjectModel, lip: str, up: float) -> Ints:
+    """Return vertices on the middle of a lip, on its half that is away from the other one."""
+    ids: Ints = np.intersect1d(model.regions[lip], model.embedded)
+    skin = model.skin.vertices[ids]
+    across = np.abs(skin[:, 0] - model.jaw.origin[0])
+    inner = across <= max(MIDDLE * across.max(), across.min())
+    height = up * skin[:, 1]
+    return np.asarray(ids[inner & (height >= np.median(height[inner]))])
+
+
+def _within(skin: Floats, ids: Ints, reach: float) -> NDArray[np.bool_]:
+    """Tell which skin vertices lie nearer than ``reach`` to the given ones."""
+    if not len(ids):
+        return np.zeros(len(skin), dtype=bool)
+    distance, _ = cKDTree(skin[ids]).query(skin, distance_upper_bound=reach)
+    return np.asarray(distance < reach)
+
+
+def _following(model: SubjectModel, skin: Ints) -> tuple[sp.csr_array, Floats]:
+    """Return the rows and offsets by which skin vertices follow flesh, mandible or cranium."""
+    in_flesh = np.isin(skin, model.embedded)
+    on_jaw = np.isin(skin, model.attached_mandible)
+    offset = model.skin.vertices[skin].copy()
+    corners = _frame(model.rest, model.mandible)
+    homogeneous = [
+        np.vstack([points.T, np.ones(len(points))])
+        for points in (model.rest[corners], offset[on_jaw])
+    ]
+    shares = np.linalg.solve(*homogeneous).T
+    rigid = rows_of(np.tile(corners, (len(shares), 1)), shares, len(model.rest))
+    number = np.searchsorted(model.embedded, skin[in_flesh])
+    offset[on_jaw] = 0.0
+    offset[in_flesh] = model.offset[number]
+    moving = np.concatenate([np.flatnonzero(in_flesh), np.flatnonzero(on_jaw)])
+    put = rows_of(moving[:, None], np.ones((len(moving), 1)), len(skin)).T
+    return sp.csr_array(put @ sp.vstack([model.embedding[number], rigid])), offset
+
+
+def _frame(points: Floats, ids: Ints) -> Ints:
+    """Return four of the points ``ids``: each the farthest from the span of those before."""
+    span = points[ids] - points[ids].mean(axis=0)
+    chosen = [int(np.argmax(np.linalg.norm(span, axis=1)))]
+    span = points[ids] - points[ids[chosen[0]]]
+    for _ in range(3):
+        distance = np.linalg.norm(span, axis=1)
+        chosen.append(int(np.argmax(distance)))
+        along = span[chosen[-1]] / distance[chosen[-1]]
+        span = span - np.outer(span @ along, along)
+    return ids[chosen]
