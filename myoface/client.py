@@ -24,6 +24,7 @@ from myoface.resources import (
     FINAL_STATES,
     Artifact,
     Capture,
+    Frame,
     Job,
     Kind,
     LogLine,
@@ -40,6 +41,7 @@ from myoface.transfer import Transferred, unheard
 DEFAULT_URL = "http://127.0.0.1:8765"
 LONGEST_PAGE = 1000
 """The service lists at most so many things at a time."""
+FRAMES_A_PAGE = 100
 
 TIMEOUT = httpx.Timeout(30.0)
 # The service sends a comment line at least this often while a job has nothing to tell.
@@ -213,6 +215,16 @@ class Client:
             if page["next"] == after:
                 return
             after = page["next"]
+
+    def frames(self, job_id: str, *, start: int = 0) -> Iterator[Frame]:
+        """Yield the frames of a sequence that are ready so far, from the ``start``-th on."""
+        while True:
+            query = {"start": start, "limit": FRAMES_A_PAGE}
+            page = self._send("GET", f"/v1/jobs/{job_id}/frames", params=query).json()
+            yield from map(Frame.model_validate, page["frames"])
+            if page["next"] == start:
+                return
+            start = page["next"]
 
     def cancel(self, job_id: str, reason: str) -> Job:
         """Ask for a job to be stopped."""

@@ -7,8 +7,15 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict
 
-Role = Literal["neutral", "expression"]
-Kind = Literal["check_scan", "register_scan", "build_model", "fit_geometry", "fit_activations"]
+Role = Literal["neutral", "expression", "performance"]
+Kind = Literal[
+    "check_scan",
+    "register_scan",
+    "build_model",
+    "fit_geometry",
+    "fit_activations",
+    "fit_sequence",
+]
 State = Literal["queued", "running", "canceling", "succeeded", "failed", "canceled"]
 
 FINAL_STATES: frozenset[State] = frozenset({"succeeded", "failed", "canceled"})
@@ -150,6 +157,23 @@ class LogLine(Resource):
     number: int
     attempt: int
     text: str
+
+
+class Frame(Resource):
+    """A fitted frame of a sequence, see docs/sequences.md; rad and mm."""
+
+    frame: int
+    status: Literal["fitted", "kept", "unseen"]
+    activations: list[list[float]]
+    jaw: list[float]
+    head: list[float]
+    mean_mm: float | None
+    p95_mm: float | None
+    max_mm: float | None
+    coverage: float
+    inverted: int
+    iterations: int
+    seconds: float
 
 
 class Rig(Resource):

@@ -63,11 +63,15 @@ class Studio:
     def raw(self, subject_id: str, name: str, role: str = "expression", **orders: Any) -> str:
         return self._add(subject_id, name, role, orders, registered=False)
 
+    def performance(self, subject_id: str, name: str, **orders: Any) -> str:
+        return self._add(subject_id, name, "performance", orders)
+
     def _add(
         self, subject_id: str, name: str, role: str, orders: dict[str, Any], **more: Any
     ) -> str:
         lines = [f"# {name}", *(f"#! {key} {value}" for key, value in orders.items())]
-        upload_id = self.upload(f"{name} of Alex.obj", "\n".join(lines).encode())
+        suffix = "npy" if role == "performance" else "obj"
+        upload_id = self.upload(f"{name} of Alex.{suffix}", "\n".join(lines).encode())
         path = f"/v1/subjects/{subject_id}/captures"
         return self.post(path, name=name, role=role, upload_id=upload_id, **more)["id"]
 
@@ -81,6 +85,13 @@ class Studio:
         subject_id = self.subject()
         self.done("build_model", subject_id)
         return subject_id
+
+    def rigged(self) -> tuple[str, str]:
+        """Return a subject and its rig."""
+        subject_id = self.modelled()
+        smile = self.capture(subject_id, "smile")
+        job = self.done("fit_geometry", subject_id, captures=[smile])
+        return subject_id, job["result"]["rig_id"]
 
     def done(self, kind: str, subject_id: str, **more: Any) -> Any:
         """Return a job that was submitted and has succeeded."""

@@ -18,8 +18,13 @@ MEDIA_TYPES = {
     ".json": "application/json",
     ".png": "image/png",
     ".ply": "model/ply",
+    ".csv": "text/csv",
     ".html": "text/html",
 }
+
+
+FRAMES = "frames"
+"""The folder in ``out`` of a sequence's frames, files ``<first>-<last>.json``."""
 
 
 class AttemptFolder:
@@ -31,16 +36,27 @@ class AttemptFolder:
     def __init__(self, work: Path, claim: Claim) -> None:
         self.path = work / f"{claim.job_id}.{claim.attempt}"
         self._claim = claim
+        self._kept = set(claim.frames)
 
     def stage(self, files: FileStore) -> None:
-        """Fetch the inputs. Each has a folder of its own: two may have the same file name."""
+        """Fetch the inputs, and the frames that earlier attempts left.
+
+        Each input has a folder of its own: two may have the same file name.
+        """
         (self.path / "out").mkdir(parents=True)
         inputs = []
         for number, item in enumerate(self._claim.inputs):
             path = self.path / "inputs" / str(number) / item["filename"]
             files.fetch(item["sha256"], path)
             inputs.append({**item, "path": str(path)})
-        job = {"kind": self._claim.kind, "inputs": inputs, "options": self._claim.options}
+        for name, sha256 in self._claim.frames.items():
+            files.fetch(sha256, self.path / "out" / FRAMES / name)
+        job = {
+            "kind": self._claim.kind,
+            "inputs": inputs,
+            "options": self._claim.options,
+            "resume": bool(self._claim.frames),
+        }
         (self.path / "job.json").write_text(json.dumps(job))
 
     def error(self) -> dict[str, Any] | None:
@@ -54,7 +70,7 @@ class AttemptFolder:
     def store(self, files: FileStore) -> list[Artifact]:
         """Put the outputs into the file store."""
         artifacts = []
-        for path in sorted((self.path / "out").iterdir()):
+        for path in sorted(filter(Path.is_file, (self.path / "out").iterdir())):
             blob = files.put(path)
             artifacts.append(
                 Artifact(
@@ -66,6 +82,16 @@ class AttemptFolder:
                 )
             )
         return artifacts
+
+    def new_frames(self, files: FileStore) -> list[dict[str, Any]]:
+        """Put the frames that are ready since the last call into the file store; returns rows."""
+        rows = []
+        for path in sorted((self.path / "out" / FRAMES).glob("*.json")):
+            if path.name not in self._kept:
+                first, last = map(int, path.stem.split("-"))
+                rows.append({"first": first, "last": last, "sha256": files.put(path).sha256})
+                self._kept.add(path.name)
+        return rows
 
     def rig(self, result: dict[str, Any]) -> Rig | None:
         """Return the rig, if this kind of job leaves one."""

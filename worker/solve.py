@@ -32,6 +32,7 @@ TELLING = {
     "build_model": "model.json",
     "fit_geometry": "report.json",
     "fit_activations": "report.json",
+    "fit_sequence": "sequence.json",
 }
 """The file of each kind of job that holds its verdict or figures."""
 
@@ -98,6 +99,11 @@ def solve(folder: Path, progress: Progress) -> dict[str, Any]:
         pipeline.build_model(files["neutral"], out, template=template, **how)
     elif kind == "fit_geometry":
         pipeline.fit_geometry(files["model"], captures, out, **how)
+    elif kind == "fit_sequence":
+        performance, resume = files["performance"], job["resume"]
+        pipeline.fit_sequence(
+            files["model"], files["weights"], performance, out, resume=resume, **how
+        )
     else:
         rig = files["rig"]
         pipeline.fit_activations(files["model"], files["weights"], captures, out, rig=rig, **how)

@@ -6,7 +6,7 @@ import errno
 import signal
 import threading
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
@@ -34,6 +34,14 @@ class ShutdownError(Exception):
     """The worker is to stop."""
 
 
+class _News(NamedTuple):
+    """What the solver said and left, until the database knows it."""
+
+    steps: list[dict[str, Any]]
+    lines: list[str]
+    chunks: list[dict[str, Any]]
+
+
 class Supervisor:
     """Runs one job at a time for the worker ``name``; ``stopping`` ends the work early."""
 
@@ -45,7 +53,7 @@ class Supervisor:
         self._name = name
         self._stopping = stopping
         self._renewed = 0.0
-        self._unwritten: tuple[list[dict[str, Any]], list[str]] = ([], [])
+        self._unwritten = _News([], [], [])
 
     def run(self, job_id: str) -> None:
         """Claim the job, do it and commit. Not to be had (done, taken, canceled): do nothing."""
@@ -55,7 +63,7 @@ class Supervisor:
             log.info("job.not_mine", job_id=job_id)
             return
         self._renewed = time.monotonic()
-        self._unwritten = ([], [])
+        self._unwritten = _News([], [], [])
         with structlog.contextvars.bound_contextvars(job_id=job_id, attempt=claim.attempt):
             log.info("job.claimed", kind=claim.kind)
             folder = AttemptFolder(self._settings.work, claim)
@@ -71,9 +79,9 @@ class Supervisor:
         process = SolverProcess(folder.path, self._settings)
         log.info("solver.started", pid=process.pid)
         try:
-            code = self._watch(claim, process)
+            code = self._watch(claim, process, folder)
             process.finish()
-            self._beat(claim, process)
+            self._beat(claim, process, folder)
         except CanceledError:
             process.stop()
             with self._store.write() as session:
@@ -92,23 +100,24 @@ class Supervisor:
         finally:
             process.finish()
 
-    def _watch(self, claim: Claim, process: SolverProcess) -> int:
+    def _watch(self, claim: Claim, process: SolverProcess, folder: AttemptFolder) -> int:
         """Wait for the solver's exit code, with a beat now and then."""
         while (code := process.wait(self._settings.beat)) is None:
             if self._stopping.is_set():
                 raise ShutdownError
-            self._beat(claim, process)
+            self._beat(claim, process, folder)
         return code
 
-    def _beat(self, claim: Claim, process: SolverProcess) -> None:
-        """Renew the lease, pass on what the solver said, and see whether to stop.
+    def _beat(self, claim: Claim, process: SolverProcess, folder: AttemptFolder) -> None:
+        """Renew the lease, pass on what the solver said and left, and see whether to stop.
 
         A database that does not answer is no reason to stop before the lease has run out; what
         was said meanwhile is written down when it does.
         """
-        steps, lines = self._unwritten
-        steps.extend(process.steps())
-        lines.extend(process.lines())
+        news = self._unwritten
+        news.steps.extend(process.steps())
+        news.lines.extend(process.lines())
+        news.chunks.extend(folder.new_frames(self._store.files))
         try:
             with self._store.write() as session:
                 state = jobs.beat(
@@ -116,8 +125,9 @@ class Supervisor:
                     claim.job_id,
                     claim.attempt,
                     self._settings.lease,
-                    steps=steps,
-                    lines=lines,
+                    steps=news.steps,
+                    lines=news.lines,
+                    chunks=news.chunks,
                 )
         except SQLAlchemyError as error:
             log.warning("database.unreachable", error=str(error))
@@ -125,7 +135,7 @@ class Supervisor:
                 raise LeaseLostError from error
             return
         self._renewed = time.monotonic()
-        self._unwritten = ([], [])
+        self._unwritten = _News([], [], [])
         if state is None:
             raise LeaseLostError
         if state is State.CANCELING:

@@ -53,6 +53,9 @@ def add(
     subject: SubjectId,
     files: Files,
     neutral: Annotated[bool, typer.Option("--neutral", help="this is the neutral scan")] = False,
+    performance: Annotated[
+        bool, typer.Option("--performance", help="frames of skin points, .npy")
+    ] = False,
     raw: Annotated[bool, typer.Option("--raw", help="as the scanner made it")] = False,
     landmarks: LandmarksFile = None,
     check: Annotated[bool, typer.Option("--check", help="and tell whether it can be used")] = False,
@@ -68,7 +71,9 @@ def add(
     """
     if len(files) > 1 and (neutral or resume or landmarks):
         raise typer.BadParameter("--neutral, --landmarks and --resume take one file")
-    role: Role = "neutral" if neutral else "expression"
+    if performance and (neutral or raw or check):
+        raise typer.BadParameter("--performance takes neither --neutral, --raw nor --check")
+    role: Role = "neutral" if neutral else "performance" if performance else "expression"
     with Client(url) as client:
         added = [
             _upload(client, subject, file, role, registered=not raw, marks=landmarks, resume=resume)
@@ -97,8 +102,8 @@ def check(
 ) -> None:
     """Tell whether scans can be used, and what to do if not; ends with 3 if one is bad."""
     with Client(url) as client:
-        chosen = choose(client.captures(subject), names)
-        _check(client, subject, chosen, frame_options(unit, up, forward), output)
+        scans = (each for each in client.captures(subject) if each.role != "performance")
+        _check(client, subject, choose(scans, names), frame_options(unit, up, forward), output)
 
 
 @captures.command()

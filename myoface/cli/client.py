@@ -108,7 +108,9 @@ def submit_job(
     capture: Annotated[
         list[str] | None, typer.Option(help="name or id of a capture; repeat")
     ] = None,
-    rig: Annotated[str | None, typer.Option(help="rig id, for fit_activations")] = None,
+    rig: Annotated[
+        str | None, typer.Option(help="rig id, for fit_activations and fit_sequence")
+    ] = None,
     options: Annotated[str, typer.Option(help="JSON, see /v1/solvers")] = "{}",
     wait: Annotated[bool, typer.Option(help="follow the job until it ends")] = True,
     url: Url = DEFAULT_URL,
@@ -167,6 +169,18 @@ def show_log(job: JobId, url: Url = DEFAULT_URL) -> None:
     with Client(url) as client:
         for line in client.log(job):
             out.print(line.text, markup=False)
+
+
+@jobs.command("frames")
+def show_frames(
+    job: JobId,
+    start: Annotated[int, typer.Option(min=0, help="begin with this one, 0 is the first")] = 0,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Print the frames of a sequence that are ready, a line of JSON each."""
+    with Client(url) as client:
+        for frame in client.frames(job, start=start):
+            out.print(frame.model_dump_json(), markup=False)
 
 
 @jobs.command("cancel")

@@ -16,9 +16,10 @@ router = APIRouter(prefix="/v1/subjects/{subject_id}/captures", tags=["captures"
 
 @router.post("", status_code=201, summary="Add a scan", responses=problems(404, 409, 410, 422))
 def create(subject_id: Id, new: NewCapture, session: WriteSession) -> CaptureView:
-    """Make a complete upload the subject's neutral or an expression.
+    """Make a complete upload the subject's neutral, an expression or a performance.
 
-    OBJ, PLY, GLB or STL; a raw scan (`registered: false`) may also be an XYZ point cloud.
+    OBJ, PLY, GLB or STL; a raw scan (`registered: false`) may also be an XYZ point cloud. The
+    frames of a performance are a NumPy array (frames, vertices, 3) in mm.
     """
     return service.views(session, [service.create(session, subject_id, new)])[0]
 

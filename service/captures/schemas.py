@@ -11,7 +11,7 @@ from service.captures.registered import mesh, neutral_of
 from service.schemas import Body, Id, Name, View
 from service.store.models import Capture, Job
 
-Role = Literal["neutral", "expression"]
+Role = Literal["neutral", "expression", "performance"]
 
 
 class NewCapture(Body):
@@ -32,7 +32,10 @@ class NewCapture(Body):
     )
 
     name: Name
-    role: Role
+    role: Role = Field(
+        description="`performance`: frames of registered skin points, a `.npy` file; "
+        "`fit_sequence` reads it"
+    )
     upload_id: Id
     registered: bool = Field(
         default=True,

@@ -17,6 +17,7 @@ from service.uploads import repository as uploads
 
 FORMATS = (".obj", ".ply", ".stl", ".glb")
 RAW_FORMATS = (*FORMATS, ".xyz", ".pts", ".asc", ".csv", ".txt", ".xyzn", ".xyzrgb")
+PERFORMANCE_FORMATS = (".npy",)
 LANDMARK_FORMATS = (".json", ".ljson", ".csv")
 
 
@@ -25,7 +26,9 @@ def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
     # Two captures of one subject at a time would both find the name free.
     subjects.lock(session, subject_id)
     upload = uploads.get_complete(session, new.upload_id)
-    if new.registered:
+    if new.role == "performance":
+        _check_performance(upload, new)
+    elif new.registered:
         _check_format(upload, "capture.format", "a registered scan", FORMATS)
     else:
         _check_format(upload, "capture.format", "a raw scan", RAW_FORMATS)
@@ -60,6 +63,8 @@ def views(session: Session, captures: Sequence[Capture]) -> list[CaptureView]:
 def set_landmarks(session: Session, subject_id: str, capture_id: str, given: Landmarks) -> Capture:
     """Give a scan landmarks, in place of those it had; jobs submitted earlier keep theirs."""
     capture = repository.get(session, subject_id, capture_id)
+    if capture.role == "performance":
+        raise Problem(422, "capture.is_performance", f"{capture.name} takes no landmarks")
     _give_landmarks(session, capture, given.upload_id)
     return capture
 
@@ -79,6 +84,16 @@ def _give_landmarks(session: Session, capture: Capture, upload_id: str) -> None:
     upload = uploads.get_complete(session, upload_id)
     _check_format(upload, "landmarks.format", "a file of landmarks", LANDMARK_FORMATS)
     capture.landmarks_filename, capture.landmarks_sha256 = upload.filename, upload.sha256
+
+
+def _check_performance(upload: Upload, new: NewCapture) -> None:
+    _check_format(upload, "capture.format", "a performance", PERFORMANCE_FORMATS)
+    if not new.registered or new.landmarks_upload_id is not None:
+        raise Problem(
+            422,
+            "capture.is_performance",
+            f"{new.name}: a performance holds registered points and takes no landmarks",
+        )
 
 
 def _check_format(upload: Upload, code: str, what: str, formats: Sequence[str]) -> None:

@@ -48,21 +48,18 @@ def resolve(session: Session, kind: Kind, new: NewJob) -> Inputs:
 
 
 def _refuse_unread(kind: Kind, new: NewJob) -> None:
-    for member, reads in (("captures", {"captures", "capture"}), ("rig_id", {"rig"})):
+    for member, reads in (
+        ("captures", {"captures", "capture", "performance"}),
+        ("rig_id", {"rig"}),
+    ):
         if getattr(new, member) and reads.isdisjoint(kind.reads):
             raise Problem(422, "job.unexpected", f"{kind.kind} takes no {member}", member=member)
 
 
 def _about_one_capture(session: Session, kind: Kind, new: NewJob) -> Inputs:
     """Return the scan as it was uploaded with its landmarks, and what else ``kind`` reads."""
-    if len(new.captures) != 1:
-        raise Problem(
-            422,
-            "job.one_capture",
-            f"{kind.kind} takes one capture, not {len(new.captures)}",
-            member="captures",
-        )
-    capture = captures.get(session, new.subject_id, new.captures[0])
+    capture = _the_capture(session, new)
+    _refuse_performance(capture)
     if capture.registered and kind.leaves == "registration":
         raise Problem(
             409,
@@ -79,6 +76,27 @@ def _about_one_capture(session: Session, kind: Kind, new: NewJob) -> Inputs:
     if "neutral" in kind.reads and capture.role != "neutral":
         files.append(_neutral(session, new.subject_id, of_an_expression=True))
     return Inputs([*files, *_template(session, new.subject_id)], capture_id=capture.id)
+
+
+def _the_capture(session: Session, new: NewJob) -> Capture:
+    if len(new.captures) != 1:
+        raise Problem(
+            422,
+            "job.one_capture",
+            f"{new.kind} takes one capture, not {len(new.captures)}",
+            member="captures",
+        )
+    return captures.get(session, new.subject_id, new.captures[0])
+
+
+def _refuse_performance(capture: Capture) -> None:
+    if capture.role == "performance":
+        raise Problem(
+            422,
+            "capture.is_performance",
+            f"{capture.name} is a performance: fit_sequence reads it",
+            capture_id=capture.id,
+        )
 
 
 def _neutral(session: Session, subject_id: str, *, of_an_expression: bool = False) -> Input:
@@ -113,18 +131,34 @@ def _template(session: Session, subject_id: str) -> list[Input]:
 
 
 def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
-    """Return a model, the parent rig if ``kind`` reads one, and the expressions to fit."""
+    """Return a model, the parent rig if ``kind`` reads one, and what to fit."""
+    files = []
     if "rig" in kind.reads:
         rig = _parent(session, new)
         model = repository.get(session, rig.model_job_id)
-        files = [
-            _artifact(session, rig.job_id, "weights", "muscle_weights.npz"),
-            _artifact(session, rig.job_id, "rig", "activations.npz"),
-        ]
+        files.append(_artifact(session, rig.job_id, "weights", "muscle_weights.npz"))
+        if "captures" in kind.reads:
+            files.append(_artifact(session, rig.job_id, "rig", "activations.npz"))
     else:
-        model, files = _newest_model(session, new), []
+        model = _newest_model(session, new)
     files.append(_artifact(session, model.id, "model", "model.npz"))
-    return Inputs([*files, *_expressions(session, new, model)], model_job_id=model.id)
+    if "performance" in kind.reads:
+        files.append(_performance(session, new))
+    else:
+        files += _expressions(session, new, model)
+    return Inputs(files, model_job_id=model.id)
+
+
+def _performance(session: Session, new: NewJob) -> Input:
+    capture = _the_capture(session, new)
+    if capture.role != "performance":
+        raise Problem(
+            422,
+            "capture.not_a_performance",
+            f"{capture.name} is a scan, not a performance",
+            capture_id=capture.id,
+        )
+    return _input("performance", capture.name, capture.filename, capture.sha256)
 
 
 def _newest_model(session: Session, new: NewJob) -> Job:
@@ -177,6 +211,7 @@ def _chosen(session: Session, new: NewJob) -> list[Capture]:
     for capture_id in new.captures:
         if capture_id not in found:
             raise unknown("capture", capture_id)
+        _refuse_performance(found[capture_id])
         if found[capture_id].role == "neutral":
             raise Problem(
                 422,

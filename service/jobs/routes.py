@@ -11,9 +11,9 @@ from sqlalchemy.exc import IntegrityError
 
 from service.dependencies import Cursor, Limit, ReadSession, SettingsDep, StoreDep, WriteSession
 from service.errors import problems
-from service.jobs import repository, service
+from service.jobs import frames, repository, service
 from service.jobs.events import stream
-from service.jobs.schemas import Cancel, JobView, LogView, NewJob
+from service.jobs.schemas import Cancel, FramesView, JobView, LogView, NewJob
 from service.schemas import Id, Name, Page, Position
 from service.store.models import Job
 from service.store.transitions import State
@@ -121,6 +121,23 @@ def log(job_id: Id, session: ReadSession, after: Position = 0, limit: Limit = 10
     repository.get(session, job_id)
     lines: Any = repository.log(session, job_id, after, limit)
     return LogView(lines=lines, next=lines[-1].number if lines else after)
+
+
+@router.get(
+    "/{job_id}/frames",
+    summary="Read the frames of a sequence",
+    responses=problems(404, 409, 422),
+)
+def read_frames(
+    job_id: Id, session: ReadSession, store: StoreDep, start: Position = 0, limit: Limit = 100
+) -> FramesView:
+    """Read the frames that are ready, from the `start`-th (0 is the first), also while it runs.
+
+    They stay when the job fails or is canceled.
+    """
+    found, ready = frames.read(session, store.files, job_id, start, limit)
+    views: Any = found
+    return FramesView(frames=views, next=start + len(found), ready=ready)
 
 
 def _view(session: ReadSession, job_id: str) -> JobView:

@@ -35,7 +35,8 @@ class NewJob(Body):
     captures: list[Id] = Field(
         default=[],
         max_length=1000,
-        description="ids of expression captures; `check_scan` and `register_scan`: of one capture",
+        description="ids of expression captures; of one capture for `check_scan` and "
+        "`register_scan`, of one performance for `fit_sequence`",
     )
     rig_id: Id | None = Field(default=None, description="the parent rig")
     options: dict[str, Any] = Field(default={}, description="the kind's options")
@@ -159,6 +160,36 @@ class LogLineView(View):
     number: int
     attempt: int
     text: str
+
+
+class FrameView(BaseModel):
+    """A fitted frame; angles in rad, lengths in mm."""
+
+    frame: int = Field(description="its number in the performance")
+    status: Literal["fitted", "kept", "unseen"] = Field(
+        description="`kept`: the fit failed, `unseen`: too little of the face is seen; "
+        "both have the pose of the frame before"
+    )
+    activations: list[list[float]] = Field(
+        description="a row a muscle, xx, xy, xz, yy, yz, zz; relaxed is 1, 0, 0, 1, 0, 1"
+    )
+    jaw: list[float] = Field(description="two rotations and three translations of the mandible")
+    head: list[float] = Field(description="rotation vector and translation of the head")
+    mean_mm: float | None
+    p95_mm: float | None
+    max_mm: float | None
+    coverage: float = Field(description="share of the face that was seen")
+    inverted: int
+    iterations: int
+    seconds: float
+
+
+class FramesView(BaseModel):
+    """Frames of a sequence; pass `next` as `start` to read on, `ready` are there by now."""
+
+    frames: list[FrameView]
+    next: int
+    ready: int
 
 
 class LogView(BaseModel):

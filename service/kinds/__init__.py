@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from jsonschema import Draft202012Validator
 
-Read = Literal["capture", "neutral", "captures", "template", "model", "rig"]
+Read = Literal["capture", "neutral", "captures", "performance", "template", "model", "rig"]
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,8 @@ class Kind:
 
     ``reads`` names the inputs that are looked up at submission: ``capture`` is one scan as it was
     uploaded, with its landmarks; ``neutral`` and ``captures`` are registered scans, the subject's
-    neutral and chosen expressions. ``options`` is a JSON Schema and ``queue`` the Celery queue.
+    neutral and chosen expressions; ``performance`` is one capture of that role. ``options`` is a
+    JSON Schema and ``queue`` the Celery queue.
     """
 
     kind: str
@@ -26,7 +27,7 @@ class Kind:
     description: str
     queue: str
     reads: list[Read]
-    leaves: Literal["check", "registration", "model", "rig"]
+    leaves: Literal["check", "registration", "model", "rig", "sequence"]
     options: dict[str, Any]
 
     def faults(self, options: dict[str, Any]) -> list[dict[str, str]]:

@@ -14,7 +14,16 @@ from sqlalchemy import ColumnElement, func, literal, select, update
 from sqlalchemy.orm import Session
 
 from service.store.database import clock
-from service.store.models import Artifact, Attempt, Event, Job, LogLine, Rig, UtcDateTime
+from service.store.models import (
+    Artifact,
+    Attempt,
+    Event,
+    FrameChunk,
+    Job,
+    LogLine,
+    Rig,
+    UtcDateTime,
+)
 from service.store.store import wake
 from service.store.transitions import HELD, State, before
 
@@ -33,6 +42,8 @@ class Claim:
     options: dict[str, Any]
     rig_id: str | None
     model_job_id: str | None
+    frames: dict[str, str]
+    """The frames that earlier attempts left: file name -> sha256."""
 
 
 def create(session: Session, job: Job) -> None:
@@ -71,7 +82,15 @@ def claim(session: Session, job_id: str, worker: str, lease: float) -> Claim | N
         options=job.request["options"],
         rig_id=job.request["rig_id"],
         model_job_id=job.model_job_id,
+        frames={chunk.filename: chunk.sha256 for chunk in frames(session, job_id)},
     )
+
+
+def frames(session: Session, job_id: str) -> Sequence[FrameChunk]:
+    """Return the frames of a sequence that are ready, in their order."""
+    return session.scalars(
+        select(FrameChunk).where(FrameChunk.job_id == job_id).order_by(FrameChunk.first)
+    ).all()
 
 
 def beat(
@@ -82,8 +101,11 @@ def beat(
     *,
     steps: Sequence[dict[str, Any]] = (),
     lines: Sequence[str] = (),
+    chunks: Sequence[dict[str, Any]] = (),
 ) -> State | None:
-    """Renew the lease and write down what the solver said since the last beat.
+    """Renew the lease and write down what the solver said and which frames it left since the last.
+
+    ``chunks`` are columns of :class:`FrameChunk`: ``first``, ``last`` and ``sha256``.
 
     Returns ``running`` or ``canceling``; None: the attempt is no longer this worker's.
     """
@@ -104,6 +126,8 @@ def beat(
         last = session.scalar(select(func.max(LogLine.number)).where(LogLine.job_id == job_id)) or 0
         for number, line in enumerate(lines, last + 1):
             session.add(LogLine(job_id=job_id, number=number, attempt=attempt, text=line))
+    for chunk in chunks:
+        session.add(FrameChunk(job_id=job_id, attempt=attempt, **chunk))
     return state
 
 

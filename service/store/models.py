@@ -249,6 +249,22 @@ class Artifact(Base):
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 
+class FrameChunk(Base):
+    """Frames of a sequence, ready while its job runs: the ``first`` to the ``last``, from 0."""
+
+    __tablename__ = "job_frames"
+    job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True)
+    first: Mapped[int] = mapped_column(primary_key=True)
+    last: Mapped[int]
+    attempt: Mapped[int]
+    sha256: Mapped[str] = mapped_column(String(64), index=True)
+
+    @property
+    def filename(self) -> str:
+        """The name of the solver's file of these frames."""
+        return f"{self.first:06d}-{self.last:06d}.json"
+
+
 class Worker(Base):
     """A living worker process."""
 

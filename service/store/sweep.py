@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 
 from service.store.database import clock
 from service.store.jobs import expire
-from service.store.models import Artifact, Capture, Job, Lease, Template, Upload, Worker
+from service.store.models import Artifact, Capture, FrameChunk, Job, Lease, Template, Upload, Worker
 from service.store.store import Store, wake
 from service.store.transitions import FINAL, HELD, State
 
@@ -92,6 +92,7 @@ def collect_garbage(store: Store, age: float) -> int:
             Artifact.sha256,
             Capture.sha256,
             Capture.landmarks_sha256,
+            FrameChunk.sha256,
             Template.sha256,
             Upload.sha256,
         )

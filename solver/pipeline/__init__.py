@@ -8,5 +8,13 @@ from solver.pipeline.checks import check_scan
 from solver.pipeline.fits import fit_activations, fit_geometry
 from solver.pipeline.models import build_model
 from solver.pipeline.registration import register_scan
+from solver.pipeline.sequence import fit_sequence
 
-__all__ = ["build_model", "check_scan", "fit_activations", "fit_geometry", "register_scan"]
+__all__ = [
+    "build_model",
+    "check_scan",
+    "fit_activations",
+    "fit_geometry",
+    "fit_sequence",
+    "register_scan",
+]

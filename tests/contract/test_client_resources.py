@@ -22,6 +22,7 @@ SHAPES = {
     resources.Cancel: "CancelView",
     resources.Result: "Result",
     resources.LogLine: "LogLineView",
+    resources.Frame: "FrameView",
     resources.Rig: "RigView",
 }
 

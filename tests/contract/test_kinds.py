@@ -12,13 +12,15 @@ from service.store.queue import QUEUES
 from solver import pipeline
 from solver.errors import InputError
 from solver.mechanics.linear import SOLVERS
-from solver.scans import raw, read
+from solver.rig import sequence
+from solver.scans import performance, raw, read
+from worker import attempt
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_options_are_those_of_the_pipeline(kind: str, tmp_path: Path) -> None:
-    files = (2 if kind == "fit_activations" else 1) * [tmp_path / "x"]
-    scans = [{"smile": tmp_path / "smile.obj"}] if kind.startswith("fit_") else []
+    files = {"fit_activations": 2, "fit_sequence": 3}.get(kind, 1) * [tmp_path / "x"]
+    scans = [{"smile": tmp_path / "smile.obj"}] if "captures" in KINDS[kind].reads else []
     with pytest.raises(InputError) as caught:
         getattr(pipeline, kind)(*files, *scans, tmp_path, options={"no such option": 1})
     assert caught.value.code == "options.unknown"
@@ -31,9 +33,14 @@ def test_options_are_those_of_the_pipeline(kind: str, tmp_path: Path) -> None:
 def test_scans_may_be_what_the_solver_reads() -> None:
     assert captures.FORMATS == read.FORMATS
     assert tuple(raw.FORMATS) == captures.RAW_FORMATS
+    assert captures.PERFORMANCE_FORMATS == performance.FORMATS
+
+
+def test_frames_are_where_the_worker_looks() -> None:
+    assert attempt.FRAMES == sequence.FRAMES
 
 
 def test_linear_solvers_are_those_of_the_solver() -> None:
-    for kind in ("fit_geometry", "fit_activations"):
+    for kind in ("fit_geometry", "fit_activations", "fit_sequence"):
         offered = KINDS[kind].options["properties"]["linear_solver"]["enum"]
         assert offered == [*SOLVERS, None]

@@ -115,6 +115,29 @@ def test_captures_that_can_not_be(studio: Studio) -> None:
     assert len(studio.get(f"/v1/subjects/{subject}/captures")["items"]) == 1
 
 
+def test_a_performance_is_for_a_sequence_alone(studio: Studio) -> None:
+    subject = studio.subject()
+    smile, take = studio.capture(subject, "smile"), studio.performance(subject, "take")
+    studio.pretend(studio.submit("build_model", subject), {"model.npz": "0" * 64})
+    cases: list[tuple[str, list[str], str]] = [
+        ("check_scan", [take], "capture.is_performance"),
+        ("fit_geometry", [smile, take], "capture.is_performance"),
+        ("fit_sequence", [take], "job.missing"),
+    ]
+    for kind, captures, code in cases:
+        body = {"kind": kind, "subject_id": subject, "captures": captures}
+        answer = studio.http.post("/v1/jobs", json=body)
+        assert (answer.status_code, answer.json()["code"]) == (422, code)
+    scan, array = studio.upload("a.obj", b"v 0 0 0"), studio.upload("a.npy", b"NUMPY")
+    for upload, registered, code in (
+        (scan, True, "capture.format"),
+        (array, False, "capture.is_performance"),
+    ):
+        body = {"name": "b", "role": "performance", "upload_id": upload, "registered": registered}
+        answer = studio.http.post(f"/v1/subjects/{subject}/captures", json=body)
+        assert (answer.status_code, answer.json()["code"]) == (422, code)
+
+
 def test_a_subject_is_deleted_with_all_that_is_its_own(studio: Studio) -> None:
     subject = studio.subject()
     job = studio.submit("build_model", subject)

@@ -65,6 +65,40 @@ def fit_activations(model, weights, captures, out, *, rig=None, options=None, pr
     _leave_rig(out, [*json.loads(rig.read_text()), *captures])
 
 
+def fit_sequence(model, weights, performance, out, *, resume=False, options=None, progress):
+    """Leave frames, two a file, as the orders say: ``frames`` in all, ``seconds`` for each."""
+    orders = dict(_orders(performance))
+    folder = out / "frames"
+    assert resume == folder.exists()
+    folder.mkdir(exist_ok=True)
+    done = 2 * len(list(folder.iterdir()))
+    for first in range(done, int(orders["frames"]), 2):
+        time.sleep(float(orders.get("seconds", 0)))
+        frames = [FRAME | {"frame": number, "iterations": done} for number in (first, first + 1)]
+        partial = folder / "partial"
+        partial.write_text(json.dumps({"frames": frames}))
+        partial.rename(folder / f"{first:06d}-{first + 1:06d}.json")
+        progress(Step("frames", first / int(orders["frames"]), first + 2))
+        if first == 2 and not resume:
+            _fail(orders.get("fault"), performance)
+    (out / "sequence.npz").write_bytes(b"PK")
+    (out / "sequence.json").write_text(json.dumps({"frames": int(orders["frames"])}))
+
+
+FRAME = {
+    "status": "fitted",
+    "activations": [[1, 0, 0, 1, 0, 1]],
+    "jaw": [0] * 5,
+    "head": [0] * 6,
+    "mean_mm": 0.25,
+    "p95_mm": 0.5,
+    "max_mm": None,
+    "coverage": 1,
+    "inverted": 0,
+    "seconds": 0.1,
+}
+
+
 def _leave_rig(out, expressions):
     (out / "rig.glb").write_bytes(b"glTF" + os.urandom(4096))
     (out / "activations.npz").write_text(json.dumps(expressions))
@@ -94,6 +128,8 @@ def _fail(fault, scan):
         raise ZeroDivisionError("a bug")
     if fault == "memory":
         bytearray(1 << 36)
+    if fault == "killed":
+        os.kill(os.getpid(), signal.SIGKILL)
     if fault == "deaf":  # a C library that hears no signal
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
         time.sleep(120)

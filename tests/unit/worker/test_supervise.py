@@ -13,6 +13,7 @@ from service.settings import Settings
 from service.store import jobs
 from service.store.models import Job, LogLine, Subject
 from service.store.store import Store
+from worker.attempt import FRAMES, AttemptFolder
 from worker.supervise import Supervisor
 
 
@@ -53,19 +54,23 @@ def test_what_was_said_during_an_outage_is_written_down_after_it(
     assert claim is not None
     supervisor = Supervisor(store, settings, "me", threading.Event())
     supervisor._renewed = float("inf")
-    process = Talking()
+    process, folder = Talking(), AttemptFolder(settings.work, claim)
+    frames = folder.path / "out" / FRAMES
+    frames.mkdir(parents=True)
+    (frames / "000000-000029.json").write_text("{}")
 
     def away() -> None:
         raise OperationalError("BEGIN", None, Exception("gone"))
 
     with monkeypatch.context() as outage:
         outage.setattr(store, "write", away)
-        supervisor._beat(claim, process)
-        supervisor._beat(claim, process)
-    supervisor._beat(claim, process)
-    supervisor._beat(claim, process)
+        supervisor._beat(claim, process, folder)
+        supervisor._beat(claim, process, folder)
+    supervisor._beat(claim, process, folder)
+    supervisor._beat(claim, process, folder)
     with store.read() as session:
         said = session.scalars(select(LogLine.text).order_by(LogLine.number)).all()
         assert said == ["line 1", "line 2", "line 3", "line 4"]
+        assert [(chunk.first, chunk.last) for chunk in jobs.frames(session, job.id)] == [(0, 29)]
         assert session.get(Job, job.id).progress["phase"] == "phase 4"
     store.close()

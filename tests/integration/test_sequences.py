@@ -1,0 +1,91 @@
+"""Frames of a performance on their way through the service."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from myoface.client import Client
+from myoface.stack import Stack
+from tests.service_client import Studio, eventually, running
+
+
+@pytest.fixture(scope="module")
+def stack_and_studio(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stack, Studio]]:
+    with running(tmp_path_factory.mktemp("stack")) as both:
+        yield both
+
+
+@pytest.fixture(scope="module")
+def studio(stack_and_studio: tuple[Stack, Studio]) -> Studio:
+    return stack_and_studio[1]
+
+
+@pytest.fixture(scope="module")
+def rigged(studio: Studio) -> tuple[str, str]:
+    return studio.rigged()
+
+
+def submit(studio: Studio, rigged: tuple[str, str], name: str, **orders: Any) -> str:
+    subject, rig = rigged
+    take = studio.performance(subject, name, **orders)
+    return studio.submit("fit_sequence", subject, captures=[take], rig_id=rig)
+
+
+def numbers(studio: Studio, job: str, start: int = 0, limit: int = 100) -> list[int]:
+    page = studio.get(f"/v1/jobs/{job}/frames?start={start}&limit={limit}")
+    assert page["next"] == start + len(page["frames"])
+    return [frame["frame"] for frame in page["frames"]]
+
+
+def test_frames_come_while_the_job_runs_and_stay_when_it_is_canceled(
+    studio: Studio, rigged: tuple[str, str]
+) -> None:
+    job = submit(studio, rigged, "long", frames=1000, seconds=0.1)
+    eventually(lambda: len(numbers(studio, job)) >= 6)
+    assert studio.job(job)["state"] == "running"
+    assert numbers(studio, job, 1, 4) == [1, 2, 3, 4]
+    studio.post(f"/v1/jobs/{job}/cancel", reason="enough seen")
+    studio.until(job, "canceled", seconds=5)
+    kept = numbers(studio, job, limit=1000)
+    assert kept == list(range(len(kept)))
+    assert len(kept) >= 6
+    assert numbers(studio, job, len(kept)) == []
+
+
+def test_a_killed_solver_goes_on_after_its_last_frame(
+    stack_and_studio: tuple[Stack, Studio], studio: Studio, rigged: tuple[str, str]
+) -> None:
+    job = submit(studio, rigged, "killed", frames=8, fault="killed")
+    done = studio.finished(job)
+    assert [attempt["outcome"] for attempt in done["attempts"]] == ["lost", "succeeded"]
+    assert done["result"]["summary"] == {"frames": 8}
+    assert [file["name"] for file in done["result"]["artifacts"]] == [
+        "sequence.json",
+        "sequence.npz",
+    ]
+    with Client(stack_and_studio[0].url) as client:
+        frames = list(client.frames(job))
+    assert [frame.frame for frame in frames] == list(range(8))
+    # The stand-in writes down how many frames it found: the second attempt found the first's.
+    assert [frame.iterations for frame in frames] == [0, 0, 0, 0, 4, 4, 4, 4]
+
+
+def test_a_scan_is_no_performance(studio: Studio, rigged: tuple[str, str]) -> None:
+    subject, rig = rigged
+    laugh, take = studio.capture(subject, "laugh"), studio.performance(subject, "take")
+    for captures, code in (
+        ([laugh], "capture.not_a_performance"),
+        ([take, take], "job.one_capture"),
+    ):
+        body = {"kind": "fit_sequence", "subject_id": subject, "rig_id": rig, "captures": captures}
+        answer = studio.http.post("/v1/jobs", json=body)
+        assert (answer.status_code, answer.json()["code"]) == (422, code)
+
+
+def test_only_a_sequence_has_frames(studio: Studio) -> None:
+    job = studio.submit("build_model", studio.subject())
+    answer = studio.http.get(f"/v1/jobs/{job}/frames")
+    assert (answer.status_code, answer.json()["code"]) == (409, "job.no_frames")
