@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from solver.errors import InputError
@@ -11,6 +13,9 @@ HEAD_MM = (100.0, 700.0)  # largest extent: from a bare face to a head with neck
 UNITS = {"metres": 1000.0, "centimetres": 10.0, "inches": 25.4}
 MAX_EDGE_SHARE = 0.2  # median edge by largest extent; shuffled vertices give about 0.4
 MAX_MEDIAN_MOTION_MM = 25.0  # a wide open jaw moves half of a bare face by about 10 mm
+
+MIRRORED = 0.25
+"""Part of a rotation's squared distances that a mirror image has to leave to be the better one."""
 
 
 def check_scale(file: str, vertices: Floats) -> None:
@@ -54,25 +59,50 @@ def check_alignment(file: str, vertices: Floats, neutral: Floats) -> None:
     """Raise ``scan.misaligned`` if the expression (n, 3) is far off the neutral (n, 3).
 
     Scans of one session share the skull's place; the message says by how much this one is moved.
+    One that is the neutral's mirror image rather than moved is ``scan.mirrored``.
     """
+    motion = _rigid_motion(neutral, vertices)
+    if motion.mirrored:
+        raise InputError(
+            "scan.mirrored",
+            f"{file} is mirrored against the neutral (left and right exchanged, or inside out): "
+            "switch off mirroring in the export",
+            file=file,
+        )
     median = float(np.median(np.linalg.norm(vertices - neutral, axis=1)))
     if median <= MAX_MEDIAN_MOTION_MM:
         return
-    degrees, shift = _rigid_motion(neutral, vertices)
     raise InputError(
         "scan.misaligned",
         f"{file} lies {median:.0f} mm off the neutral (median over all vertices): it is turned by "
-        f"{degrees:.0f} degrees and moved by {shift:.0f} mm; align its skull with the neutral's",
+        f"{motion.degrees:.0f} degrees and moved by {motion.shift:.0f} mm; align its skull with "
+        "the neutral's",
         file=file,
         expected=MAX_MEDIAN_MOTION_MM,
         found=median,
     )
 
 
-def _rigid_motion(start: Floats, end: Floats) -> tuple[float, float]:
-    """Return the angle (degrees) and shift (mm) of the best rigid motion (Kabsch 1976)."""
-    u, _, vt = np.linalg.svd((start - start.mean(0)).T @ (end - end.mean(0)))
-    turn = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    cosine = (np.trace(u @ turn @ vt) - 1) / 2
-    shift = np.linalg.norm(end.mean(0) - start.mean(0))
-    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))), float(shift)
+@dataclass(frozen=True)
+class _Motion:
+    """The best rigid motion, in degrees and mm, and whether a mirror image fits far better."""
+
+    degrees: float
+    shift: float
+    mirrored: bool
+
+
+def _rigid_motion(start: Floats, end: Floats) -> _Motion:
+    """Return the best rigid motion of ``start`` (n, 3) onto ``end`` (Kabsch 1976)."""
+    centred, goal = start - start.mean(0), end - end.mean(0)
+    u, s, vt = np.linalg.svd(centred.T @ goal)
+    sign = np.sign(np.linalg.det(u @ vt))
+    cosine = (np.trace(u @ np.diag([1.0, 1.0, sign]) @ vt) - 1) / 2
+    # what is left of the squared distances by a rotation, and by a mirrored one
+    spread = np.sum(centred**2) + np.sum(goal**2)
+    left = [spread - 2.0 * (s[0] + s[1] + side * s[2]) for side in (sign, -sign)]
+    return _Motion(
+        float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))),
+        float(np.linalg.norm(end.mean(0) - start.mean(0))),
+        bool(left[1] < MIRRORED * left[0]),
+    )

@@ -1,7 +1,9 @@
 """The multi-target problem in full space: (x_k, a_k, b_k) of every expression and their common S.
 
-min  sum_k f_k(x_k, a_k, b_k) + w_s/2 |S - S_prior|^2
-with grad_x E(x_k; a_k, b_k, S) = 0,   sum_j s_ij = 1,   s_ij >= 0.
+    min  sum_k [data_k(x_k) + regulariser(a_k, b_k)] + w_s/2 |S - S_prior|^2 + 1/2 |L S|^2
+    with grad_x E(x_k; a_k, b_k, S) = 0,   sum_j s_ij = 1,   s_ij >= 0.
+
+The objective is that of :mod:`solver.fitting.joint`.
 """
 
 from __future__ import annotations
@@ -12,12 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from solver.fitting.face import Face, Pose, State
-from solver.fitting.objective import Regulariser
+from solver.fitting.face import Pose, State
+from solver.fitting.joint import GeometryProblem
 from solver.fitting.reference.common import UNBOUNDED, Listener, Problem, solve
 from solver.fitting.reference.expression import Expression
 from solver.fitting.sensitivity import gradient_by_geometry
-from solver.fitting.terms import Term
 from solver.fitting.weights import replace_values
 from solver.surface import Floats, Ints
 
@@ -35,39 +36,36 @@ class GeometryReference:
 
 
 def geometry(
-    face: Face,
+    problem: GeometryProblem,
     S: sp.csr_array,
-    data: Mapping[str, Term],
-    regulariser: Regulariser,
-    w_s: float,
     start: Mapping[str, State],
     *,
     tolerance: float = 1e-7,
     max_iterations: int = 1000,
     listen: Listener | None = None,
 ) -> GeometryReference:
-    """Minimise over all expressions and S by IPOPT, from the ``start`` states and S, the prior.
+    """Minimise over S and all expressions by IPOPT, from ``S`` and the ``start`` states.
 
-    One ``regulariser`` with its prior serves all expressions. Raises :class:`NotConvergedError`.
+    Raises :class:`NotConvergedError` (``ipopt.failed``) with IPOPT's message.
     """
-    problem = GeometryProblem(face, S, data, regulariser, w_s, listen)
-    begin = [problem.parts[name].start(start[name].pose, start[name].x) for name in data]
-    forces = len(data) * face.flesh.size
-    least = np.full(problem.count, -UNBOUNDED)
+    full = FullGeometry(problem, S, listen)
+    begin = [part.start(start[name].pose, start[name].x) for name, part in full.parts.items()]
+    forces = len(full.parts) * problem.face.flesh.size
+    least = np.full(full.count, -UNBOUNDED)
     least[-S.nnz :] = 0.0
     found = solve(
-        problem,
+        full,
         np.concatenate([*begin, S.data]),
         np.concatenate([np.zeros(forces), np.ones(S.shape[0])]),
         tolerance,
         max_iterations,
         least,
     )
-    pieces, fitted = problem.split(found.z)
+    pieces, fitted = full.split(found.z)
     answer = GeometryReference(
         fitted,
-        {name: part.pose(pieces[name]) for name, part in problem.parts.items()},
-        {name: part.place(pieces[name]) for name, part in problem.parts.items()},
+        {name: part.pose(pieces[name]) for name, part in full.parts.items()},
+        {name: part.place(pieces[name]) for name, part in full.parts.items()},
         found.objective,
         found.iterations,
         found.violation,
@@ -75,34 +73,30 @@ def geometry(
     return found.checked(answer)
 
 
-class GeometryProblem(Problem):
+class FullGeometry(Problem):
     """Variables (z_1, ..., z_K, values of S); every expression's forces, then the rows' sums."""
 
     def __init__(
-        self,
-        face: Face,
-        S: sp.csr_array,
-        data: Mapping[str, Term],
-        regulariser: Regulariser,
-        w_s: float,
-        listen: Listener | None = None,
+        self, problem: GeometryProblem, S: sp.csr_array, listen: Listener | None = None
     ) -> None:
         super().__init__(listen)
+        self._problem = problem
         self._S = S
-        self._w_s = w_s
+        self._face = face = problem.face
         candidates = replace_values(S, np.ones(S.nnz))
         self.parts = {
-            name: Expression(face, candidates, term, regulariser) for name, term in data.items()
+            name: Expression(face, candidates, term, problem.regulariser)
+            for name, term in problem.data.items()
         }
         self._each = next(iter(self.parts.values())).count
         self._first_weight = self._each * len(self.parts)
         self.count = self._first_weight + S.nnz
-        self._face = face
         # a held vertex feels no force: its entries of the derivative by S are left out
+        self._tet = np.repeat(np.arange(S.shape[0]), np.diff(S.indptr))
         numbers = face.flesh.free_numbers[face.flesh.tets]
-        tets = np.repeat(np.arange(S.shape[0]), np.diff(S.indptr))
-        self._felt = np.repeat(numbers[tets].ravel() >= 0, 3)
-        self._row_sums = tets
+        self._felt = np.repeat(numbers[self._tet].ravel() >= 0, 3)
+        square = problem.w_s * sp.eye_array(S.nnz) + problem.structure.T @ problem.structure
+        self._by_weights = sp.tril(square).tocoo()
 
     def split(self, z: Floats) -> tuple[dict[str, Floats], sp.csr_array]:
         """Return every expression's variables, and S."""
@@ -113,15 +107,14 @@ class GeometryProblem(Problem):
     def objective(self, z: Floats) -> float:
         """See :class:`Problem`."""
         pieces, S = self.split(z)
-        change = S.data - self._S.data
         parts = sum(part.objective(pieces[name]) for name, part in self.parts.items())
-        return float(parts + 0.5 * self._w_s * change @ change)
+        return parts + self._problem.prior_value(S.data)
 
     def gradient(self, z: Floats) -> Floats:
         """See :class:`Problem`."""
         pieces, S = self.split(z)
         parts = [part.gradient(pieces[name]) for name, part in self.parts.items()]
-        return np.concatenate([*parts, self._w_s * (S.data - self._S.data)])
+        return np.concatenate([*parts, self._problem.prior_gradient(S.data)])
 
     def constraints(self, z: Floats) -> Floats:
         """See :class:`Problem`."""
@@ -139,7 +132,7 @@ class GeometryProblem(Problem):
             by_part = part.jacobian_structure
             rows += [k * size + by_part[0], k * size + by_weights.indices[self._felt]]
             columns += [k * self._each + by_part[1], weights]
-        rows.append(len(self.parts) * size + self._row_sums)
+        rows.append(len(self.parts) * size + self._tet)
         columns.append(self._first_weight + np.arange(self._S.nnz))
         return np.concatenate(rows), np.concatenate(columns)
 
@@ -161,14 +154,15 @@ class GeometryProblem(Problem):
                 k * self._each + part.hessian_structure[side]
                 for k, part in enumerate(self.parts.values())
             ]
-            both.append(np.concatenate([*parts, np.arange(self._first_weight, self.count)]))
+            by_weights = self._by_weights.coords[side]
+            both.append(np.concatenate([*parts, self._first_weight + by_weights]))
         return both[0], both[1]
 
     def hessian(self, z: Floats, multipliers: Floats, factor: float) -> Floats:  # noqa: ARG002
         """See :class:`Problem`."""
-        pieces, S = self.split(z)
+        pieces, _ = self.split(z)
         parts = [part.hessian(pieces[name]) for name, part in self.parts.items()]
-        return factor * np.concatenate([*parts, np.full(S.nnz, self._w_s)])
+        return factor * np.concatenate([*parts, self._by_weights.data])
 
     def _pull(self, S: sp.csr_array, pose: Pose, x: Floats) -> sp.csc_array:
         return gradient_by_geometry(self._face, S, pose, x)

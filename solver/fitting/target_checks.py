@@ -1,0 +1,235 @@
+"""Targets that a face can not reach: found before the fit where possible, else by what it leaves.
+
+The limits are the project's own. Captured expressions stay well within them; what they are for are
+mistakes (a scan that was turned, named twice or replaced) and artifacts of scanners.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+
+from solver.fitting.notices import Notice
+from solver.model import SubjectModel
+from solver.registration.similarity import Similarity, weighted_motion
+from solver.scans.registered import RegisteredScan
+from solver.surface import Floats, Ints
+
+SAME_MM = 0.01
+"""Scans nearer than this everywhere are one scan; a repeated capture differs by its noise."""
+
+TURNED_DEGREES = 4.0
+SHIFTED_MM = 4.0
+"""Motion of the whole head that stabilised scans do not have."""
+
+STILL_MM = 2.0
+STILL_STEPS = 10
+"""Skin further than this from the head's motion moves by itself and loses its say."""
+
+STRETCH = 3.0
+STRETCHED_MM = 5.0
+"""An edge of the skin longer than so many times its length, and by so much, is no skin."""
+
+LEAST_COVERAGE = 0.4
+
+RESIDUAL_MM = 2.0
+STANDS_OUT = 5.0
+PATCH_MM = 5.0
+"""Distance left by a fit that is worth a look, also as a multiple of the expression's median, and
+the size of the patch where it is."""
+
+
+def before_fit(model: SubjectModel, scans: Mapping[str, RegisteredScan]) -> list[Notice]:
+    """Return what is odd about scans by name, each a registered scan of ``model``'s topology."""
+    found = [*_repeated(model, scans), *_same_name(model, scans)]
+    for name, scan in scans.items():
+        found += [
+            *_uncovered(model, name, scan),
+            *_turned(model, name, scan),
+            *_stretched(model, name, scan),
+        ]
+    return found
+
+
+def replaced(model: SubjectModel, name: str, before: Floats, scan: RegisteredScan) -> list[Notice]:
+    """Return whether ``scan`` is another one than ``before`` (V, 3), whose name it takes."""
+    face = _seen(model, scan)
+    away = np.linalg.norm(scan.vertices[face] - before[face], axis=1)
+    if away.max(initial=0.0) <= RESIDUAL_MM:
+        return []
+    vertex = int(face[away.argmax()])
+    where = _where(model, vertex)
+    message = (
+        f"{name} takes the place of the rig's expression of that name, whose scan lies "
+        f"{away.max():.1f} mm away at vertex {vertex} ({where})"
+    )
+    return [_notice("target.replaced", message, name, model, vertex, away.max())]
+
+
+def after_fit(model: SubjectModel, name: str, error_mm: Floats) -> list[Notice]:
+    """Return where an expression stays away from its scan; ``error_mm`` (V,), NaN where unseen.
+
+    One notice for each connected patch of the face whose error stands out, the worst first.
+    """
+    face = np.zeros(len(error_mm), dtype=bool)
+    face[model.face] = True
+    error = np.where(face, np.nan_to_num(error_mm), 0.0)
+    seen = error_mm[model.face][np.isfinite(error_mm[model.face])]
+    if not len(seen):
+        return []
+    limit = max(RESIDUAL_MM, STANDS_OUT * float(np.median(seen)))
+    high = error > limit
+    edges = _edges(model)
+    joined = edges[high[edges].all(axis=1)]
+    graph = sp.coo_array((np.ones(len(joined)), joined.T), shape=(len(error),) * 2)
+    _, patch = connected_components(graph, directed=False)
+    found = []
+    for number in np.unique(patch[high]):
+        vertices = np.flatnonzero((patch == number) & high)
+        size = float(np.ptp(model.skin.vertices[vertices], axis=0).max())
+        if size < PATCH_MM:
+            continue
+        worst = int(vertices[error[vertices].argmax()])
+        message = (
+            f"{name}: the fit stays up to {error[worst]:.1f} mm away from the scan around vertex "
+            f"{worst} ({_where(model, worst)}), over {size:.0f} mm; muscles can not make that "
+            "shape: look for an artifact of the scan there"
+        )
+        notice = _notice("fit.unreached", message, name, model, worst, error[worst])
+        notice.context["size_mm"] = round(size, 1)
+        found.append(notice)
+    return sorted(found, key=lambda notice: -notice.context["mm"])
+
+
+def _repeated(model: SubjectModel, scans: Mapping[str, RegisteredScan]) -> list[Notice]:
+    """Find scans that are the neutral, or each other."""
+    known = {"the neutral": model.skin.vertices}
+    found = []
+    for name, scan in scans.items():
+        face = _seen(model, scan)
+        for other, vertices in known.items():
+            if np.abs(scan.vertices[face] - vertices[face]).max(initial=0.0) > SAME_MM:
+                continue
+            message = f"{name} and {other} are the same scan: one of them was sent for another"
+            found.append(Notice("target.repeated", message, {"expression": name, "other": other}))
+            break
+        known[name] = scan.vertices
+    return found
+
+
+def _same_name(model: SubjectModel, scans: Mapping[str, RegisteredScan]) -> list[Notice]:
+    """Find names that differ only in case or spaces though the scans are of different faces."""
+    first: dict[str, str] = {}
+    found = []
+    for name, scan in scans.items():
+        plain = "".join(letter for letter in name.casefold() if letter.isalnum())
+        other = first.setdefault(plain, name)
+        if other == name:
+            continue
+        both = np.intersect1d(_seen(model, scan), _seen(model, scans[other]))
+        away = np.linalg.norm(scan.vertices[both] - scans[other].vertices[both], axis=1)
+        if away.max(initial=0.0) > RESIDUAL_MM:
+            vertex = int(both[away.argmax()])
+            message = (
+                f"{name} and {other} have one name but lie {away.max():.1f} mm apart at vertex "
+                f"{vertex} ({_where(model, vertex)}): the fit will find each its own activations"
+            )
+            notice = _notice("target.conflict", message, name, model, vertex, away.max())
+            notice.context["other"] = other
+            found.append(notice)
+    return found
+
+
+def _uncovered(model: SubjectModel, name: str, scan: RegisteredScan) -> list[Notice]:
+    share = len(_seen(model, scan)) / len(model.face)
+    if share >= LEAST_COVERAGE:
+        return []
+    message = f"{name} shows only {100 * share:.0f} % of the face; the rest of the fit is a guess"
+    return [Notice("target.coverage", message, {"expression": name, "found": round(share, 3)})]
+
+
+def _turned(model: SubjectModel, name: str, scan: RegisteredScan) -> list[Notice]:
+    """Find motion of the whole head, which a fit would take for expression."""
+    motion = head_motion(model, scan)
+    shift = float(
+        np.linalg.norm(motion(model.skin.vertices.mean(0)[None]) - model.skin.vertices.mean(0))
+    )
+    if motion.degrees <= TURNED_DEGREES and shift <= SHIFTED_MM:
+        return []
+    message = (
+        f"{name}: the whole head is turned by {motion.degrees:.0f} degrees and moved by "
+        f"{shift:.0f} mm against the neutral; the fit takes that for expression: align the skulls"
+    )
+    context = {"expression": name, "degrees": round(motion.degrees, 1), "mm": round(shift, 1)}
+    return [Notice("target.turned", message, context)]
+
+
+def head_motion(model: SubjectModel, scan: RegisteredScan) -> Similarity:
+    """Return the rigid motion from the neutral to the scan that most of the skin agrees on.
+
+    Robust (Geman-McClure weights): what moves by itself loses its say.
+    """
+    weights = scan.confidence.copy()
+    weights[model.attached_mandible] = 0.0
+    used = np.flatnonzero(weights > 0.0)
+    neutral, goal, trust = model.skin.vertices[used], scan.vertices[used], weights[used]
+    motion = weighted_motion(neutral, goal, trust)
+    for _ in range(STILL_STEPS):
+        away = np.linalg.norm(motion(neutral) - goal, axis=1)
+        motion = weighted_motion(neutral, goal, trust / (1.0 + (away / STILL_MM) ** 2) ** 2)
+    return motion
+
+
+def _stretched(model: SubjectModel, name: str, scan: RegisteredScan) -> list[Notice]:
+    seen = np.zeros(len(scan.vertices), dtype=bool)
+    seen[_seen(model, scan)] = True
+    edges = _edges(model)
+    edges = edges[seen[edges].all(axis=1)]
+    before, now = (
+        np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
+        for points in (model.skin.vertices, scan.vertices)
+    )
+    torn = (now > STRETCH * before) & (now - before > STRETCHED_MM)
+    if not torn.any():
+        return []
+    worst = int(np.argmax(np.where(torn, now - before, 0.0)))
+    ends = edges[worst]
+    motion = np.linalg.norm(scan.vertices[ends] - model.skin.vertices[ends], axis=1)
+    vertex = int(ends[motion.argmax()])
+    message = (
+        f"{name}: skin at vertex {vertex} ({_where(model, vertex)}) is stretched from "
+        f"{before[worst]:.1f} to {now[worst]:.1f} mm, as are {int(torn.sum())} edges; no face "
+        "does that: look for a spike of the scan there"
+    )
+    return [_notice("target.stretched", message, name, model, vertex, now[worst])]
+
+
+def _seen(model: SubjectModel, scan: RegisteredScan) -> Ints:
+    return model.face[scan.confidence[model.face] > 0.0]
+
+
+def _edges(model: SubjectModel) -> Ints:
+    faces = model.skin.faces
+    both = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    return np.unique(np.sort(both, axis=1), axis=0)
+
+
+def _where(model: SubjectModel, vertex: int) -> str:
+    """Return the first region that has a vertex."""
+    names = (name for name, ids in model.regions.items() if vertex in ids)
+    return next(names, "face").replace("_", " ")
+
+
+def _notice(
+    code: str, message: str, name: str, model: SubjectModel, vertex: int, distance: float
+) -> Notice:
+    context = {
+        "expression": name,
+        "region": _where(model, vertex),
+        "vertex": vertex,
+        "mm": round(float(distance), 2),
+    }
+    return Notice(code, message, context)
