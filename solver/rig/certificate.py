@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from solver.fitting.crossing import Crossing, crossing
 from solver.fitting.face import Face, Pose, State
+from solver.fitting.mouth import Mouth
 from solver.mechanics.equilibrium import factorise
 from solver.rig.plausibility import JawMotion, Muscles, jaw_motion, muscles
 from solver.rig.result import ExpressionFit, Rig
@@ -39,11 +41,18 @@ class FleshCheck:
 
 @dataclass(frozen=True)
 class ExpressionCheck:
-    """The checks of one expression; ``flesh`` is None where the rig does not hold the tets."""
+    """The checks of one expression.
+
+    ``flesh`` is None where the rig does not hold the tets. ``crossing`` is of the fitted skin,
+    ``scan_crossing`` of the scan; both are None where the model names no lips, the latter too where
+    the scan has holes.
+    """
 
     muscles: Muscles
     jaw: JawMotion
     flesh: FleshCheck | None
+    crossing: Crossing | None
+    scan_crossing: Crossing | None
 
 
 @dataclass(frozen=True)
@@ -78,18 +87,22 @@ def with_round_trips(
 
 def certify(face: Face, rig: Rig, settings: dict[str, Any]) -> Certificate:
     """Check every expression of a rig of ``face``; ``settings`` are JSON values."""
-    checks = {fit.name: _check(face, rig.weights, fit) for fit in rig.expressions}
+    mouth = Mouth.of(face.model)
+    checks = {fit.name: _check(face, rig.weights, fit, mouth) for fit in rig.expressions}
     return Certificate(checks, settings)
 
 
-def _check(face: Face, S: sp.csr_array, fit: ExpressionFit) -> ExpressionCheck:
+def _check(face: Face, S: sp.csr_array, fit: ExpressionFit, mouth: Mouth | None) -> ExpressionCheck:
     model = face.model
+    whole = np.isfinite(fit.target).all()
     return ExpressionCheck(
         muscles(model, face.flesh.volumes, S, fit.activations),
         jaw_motion(model, fit.jaw),
         None
         if fit.x is None
         else check_flesh(face, face.tet_activations(S, fit.activations), fit.x),
+        None if mouth is None else crossing(mouth, fit.skin),
+        None if mouth is None or not whole else crossing(mouth, fit.target),
     )
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from solver.fitting.crossing import Crossing
 from solver.model import SubjectModel
 from solver.rig.certificate import Certificate, ExpressionCheck, FleshCheck
 from solver.rig.checks import overall
@@ -118,6 +119,8 @@ def _expression(
             for name, (ids, seen) in regions.items()
         },
         "flesh": None if check.flesh is None else _flesh(check.flesh),
+        "crossing": _crossing(check.crossing),
+        "scan_crossing": _crossing(check.scan_crossing),
         "jaw_motion": {
             **{name: _plain(value) for name, value in asdict(check.jaw).items()},
             "faults": check.jaw.faults(),
@@ -143,6 +146,16 @@ def _distances(error: Floats) -> dict[str, float | None]:
 def _flesh(flesh: FleshCheck) -> dict[str, Any]:
     return {name: _plain(value) for name, value in asdict(flesh).items()} | {
         "residual": float(f"{flesh.residual:.3e}")
+    }
+
+
+def _crossing(found: Crossing | None) -> dict[str, float | None] | None:
+    if found is None:
+        return None
+    depths = (found.lips, found.upper_teeth, found.lower_teeth, found.bite)
+    return {
+        f"{name}_mm": None if depth is None else _figure(depth)
+        for name, depth in zip(("lips", "upper_teeth", "lower_teeth", "bite"), depths, strict=True)
     }
 
 

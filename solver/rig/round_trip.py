@@ -6,7 +6,7 @@ The first half shows whether the pose has another equilibrium than the one that 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -31,26 +31,23 @@ STOP = ActivationOptions(25, tolerance=1e-2)
 
 @dataclass(frozen=True)
 class RoundTrip:
-    """What came back; NaN throughout where the pose can not be reached from rest.
+    """What came back; NaN where the pose can not be reached from rest, or not be fitted again.
 
     ``skin_*_mm`` are distances between the fitted and the simulated skin over the face, ``refit_*``
     between the simulated and the fitted-again one. ``activation_error`` is the difference of the
-    excited muscles' activations by their distance from rest, NaN if none is excited.
+    excited muscles' activations by their distance from rest, NaN too if none is excited.
     """
 
-    skin_mean_mm: float
-    skin_max_mm: float
-    refit_mean_mm: float
-    refit_max_mm: float
-    activation_error: float
+    skin_mean_mm: float = np.nan
+    skin_max_mm: float = np.nan
+    refit_mean_mm: float = np.nan
+    refit_max_mm: float = np.nan
+    activation_error: float = np.nan
 
     @property
     def reached(self) -> bool:
         """Return whether the pose was reached from rest."""
         return bool(np.isfinite(self.skin_mean_mm))
-
-
-OUT_OF_REACH = RoundTrip(*[np.nan] * 5)
 
 
 def round_trip(
@@ -63,19 +60,22 @@ def round_trip(
     try:
         simulated = face.move(S, rest, pose)
     except SolveError:
-        return OUT_OF_REACH
+        return RoundTrip()
     points = face.face_points(simulated.x)
     apart = np.linalg.norm(points - fitted_face, axis=1)
+    there = RoundTrip(float(apart.mean()), float(apart.max()))
     regulariser = Regulariser(**REFIT, prior=face.rest_pose())
     data = SkinDistance(face, Target.from_points(points))
-    again = activation.fit(face, S, data, regulariser, rest, STOP).state
+    try:
+        again = activation.fit(face, S, data, regulariser, rest, STOP).state
+    except SolveError:
+        return there
     left = np.linalg.norm(face.face_points(again.x) - points, axis=1)
-    return RoundTrip(
-        float(apart.mean()),
-        float(apart.max()),
-        float(left.mean()),
-        float(left.max()),
-        activation_error(pose.a, again.pose.a),
+    return replace(
+        there,
+        refit_mean_mm=float(left.mean()),
+        refit_max_mm=float(left.max()),
+        activation_error=activation_error(pose.a, again.pose.a),
     )
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from solver.fitting.crossing import Crossing
 from solver.model import SubjectModel
 from solver.rig.certificate import Certificate, ExpressionCheck
 from solver.rig.checks import CHECKS, Check, Verdict
@@ -96,13 +97,35 @@ def _measures(
             "flesh.residual": Measure(flesh.residual),
             "flesh.minimum": Measure(0 if flesh.minimum else 1),
         }
+    found |= _contact(check.crossing, check.scan_crossing)
     if fit.round_trip is not None:
         trip = fit.round_trip
-        unreached = "" if trip.reached else "not reached from rest"
+        unreached = "" if trip.reached else "the pose can not be reached from rest"
         found["trip.skin"] = Measure(trip.skin_mean_mm, unreached)
         if trip.reached:
             found["trip.snap"] = Measure(trip.skin_max_mm)
-            found["trip.refit"] = Measure(trip.refit_mean_mm)
+            failed = "" if np.isfinite(trip.refit_mean_mm) else "the new fit did not come to rest"
+            found["trip.refit"] = Measure(trip.refit_mean_mm, failed)
         if np.isfinite(trip.activation_error):
             found["trip.activations"] = Measure(100.0 * trip.activation_error)
     return found
+
+
+def _contact(fitted: Crossing | None, scan: Crossing | None) -> dict[str, Measure]:
+    """Return code -> depth; the detail is the depth in the scan."""
+    depths = {} if fitted is None else _depths(fitted)
+    scanned = {} if scan is None else _depths(scan)
+    return {
+        code: Measure(depth, f"{scanned[code]:.2f} mm in the scan" if code in scanned else "")
+        for code, depth in depths.items()
+    }
+
+
+def _depths(found: Crossing) -> dict[str, float]:
+    teeth = [depth for depth in (found.upper_teeth, found.lower_teeth) if depth is not None]
+    depths = {"contact.lips": found.lips}
+    if teeth:
+        depths["contact.teeth"] = max(teeth)
+    if found.bite is not None:
+        depths["contact.bite"] = found.bite
+    return depths

@@ -14,6 +14,12 @@ from solver.rig.colours import both_sides
 from solver.rig.web_markup import figure, row, tag
 
 PICTURE_WIDTH, JPEG_QUALITY = 1400, 86
+CONTACTS = {
+    "lips_mm": "lips in each other",
+    "upper_teeth_mm": "lips in upper teeth",
+    "lower_teeth_mm": "lips in lower teeth",
+    "bite_mm": "teeth in teeth",
+}
 STRONG_PERCENT = 40.0
 """Change of a fibre's length at which a cell has its full colour."""
 
@@ -89,6 +95,7 @@ def _facts(found: dict[str, Any]) -> str:
         f"greatest {found['max_mm']:.2f} mm; {100 * found['coverage']:.0f} % of the face seen",
         "Flesh": _flesh(found["flesh"], found["inverted"]),
         "Jaw": motion,
+        "Contact": _contact(found["crossing"], found["scan_crossing"]),
         "Round trip": _trip(found["round_trip"]),
         "Solver": f"{found['iterations']} steps, {found['seconds']:.1f} s",
     }
@@ -103,6 +110,17 @@ def _flesh(flesh: dict[str, Any] | None, inverted: int) -> str:
         f"{figure(flesh['det_least'])} and {figure(flesh['det_most'])} of their volume; residual "
         f"force {flesh['residual']:.0e}, {'stable' if flesh['minimum'] else 'unstable'}"
     )
+
+
+def _contact(fit: dict[str, Any] | None, scan: dict[str, Any] | None) -> str:
+    if fit is None:
+        return "not known, the model names no lips"
+    parts = []
+    for name, words in CONTACTS.items():
+        if fit[name] is not None:
+            scanned = "" if scan is None else f" ({scan[name]:.1f} in the scan)"
+            parts.append(f"{words} {fit[name]:.1f} mm{scanned}")
+    return "; ".join(parts)
 
 
 def _trip(trip: dict[str, Any] | None) -> str:

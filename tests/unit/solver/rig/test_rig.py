@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +28,7 @@ from solver.rig.result import (
     save_activations,
     save_weights,
 )
+from solver.rig.round_trip import RoundTrip
 from solver.scans.read import read_registered
 from tests.fixtures import fixture_model, ict_capture
 
@@ -87,6 +88,22 @@ def test_activations_come_back(rig: Rig, tmp_path: Path) -> None:
         np.testing.assert_array_equal(before.jaw, after.jaw)
         np.testing.assert_allclose(before.skin, after.skin, atol=1e-4)
         np.testing.assert_allclose(before.error_mm, after.error_mm, atol=1e-5)
+
+
+def test_flesh_and_round_trips_come_back_and_older_rigs_load(rig: Rig, tmp_path: Path) -> None:
+    path = tmp_path / "activations.npz"
+    trip = RoundTrip(0.01, 0.2, 0.02, 0.3, np.nan)
+    first, *others = rig.expressions
+    known = replace(first, x=rig.model.rest + 1e-9, round_trip=trip)
+    save_activations(path, (known, *others), rig.model)
+    loaded = load_activations(path, rig.model)
+    np.testing.assert_array_equal(loaded[0].x, known.x)
+    np.testing.assert_array_equal(astuple(loaded[0].round_trip), astuple(trip))
+    assert loaded[1].x is loaded[1].round_trip is None
+    with np.load(path) as file:
+        old = {name: file[name] for name in file.files if name not in ("x", "round_trip")}
+    np.savez(path, **old)
+    assert load_activations(path, rig.model)[0].x is None
 
 
 def test_weights_come_back_with_their_zeros(rig: Rig, tmp_path: Path) -> None:
