@@ -53,11 +53,12 @@ class ActivationOptions:
 
 @dataclass(frozen=True)
 class ActivationFit:
-    """A fitted state, its objective f and the iterations."""
+    """A fitted state, its objective f, the iterations, and whether they were enough."""
 
     state: State
     objective: float
     iterations: int
+    converged: bool
 
 
 Listener = Callable[[int, float], None]
@@ -96,7 +97,7 @@ def fit(
         if state is not None:
             value = objective(data, regulariser, state)
             if best is None or value < best.objective:
-                best = ActivationFit(state, value, iterations)
+                best = ActivationFit(state, value, iterations, found.converged)
             if value <= BUCKLED * found.objective:
                 break
         go = Face.follow if state is None else Face.approach
@@ -147,7 +148,7 @@ def improve(
             damping *= DAMPING_GROWTH
             trust = max(0.5 * trust, SHORTEST_TRUST)
         if accepted is None:
-            return ActivationFit(state, value, iteration)
+            return ActivationFit(state, value, iteration, True)
         gain = value - trial_value
         if gain > 0.5 * model.predicted_gain(step):
             damping = max(damping / DAMPING_GROWTH, DAMPING_LEAST)
@@ -156,8 +157,8 @@ def improve(
         if listen:
             listen(iteration, value)
         if gain <= options.tolerance * value:
-            return ActivationFit(state, value, iteration)
-    return ActivationFit(state, value, options.max_iterations)
+            return ActivationFit(state, value, iteration, True)
+    return ActivationFit(state, value, options.max_iterations, False)
 
 
 @dataclass(frozen=True)
