@@ -41,6 +41,7 @@ def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
             fit.name: _expression(model, fit, certificate.expressions[fit.name], judgements)
             for fit in rig.expressions
         },
+        "warnings": [notice.as_dict() for notice in rig.notices],
         "train_mean_mm": _role_mean(rig, "train"),
         "test_mean_mm": _role_mean(rig, "test"),
         "inverted": sum(fit.inverted for fit in rig.expressions),
@@ -110,6 +111,9 @@ def _expression(
         "coverage": _figure(len(error) / len(model.face)),
         **_distances(error),
         "inverted": fit.inverted,
+        "solver": fit.solver,
+        "status": fit.status,
+        "warnings": [notice.as_dict() for notice in fit.notices],
         "iterations": fit.iterations,
         "seconds": round(fit.seconds, 3),
         "jaw": [round(float(value), 6) for value in fit.jaw],

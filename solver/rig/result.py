@@ -6,16 +6,19 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from solver.archive import NOT_READABLE
 from solver.errors import InputError
+from solver.fitting.notices import Notice
 from solver.model import SubjectModel
 from solver.rig.round_trip import RoundTrip
 from solver.surface import Floats, Ints
@@ -49,6 +52,11 @@ class ExpressionFit:
         (p, 3) tet vertices as solved, mm; None in rigs made before they were kept.
     round_trip
         What came back when the activations were simulated and fitted again; None if not tried.
+    solver, status
+        ``reduced`` or ``ipopt``, and how it ended: ``converged``, ``stopped`` (out of iterations)
+        or ``failed`` (the best of what there was); ``unknown`` in rigs made before it was kept.
+    notices
+        What was odd about the scan or the solve.
     """
 
     name: str
@@ -64,6 +72,9 @@ class ExpressionFit:
     objective: float
     x: Floats | None = None
     round_trip: RoundTrip | None = None
+    solver: str = "reduced"
+    status: str = "converged"
+    notices: tuple[Notice, ...] = ()
 
     def measured_error(self, vertices: Ints) -> Floats:
         """Return the errors (k,) in mm of those ``vertices`` that the scan shows."""
@@ -75,13 +86,15 @@ class ExpressionFit:
 class Rig:
     """Everything a fit hands over.
 
-    ``weights`` (n, m + 1) is the final S, ``seconds`` the time of each phase of the job.
+    ``weights`` (n, m + 1) is the final S, ``seconds`` the time of each phase of the job,
+    ``notices`` what was odd about the model or the job as a whole.
     """
 
     model: SubjectModel
     weights: sp.csr_array
     expressions: tuple[ExpressionFit, ...]
     seconds: dict[str, float]
+    notices: tuple[Notice, ...] = ()
 
 
 def save_activations(
@@ -121,6 +134,9 @@ def save_activations(
             objective=stacked("objective", ()),
             x=x,
             round_trip=trips,
+            solver=np.array([fit.solver for fit in expressions], dtype=np.str_),
+            status=np.array([fit.status for fit in expressions], dtype=np.str_),
+            notices=np.array([_notices_text(fit.notices) for fit in expressions], dtype=np.str_),
         )
 
 
@@ -155,6 +171,7 @@ def load_activations(path: Path, model: SubjectModel) -> tuple[ExpressionFit, ..
                 round_trip=None
                 if (trip := _known(data, "round_trip", k)) is None
                 else RoundTrip(*map(float, trip)),
+                **_solve(data, k),
             )
             for k in range(len(data["names"]))
         )
@@ -204,6 +221,22 @@ def _known(data: dict[str, np.ndarray], array: str, k: int) -> Floats | None:
     if array not in data or np.isnan(data[array][k]).all():
         return None
     return np.asarray(data[array][k], np.float64)
+
+
+def _notices_text(notices: tuple[Notice, ...]) -> str:
+    return json.dumps([notice.as_dict() for notice in notices], allow_nan=False)
+
+
+def _solve(data: dict[str, np.ndarray], k: int) -> dict[str, Any]:
+    """Return solver, status and notices of an expression; older rigs do not have them."""
+    if "status" not in data:
+        return {"status": "unknown"}
+    notices = tuple(Notice.from_dict(each) for each in json.loads(str(data["notices"][k])))
+    return {
+        "solver": str(data["solver"][k]),
+        "status": str(data["status"][k]),
+        "notices": notices,
+    }
 
 
 @contextmanager
