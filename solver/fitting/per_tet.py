@@ -1,0 +1,274 @@
+"""(P): six activations in every tet with muscle, the model that muscle geometry is compared with.
+
+    f(a, b) = data(x) + w_act R_act(a) + w_sparse R_sparse(a)
+              + w_volume sum_i v_i (det S(a_i) - 1)^2 + w_b/2 |D (b - b_start)|^2
+
+with x the equilibrium of active and passive tissue (:mod:`solver.fitting.tissue`) and v_i tet i's
+part of all muscle volume, so that no weight depends on the mesh's resolution (Ichim et al., Phace,
+SIGGRAPH 2017). Reduced-space Gauss-Newton as in :mod:`solver.fitting.activation`: x is eliminated.
+Before each step for (a, b) every muscle's contraction is found for
+the activations at hand (local), then a and b are solved for together (global).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from solver.errors import InputError, SolveError
+from solver.fitting import tissue as tissues
+from solver.fitting.contraction import FROBENIUS, PreferredContraction
+from solver.fitting.face import Face, Pose, State
+from solver.fitting.group_sparsity import GroupSparsity
+from solver.fitting.objective import JAW_UNITS, determinant_gradients, determinants
+from solver.fitting.saddle import Quadratic, Response, SaddleSolver
+from solver.fitting.terms import Term
+from solver.fitting.tissue import Tissue
+from solver.mechanics import equilibrium
+from solver.mechanics.flesh import IDENTITY, Material
+from solver.surface import Floats, Ints
+
+PHACE = Material(mu=1.0, lam=0.0, kappa=3.0)
+"""The flesh as published: mu |F - R S(a)|^2 + 3 mu (det F - det S(a))^2."""
+
+DAMPING_START = 3.0
+DAMPING_LEAST = 1e-7
+DAMPING_FALL = 0.25
+DAMPING_GROWTH = 8.0
+"""By what a tet's damping falls and grows at most from step to step."""
+
+JAW_DAMPING = 1e-3
+LARGEST_STEP = 0.3
+"""Change |dS(a_i)| of a tet's activation per step."""
+
+HALVINGS = 4
+REFUSALS = 2
+"""Steps that failed in all their halves, one after the other, before it counts as the minimum."""
+
+CORRECTIONS = 8
+
+
+@dataclass(frozen=True)
+class PerTetOptions:
+    """Weights of the regularisers, and when to stop.
+
+    ``w_act``, ``w_sparse`` and ``w_volume`` are in mm^2, ``w_b`` weighs the jaw's change. The fit
+    ends after ``max_iterations`` or with a step that gains less than ``tolerance`` f.
+    """
+
+    w_act: float = 0.3
+    w_sparse: float = 1e-3
+    w_volume: float = 3.0
+    w_b: float = 1e-6
+    max_iterations: int = 40
+    tolerance: float = 1e-4
+
+
+class Status(StrEnum):
+    """Why a fit ended."""
+
+    CONVERGED = "converged"
+    NO_DESCENT = "no descent"
+    ITERATIONS = "iterations"
+
+
+@dataclass(frozen=True)
+class PerTetFit:
+    """A fitted state, settled.
+
+    ``a`` (n_active, 6) are the activations of the tets ``active`` (n_active,), ``gamma`` (m,) the
+    muscles' preferred contractions, above 1 where they shorten. ``iterations`` counts steps.
+    """
+
+    a: Floats
+    active: Ints
+    gamma: Floats
+    state: State
+    objective: float
+    iterations: int
+    status: Status
+
+
+Listener = Callable[[int, float], None]
+"""Called after each accepted step with the iteration and the objective."""
+
+
+class Objective:
+    """f as a function of a tissue's state, with its derivatives."""
+
+    def __init__(self, tissue: Tissue, data: Term, options: PerTetOptions, b: Floats) -> None:
+        self.tissue = tissue
+        self._data = data
+        self._options = options
+        self._b = b
+        self._volumes = tissue.volumes
+        self._contraction = PreferredContraction(tissue)
+        self._sparsity = GroupSparsity(tissue)
+
+    def contractions(self, a: Floats) -> Floats:
+        """Return the muscles' gamma (m,) that minimise f at activations ``a``."""
+        return self._contraction.contractions(a)
+
+    def value(self, state: State) -> float:
+        """Return f at a state's estimate, every gamma being the best."""
+        return self._data.value(state.estimate) + self._priors(state.pose)
+
+    def _priors(self, pose: Pose) -> float:
+        options, a = self._options, pose.a
+        det = determinants(a) - 1.0
+        jaw = JAW_UNITS * (pose.b - self._b)
+        return float(
+            options.w_act * self._contraction.value(a, self.contractions(a))
+            + options.w_sparse * self._sparsity.value(a)
+            + options.w_volume * (self._volumes @ det**2)
+            + 0.5 * options.w_b * jaw @ jaw
+        )
+
+    def quadratic(self, state: State, damping: Floats) -> Quadratic:
+        """Return the Gauss-Newton model of f at a state, damped (Levenberg-Marquardt)."""
+        options, a = self._options, state.pose.a
+        response = Response(self.tissue, state)
+        by_a, by_b = response.transposed(self._data.gradient(state.estimate).ravel())
+        det = determinants(a) - 1.0
+        slopes = determinant_gradients(a)
+        volume = 2.0 * options.w_volume * self._volumes
+        by_a += options.w_act * self._contraction.gradient(a, self.contractions(a))
+        by_a += options.w_sparse * self._sparsity.gradient(a)
+        by_a += (volume * det)[:, None] * slopes
+        by_b += options.w_b * JAW_UNITS**2 * (state.pose.b - self._b)
+
+        blocks = volume[:, None, None] * slopes[:, :, None] * slopes[:, None, :]
+        diagonal = options.w_act * self._contraction.curvature()
+        diagonal = diagonal + options.w_sparse * self._sparsity.curvature(a)
+        diagonal = diagonal + 2.0 * (damping * self._volumes)[:, None] * FROBENIUS
+        blocks[:, np.arange(6), np.arange(6)] += diagonal
+        return Quadratic(
+            response,
+            (by_a, by_b),
+            self._data.curvature(state.estimate),
+            blocks,
+            (options.w_b + np.median(damping) * JAW_DAMPING) * JAW_UNITS**2,
+        )
+
+
+def fit(
+    face: Face,
+    data: Term,
+    start: State | None = None,
+    options: PerTetOptions | None = None,
+    listen: Listener | None = None,
+) -> PerTetFit:
+    """Minimise f from ``start``, a state of another such fit or the neutral face, and settle it.
+
+    ``face`` should have the material :data:`PHACE`. Raises :class:`InputError`
+    (``model.no_fibres``, ``model.no_muscle``, ``start.activations``) and :class:`SolveError` if the
+    face can not be settled.
+    """
+    options = options or PerTetOptions()
+    tissue = tissues.of_face(face)
+    state = start or rest_state(tissue)
+    if state.pose.a.shape != (len(tissue.active), 6):
+        raise InputError("start.activations", "the start has not six activations per active tet")
+    objective = Objective(tissue, data, options, state.pose.b)
+    found = _improve(objective, state, options, listen)
+    pose = found.state.pose
+    state = tissue.face.settle(tissue.selection, pose, found.state.x)
+    return PerTetFit(
+        pose.a,
+        tissue.active,
+        objective.contractions(pose.a),
+        state,
+        objective.value(state),
+        found.iterations,
+        found.status,
+    )
+
+
+def rest_state(tissue: Tissue) -> State:
+    """Return the neutral face with passive flesh."""
+    pose = Pose(np.tile(IDENTITY, (len(tissue.active), 1)), np.zeros(5))
+    return tissue.face.settle(tissue.selection, pose, tissue.face.model.rest)
+
+
+@dataclass(frozen=True)
+class _Improved:
+    state: State
+    value: float
+    iterations: int
+    status: Status
+
+
+def _improve(
+    objective: Objective,
+    state: State,
+    options: PerTetOptions,
+    listen: Listener | None,
+) -> _Improved:
+    """Minimise f, going from equilibrium to equilibrium.
+
+    Every tet has a damping of its own, so that no activation outruns the linear model: steps that
+    are too long are clipped tet by tet, and these tets are damped more the next time.
+    """
+    value = objective.value(state)
+    solver = SaddleSolver(objective.tissue)
+    damping = np.full(len(objective.tissue.active), DAMPING_START)
+    iterations = refusals = 0
+    while iterations < options.max_iterations:
+        model = objective.quadratic(state, damping)
+        a, b = solver.step(model, state)
+        length = np.sqrt(a**2 @ FROBENIUS) / LARGEST_STEP
+        a /= np.maximum(length, 1.0)[:, None]
+        trial, halvings = _shortened(objective, model, state, value, a, b)
+        damping *= np.clip(length, DAMPING_FALL, DAMPING_GROWTH) * 2.0**halvings
+        damping = np.maximum(damping, DAMPING_LEAST)
+        if trial is None:
+            refusals += 1
+            if refusals == REFUSALS:
+                return _Improved(state, value, iterations, Status.NO_DESCENT)
+            continue
+        refusals, iterations = 0, iterations + 1
+        previous, value, state = value, objective.value(trial), trial
+        if listen:
+            listen(iterations, value)
+        if previous - value <= options.tolerance * value:
+            return _Improved(state, value, iterations, Status.CONVERGED)
+    return _Improved(state, value, iterations, Status.ITERATIONS)
+
+
+def _shortened(
+    objective: Objective, model: Quadratic, state: State, value: float, a: Floats, b: Floats
+) -> tuple[State | None, int]:
+    """Return the first state along the step (a, b), halved and halved, with a lower f."""
+    response = model.response.motion(a, b)[model.response.free]
+    for halving in range(HALVINGS):
+        part = 0.5**halving
+        pose = Pose(state.pose.a + part * a, state.pose.b + part * b)
+        try:
+            trial = _reach(objective.tissue, state, part * response, pose)
+        except SolveError:
+            continue
+        if trial.equilibrium.minimum and objective.value(trial) < value:
+            return trial, halving
+    return None, HALVINGS
+
+
+def _reach(tissue: Tissue, state: State, response: Floats, pose: Pose) -> State:
+    """Go from ``state`` to the equilibrium of a pose nearby; raises :class:`SolveError`.
+
+    Approaching is not enough here: single tets are so soft that the flesh may buckle on the rest of
+    the way, and the derivatives would be those of another equilibrium.
+    """
+    face, S = tissue.face, tissue.selection
+    near = face.approach(S, state, response, pose)
+    reached = equilibrium.solve(
+        face.flesh,
+        face.linear,
+        near.x,
+        face.tet_activations(S, pose.a),
+        tolerance=equilibrium.STALLED,
+        max_iterations=CORRECTIONS,
+    )
+    return State(pose, reached)

@@ -1,0 +1,101 @@
+"""Active and passive tissue of a face, for the per-tetrahedron activation model.
+
+    E = sum_i V_i [f_i psi(F_i, S(a_i)) + (1 - f_i) psi(F_i, I)]
+
+f_i is the share of muscle in tet i, sampled when the model was built (Ichim et al. 2017, eq. 1 and
+2, whose W_i are the volumes f_i V_i and (1 - f_i) V_i). A tet of both tissues is two elements with
+the same vertices, so that the mechanics know nothing of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from solver.errors import InputError
+from solver.fitting.face import Face
+from solver.mechanics.flesh import Flesh
+from solver.surface import Floats, Ints
+
+LEAST_SHARE = 0.01
+"""A tet with less muscle than this is passive."""
+
+
+@dataclass(frozen=True)
+class Tissue:
+    """A face whose active tets have activations of their own.
+
+    face
+        The face with a flesh of elements: first all tets, those with muscle standing for their
+        share of it, then the passive rest of these.
+    selection
+        (elements, n_active + 1) CSR with one 1 a row: the S of a model where every active tet is a
+        muscle by itself.
+    active
+        (n_active,) the tets with muscle.
+    shares
+        (n_active, m) CSR: v_im, the part of all muscle volume that is muscle m in active tet i; the
+        sum is one.
+    fibres
+        (nnz, 3) unit fibre directions, one for each stored entry of ``shares``.
+    """
+
+    face: Face
+    selection: sp.csr_array
+    active: Ints
+    shares: sp.csr_array
+    fibres: Floats
+
+    @property
+    def volumes(self) -> Floats:
+        """Return v_i (n_active,), each active tet's part of all muscle volume."""
+        return np.asarray(self.shares.sum(axis=1))
+
+
+def of_face(face: Face) -> Tissue:
+    """Divide a face's tets by the model's initial weights.
+
+    Raises :class:`InputError` (``model.no_fibres``, ``model.no_muscle``).
+    """
+    model = face.model
+    if model.fibres is None:
+        raise InputError("model.no_fibres", "the model has no fibres: build it again")
+    tets = len(model.tets)
+    row = np.repeat(np.arange(tets), np.diff(model.weights.indptr))
+    muscle = (model.weights.indices > 0) & (model.weights.data > 0.0)
+    share = np.bincount(row[muscle], model.weights.data[muscle], tets)
+    is_active = share >= LEAST_SHARE
+    if not is_active.any():
+        raise InputError("model.no_muscle", "no tetrahedron of the model has a muscle")
+    active = np.flatnonzero(is_active)
+    share = np.where(is_active, np.minimum(share, 1.0), 1.0)
+    mixed = np.flatnonzero(share < 1.0)
+
+    flesh = Flesh(
+        model.rest,
+        np.concatenate([model.tets, model.tets[mixed]]),
+        np.flatnonzero(face.flesh.free_numbers < 0),
+        face.flesh.material,
+        np.concatenate([share, 1.0 - share[mixed]]),
+    )
+    column = np.zeros(len(flesh.tets), dtype=np.int64)
+    column[active] = 1 + np.arange(len(active))
+    selection = sp.csr_array(
+        (np.ones(len(column)), column, np.arange(len(column) + 1)),
+        shape=(len(column), len(active) + 1),
+    )
+
+    kept = muscle & is_active[row]
+    volumes = model.weights.data[kept] * face.flesh.volumes[row[kept]]
+    counts = np.bincount(row[kept], minlength=tets)[active]
+    shares = sp.csr_array(
+        (
+            volumes / volumes.sum(),
+            model.weights.indices[kept] - 1,
+            np.concatenate([[0], np.cumsum(counts)]),
+        ),
+        shape=(len(active), model.muscle_count),
+    )
+    return Tissue(face.with_flesh(flesh), selection, active, shares, model.fibres[kept])
