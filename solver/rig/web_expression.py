@@ -54,7 +54,7 @@ def _cell(muscle: dict[str, Any]) -> str:
     strength = min(abs(percent) / STRONG_PERCENT, 1.0)
     colour = "pull" if percent < 0 else "push"
     kind = " class='fault'" if muscle["faults"] else ""
-    words = f"{percent:+.0f}".replace("-", "−")
+    words = f"{percent:+.0f}".replace("-", "−") if abs(percent) >= 0.5 else "0"
     title = f" title='{escape('; '.join(muscle['faults']))}'" if muscle["faults"] else ""
     fill = f"background:rgba(var(--{colour}),{0.75 * strength:.2f})"
     return f"<td{kind}{title} style='{fill}'>{words}</td>"

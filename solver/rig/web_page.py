@@ -23,6 +23,7 @@ FILES = {
 
 
 WHOLE = {"flesh.inverted", "muscles.beyond"}
+FEW = 4
 LONG = 200
 """Letters of a detail that is only told with its expression."""
 
@@ -107,7 +108,10 @@ def _todo(checks: list[dict[str, Any]], anchors: dict[str, str]) -> str:
 def _advice(check: dict[str, Any], anchors: dict[str, str]) -> str:
     detail = f": {escape(check['detail'])}" if 0 < len(check["detail"]) < LONG else ""
     others = [name for name in check["failed"] if name != check["worst"]]
-    more = f" Also in {', '.join(_link(name, anchors) for name in others)}." if others else ""
+    links = ", ".join(_link(name, anchors) for name in others)
+    more = f" Also in {links}." if others else ""
+    if len(check["failed"]) == len(anchors) > FEW:
+        more = " So in every expression."
     return (
         f"<div><p><b>{escape(check['title'])}</b>: {_value(check)} in "
         f"{_link(check['worst'], anchors)}{detail}.{more}</p><p>{escape(check['advice'])}</p></div>"
