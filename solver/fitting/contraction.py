@@ -64,7 +64,8 @@ class PreferredContraction:
         """Return T(gamma_m, q_im) as (nnz, 6)."""
         root = np.sqrt(gamma)
         muscle = self._tissue.shares.indices
-        return (1.0 / gamma - root)[muscle, None] * self._along + root[muscle, None] * IDENTITY
+        along = (1.0 / gamma - root)[muscle, None] * self._along
+        return np.asarray(along + root[muscle, None] * IDENTITY)
 
 
 def contraction(along: float, across: float) -> float:
