@@ -243,6 +243,36 @@ CHECKS = (
         "difference of the excited muscles' activations by their distance from rest",
         "Other activations give the same skin: do not compare single muscles between expressions.",
     ),
+    Check(
+        "solver.failed",
+        "Solver",
+        "Fits that broke down",
+        "",
+        0,
+        0,
+        "the best state on the way was kept",
+        "Do not use this expression. Look at its warnings and its scan, and fit it again.",
+    ),
+    Check(
+        "solver.stopped",
+        "Solver",
+        "Fits that ran out of steps",
+        "",
+        0,
+        np.inf,
+        "stopped before the minimum",
+        "If the picture shows errors, fit this expression again with more iterations.",
+    ),
+    Check(
+        "solver.warnings",
+        "Solver",
+        "Warnings",
+        "",
+        0,
+        np.inf,
+        "what the solver noticed about scan, model or solve",
+        "Read them with the expression.",
+    ),
 )
 
 

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from solver.fitting.crossing import Crossing
 from solver.model import SubjectModel
 from solver.rig.certificate import Certificate, ExpressionCheck, FleshCheck
-from solver.rig.checks import overall
+from solver.rig.checks import Verdict, overall
 from solver.rig.plausibility import Muscles
 from solver.rig.result import ExpressionFit, Rig
 from solver.rig.verdict import Judgement, judge
@@ -34,8 +34,9 @@ def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
     """
     model = rig.model
     judgements = judge(rig, certificate)
+    noticed: list[Verdict] = ["usable"] if rig.notices else []
     return {
-        "verdict": overall([judgement.verdict for judgement in judgements]),
+        "verdict": overall([judgement.verdict for judgement in judgements] + noticed),
         "checks": [_judgement(judgement) for judgement in judgements],
         "expressions": {
             fit.name: _expression(model, fit, certificate.expressions[fit.name], judgements)

@@ -68,7 +68,7 @@ def round_trip(
     data = SkinDistance(face, Target.from_points(points))
     try:
         again = activation.fit(face, S, data, regulariser, rest, STOP).state
-    except SolveError:
+    except (SolveError, np.linalg.LinAlgError):
         return there
     left = np.linalg.norm(face.face_points(again.x) - points, axis=1)
     return replace(

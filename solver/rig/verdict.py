@@ -97,6 +97,7 @@ def _measures(
             "flesh.residual": Measure(flesh.residual),
             "flesh.minimum": Measure(0 if flesh.minimum else 1),
         }
+    found |= _solve(fit)
     found |= _contact(check.crossing, check.scan_crossing)
     if fit.round_trip is not None:
         trip = fit.round_trip
@@ -108,6 +109,17 @@ def _measures(
             found["trip.refit"] = Measure(trip.refit_mean_mm, failed)
         if np.isfinite(trip.activation_error):
             found["trip.activations"] = Measure(100.0 * trip.activation_error)
+    return found
+
+
+def _solve(fit: ExpressionFit) -> dict[str, Measure]:
+    """Return how the solve went, as code -> figure."""
+    messages = "; ".join(notice.message for notice in fit.notices)
+    found = {"solver.warnings": Measure(len(fit.notices), messages)}
+    if fit.status != "unknown":
+        for code, status in (("solver.failed", "failed"), ("solver.stopped", "stopped")):
+            steps = f"after {fit.iterations} steps by {fit.solver}"
+            found[code] = Measure(int(fit.status == status), steps)
     return found
 
 

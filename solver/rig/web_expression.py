@@ -97,8 +97,11 @@ def _facts(found: dict[str, Any]) -> str:
         "Jaw": motion,
         "Contact": _contact(found["crossing"], found["scan_crossing"]),
         "Round trip": _trip(found["round_trip"]),
-        "Solver": f"{found['iterations']} steps, {found['seconds']:.1f} s",
+        "Solver": f"{found['solver']}, {found['status']}; {found['iterations']} steps, "
+        f"{found['seconds']:.1f} s",
     }
+    if found["warnings"]:
+        facts["Warnings"] = "; ".join(warning["message"] for warning in found["warnings"])
     return "".join(f"<dt>{words}</dt><dd>{escape(value)}</dd>" for words, value in facts.items())
 
 

@@ -40,7 +40,7 @@ def write_page(path: Path, figures: dict[str, Any]) -> None:
         tag=tag(figures["verdict"]),
         summary=_summary(figures["checks"]),
         tiles=_tiles(figures),
-        todo=_todo(figures["checks"], anchors),
+        todo=_todo(figures, anchors),
         checks=_checks(figures["checks"], anchors),
         rows=_rows(expressions, anchors),
         articles="\n".join(
@@ -94,15 +94,17 @@ def _tiles(figures: dict[str, Any]) -> str:
     return "\n".join(tiles)
 
 
-def _todo(checks: list[dict[str, Any]], anchors: dict[str, str]) -> str:
-    failed = [check for check in checks if check["verdict"] != "good"]
-    if not failed:
-        return "<p>Nothing. Use the rig.</p>"
+def _todo(figures: dict[str, Any], anchors: dict[str, str]) -> str:
+    failed = [check for check in figures["checks"] if check["verdict"] != "good"]
     failed.sort(key=lambda check: check["verdict"] != "bad")
-    items = "\n".join(
-        f"<li>{tag(check['verdict'])}{_advice(check, anchors)}</li>" for check in failed
-    )
-    return f'<ul class="todo">{items}</ul>'
+    lines = [f"<li>{tag(check['verdict'])}{_advice(check, anchors)}</li>" for check in failed]
+    lines += [
+        f"<li>{tag('usable')}<div><p>{escape(warning['message'])}</p></div></li>"
+        for warning in figures["warnings"]
+    ]
+    if not lines:
+        return "<p>Nothing. Use the rig.</p>"
+    return f'<ul class="todo">{"".join(lines)}</ul>'
 
 
 def _advice(check: dict[str, Any], anchors: dict[str, str]) -> str:

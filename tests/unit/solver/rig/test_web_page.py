@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from PIL import Image
 
 from solver.fitting.face import Face
+from solver.fitting.notices import Notice
 from solver.rig.certificate import certify
 from solver.rig.report import report
 from solver.rig.result import ExpressionFit, Rig
@@ -65,7 +67,10 @@ def fit(face: Face, name: str, error: float) -> ExpressionFit:
 def page(tmp_path_factory: pytest.TempPathFactory) -> Reader:
     folder = tmp_path_factory.mktemp("rig")
     face = Face(block_model())
-    rig = Rig(face.model, face.model.weights, (fit(face, EVIL, 0.7), fit(face, "ah", 0.2)), {})
+    told = (Notice("muscle.no_share", "left has <no> flesh"),)
+    noticed = replace(fit(face, "ah", 0.2), status="stopped", notices=(Notice("x", "half & half"),))
+    fits = (fit(face, EVIL, 0.7), noticed)
+    rig = Rig(face.model, face.model.weights, fits, {}, told)
     Image.new("RGB", (1600, 1188)).save(folder / "fit_ah.png")
     write_page(folder / "report.html", report(rig, certify(face, rig, {"w_a": 1e-3})))
     return read(folder / "report.html")
@@ -101,3 +106,6 @@ def test_it_says_what_to_look_at(page: Reader) -> None:
     assert "Face that the scan shows : 73.3 % in" in words
     assert "Usable" in words
     assert "not tried" in words  # no round trip
+    assert "left has <no> flesh" in words
+    assert "Warnings : 1 in ah : half & half." in words
+    assert "Fits that ran out of steps : 1 in ah : after 3 steps by reduced." in words
