@@ -168,8 +168,7 @@ def test_round_trip_reaches_the_skin(divided):
     assert (fit.gamma > 1.02).all()
 
 
-def test_a_fit_goes_on_from_its_end(divided, posed):
-    objective, _ = posed
+def test_a_fit_goes_on_from_its_end(divided):
     rng = np.random.default_rng(8)
     target = target_of(divided, Pose(contracted(divided, rng, 0.3), np.zeros(5)))
     data = SkinDistance(divided.face, target)
