@@ -10,19 +10,19 @@ The matrix of its pose, B_k = Z_k^T C_k Z_k + R_k, is small and dense. Eliminati
     sum_k X_k^T (C_k - T_k B_k^-1 T_k^T) X_k + w_s + L^T L,    T_k = C_k Z_k,
 
 which is never formed: conjugate gradients need two solves with the stiffness an expression and
-product, and stay on the tangent of the simplex. The published block coordinate descent solves for
+product. The published block coordinate descent solves for
 S and the poses in turn, which is the same system without T_k.
 """
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
-import scipy.sparse.linalg
 
 from solver.errors import SolveError
 from solver.fitting import activation, simplex
@@ -34,17 +34,14 @@ from solver.fitting.terms import Term
 from solver.fitting.weights import replace_values
 from solver.surface import Floats
 
-CG_ITERATIONS = 25
-CG_TOLERANCE = 0.1
-
 LARGEST_CHANGE = 0.3
 """Trust in the linear model: change of an entry of S per step."""
 
 DAMPING_START = 1e-5
 POSE_DAMPING_START = 1e-2
-DAMPING_LEAST, POSE_DAMPING_LEAST = 1e-8, 1e-6
+DAMPING_LEAST, POSE_DAMPING_LEAST = 1e-7, 1e-6
 JAW_DAMPING = 1e-3
-HALVINGS = 4
+HALVINGS = 3
 
 WELL, BADLY = 0.75, 0.25
 """Gains, as parts of the predicted, from which on damping falls and below which it grows."""
@@ -95,7 +92,7 @@ class Iterate:
 
 
 def step(problem: GeometryProblem, now: Iterate) -> Iterate:
-    """Return a better iterate, or the same S and states with more damping.
+    """Return a better iterate, or the same S with the losing states settled, and more damping.
 
     The states are only approached, as in the fit of activations.
     """
@@ -108,22 +105,29 @@ def step(problem: GeometryProblem, now: Iterate) -> Iterate:
     before = problem.prior_value(now.S.data)
     for halving in range(HALVINGS):
         share = 0.5**halving
-        values = simplex.project(now.S.data + share * change, now.S.indptr)
-        S = replace_values(now.S, values)
-        trials = {
-            name: model.trial(S, values - now.S.data, share) for name, model in models.items()
-        }
+        S = replace_values(now.S, now.S.data + share * change)
+        trials = {name: model.trial(S, share * change, share) for name, model in models.items()}
         for name, trial in trials.items():
             damping[name] = _adapted(damping[name], trial.ratio, POSE_DAMPING_LEAST)
-        gain = sum(trial.gain for trial in trials.values()) + before - problem.prior_value(values)
+        gain = sum(trial.gain for trial in trials.values()) + before - problem.prior_value(S.data)
         if gain > 0.0:
             predicted = sum(trial.predicted for trial in trials.values())
             # a step that had to be halved says how much too far the linear model reached
-            ratio = gain / predicted if halving == 0 else 1.0
+            grown = 4.0 ** (2 * halving) * now.damping
             states = {name: trial.state for name, trial in trials.items() if trial.state}
-            grown = 4.0**halving * now.damping
-            return Iterate(S, states, _adapted(grown, ratio, DAMPING_LEAST), damping)
-    return Iterate(now.S, now.states, 4.0**HALVINGS * now.damping, damping)
+            return Iterate(S, states, _adapted(grown, gain / predicted, DAMPING_LEAST), damping)
+    losing = [name for name, trial in trials.items() if trial.gain < 0.0]
+    states = now.states | _settled(problem.face, now.S, {name: now.states[name] for name in losing})
+    return Iterate(now.S, states, 4.0**HALVINGS * now.damping, damping)
+
+
+def _settled(face: Face, S: sp.csr_array, states: dict[str, State]) -> dict[str, State]:
+    """Settle those states that can be: near buckling, the value at an estimate may flatter."""
+    settled = {}
+    for name, state in states.items():
+        with contextlib.suppress(SolveError):
+            settled[name] = face.settle(S, state.pose, state.x)
+    return settled
 
 
 def _adapted(damping: float, ratio: float, least: float) -> float:
@@ -135,24 +139,19 @@ def _adapted(damping: float, ratio: float, least: float) -> float:
 
 def _change(problem: GeometryProblem, now: Iterate, models: list[_Linearised]) -> Floats:
     """Return the change (nnz,) of S's values that minimises the damped model, poses following."""
-    indptr, structure = now.S.indptr, problem.structure
+    structure = problem.structure
     gradient = problem.prior_gradient(now.S.data)
     for model in models:
         gradient += model.gradient_by_geometry()
-    free = simplex.free_entries(now.S.data, gradient, indptr)
 
     def product(direction: Floats) -> Floats:
         out = (problem.w_s + now.damping) * direction + structure.T @ (structure @ direction)
         for model in models:
             out += model.product(direction)
-        return simplex.tangent(out, free, indptr)
+        return np.asarray(out)
 
-    system = scipy.sparse.linalg.LinearOperator(
-        (now.S.nnz, now.S.nnz), matvec=product, dtype=np.float64
-    )
-    right = -simplex.tangent(gradient, free, indptr)
-    change, _ = scipy.sparse.linalg.cg(system, right, rtol=CG_TOLERANCE, maxiter=CG_ITERATIONS)
-    return np.asarray(np.clip(change, -LARGEST_CHANGE, LARGEST_CHANGE))
+    values = now.S.data
+    return simplex.minimise(values, gradient, product, now.S.indptr, LARGEST_CHANGE) - values
 
 
 @dataclass(frozen=True)
@@ -214,13 +213,21 @@ class _Linearised:
         by_pose *= share / max(longest, 1.0)
         pose = Pose(state.pose.a + by_pose[:-5].reshape(-1, 6), state.pose.b + by_pose[-5:])
         predicted = self._predicted(flesh, by_pose)
-        try:
-            trial = problem.face.approach(S, state, flesh + self._jacobian.flesh @ by_pose, pose)
-        except SolveError:
+        trial = self._moved(S, flesh + self._jacobian.flesh @ by_pose, pose)
+        if trial is None:
             return _Trial(None, -np.inf, predicted)
         gain = problem.expression_value(self._name, state)
         gain -= problem.expression_value(self._name, trial)
         return _Trial(trial, gain, predicted)
+
+    def _moved(self, S: sp.csr_array, response: Floats, pose: Pose) -> State | None:
+        """Approach a pose with S; settle where that is too far; None where that fails too."""
+        for go in (self._problem.face.approach, self._problem.face.follow):
+            try:
+                return go(S, self._state, response, pose)
+            except SolveError:
+                pass
+        return None
 
     def _predicted(self, flesh: Floats, by_pose: Floats) -> float:
         """Return what the undamped model gains by a change of the flesh and of the pose."""

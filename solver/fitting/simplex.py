@@ -5,11 +5,56 @@ Rows are those of a CSR matrix given by its ``indptr``; values are its data (nnz
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numba as nb
 import numpy as np
+import scipy.sparse.linalg
 from numpy.typing import NDArray
 
 from solver.surface import Floats, Ints
+
+PASSES = 3
+ITERATIONS = 10
+TOLERANCE = 0.1
+HALVINGS = 4
+
+
+def minimise(
+    values: Floats,
+    gradient: Floats,
+    product: Callable[[Floats], Floats],
+    indptr: Ints,
+    reach: float,
+) -> Floats:
+    """Return the values that minimise g . d + 1/2 d . H d on the simplex, d their change.
+
+    ``gradient`` (nnz,) is g at ``values``, ``product`` multiplies by the positive definite H; no
+    value moves by more than ``reach``. A few passes of conjugate gradients, each on the face that
+    the last one ended on and projected afterwards (More and Toraldo 1991), not to convergence.
+    """
+    at, slope = values, gradient
+    for _ in range(PASSES):
+        free = free_entries(at, slope, indptr)
+
+        def on_face(direction: Floats, free: NDArray[np.bool_] = free) -> Floats:
+            return tangent(product(direction), free, indptr)
+
+        system = scipy.sparse.linalg.LinearOperator(
+            (len(values), len(values)), matvec=on_face, dtype=np.float64
+        )
+        right = -tangent(slope, free, indptr)
+        step, _ = scipy.sparse.linalg.cg(system, right, rtol=TOLERANCE, maxiter=ITERATIONS)
+        for halving in range(HALVINGS):
+            goal = np.clip(at + 0.5**halving * step, values - reach, values + reach)
+            move = project(goal, indptr) - at
+            image = product(move)
+            if slope @ move + 0.5 * move @ image < 0.0:
+                break
+        else:
+            break
+        at, slope = at + move, slope + image
+    return at
 
 
 @nb.njit(cache=True, parallel=True)

@@ -89,7 +89,7 @@ def test_step_solves_the_dense_system():
     )
     change = found.S.data - S.data
     assert np.abs(expected).max() > 1e-2
-    assert np.linalg.norm(change - expected) < joint.CG_TOLERANCE * np.linalg.norm(expected)
+    assert np.linalg.norm(change - expected) < 0.1 * np.linalg.norm(expected)
 
 
 def test_fit_improves_on_the_wrong_weights_and_stays_on_the_simplex(face):
@@ -112,4 +112,4 @@ def test_fit_improves_on_the_wrong_weights_and_stays_on_the_simplex(face):
     assert all(face.flesh.inverted(state.x) == 0 for state in fitted.states.values())
     # what was found is a good start
     again = geometry.fit(start, data, GeometryOptions(rounds=2), start=fitted.S)
-    assert geometry.mean_error(start, targets, again.states) < 1.5 * after
+    assert geometry.mean_error(start, targets, again.states) < 0.2 * before
