@@ -39,7 +39,8 @@ class VertexSum:
 class BlockSum:
     """Sums the tets' blocks of their pairs of vertices to a symmetric CSR matrix of fixed pattern.
 
-    ``pattern`` has three rows and columns for each free vertex, sorted.
+    ``pattern`` has three rows and columns for each free vertex, sorted; ``diagonal`` tells where
+    its diagonal is.
     """
 
     def __init__(self, numbers: Ints, count: int) -> None:
@@ -67,6 +68,8 @@ class BlockSum:
         graph.sort_indices()
         self.pattern = sp.csr_array(sp.kron(graph, np.ones((3, 3)), format="csr"))
         self.pattern.sort_indices()
+        row_of = np.repeat(np.arange(3 * count), np.diff(self.pattern.indptr))
+        self.diagonal = np.flatnonzero(self.pattern.indices == row_of)
         length = np.diff(graph.indptr).astype(np.int64)
         keys = np.repeat(np.arange(count), length) * count + graph.indices
         within = np.arange(graph.nnz) - np.repeat(graph.indptr[:-1], length)

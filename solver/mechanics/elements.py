@@ -16,8 +16,10 @@ import numba as nb
 import numpy as np
 
 from solver.mechanics.material import (
+    BARRIER_START,
     MODES,
     density,
+    determinant,
     hessian_modes,
     stress,
     stress_by_activation,
@@ -63,6 +65,17 @@ def deformation_gradients(x: Floats, tets: Ints, N: Floats, out: Floats) -> None
         for i in range(3):
             for j in range(3):
                 out[e, i, j] = F[3 * i + j]
+
+
+@nb.njit(cache=True, parallel=True, error_model="numpy")
+def least_opening(x: Floats, y: Floats, tets: Ints, N: Floats) -> float:
+    """Return the least det F(y) / det F(x), where a det F(x) beyond the barrier counts as its."""
+    least = np.inf
+    for e in nb.prange(len(tets)):
+        before = min(determinant(deformation_gradient(x, tets[e], N[e])), BARRIER_START)
+        after = determinant(deformation_gradient(y, tets[e], N[e]))
+        least = min(least, after / before)
+    return least
 
 
 @nb.njit(cache=True, parallel=True, error_model="numpy")
@@ -123,23 +136,24 @@ def stiffness_blocks(
     lam: Floats,
     kappa: Floats,
     stiffness: Floats,
-    project: bool,
+    project: float,
     out: Floats,
 ) -> None:
     """Fill ``out`` (n, PAIRS, 3, 3) with the Hessian blocks of each pair of vertices.
 
-    A mode W w^T of the Hessian by F contributes V (W grad N_u) (w grad N_v)^T.
+    A mode W w^T of the Hessian by F contributes V (W grad N_u) (w grad N_v)^T; ``project`` says how
+    far the modes are projected (:func:`solver.mechanics.material.hessian_modes`).
     """
     n = len(tets)
     for chunk in nb.prange((n + CHUNK - 1) // CHUNK):
         left, right = np.empty((MODES, 9)), np.empty((MODES, 9))
         p, q = np.empty((MODES, 9)), np.empty((MODES, 9))
-        K = np.empty((9, 9))
+        K, work = np.empty((9, 9)), np.empty((5, 3, 3))
         for e in range(chunk * CHUNK, min(n, (chunk + 1) * CHUNK)):
             F = deformation_gradient(x, tets[e], N[e])
             A = activation(a[e])
             count, curvature = hessian_modes(
-                F, A, mu[e], lam[e], kappa[e], stiffness[e], project, left, right
+                F, A, mu[e], lam[e], kappa[e], stiffness[e], project, left, right, work
             )
             V = volume[e]
             for k in range(count):

@@ -26,8 +26,11 @@ MAX_ITERATIONS = 100
 ARMIJO = 1e-4
 SHORTEST_STEP = 2.0**-30
 
-PROJECTED = (0.1, 0.3, 1.0)
-"""Shares of the projected Hessian that are tried where the raw one is not positive definite."""
+SHARES = (0.0, 0.05, 0.15, 0.4, 1.0)
+"""How far the Hessian is projected, one after the other, until it is positive definite."""
+
+NARROWEST = 0.1
+"""No step makes a tet's det F smaller than this part of what it was: a crushed tet opens slowly."""
 
 REACH_MM = 0.3
 """A Newton step no longer than this is taken to end in the equilibrium."""
@@ -53,25 +56,22 @@ class Equilibrium:
     minimum: bool
 
 
-def factorise(flesh: Flesh, linear: LinearSolver, x: Floats, a: Floats) -> tuple[Factor, bool]:
-    """Factorise the Hessian at x, projected as far as need be; tell whether the raw one was taken.
+def factorise(
+    flesh: Flesh, linear: LinearSolver, x: Floats, a: Floats, first: int = 0
+) -> tuple[Factor, int]:
+    """Factorise the Hessian at x, projected as far as need be; tell which of the SHARES it took.
 
-    Near buckling a tenth of the way to the projected Hessian is often enough, and keeps more of
-    Newton's speed than all of it.
+    The first of :data:`SHARES` to be tried is number ``first``; 0 is the Hessian itself. Near
+    buckling a small share is often enough, and keeps more of Newton's speed than all of it.
     """
-    raw = flesh.hessian(x, a).data.copy()
-    try:
-        return linear.factor(raw), True
-    except NotPositiveDefiniteError:
-        pass
-    matrix = flesh.hessian(x, a, project=True)
-    # a projected element may be semi-definite: a trace of stiffness keeps the sum definite
-    shift = 1e-6 * matrix.diagonal().mean()
-    rows = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
-    matrix.data[matrix.indices == rows] += shift
-    for share in PROJECTED:
+    for number in range(first, len(SHARES)):
+        matrix = flesh.hessian(x, a, project=SHARES[number])
+        if number:
+            # a projected element may be semi-definite: a trace of stiffness keeps the sum definite
+            diagonal = flesh.diagonal
+            matrix.data[diagonal] += 1e-6 * SHARES[number] * matrix.data[diagonal].mean()
         try:
-            return linear.factor(raw + share * (matrix.data - raw)), False
+            return linear.factor(matrix.data), number
         except NotPositiveDefiniteError:
             pass
     raise SolveError(
@@ -133,14 +133,17 @@ def _newton(
         raise SolveError(
             "solve.inverted", f"{flesh.inverted(x)} tetrahedra are inverted before the first step"
         )
+    share = 0
     for iteration in range(max_iterations + 1):
         gradient = flesh.gradient(x, a)
         residual = float(np.linalg.norm(gradient)) / flesh.force_scale
-        factor, raw = factorise(flesh, linear, x, a)
+        # what was needed last is tried a little weaker; what a fit goes on with, at its purest
+        first = 0 if residual <= TOLERANCE else max(share - 1, 0)
+        factor, share = factorise(flesh, linear, x, a, first)
         direction = -factor.solve(gradient)
         estimate = x.copy()
         estimate[flesh.free] += direction.reshape(-1, 3)
-        now = Equilibrium(x, estimate, factor, residual, iteration, raw)
+        now = Equilibrium(x, estimate, factor, residual, iteration, share == 0)
         if iteration == max_iterations or done(now):
             break
         step = _line_search(flesh, x, a, direction, energy, float(gradient @ direction))
@@ -158,9 +161,10 @@ def _line_search(
     while step > SHORTEST_STEP:
         trial = x.copy()
         trial[flesh.free] += step * direction.reshape(-1, 3)
-        value = flesh.energy(trial, a)
-        # rounding decides once the predicted decrease is below the energy's last digits
-        if value <= energy + ARMIJO * step * slope + 1e-13 * abs(energy):
-            return trial, value
+        if flesh.narrowing(x, trial) >= NARROWEST:
+            value = flesh.energy(trial, a)
+            # rounding decides once the predicted decrease is below the energy's last digits
+            if value <= energy + ARMIJO * step * slope + 1e-13 * abs(energy):
+                return trial, value
         step *= 0.5
     return None

@@ -137,12 +137,22 @@ class Flesh:
         """Sum (n, 4, 3, ...) over the tets of each free vertex: (size, ...)."""
         return self._vertex_sum(per_tet)
 
-    def hessian(self, x: Floats, a: Floats, *, project: bool = False) -> sp.csr_array:
-        """Return d2E/dx2 by the free coordinates; ``project`` makes it positive semi-definite."""
+    def hessian(self, x: Floats, a: Floats, *, project: float = 0.0) -> sp.csr_array:
+        """Return d2E/dx2 by the free coordinates; ``project`` = 1 makes it positive semi-definite.
+
+        Between 0 and 1 it mixes the two.
+        """
         elements.stiffness_blocks(
-            *self._state(x, a, ALL, self.lam, self.kappa, self.barrier, project, self._blocks)
+            *self._state(
+                x, a, ALL, self.lam, self.kappa, self.barrier, float(project), self._blocks
+            )
         )
         return self._block_sum(self._blocks)
+
+    @property
+    def diagonal(self) -> Ints:
+        """Return where the Hessian's diagonal is in its CSR data, (size,)."""
+        return self._block_sum.diagonal
 
     def assemble(self, blocks: Floats) -> sp.csr_array:
         """Sum every tet's blocks (n, 4, 4, 3, 3) of its pairs of vertices: (size, size).
@@ -167,7 +177,7 @@ class Flesh:
             self.lam[touched],
             self.kappa[touched],
             self.barrier[touched],
-            False,
+            0.0,
             blocks,
         )
         elements.stiffness_blocks(*arguments)
@@ -187,6 +197,10 @@ class Flesh:
         out = np.empty((len(self.tets), 3, 3))
         elements.deformation_gradients(np.ascontiguousarray(x), self.tets, self.gradients, out)
         return out
+
+    def narrowing(self, x: Floats, y: Floats) -> float:
+        """Return the least det F(y) / det F(x) of all tets, det F(x) counting up to the barrier."""
+        return float(elements.least_opening(x, y, self.tets, self.gradients))
 
     def inverted(self, x: Floats) -> int:
         """Return how many tets have det F <= 0."""

@@ -20,7 +20,6 @@ from __future__ import annotations
 import math
 
 import numba as nb
-import numpy as np
 
 from solver.mechanics.polar import Matrix, Symmetric, cofactor, dot, polar, stretch
 from solver.mechanics.svd3 import signed_svd
@@ -159,24 +158,37 @@ def hessian_modes(
     lam: float,
     kappa: float,
     stiffness: float,
-    project: bool,
+    project: float,
     left: Floats,
     right: Floats,
+    work: Floats,
 ) -> tuple[int, float]:
     """Write the modes of d2 psi/dF2 = 2 mu I + sum_k left_k right_k^T + g' d2(det F)/dF2.
 
     ``left`` and ``right`` (MODES, 9) are filled; their sum is symmetric. Returned are the number of
-    modes and g', the factor of the determinant's curvature (zero when projected). With ``project``
-    the sum is positive semi-definite: each term is projected by itself.
+    modes and g', the factor of the determinant's curvature. ``project`` goes from 0, the Hessian
+    itself, to 1, where each term is projected by itself and the sum positive semi-definite, without
+    the determinant's curvature. ``work`` (5, 3, 3) is scratch.
     """
+    keep = 1.0 - project
     _, R, Y = polar(times(F, A))
-    if project:
-        Y = _clamped(Y, A)
+    if project > 0.0:
+        M = _clamped(Y, A, work)
+        Y = (
+            keep * Y[0] + project * M[0],
+            keep * Y[1] + project * M[1],
+            keep * Y[2] + project * M[2],
+            keep * Y[3] + project * M[3],
+            keep * Y[4] + project * M[4],
+            keep * Y[5] + project * M[5],
+        )
     _twists(R, A, Y, -2.0 * mu, left, right, 0)
     count = 3
     t, Q, Y = polar(F)
     trace = lam * (t - 3.0)
-    if trace > 0.0 or (trace < 0.0 and not project):
+    if trace < 0.0:
+        trace *= keep
+    if trace != 0.0:
         _twists(Q, (1.0, 0.0, 0.0, 1.0, 0.0, 1.0), Y, trace, left, right, count)
         count += 3
     if lam > 0.0:
@@ -186,7 +198,7 @@ def hessian_modes(
     if second != 0.0:
         _single(cofactor(F), second, left, right, count)
         count += 1
-    return count, 0.0 if project else first
+    return count, keep * first
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -225,43 +237,55 @@ def _twists(
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _clamped(Y: Symmetric, A: Symmetric) -> Symmetric:
+def _clamped(Y: Symmetric, A: Symmetric, work: Floats) -> Symmetric:
     """Return M <= Y^-1 such that I - sum_ij M_ij W_i W_j^T has no negative eigenvalue.
 
     With Y^-1 = L L^T those of the sum are the eigenvalues of L^T G L, where the Gram matrix of the
     twists is G_ij = <W_i, W_j> = tr(A^2) I - A^2; they are cut at one.
     """
+    L, gram, U, V, s = work[0], work[1], work[2], work[3], work[4, 0]
+    L[0, 0] = math.sqrt(Y[0])
+    L[1, 0], L[2, 0] = Y[1] / L[0, 0], Y[2] / L[0, 0]
+    L[1, 1] = math.sqrt(Y[3] - L[1, 0] * L[1, 0])
+    L[2, 1] = (Y[4] - L[1, 0] * L[2, 0]) / L[1, 1]
+    L[2, 2] = math.sqrt(max(Y[5] - L[2, 0] * L[2, 0] - L[2, 1] * L[2, 1], 0.0))
+    L[0, 1] = L[0, 2] = L[1, 2] = 0.0
     a, b, c, d, e, f = A
-    # L, lower
-    l00 = math.sqrt(Y[0])
-    l10, l20 = Y[1] / l00, Y[2] / l00
-    l11 = math.sqrt(Y[3] - l10 * l10)
-    l21 = (Y[4] - l10 * l20) / l11
-    l22 = math.sqrt(max(Y[5] - l20 * l20 - l21 * l21, 0.0))
-    L = np.array([[l00, 0.0, 0.0], [l10, l11, 0.0], [l20, l21, l22]])
     xx, yy, zz = a * a + b * b + c * c, b * b + d * d + e * e, c * c + e * e + f * f
     xy, xz, yz = a * b + b * d + c * e, a * c + b * e + c * f, b * c + d * e + e * f
-    G = np.array([[yy + zz, -xy, -xz], [-xy, xx + zz, -yz], [-xz, -yz, xx + yy]])
-    gram, U, s, V = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, 3))
     for i in range(3):
+        l0, l1, l2 = L[0, i], L[1, i], L[2, i]
+        g0 = (yy + zz) * l0 - xy * l1 - xz * l2
+        g1 = (xx + zz) * l1 - xy * l0 - yz * l2
+        g2 = (xx + yy) * l2 - xz * l0 - yz * l1
         for j in range(3):
-            gram[i, j] = 0.0
-            for p in range(3):
-                for q in range(3):
-                    gram[i, j] += L[p, i] * G[p, q] * L[q, j]
-    if gram[0, 0] + gram[1, 1] + gram[2, 2] <= 1.0:
+            gram[i, j] = g0 * L[0, j] + g1 * L[1, j] + g2 * L[2, j]
+    first, second, third = 1.0 - gram[0, 0], 1.0 - gram[1, 1], 1.0 - gram[2, 2]
+    minor = first * second - gram[0, 1] * gram[0, 1]
+    whole = minor * third - first * gram[1, 2] * gram[1, 2] - second * gram[0, 2] * gram[0, 2]
+    whole -= 2.0 * gram[0, 1] * gram[0, 2] * gram[1, 2]
+    if first > 0.0 and minor > 0.0 and whole > 0.0:
         return Y
     # of a positive semi-definite matrix the singular vectors are the eigenvectors
     signed_svd(gram, U, s, V)
-    M = np.zeros((3, 3))
-    for k in range(3):
-        scale = min(1.0, 1.0 / s[k]) if s[k] > 0.0 else 1.0
-        for i in range(3):
-            vi = L[i, 0] * V[0, k] + L[i, 1] * V[1, k] + L[i, 2] * V[2, k]
-            for j in range(3):
-                vj = L[j, 0] * V[0, k] + L[j, 1] * V[1, k] + L[j, 2] * V[2, k]
-                M[i, j] += scale * vi * vj
-    return M[0, 0], M[0, 1], M[0, 2], M[1, 1], M[1, 2], M[2, 2]
+    multiply(L, V, U)
+    k0, k1, k2 = 1.0 / max(s[0], 1.0), 1.0 / max(s[1], 1.0), 1.0 / max(s[2], 1.0)
+    return (
+        k0 * U[0, 0] * U[0, 0] + k1 * U[0, 1] * U[0, 1] + k2 * U[0, 2] * U[0, 2],
+        k0 * U[0, 0] * U[1, 0] + k1 * U[0, 1] * U[1, 1] + k2 * U[0, 2] * U[1, 2],
+        k0 * U[0, 0] * U[2, 0] + k1 * U[0, 1] * U[2, 1] + k2 * U[0, 2] * U[2, 2],
+        k0 * U[1, 0] * U[1, 0] + k1 * U[1, 1] * U[1, 1] + k2 * U[1, 2] * U[1, 2],
+        k0 * U[1, 0] * U[2, 0] + k1 * U[1, 1] * U[2, 1] + k2 * U[1, 2] * U[2, 2],
+        k0 * U[2, 0] * U[2, 0] + k1 * U[2, 1] * U[2, 1] + k2 * U[2, 2] * U[2, 2],
+    )
+
+
+@nb.njit(cache=True, error_model="numpy")
+def multiply(X: Floats, Y: Floats, out: Floats) -> None:
+    """Write X Y, all (3, 3), into ``out``."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = X[i, 0] * Y[0, j] + X[i, 1] * Y[1, j] + X[i, 2] * Y[2, j]
 
 
 @nb.njit(cache=True, error_model="numpy")

@@ -111,7 +111,7 @@ def check_flesh(face: Face, a: Floats, x: Floats) -> FleshCheck:
     flesh = face.flesh
     det = np.linalg.det(flesh.deformation_gradients(x))
     residual = np.linalg.norm(flesh.gradient(x, a)) / flesh.force_scale
-    _, minimum = factorise(flesh, face.linear, x, a)
+    _, share = factorise(flesh, face.linear, x, a)
     return FleshCheck(
         inverted=int((det <= 0.0).sum()),
         det_least=float(det.min()),
@@ -120,5 +120,5 @@ def check_flesh(face: Face, a: Floats, x: Floats) -> FleshCheck:
         swollen=int(det.argmax()),
         volume_percent=float(100.0 * (det @ flesh.volumes / flesh.volumes.sum() - 1.0)),
         residual=float(residual),
-        minimum=minimum,
+        minimum=share == 0,
     )

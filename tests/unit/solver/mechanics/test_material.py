@@ -24,10 +24,11 @@ def stress(F, a):
     return np.array(material.stress(tuple(F.ravel()), tuple(a), MU, LAM, KAPPA, BARRIER))
 
 
-def hessian(F, a, *, project=False, kappa=KAPPA):
+def hessian(F, a, *, project=0.0, kappa=KAPPA):
     left, right = np.zeros((material.MODES, 9)), np.zeros((material.MODES, 9))
+    work = np.empty((5, 3, 3))
     count, curvature = material.hessian_modes(
-        tuple(F.ravel()), tuple(a), MU, LAM, kappa, BARRIER, project, left, right
+        tuple(F.ravel()), tuple(a), MU, LAM, kappa, BARRIER, project, left, right, work
     )
     H = 2.0 * MU * np.eye(9) + left[:count].T @ right[:count]
     return H + curvature * central(lambda G: np.array(cofactor(tuple(G.ravel()))), F)
@@ -85,11 +86,13 @@ def test_derivatives_match_finite_differences(F, a):
 
 @pytest.mark.parametrize(("F", "a"), states())
 def test_projected_hessian_is_positive_semidefinite_and_exact_where_the_raw_one_is(F, a):
-    projected = hessian(F, a, project=True)
+    projected = hessian(F, a, project=1.0)
+    mixed = 0.7 * hessian(F, a) + 0.3 * projected
+    np.testing.assert_allclose(hessian(F, a, project=0.3), mixed, atol=1e-7 * np.abs(mixed).max())
     assert np.linalg.eigvalsh(0.5 * (projected + projected.T)).min() > -1e-9
     stretched = np.diag([1.3, 1.2, 1.4])
     np.testing.assert_allclose(
-        hessian(stretched, IDENTITY, project=True, kappa=0.0),
+        hessian(stretched, IDENTITY, project=1.0, kappa=0.0),
         hessian(stretched, IDENTITY, kappa=0.0),
         atol=1e-9,
     )
