@@ -1,17 +1,17 @@
 """One Gauss-Newton step on everything the multi-target problem solves for: S, and every a_k, b_k.
 
-    f = sum_k [ data_k(x_k) + regulariser(a_k, b_k) ] + w_s/2 |S - S_prior|^2 + 1/2 |L S|^2
+    f = sum_k [ data_k(x_k) + regulariser(a_k, b_k) ] + w_s/2 |S - S_0|^2 + 1/2 |L (S - S_0)|^2
 
 The equilibria x_k are eliminated as everywhere (:mod:`solver.fitting.sensitivity`). Linearised,
 expression k adds g_k . dx_k + 1/2 dx_k . C_k dx_k with dx_k = X_k dS + Z_k dp_k, p_k = (a_k, b_k).
 The matrix of its pose, B_k = Z_k^T C_k Z_k + R_k, is small and dense. Eliminating dp_k as well
-(variable projection: Golub and Pereyra 1973) leaves a system in S alone,
+(variable projection: Golub and Pereyra 1973) leaves a problem in S alone with the Hessian
 
     sum_k X_k^T (C_k - T_k B_k^-1 T_k^T) X_k + w_s + L^T L,    T_k = C_k Z_k,
 
-which is never formed: conjugate gradients need two solves with the stiffness an expression and
-product. The published block coordinate descent solves for
-S and the poses in turn, which is the same system without T_k.
+which is never formed: it is minimised on the simplex by products, each two solves with the
+stiffness an expression. The published block coordinate descent solves for S and the poses in turn,
+which leaves T_k out and goes a shorter way with every round.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ WELL, BADLY = 0.75, 0.25
 class GeometryProblem:
     """f: the terms and the regulariser of every expression, and the priors of S.
 
-    ``prior`` has the values (nnz,) of S_prior, ``structure`` is L (k, nnz).
+    ``prior`` has the values (nnz,) of S_0, ``structure`` is L (k, nnz).
     """
 
     face: Face
@@ -72,13 +72,14 @@ class GeometryProblem:
 
     def prior_value(self, values: Floats) -> float:
         """Return S's own part of f."""
-        away, unlike = values - self.prior, self.structure @ values
+        away = values - self.prior
+        unlike = self.structure @ away
         return float(0.5 * self.w_s * away @ away + 0.5 * unlike @ unlike)
 
     def prior_gradient(self, values: Floats) -> Floats:
         """Return the derivative of :meth:`prior_value`, (nnz,)."""
-        away = self.w_s * (values - self.prior)
-        return np.asarray(away + self.structure.T @ (self.structure @ values))
+        away = values - self.prior
+        return np.asarray(self.w_s * away + self.structure.T @ (self.structure @ away))
 
 
 @dataclass(frozen=True)
@@ -150,8 +151,8 @@ def _change(problem: GeometryProblem, now: Iterate, models: list[_Linearised]) -
             out += model.product(direction)
         return np.asarray(out)
 
-    values = now.S.data
-    return simplex.minimise(values, gradient, product, now.S.indptr, LARGEST_CHANGE) - values
+    best = simplex.minimise(now.S.data, gradient, product, now.S.indptr, LARGEST_CHANGE)
+    return np.asarray(best - now.S.data)
 
 
 @dataclass(frozen=True)

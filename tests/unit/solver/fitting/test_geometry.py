@@ -7,14 +7,16 @@ import pytest
 import scipy.linalg
 import scipy.sparse as sp
 
+from solver.errors import InputError
 from solver.fitting import activation, geometry, joint, simplex
 from solver.fitting.face import Face, Pose
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.joint import GeometryProblem, Iterate
 from solver.fitting.objective import Regulariser, Target
 from solver.fitting.sensitivity import Sensitivity
+from solver.fitting.symmetry import mirror_structure
 from solver.fitting.terms import SkinDistance
-from solver.fitting.weights import replace_values
+from solver.fitting.weights import replace_values, transferred
 from tests.unit.solver.block import block_model
 
 
@@ -56,13 +58,20 @@ def test_step_solves_the_dense_system():
     data = {name: SkinDistance(face, target) for name, target in targets_of(face, 2).items()}
     regulariser = Regulariser(0.5, 0.1, 1e-4, face.rest_pose())
     structure = sp.csr_array(0.1 * sp.random_array((5, S.nnz), density=0.1, rng=0))
-    problem = GeometryProblem(face, data, regulariser, 1.0, S.data + 0.01, structure)
+    problem = GeometryProblem(
+        face,
+        data,
+        regulariser,
+        0.05,
+        S.data - 0.1 * np.tile([1, 0, -1], len(S.data) // 3),
+        structure,
+    )
     states = dict.fromkeys(data, face.rest_state(S))
     count = face.rest_pose().a.size + 5
     units = np.concatenate([np.ones(count - 5), np.array([1e4, 1e4, 1, 1, 1]) * 1e-3])
     total = S.nnz + len(data) * count
     matrix, gradient = np.zeros((total, total)), np.zeros(total)
-    matrix[: S.nnz, : S.nnz] = 2.0 * np.eye(S.nnz) + structure.T @ structure
+    matrix[: S.nnz, : S.nnz] = 0.1 * np.eye(S.nnz) + structure.T @ structure
     gradient[: S.nnz] = problem.prior_gradient(S.data)
     for number, (name, term) in enumerate(data.items()):
         x = states[name].x
@@ -85,7 +94,7 @@ def test_step_solves_the_dense_system():
     expected = -tangent @ np.linalg.solve(tangent.T @ matrix @ tangent, tangent.T @ gradient)
     expected = simplex.project(S.data + expected[: S.nnz], S.indptr) - S.data
     found = joint.step(
-        problem, Iterate(S, states, damping=1.0, pose_damping=dict.fromkeys(data, 1e-2))
+        problem, Iterate(S, states, damping=0.05, pose_damping=dict.fromkeys(data, 1e-2))
     )
     change = found.S.data - S.data
     assert np.abs(expected).max() > 1e-2
@@ -113,3 +122,39 @@ def test_fit_improves_on_the_wrong_weights_and_stays_on_the_simplex(face):
     # what was found is a good start
     again = geometry.fit(start, data, GeometryOptions(rounds=2), start=fitted.S)
     assert geometry.mean_error(start, targets, again.states) < 0.2 * before
+
+
+def test_symmetric_option_leaves_changes_alike(face):
+    """One side's muscle is seen to act elsewhere than S says, the other's does not act at all."""
+    model = face.model
+    structure = mirror_structure(model, 1.0)
+    alike = np.zeros(model.weights.nnz)
+    alike[0::3], alike[1::3], alike[2::3] = -0.2, 0.1, 0.1
+    assert structure.shape[0] > 0.8 * model.weights.nnz
+    assert np.abs(structure @ alike).max() < 1e-12
+    assert np.abs(structure @ (alike * np.tile([0.5, 1.0, 0.0], len(model.tets)))).max() > 0.05
+    targets = targets_of(face, 1)
+    start = Face(smeared(model))
+    data = {name: SkinDistance(start, target) for name, target in targets.items()}
+    unlike = []
+    for weight in (0.0, 1e-1):
+        fitted = geometry.fit(
+            start, data, GeometryOptions(rounds=5), structure=mirror_structure(model, weight)
+        )
+        unlike.append(np.linalg.norm(structure @ (fitted.S.data - start.model.weights.data)))
+    assert unlike[1] < 0.2 * unlike[0]
+
+
+def test_transferred_weights_follow_tets_and_names(face):
+    model = face.model
+    same = transferred(model.weights, model, model)
+    np.testing.assert_allclose(same.data, model.weights.data, atol=1e-12)
+    renamed = replace(model, muscle_names=("right", "left"))
+    swapped = transferred(model.weights, model, renamed)
+    np.testing.assert_allclose(swapped.toarray()[:, [0, 2, 1]], model.weights.toarray(), atol=1e-12)
+    finer = block_model((8, 7, 5))
+    onto = transferred(model.weights, model, finer).toarray()
+    np.testing.assert_allclose(onto.sum(axis=1), 1.0, atol=1e-12)
+    assert np.abs(onto - finer.weights.toarray()).mean() < 0.05
+    with pytest.raises(InputError, match="no muscle in common"):
+        transferred(model.weights, model, replace(model, muscle_names=("a", "b")))
