@@ -14,6 +14,7 @@ from myoface.cli.app import (
     BAD_SCAN,
     Forward,
     LandmarksFile,
+    NewFile,
     NewFolder,
     RawScan,
     Scan,
@@ -136,6 +137,75 @@ def fit_activations(
     with JobView("activations") as view, _made(output):
         fit(model, weights, _named(scans), output, rig=rig, progress=view)
     out.print(f"{output / 'rig.glb'}", markup=False)
+
+
+@solve.command("sequence")
+def fit_sequence(
+    model: Model,
+    rig: Annotated[
+        Path, typer.Argument(exists=True, file_okay=False, help="a fitted rig's folder")
+    ],
+    performance: Annotated[
+        Path, typer.Argument(exists=True, help="frames (.npy), or a folder of registered scans")
+    ],
+    output: NewFolder = Path("sequence"),
+    fps: Annotated[float, typer.Option(min=0.001, help="frames per second")] = 30.0,
+    start: Annotated[int, typer.Option(min=0, help="first frame to fit")] = 0,
+    end: Annotated[int | None, typer.Option(min=1, help="the frame after the last")] = None,
+    step: Annotated[int, typer.Option(min=1, help="fit every frame, every second ...")] = 1,
+    temporal: Annotated[
+        float, typer.Option(min=0, help="weight of the change from frame to frame")
+    ] = 0.0,
+    head_motion: Annotated[
+        bool, typer.Option("--head-motion", help="solve the head's rigid motion")
+    ] = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="go on after the frames in the folder")
+    ] = False,
+) -> None:
+    """Fit activations and jaw to every frame of a performance."""
+    from solver.pipeline import fit_sequence as fit
+
+    options = {
+        "fps": fps,
+        "start": start,
+        "end": end,
+        "step": step,
+        "temporal": temporal,
+        "head_motion": head_motion,
+    }
+    weights = rig / "muscle_weights.npz"
+    with JobView("sequence") as view, _made(output):
+        fit(model, weights, performance, output, resume=resume, options=options, progress=view)
+    found = json.loads((output / "sequence.json").read_text(encoding="utf-8"))
+    out.print(
+        f"{found['fitted']} of {found['frames']} frames fitted, {found['mean_mm']:.2f} mm off on "
+        f"average, {found['frame_ms']:.0f} ms a frame"
+    )
+    out.print(f"{output / 'sequence.npz'}", markup=False)
+
+
+@solve.command("live-link")
+def live_link(
+    recording: Annotated[
+        Path, typer.Argument(exists=True, dir_okay=False, help="Live Link Face's CSV")
+    ],
+    model: Model,
+    faces: Annotated[
+        Path, typer.Option(exists=True, file_okay=False, help="folder of ICT-FaceKit")
+    ],
+    output: NewFile = Path("performance.npy"),
+) -> None:
+    """Make a performance of a Live Link Face recording, for a model of an ICT-FaceKit head."""
+    from solver.anatomy.ict_performance import model_performance
+    from solver.model import SubjectModel
+    from solver.scans.performance import write_performance
+
+    subject = SubjectModel.load(model)
+    frames = model_performance(faces, recording, subject)
+    write_performance(output, frames, len(frames), len(subject.face))
+    out.print(f"{len(frames)} frames, {frames.fps:g} a second")
+    out.print(f"{output}", markup=False)
 
 
 def _named(scans: list[Path]) -> dict[str, Path]:

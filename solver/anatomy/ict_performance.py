@@ -7,13 +7,15 @@ frame = neutral + sum(weight_e E_e).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from solver.anatomy.ict_captures import ict_neutral
-from solver.anatomy.ict_facekit import FaceKit, arkit_name, read_facekit
+from solver.anatomy.ict_facekit import VERTEX_COUNT, FaceKit, arkit_name, read_facekit
+from solver.errors import InputError
+from solver.model import SubjectModel
 from solver.scans.live_link import ARKIT_NAMES, LiveLinkTake, read_live_link
 from solver.surface import Floats
 
@@ -22,8 +24,8 @@ from solver.surface import Floats
 class IctPerformance:
     """Frames (V, 3) in mm, made when they are asked for.
 
-    ``neutral`` is (V, 3), ``shapes`` (k, 3 V) are the displacements of the expressions that are
-    driven, ``weights`` (f, k) drive them, ``times`` (f,) are in s.
+    ``neutral`` is (V, 3), ``shapes`` (e, 3 V) are the displacements of the expressions that are
+    driven, ``weights`` (f, e) drive them, ``times`` (f,) are in s.
     """
 
     neutral: Floats
@@ -36,6 +38,11 @@ class IctPerformance:
 
     def __iter__(self) -> Iterator[Floats]:
         return (self.frame(number) for number in range(len(self)))
+
+    @property
+    def fps(self) -> float:
+        """Return the usual number of frames per second."""
+        return round(1.0 / float(np.median(np.diff(self.times))), 3) if len(self) > 1 else 30.0
 
     def frame(self, number: int) -> Floats:
         """Return the skin (V, 3) in a frame, mm."""
@@ -64,6 +71,26 @@ def drive(kit: FaceKit, neutral: Floats, take: LiveLinkTake) -> IctPerformance:
     driven = {name: source for name, source in sources.items() if source is not None}
     shapes = np.stack([kit.deltas[name].ravel() for name in driven])
     return IctPerformance(neutral, shapes, take.weights[:, list(driven.values())], take.times)
+
+
+def model_performance(faces: Path, recording: Path, model: SubjectModel) -> IctPerformance:
+    """Return a Live Link Face recording as the face's points (k, 3) of a subject's model.
+
+    Raises as :func:`performance_frames`, and ``performance.topology`` if the model's skin does not
+    have ICT-FaceKit's vertices.
+    """
+    skin = model.skin.vertices
+    if len(skin) != VERTEX_COUNT:
+        raise InputError(
+            "performance.topology",
+            f"the model's skin has {len(skin)} vertices, ICT-FaceKit's {VERTEX_COUNT}: a recording "
+            "can drive models of that template alone",
+            expected=VERTEX_COUNT,
+            found=len(skin),
+        )
+    whole = drive(read_facekit(faces), skin, read_live_link(recording))
+    coordinates = (3 * model.face[:, None] + np.arange(3)).ravel()
+    return replace(whole, neutral=skin[model.face], shapes=whole.shapes[:, coordinates])
 
 
 def arkit_source(expression: str) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
-from solver.errors import SolveError
+from solver.errors import InputError, SolveError
 from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, State
@@ -26,6 +26,7 @@ LEAST_COVERAGE = 0.1
 LEAST_STILL = 10
 """Still points that must be seen to tell the head's motion from the face's."""
 STILL = 0.05
+"""Stillness, times confidence, from which a point has a say in the head's motion."""
 RESTLESS_MM = 0.03
 """A head that moves by more as the face is fitted is placed, and the face fitted, again."""
 PLACINGS = 3
@@ -72,7 +73,8 @@ class Follower:
 
     ``still`` (k,) says how still each point of the face lies on the skull and asks for the head's
     rigid motion: it takes the still points from where the fitted face has them to where they were
-    seen, so face and head are fitted in turns. ``last`` is the frame to go on from.
+    seen, so face and head are fitted in turns. ``last`` is the frame to go on from. Raises
+    :class:`InputError` (``sequence.no_still_points``) if nothing of the face lies still.
     """
 
     def __init__(
@@ -81,6 +83,12 @@ class Follower:
         self._tracker = tracker
         self._face = tracker.face
         self._still = still
+        if still is not None and np.sum(still > STILL) < LEAST_STILL:
+            raise InputError(
+                "sequence.no_still_points",
+                "the head's motion can not be told from the face's: muscles or the jaw move every "
+                "point of the model's face",
+            )
         self._head = IDENTITY if last is None else _motion(last.head)
         self._target: Target | None = None
 
@@ -90,7 +98,7 @@ class Follower:
         seen = np.mean(scan.confidence > 0)
         status: Status = "unseen"
         iterations = 0
-        if seen >= LEAST_COVERAGE:
+        if seen >= LEAST_COVERAGE and self._sees_the_head(scan):
             try:
                 iterations = self._place_and_fit(scan)
                 status = "fitted"
@@ -108,6 +116,11 @@ class Follower:
         visible = np.isfinite(error[vertices])
         seen[vertices[visible]] = self._target.points[visible]
         return Shot(frame, seen, skin, error)
+
+    def _sees_the_head(self, scan: RegisteredScan) -> bool:
+        if self._still is None:
+            return True
+        return bool(np.sum(self._still * scan.confidence > STILL) >= LEAST_STILL)
 
     def _place_and_fit(self, scan: RegisteredScan) -> int:
         """Fit the face with the head where it is; again if that moves the head."""
@@ -127,8 +140,6 @@ class Follower:
         """Return the motion of the fitted face's still points to where they were seen."""
         weights = still * scan.confidence
         used = weights > STILL
-        if used.sum() < LEAST_STILL:
-            return self._head
         fitted = self._face.face_points(self._tracker.state.x)[used]
         seen, weights = scan.vertices[used], weights[used]
         roughly = weighted_motion(fitted, seen, weights)

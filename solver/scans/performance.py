@@ -6,6 +6,7 @@ in the template's order: all skin vertices, or the face's alone.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -63,6 +64,15 @@ def open_performance(path: Path, neutral: Surface, face: Ints) -> Performance:
             expected=list(FORMATS),
         )
     return _Array.open(path, neutral, face)
+
+
+def write_performance(path: Path, frames: Iterable[Floats], count: int, points: int) -> None:
+    """Write ``count`` frames (points, 3), mm, one after the other; they are never all in memory."""
+    shape = (count, points, 3)
+    file = np.lib.format.open_memmap(path, mode="w+", dtype=np.float32, shape=shape)
+    for number, frame in enumerate(frames):
+        file[number] = frame
+    file.flush()
 
 
 @dataclass(frozen=True)
