@@ -13,6 +13,7 @@ import scipy.sparse as sp
 from solver.errors import InputError
 from solver.fitting import standard
 from solver.fitting.face import Face, Pose
+from solver.fitting.model_checks import check_held
 from solver.fitting.stillness import stillness
 from solver.model import SubjectModel
 from solver.pipeline.common import Options, take
@@ -71,6 +72,7 @@ def fit_sequence(
     source = open_performance(performance, subject.skin, subject.face)
     numbers = _chosen(source, given)
     face = Face(subject, linear=given["linear_solver"])
+    check_held(face)
     if not resume:
         shutil.rmtree(out / FRAMES, ignore_errors=True)
     done = read_frames(out / FRAMES, subject.muscle_count)
@@ -87,7 +89,7 @@ def fit_sequence(
             done.append(frame)
             if position in shown and frame.status == "fitted":
                 shots.append(follower.shot(frame))
-            progress(_told(frame, position + 1, len(numbers)))
+            _tell(progress, frame, position + 1, len(numbers))
     finally:
         chunks.flush()
     if all(frame.status != "fitted" for frame in done):
@@ -141,12 +143,14 @@ def _check_same(done: list[SequenceFrame], numbers: range) -> None:
         )
 
 
-def _told(frame: SequenceFrame, count: int, total: int) -> Step:
-    words = f"frame {count} of {total}"
+def _tell(progress: Progress, frame: SequenceFrame, count: int, total: int) -> None:
+    done = 0.01 + 0.95 * count / total
     if frame.status != "fitted":
         why = "hardly any of the face is seen" if frame.status == "unseen" else "it does not settle"
-        words += f": {why} in frame {frame.frame}, the pose before it is kept"
-    return Step("frames", 0.01 + 0.95 * count / total, count, None, frame.mean_mm, words)
+        words = f"frame {frame.frame} keeps the pose of the frame before: {why}"
+        progress(Step("warning", done, message=words))
+    words = f"frame {count} of {total}"
+    progress(Step("frames", done, mean_error_mm=frame.mean_mm, message=words))
 
 
 class _Chunks:

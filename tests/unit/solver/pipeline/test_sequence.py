@@ -16,6 +16,7 @@ from solver.fitting.objective import Regulariser
 from solver.fitting.stillness import stillness
 from solver.pipeline.follower import Follower, Tracker
 from solver.pipeline.sequence import fit_sequence
+from solver.progress import Step
 from solver.rig.result import save_weights
 from solver.rig.sequence import read_frames
 from solver.scans.registered import RegisteredScan
@@ -75,8 +76,8 @@ def test_frames_are_there_before_the_end_and_a_fit_goes_on_after_them(
     class DiedError(Exception):
         pass
 
-    def die(step: object) -> None:
-        if getattr(step, "iteration", None) == 3:
+    def die(step: Step) -> None:
+        if step.message == "frame 3 of 4":
             raise DiedError
 
     with pytest.raises(DiedError):
