@@ -43,39 +43,32 @@ WIDTH_IN, HEIGHT_IN = 7.2, 3.0
 
 @dataclass(frozen=True)
 class Curve:
-    """The objective after every iteration, the start's first, and the seconds it took until then.
-
-    ``seconds`` may be left out for all curves of a plot.
-    """
+    """The objective after every iteration, the start's first, and the seconds it took until then."""
 
     objective: Sequence[float]
-    seconds: Sequence[float] | None = None
+    seconds: Sequence[float]
 
 
 def convergence(path: Path, title: str, curves: Mapping[str, Curve]) -> None:
-    """Plot how far each solver's objective is above its end, by iterations and by seconds.
+    """Plot how far each solver's objective is from its end, by iterations and by seconds.
 
     The last objective of a curve is its end, so that solvers of different problems share one axis;
-    what the ends are belongs in a table. What is below the end (IPOPT's infeasible points) is left
-    out.
+    what the ends are belongs in a table. On IPOPT's way, points that are not feasible may lie below.
     """
-    timed = all(curve.seconds is not None for curve in curves.values())
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), layout="constrained")
-        panels = figure.subplots(1, 2 if timed else 1, sharey=True, squeeze=False)[0]
+        by_iteration, by_seconds = figure.subplots(1, 2, sharey=True)
         for name, colour in _colours(curves).items():
             objective = np.asarray(curves[name].objective, dtype=float)
-            above = (objective - objective[-1]) / abs(objective[-1])
-            above[above <= 0.0] = np.nan
-            panels[0].plot(above, "o-", color=colour, label=name)
-            if timed:
-                panels[1].plot(curves[name].seconds, above, "o-", color=colour, label=name)
-        panels[0].set(ylabel="(f - f at the end) / f at the end", yscale="log", title=title)
-        for axes, label in zip(panels, ("iteration", "seconds"), strict=False):
-            axes.set_xlabel(label)
-        if timed:
-            panels[1].set_xscale("log")
-        panels[-1].legend()
+            away = np.abs(objective - objective[-1]) / abs(objective[-1])
+            shown = np.flatnonzero(away)
+            seconds = np.asarray(curves[name].seconds)[shown]
+            by_iteration.plot(shown, away[shown], "o-", color=colour, label=name)
+            by_seconds.plot(seconds, away[shown], "o-", color=colour, label=name)
+        by_iteration.set(title=title, xlabel="iteration", yscale="log")
+        by_iteration.set_ylabel("|f - f at the end| / f at the end")
+        by_seconds.set(xlabel="seconds", xscale="log")
+        by_seconds.legend()
         _save(figure, path)
 
 
