@@ -1,0 +1,128 @@
+"""One subject's scans fitted for the benchmarks, by the functions and weights of the jobs."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from benchmarks.documents import Figures
+from solver.errors import SolveError
+from solver.fitting import chosen, geometry, per_tet, standard
+from solver.fitting.crossing import crossing
+from solver.fitting.face import Face, State
+from solver.fitting.geometry import GeometryOptions
+from solver.fitting.mouth import Mouth
+from solver.fitting.objective import Target
+from solver.fitting.per_tet import PerTetOptions
+from solver.fitting.terms import Term
+from solver.surface import Floats, Surface
+
+log = logging.getLogger(__name__)
+
+Scans = Mapping[str, Surface]
+
+
+@dataclass(frozen=True)
+class Fits:
+    """Settled fits of several scans, how long they took, and why there is none of a scan."""
+
+    face: Face
+    scans: dict[str, Surface]
+    states: dict[str, State]
+    seconds: float
+    failed: dict[str, str]
+
+    @property
+    def mean_mm(self) -> float | None:
+        """The mean distance over expressions and face skin; None without expressions."""
+        means = [self.distances(name).mean() for name in self.states]
+        return float(np.mean(means)) if means else None
+
+    def distances(self, name: str) -> Floats:
+        """Return the distance (k,) mm of every vertex of the face skin."""
+        points = self.face.face_points(self.states[name].x)
+        goal = self.scans[name].vertices[self.face.model.face]
+        return np.asarray(np.linalg.norm(points - goal, axis=1))
+
+    def skin(self, name: str) -> Floats:
+        """Return the whole skin (V, 3) of a fit."""
+        state = self.states[name]
+        return self.face.whole_skin(state.x, state.pose.b)
+
+    def inverted(self) -> int:
+        """Return the number of inverted tets in all expressions."""
+        return sum(self.face.flesh.inverted(state.x) for state in self.states.values())
+
+    def figures(self, role: str) -> dict[str, Figures]:
+        """Return what is measured of every expression; crossings only where there is a mouth."""
+        mouth = Mouth.of(self.face.model)
+        found = {}
+        for name, state in self.states.items():
+            distance = self.distances(name)
+            found[name] = {
+                "role": role,
+                "mean_mm": float(distance.mean()),
+                "p95_mm": float(np.percentile(distance, 95)),
+                "max_mm": float(distance.max()),
+                "inverted": self.face.flesh.inverted(state.x),
+                "lip_crossing_mm": mouth and crossing(mouth, self.skin(name)).lips,
+                "scan_lip_crossing_mm": mouth and crossing(mouth, self.scans[name].vertices).lips,
+            }
+        return found
+
+
+def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> tuple[sp.csr_array, Fits]:
+    """Fit S, activations and jaws to all scans; return S too."""
+    targets = _targets(face, scans)
+
+    def listen(number: int, states: Mapping[str, State]) -> None:
+        log.info("round %d: %.3f mm", number, geometry.mean_error(face, targets, states))
+
+    start = time.perf_counter()
+    fitted = geometry.fit(face, standard.terms(face, targets), schedule, listen=listen)
+    seconds = time.perf_counter() - start
+    return fitted.S, Fits(face, dict(scans), fitted.states, seconds, {})
+
+
+def by_activations(face: Face, S: sp.csr_array, scans: Scans) -> Fits:
+    """Fit activations and jaw to every scan, S being known."""
+    regulariser, rest = standard.unseen_regulariser(face), face.rest_state(S)
+
+    def fit(data: Term) -> State:
+        return chosen.fit(face, S, data, regulariser, rest, standard.UNSEEN_STOP).state
+
+    return _each(face, scans, standard.terms(face, _targets(face, scans)), fit)
+
+
+def by_tets(face: Face, scans: Scans, options: PerTetOptions) -> Fits:
+    """Fit six activations per tet and the jaw to every scan; ``face`` has that model's material."""
+
+    def fit(data: Term) -> State:
+        return per_tet.fit(face, data, options=options).state
+
+    return _each(face, scans, standard.terms(face, _targets(face, scans)), fit)
+
+
+def _each(face: Face, scans: Scans, data: Mapping[str, Term], fit: Callable[[Term], State]) -> Fits:
+    states, failed = {}, {}
+    start = time.perf_counter()
+    for name, term in data.items():
+        begin = time.perf_counter()
+        try:
+            states[name] = fit(term)
+        except SolveError as error:
+            failed[name] = f"{error.code}: {error.message}"
+            log.warning("%s: %s", name, failed[name])
+        else:
+            log.info("%s: %.1f s", name, time.perf_counter() - begin)
+    return Fits(face, dict(scans), states, time.perf_counter() - start, failed)
+
+
+def _targets(face: Face, scans: Scans) -> dict[str, Target]:
+    ids = face.model.face
+    return {name: Target.from_points(scan.vertices[ids]) for name, scan in scans.items()}
