@@ -18,15 +18,12 @@ ends with it; ``--document`` then writes the section::
 
     report.finish(run(options), options, section)
 
-The date, the command line and the machine's size are added here. ``python -m benchmarks.documents
-NAME FILE`` lays the figures of an earlier run out anew, without running anything.
+The date, the command line and the machine's size are added here. ``python -m benchmarks.report NAME
+FILE`` writes the section from the JSON of an earlier run, without running anything.
 """
 
 from __future__ import annotations
 
-import argparse
-import importlib
-import json
 import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -69,8 +66,8 @@ class Section:
 SectionOf = Callable[[Figures], Section]
 
 
-def write(figures: Figures, section: Section, document: Path = DOCUMENT) -> None:
-    """Put the section of ``figures`` in place of the one before, or at the document's end.
+def write(figures: Figures, section: Section, document: Path) -> None:
+    """Put the section of ``figures`` in place of the one before, or at the ``document``'s end.
 
     ``figures`` are stamped by :func:`benchmarks.report.stamped`.
     """
@@ -136,18 +133,3 @@ def cell(value: Any) -> str:
             return f"{value:,.0f}"
         return f"{value:.2g}" if size < 1e-3 else f"{value:#.3g}".rstrip(".")
     return str(value).replace("|", "\\|")
-
-
-def main() -> None:
-    """Lay out the figures of an earlier run."""
-    parser = argparse.ArgumentParser(description="a benchmark's section, from its JSON file")
-    parser.add_argument("name", help="of the benchmark")
-    parser.add_argument("json", type=Path, help="file that its --json wrote")
-    options = parser.parse_args()
-    figures = json.loads(options.json.read_text(encoding="utf-8"))
-    section: SectionOf = importlib.import_module(f"benchmarks.{options.name}").section
-    write(figures, section(figures))
-
-
-if __name__ == "__main__":
-    main()

@@ -43,7 +43,7 @@ WIDTH_IN, HEIGHT_IN = 7.2, 3.0
 
 @dataclass(frozen=True)
 class Curve:
-    """The objective after every iteration, the start's first, and the seconds it took until then."""
+    """The objective after every iteration, the start's first, and the seconds until then."""
 
     objective: Sequence[float]
     seconds: Sequence[float]
@@ -53,7 +53,7 @@ def convergence(path: Path, title: str, curves: Mapping[str, Curve]) -> None:
     """Plot how far each solver's objective is from its end, by iterations and by seconds.
 
     The last objective of a curve is its end, so that solvers of different problems share one axis;
-    what the ends are belongs in a table. On IPOPT's way, points that are not feasible may lie below.
+    what the ends are belongs in a table. On its way IPOPT may be below, where it is not feasible.
     """
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), layout="constrained")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import os
 import sys
@@ -28,7 +29,7 @@ def finish(figures: Figures, options: argparse.Namespace, section: SectionOf) ->
     """Write the figures where ``--json`` says and, with ``--document``, their section."""
     figures = write(figures, options.json)
     if options.document:
-        documents.write(figures, section(figures))
+        documents.write(figures, section(figures), documents.DOCUMENT)
 
 
 def write(figures: Figures, destination: str) -> Figures:
@@ -64,3 +65,18 @@ def _public(arguments: list[str]) -> list[str]:
         "-" if before == "--json" else Path(word).name if Path(word).is_absolute() else word
         for before, word in zip(["", *words], words, strict=False)
     ]
+
+
+def main() -> None:
+    """Write a section from the figures of an earlier run."""
+    arguments = argparse.ArgumentParser(description="a benchmark's section, from its JSON file")
+    arguments.add_argument("name", help="of the benchmark")
+    arguments.add_argument("json", type=Path, help="file that its --json wrote")
+    options = arguments.parse_args()
+    figures = json.loads(options.json.read_text(encoding="utf-8"))
+    section: SectionOf = importlib.import_module(f"benchmarks.{options.name}").section
+    documents.write(figures, section(figures), documents.DOCUMENT)
+
+
+if __name__ == "__main__":
+    main()

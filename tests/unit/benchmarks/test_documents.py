@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+import json
+import re
 from pathlib import Path
 
 import pytest
 
-from benchmarks import documents, report
+from benchmarks import convergence, documents, report
 from benchmarks.documents import Plot, Section, Table, cell
 
 SECTION = Section(
@@ -49,6 +51,30 @@ def test_the_command_shows_no_folder_of_this_machine() -> None:
     arguments = ("--json", "/secret/out.json", "--faces=/secret/faces", "--data", "../shared/data")
     run = stamped("b", *arguments)["run"]
     assert run["command"] == ("python -m benchmarks.b --json - --faces faces --data ../shared/data")
+
+
+def test_an_earlier_run_is_laid_out_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    document, figures = tmp_path / "docs" / "benchmarks.md", tmp_path / "run.json"
+    document.parent.mkdir()
+    document.write_text("# Benchmarks\n")
+    curve = {"objective": [3.0, 2.0, 1.0], "seconds": [0.0, 0.5, 1.0]}
+    run = stamped("convergence") | {
+        "expression": "kiss",
+        "vertices": 2000,
+        "tets": 6000,
+        "solvers": {"A": curve, "IPOPT": curve},
+        "rounds_mm": {"kiss": [1.0, 0.5]},
+    }
+    figures.write_text(json.dumps(run))
+    monkeypatch.setattr(convergence, "IMAGES", document.parent / "images")
+    monkeypatch.setattr(documents, "DOCUMENT", document)
+    monkeypatch.setattr("sys.argv", ["report", "convergence", str(figures)])
+    report.main()
+    text = document.read_text()
+    assert "| A | 2 | 1.00 | 1.00 |" in text
+    pictures = re.findall(r"\]\((.*)\)", text)
+    assert len(pictures) == 2
+    assert all((document.parent / picture).exists() for picture in pictures)
 
 
 @pytest.mark.parametrize(
