@@ -8,6 +8,7 @@ with Client("http://127.0.0.1:8765") as client:
 
 from __future__ import annotations
 
+import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -42,6 +43,7 @@ DEFAULT_URL = "http://127.0.0.1:8765"
 LONGEST_PAGE = 1000
 """The service lists at most so many things at a time."""
 FRAMES_A_PAGE = 100
+FRAMES_PAUSE = 0.5
 
 TIMEOUT = httpx.Timeout(30.0)
 # The service sends a comment line at least this often while a job has nothing to tell.
@@ -216,15 +218,23 @@ class Client:
                 return
             after = page["next"]
 
-    def frames(self, job_id: str, *, start: int = 0) -> Iterator[Frame]:
-        """Yield the frames of a sequence that are ready so far, from the ``start``-th on."""
+    def frames(self, job_id: str, *, start: int = 0, follow: bool = False) -> Iterator[Frame]:
+        """Yield the frames of a sequence that are ready, from the ``start``-th on.
+
+        With ``follow``, wait for more until the job has ended, however it ends.
+        """
+        url = f"/v1/jobs/{job_id}"
         while True:
+            job = Job.model_validate(patiently(self.http, "GET", url).json())
             query = {"start": start, "limit": FRAMES_A_PAGE}
-            page = self._send("GET", f"/v1/jobs/{job_id}/frames", params=query).json()
+            page = patiently(self.http, "GET", f"{url}/frames", params=query).json()
             yield from map(Frame.model_validate, page["frames"])
-            if page["next"] == start:
+            if page["next"] > start:
+                start = page["next"]
+            elif not follow or job.state in FINAL_STATES:
                 return
-            start = page["next"]
+            else:
+                time.sleep(FRAMES_PAUSE)
 
     def cancel(self, job_id: str, reason: str) -> Job:
         """Ask for a job to be stopped."""

@@ -175,11 +175,12 @@ def show_log(job: JobId, url: Url = DEFAULT_URL) -> None:
 def show_frames(
     job: JobId,
     start: Annotated[int, typer.Option(min=0, help="begin with this one, 0 is the first")] = 0,
+    follow: Annotated[bool, typer.Option("--follow", help="wait for more until it ends")] = False,
     url: Url = DEFAULT_URL,
 ) -> None:
     """Print the frames of a sequence that are ready, a line of JSON each."""
     with Client(url) as client:
-        for frame in client.frames(job, start=start):
+        for frame in client.frames(job, start=start, follow=follow):
             out.print(frame.model_dump_json(), markup=False)
 
 

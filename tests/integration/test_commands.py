@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -91,6 +92,21 @@ def test_a_session_at_the_station(myoface: Command, url: str, tmp_path: Path) ->
             "options": {"unit": "cm", "up": "auto", "forward": "auto", "role": "neutral"},
         },
     }
+
+
+def test_a_performance_and_its_frames(myoface: Command, tmp_path: Path) -> None:
+    subject = myoface("subjects", "add", "Ada").output.strip()
+    myoface("upload", subject, scan(tmp_path, "neutral"), "--neutral")
+    myoface("upload", subject, scan(tmp_path, "smile"))
+    myoface("jobs", "submit", "build_model", subject)
+    rig = myoface("jobs", "submit", "fit_geometry", subject).output.split()[-1]
+    take = scan(tmp_path, "take", "frames 6").rename(tmp_path / "take.npy")
+    myoface("captures", "add", subject, take, "--performance")
+    given = ("fit_sequence", subject, "--rig", rig, "--capture", "take")
+    job = myoface("jobs", "submit", *given).output.split()[0]
+    lines = myoface("jobs", "frames", job, "--start", "2").output.splitlines()
+    assert [json.loads(line)["frame"] for line in lines] == [2, 3, 4, 5]
+    assert "neutral: good" in myoface("captures", "check", subject).output
 
 
 def test_an_unknown_name_is_refused_with_those_there_are(myoface: Command, tmp_path: Path) -> None:
