@@ -168,7 +168,7 @@ CHECKS = (
         "",
         0,
         np.inf,
-        "figures of its motion that are outside the range of healthy jaws",
+        "figures of its motion that are outside the range of adults' jaws",
         "Check the neutral scan: with parted or clenched teeth there, every jaw angle is off.",
     ),
     Check(

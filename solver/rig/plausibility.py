@@ -14,8 +14,12 @@ from solver.model import SubjectModel
 from solver.surface import Floats, Ints
 
 SHORTEST, LONGEST = 0.5, 2.0
-"""Stretches of a muscle: it makes force down to half its best length (Zajac 1989), and one that
-halves its length thickens to twice its size at most, its volume being kept."""
+"""Stretches of a muscle in any direction; see :data:`MUSCLE_SOURCE`."""
+
+MUSCLE_SOURCE = (
+    "A muscle makes force down to half its best length (Zajac 1989), and one that halves its "
+    "length thickens to twice its size at most, as it keeps its volume."
+)
 
 LONGEST_FIBRE = 1.1
 """A muscle pulls; one whose activation lengthens its fibres by more than this pushes."""
@@ -107,10 +111,14 @@ JAW_RANGES = {
     "condyles_forward_mm": (-2.0, 28.0),
     "condyles_down_mm": (-2.0, 15.0),
 }
-"""What healthy jaws do from rest, mean and two standard deviations: interincisal opening 49.3 (9.1)
-and sideways 11.8 (3.1) mm (500 adults, Swiss Dental Journal 2018), rotation 39.1 (5.9) degrees and
-condylar path 20.5 (4.0) mm (Muto and Kanazawa 1996). Teeth and sockets allow little the other way:
-teeth are 2 to 4 mm apart at rest."""
+"""From rest, in degrees and mm; see :data:`JAW_SOURCE`."""
+
+JAW_SOURCE = (
+    "Mean and two standard deviations of adults: opening between the incisors 49.3 (9.1) mm and "
+    "to the side 11.8 (3.1) mm (500 patients in Basel, Swiss Dental Journal), rotation 39.1 (5.9)° "
+    "and path of the condyles 20.5 (4.0) mm (60 healthy students, Muto and Kanazawa 1996). Teeth, "
+    "2 to 4 mm apart at rest, and sockets allow little the other way."
+)
 
 JAW_WORDS = {
     "opening_deg": ("closes by {:.0f}°", "opens by {:.0f}°"),

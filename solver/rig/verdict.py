@@ -118,7 +118,7 @@ def _solve(fit: ExpressionFit) -> dict[str, Measure]:
     found = {"solver.warnings": Measure(len(fit.notices), messages)}
     if fit.status != "unknown":
         for code, status in (("solver.failed", "failed"), ("solver.stopped", "stopped")):
-            steps = f"after {fit.iterations} steps by {fit.solver}"
+            steps = f"after {fit.iterations} steps by {fit.solver}" if fit.status == status else ""
             found[code] = Measure(int(fit.status == status), steps)
     return found
 

@@ -9,6 +9,7 @@ from string import Template
 from typing import Any
 
 from solver.rig.checks import overall
+from solver.rig.plausibility import JAW_RANGES, JAW_SOURCE, MUSCLE_SOURCE
 from solver.rig.web_expression import article, muscle_rows
 from solver.rig.web_markup import figure, row, tag, tile
 
@@ -42,6 +43,7 @@ def write_page(path: Path, figures: dict[str, Any]) -> None:
         tiles=_tiles(figures),
         todo=_todo(figures, anchors),
         checks=_checks(figures["checks"], anchors),
+        sources=_sources(),
         rows=_rows(expressions, anchors),
         articles="\n".join(
             article(anchors[name], name, found, path.with_name(f"fit_{name}.png"))
@@ -136,6 +138,18 @@ def _checks(checks: list[dict[str, Any]], anchors: dict[str, str]) -> str:
             f"<td class='nowrap'>{_limit(check, 'usable')}</td></tr>"
         )
     return "\n".join(lines)
+
+
+def _sources() -> str:
+    ranges = ", ".join(
+        f"{name.replace('_', ' ')} {low:g} to {high:g}" for name, (low, high) in JAW_RANGES.items()
+    )
+    facts = {
+        "Muscles": MUSCLE_SOURCE,
+        "Jaw": f"{ranges.replace('-', '−')}. {JAW_SOURCE}",
+        "The rest": "What fits of captured faces reach when nothing is wrong.",
+    }
+    return "".join(f"<dt>{words}</dt><dd>{escape(value)}</dd>" for words, value in facts.items())
 
 
 def _value(check: dict[str, Any]) -> str:
