@@ -106,11 +106,15 @@ class Follower:
                 status, self._head = "kept", head
         return self._frame(number, status, float(seen), iterations, time.perf_counter() - start)
 
+    def skin(self) -> Floats:
+        """Return the whole skin (v, 3) as it is now, without the head's motion."""
+        state = self._tracker.state
+        return self._face.whole_skin(state.x, state.pose.b)
+
     def shot(self, frame: SequenceFrame) -> Shot:
         """Return the frame that was fitted last, to be drawn."""
         assert self._target is not None, "a frame was fitted"
-        state, vertices = self._tracker.state, self._face.model.face
-        skin = self._face.whole_skin(state.x, state.pose.b)
+        skin, vertices = self.skin(), self._face.model.face
         seen, error = skin.copy(), np.full(len(skin), np.nan)
         error[vertices] = self._target.distances(skin[vertices])
         visible = np.isfinite(error[vertices])

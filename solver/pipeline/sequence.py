@@ -21,6 +21,7 @@ from solver.pipeline.follower import Follower, Tracker
 from solver.progress import Progress, Step, silent
 from solver.rig.result import load_weights
 from solver.rig.sequence import FRAMES, SequenceFrame, read_frames, write_frames, write_sequence
+from solver.rig.sequence_gltf import AnimatedSkin
 from solver.rig.sequence_picture import Shot, sequence_picture
 from solver.scans.performance import Performance, open_performance
 
@@ -61,8 +62,9 @@ def fit_sequence(
     none; ``head_motion`` solves the rigid motion of the head; ``max_iterations`` a frame;
     ``linear_solver``.
 
-    Writes ``sequence.npz``, ``activations.csv``, ``sequence.json`` and ``sequence.png``. Raises
-    :class:`InputError` for what can not be used, ``sequence.nothing`` if no frame could be fitted.
+    Writes ``sequence.npz``, ``activations.csv``, ``sequence.json``, ``sequence.glb`` and
+    ``sequence.png``. Raises :class:`InputError` for what can not be used, ``sequence.nothing`` if
+    no frame could be fitted.
     """
     given = take(options, DEFAULTS)
     out.mkdir(parents=True, exist_ok=True)
@@ -81,12 +83,14 @@ def fit_sequence(
     follower = _follower(face, S, given, done[-1] if done else None)
     shown = set(np.linspace(0, len(numbers) - 1, MOST_SHOTS).round().astype(int).tolist())
     shots: list[Shot] = []
+    animated = AnimatedSkin(subject.skin)
     chunks = _Chunks(out / FRAMES, len(done))
     try:
         for position in range(len(done), len(numbers)):
             frame = follower.fit(numbers[position], source.frame(numbers[position]))
             chunks.add(frame)
             done.append(frame)
+            animated.add(frame, follower.skin())
             if position in shown and frame.status == "fitted":
                 shots.append(follower.shot(frame))
             _tell(progress, frame, position + 1, len(numbers))
@@ -100,6 +104,8 @@ def fit_sequence(
         )
     progress(Step("export", 0.96))
     files = write_sequence(out, done, subject.muscle_names, given["fps"], source.name)
+    files.append(out / "sequence.glb")
+    animated.write(files[-1], given["fps"])
     if shots:
         files.append(out / "sequence.png")
         sequence_picture(subject, shots, source.name, files[-1])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pygltflib as gl
@@ -10,7 +12,7 @@ import pygltflib as gl
 from solver.rig.normals import vertex_normals
 from solver.rig.parts import skin_parts
 from solver.rig.result import ExpressionFit, Rig
-from solver.surface import Floats, Ints
+from solver.surface import Floats, Ints, Surface
 
 METRES = 1e-3
 STILL_MM = 1e-3  # a vertex that moves less than a micrometre is left out of a sparse target
@@ -19,6 +21,7 @@ SPARSE_COST = 14 / 12  # bytes of a sparse entry by those of a dense one
 MOVE_SECONDS, HOLD_SECONDS = 0.6, 0.4
 GENERATOR = "Myoface"
 ERROR_ATTRIBUTE = "_ERROR_MM"
+NOTHING: Mapping[str, Floats] = MappingProxyType({})
 MATERIALS = {  # linear base colour and opacity, roughness
     "skin": ((0.67, 0.40, 0.30, 1.0), 0.55),
     "eyes": ((0.80, 0.80, 0.78, 1.0), 0.10),
@@ -31,28 +34,44 @@ MATERIALS = {  # linear base colour and opacity, roughness
 def write_glb(path: Path, rig: Rig) -> None:
     """Write the neutral skin (v, 3), its expressions as morph targets and an animation, in metres.
 
-    Every part of the skin (skin, eyes, teeth ...) is a primitive with its own material; they share
-    all vertex data, so that vertex numbers stay the scan's. ``_ERROR_MM`` is the greatest distance
-    to the scans over all expressions, mm, 0 where nothing was measured.
+    ``_ERROR_MM`` is the greatest distance to the scans over all expressions, mm, 0 where nothing
+    was measured.
     """
-    neutral = rig.model.skin
-    names = [fit.name for fit in rig.expressions]
-    buffer = _Buffer()
+    shapes = {fit.name: fit.skin for fit in rig.expressions}
+    worst = _worst_error(rig.expressions, len(rig.model.skin.vertices))
+    write_face(path, rig.model.skin, shapes, _in_turn, {ERROR_ATTRIBUTE: worst})
+
+
+def write_face(
+    path: Path,
+    neutral: Surface,
+    shapes: Mapping[str, Floats],
+    animate: Callable[[Buffer, int], gl.Animation],
+    attributes: Mapping[str, Floats] = NOTHING,
+) -> None:
+    """Write a skin with named ``shapes`` (v, 3), mm, as morph targets of node 0, and an animation.
+
+    Every part of the skin (skin, eyes, teeth ...) is a primitive with its own material; they share
+    all vertex data, so that vertex numbers stay the scan's. ``attributes`` are more values (v,) of
+    the vertices. ``animate`` gets the buffer and the number of shapes.
+    """
+    names = list(shapes)
+    buffer = Buffer()
     normals = vertex_normals(neutral)
-    attributes = gl.Attributes(
+    of_vertices = gl.Attributes(
         POSITION=buffer.dense(neutral.vertices * METRES, gl.VEC3, gl.ARRAY_BUFFER, bounds=True),
         NORMAL=buffer.dense(normals, gl.VEC3, gl.ARRAY_BUFFER),
     )
-    worst = _worst_error(rig.expressions, len(neutral.vertices))
-    setattr(attributes, ERROR_ATTRIBUTE, buffer.dense(worst, gl.SCALAR, gl.ARRAY_BUFFER))
+    for name, values in attributes.items():
+        setattr(of_vertices, name, buffer.dense(values, gl.SCALAR, gl.ARRAY_BUFFER))
     targets = [
         gl.Attributes(
             POSITION=buffer.morph(
-                (fit.skin - neutral.vertices) * METRES, STILL_MM * METRES, bounds=True
+                (shape - neutral.vertices) * METRES, STILL_MM * METRES, bounds=True
             ),
-            NORMAL=buffer.morph(vertex_normals(neutral.moved(fit.skin)) - normals, STILL_NORMAL),
+            NORMAL=buffer.morph(vertex_normals(neutral.moved(shape)) - normals, STILL_NORMAL),
         )
-        for fit in rig.expressions
+        for shape in shapes.values()
     ]
     parts = skin_parts(neutral)
     document = gl.GLTF2(
@@ -68,7 +87,7 @@ def write_glb(path: Path, rig: Rig) -> None:
                 extras={"targetNames": names},
                 primitives=[
                     gl.Primitive(
-                        attributes=attributes,
+                        attributes=of_vertices,
                         indices=buffer.indices(neutral.faces[faces]),
                         material=number,
                         mode=gl.TRIANGLES,
@@ -78,7 +97,7 @@ def write_glb(path: Path, rig: Rig) -> None:
                 ],
             )
         ],
-        animations=[_animation(buffer, len(names))] if names else [],
+        animations=[animate(buffer, len(names))] if names else [],
         accessors=buffer.accessors,
         bufferViews=buffer.views,
         buffers=[gl.Buffer(byteLength=len(buffer.content))],
@@ -107,7 +126,7 @@ def _material(part: str) -> gl.Material:
     )
 
 
-def _animation(buffer: _Buffer, count: int) -> gl.Animation:
+def _in_turn(buffer: Buffer, count: int) -> gl.Animation:
     """Return neutral -> expression -> neutral for one expression after the other."""
     period = 2 * MOVE_SECONDS + HOLD_SECONDS
     times = [0.0]
@@ -127,7 +146,7 @@ def _animation(buffer: _Buffer, count: int) -> gl.Animation:
     return gl.Animation(name="expressions", samplers=[sampler], channels=[channel])
 
 
-class _Buffer:
+class Buffer:
     """The one binary buffer, with its views and accessors as they are added."""
 
     def __init__(self) -> None:

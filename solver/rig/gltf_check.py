@@ -103,10 +103,12 @@ def _animation_faults(
 ) -> list[str]:
     faults = []
     for animation in document.get("animations", []):
-        for sampler in animation["samplers"]:
-            times, weights = values[sampler["input"]], values[sampler["output"]]
+        for channel in animation["channels"]:
+            sampler = animation["samplers"][channel["sampler"]]
+            times, output = values[sampler["input"]], values[sampler["output"]]
             if (np.diff(times[:, 0]) <= 0).any():
                 faults.append("the animation's times do not increase")
-            if len(weights) != len(times) * targets:
-                faults.append("the animation does not set every weight at every time")
+            is_weights = channel["target"]["path"] == "weights"
+            if len(output) != len(times) * (targets if is_weights else 1):
+                faults.append("the animation does not set every value at every time")
     return faults

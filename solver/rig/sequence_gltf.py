@@ -1,0 +1,91 @@
+"""``sequence.glb``: a fitted sequence as an animated skin, for viewers and animation tools.
+
+The skins of all frames are spanned by few shapes, found as the frames come: a frame that the shapes
+so far do not reach adds what is left of it. So a frame is a few weights, and nothing waits for the
+end of the sequence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pygltflib as gl
+from scipy.spatial.transform import Rotation
+
+from solver.rig.gltf import METRES, Buffer, write_face
+from solver.rig.sequence import SequenceFrame
+from solver.surface import Floats, Surface
+
+REACHED_MM = 0.2
+"""How far a vertex may be off its place in the animation, unless there are too many shapes."""
+MOST_SHAPES = 48
+
+
+class AnimatedSkin:
+    """Takes the skins (v, 3), mm, of a sequence's frames."""
+
+    def __init__(self, neutral: Surface) -> None:
+        self._neutral = neutral
+        self._shapes = np.zeros((0, neutral.vertices.size))
+        self._weights: list[Floats] = []
+        self._frames: list[SequenceFrame] = []
+
+    def add(self, frame: SequenceFrame, skin: Floats) -> None:
+        """Take a frame, fitted or not."""
+        motion = (skin - self._neutral.vertices).ravel()
+        weights = self._shapes @ motion
+        rest = motion - weights @ self._shapes
+        if len(weights) < MOST_SHAPES and np.abs(rest).max() > REACHED_MM:
+            length = np.linalg.norm(rest)
+            self._shapes = np.vstack([self._shapes, rest / length])
+            weights = np.append(weights, length)
+        self._weights.append(weights)
+        self._frames.append(frame)
+
+    def write(self, path: Path, fps: float) -> None:
+        """Write the animation, in metres; a node carries the motion of the head."""
+        weights = np.zeros((len(self._weights), len(self._shapes)))
+        for row, values in zip(weights, self._weights, strict=True):
+            row[: len(values)] = values
+        greatest = np.abs(weights).max(axis=0)
+        shapes = {
+            f"shape_{number}": self._neutral.vertices + (size * shape).reshape(-1, 3)
+            for number, (size, shape) in enumerate(zip(greatest, self._shapes, strict=True))
+        }
+
+        def animate(buffer: Buffer, _count: int) -> gl.Animation:
+            return _animation(buffer, self._frames, weights / greatest, fps)
+
+        write_face(path, self._neutral, shapes, animate)
+
+
+def _animation(
+    buffer: Buffer, frames: Sequence[SequenceFrame], weights: Floats, fps: float
+) -> gl.Animation:
+    times = buffer.dense(np.array([frame.frame / fps for frame in frames]), gl.SCALAR, bounds=True)
+    heads = np.array([frame.head for frame in frames])
+    tracks = {gl.WEIGHTS: buffer.dense(weights.ravel(), gl.SCALAR)}
+    if heads.any():
+        turns = Rotation.from_rotvec(heads[:, :3]).as_quat()
+        turns *= _same_side(turns)[:, None]
+        tracks[gl.ROTATION] = buffer.dense(turns, gl.VEC4)
+        tracks[gl.TRANSLATION] = buffer.dense(heads[:, 3:] * METRES, gl.VEC3)
+    return gl.Animation(
+        name="sequence",
+        samplers=[
+            gl.AnimationSampler(input=times, output=values, interpolation=gl.ANIM_LINEAR)
+            for values in tracks.values()
+        ],
+        channels=[
+            gl.AnimationChannel(sampler=number, target=gl.AnimationChannelTarget(node=0, path=path))
+            for number, path in enumerate(tracks)
+        ],
+    )
+
+
+def _same_side(quaternions: Floats) -> Floats:
+    """Return signs (f,) that keep each quaternion (f, 4) on the side of the one before."""
+    turned = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0
+    return np.asarray(np.cumprod(np.concatenate([[1.0], np.where(turned, -1.0, 1.0)])))

@@ -1,0 +1,67 @@
+"""An animated skin reads back as the skins that were put in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pygltflib
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from solver.rig.gltf_check import validate_glb
+from solver.rig.sequence import SequenceFrame
+from solver.rig.sequence_gltf import REACHED_MM, AnimatedSkin
+from solver.surface import Floats, Surface
+
+BALL = trimesh.creation.icosphere(subdivisions=2, radius=90.0)
+NEUTRAL = Surface(np.asarray(BALL.vertices, np.float64), np.asarray(BALL.faces, np.int64))
+FRAMES = 12
+
+
+def frame(number: int) -> SequenceFrame:
+    head = np.array([0.0, 0.6 * number, 0.0, 5.0, 0.0, number])
+    figures = {"mean_mm": 0.1, "p95_mm": 0.2, "max_mm": 0.3, "coverage": 1.0, "seconds": 0.1}
+    pose = {"activations": np.zeros((1, 6)), "jaw": np.zeros(5), "head": head}
+    return SequenceFrame(frame=number, status="fitted", inverted=0, iterations=1, **pose, **figures)
+
+
+def test_skins_read_back(tmp_path: Path) -> None:
+    wave = np.sin(0.05 * NEUTRAL.vertices)
+    skins = [
+        NEUTRAL.vertices + 4.0 * np.sin(number) * wave + 0.1 * number * NEUTRAL.vertices[:, ::-1]
+        for number in range(FRAMES)
+    ]
+    animated = AnimatedSkin(NEUTRAL)
+    for number, skin in enumerate(skins):
+        animated.add(frame(number), skin)
+    animated.write(tmp_path / "sequence.glb", 25.0)
+    document = pygltflib.GLTF2().load(str(tmp_path / "sequence.glb"))
+    names = document.meshes[0].extras["targetNames"]
+    assert len(names) == 2
+    assert validate_glb(tmp_path / "sequence.glb", names) == []
+    shapes = [
+        _values(document, target["POSITION"]) for target in document.meshes[0].primitives[0].targets
+    ]
+    tracks = {
+        channel.target.path: _values(
+            document, document.animations[0].samplers[channel.sampler].output
+        )
+        for channel in document.animations[0].channels
+    }
+    weights = tracks["weights"].reshape(FRAMES, len(names))
+    for number, skin in enumerate(skins):
+        shown = NEUTRAL.vertices + 1e3 * np.tensordot(weights[number], shapes, 1)
+        assert np.abs(shown - skin).max() < REACHED_MM
+    turns = Rotation.from_quat(tracks["rotation"]).as_matrix()
+    expected = Rotation.from_rotvec([[0.0, 0.6 * number, 0.0] for number in range(FRAMES)])
+    np.testing.assert_allclose(turns, expected.as_matrix(), atol=1e-6)
+    assert (np.sum(tracks["rotation"][1:] * tracks["rotation"][:-1], axis=1) > 0).all()
+    np.testing.assert_allclose(tracks["translation"][3], [0.005, 0.0, 0.003], atol=1e-7)
+
+
+def _values(document: pygltflib.GLTF2, number: int) -> Floats:
+    accessor = document.accessors[number]
+    view = document.bufferViews[accessor.bufferView]
+    content = document.binary_blob()[view.byteOffset : view.byteOffset + view.byteLength]
+    return np.frombuffer(content, "<f4").reshape(accessor.count, -1).astype(float)
