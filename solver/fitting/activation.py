@@ -170,18 +170,20 @@ class _Linearised:
     flesh: Floats
 
     def step(self, damping: float, trust: float) -> Floats:
-        """Solve (H + damping D^2) step = -gradient, D the units of (a, b); cut to the ``trust``."""
-        damped = self.hessian.copy()
-        units = np.concatenate([np.ones(len(damped) - 5), JAW_UNITS**2 * JAW_DAMPING])
-        damped[np.diag_indices_from(damped)] += damping * units
-        step = np.asarray(scipy.linalg.solve(damped, -self.gradient, assume_a="pos"))
-        longest = max(
-            np.abs(step[:-5]).max() / LARGEST_STEP, np.abs(step[-5:-3]).max() / LARGEST_TURN
-        )
-        return np.asarray(step / max(longest / trust, 1.0))
+        return damped_step(self.hessian, self.gradient, damping, trust)
 
     def predicted_gain(self, step: Floats) -> float:
         return float(-self.gradient @ step - 0.5 * step @ self.hessian @ step)
+
+
+def damped_step(hessian: Floats, gradient: Floats, damping: float, trust: float) -> Floats:
+    """Solve (H + damping D^2) step = -gradient, D the units of (a, b); cut to the ``trust``."""
+    damped = hessian.copy()
+    units = np.concatenate([np.ones(len(damped) - 5), JAW_UNITS**2 * JAW_DAMPING])
+    damped[np.diag_indices_from(damped)] += damping * units
+    step = np.asarray(scipy.linalg.solve(damped, -gradient, assume_a="pos"))
+    longest = max(np.abs(step[:-5]).max() / LARGEST_STEP, np.abs(step[-5:-3]).max() / LARGEST_TURN)
+    return np.asarray(step / max(longest / trust, 1.0))
 
 
 def _linearise(

@@ -1,15 +1,17 @@
 """What a fit minimises: the distance to the target, and the regularisers on the activations.
 
     f(a, b) = sum_v w_v |(M x)_v - t_v|^2 + w_a/2 |a - a_prior|^2 + w_v/2 sum_j (det S(a_j) - 1)^2
-              + w_b/2 |D (b - b_prior)|^2
+              + w_b/2 |D (b - b_prior)|^2 + w_e/2 sum_jk max(0, e - lambda_k(S(a_j)))^2
 
 The vertex weights sum to one, so that the first term is a mean squared distance in mm^2 and the
-other weights do not depend on the scan's resolution (the published sums differ by that factor).
+other weights do not depend on the scan's resolution (the published sums differ by that factor). The
+last term is ours: a muscle whose S(a_j) has a negative eigenvalue turns its flesh inside out, which
+the barrier forbids, and what is left are many buckled equilibria to get caught in.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +21,10 @@ from solver.surface import Floats
 
 JAW_UNITS = np.array([100.0, 100.0, 1.0, 1.0, 1.0])
 """The diagonal of D: a radian of jaw counts as 100 mm, its motion at the chin."""
+
+
+LEAST_STRETCH = 0.1
+"""The eigenvalue e of S(a_j) that a muscle hardly goes below: contraction to a tenth."""
 
 
 @dataclass(frozen=True)
@@ -74,21 +80,36 @@ class Target:
 
 @dataclass(frozen=True)
 class Regulariser:
-    """Weights of the activation's prior w_a, of the volume term w_v and of the jaw's prior w_b."""
+    """The weights: of the activation's prior, volume, the jaw's prior, and least eigenvalues."""
 
     w_a: float
     w_v: float
     w_b: float
     prior: Pose
+    w_e: float = 0.1
+
+    def drawn_to(self, pose: Pose, share: float) -> Regulariser:
+        """Return the regulariser that draws to ``pose`` as well, ``share`` times as strongly.
+
+        It differs by a constant from the sum of the two.
+        """
+        return replace(
+            self,
+            w_a=(1.0 + share) * self.w_a,
+            w_b=(1.0 + share) * self.w_b,
+            prior=self.prior.toward(pose, share / (1.0 + share)),
+        )
 
     def value(self, pose: Pose) -> float:
         """Return the regularisers' sum."""
         det = determinants(pose.a) - 1.0
         jaw = JAW_UNITS * (pose.b - self.prior.b)
+        lack, _ = lacking_eigenvalues(pose.a)
         return float(
             0.5 * self.w_a * np.sum((pose.a - self.prior.a) ** 2)
             + 0.5 * self.w_v * det @ det
             + 0.5 * self.w_b * jaw @ jaw
+            + 0.5 * self.w_e * np.sum(lack**2)
         )
 
     def gradient(self, pose: Pose) -> Floats:
@@ -96,6 +117,8 @@ class Regulariser:
         det = determinants(pose.a) - 1.0
         by_a = self.w_a * (pose.a - self.prior.a)
         by_a = by_a + self.w_v * det[:, None] * determinant_gradients(pose.a)
+        lack, slopes = lacking_eigenvalues(pose.a)
+        by_a -= self.w_e * np.einsum("jk,jkq->jq", lack, slopes)
         by_b = self.w_b * JAW_UNITS**2 * (pose.b - self.prior.b)
         return np.concatenate([by_a.ravel(), by_b])
 
@@ -104,9 +127,12 @@ class Regulariser:
         muscles = len(pose.a)
         slopes = determinant_gradients(pose.a)
         out = np.zeros((6 * muscles + 5, 6 * muscles + 5))
+        _, towards = lacking_eigenvalues(pose.a)
+        blocks = self.w_v * slopes[:, :, None] * slopes[:, None, :]
+        blocks += self.w_e * towards.transpose(0, 2, 1) @ towards
         for j in range(muscles):
             block = slice(6 * j, 6 * j + 6)
-            out[block, block] = self.w_v * np.outer(slopes[j], slopes[j])
+            out[block, block] = blocks[j]
         diagonal = np.concatenate([np.full(6 * muscles, self.w_a), self.w_b * JAW_UNITS**2])
         out[np.diag_indices_from(out)] += diagonal
         return out
@@ -134,3 +160,14 @@ def determinant_gradients(a: Floats) -> Floats:
         ],
         axis=1,
     )
+
+
+def lacking_eigenvalues(a: Floats) -> tuple[Floats, Floats]:
+    """Return max(0, e - lambda_k(S(a_j))), (m, 3), and where not 0 d lambda_k/da_j, (m, 3, 6)."""
+    xx, xy, xz, yy, yz, zz = a.T
+    matrices = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
+    values, vectors = np.linalg.eigh(matrices)
+    lack = np.maximum(LEAST_STRETCH - values, 0.0)
+    x, y, z = vectors.transpose(1, 0, 2)
+    slopes = np.stack([x * x, 2 * x * y, 2 * x * z, y * y, 2 * y * z, z * z], axis=2)
+    return lack, slopes * (lack > 0.0)[:, :, None]
