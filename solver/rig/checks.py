@@ -116,8 +116,7 @@ CHECKS = (
         5.0,
         10.0,
         "of the flesh as a whole; living flesh keeps its volume",
-        "The skin is not touched by this. Fit again with a greater volume weight if the volume"
-        " matters to you.",
+        "The skin is not touched by this. Do not take masses or volumes from this expression.",
     ),
     Check(
         "flesh.residual",
@@ -147,8 +146,8 @@ CHECKS = (
         0,
         0,
         "muscles whose activation has no physical shape",
-        "The skin is right, the muscles are not: do not read or edit these activations. Fit with a"
-        " greater weight w_v or w_a.",
+        "The skin is right, the muscles are not: play the expression back, but do not edit its"
+        " activations. A training scan that moves these muscles differently helps.",
     ),
     Check(
         "muscles.beyond",
@@ -158,8 +157,8 @@ CHECKS = (
         0,
         np.inf,
         "shrinking below half, growing beyond double, pushing, or losing volume",
-        "Good for playing the expression back. For reading activations as effort, fit with a"
-        " greater w_a.",
+        "Good for playing the expression back and for blending. Do not read these activations as"
+        " effort.",
     ),
     Check(
         "jaw.range",

@@ -87,8 +87,8 @@ def _tiles(figures: dict[str, Any]) -> str:
     for code, words in (
         ("flesh.inverted", "inverted tets"),
         ("flesh.volume", "greatest change of volume"),
-        ("muscles.beyond", "muscles beyond their range, at most"),
-        ("trip.skin", "simulated again, at most"),
+        ("muscles.beyond", "muscles out of range, at most"),
+        ("trip.skin", "simulated from rest, at most"),
     ):
         if code in worst:
             value = worst[code]["value"]
