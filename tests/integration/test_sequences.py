@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from myoface.client import Client
 from myoface.stack import Stack
+from service.jobs.schemas import FrameView
+from service.store.files import FileStore
+from service.store.jobs import Claim
+from solver.mechanics.flesh import IDENTITY
+from solver.rig.result import save_weights
+from solver.rig.sequence import SequenceFrame, write_frames
 from tests.service_client import Studio, eventually, running
+from tests.unit.solver.block import block_model
+from worker.attempt import AttemptFolder
+from worker.solve import solve
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +95,55 @@ def test_a_scan_is_no_performance(studio: Studio, rigged: tuple[str, str]) -> No
         body = {"kind": "fit_sequence", "subject_id": subject, "rig_id": rig, "captures": captures}
         answer = studio.http.post("/v1/jobs", json=body)
         assert (answer.status_code, answer.json()["code"]) == (422, code)
+
+
+def test_the_real_solver_goes_on_in_an_attempt_s_folder(tmp_path: Path) -> None:
+    """What the worker hands over is what the pipeline takes, and its frames what the API shows."""
+    model, store = block_model(), FileStore(tmp_path / "files")
+    model.save(tmp_path / "model.npz")
+    save_weights(tmp_path / "weights.npz", model.weights, model)
+    still = model.skin.vertices[model.face]
+    np.save(tmp_path / "take.npy", [still, still + 0.1, still, still])
+    inputs = [
+        {"role": name, "name": name, "filename": file, "sha256": store.put(tmp_path / file).sha256}
+        for name, file in (
+            ("model", "model.npz"),
+            ("weights", "weights.npz"),
+            ("performance", "take.npy"),
+        )
+    ]
+    before = SequenceFrame(
+        frame=0,
+        status="fitted",
+        activations=np.tile(IDENTITY, (2, 1)),
+        jaw=np.zeros(5),
+        head=np.zeros(6),
+        mean_mm=0.0,
+        p95_mm=0.0,
+        max_mm=0.0,
+        coverage=1.0,
+        inverted=0,
+        iterations=1,
+        seconds=0.0,
+    )
+    ready = write_frames(tmp_path / "before", 0, [before])
+    frames = {ready.name: store.put(ready).sha256}
+    claim = Claim("job", 2, "fit_sequence", "ada", inputs, {"step": 2}, None, None, frames)
+    folder = AttemptFolder(tmp_path, claim)
+    folder.stage(store)
+    result = solve(folder.path, lambda _step: None)
+    assert (result["summary"]["frames"], result["summary"]["fitted"]) == (2, 2)
+    (row,) = folder.new_frames(store)
+    assert (row["first"], row["last"]) == (1, 1)
+    left = json.loads(store.path(row["sha256"]).read_bytes())
+    assert [FrameView.model_validate(each).frame for each in left["frames"]] == [2]
+    assert {artifact.name for artifact in folder.store(store)} == {
+        "activations.csv",
+        "sequence.glb",
+        "sequence.json",
+        "sequence.npz",
+        "sequence.png",
+    }
 
 
 def test_only_a_sequence_has_frames(studio: Studio) -> None:
