@@ -14,6 +14,13 @@ from solver.rig.colours import both_sides
 from solver.rig.web_markup import figure, row, tag
 
 PICTURE_WIDTH, JPEG_QUALITY = 1400, 86
+SOLVERS = {"reduced": "Reduced solver,", "ipopt": "IPOPT,"}
+ENDINGS = {
+    "converged": "converged",
+    "stopped": "out of steps",
+    "failed": "broke down",
+    "unknown": "ending not known",
+}
 CONTACTS = {
     "lips_mm": "lips in each other",
     "upper_teeth_mm": "lips in upper teeth",
@@ -97,8 +104,8 @@ def _facts(found: dict[str, Any]) -> str:
         "Jaw": motion,
         "Contact": _contact(found["crossing"], found["scan_crossing"]),
         "Round trip": _trip(found["round_trip"]),
-        "Solver": f"{found['solver']}, {found['status']}; {found['iterations']} steps, "
-        f"{found['seconds']:.1f} s",
+        "Solver": f"{SOLVERS[found['solver']]} {ENDINGS[found['status']]}; "
+        f"{found['iterations']} steps, {found['seconds']:.1f} s",
     }
     if found["warnings"]:
         facts["Warnings"] = "; ".join(warning["message"] for warning in found["warnings"])
