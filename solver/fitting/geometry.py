@@ -39,7 +39,7 @@ class GeometryOptions:
     w_s: tuple[float, float] = (1e-4, 1e-7)
     w_v: float = 1e-2
     w_b: float = 1e-6
-    first_iterations: int = 1
+    first_iterations: int = 4
     tolerance: float = 3e-3
 
     def weights(self, number: int) -> tuple[float, float]:
