@@ -20,7 +20,14 @@ from solver.pipeline.common import Options, take
 from solver.pipeline.follower import Follower, Tracker
 from solver.progress import Progress, Step, silent
 from solver.rig.result import load_weights
-from solver.rig.sequence import FRAMES, SequenceFrame, read_frames, write_frames, write_sequence
+from solver.rig.sequence import (
+    FRAMES,
+    SequenceFrame,
+    read_frames,
+    sequence_report,
+    write_frames,
+    write_sequence,
+)
 from solver.rig.sequence_gltf import AnimatedSkin
 from solver.rig.sequence_picture import Shot, sequence_picture
 from solver.scans.performance import Performance, open_performance
@@ -103,12 +110,16 @@ def fit_sequence(
             file=source.name,
         )
     progress(Step("export", 0.96))
-    files = write_sequence(out, done, subject.muscle_names, given["fps"], source.name)
+    report = sequence_report(done, given["fps"], source.name)
+    files = write_sequence(out, done, subject.muscle_names, given["fps"], report)
     files.append(out / "sequence.glb")
     animated.write(files[-1], given["fps"])
     if shots:
         files.append(out / "sequence.png")
-        sequence_picture(subject, shots, source.name, files[-1])
+        detail = "{fitted} of {frames} frames fitted, {mean_mm:.2f} mm off on average".format(
+            **report
+        )
+        sequence_picture(subject, shots, source.name, detail, files[-1])
     progress(Step("done", 1.0))
     return files
 

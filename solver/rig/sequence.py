@@ -111,13 +111,16 @@ def read_frames(folder: Path, muscles: int) -> list[SequenceFrame]:
 
 
 def write_sequence(
-    out: Path, frames: Sequence[SequenceFrame], muscles: Sequence[str], fps: float, name: str
+    out: Path,
+    frames: Sequence[SequenceFrame],
+    muscles: Sequence[str],
+    fps: float,
+    report: dict[str, Any],
 ) -> list[Path]:
     """Write ``sequence.npz``, ``activations.csv`` and ``sequence.json``; returns their paths."""
     files = [out / "sequence.npz", out / "activations.csv", out / "sequence.json"]
     _write_arrays(files[0], frames, muscles, fps)
     _write_table(files[1], frames, muscles, fps)
-    report = sequence_report(frames, fps, name)
     files[2].write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     return files
 

@@ -31,12 +31,14 @@ class Shot:
     error_mm: Floats
 
 
-def sequence_picture(model: SubjectModel, shots: Sequence[Shot], title: str, path: Path) -> None:
+def sequence_picture(
+    model: SubjectModel, shots: Sequence[Shot], title: str, detail: str, path: Path
+) -> None:
     """Draw the frames in columns: seen, fitted, error in mm; heads without their motion."""
     head = Head(model.skin)
     width, height = CELL
     page = Page(LEFT + width * len(shots) + MARGIN, HEADER + 30 + 3 * height + FOOTER)
-    page.heading(title, f"{len(shots)} frames of the sequence")
+    page.heading(title, detail)
     camera = face_camera(model.skin.vertices, model.face, 0.0)
     for row, name in enumerate(("Seen", "Fit", "Error")):
         page.text((MARGIN, HEADER + 30 + row * height + height // 2), name, 20)
