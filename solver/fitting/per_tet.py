@@ -19,8 +19,9 @@ from enum import StrEnum
 import numpy as np
 
 from solver.errors import InputError, SolveError
+from solver.fitting import stretches
 from solver.fitting import tissue as tissues
-from solver.fitting.contraction import FROBENIUS, PreferredContraction
+from solver.fitting.contraction import PreferredContraction
 from solver.fitting.face import Face, Pose, State
 from solver.fitting.group_sparsity import GroupSparsity
 from solver.fitting.objective import JAW_UNITS, determinant_gradients, determinants
@@ -34,18 +35,19 @@ from solver.surface import Floats, Ints
 PHACE = Material(mu=1.0, lam=0.0, kappa=3.0)
 """The flesh as published: mu |F - R S(a)|^2 + 3 mu (det F - det S(a))^2."""
 
-DAMPING_START = 3.0
+LARGEST_STEP = 0.5
+LARGEST_JAW_STEP = 2.0
+"""How far the linear model is trusted: a tet's change |dS(a_i)|, relative, and the jaw's in mm."""
+
+DAMPING_START = 1.0
+JAW_DAMPING_START = 1e-2
 DAMPING_LEAST = 1e-7
 DAMPING_FALL = 0.25
 DAMPING_GROWTH = 8.0
-"""By what a tet's damping falls and grows at most from step to step."""
-
-JAW_DAMPING = 1e-3
-LARGEST_STEP = 0.3
-"""Change |dS(a_i)| of a tet's activation per step."""
+"""By what a damping falls and grows at most from step to step."""
 
 HALVINGS = 4
-REFUSALS = 2
+REFUSALS = 3
 """Steps that failed in all their halves, one after the other, before it counts as the minimum."""
 
 CORRECTIONS = 8
@@ -59,9 +61,9 @@ class PerTetOptions:
     ends after ``max_iterations`` or with a step that gains less than ``tolerance`` f.
     """
 
-    w_act: float = 0.3
+    w_act: float = 0.03
     w_sparse: float = 1e-3
-    w_volume: float = 3.0
+    w_volume: float = 10.0
     w_b: float = 1e-6
     max_iterations: int = 40
     tolerance: float = 1e-4
@@ -90,6 +92,38 @@ class PerTetFit:
     objective: float
     iterations: int
     status: Status
+
+
+@dataclass(frozen=True)
+class Damping:
+    """Levenberg-Marquardt damping, one of each active tet, ``tets`` (n_active,), and the ``jaw``'s.
+
+    The flesh may need ten times more of one tet than of another: with dampings of their own no
+    activation outruns the linear model, and none waits for others.
+    """
+
+    tets: Floats
+    jaw: float
+
+    @classmethod
+    def start(cls, count: int) -> Damping:
+        """Return the damping of the first step."""
+        return cls(np.full(count, DAMPING_START), JAW_DAMPING_START)
+
+    def limited(self, at: Floats, a: Floats, b: Floats) -> tuple[Floats, Floats, Damping]:
+        """Cut a step (a, b) from activations ``at`` tet by tet; return it and the next damping."""
+        length = np.sqrt(np.einsum("ei,eij,ej->e", a, stretches.metric(at), a)) / LARGEST_STEP
+        jaw = float(np.abs(JAW_UNITS * b).max()) / LARGEST_JAW_STEP
+        tets = self.tets * np.clip(length, DAMPING_FALL, DAMPING_GROWTH)
+        damping = Damping(
+            np.maximum(tets, DAMPING_LEAST),
+            max(self.jaw * min(max(jaw, DAMPING_FALL), DAMPING_GROWTH), DAMPING_LEAST),
+        )
+        return a / np.maximum(length, 1.0)[:, None], b / max(jaw, 1.0), damping
+
+    def raised(self, factor: float) -> Damping:
+        """Return this damping times ``factor``."""
+        return Damping(factor * self.tets, factor * self.jaw)
 
 
 Listener = Callable[[int, float], None]
@@ -127,8 +161,8 @@ class Objective:
             + 0.5 * options.w_b * jaw @ jaw
         )
 
-    def quadratic(self, state: State, damping: Floats) -> Quadratic:
-        """Return the Gauss-Newton model of f at a state, damped (Levenberg-Marquardt)."""
+    def quadratic(self, state: State, damping: Damping) -> Quadratic:
+        """Return the Gauss-Newton model of f at a state, damped."""
         options, a = self._options, state.pose.a
         response = Response(self.tissue, state)
         by_a, by_b = response.transposed(self._data.gradient(state.estimate).ravel())
@@ -143,14 +177,14 @@ class Objective:
         blocks = volume[:, None, None] * slopes[:, :, None] * slopes[:, None, :]
         diagonal = options.w_act * self._contraction.curvature()
         diagonal = diagonal + options.w_sparse * self._sparsity.curvature(a)
-        diagonal = diagonal + 2.0 * (damping * self._volumes)[:, None] * FROBENIUS
+        blocks += 2.0 * (damping.tets * self._volumes)[:, None, None] * stretches.metric(a)
         blocks[:, np.arange(6), np.arange(6)] += diagonal
         return Quadratic(
             response,
             (by_a, by_b),
             self._data.curvature(state.estimate),
             blocks,
-            (options.w_b + np.median(damping) * JAW_DAMPING) * JAW_UNITS**2,
+            (options.w_b + damping.jaw) * JAW_UNITS**2,
         )
 
 
@@ -202,28 +236,18 @@ class _Improved:
 
 
 def _improve(
-    objective: Objective,
-    state: State,
-    options: PerTetOptions,
-    listen: Listener | None,
+    objective: Objective, state: State, options: PerTetOptions, listen: Listener | None
 ) -> _Improved:
-    """Minimise f, going from equilibrium to equilibrium.
-
-    Every tet has a damping of its own, so that no activation outruns the linear model: steps that
-    are too long are clipped tet by tet, and these tets are damped more the next time.
-    """
+    """Minimise f, going from equilibrium to equilibrium."""
     value = objective.value(state)
     solver = SaddleSolver(objective.tissue)
-    damping = np.full(len(objective.tissue.active), DAMPING_START)
+    damping = Damping.start(len(objective.tissue.active))
     iterations = refusals = 0
     while iterations < options.max_iterations:
         model = objective.quadratic(state, damping)
-        a, b = solver.step(model, state)
-        length = np.sqrt(a**2 @ FROBENIUS) / LARGEST_STEP
-        a /= np.maximum(length, 1.0)[:, None]
+        a, b, damping = damping.limited(state.pose.a, *solver.step(model, state))
         trial, halvings = _shortened(objective, model, state, value, a, b)
-        damping *= np.clip(length, DAMPING_FALL, DAMPING_GROWTH) * 2.0**halvings
-        damping = np.maximum(damping, DAMPING_LEAST)
+        damping = damping.raised(2.0**halvings)
         if trial is None:
             refusals += 1
             if refusals == REFUSALS:
@@ -242,12 +266,12 @@ def _shortened(
     objective: Objective, model: Quadratic, state: State, value: float, a: Floats, b: Floats
 ) -> tuple[State | None, int]:
     """Return the first state along the step (a, b), halved and halved, with a lower f."""
-    response = model.response.motion(a, b)[model.response.free]
     for halving in range(HALVINGS):
         part = 0.5**halving
-        pose = Pose(state.pose.a + part * a, state.pose.b + part * b)
+        pose = Pose(stretches.moved(state.pose.a, part * a), state.pose.b + part * b)
+        motion = model.response.motion(pose.a - state.pose.a, pose.b - state.pose.b)
         try:
-            trial = _reach(objective.tissue, state, part * response, pose)
+            trial = _reach(objective.tissue, state, motion[model.response.free], pose)
         except SolveError:
             continue
         if trial.equilibrium.minimum and objective.value(trial) < value:

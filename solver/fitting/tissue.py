@@ -19,7 +19,7 @@ from solver.fitting.face import Face
 from solver.mechanics.flesh import Flesh
 from solver.surface import Floats, Ints
 
-LEAST_SHARE = 0.01
+LEAST_SHARE = 0.05
 """A tet with less muscle than this is passive."""
 
 

@@ -7,11 +7,11 @@ import pytest
 import scipy.optimize
 
 from solver.errors import InputError
-from solver.fitting import per_tet, tissue
+from solver.fitting import per_tet, stretches, tissue
 from solver.fitting.contraction import PreferredContraction, contraction
 from solver.fitting.face import Face, Pose, State
 from solver.fitting.objective import Target
-from solver.fitting.per_tet import PHACE, Objective, PerTetOptions
+from solver.fitting.per_tet import PHACE, Damping, Objective, PerTetOptions
 from solver.fitting.saddle import SaddleSolver
 from solver.fitting.terms import SkinDistance
 from solver.mechanics.flesh import IDENTITY
@@ -86,7 +86,7 @@ def test_tissue_shares_every_tets_volume(divided):
 
 def test_reduced_gradient(posed, divided):
     objective, state = posed
-    by_a, by_b = objective.quadratic(state, np.zeros(len(divided.active))).gradient
+    by_a, by_b = objective.quadratic(state, Damping(np.zeros(len(divided.active)), 0.0)).gradient
     rng = np.random.default_rng(5)
     for jaw in (0.0, 1.0):
         a, b = rng.standard_normal(by_a.shape) * (1.0 - jaw), rng.standard_normal(5) * jaw * 0.1
@@ -108,7 +108,7 @@ def test_reduced_gradient(posed, divided):
 def test_step_solves_the_reduced_system(posed, divided):
     """Conjugate gradients with the saddle point as preconditioner against a dense solve."""
     objective, state = posed
-    model = objective.quadratic(state, np.full(len(divided.active), 0.1))
+    model = objective.quadratic(state, Damping(np.full(len(divided.active), 0.1), 0.1))
     count = 6 * len(divided.active)
     matrix = np.empty((count + 5, count + 5))
     for column, unit in enumerate(np.eye(count + 5)):
@@ -144,6 +144,22 @@ def test_preferred_contraction_is_found_and_costs_nothing(divided):
     np.testing.assert_allclose(term.contractions(a), gamma, rtol=1e-9)
     assert term.value(a, gamma) < 1e-20
     assert term.value(np.tile(IDENTITY, (len(a), 1)), gamma) > 0.1
+
+
+def test_activations_stay_positive_definite(divided):
+    rng = np.random.default_rng(2)
+    a = contracted(divided, rng, 0.4)
+    step = rng.standard_normal(a.shape)
+    step[0] = -5.0 * a[0]
+    assert np.linalg.eigvalsh(stretches.matrices(a + step)).min() < 0.0
+    assert np.linalg.eigvalsh(stretches.matrices(stretches.moved(a, step))).min() > 0.0
+    # to first order it is the sum, and the metric is the length of the step that is left
+    small = STEP * step
+    np.testing.assert_allclose(stretches.moved(a, small), a + small, atol=20 * STEP**2 * 25)
+    back = np.einsum("ei,eij,ej->e", step, stretches.metric(a), step)
+    A, dA = stretches.matrices(a), stretches.matrices(step)
+    root = np.linalg.solve(A, dA)
+    np.testing.assert_allclose(back, np.einsum("eij,eji->e", root, root), rtol=1e-9)
 
 
 def test_round_trip_reaches_the_skin(divided):

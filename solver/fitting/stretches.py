@@ -1,0 +1,42 @@
+"""Activations as what they are, symmetric matrices of positive stretches, and steps between them.
+
+S(a) is positive definite: a muscle may shorten a lot, but not through a point to its mirror image,
+where the rotation that the energy looks for jumps. So lengths are measured relative to the stretch
+at hand, |dA|_A^2 = tr(A^-1 dA A^-1 dA), and a step follows the exponential of that metric (Pennec
+et al. 2006, "A Riemannian framework for tensor computing", section 3): to first order it is
+A + dA, but it never leaves the positive definite matrices.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from solver.surface import Floats
+
+PLACES = [0, 1, 2, 1, 3, 4, 2, 4, 5]
+"""Where the nine entries of S(a) stand in a."""
+
+ROW, COLUMN = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]
+UNITS = np.eye(6)[:, PLACES].reshape(6, 3, 3)
+"""The matrices dS/da_q."""
+
+
+def matrices(a: Floats) -> Floats:
+    """Return S(a), (n, 3, 3), for a of shape (n, 6)."""
+    return np.ascontiguousarray(a[:, PLACES].reshape(-1, 3, 3))
+
+
+def metric(a: Floats) -> Floats:
+    """Return the matrices (n, 6, 6) of |dA|_A^2 in the six entries of da."""
+    by_entry = np.linalg.inv(matrices(a))[:, None] @ UNITS
+    return np.asarray(np.einsum("nqij,nrji->nqr", by_entry, by_entry))
+
+
+def moved(a: Floats, step: Floats) -> Floats:
+    """Return the activations (n, 6) that a ``step`` (n, 6) leads to."""
+    stretch, frame = np.linalg.eigh(matrices(a))
+    root = np.einsum("nik,nk,njk->nij", frame, np.sqrt(stretch), frame)
+    inverse = np.einsum("nik,nk,njk->nij", frame, 1.0 / np.sqrt(stretch), frame)
+    rate, axes = np.linalg.eigh(inverse @ matrices(step) @ inverse)
+    half = root @ axes * np.exp(0.5 * rate)[:, None]
+    return np.asarray((half @ half.transpose(0, 2, 1))[:, ROW, COLUMN])
