@@ -88,16 +88,19 @@ class Regulariser:
     prior: Pose
     w_e: float = 0.1
 
-    def drawn_to(self, pose: Pose, share: float) -> Regulariser:
-        """Return the regulariser that draws to ``pose`` as well, ``share`` times as strongly.
+    def drawn_to(self, pose: Pose, weight: float) -> Regulariser:
+        """Return the regulariser with ``weight``/2 |a - a_pose|^2 added, and the like for the jaw.
 
-        It differs by a constant from the sum of the two.
+        It differs from the sum by a constant.
         """
+        if weight == 0.0:
+            return self
+        total = self.w_a + weight
         return replace(
             self,
-            w_a=(1.0 + share) * self.w_a,
-            w_b=(1.0 + share) * self.w_b,
-            prior=self.prior.toward(pose, share / (1.0 + share)),
+            w_a=total,
+            w_b=self.w_b * total / self.w_a,
+            prior=self.prior.toward(pose, weight / total),
         )
 
     def value(self, pose: Pose) -> float:

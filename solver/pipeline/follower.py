@@ -5,15 +5,11 @@ from __future__ import annotations
 import time
 
 import numpy as np
-import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
 from solver.errors import InputError, SolveError
-from solver.fitting import activation
-from solver.fitting.activation import ActivationOptions
-from solver.fitting.face import Face, State
-from solver.fitting.objective import Regulariser, Target
-from solver.fitting.terms import SkinDistance
+from solver.fitting.objective import Target
+from solver.fitting.sequence import Tracker
 from solver.registration.similarity import IDENTITY, Similarity, weighted_motion
 from solver.registration.stabilise import head_motion
 from solver.rig.sequence import SequenceFrame, Status
@@ -32,40 +28,6 @@ RESTLESS_MM = 0.03
 PLACINGS = 3
 DECIMALS = 9
 """Frames are stored as text: digits beyond say nothing."""
-
-
-class Tracker:
-    """Fits the pose of each frame from the one before."""
-
-    def __init__(
-        self,
-        face: Face,
-        S: sp.csr_array,
-        regulariser: Regulariser,
-        temporal: float,
-        max_iterations: int,
-        start: State,
-    ) -> None:
-        self.face = face
-        self.state = start
-        self._S = S
-        self._regulariser = regulariser
-        self._temporal = temporal
-        self._stop = ActivationOptions(max_iterations, tolerance=1e-3)
-
-    def fit(self, target: Target) -> int:
-        """Fit a frame and return the iterations."""
-        share = self._temporal / (self._temporal + self._regulariser.w_a)
-        regulariser = Regulariser(
-            self._regulariser.w_a / (1 - share),
-            self._regulariser.w_v,
-            self._regulariser.w_b / (1 - share),
-            self._regulariser.prior.toward(self.state.pose, share),
-        )
-        data = SkinDistance(self.face, target)
-        fitted = activation.fit(self.face, self._S, data, regulariser, self.state, self._stop)
-        self.state = fitted.state
-        return fitted.iterations
 
 
 class Follower:

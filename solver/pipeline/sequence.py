@@ -14,10 +14,11 @@ from solver.errors import InputError
 from solver.fitting import standard
 from solver.fitting.face import Face, Pose
 from solver.fitting.model_checks import check_held
+from solver.fitting.sequence import Tracker
 from solver.fitting.stillness import stillness
 from solver.model import SubjectModel
 from solver.pipeline.common import Options, take
-from solver.pipeline.follower import Follower, Tracker
+from solver.pipeline.follower import Follower
 from solver.progress import Progress, Step, silent
 from solver.rig.result import load_weights
 from solver.rig.sequence import (
@@ -132,7 +133,14 @@ def _follower(
     if last is not None:
         state = face.move(S, state, Pose(last.activations, last.jaw))
     regulariser = standard.unseen_regulariser(face)
-    tracker = Tracker(face, S, regulariser, given["temporal"], given["max_iterations"], state)
+    tracker = Tracker(
+        face,
+        S,
+        regulariser,
+        state,
+        temporal=given["temporal"],
+        max_iterations=given["max_iterations"],
+    )
     return Follower(tracker, last, stillness(face, S) if given["head_motion"] else None)
 
 

@@ -139,7 +139,7 @@ def test_the_head_s_motion_is_told_from_the_face_s() -> None:
     rest, state = face.rest_pose(), face.rest_state(model.weights)
     change = np.random.default_rng(2).normal(0.0, 0.1, rest.a.shape)
     regulariser = Regulariser(w_a=2e-3, w_v=1e-2, w_b=1e-6, prior=rest)
-    tracker = Tracker(face, model.weights, regulariser, 0.0, 12, state)
+    tracker = Tracker(face, model.weights, regulariser, state)
     follower = Follower(tracker, still=stillness(face, model.weights))
     for number in range(1, 3):
         pose = Pose(rest.a + number * change, number * np.array([0.06, 0.0, 0.0, 0.0, 0.5]))
