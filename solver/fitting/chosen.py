@@ -6,7 +6,7 @@ notices that say why it is no better.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -18,16 +18,23 @@ from solver.fitting.activation import ActivationOptions, Listener
 from solver.fitting.face import Face, State
 from solver.fitting.notices import Notice
 from solver.fitting.objective import Regulariser
-from solver.fitting.reference import NotConvergedError
+from solver.fitting.reference import NotConvergedError, Reference
 from solver.fitting.terms import Term
 
 Solver = Literal["reduced", "ipopt"]
 Status = Literal["converged", "stopped", "failed"]
 
-IPOPT_ITERATIONS = 20
-"""Iterations that IPOPT, whose steps are shorter and cheaper, may take for one Gauss-Newton step."""
+IPOPT_ITERATIONS = 4
+"""Iterations that IPOPT, whose steps are shorter, may take for one of Gauss-Newton."""
+
+HEAVIER = (1.0, 100.0, 20.0, 5.0, 1.0)
+"""Weights of the activations' prior that IPOPT tries, as multiples of the one that is wanted."""
 
 IPOPT_TOLERANCE = 1e-4
+
+
+SLOW_VERTICES = 3000
+"""Vertices from which on IPOPT takes minutes for an expression."""
 
 
 @dataclass(frozen=True)
@@ -55,12 +62,17 @@ def fit(
     options: ActivationOptions,
     solver: Solver = "reduced",
     listen: Listener | None = None,
+    *,
+    start: State | None = None,
 ) -> ChosenFit:
-    """Minimise f over (a, b) from the resting face ``rest``; never raises :class:`SolveError`."""
+    """Minimise f over (a, b) from the resting face ``rest``; never raises :class:`SolveError`.
+
+    The reduced solver begins at ``start``, if given, which may be no more than approached.
+    """
     if solver == "ipopt":
         return by_ipopt(face, S, data, regulariser, rest, options, listen)
     try:
-        found = activation.fit(face, S, data, regulariser, rest, options, listen)
+        found = activation.fit(face, S, data, regulariser, start or rest, options, listen)
     except (SolveError, np.linalg.LinAlgError) as error:
         reason = Notice(
             "solve.fallback",
@@ -68,14 +80,7 @@ def fit(
             {"reason": getattr(error, "code", "solve.singular")},
         )
         instead = by_ipopt(face, S, data, regulariser, rest, options, listen)
-        return ChosenFit(
-            instead.state,
-            instead.objective,
-            instead.iterations,
-            instead.solver,
-            instead.status,
-            (reason, *instead.notices),
-        )
+        return replace(instead, notices=(reason, *instead.notices))
     status: Status = "converged" if found.converged else "stopped"
     return ChosenFit(found.state, found.objective, found.iterations, "reduced", status, ())
 
@@ -89,41 +94,65 @@ def by_ipopt(
     options: ActivationOptions,
     listen: Listener | None = None,
 ) -> ChosenFit:
-    """Do as :func:`fit` by IPOPT; its answer is settled, and compared with the resting face."""
-    notices: list[Notice] = []
-    status: Status = "converged"
+    """Do as :func:`fit` by IPOPT; its answer is settled, and compared with the resting face.
+
+    Where IPOPT does not converge, it tries again with heavier priors of the activations, each time
+    from the best state so far: there the flesh does not buckle, and the answer is nearby.
+    """
+    best = ChosenFit(rest, activation.objective(data, regulariser, rest), 0, "ipopt", "failed", ())
     limit = IPOPT_ITERATIONS * options.max_iterations
+    done = 0
+    trouble: tuple[Notice, ...] = ()
+    for heavier in HEAVIER:
+        prior = replace(regulariser, w_a=heavier * regulariser.w_a)
+        start, before = best.state, done
 
-    def scaled(iteration: int, value: float) -> None:
-        if listen:
-            listen(iteration // IPOPT_ITERATIONS, value)
+        def scaled(iteration: int, value: float, before: int = before) -> None:
+            if listen:
+                listen((before + iteration) // IPOPT_ITERATIONS, value)
 
+        try:
+            found = reference.activations(
+                face,
+                S,
+                data,
+                prior,
+                start.pose,
+                start.x,
+                tolerance=IPOPT_TOLERANCE,
+                max_iterations=limit,
+                listen=scaled,
+            )
+            converged = True
+        except NotConvergedError as error:
+            found, converged = error.last, False
+            trouble = (Notice(error.code, f"{error.message}; the best is kept", error.context),)
+        done += found.iterations
+        state = _settled(face, S, found)
+        if state is None:
+            continue
+        value = activation.objective(data, regulariser, state)
+        if value < best.objective:
+            best = replace(best, state=state, objective=value, status="stopped")
+        if converged and heavier == 1.0:
+            return replace(best, status="converged", iterations=done)
+    return replace(best, iterations=done, notices=trouble)
+
+
+def _settled(face: Face, S: sp.csr_array, found: Reference) -> State | None:
+    """Return the equilibrium near IPOPT's answer, None if there is none."""
+    if not (np.isfinite(found.x).all() and np.isfinite(found.pose.a).all()):
+        return None
     try:
-        found = reference.activations(
-            face,
-            S,
-            data,
-            regulariser,
-            rest.pose,
-            rest.x,
-            tolerance=IPOPT_TOLERANCE,
-            max_iterations=limit,
-            listen=scaled,
-        )
-    except NotConvergedError as error:
-        found = error.last
-        status = "stopped" if error.context["iterations"] >= limit else "failed"
-        message = f"{error.message}; the best result so far is kept"
-        notices.append(Notice(error.code, message, error.context))
-    best, value = rest, activation.objective(data, regulariser, rest)
-    try:
-        state = face.settle(S, found.pose, found.x)
-    except SolveError as error:
-        status = "failed"
-        message = f"what IPOPT found does not come to rest ({error}); the resting face is kept"
-        notices.append(Notice("ipopt.unsettled", message, {"reason": error.code}))
-    else:
-        settled = activation.objective(data, regulariser, state)
-        if settled < value:
-            best, value = state, settled
-    return ChosenFit(best, value, found.iterations, "ipopt", status, tuple(notices))
+        return face.settle(S, found.pose, found.x)
+    except SolveError:
+        return None
+
+
+def slowness(face: Face) -> list[Notice]:
+    """Return a warning if IPOPT will take minutes for an expression of ``face``."""
+    vertices = len(face.model.rest)
+    if vertices <= SLOW_VERTICES:
+        return []
+    message = f"solver ipopt takes minutes for an expression on a mesh of {vertices} vertices"
+    return [Notice("solver.slow", message, {"found": vertices})]

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from solver.fitting import activation, joint
+from solver.fitting import activation, chosen, joint
 from solver.fitting.activation import ActivationOptions
+from solver.fitting.chosen import ChosenFit
 from solver.fitting.face import Face, State
 from solver.fitting.joint import GeometryProblem, Iterate
 from solver.fitting.objective import Regulariser, Target
@@ -51,11 +52,12 @@ class GeometryOptions:
 
 @dataclass(frozen=True)
 class GeometryFit:
-    """S (n, m + 1), and every expression's state and number of steps."""
+    """S (n, m + 1), and every expression's state, number of steps, and how it was settled."""
 
     S: sp.csr_array
     states: dict[str, State]
     iterations: dict[str, int]
+    endings: dict[str, ChosenFit]
 
 
 Listener = Callable[[int, Mapping[str, State]], None]
@@ -74,8 +76,9 @@ def fit(
     """Fit S, activations and jaws to all data, from S ``start`` and the rest pose.
 
     Without ``start`` it is the model's geometric S; it has to have that one's pattern.
-    ``structure`` L (k, nnz) adds 1/2 |L S|^2 (:mod:`solver.fitting.symmetry`). Raises
-    :class:`SolveError` (``solve.no_convergence``) if a face can not be settled at the end.
+    ``structure`` L (k, nnz) adds 1/2 |L (S - start)|^2 (:mod:`solver.fitting.symmetry`). An
+    expression that can not be settled at the end is the best that was found of it, and its ending
+    says so.
     """
     options = options or GeometryOptions()
     S = face.model.weights if start is None else start
@@ -107,14 +110,29 @@ def fit(
         idle = idle + 1 if gain < options.tolerance * before else 0
         if idle == 2:
             break
-    # the states were only approached: settle them, together with a last step of the activations
-    last = regulariser(options.w_a[1])
-    settled = {}
-    for name, term in data.items():
-        fitted = activation.fit(face, now.S, term, last, now.states[name], LAST)
-        settled[name] = fitted.state
-        steps[name] += fitted.iterations
-    return GeometryFit(now.S, settled, steps)
+    return ended(face, now.S, data, regulariser(options.w_a[1]), now.states, steps)
+
+
+def ended(
+    face: Face,
+    S: sp.csr_array,
+    data: Mapping[str, Term],
+    regulariser: Regulariser,
+    states: Mapping[str, State],
+    steps: Mapping[str, int],
+) -> GeometryFit:
+    """Settle states that were only approached, together with a last fit of the activations."""
+    rest = face.rest_state(S)
+    endings = {
+        name: chosen.fit(face, S, term, regulariser, rest, LAST, start=states[name])
+        for name, term in data.items()
+    }
+    return GeometryFit(
+        S,
+        {name: ending.state for name, ending in endings.items()},
+        {name: steps[name] + ending.iterations for name, ending in endings.items()},
+        endings,
+    )
 
 
 def mean_error(face: Face, targets: Mapping[str, Target], states: Mapping[str, State]) -> float:

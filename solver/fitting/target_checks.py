@@ -22,7 +22,7 @@ SAME_MM = 0.01
 """Scans nearer than this everywhere are one scan; a repeated capture differs by its noise."""
 
 TURNED_DEGREES = 4.0
-SHIFTED_MM = 4.0
+SHIFTED_MM = 5.0
 """Motion of the whole head that stabilised scans do not have."""
 
 STILL_MM = 2.0

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import scipy.sparse as sp
 
-from solver.errors import InputError
-from solver.fitting import activation, geometry, standard
+from solver.errors import InputError, SolveError
+from solver.fitting import chosen, geometry, geometry_ipopt, standard, target_checks
+from solver.fitting.chosen import ChosenFit, Solver
 from solver.fitting.face import Face, State
 from solver.fitting.geometry import GeometryOptions
+from solver.fitting.model_checks import check_held, idle_muscles
+from solver.fitting.notices import Notice
 from solver.fitting.objective import Target
+from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel
 from solver.pipeline.common import Options, refuse, take
+from solver.pipeline.telling import Telling
 from solver.progress import Progress, Step, silent
 from solver.rig.certificate import certify, with_round_trips
 from solver.rig.export import write_rig
@@ -36,40 +41,48 @@ def fit_geometry(
 ) -> list[Path]:
     """Fit S, activations and jaw to several registered expression scans; write the rig's files.
 
-    Options: at most ``rounds`` of Gauss-Newton, ``linear_solver``.
+    Options: at most ``rounds`` of Gauss-Newton, ``solver`` (``reduced``, or ``ipopt`` on small
+    meshes), ``linear_solver``.
     """
-    given = take(options, {"rounds": GeometryOptions.rounds, "linear_solver": None})
-    subject, scans = _read(model, captures, progress)
-    face = Face(subject, linear=given["linear_solver"])
+    known = {"rounds": GeometryOptions.rounds, "solver": "reduced", "linear_solver": None}
+    given = _take(options, known)
+    face, scans = _read(model, captures, given, progress)
+    subject = face.model
+    schedule = GeometryOptions(rounds=given["rounds"])
+    if given["solver"] == "ipopt":
+        geometry_ipopt.check_size(face, len(scans))
+    told = Telling(subject, progress)
+    told.tell(0.02, [*_odd(face, face.model.weights, scans), *_too_few(scans)])
     targets = {name: _target(subject, scan) for name, scan in scans.items()}
     data = standard.terms(face, targets)
-    schedule = GeometryOptions(rounds=given["rounds"])
 
     def listen(number: int, states: Mapping[str, State]) -> None:
         done = 0.02 + 0.78 * number / schedule.rounds
         error = geometry.mean_error(face, targets, states)
         progress(Step("geometry", done, number + 1, mean_error_mm=error))
 
+    def listen_ipopt(iteration: int, value: float) -> None:
+        part = min(iteration / geometry_ipopt.most_iterations(schedule), 1.0)
+        progress(Step("geometry", 0.02 + 0.78 * part, iteration, value))
+
     start = time.perf_counter()
-    fitted = geometry.fit(face, data, schedule, listen=listen)
+    if given["solver"] == "ipopt":
+        fitted, notices = geometry_ipopt.fit(face, data, schedule, listen_ipopt)
+        told.tell(0.8, notices)
+    else:
+        fitted = geometry.fit(face, data, schedule, listen=listen)
     seconds = time.perf_counter() - start
-    expressions = tuple(
-        _expression(
-            face,
-            name,
-            "train",
-            scans[name],
-            targets[name],
-            fitted.states[name],
-            iterations=fitted.iterations[name],
-            seconds=seconds / len(targets),
+    expressions = []
+    for name, ending in fitted.endings.items():
+        ending = replace(ending, iterations=fitted.iterations[name])
+        expression = _expression(
+            face, name, "train", scans[name], targets[name], ending, seconds / len(targets)
         )
-        for name in targets
-    )
-    settings = asdict(schedule)
-    return _export(
-        face, fitted.S, expressions, {"geometry": seconds}, settings, out, _later(progress, 0.8)
-    )
+        expressions.append(told.about(expression, 0.8, ending.notices))
+    _refuse_failures(expressions)
+    settings = {**asdict(schedule), "solver": given["solver"]}
+    rig = Rig(subject, fitted.S, tuple(expressions), {"geometry": seconds}, told.general)
+    return _export(face, rig, settings, out, _later(progress, 0.8))
 
 
 def fit_activations(
@@ -85,49 +98,73 @@ def fit_activations(
     """Fit activations and jaw of new expressions with the S of ``weights``; write the rig's files.
 
     ``rig`` (``activations.npz`` of a rig, or its folder) carries that rig's expressions over; a
-    new capture of the same name replaces the old. Options: ``max_iterations``, ``linear_solver``.
+    new capture of the same name replaces the old. Options: ``max_iterations``, ``solver``
+    (``reduced`` or ``ipopt``), ``linear_solver``. An expression that the reduced solver can not
+    fit is given to IPOPT; one that neither can fit stays at rest, unless all do.
     """
-    known = {"max_iterations": standard.UNSEEN_STOP.max_iterations, "linear_solver": None}
-    given = take(options, known)
-    subject, scans = _read(model, captures, progress)
+    known = {
+        "max_iterations": standard.UNSEEN_STOP.max_iterations,
+        "solver": "reduced",
+        "linear_solver": None,
+    }
+    given = _take(options, known)
+    face, scans = _read(model, captures, given, progress)
+    subject = face.model
     S = load_weights(weights, subject)
     carried = () if rig is None else load_activations(_activations_file(rig), subject)
-    face = Face(subject, linear=given["linear_solver"])
+    told = Telling(subject, progress)
+    told.tell(0.02, _odd(face, S, scans))
+    told.tell(0.02, _replaced(subject, carried, scans))
+    if given["solver"] == "ipopt":
+        told.tell(0.02, chosen.slowness(face))
     rest = face.rest_state(S)
     regulariser = standard.unseen_regulariser(face)
     stop = replace(standard.UNSEEN_STOP, max_iterations=given["max_iterations"])
     targets = {name: _target(subject, scan) for name, scan in scans.items()}
     data = standard.terms(face, targets)
-    expressions = [fit for fit in carried if fit.name not in scans]
+    fitted = []
     begin = time.perf_counter()
     for number, (name, scan) in enumerate(scans.items()):
 
         def listen(iteration: int, value: float, number: int = number, name: str = name) -> None:
-            part = (number + iteration / stop.max_iterations) / len(scans)
+            part = (number + min(iteration / stop.max_iterations, 1.0)) / len(scans)
             progress(Step("activations", 0.02 + 0.48 * part, iteration, value, message=name))
 
         start = time.perf_counter()
-        fitted = activation.fit(face, S, data[name], regulariser, rest, stop, listen)
-        expressions.append(
-            _expression(
-                face,
-                name,
-                "test",
-                scan,
-                targets[name],
-                fitted.state,
-                iterations=fitted.iterations,
-                seconds=time.perf_counter() - start,
-            )
+        found = chosen.fit(face, S, data[name], regulariser, rest, stop, given["solver"], listen)
+        seconds = time.perf_counter() - start
+        expression = _expression(face, name, "test", scan, targets[name], found, seconds)
+        done = 0.02 + 0.48 * (number + 1) / len(scans)
+        fitted.append(told.about(expression, done, found.notices))
+    _refuse_failures(fitted)
+    kept = [fit for fit in carried if fit.name not in scans]
+    settings = {**standard.UNSEEN, **asdict(stop), "solver": given["solver"]}
+    whole = Rig(
+        subject,
+        S,
+        (*kept, *fitted),
+        {"activations": time.perf_counter() - begin},
+        told.general,
+    )
+    return _export(face, whole, settings, out, _later(progress, 0.5))
+
+
+def _take(options: Options, known: dict[str, Any]) -> dict[str, Any]:
+    """Return the options with their defaults; raises ``options.solver`` for an unknown solver."""
+    given = take(options, known)
+    solvers = get_args(Solver)
+    if given["solver"] not in solvers:
+        raise InputError(
+            "options.solver",
+            f"unknown solver {given['solver']!r}; known are {', '.join(solvers)}",
+            expected=list(solvers),
         )
-    seconds = {"activations": time.perf_counter() - begin}
-    settings = {**standard.UNSEEN, **asdict(stop)}
-    return _export(face, S, tuple(expressions), seconds, settings, out, _later(progress, 0.5))
+    return given
 
 
 def _read(
-    model: Path, captures: Mapping[str, Path], progress: Progress
-) -> tuple[SubjectModel, dict[str, RegisteredScan]]:
+    model: Path, captures: Mapping[str, Path], given: dict[str, Any], progress: Progress
+) -> tuple[Face, dict[str, RegisteredScan]]:
     """Read the model and the registered scans; all are checked before any work begins."""
     if not captures:
         raise InputError("fit.no_captures", "a fit needs at least one expression scan")
@@ -147,7 +184,43 @@ def _read(
         except InputError as fault:
             faults.append(fault)
     refuse(faults)
-    return subject, scans
+    face = Face(subject, linear=given["linear_solver"])
+    check_held(face)
+    return face, scans
+
+
+def _odd(face: Face, S: sp.csr_array, scans: Mapping[str, RegisteredScan]) -> list[Notice]:
+    return [*idle_muscles(face, S), *target_checks.before_fit(face.model, scans)]
+
+
+def _too_few(scans: Mapping[str, RegisteredScan]) -> list[Notice]:
+    if len(scans) > 1:
+        return []
+    message = (
+        "the muscle geometry is fitted to one expression: it will follow that one and say little "
+        "of others; use three or more that differ"
+    )
+    return [Notice("fit.one_target", message)]
+
+
+def _replaced(
+    model: SubjectModel, carried: Sequence[ExpressionFit], scans: Mapping[str, RegisteredScan]
+) -> list[Notice]:
+    """Return which expressions of the parent rig are replaced by another face."""
+    return [
+        notice
+        for fit in carried
+        if fit.name in scans
+        for notice in target_checks.replaced(model, fit.name, fit.target, scans[fit.name])
+    ]
+
+
+def _refuse_failures(fits: Sequence[ExpressionFit]) -> None:
+    """Raise ``fit.failed`` if no expression could be fitted at all: there is nothing to keep."""
+    rest = [fit.status == "failed" and (fit.activations == IDENTITY).all() for fit in fits]
+    if all(rest):
+        reasons = "; ".join(f"{fit.name}: {fit.notices[-1].message}" for fit in fits)
+        raise SolveError("fit.failed", f"no expression could be fitted ({reasons})")
 
 
 def _target(model: SubjectModel, scan: RegisteredScan) -> Target:
@@ -160,12 +233,14 @@ def _expression(
     role: str,
     scan: RegisteredScan,
     target: Target,
-    state: State,
-    *,
-    iterations: int,
+    found: ChosenFit,
     seconds: float,
 ) -> ExpressionFit:
+    """Return a fit with its distances; raises ``solve.not_finite`` rather than write NaN."""
+    state = found.state
     points = face.face_points(state.x)
+    if not (np.isfinite(state.x).all() and np.isfinite(state.pose.a).all()):
+        raise SolveError("solve.not_finite", f"the fit of {name} is not finite")
     error = np.full(len(scan.vertices), np.nan)
     error[face.model.face] = target.distances(points)
     return ExpressionFit(
@@ -177,31 +252,28 @@ def _expression(
         target=scan.vertices,
         error_mm=error,
         inverted=face.flesh.inverted(state.x),
-        iterations=iterations,
+        iterations=found.iterations,
         seconds=seconds,
         objective=target.value(points),
         x=state.x,
+        solver=found.solver,
+        status=found.status,
     )
 
 
 def _export(
-    face: Face,
-    S: sp.csr_array,
-    expressions: tuple[ExpressionFit, ...],
-    seconds: dict[str, float],
-    settings: dict[str, Any],
-    out: Path,
-    progress: Progress,
+    face: Face, rig: Rig, settings: dict[str, Any], out: Path, progress: Progress
 ) -> list[Path]:
     """Check what was fitted and write the rig's files; ``progress`` counts from 0 to 1 here."""
+    fits = rig.expressions
 
     def listen(name: str, number: int) -> None:
-        progress(Step("round_trip", 0.85 * number / len(expressions), number + 1, message=name))
+        progress(Step("round_trip", 0.85 * number / len(fits), number + 1, message=name))
 
     start = time.perf_counter()
-    expressions = with_round_trips(face, S, expressions, listen)
-    seconds = {**seconds, "round_trip": time.perf_counter() - start}
-    rig = Rig(face.model, S, expressions, seconds)
+    fits = with_round_trips(face, rig.weights, fits, listen)
+    seconds = {**rig.seconds, "round_trip": time.perf_counter() - start}
+    rig = replace(rig, expressions=fits, seconds=seconds)
     progress(Step("export", 0.85, message="certificate, exports and pictures"))
     files = write_rig(rig, certify(face, rig, settings), out)
     progress(Step("done", 1.0))

@@ -1,5 +1,7 @@
 """A small block of flesh as a subject model: two muscles, a jaw, skin on its front."""
 
+from dataclasses import replace
+
 import numpy as np
 import scipy.sparse as sp
 
@@ -65,6 +67,26 @@ def block_model(shape=(5, 4, 3)):
         bones={},
         regions={},
         template={"name": "block", "version": "1", "sha256": ""},
+    )
+
+
+def head_block(cells=(8, 6, 2)):
+    """Return a block as large as a head, its skin triangulated, with a left and a right region."""
+    small = block_model(cells)
+    scale = 3.0
+    columns, rows = cells[0] + 1, cells[1] + 1
+    number = np.arange(columns * rows).reshape(columns, rows)
+    corners = [number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]]
+    a, b, c, d = (each.ravel() for each in corners)
+    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    skin = Surface(small.skin.vertices * scale, faces)
+    left = skin.vertices[:, 0] > 75.0
+    return replace(
+        small,
+        rest=small.rest * scale,
+        skin=skin,
+        jaw=JawFrame(small.jaw.origin * scale, np.eye(3)),
+        regions={"left": np.flatnonzero(left), "right": np.flatnonzero(~left)},
     )
 
 

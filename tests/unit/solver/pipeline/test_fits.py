@@ -1,0 +1,175 @@
+"""The jobs that fit: their solvers, and that bad input is told and loses nothing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from solver.errors import InputError, SolveError
+from solver.fitting import chosen, geometry_ipopt
+from solver.fitting.face import Face, Pose
+from solver.fitting.reference import NotConvergedError, Reference
+from solver.pipeline import fit_activations, fit_geometry
+from solver.progress import Step
+from solver.rig.result import load_activations, save_weights
+from solver.scans.obj import write_obj
+from solver.surface import Floats, Surface
+from tests.unit.solver.block import head_block
+
+MODEL = head_block()
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model, its S, two simulated expressions, and one of them with a bump on the skin."""
+    folder = tmp_path_factory.mktemp("subject")
+    MODEL.save(folder / "model.npz")
+    save_weights(folder / "weights.npz", MODEL.weights, MODEL)
+    face = Face(MODEL)
+    rest = face.rest_state(MODEL.weights)
+    for name, stretch, hinge in (("wide", (0.8, 0.95), 0.06), ("narrow", (0.95, 0.8), 0.02)):
+        a = np.array([[s, 0.02, 0.0, 1 / np.sqrt(s), 0.0, 1 / np.sqrt(s)] for s in stretch])
+        state = face.move(MODEL.weights, rest, Pose(a, np.array([hinge, 0.0, 0.0, 0.0, 0.0])))
+        write(folder / f"{name}.obj", face.face_points(state.x))
+        if name == "wide":
+            bump = face.face_points(state.x)
+            bump[[38, 39, 45, 46], 2] += [12.0, 9.0, 9.0, 7.0]
+            write(folder / "bump.obj", bump)
+    return folder
+
+
+def write(path: Path, vertices: Floats) -> Path:
+    write_obj(path, Surface(vertices, MODEL.skin.faces))
+    return path
+
+
+def activations(
+    files: Path, out: Path, *names: str, **more: Any
+) -> tuple[dict[str, Any], list[Step]]:
+    """Fit the expressions; return the report and the steps that were told."""
+    steps: list[Step] = []
+    scans = {name: files / f"{name}.obj" for name in names}
+    fit_activations(
+        files / "model.npz", files / "weights.npz", scans, out, progress=steps.append, **more
+    )
+    return json.loads((out / "report.json").read_text()), steps
+
+
+def warnings(steps: list[Step]) -> list[str | None]:
+    return [step.message for step in steps if step.phase == "warning"]
+
+
+def test_an_artifact_is_named_with_region_and_vertex(files: Path, tmp_path: Path) -> None:
+    report, steps = activations(files, tmp_path, "bump", "narrow")
+    (warning,) = report["expressions"]["bump"]["warnings"]
+    assert warning["code"] == "fit.unreached"
+    assert (warning["vertex"], warning["region"]) == (38, "left")
+    assert 4.0 < warning["mm"] < 12.0
+    assert warnings(steps) == [warning["message"]]
+    assert report["expressions"]["narrow"]["warnings"] == []
+    assert report["expressions"]["narrow"]["status"] == "converged"
+    # a rig that carries the expression over still says so
+    again, _ = activations(files, tmp_path / "next", "wide", rig=tmp_path)
+    assert again["expressions"]["bump"]["warnings"] == [warning]
+
+
+def test_ipopt_finds_what_the_reduced_solver_finds(files: Path, tmp_path: Path) -> None:
+    fits = {}
+    for solver in ("reduced", "ipopt"):
+        out = tmp_path / solver
+        report, _ = activations(files, out, "wide", options={"solver": solver})
+        assert report["expressions"]["wide"]["solver"] == solver
+        assert report["expressions"]["wide"]["status"] == "converged"
+        assert report["settings"]["solver"] == solver
+        (fits[solver],) = load_activations(out / "activations.npz", MODEL)
+    assert np.abs(fits["ipopt"].activations - fits["reduced"].activations).max() < 0.02
+    assert np.nanmax(fits["ipopt"].error_mm) < 0.5
+
+
+def fail(*_args: object, **_more: object) -> None:
+    raise SolveError("solve.no_convergence", "the fitted face does not come to rest")
+
+
+def test_ipopt_takes_over_where_the_reduced_solver_fails(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(chosen.activation, "fit", fail)
+    report, steps = activations(files, tmp_path, "wide")
+    found = report["expressions"]["wide"]
+    assert (found["solver"], found["status"]) == ("ipopt", "converged")
+    assert [warning["code"] for warning in found["warnings"]] == ["solve.fallback"]
+    assert "does not come to rest" in found["warnings"][0]["message"]
+    assert warnings(steps) == [found["warnings"][0]["message"]]
+    assert found["max_mm"] < 0.5
+
+
+def test_what_neither_solver_can_fit_costs_only_itself(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """IPOPT ends with numbers that are none; the other expression is kept."""
+    real = chosen.reference.activations
+    calls = []
+
+    def broken(face: Face, *args: Any, **more: Any) -> Reference:
+        calls.append(face)
+        if len(calls) <= len(chosen.HEAVIER):
+            x = np.full_like(MODEL.rest, np.nan)
+            last = Reference(face.rest_pose(), x, np.nan, 3, np.nan)
+            raise NotConvergedError("Invalid number detected", 3, last)
+        return real(face, *args, **more)
+
+    monkeypatch.setattr(chosen.activation, "fit", fail)
+    monkeypatch.setattr(chosen.reference, "activations", broken)
+    report, _ = activations(files, tmp_path / "both", "wide", "narrow")
+    lost, kept = report["expressions"]["wide"], report["expressions"]["narrow"]
+    assert lost["status"] == "failed"
+    assert {"solve.fallback", "ipopt.failed"} <= {each["code"] for each in lost["warnings"]}
+    assert kept["status"] == "converged"
+    calls.clear()
+    with pytest.raises(SolveError, match=r"wide: .*Invalid number") as caught:
+        activations(files, tmp_path / "none", "wide")
+    assert caught.value.code == "fit.failed"
+
+
+def test_geometry_by_both_solvers_and_from_one_target(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small = head_block((7, 5, 1))
+    small.save(tmp_path / "small.npz")
+    face = Face(small)
+    rest = face.rest_state(small.weights)
+    a = face.rest_pose().a.copy()
+    a[0] = [0.85, 0.0, 0.0, 1.08, 0.0, 1.08]
+    state = face.move(small.weights, rest, Pose(a, np.zeros(5)))
+    scan = tmp_path / "smile.obj"
+    write_obj(scan, Surface(face.face_points(state.x), small.skin.faces))
+    for solver in ("reduced", "ipopt"):
+        out = tmp_path / solver
+        options = {"solver": solver, "rounds": 2}
+        fit_geometry(tmp_path / "small.npz", {"smile": scan}, out, options=options)
+        report = json.loads((out / "report.json").read_text())
+        assert report["warnings"][0]["code"] == "fit.one_target"
+        assert report["expressions"]["smile"]["mean_mm"] < 0.5
+        assert report["inverted"] == 0
+    monkeypatch.setattr(geometry_ipopt, "MOST_TETS", 1000)
+    scans = {name: files / f"{name}.obj" for name in ("wide", "narrow")}
+    with pytest.raises(InputError, match="use solver reduced") as caught:
+        fit_geometry(files / "model.npz", scans, tmp_path / "no", options={"solver": "ipopt"})
+    assert caught.value.code == "options.too_large"
+
+
+def test_a_flipped_scan_is_called_so(files: Path, tmp_path: Path) -> None:
+    turned = np.array([-1.0, 1.0, 1.0]) * MODEL.skin.vertices
+    scans = {"flipped": write(tmp_path / "flipped.obj", turned), "wide": files / "wide.obj"}
+    with pytest.raises(InputError, match=r"flipped.obj .* 180 degrees") as caught:
+        fit_activations(files / "model.npz", files / "weights.npz", scans, tmp_path / "rig")
+    assert caught.value.code == "scan.misaligned"
+
+
+def test_an_unknown_solver_is_refused(files: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="known are reduced, ipopt"):
+        activations(files, tmp_path, "wide", options={"solver": "fast"})
