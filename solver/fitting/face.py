@@ -19,6 +19,9 @@ from solver.surface import Floats
 GUESSES = (1.0, 0.7, 0.4, 0.0)
 """Parts of a predicted motion that are tried as a start."""
 
+FLATTEST_GUESS = 0.5
+"""How far a predicted motion may narrow a tet."""
+
 SMALLEST_FRACTION = 2.0**-6
 """How far the way to a new pose is cut before it counts as out of reach."""
 
@@ -187,13 +190,20 @@ class Face:
         return skin
 
     def carried(self, S: sp.csr_array, state: State, target: Pose) -> Floats:
-        """Predict x at ``target`` by the flesh's linear response to the jaw's motion."""
+        """Predict x at ``target`` by the flesh's linear response to the change of pose.
+
+        Where the response to the activations would flatten a tet, only the jaw carries the flesh.
+        """
         motion = np.zeros_like(self.model.rest)
         mandible = self.model.mandible
         motion[mandible] = self.mandible(target.b) - state.x[mandible]
-        if np.abs(motion).max(initial=0.0) < 1e-12:
-            return state.x
-        a = self.tet_activations(S, state.pose.a)
-        pull = self.flesh.coupling(state.x, a, motion[:, :, None])
-        motion[self.flesh.free] = -state.equilibrium.factor.solve(pull)[:, 0].reshape(-1, 3)
-        return state.x + motion
+        before = self.tet_activations(S, state.pose.a)
+        change = self.flesh.gradient(state.x, self.tet_activations(S, target.a))
+        pull = self.flesh.coupling(state.x, before, motion[:, :, None])
+        response = -state.equilibrium.factor.solve(np.column_stack([pull, change]))
+        by_jaw, by_activation = response.T.reshape(2, -1, 3)
+        motion[self.flesh.free] = by_jaw
+        x = state.x + motion
+        whole = x.copy()
+        whole[self.flesh.free] += by_activation
+        return whole if self.flesh.narrowing(state.x, whole) > FLATTEST_GUESS else x

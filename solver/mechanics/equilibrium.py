@@ -29,6 +29,9 @@ SHORTEST_STEP = 2.0**-30
 SHARES = (0.0, 0.05, 0.15, 0.4, 1.0)
 """How far the Hessian is projected, one after the other, until it is positive definite."""
 
+FAR = 0.3
+"""Residual from which on a start is not worth trying with less than the whole projection."""
+
 NARROWEST = 0.1
 """No step makes a tet's det F smaller than this part of what it was: a crushed tet opens slowly."""
 
@@ -133,12 +136,11 @@ def _newton(
         raise SolveError(
             "solve.inverted", f"{flesh.inverted(x)} tetrahedra are inverted before the first step"
         )
-    share = 0
+    share = -1
     for iteration in range(max_iterations + 1):
         gradient = flesh.gradient(x, a)
         residual = float(np.linalg.norm(gradient)) / flesh.force_scale
-        # what was needed last is tried a little weaker; what a fit goes on with, at its purest
-        first = 0 if residual <= TOLERANCE else max(share - 1, 0)
+        first = _first_share(residual, share)
         factor, share = factorise(flesh, linear, x, a, first)
         direction = -factor.solve(gradient)
         estimate = x.copy()
@@ -151,6 +153,15 @@ def _newton(
             break
         x, energy = step
     return now
+
+
+def _first_share(residual: float, last: int) -> int:
+    """Return the share to try first; ``last`` is what the step before took, -1 if there is none."""
+    if residual <= TOLERANCE:
+        return 0
+    if last < 0:
+        return len(SHARES) - 1 if residual > FAR else 0
+    return max(last - 1, 0)
 
 
 def _line_search(
