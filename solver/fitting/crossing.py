@@ -46,12 +46,13 @@ def crossing(mouth: Mouth, skin: Floats) -> Crossing:
 
 
 def _in_teeth(mouth: Mouth, points: Floats, part: int, teeth: int) -> float | None:
-    """Return how deep a vertex of a part lies in teeth, which are closed surfaces."""
+    """Return how deep a vertex of a part lies in teeth, closed surfaces; None without either."""
     faces: Ints = mouth.faces_of(teeth)
-    if not len(faces):
+    vertices = points[mouth.label == part]
+    if not (len(faces) and len(vertices)):
         return None
     distance, *_ = igl.signed_distance(
-        np.ascontiguousarray(points[mouth.label == part]),
+        np.ascontiguousarray(vertices),
         points,
         faces,
         igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER,

@@ -57,8 +57,9 @@ class Mouth:
 
     @classmethod
     def of(cls, model: SubjectModel) -> Mouth | None:
-        """Find the mouth of a model; None if its regions do not name both lips."""
-        if not {"upper_lip", "lower_lip"} <= set(model.regions):
+        """Find the mouth of a model; None if its regions do not name both lips, on its flesh."""
+        named = [model.regions.get(f"{lip}_lip", np.empty(0, int)) for lip in ("upper", "lower")]
+        if not all(np.isin(lip, model.embedded).any() for lip in named):
             return None
         vertices, faces = model.skin.vertices, model.skin.faces
         flesh = faces[np.isin(faces, model.embedded).all(axis=1)]

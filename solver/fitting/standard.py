@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from solver.fitting.activation import ActivationOptions
+from solver.fitting.contact import Contact
 from solver.fitting.face import Face
+from solver.fitting.mouth import Mouth
 from solver.fitting.objective import Regulariser, Target
-from solver.fitting.terms import SkinDistance, Term
+from solver.fitting.terms import SkinDistance, Term, Together
 
 UNSEEN = {"w_a": 1e-3, "w_v": 1e-2, "w_b": 1e-6}
 """Weights for an expression that S was not fitted to: w_a low from the start."""
@@ -16,8 +18,12 @@ UNSEEN_STOP = ActivationOptions(max_iterations=25, tolerance=1e-3)
 
 
 def terms(face: Face, targets: Mapping[str, Target]) -> dict[str, Term]:
-    """Return the data term of every expression."""
-    return {name: SkinDistance(face, target) for name, target in targets.items()}
+    """Return the terms of every expression: the distance, and contact if the model has lips."""
+    mouth = Mouth.of(face.model)
+    data = {name: SkinDistance(face, target) for name, target in targets.items()}
+    if mouth is None:
+        return dict(data)
+    return {name: Together((term, Contact(face.model, mouth))) for name, term in data.items()}
 
 
 def unseen_regulariser(face: Face) -> Regulariser:

@@ -1,0 +1,159 @@
+"""Lips and teeth: how deep they cross, and the term that pushes them apart."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from solver.anatomy.builtin import builtin_template
+from solver.errors import InputError
+from solver.fitting.contact import LIPS_SLACK_MM, TEETH_SLACK_MM, Contact
+from solver.fitting.crossing import crossing
+from solver.fitting.mouth import LIPS, UPPER_TEETH, Mouth
+from solver.mechanics import jaw
+from solver.model import JawFrame
+from solver.surface import Surface
+from tests.unit.solver.ball import ball
+from tests.unit.solver.block import block_model
+
+OVERLAP = 1.5
+
+
+def balls():
+    """Two lips, one on the other and OVERLAP deep in it, and a tooth as deep behind the upper."""
+    parts = [
+        ball([0.0, 10.0 - OVERLAP / 2, 0.0], 10.0, 4),
+        ball([0.0, OVERLAP / 2 - 10.0, 0.0], 10.0, 4),
+        ball([0.0, 12.0, OVERLAP - 14.0], 4.0, 3),
+    ]
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    points = np.vstack([part.vertices for part in parts])
+    faces = np.vstack([part.faces + start for part, start in zip(parts, starts, strict=False)])
+    count = len(points)
+    label = np.where(np.arange(count) < starts[2], LIPS, UPPER_TEETH)
+    mouth = Mouth(
+        np.arange(count), label, faces, sp.eye_array(count, format="csr"), np.zeros((count, 3))
+    )
+    model = replace(block_model(), rest=points, skin=Surface(points, faces))
+    return model, mouth, points, starts
+
+
+def test_crossing_is_as_deep_as_balls_overlap():
+    _, mouth, points, starts = balls()
+    found = crossing(mouth, points)
+    assert found.lips == pytest.approx(OVERLAP, abs=0.1)
+    assert abs(points[found.vertex, 1]) < 1.0
+    # the upper lip's centre lies lower than the tooth's
+    assert 0.0 < found.upper_teeth < OVERLAP
+    assert found.lower_teeth is None
+    assert found.bite is None
+    apart = points.copy()
+    apart[: starts[1]] += [0.0, OVERLAP + 0.1, 2.0 * OVERLAP]
+    nothing = crossing(mouth, apart)
+    assert (nothing.lips, nothing.vertex, nothing.upper_teeth) == (0.0, None, 0.0)
+
+
+def test_contact_pushes_lips_apart_and_off_the_teeth():
+    model, mouth, points, starts = balls()
+    term = Contact(model, mouth)
+    gradient = term.gradient(points)
+    upper, lower = gradient[: starts[1]].sum(axis=0), gradient[starts[1] : starts[2]].sum(axis=0)
+    tooth = gradient[starts[2] :].sum(axis=0)
+    assert upper[1] < -1e-3
+    assert lower[1] > 1e-3
+    assert upper[2] < -1e-3
+    np.testing.assert_allclose(upper + lower + tooth, 0.0, atol=1e-9)
+    apart = points.copy()
+    apart[: starts[1]] += [0.0, OVERLAP - LIPS_SLACK_MM / 2, OVERLAP - TEETH_SLACK_MM / 2]
+    assert term.value(apart) == 0.0
+    assert not term.gradient(apart).any()
+
+
+def check_derivatives(term, x, step):
+    """Compare gradient and curvature along a step with differences."""
+    slope = (term.value(x + 1e-4 * step) - term.value(x - 1e-4 * step)) / 2e-4
+    assert abs(slope) > 1e-4
+    assert np.sum(term.gradient(x) * step) == pytest.approx(slope, rel=1e-4)
+    change = (term.gradient(x + 1e-4 * step) - term.gradient(x - 1e-4 * step)) / 2e-4
+    curvature = (term.curvature(x) @ step.ravel()).reshape(x.shape)
+    along = np.sum(step * curvature)
+    assert along > 1e-4
+    # Gauss-Newton: without the turning of the ways out
+    assert along == pytest.approx(np.sum(step * change), rel=0.2)
+
+
+def test_derivatives_match_differences():
+    model, mouth, points, starts = balls()
+    # not vertex above vertex, where what is nearest changes at once
+    points[: starts[1]] += [0.13, 0.0, 0.07]
+    step = np.zeros_like(points)
+    step[: starts[1]] = [0.1, 1.0, 0.3]
+    check_derivatives(Contact(model, mouth), points, step)
+
+
+@pytest.fixture(scope="module")
+def head():
+    """The built-in head with its skin for flesh: every vertex of the flesh follows itself."""
+    try:
+        template = builtin_template()
+    except InputError as error:
+        pytest.skip(error.message)
+    skin = template.skin
+    flesh = np.setdiff1d(
+        skin.faces[template.flesh_faces],
+        np.concatenate([template.attached_cranium, template.attached_mandible]),
+    )
+    count = len(flesh)
+    rest = np.vstack([skin.vertices[flesh], template.mandible.vertices])
+    rows = sp.csr_array((np.ones(count), (np.arange(count), np.arange(count))), (count, len(rest)))
+    return replace(
+        block_model(),
+        rest=rest,
+        mandible=np.arange(count, len(rest)),
+        skin=skin,
+        embedded=flesh,
+        embedding=rows,
+        offset=np.zeros((count, 3)),
+        attached_mandible=template.attached_mandible,
+        face=template.face_vertices,
+        jaw=JawFrame(template.condyles.mean(axis=0), np.eye(3)),
+        regions=template.regions,
+    )
+
+
+def closed(model, angle):
+    """Turn mandible and lower face by b; the flesh above the lower lip's middle stays."""
+    b = np.array([angle, 0.02, 0.3, -0.2, 0.1])
+    skin = model.skin.vertices
+    line = skin[model.regions["lower_lip"], 1].max()
+    moving = (model.rest[:, 1] < line) | (np.arange(len(model.rest)) >= len(model.embedded))
+    x = model.rest.copy()
+    x[moving] = jaw.move(model.jaw, model.rest[moving], b)
+    whole = skin.copy()
+    whole[model.attached_mandible] = jaw.move(model.jaw, skin[model.attached_mandible], b)
+    whole[model.embedded] = x[: len(model.embedded)]
+    return x, whole
+
+
+def test_mouth_of_a_head_moves_with_flesh_and_jaw(head):
+    mouth = Mouth.of(head)
+    assert len(np.unique(mouth.label)) == 4
+    lips = mouth.skin[mouth.label == LIPS]
+    assert np.isin(lips, head.embedded).all()
+    for region in ("upper_lip", "lower_lip"):
+        assert np.isin(head.regions[region], lips).mean() > 0.3
+    x, skin = closed(head, -0.1)
+    np.testing.assert_allclose(mouth.points(x), skin[mouth.skin], atol=1e-9)
+    assert crossing(mouth, head.skin.vertices).lips < 0.5
+    assert crossing(mouth, skin).lips > 1.0
+
+
+def test_contact_of_a_head_matches_differences(head):
+    x, _ = closed(head, -0.06)
+    y, _ = closed(head, -0.07)
+    check_derivatives(Contact(head, Mouth.of(head)), x, (y - x) / np.abs(y - x).max())
+
+
+def test_no_mouth_without_named_lips(head):
+    assert Mouth.of(replace(head, regions={})) is None
