@@ -1,0 +1,1 @@
+"""Parts of :mod:`benchmarks.fit_speed`: each measures one thing and returns its figures."""

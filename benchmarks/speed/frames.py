@@ -1,0 +1,64 @@
+"""A real performance, frame after frame, and how much is lost against fitting frames alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+
+from benchmarks.documents import Figures
+from benchmarks.speed.clock import Stopwatch
+from solver.anatomy.ict_performance import IctPerformance
+from solver.fitting import activation, standard
+from solver.fitting.activation import ActivationOptions
+from solver.fitting.face import Face
+from solver.fitting.objective import Target
+from solver.fitting.sequence import Tracker
+from solver.fitting.terms import SkinDistance
+
+COLD = ActivationOptions(max_iterations=60, tolerance=1e-4)
+
+
+def frames(
+    face: Face, S: sp.csr_array, performance: IctPerformance, numbers: range, compared: int
+) -> Figures:
+    """Fit the frames ``numbers``, and ``compared`` of them cold as well.
+
+    ``frame_ms`` is the time of every frame from its points to its pose. ``loss`` is the mean
+    objective of the compared frames over the mean of their cold fits, less one.
+    """
+    regulariser, rest = standard.unseen_regulariser(face), face.rest_state(S)
+    tracker = Tracker(face, S, regulariser, rest)
+    alone = set(numbers[:: max(len(numbers) // compared, 1)])
+    milliseconds, errors, inverted, pairs = [], [], 0, []
+    for number in numbers:
+        points = performance.frame(number)[face.model.face]
+        target = Target.from_points(points)
+        with Stopwatch() as watch:
+            tracker.fit(target)
+        milliseconds.append(1e3 * watch.seconds)
+        state = tracker.state
+        errors.append(float(np.nanmean(target.distances(face.face_points(state.x)))))
+        inverted += face.flesh.inverted(state.x)
+        if number in alone:
+            data = SkinDistance(face, target)
+            cold = activation.fit(face, S, data, regulariser, rest, COLD)
+            pairs.append((number, activation.objective(data, regulariser, state), cold.objective))
+    kept = sum(objective for _, objective, _ in pairs)
+    return {
+        "first": numbers.start,
+        "frames": len(numbers),
+        "median_ms": float(np.median(milliseconds)),
+        "mean_ms": float(np.mean(milliseconds)),
+        "p95_ms": float(np.percentile(milliseconds, 95)),
+        "max_ms": float(np.max(milliseconds)),
+        "mean_mm": float(np.mean(errors)),
+        "max_mean_mm": float(np.max(errors)),
+        "inverted": inverted,
+        "loss": kept / sum(cold for _, _, cold in pairs) - 1.0,
+        "compared": [
+            {"frame": number, "objective": warm, "cold_objective": cold}
+            for number, warm, cold in pairs
+        ],
+        "frame_ms": [round(value, 2) for value in milliseconds],
+        "frame_mm": [round(value, 4) for value in errors],
+    }

@@ -1,0 +1,127 @@
+"""One expression by activations with S (A), by the per-tet model (P) and in full space by IPOPT."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from benchmarks.documents import Figures
+from benchmarks.speed.clock import Stopwatch
+from solver.errors import SolveError
+from solver.fitting import activation, per_tet, reference, standard
+from solver.fitting.activation import ActivationFit, ActivationOptions
+from solver.fitting.face import Face
+from solver.fitting.objective import Target
+from solver.fitting.per_tet import PerTetOptions
+from solver.fitting.reference import NotConvergedError
+from solver.fitting.terms import SkinDistance
+
+TOLERANCE = 1e-4
+"""Relative objective that a solve is run to."""
+
+CONVERGED = ActivationOptions(max_iterations=60, tolerance=TOLERANCE)
+FURTHER = ActivationOptions(max_iterations=60, tolerance=1e-7)
+PER_TET = PerTetOptions(max_iterations=200, tolerance=TOLERANCE)
+
+COARSE_W_A = 0.5
+"""Prior's weight on the coarse model, which buckles below: IPOPT then does not converge."""
+
+SAME_OBJECTIVE = 1e-3
+
+
+def activations(face: Face, S: sp.csr_array, targets: Mapping[str, Target]) -> list[Figures]:
+    """Fit every target by A, cold: from the resting face, whose equilibrium is known."""
+    regulariser, rest = standard.unseen_regulariser(face), face.rest_state(S)
+    found = []
+    for name, target in targets.items():
+        data = SkinDistance(face, target)
+        with Stopwatch() as watch:
+            fitted = activation.fit(face, S, data, regulariser, rest, CONVERGED)
+        further = activation.improve(face, S, data, regulariser, fitted.state, FURTHER)
+        found.append(
+            {
+                "name": name,
+                "seconds": watch.seconds,
+                "iterations": fitted.iterations,
+                "mean_mm": mean_mm(face, target, fitted),
+                "objective_excess": fitted.objective / further.objective - 1.0,
+            }
+        )
+    return found
+
+
+def per_tets(face: Face, targets: Mapping[str, Target]) -> list[Figures]:
+    """Fit every target by P, cold; ``face`` has its material."""
+    found = []
+    for name, target in targets.items():
+        data = SkinDistance(face, target)
+        with Stopwatch() as watch:
+            fitted = per_tet.fit(face, data, None, PER_TET)
+        distances = target.distances(face.face_points(fitted.state.x))
+        found.append(
+            {
+                "name": name,
+                "seconds": watch.seconds,
+                "iterations": fitted.iterations,
+                "mean_mm": float(np.nanmean(distances)),
+            }
+        )
+    return found
+
+
+def against_ipopt(face: Face, targets: Mapping[str, Target]) -> list[Figures]:
+    """Solve (A) by the reduced solver and by IPOPT, both from the resting face.
+
+    Where IPOPT does not converge its reason is in ``failed``; ``same`` tells whether both found
+    the same objective.
+    """
+    S, rest = face.model.weights, face.rest_state(face.model.weights)
+    regulariser = replace(standard.unseen_regulariser(face), w_a=COARSE_W_A)
+    found = []
+    for name, target in targets.items():
+        data = SkinDistance(face, target)
+        with Stopwatch() as watch:
+            fitted = activation.fit(face, S, data, regulariser, rest, CONVERGED)
+        figures: Figures = {"name": name, "seconds": watch.seconds, "objective": fitted.objective}
+        try:
+            with Stopwatch() as ipopt:
+                full = reference.activations(
+                    face, S, data, regulariser, rest.pose, rest.x, tolerance=TOLERANCE
+                )
+        except NotConvergedError as error:
+            found.append({**figures, "failed": error.message})
+            continue
+        ratio = fitted.objective / full.objective
+        found.append(
+            {
+                **figures,
+                "ipopt_seconds": ipopt.seconds,
+                "ipopt_objective": full.objective,
+                "ipopt_violation": full.violation,
+                "objective_ratio": ratio,
+                "same": abs(ratio - 1.0) <= SAME_OBJECTIVE,
+                "ratio": ipopt.seconds / watch.seconds,
+            }
+        )
+    return found
+
+
+def compile_kernels(face: Face, phace: Face | None, target: Target) -> None:
+    """Run every solver for a moment, so that no compilation is timed."""
+    S, rest = face.model.weights, face.rest_state(face.model.weights)
+    data = SkinDistance(face, target)
+    regulariser = standard.unseen_regulariser(face)
+    activation.fit(face, S, data, regulariser, rest, ActivationOptions(1))
+    if phace is not None:
+        try:
+            per_tet.fit(phace, data, None, PerTetOptions(max_iterations=1))
+        except SolveError:
+            return
+
+
+def mean_mm(face: Face, target: Target, fitted: ActivationFit) -> float:
+    """Return the mean distance over the face skin."""
+    return float(np.nanmean(target.distances(face.face_points(fitted.state.x))))
