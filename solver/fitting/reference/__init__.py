@@ -9,6 +9,7 @@ from solver.fitting.reference.activations import activations
 from solver.fitting.reference.common import NotConvergedError, Reference
 from solver.fitting.reference.forward import forward
 from solver.fitting.reference.geometry import GeometryReference, geometry
+from solver.fitting.reference.per_tet import per_tet
 
 __all__ = [
     "GeometryReference",
@@ -17,4 +18,5 @@ __all__ = [
     "activations",
     "forward",
     "geometry",
+    "per_tet",
 ]

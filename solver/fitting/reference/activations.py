@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import scipy.sparse as sp
 
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser
-from solver.fitting.reference.common import Listener, Problem, Reference, solve
+from solver.fitting.reference.common import Listener, Reference
 from solver.fitting.reference.expression import Expression
+from solver.fitting.reference.one import minimise
 from solver.fitting.terms import Term
-from solver.surface import Floats, Ints
+from solver.surface import Floats
 
 
 def activations(
@@ -29,52 +32,26 @@ def activations(
 
     Raises :class:`NotConvergedError` (``ipopt.failed``) with IPOPT's message.
     """
-    problem = ActivationProblem(face, S, data, regulariser, listen)
-    begin = problem.expression.start(start, x)
-    found = solve(problem, begin, np.zeros(face.flesh.size), tolerance, max_iterations)
-    pose, x = problem.expression.pose(found.z), problem.expression.place(found.z)
-    return found.checked(Reference(pose, x, found.objective, found.iterations, found.violation))
+    expression = Expression(face, S, data, MusclePriors(regulariser))
+    return minimise(expression, S, start, x, tolerance, max_iterations, listen)
 
 
-class ActivationProblem(Problem):
-    """Variables and constraints are those of one expression."""
+@dataclass(frozen=True)
+class MusclePriors:
+    """A regulariser as :class:`~solver.fitting.reference.expression.Priors`."""
 
-    def __init__(
-        self,
-        face: Face,
-        S: sp.csr_array,
-        data: Term,
-        regulariser: Regulariser,
-        listen: Listener | None = None,
-    ) -> None:
-        super().__init__(listen)
-        self._S = S
-        self.expression = Expression(face, S, data, regulariser)
+    regulariser: Regulariser
 
-    def objective(self, z: Floats) -> float:
-        """See :class:`Problem`."""
-        return self.expression.objective(z)
+    def value(self, pose: Pose) -> float:
+        """See :class:`Priors`."""
+        return self.regulariser.value(pose)
 
-    def gradient(self, z: Floats) -> Floats:
-        """See :class:`Problem`."""
-        return self.expression.gradient(z)
+    def gradient(self, pose: Pose) -> Floats:
+        """See :class:`Priors`."""
+        return self.regulariser.gradient(pose)
 
-    def constraints(self, z: Floats) -> Floats:
-        """See :class:`Problem`."""
-        return self.expression.constraints(z, self._S)
-
-    def jacobianstructure(self) -> tuple[Ints, Ints]:
-        """See :class:`Problem`."""
-        return self.expression.jacobian_structure
-
-    def jacobian(self, z: Floats) -> Floats:
-        """See :class:`Problem`."""
-        return self.expression.jacobian(z, self._S)
-
-    def hessianstructure(self) -> tuple[Ints, Ints]:
-        """See :class:`Problem`."""
-        return self.expression.hessian_structure
-
-    def hessian(self, z: Floats, multipliers: Floats, factor: float) -> Floats:  # noqa: ARG002
-        """See :class:`Problem`."""
-        return factor * self.expression.hessian(z)
+    def curvature(self, pose: Pose) -> tuple[Floats, Floats]:
+        """See :class:`Priors`."""
+        whole = self.regulariser.gauss_newton(pose)
+        entries = np.arange(pose.a.size).reshape(-1, 6)
+        return whole[entries[:, :, None], entries[:, None, :]], np.diag(whole)[-5:]

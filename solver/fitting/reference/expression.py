@@ -6,15 +6,29 @@ one row per free coordinate.
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 import scipy.sparse as sp
 
 from solver.fitting.face import Face, Pose
-from solver.fitting.objective import Regulariser
 from solver.fitting.reference.common import Data, finite
 from solver.fitting.sensitivity import gradient_by_pose
 from solver.fitting.terms import Term
 from solver.surface import Floats, Ints
+
+
+class Priors(Protocol):
+    """The part of f that depends on the pose alone."""
+
+    def value(self, pose: Pose) -> float:
+        """Return it."""
+
+    def gradient(self, pose: Pose) -> Floats:
+        """Return its derivative by (a, b), (6 m + 5,)."""
+
+    def curvature(self, pose: Pose) -> tuple[Floats, Floats]:
+        """Return its Hessian: a block of each muscle, (m, 6, 6), and b's diagonal (5,)."""
 
 
 class Expression:
@@ -23,15 +37,14 @@ class Expression:
     ``candidates`` (n, m + 1) has an entry for each muscle that can move a tet.
     """
 
-    def __init__(
-        self, face: Face, candidates: sp.csr_array, data: Term, regulariser: Regulariser
-    ) -> None:
+    def __init__(self, face: Face, candidates: sp.csr_array, data: Term, priors: Priors) -> None:
         self.face = face
         self.flesh = face.flesh
-        self.count = self.flesh.size + 6 * face.model.muscle_count + 5
+        self._muscles = candidates.shape[1] - 1
+        self.count = self.flesh.size + 6 * self._muscles + 5
         self._data = data
         self._by_data = Data(face, data, self.count - 5)
-        self._regulariser = regulariser
+        self._priors = priors
         self._pose_entries = np.nonzero(self._touched(candidates))
         pattern = self.flesh.hessian(self.flesh.rest, self.flesh.passive())
         rows = np.repeat(np.arange(self.flesh.size), np.diff(pattern.indptr))
@@ -39,11 +52,12 @@ class Expression:
             np.concatenate([rows, self._pose_entries[0]]),
             np.concatenate([pattern.indices, self.flesh.size + self._pose_entries[1]]),
         )
-        self._pose_lower = np.tril_indices(self.count - self.flesh.size)
-        by_data = self._by_data.structure
+        self._block = np.tril_indices(6)
+        first = self.flesh.size + 6 * np.arange(self._muscles)[:, None]
+        by_data, jaw = self._by_data.structure, np.arange(self.count - 5, self.count)
         self.hessian_structure: tuple[Ints, Ints] = (
-            np.concatenate([by_data[0], self.flesh.size + self._pose_lower[0]]),
-            np.concatenate([by_data[1], self.flesh.size + self._pose_lower[1]]),
+            np.concatenate([by_data[0], (first + self._block[0]).ravel(), jaw]),
+            np.concatenate([by_data[1], (first + self._block[1]).ravel(), jaw]),
         )
 
     def start(self, pose: Pose, x: Floats) -> Floats:
@@ -63,21 +77,21 @@ class Expression:
 
     def objective(self, z: Floats) -> float:
         """Return f."""
-        return self._data.value(self.place(z)) + self._regulariser.value(self.pose(z))
+        return self._data.value(self.place(z)) + self._priors.value(self.pose(z))
 
     def gradient(self, z: Floats) -> Floats:
         """Return f's derivative, (count,)."""
         by_free, by_jaw = self._by_data.gradient(self.place(z), z[-5:])
-        by_pose = self._regulariser.gradient(self.pose(z))
+        by_pose = self._priors.gradient(self.pose(z))
         by_pose[-5:] += by_jaw
         return np.concatenate([by_free, by_pose])
 
     def hessian(self, z: Floats) -> Floats:
         """Return the entries of f's Gauss-Newton Hessian, lower triangle."""
-        by_pose = self._regulariser.gauss_newton(self.pose(z))
-        return np.concatenate(
-            [self._by_data.hessian(self.place(z), z[-5:]), by_pose[self._pose_lower]]
-        )
+        blocks, jaw = self._priors.curvature(self.pose(z))
+        by_data = self._by_data.hessian(self.place(z), z[-5:])
+        lower = blocks[:, self._block[0], self._block[1]]
+        return np.concatenate([by_data, lower.ravel(), jaw])
 
     def constraints(self, z: Floats, S: sp.csr_array) -> Floats:
         """Return the free coordinates' forces (size,); raises where a tet is inverted."""
@@ -96,7 +110,7 @@ class Expression:
         """Tell which forces (size,) each entry of (a, b) can change, (size, 6 m + 5)."""
         flesh = self.flesh
         tet, muscle = candidates[:, 1:].nonzero()
-        near = np.zeros((len(flesh.free), self.face.model.muscle_count), dtype=bool)
+        near = np.zeros((len(flesh.free), self._muscles), dtype=bool)
         jaw = np.zeros(len(flesh.free), dtype=bool)
         rides = np.zeros(len(flesh.rest), dtype=bool)
         rides[self.face.model.mandible] = True

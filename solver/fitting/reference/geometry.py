@@ -16,6 +16,7 @@ import scipy.sparse as sp
 
 from solver.fitting.face import Pose, State
 from solver.fitting.joint import GeometryProblem
+from solver.fitting.reference.activations import MusclePriors
 from solver.fitting.reference.common import UNBOUNDED, Listener, Problem, solve
 from solver.fitting.reference.expression import Expression
 from solver.fitting.sensitivity import gradient_by_geometry
@@ -85,7 +86,7 @@ class FullGeometry(Problem):
         self._face = face = problem.face
         candidates = replace_values(S, np.ones(S.nnz))
         self.parts = {
-            name: Expression(face, candidates, term, problem.regulariser)
+            name: Expression(face, candidates, term, MusclePriors(problem.regulariser))
             for name, term in problem.data.items()
         }
         self._each = next(iter(self.parts.values())).count

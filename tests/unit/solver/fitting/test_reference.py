@@ -4,14 +4,16 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from solver.fitting import joint, reference
+from solver.fitting import joint, per_tet, reference, tissue
 from solver.fitting.face import Face, Pose
 from solver.fitting.joint import GeometryProblem, Iterate
 from solver.fitting.objective import Regulariser, Target
+from solver.fitting.per_tet import PerTetOptions
 from solver.fitting.reference.geometry import FullGeometry
 from solver.fitting.terms import SkinDistance
 from solver.fitting.weights import replace_values
 from tests.unit.solver.block import block_model
+from tests.unit.solver.fitting.test_per_tet import contracted, face_with_fibres, target_of
 
 STEP = 1e-6
 
@@ -96,7 +98,7 @@ def test_the_hessian_is_exact_where_the_residual_vanishes(face):
 def test_joint_gauss_newton_reaches_the_multi_target_minimum(face):
     """Both minimise the same, to the same weights: one prior of the activations and of S."""
     S, data = smeared(face), two_targets(face)
-    problem = multi_target(face, S, data, 2.0, 1e-2, 1e-2)
+    problem = multi_target(face, S, data, 0.5, 1e-2, 1e-2)
     rest = face.rest_state(S)
     start = dict.fromkeys(data, rest)
     full = reference.geometry(problem, S, start)
@@ -106,10 +108,25 @@ def test_joint_gauss_newton_reaches_the_multi_target_minimum(face):
     assert np.abs(full.S.data - S.data).max() > 0.05
 
     now = Iterate(S, start)
-    for _ in range(50):
+    for _ in range(60):
         now = joint.step(problem, now)
     assert problem.value(S, start) > 2.0 * full.objective
     assert problem.value(now.S, now.states) < 1.001 * full.objective
+
+
+def test_per_tet_fit_reaches_the_minimum():
+    face = face_with_fibres()
+    divided = tissue.of_face(face)
+    rng = np.random.default_rng(3)
+    pose = Pose(contracted(divided, rng, 0.3), np.array([0.1, 0.02, 0.3, -0.4, 0.2]))
+    data = SkinDistance(divided.face, target_of(divided, pose))
+    options = PerTetOptions(0.03, 1e-3, 1.0, 1e-4, max_iterations=100, tolerance=1e-8)
+    full = reference.per_tet(face, data, options)
+    assert full.violation < 1e-5
+    assert full.objective < 0.1 * data.value(face.model.rest)
+    fitted = per_tet.fit(face, data, options=options)
+    assert fitted.objective == pytest.approx(full.objective, rel=1e-4)
+    np.testing.assert_allclose(fitted.a, full.pose.a, atol=1e-2)
 
 
 def test_a_solve_that_is_stopped_tells_where_it_was(face):
