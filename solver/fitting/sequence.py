@@ -108,14 +108,17 @@ class Tracker:
         self._age = 0
         self._damping = DAMPING_START
 
-    def fit(self, target: Target) -> int:
+    def fit(self, target: Target, before: Pose | None = None) -> int:
         """Fit a frame and return the steps it took.
+
+        ``before`` is the frame before's pose, where the state is this frame's already: fitted to
+        another placing of the head.
 
         Raises :class:`SolveError` if it can not be fitted; the state stays that of the frame
         before.
         """
         data = SkinDistance(self.face, target)
-        regulariser = self._regulariser.drawn_to(self.state.pose, self._temporal)
+        regulariser = self._regulariser.drawn_to(before or self.state.pose, self._temporal)
         found = None
         if self._kept:
             self._kept = self._kept.for_data(data, self.state.x)

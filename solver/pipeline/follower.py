@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from solver.errors import InputError, SolveError
+from solver.fitting.face import Pose
 from solver.fitting.objective import Target
 from solver.fitting.sequence import Tracker
 from solver.registration.similarity import IDENTITY, Similarity, weighted_motion
@@ -56,7 +57,8 @@ class Follower:
 
     def fit(self, number: int, scan: RegisteredScan) -> SequenceFrame:
         """Fit the frame ``number``, face points (k, 3) with their confidence."""
-        start, head = time.perf_counter(), self._head
+        start = time.perf_counter()
+        state, head = self._tracker.state, self._head
         seen = np.mean(scan.confidence > 0)
         status: Status = "unseen"
         iterations = 0
@@ -65,7 +67,8 @@ class Follower:
                 iterations = self._place_and_fit(scan)
                 status = "fitted"
             except SolveError:
-                status, self._head = "kept", head
+                status = "kept"
+                self._tracker.state, self._head = state, head
         return self._frame(number, status, float(seen), iterations, time.perf_counter() - start)
 
     def skin(self) -> Floats:
@@ -92,13 +95,14 @@ class Follower:
         """Fit the face with the head where it is; again if that moves the head."""
         if self._still is None:
             return self._fit(scan.vertices, scan.confidence)
+        pose = self._tracker.state.pose
         iterations, before = 0, np.full_like(scan.vertices, np.inf)
         for _ in range(PLACINGS):
             self._head = self._placed(scan, self._still)
             points = self._head.inverse()(scan.vertices)
             if np.nanmax(np.abs(points - before)) < RESTLESS_MM:
                 break
-            iterations += self._fit(points, scan.confidence)
+            iterations += self._fit(points, scan.confidence, pose)
             before = points
         return iterations
 
@@ -111,9 +115,9 @@ class Follower:
         roughly = weighted_motion(fitted, seen, weights)
         return roughly.then(head_motion(roughly(fitted), seen, weights))
 
-    def _fit(self, points: Floats, confidence: Floats) -> int:
+    def _fit(self, points: Floats, confidence: Floats, before: Pose | None = None) -> int:
         self._target = Target.from_points(points, confidence)
-        return self._tracker.fit(self._target)
+        return self._tracker.fit(self._target, before)
 
     def _frame(
         self, number: int, status: Status, seen: float, iterations: int, seconds: float

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import shutil
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from solver.errors import InputError
+from solver.errors import InputError, SolveError
 from solver.fitting import standard
 from solver.fitting.face import Face, Pose
 from solver.fitting.model_checks import check_held
@@ -131,7 +132,8 @@ def _follower(
     """Return what fits the frames, from rest or from the ``last`` that is ready."""
     state = face.rest_state(S)
     if last is not None:
-        state = face.move(S, state, Pose(last.activations, last.jaw))
+        with suppress(SolveError):  # out of reach from rest: the next frame begins there
+            state = face.move(S, state, Pose(last.activations, last.jaw))
     regulariser = standard.unseen_regulariser(face)
     tracker = Tracker(
         face,

@@ -28,20 +28,20 @@ class AnimatedSkin:
 
     def __init__(self, neutral: Surface) -> None:
         self._neutral = neutral
-        self._shapes = np.zeros((0, neutral.vertices.size))
+        self._shapes = np.zeros((0, neutral.vertices.size), np.float32)
         self._weights: list[Floats] = []
         self._frames: list[SequenceFrame] = []
 
     def add(self, frame: SequenceFrame, skin: Floats) -> None:
         """Take a frame, fitted or not."""
-        motion = (skin - self._neutral.vertices).ravel()
+        motion = (skin - self._neutral.vertices).astype(np.float32).ravel()
         weights = self._shapes @ motion
         rest = motion - weights @ self._shapes
         if len(weights) < MOST_SHAPES and np.abs(rest).max() > REACHED_MM:
             length = np.linalg.norm(rest)
             self._shapes = np.vstack([self._shapes, rest / length])
             weights = np.append(weights, length)
-        self._weights.append(weights)
+        self._weights.append(weights.astype(np.float64))
         self._frames.append(frame)
 
     def write(self, path: Path, fps: float) -> None:
