@@ -161,6 +161,16 @@ def test_an_expression_off_the_neutral_is_refused(tmp_path: Path) -> None:
     assert "moved by 40 mm" in error.message
 
 
+@pytest.mark.parametrize("axis", [0, 2], ids=["left and right", "inside out"])
+def test_a_mirrored_expression_is_refused(axis: int, tmp_path: Path) -> None:
+    mirror = np.ones(3)
+    mirror[axis] = -1.0
+    path = write(tmp_path / "head.obj", HEAD.moved(HEAD.vertices * mirror))
+    error = fault(path, neutral=HEAD.vertices)
+    assert error.code == "scan.mirrored"
+    assert "head.obj" in error.message
+
+
 def test_announced_counts_are_checked_before_memory_is_taken(tmp_path: Path) -> None:
     huge = 10**11
     ply = tmp_path / "head.ply"
