@@ -88,20 +88,15 @@ def descent(path: Path, title: str, y_label: str, lines: Mapping[str, Sequence[f
 
 def scaling(
     path: Path, title: str, vertices: Sequence[int], seconds: Mapping[str, Sequence[float]]
-) -> dict[str, float]:
-    """Plot seconds against the mesh's vertices and return each line's exponent.
-
-    The exponent is the slope of the least-squares line through the logarithms.
-    """
+) -> None:
+    """Plot seconds against the mesh's vertices with least-squares lines through the logarithms."""
     sizes = np.asarray(vertices, dtype=float)
-    exponents = {}
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), layout="constrained")
         axes = figure.subplots()
         for name, colour in _colours(seconds).items():
             times = np.asarray(seconds[name], dtype=float)
             slope, offset = np.polyfit(np.log(sizes), np.log(times), 1)
-            exponents[name] = float(slope)
             axes.plot(sizes, times, "o", color=colour, label=f"{name}: exponent {slope:.2f}")
             axes.plot(sizes, np.exp(offset) * sizes**slope, "-", color=colour, linewidth=1.0)
         axes.set(title=title, xlabel="vertices", ylabel="seconds", xscale="log", yscale="log")
@@ -109,7 +104,6 @@ def scaling(
         axes.minorticks_off()
         _legend_beside(axes)
         _save(figure, path)
-    return exponents
 
 
 def frame_times(path: Path, title: str, milliseconds: Sequence[float], limit_ms: float) -> None:
