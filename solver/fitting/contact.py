@@ -17,9 +17,9 @@ import scipy.sparse as sp
 
 from solver.anatomy.embedding import rows_of
 from solver.fitting.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
-from solver.fitting.overlap import Overlap, behind, between_lips
+from solver.fitting.overlap import Overlap, Shell, behind, between_lips
 from solver.model import SubjectModel
-from solver.surface import Floats, Ints
+from solver.surface import Floats
 
 WEIGHT = 300.0
 """A lip's vertex in contact counts like so many vertices of the face skin: its depth beyond the
@@ -75,7 +75,7 @@ class Contact:
 
     def _find(self, points: Floats) -> _Touching:
         found = [(between_lips(self._mouth, points), LIPS_SLACK_MM)]
-        if len(self._teeth):
+        if len(self._teeth.faces):
             found.append((behind(points, self._lips, self._teeth, TEETH_MM), TEETH_SLACK_MM))
         deep = [(overlap.where(overlap.depth > slack), slack) for overlap, slack in found]
         return _Touching(
@@ -102,14 +102,14 @@ class Contact:
         )
 
 
-def _outer_teeth(mouth: Mouth, points: Floats) -> Ints:
-    """Return the teeth's triangles (f, 3) on the side of the lips: away from the mouth's middle."""
+def _outer_teeth(mouth: Mouth, points: Floats) -> Shell:
+    """Return the side of the teeth that lips lie on: what faces away from the mouth's middle."""
     faces = np.vstack([mouth.faces_of(UPPER_TEETH), mouth.faces_of(LOWER_TEETH)])
     if not len(faces):
-        return faces
+        return Shell(faces)
     corners = points[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     middle = (points[faces].min(axis=(0, 1)) + points[faces].max(axis=(0, 1))) / 2
     out = (corners.mean(axis=1) - middle) * [1.0, 0.0, 1.0]
     lengths = np.linalg.norm(out, axis=1) * np.linalg.norm(normals, axis=1)
-    return np.ascontiguousarray(faces[np.einsum("fi,fi->f", out, normals) > OUTER * lengths])
+    return Shell(faces[np.einsum("fi,fi->f", out, normals) > OUTER * lengths])

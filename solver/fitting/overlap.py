@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass
+from functools import cached_property
 
 import igl
 import numba as nb
@@ -93,38 +94,46 @@ def between_lips(mouth: Mouth, points: Floats) -> Overlap:
     return found.where((other > BACK) & (own < -BACK))
 
 
-def behind(points: Floats, ids: Ints, surface: Ints, reach: float) -> Overlap:
-    """Find which vertices lie behind an open surface, its triangles (f, 3), by less than ``reach``.
+@dataclass(frozen=True)
+class Shell:
+    """An open surface: its triangles ``faces`` (f, 3) by vertices of the mouth."""
 
-    Where the nearest point lies on the surface's border, a vertex is beside it, not behind.
+    faces: Ints
+
+    @cached_property
+    def alone(self) -> tuple[Ints, Ints]:
+        """Return the vertices used (u,), sorted, and the triangles (f, 3) numbered by them."""
+        used, own = np.unique(self.faces, return_inverse=True)
+        return used, np.ascontiguousarray(own.reshape(self.faces.shape))
+
+    @cached_property
+    def border(self) -> Ints:
+        """Return the vertices of edges that only one triangle has."""
+        edges = np.sort(np.stack([self.faces, np.roll(self.faces, -1, axis=1)], -1), axis=-1)
+        edges, count = np.unique(edges.reshape(-1, 2), axis=0, return_counts=True)
+        return np.unique(edges[count == 1])
+
+
+def behind(points: Floats, ids: Ints, shell: Shell, reach: float) -> Overlap:
+    """Find which of the vertices ``ids`` lie behind a shell, by less than ``reach`` mm.
+
+    Where the nearest point lies on the shell's border, a vertex is beside it, not behind.
     """
-    used, own = np.unique(surface, return_inverse=True)
-    own = own.reshape(surface.shape)
+    used, faces = shell.alone
     distance, face, closest, _ = igl.signed_distance(
         np.ascontiguousarray(points[ids]),
         np.ascontiguousarray(points[used]),
-        own,
+        faces,
         igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL,
         -reach,
         reach,
     )
     deep = np.flatnonzero((np.asarray(distance) < 0.0) & (np.asarray(distance) > -reach))
-    corners = surface[np.asarray(face)[deep]]
+    corners = shell.faces[np.asarray(face)[deep]]
     a, b, c = (np.ascontiguousarray(points[corners[:, k]]) for k in range(3))
     shares = np.asarray(igl.barycentric_coordinates(np.ascontiguousarray(closest[deep]), a, b, c))
-    border = np.isin(corners, surface[_border(surface)])
-    on_border = (border | (shares < ON_EDGE)).all(axis=1)
+    on_border = (np.isin(corners, shell.border) | (shares < ON_EDGE)).all(axis=1)
     return Overlap.at(points, ids[deep][~on_border], corners[~on_border], shares[~on_border])
-
-
-def _border(surface: Ints) -> NDArray[np.bool_]:
-    """Tell which corners of the triangles (f, 3) begin an edge that only one triangle has."""
-    first, second = surface, np.roll(surface, -1, axis=1)
-    edges = np.stack([np.minimum(first, second), np.maximum(first, second)], axis=-1)
-    _, number, count = np.unique(
-        edges.reshape(-1, 2), axis=0, return_inverse=True, return_counts=True
-    )
-    return np.asarray(count[number.ravel()] == 1).reshape(surface.shape)
 
 
 @nb.njit(cache=True)
