@@ -75,18 +75,8 @@ def muscles(model: SubjectModel, volumes: Floats, S: sp.csr_array, a: Floats) ->
     """Return the figures of activations ``a`` (m, 6); ``volumes`` (n,) are the tets' at rest."""
     tensors = matrices(a)
     stretches = np.linalg.eigvalsh(tensors)
-    fibres = np.full(len(a), np.nan)
-    entries = S.tocoo()
-    share = entries.data * volumes[entries.row]
-    flesh = np.bincount(entries.col, share, minlength=len(a) + 1)[1:]
-    if model.fibres is not None:
-        directions = model.fibres  # one for each stored entry, as S keeps the model's pattern
-        outer = share[:, None, None] * directions[:, :, None] * directions[:, None, :]
-        spread = np.zeros((len(a) + 1, 3, 3))
-        np.add.at(spread, entries.col, outer)
-        size = np.trace(spread[1:], axis1=1, axis2=2)
-        along = np.einsum("jkl,jkl->j", spread[1:], tensors)
-        fibres[size > 0.0] = along[size > 0.0] / size[size > 0.0]
+    fibres = np.einsum("jkl,jkl->j", fibre_tensors(model, volumes, S), tensors)
+    flesh = np.bincount(S.indices, S.data * _by_entry(volumes, S), minlength=len(a) + 1)[1:]
     return Muscles(
         np.asarray(stretches[:, 0], np.float64),
         np.asarray(stretches[:, 2], np.float64),
@@ -94,6 +84,25 @@ def muscles(model: SubjectModel, volumes: Floats, S: sp.csr_array, a: Floats) ->
         fibres,
         np.asarray(flesh, np.float64),
     )
+
+
+def fibre_tensors(model: SubjectModel, volumes: Floats, S: sp.csr_array) -> Floats:
+    """Return the mean of d d^T over every muscle's flesh, (m, 3, 3), d being unit fibre directions.
+
+    NaN for muscles without flesh in S, which keeps the model's pattern, and without fibres.
+    """
+    out = np.zeros((model.muscle_count + 1, 3, 3))
+    if model.fibres is not None:
+        share = S.data * _by_entry(volumes, S)
+        outer = share[:, None, None] * model.fibres[:, :, None] * model.fibres[:, None, :]
+        np.add.at(out, S.indices, outer)
+    size = np.trace(out[1:], axis1=1, axis2=2)[:, None, None]
+    return np.asarray(np.divide(out[1:], size, out=np.full_like(out[1:], np.nan), where=size > 0.0))
+
+
+def _by_entry(of_tets: Floats, S: sp.csr_array) -> Floats:
+    """Return a value of every tet (n,) for each stored entry of S."""
+    return np.asarray(np.repeat(of_tets, np.diff(S.indptr)))
 
 
 def matrices(a: Floats) -> Floats:
