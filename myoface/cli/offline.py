@@ -112,12 +112,24 @@ def build_model(
 
 
 @solve.command("geometry")
-def fit_geometry(model: Model, scans: Scans, output: NewFolder = Path("rig")) -> None:
+def fit_geometry(
+    model: Model,
+    scans: Scans,
+    output: NewFolder = Path("rig"),
+    start: Annotated[
+        tuple[Path, Path] | None,
+        typer.Option(help="muscle_weights.npz and model.npz to start from, also of another person"),
+    ] = None,
+    symmetry: Annotated[
+        float, typer.Option(min=0.0, help="how much alike left and right become; 1e-3 is much")
+    ] = 0.0,
+) -> None:
     """Fit muscle geometry, activations and jaw to several expressions at once."""
     from solver.pipeline import fit_geometry as fit
 
+    options = {"symmetry": symmetry}
     with JobView("geometry") as view, _made(output):
-        fit(model, _named(scans), output, progress=view)
+        fit(model, _named(scans), output, start=start, options=options, progress=view)
     out.print(f"{output / 'rig.glb'}", markup=False)
 
 

@@ -49,6 +49,9 @@ def fit(
     data: Mapping[str, Term],
     options: GeometryOptions,
     listen: Listener | None = None,
+    *,
+    start: sp.csr_array | None = None,
+    structure: sp.csr_array | None = None,
 ) -> tuple[GeometryFit, tuple[Notice, ...]]:
     """Fit S, activations and jaws with the last round's weights, as :func:`geometry.fit` does.
 
@@ -56,11 +59,12 @@ def fit(
     :class:`InputError` (:func:`check_size`).
     """
     check_size(face, len(data))
-    S = face.model.weights
+    S = face.model.weights if start is None else start
+    structure = sp.csr_array((0, S.nnz)) if structure is None else structure
     rest = face.rest_state(S)
     w_a, w_s = options.weights(options.rounds - 1)
     regulariser = Regulariser(w_a, options.w_v, options.w_b, rest.pose)
-    problem = GeometryProblem(face, data, regulariser, w_s, S.data, sp.csr_array((0, S.nnz)))
+    problem = GeometryProblem(face, data, regulariser, w_s, S.data, structure)
     notices: tuple[Notice, ...] = ()
     try:
         found = reference.geometry(

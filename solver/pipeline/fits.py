@@ -19,6 +19,8 @@ from solver.fitting.geometry import GeometryOptions
 from solver.fitting.model_checks import check_held, idle_muscles
 from solver.fitting.notices import Notice
 from solver.fitting.objective import Target
+from solver.fitting.symmetry import mirror_structure
+from solver.fitting.weights import transferred
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel
 from solver.pipeline.common import Options, refuse, take
@@ -36,15 +38,23 @@ def fit_geometry(
     captures: Mapping[str, Path],
     out: Path,
     *,
+    start: tuple[Path, Path] | None = None,
     options: Options = None,
     progress: Progress = silent,
 ) -> list[Path]:
     """Fit S, activations and jaw to several registered expression scans; write the rig's files.
 
-    Options: at most ``rounds`` of Gauss-Newton, ``solver`` (``reduced``, or ``ipopt`` on small
+    ``start`` is a fitted ``muscle_weights.npz`` and the model it belongs to, this one's or another
+    subject's, for S to begin with. Options: at most ``rounds`` of Gauss-Newton, ``symmetry`` (the
+    weight of the mirror prior on S, 0 for none), ``solver`` (``reduced``, or ``ipopt`` on small
     meshes), ``linear_solver``.
     """
-    known = {"rounds": GeometryOptions.rounds, "solver": "reduced", "linear_solver": None}
+    known = {
+        "rounds": GeometryOptions.rounds,
+        "symmetry": 0.0,
+        "solver": "reduced",
+        "linear_solver": None,
+    }
     given = _take(options, known)
     face, scans = _read(model, captures, given, progress)
     subject = face.model
@@ -55,6 +65,7 @@ def fit_geometry(
     told.tell(0.02, [*_odd(face, face.model.weights, scans), *_too_few(scans)])
     targets = {name: _target(subject, scan) for name, scan in scans.items()}
     data = standard.terms(face, targets)
+    priors = {"start": _begun(subject, start), "structure": _mirrored(subject, given["symmetry"])}
 
     def listen(number: int, states: Mapping[str, State]) -> None:
         done = 0.02 + 0.78 * number / schedule.rounds
@@ -65,13 +76,13 @@ def fit_geometry(
         part = min(iteration / geometry_ipopt.most_iterations(schedule), 1.0)
         progress(Step("geometry", 0.02 + 0.78 * part, iteration, value))
 
-    start = time.perf_counter()
+    begin = time.perf_counter()
     if given["solver"] == "ipopt":
-        fitted, notices = geometry_ipopt.fit(face, data, schedule, listen_ipopt)
+        fitted, notices = geometry_ipopt.fit(face, data, schedule, listen_ipopt, **priors)
         told.tell(0.8, notices)
     else:
-        fitted = geometry.fit(face, data, schedule, listen=listen)
-    seconds = time.perf_counter() - start
+        fitted = geometry.fit(face, data, schedule, listen=listen, **priors)
+    seconds = time.perf_counter() - begin
     expressions = []
     for name, ending in fitted.endings.items():
         ending = replace(ending, iterations=fitted.iterations[name])
@@ -80,7 +91,7 @@ def fit_geometry(
         )
         expressions.append(told.about(expression, 0.8, ending.notices))
     _refuse_failures(expressions)
-    settings = {**asdict(schedule), "solver": given["solver"]}
+    settings = {**asdict(schedule), "symmetry": given["symmetry"], "solver": given["solver"]}
     rig = Rig(subject, fitted.S, tuple(expressions), {"geometry": seconds}, told.general)
     return _export(face, rig, settings, out, _later(progress, 0.8))
 
@@ -147,6 +158,20 @@ def fit_activations(
         told.general,
     )
     return _export(face, whole, settings, out, _later(progress, 0.5))
+
+
+def _begun(subject: SubjectModel, start: tuple[Path, Path] | None) -> sp.csr_array | None:
+    """Return the S that a fit begins with, None for the model's own."""
+    if start is None:
+        return None
+    weights, source = start[0], SubjectModel.load(start[1])
+    return transferred(load_weights(weights, source), source, subject)
+
+
+def _mirrored(subject: SubjectModel, symmetry: float) -> sp.csr_array | None:
+    if not (isinstance(symmetry, int | float) and 0.0 <= symmetry < np.inf):
+        raise InputError("options.symmetry", f"symmetry is a weight of 0 or more, not {symmetry!r}")
+    return mirror_structure(subject, symmetry) if symmetry > 0.0 else None
 
 
 def _take(options: Options, known: dict[str, Any]) -> dict[str, Any]:
