@@ -33,6 +33,7 @@ from solver.rig.sequence import (
 from solver.rig.sequence_gltf import AnimatedSkin
 from solver.rig.sequence_picture import Shot, sequence_picture
 from solver.scans.performance import Performance, open_performance
+from solver.scans.plausible import MAX_MEDIAN_MOTION_MM
 
 DEFAULTS = {
     "fps": 30.0,
@@ -82,6 +83,8 @@ def fit_sequence(
     S = load_weights(weights, subject)
     source = open_performance(performance, subject.skin, subject.face)
     numbers = _chosen(source, given)
+    if not given["head_motion"]:
+        _check_place(source, numbers[0], subject)
     face = Face(subject, linear=given["linear_solver"])
     check_held(face)
     if not resume:
@@ -160,6 +163,22 @@ def _chosen(source: Performance, given: dict[str, Any]) -> range:
             end=end,
         )
     return numbers
+
+
+def _check_place(source: Performance, number: int, model: SubjectModel) -> None:
+    """Raise ``performance.misaligned`` if the head is elsewhere than in the neutral."""
+    scan = source.frame(number)
+    away = np.linalg.norm(scan.vertices - model.skin.vertices[model.face], axis=1)
+    away = away[scan.confidence > 0]
+    if len(away) and np.median(away) > MAX_MEDIAN_MOTION_MM:
+        raise InputError(
+            "performance.misaligned",
+            f"{source.name}, frame {number}: the points lie {np.median(away):.0f} mm off the "
+            "neutral (median); solve the head_motion, or bring the skull where the neutral has it",
+            file=source.name,
+            frame=number,
+            found=float(np.median(away)),
+        )
 
 
 def _check_same(done: list[SequenceFrame], numbers: range) -> None:

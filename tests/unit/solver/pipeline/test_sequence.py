@@ -155,6 +155,13 @@ def test_the_head_s_motion_is_told_from_the_face_s() -> None:
         assert np.abs(placed - turn.apply(rest_points) - shift).max() < 0.1
 
 
+def test_a_head_elsewhere_asks_for_its_motion(files: Path, tmp_path: Path) -> None:
+    np.save(files / "away.npy", np.load(files / "take.npy") + 60.0)
+    with pytest.raises(InputError, match="head_motion") as caught:
+        fit(files, tmp_path, "away.npy")
+    assert caught.value.code == "performance.misaligned"
+
+
 def test_a_face_without_a_still_point_has_no_head(files: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         fit(files, tmp_path, head_motion=True)
