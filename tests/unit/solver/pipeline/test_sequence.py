@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from solver.errors import InputError
+from solver.errors import InputError, SolveError
 from solver.fitting.face import Face, Pose
-from solver.fitting.objective import Regulariser
+from solver.fitting.objective import Regulariser, Target
+from solver.fitting.sequence import Tracker
 from solver.fitting.stillness import stillness
-from solver.pipeline.follower import Follower, Tracker
+from solver.pipeline.follower import Follower
 from solver.pipeline.sequence import fit_sequence
 from solver.progress import Step
 from solver.rig.result import save_weights
@@ -111,6 +112,29 @@ def test_what_can_not_be_seen_keeps_the_pose(files: Path, tmp_path: Path) -> Non
     assert found["mean_mm"][3] < 0.02
     report = json.loads((tmp_path / "sequence.json").read_text())
     assert (report["fitted"], report["unseen"]) == (4, [2])
+
+
+def test_what_can_not_be_fitted_keeps_the_pose_and_warns(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls, steps = [], []
+    whole = Tracker.fit
+
+    def fails_once(tracker: Tracker, target: Target, before: Pose | None = None) -> int:
+        calls.append(target)
+        if len(calls) == 3:
+            raise SolveError("solve.no_convergence", "the face does not come to rest")
+        return whole(tracker, target, before)
+
+    monkeypatch.setattr(Tracker, "fit", fails_once)
+    given = (files / "model.npz", files / "weights.npz", files / "take.npy")
+    fit_sequence(*given, tmp_path, options={"end": 5}, progress=steps.append)
+    found = np.load(tmp_path / "sequence.npz")
+    assert found["status"].tolist() == ["fitted", "fitted", "kept", "fitted", "fitted"]
+    np.testing.assert_array_equal(found["activations"][1], found["activations"][2])
+    assert found["mean_mm"][3] < 0.02
+    (warning,) = [step.message for step in steps if step.phase == "warning"]
+    assert "frame 2 keeps the pose" in warning
 
 
 def test_frames_that_are_not_there(files: Path, tmp_path: Path) -> None:
