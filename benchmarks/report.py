@@ -27,20 +27,18 @@ def parser(description: str) -> argparse.ArgumentParser:
 
 def finish(figures: Figures, options: argparse.Namespace, section: SectionOf) -> None:
     """Write the figures where ``--json`` says and, with ``--document``, their section."""
-    figures = write(figures, options.json)
-    if options.document:
-        documents.write(figures, section(figures), documents.DOCUMENT)
-
-
-def write(figures: Figures, destination: str) -> Figures:
-    """Write the figures to a file, or to standard output, and return them as written."""
-    figures = stamped(figures, sys.argv)
-    text = json.dumps(figures, indent=2, allow_nan=False) + "\n"
-    if destination == "-":
+    text = json.dumps(stamped(figures, sys.argv), indent=2, allow_nan=False) + "\n"
+    if options.json == "-":
         sys.stdout.write(text)
     else:
-        Path(destination).write_text(text, encoding="utf-8")
-    return figures
+        Path(options.json).write_text(text, encoding="utf-8")
+    if options.document:
+        _document(text, section)
+
+
+def _document(text: str, section: SectionOf) -> None:
+    figures = json.loads(text)
+    documents.write(figures, section(figures), documents.DOCUMENT)
 
 
 def stamped(figures: Figures, arguments: list[str]) -> Figures:
@@ -73,9 +71,8 @@ def main() -> None:
     arguments.add_argument("name", help="of the benchmark")
     arguments.add_argument("json", type=Path, help="file that its --json wrote")
     options = arguments.parse_args()
-    figures = json.loads(options.json.read_text(encoding="utf-8"))
     section: SectionOf = importlib.import_module(f"benchmarks.{options.name}").section
-    documents.write(figures, section(figures), documents.DOCUMENT)
+    _document(options.json.read_text(encoding="utf-8"), section)
 
 
 if __name__ == "__main__":
