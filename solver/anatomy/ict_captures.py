@@ -7,6 +7,7 @@ the model's expression shapes: a scan is neutral + sum(identity_i I_i) + sum(wei
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -103,4 +104,27 @@ def _read(path: Path) -> dict[str, Any]:
         raise InputError(
             "captures.unreadable", f"{path} lacks {', '.join(sorted(missing))}", file=str(path)
         )
+    for fault in _faults(sets):
+        raise InputError("captures.unreadable", f"{path.name}: {fault}", file=str(path))
     return sets
+
+
+def _faults(sets: dict[str, Any]) -> Iterator[str]:
+    """Yield what is not of the form that a capture-sets file has, the first thing first."""
+    for key in ("subjects", "train", "test"):
+        entries = sets[key]
+        if not (isinstance(entries, dict) and all(isinstance(e, dict) for e in entries.values())):
+            yield f"{key} is not an object of objects"
+            return
+    for name, subject in sets["subjects"].items():
+        seed = subject.get("identity_seed", "")
+        whole = isinstance(seed, int) and not isinstance(seed, bool) and seed >= 0
+        if not (seed is None or whole):
+            yield f"subject {name} has no identity_seed: null, or a whole number from 0"
+    for name, weights in [*sets["train"].items(), *sets["test"].items()]:
+        for shape, weight in weights.items():
+            number = isinstance(weight, int | float) and not isinstance(weight, bool)
+            if not (number and np.isfinite(weight)):
+                yield f"expression {name}: the weight of {shape} is not a number but {weight!r}"
+    for name in sorted(sets["train"].keys() & sets["test"].keys()):
+        yield f"expression {name} is both in train and in test"

@@ -64,3 +64,21 @@ def test_another_file_is_refused(text: str, tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         ict_capture_set(tmp_path, "A", tmp_path / "sets.json")
     assert caught.value.code == "captures.unreadable"
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"subjects": {"B": {"seed": 3}}}, "subject B has no identity_seed"),
+        ({"subjects": {"B": {"identity_seed": -1}}}, "a whole number from 0"),
+        ({"train": ["smile"]}, "train is not an object of objects"),
+        ({"test": {"ah": {"jawOpen": "much"}}}, "the weight of jawOpen is not a number"),
+        ({"test": {"smile": {"jawOpen": 0.1}}}, "smile is both in train and in test"),
+    ],
+)
+def test_what_has_another_form_is_named(
+    changes: dict[str, object], words: str, tmp_path: Path
+) -> None:
+    path = write(tmp_path / "sets.json", **changes)
+    with pytest.raises(InputError, match=words):
+        ict_capture_set(tmp_path, "B", path)
