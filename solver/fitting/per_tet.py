@@ -46,11 +46,15 @@ DAMPING_FALL = 0.25
 DAMPING_GROWTH = 8.0
 """By what a damping falls and grows at most from step to step."""
 
-HALVINGS = 4
-REFUSALS = 3
-"""Steps that failed in all their halves, one after the other, before it counts as the minimum."""
+HALVINGS = 2
+SNAPS = 8
+SNAP_LOSS = 1.5
+"""How often a fit may snap over a fold, and to what part of the least f."""
+
 
 CORRECTIONS = 8
+SNAP_ITERATIONS = 30
+"""Newton steps to an equilibrium nearby and to one behind a fold."""
 
 
 @dataclass(frozen=True)
@@ -148,10 +152,9 @@ class Objective:
 
     def value(self, state: State) -> float:
         """Return f at a state's estimate, every gamma being the best."""
-        return self._data.value(state.estimate) + self.prior_value(state.pose)
+        return self._data.value(state.estimate) + self._priors(state.pose)
 
-    def prior_value(self, pose: Pose) -> float:
-        """Return the regularisers' sum at a pose."""
+    def _priors(self, pose: Pose) -> float:
         options, a = self._options, pose.a
         det = determinants(a) - 1.0
         jaw = JAW_UNITS * (pose.b - self._b)
@@ -162,39 +165,27 @@ class Objective:
             + 0.5 * options.w_b * jaw @ jaw
         )
 
-    def prior_gradient(self, pose: Pose) -> tuple[Floats, Floats]:
-        """Return the derivatives of :meth:`prior_value` by a, (n_active, 6), and by b, (5,)."""
-        options, a = self._options, pose.a
-        by_a = options.w_act * self._contraction.gradient(a, self.contractions(a))
-        by_a = by_a + options.w_sparse * self._sparsity.gradient(a)
-        stretch = 2.0 * options.w_volume * self._volumes * (determinants(a) - 1.0)
-        by_a = by_a + stretch[:, None] * determinant_gradients(a)
-        return by_a, options.w_b * JAW_UNITS**2 * (pose.b - self._b)
-
-    def prior_blocks(self, a: Floats) -> Floats:
-        """Return the Gauss-Newton Hessian of :meth:`prior_value` by each tet's a, (n_active, 6, 6).
-
-        The contractions are held, and the parabolas of R_sparse stand for it.
-        """
-        options, slopes = self._options, determinant_gradients(a)
-        volume = 2.0 * options.w_volume * self._volumes
-        blocks = volume[:, None, None] * slopes[:, :, None] * slopes[:, None, :]
-        diagonal = options.w_act * self._contraction.curvature()
-        blocks[:, np.arange(6), np.arange(6)] += diagonal
-        blocks[:, np.arange(6), np.arange(6)] += options.w_sparse * self._sparsity.curvature(a)
-        return np.asarray(blocks)
-
     def quadratic(self, state: State, damping: Damping) -> Quadratic:
         """Return the Gauss-Newton model of f at a state, damped."""
         options, a = self._options, state.pose.a
         response = Response(self.tissue, state)
         by_a, by_b = response.transposed(self._data.gradient(state.estimate).ravel())
-        prior_by_a, prior_by_b = self.prior_gradient(state.pose)
-        blocks = self.prior_blocks(a)
+        det = determinants(a) - 1.0
+        slopes = determinant_gradients(a)
+        volume = 2.0 * options.w_volume * self._volumes
+        by_a += options.w_act * self._contraction.gradient(a, self.contractions(a))
+        by_a += options.w_sparse * self._sparsity.gradient(a)
+        by_a += (volume * det)[:, None] * slopes
+        by_b += options.w_b * JAW_UNITS**2 * (state.pose.b - self._b)
+
+        blocks = volume[:, None, None] * slopes[:, :, None] * slopes[:, None, :]
+        diagonal = options.w_act * self._contraction.curvature()
+        diagonal = diagonal + options.w_sparse * self._sparsity.curvature(a)
         blocks += 2.0 * (damping.tets * self._volumes)[:, None, None] * stretches.metric(a)
+        blocks[:, np.arange(6), np.arange(6)] += diagonal
         return Quadratic(
             response,
-            (by_a + prior_by_a, by_b + prior_by_b),
+            (by_a, by_b),
             self._data.curvature(state.estimate),
             blocks,
             (options.w_b + damping.jaw) * JAW_UNITS**2,
@@ -251,28 +242,52 @@ class _Improved:
 def _improve(
     objective: Objective, state: State, options: PerTetOptions, listen: Listener | None
 ) -> _Improved:
-    """Minimise f, going from equilibrium to equilibrium."""
+    """Minimise f, going from equilibrium to equilibrium; where the flesh folds, over the fold.
+
+    At a fold no short step helps: the flesh snaps into another equilibrium, where f may at first be
+    higher. The best state of all is kept.
+    """
     value = objective.value(state)
+    best = state, value
     solver = SaddleSolver(objective.tissue)
     damping = Damping.start(len(objective.tissue.active))
-    iterations = refusals = 0
-    while iterations < options.max_iterations:
+    snaps = 0
+    for iteration in range(1, options.max_iterations + 1):
         model = objective.quadratic(state, damping)
         a, b, damping = damping.limited(state.pose.a, *solver.step(model, state))
         trial, halvings = _shortened(objective, model, state, value, a, b)
         damping = damping.raised(2.0**halvings)
+        if trial is None and snaps < SNAPS:
+            snaps += 1
+            trial = _snapped(objective, state, SNAP_LOSS * best[1], a, b)
         if trial is None:
-            refusals += 1
-            if refusals == REFUSALS:
-                return _Improved(state, value, iterations, Status.NO_DESCENT)
-            continue
-        refusals, iterations = 0, iterations + 1
+            return _Improved(*best, iteration, Status.NO_DESCENT)
         previous, value, state = value, objective.value(trial), trial
+        if value < best[1]:
+            best = state, value
         if listen:
-            listen(iterations, value)
-        if previous - value <= options.tolerance * value:
-            return _Improved(state, value, iterations, Status.CONVERGED)
-    return _Improved(state, value, iterations, Status.ITERATIONS)
+            listen(iteration, best[1])
+        if 0.0 <= previous - value <= options.tolerance * value:
+            return _Improved(*best, iteration, Status.CONVERGED)
+    return _Improved(*best, options.max_iterations, Status.ITERATIONS)
+
+
+def _snapped(
+    objective: Objective, state: State, limit: float, a: Floats, b: Floats
+) -> State | None:
+    """Return the equilibrium at the end of the step (a, b), however far that is, if f < ``limit``.
+
+    Half the step is tried where the whole one leads nowhere.
+    """
+    for part in (1.0, 0.5):
+        pose = Pose(stretches.moved(state.pose.a, part * a), state.pose.b + part * b)
+        try:
+            found = _settled(objective.tissue, pose, state.x, SNAP_ITERATIONS)
+        except SolveError:
+            continue
+        if found.equilibrium.minimum and objective.value(found) < limit:
+            return found
+    return None
 
 
 def _shortened(
@@ -298,14 +313,20 @@ def _reach(tissue: Tissue, state: State, response: Floats, pose: Pose) -> State:
     Approaching is not enough here: single tets are so soft that the flesh may buckle on the rest of
     the way, and the derivatives would be those of another equilibrium.
     """
-    face, S = tissue.face, tissue.selection
-    near = face.approach(S, state, response, pose)
-    reached = equilibrium.solve(
-        face.flesh,
-        face.linear,
-        near.x,
-        face.tet_activations(S, pose.a),
-        tolerance=equilibrium.STALLED,
-        max_iterations=CORRECTIONS,
+    near = tissue.face.approach(tissue.selection, state, response, pose)
+    return _settled(tissue, pose, near.x, CORRECTIONS)
+
+
+def _settled(tissue: Tissue, pose: Pose, x: Floats, iterations: int) -> State:
+    """Find the equilibrium of a pose from ``x`` within so many Newton steps."""
+    x = x.copy()
+    x[tissue.face.model.mandible] = tissue.face.mandible(pose.b)
+    found = equilibrium.solve(
+        tissue.face.flesh,
+        tissue.face.linear,
+        x,
+        tissue.face.tet_activations(tissue.selection, pose.a),
+        tolerance=tissue.face.tolerance,
+        max_iterations=iterations,
     )
-    return State(pose, reached)
+    return State(pose, found)
