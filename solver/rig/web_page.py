@@ -191,7 +191,7 @@ def _rows(expressions: dict[str, Any], anchors: dict[str, str]) -> str:
                 ("", f"{found['p95_mm']:.2f}"),
                 ("", f"{found['max_mm']:.2f}"),
                 ("nowrap", f"{100 * found['coverage']:.0f} %"),
-                ("nowrap", f"{found['jaw_motion']['opening_mm']:.1f} mm"),
+                ("nowrap", f"{found['jaw_motion']['opening_mm']:.1f} mm".replace("-", "−")),
                 ("nowrap", "" if trip is None else f"{figure(trip['skin_mean_mm'], 2)} mm"),
                 ("", str(found["iterations"])),
                 ("", f"{found['seconds']:.1f}"),
