@@ -98,11 +98,12 @@ def _rigid_motion(start: Floats, end: Floats) -> _Motion:
     u, s, vt = np.linalg.svd(centred.T @ goal)
     sign = np.sign(np.linalg.det(u @ vt))
     cosine = (np.trace(u @ np.diag([1.0, 1.0, sign]) @ vt) - 1) / 2
-    # what is left of the squared distances by a rotation, and by a mirrored one
+    # what is left of the squared distances by a rotation, and by a mirrored one; a flat surface is
+    # its own mirror image
     spread = np.sum(centred**2) + np.sum(goal**2)
     left = [spread - 2.0 * (s[0] + s[1] + side * s[2]) for side in (sign, -sign)]
     return _Motion(
         float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))),
         float(np.linalg.norm(end.mean(0) - start.mean(0))),
-        bool(left[1] < MIRRORED * left[0]),
+        bool(left[1] < MIRRORED * left[0] and left[0] > 1e-3 * spread),
     )
