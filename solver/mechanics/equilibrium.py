@@ -25,6 +25,7 @@ STALLED = 1e-5
 MAX_ITERATIONS = 100
 ARMIJO = 1e-4
 SHORTEST_STEP = 2.0**-30
+GROWTH = 4.0
 
 SHARES = (0.0, 0.05, 0.15, 0.4, 1.0)
 """How far the Hessian is projected, one after the other, until it is positive definite."""
@@ -148,7 +149,8 @@ def _newton(
         now = Equilibrium(x, estimate, factor, residual, iteration, share == 0)
         if iteration == max_iterations or done(now):
             break
-        step = _line_search(flesh, x, a, direction, energy, float(gradient @ direction))
+        slope = float(gradient @ direction)
+        step = _line_search(flesh, x, a, direction, energy, slope, share > 0)
         if step is None:
             break
         x, energy = step
@@ -165,17 +167,39 @@ def _first_share(residual: float, last: int) -> int:
 
 
 def _line_search(
-    flesh: Flesh, x: Floats, a: Floats, direction: Floats, energy: float, slope: float
+    flesh: Flesh,
+    x: Floats,
+    a: Floats,
+    direction: Floats,
+    energy: float,
+    slope: float,
+    grow: bool,
 ) -> tuple[Floats, float] | None:
-    """Halve the step until the energy falls enough (Armijo); None if it does not fall at all."""
-    step = 1.0
-    while step > SHORTEST_STEP:
+    """Halve the step until the energy falls enough (Armijo); None if it does not fall at all.
+
+    With ``grow`` a full step that does is made longer while the energy goes on falling: where flesh
+    buckles, at a saddle, the projected Hessian is too stiff.
+    """
+
+    def tried(step: float) -> tuple[Floats, float] | None:
         trial = x.copy()
         trial[flesh.free] += step * direction.reshape(-1, 3)
-        if flesh.narrowing(x, trial) >= NARROWEST:
-            value = flesh.energy(trial, a)
-            # rounding decides once the predicted decrease is below the energy's last digits
-            if value <= energy + ARMIJO * step * slope + 1e-13 * abs(energy):
-                return trial, value
+        if flesh.narrowing(x, trial) < NARROWEST:
+            return None
+        value = flesh.energy(trial, a)
+        # rounding decides once the predicted decrease is below the energy's last digits
+        enough = value <= energy + ARMIJO * step * slope + 1e-13 * abs(energy)
+        return (trial, value) if enough else None
+
+    step = 1.0
+    found = tried(step)
+    while found is None and step > SHORTEST_STEP:
         step *= 0.5
-    return None
+        found = tried(step)
+    while grow and found is not None and step >= 1.0:
+        step *= GROWTH
+        longer = tried(step)
+        if longer is None or longer[1] >= found[1]:
+            break
+        found = longer
+    return found
