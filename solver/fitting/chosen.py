@@ -33,6 +33,10 @@ HEAVIER = (1.0, 100.0, 20.0, 5.0, 1.0)
 IPOPT_TOLERANCE = 1e-4
 
 
+UNSETTLED = Notice(
+    "ipopt.unsettled", "what IPOPT found does not come to rest; the best result is kept"
+)
+
 SLOW_VERTICES = 3000
 """Vertices from which on IPOPT takes minutes for an expression."""
 
@@ -102,7 +106,7 @@ def by_ipopt(
     best = ChosenFit(rest, activation.objective(data, regulariser, rest), 0, "ipopt", "failed", ())
     limit = IPOPT_ITERATIONS * options.max_iterations
     done = 0
-    trouble: tuple[Notice, ...] = ()
+    trouble: dict[str, Notice] = {}
     for heavier in HEAVIER:
         prior = replace(regulariser, w_a=heavier * regulariser.w_a)
         start, before = best.state, done
@@ -126,17 +130,19 @@ def by_ipopt(
             converged = True
         except NotConvergedError as error:
             found, converged = error.last, False
-            trouble = (Notice(error.code, f"{error.message}; the best is kept", error.context),)
+            message = f"{error.message}; the best result is kept"
+            trouble[error.code] = Notice(error.code, message, error.context)
         done += found.iterations
         state = _settled(face, S, found)
         if state is None:
+            trouble[UNSETTLED.code] = UNSETTLED
             continue
         value = activation.objective(data, regulariser, state)
         if value < best.objective:
             best = replace(best, state=state, objective=value, status="stopped")
         if converged and heavier == 1.0:
             return replace(best, status="converged", iterations=done)
-    return replace(best, iterations=done, notices=trouble)
+    return replace(best, iterations=done, notices=tuple(trouble.values()))
 
 
 def _settled(face: Face, S: sp.csr_array, found: Reference) -> State | None:

@@ -244,7 +244,9 @@ def _refuse_failures(fits: Sequence[ExpressionFit]) -> None:
     """Raise ``fit.failed`` if no expression could be fitted at all: there is nothing to keep."""
     rest = [fit.status == "failed" and (fit.activations == IDENTITY).all() for fit in fits]
     if all(rest):
-        reasons = "; ".join(f"{fit.name}: {fit.notices[-1].message}" for fit in fits)
+        reasons = "; ".join(
+            f"{fit.name}: {notice.message}" for fit in fits for notice in fit.notices
+        )
         raise SolveError("fit.failed", f"no expression could be fitted ({reasons})")
 
 
