@@ -152,9 +152,10 @@ class Objective:
 
     def value(self, state: State) -> float:
         """Return f at a state's estimate, every gamma being the best."""
-        return self._data.value(state.estimate) + self._priors(state.pose)
+        return self._data.value(state.estimate) + self.prior_value(state.pose)
 
-    def _priors(self, pose: Pose) -> float:
+    def prior_value(self, pose: Pose) -> float:
+        """Return the regularisers' sum at a pose."""
         options, a = self._options, pose.a
         det = determinants(a) - 1.0
         jaw = JAW_UNITS * (pose.b - self._b)
@@ -165,27 +166,39 @@ class Objective:
             + 0.5 * options.w_b * jaw @ jaw
         )
 
+    def prior_gradient(self, pose: Pose) -> tuple[Floats, Floats]:
+        """Return the derivatives of :meth:`prior_value` by a, (n_active, 6), and by b, (5,)."""
+        options, a = self._options, pose.a
+        by_a = options.w_act * self._contraction.gradient(a, self.contractions(a))
+        by_a = by_a + options.w_sparse * self._sparsity.gradient(a)
+        stretch = 2.0 * options.w_volume * self._volumes * (determinants(a) - 1.0)
+        by_a = by_a + stretch[:, None] * determinant_gradients(a)
+        return by_a, options.w_b * JAW_UNITS**2 * (pose.b - self._b)
+
+    def prior_blocks(self, a: Floats) -> Floats:
+        """Return the Gauss-Newton Hessian of :meth:`prior_value` by each tet's a, (n_active, 6, 6).
+
+        The contractions are held, and the parabolas of R_sparse stand for it.
+        """
+        options, slopes = self._options, determinant_gradients(a)
+        volume = 2.0 * options.w_volume * self._volumes
+        blocks = volume[:, None, None] * slopes[:, :, None] * slopes[:, None, :]
+        diagonal = options.w_act * self._contraction.curvature()
+        blocks[:, np.arange(6), np.arange(6)] += diagonal
+        blocks[:, np.arange(6), np.arange(6)] += options.w_sparse * self._sparsity.curvature(a)
+        return np.asarray(blocks)
+
     def quadratic(self, state: State, damping: Damping) -> Quadratic:
         """Return the Gauss-Newton model of f at a state, damped."""
         options, a = self._options, state.pose.a
         response = Response(self.tissue, state)
         by_a, by_b = response.transposed(self._data.gradient(state.estimate).ravel())
-        det = determinants(a) - 1.0
-        slopes = determinant_gradients(a)
-        volume = 2.0 * options.w_volume * self._volumes
-        by_a += options.w_act * self._contraction.gradient(a, self.contractions(a))
-        by_a += options.w_sparse * self._sparsity.gradient(a)
-        by_a += (volume * det)[:, None] * slopes
-        by_b += options.w_b * JAW_UNITS**2 * (state.pose.b - self._b)
-
-        blocks = volume[:, None, None] * slopes[:, :, None] * slopes[:, None, :]
-        diagonal = options.w_act * self._contraction.curvature()
-        diagonal = diagonal + options.w_sparse * self._sparsity.curvature(a)
+        prior_by_a, prior_by_b = self.prior_gradient(state.pose)
+        blocks = self.prior_blocks(a)
         blocks += 2.0 * (damping.tets * self._volumes)[:, None, None] * stretches.metric(a)
-        blocks[:, np.arange(6), np.arange(6)] += diagonal
         return Quadratic(
             response,
-            (by_a, by_b),
+            (by_a + prior_by_a, by_b + prior_by_b),
             self._data.curvature(state.estimate),
             blocks,
             (options.w_b + damping.jaw) * JAW_UNITS**2,
