@@ -16,6 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.anatomy.embedding import rows_of
+from solver.errors import SolveError
 from solver.fitting.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
 from solver.fitting.overlap import Overlap, Shell, behind, between_lips
 from solver.model import SubjectModel
@@ -42,7 +43,10 @@ class _Touching:
 
 
 class Contact:
-    """The term c, a :class:`solver.fitting.terms.Term`; ``weight`` is w by the face's vertices."""
+    """The term c, a :class:`solver.fitting.terms.Term`; ``weight`` is w by the face's vertices.
+
+    Its methods raise :class:`SolveError` (``solve.not_finite``) where x is not finite.
+    """
 
     def __init__(self, model: SubjectModel, mouth: Mouth, weight: float = WEIGHT) -> None:
         self._mouth = mouth
@@ -69,6 +73,8 @@ class Contact:
 
     def _touching(self, x: Floats) -> _Touching:
         """Find the contacts at x; gradient and curvature ask for the same x again."""
+        if not np.isfinite(x).all():
+            raise SolveError("solve.not_finite", "the flesh has run away: x is not finite")
         if self._last is None or not np.array_equal(self._last[0], x):
             self._last = (x.copy(), self._find(self._mouth.points(x)))
         return self._last[1]

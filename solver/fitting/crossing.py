@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import igl
 import numpy as np
 
+from solver.errors import InputError
 from solver.fitting.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
 from solver.fitting.overlap import between_lips
 from solver.surface import Floats, Ints
@@ -32,8 +33,15 @@ class Crossing:
 
 
 def crossing(mouth: Mouth, skin: Floats) -> Crossing:
-    """Measure the skin (V, 3) of the scan topology: :meth:`Face.whole_skin`, or a scan."""
+    """Measure the skin (V, 3) of the scan topology: :meth:`Face.whole_skin`, or a scan.
+
+    Raises :class:`InputError` (``scan.nan``) where a vertex of the mouth is not finite.
+    """
     points = np.ascontiguousarray(skin[mouth.skin])
+    wrong = mouth.skin[~np.isfinite(points).all(axis=1)]
+    if len(wrong):
+        message = f"vertex {wrong[0]} of the mouth is not finite"
+        raise InputError("scan.nan", message, vertex=int(wrong[0]))
     lips = between_lips(mouth, points)
     deepest = int(mouth.skin[lips.ids[lips.depth.argmax()]]) if len(lips.ids) else None
     return Crossing(

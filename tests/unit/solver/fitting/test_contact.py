@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 from solver.anatomy.builtin import builtin_template
-from solver.errors import InputError
+from solver.errors import InputError, SolveError
 from solver.fitting.contact import LIPS_SLACK_MM, TEETH_SLACK_MM, Contact
 from solver.fitting.crossing import crossing
 from solver.fitting.mouth import LIPS, UPPER_TEETH, Mouth
@@ -52,6 +52,16 @@ def test_crossing_is_as_deep_as_balls_overlap():
     apart[: starts[1]] += [0.0, OVERLAP + 0.1, 2.0 * OVERLAP]
     nothing = crossing(mouth, apart)
     assert (nothing.lips, nothing.vertex, nothing.upper_teeth) == (0.0, None, 0.0)
+
+
+def test_what_is_not_finite_is_refused():
+    model, mouth, points, _ = balls()
+    spoilt = points.copy()
+    spoilt[7, 1] = np.nan
+    with pytest.raises(InputError, match="vertex 7"):
+        crossing(mouth, spoilt)
+    with pytest.raises(SolveError):
+        Contact(model, mouth).value(spoilt)
 
 
 def test_contact_pushes_lips_apart_and_off_the_teeth():
