@@ -44,12 +44,13 @@ def add_bump(
 
 
 def cheek(model: SubjectModel) -> int:
-    """Return the vertex of the face skin in the middle of the left cheek."""
+    """Return the vertex of the face skin in the middle of the left cheek's front half."""
     cheeks = np.intersect1d(model.regions["cheeks"], model.face)
-    points = model.skin.vertices[cheeks]
-    left = cheeks[points[:, 0] > 0.0]
-    points = model.skin.vertices[left]
-    return int(left[np.argmin(np.linalg.norm(points - points.mean(axis=0), axis=1))])
+    left = cheeks[model.skin.vertices[cheeks, 0] > 0.0]
+    depth = model.skin.vertices[left, 2]
+    front = left[depth >= np.median(depth)]
+    points = model.skin.vertices[front]
+    return int(front[np.argmin(np.linalg.norm(points - points.mean(axis=0), axis=1))])
 
 
 def followed(bump: Bump, without: Floats, with_bump: Floats) -> float:

@@ -47,7 +47,7 @@ DAMPING_GROWTH = 8.0
 """By what a damping falls and grows at most from step to step."""
 
 HALVINGS = 2
-SNAPS = 8
+SNAPS = 6
 SNAP_LOSS = 1.5
 """How often a fit may snap over a fold, and to what part of the least f."""
 
@@ -70,7 +70,7 @@ class PerTetOptions:
     w_volume: float = 10.0
     w_b: float = 1e-6
     max_iterations: int = 40
-    tolerance: float = 1e-4
+    tolerance: float = 2e-3
 
 
 class Status(StrEnum):
