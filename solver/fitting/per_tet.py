@@ -46,10 +46,16 @@ DAMPING_FALL = 0.25
 DAMPING_GROWTH = 8.0
 """By what a damping falls and grows at most from step to step."""
 
+DAMPING_REFUSED = 16.0
+"""By what all dampings grow when a step and its half are refused."""
+
 HALVINGS = 2
 SNAPS = 6
 SNAP_LOSS = 1.5
-"""How often a fit may snap over a fold, and to what part of the least f."""
+"""How often a fit may snap over a fold, and to what multiple of the least f."""
+
+PATIENCE = 6
+"""Iterations without a new least f before it counts as the minimum."""
 
 
 CORRECTIONS = 8
@@ -86,7 +92,8 @@ class PerTetFit:
     """A fitted state, settled.
 
     ``a`` (n_active, 6) are the activations of the tets ``active`` (n_active,), ``gamma`` (m,) the
-    muscles' preferred contractions, above 1 where they shorten. ``iterations`` counts steps.
+    muscles' preferred contractions, above 1 where they shorten. ``iterations`` counts steps,
+    refused ones too.
     """
 
     a: Floats
@@ -131,7 +138,7 @@ class Damping:
 
 
 Listener = Callable[[int, float], None]
-"""Called after each accepted step with the iteration and the objective."""
+"""Called after each accepted step with the iteration and the least objective so far."""
 
 
 class Objective:
@@ -264,24 +271,30 @@ def _improve(
     best = state, value
     solver = SaddleSolver(objective.tissue)
     damping = Damping.start(len(objective.tissue.active))
-    snaps = 0
+    refused, snaps, since_best = False, 0, 0
     for iteration in range(1, options.max_iterations + 1):
         model = objective.quadratic(state, damping)
-        a, b, damping = damping.limited(state.pose.a, *solver.step(model, state))
+        a, b, lowered = damping.limited(state.pose.a, *solver.step(model, state))
         trial, halvings = _shortened(objective, model, state, value, a, b)
-        damping = damping.raised(2.0**halvings)
-        if trial is None and snaps < SNAPS:
+        if trial is None and refused and snaps < SNAPS:
             snaps += 1
             trial = _snapped(objective, state, SNAP_LOSS * best[1], a, b)
+        since_best += 1
         if trial is None:
-            return _Improved(*best, iteration, Status.NO_DESCENT)
+            if refused:
+                return _Improved(*best, iteration, Status.NO_DESCENT)
+            refused, damping = True, damping.raised(DAMPING_REFUSED)
+            continue
+        refused, damping = False, lowered.raised(2.0**halvings)
         previous, value, state = value, objective.value(trial), trial
         if value < best[1]:
-            best = state, value
+            best, since_best = (state, value), 0
         if listen:
             listen(iteration, best[1])
         if 0.0 <= previous - value <= options.tolerance * value:
             return _Improved(*best, iteration, Status.CONVERGED)
+        if since_best == PATIENCE:
+            return _Improved(*best, iteration, Status.NO_DESCENT)
     return _Improved(*best, options.max_iterations, Status.ITERATIONS)
 
 
