@@ -206,6 +206,8 @@ def waiting(captures: Iterable[Capture]) -> list[Capture]:
 
 
 def _form(capture: Capture, captures: list[Capture]) -> str:
+    if capture.role == "performance":
+        return "frames"
     if capture.registered:
         return "registered"
     if capture.registration is None:

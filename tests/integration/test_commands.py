@@ -107,6 +107,7 @@ def test_a_performance_and_its_frames(myoface: Command, tmp_path: Path) -> None:
     lines = myoface("jobs", "frames", job, "--start", "2").output.splitlines()
     assert [json.loads(line)["frame"] for line in lines] == [2, 3, 4, 5]
     assert "neutral: good" in myoface("captures", "check", subject).output
+    assert "performance  frames" in myoface("captures", "list", subject).output
 
 
 def test_an_unknown_name_is_refused_with_those_there_are(myoface: Command, tmp_path: Path) -> None:
