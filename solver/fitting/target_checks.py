@@ -39,7 +39,9 @@ RESIDUAL_MM = 2.0
 STANDS_OUT = 5.0
 PATCH_MM = 5.0
 """Distance left by a fit that is worth a look, also as a multiple of the expression's median, and
-the size of the patch where it is."""
+the diameter of a disc as large as the patch where it is."""
+
+MOST_PATCHES = 3
 
 
 def before_fit(model: SubjectModel, scans: Mapping[str, RegisteredScan]) -> list[Notice]:
@@ -72,36 +74,35 @@ def replaced(model: SubjectModel, name: str, before: Floats, scan: RegisteredSca
 def after_fit(model: SubjectModel, name: str, error_mm: Floats) -> list[Notice]:
     """Return where an expression stays away from its scan; ``error_mm`` (V,), NaN where unseen.
 
-    One notice for each connected patch of the face whose error stands out, the worst first.
+    One notice for each of the worst connected patches of the face whose error stands out.
     """
-    face = np.zeros(len(error_mm), dtype=bool)
-    face[model.face] = True
-    error = np.where(face, np.nan_to_num(error_mm), 0.0)
+    error = np.zeros(len(error_mm))
+    error[model.face] = np.nan_to_num(error_mm[model.face])
     seen = error_mm[model.face][np.isfinite(error_mm[model.face])]
     if not len(seen):
         return []
-    limit = max(RESIDUAL_MM, STANDS_OUT * float(np.median(seen)))
-    high = error > limit
+    high = error > max(RESIDUAL_MM, STANDS_OUT * float(np.median(seen)))
     edges = _edges(model)
     joined = edges[high[edges].all(axis=1)]
     graph = sp.coo_array((np.ones(len(joined)), joined.T), shape=(len(error),) * 2)
     _, patch = connected_components(graph, directed=False)
+    area = np.bincount(patch[high], _areas(model)[high])
     found = []
     for number in np.unique(patch[high]):
-        vertices = np.flatnonzero((patch == number) & high)
-        size = float(np.ptp(model.skin.vertices[vertices], axis=0).max())
+        size = 2.0 * float(np.sqrt(area[number] / np.pi))
         if size < PATCH_MM:
             continue
+        vertices = np.flatnonzero((patch == number) & high)
         worst = int(vertices[error[vertices].argmax()])
         message = (
             f"{name}: the fit stays up to {error[worst]:.1f} mm away from the scan around vertex "
-            f"{worst} ({_where(model, worst)}), over {size:.0f} mm; muscles can not make that "
-            "shape: look for an artifact of the scan there"
+            f"{worst} ({_where(model, worst)}), over {size:.0f} mm: an artifact of the scan, or a "
+            "motion that no expression for the muscle geometry has shown"
         )
         notice = _notice("fit.unreached", message, name, model, worst, error[worst])
         notice.context["size_mm"] = round(size, 1)
         found.append(notice)
-    return sorted(found, key=lambda notice: -notice.context["mm"])
+    return sorted(found, key=lambda notice: -notice.context["mm"])[:MOST_PATCHES]
 
 
 def _repeated(model: SubjectModel, scans: Mapping[str, RegisteredScan]) -> list[Notice]:
@@ -209,6 +210,17 @@ def _stretched(model: SubjectModel, name: str, scan: RegisteredScan) -> list[Not
 
 def _seen(model: SubjectModel, scan: RegisteredScan) -> Ints:
     return model.face[scan.confidence[model.face] > 0.0]
+
+
+def _areas(model: SubjectModel) -> Floats:
+    """Return the area of the neutral's skin that belongs to each vertex, (V,) mm^2."""
+    corners = model.skin.vertices[model.skin.faces]
+    doubled = np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    areas = np.zeros(len(model.skin.vertices))
+    np.add.at(areas, model.skin.faces, doubled[:, None] / 6.0)
+    return areas
 
 
 def _edges(model: SubjectModel) -> Ints:

@@ -13,6 +13,7 @@ from solver.fitting.face import Face
 from solver.fitting.model_checks import check_held, idle_muscles
 from solver.fitting.weights import replace_values
 from solver.scans.registered import RegisteredScan
+from solver.surface import Surface
 from tests.unit.solver.block import head_block
 
 MODEL = head_block()
@@ -91,13 +92,18 @@ def test_what_a_fit_leaves_is_told_by_patch():
     error = np.full(len(NEUTRAL), 0.4)
     assert target_checks.after_fit(MODEL, "smile", error) == []
     error[[8, 9, 15, 16]] = [2.5, 4.5, 3.0, 2.5]
-    error[60] = 5.0  # alone: no patch
     error[30] = np.nan
     (notice,) = target_checks.after_fit(MODEL, "smile", error)
     assert notice.code == "fit.unreached"
     assert notice.context["vertex"] == 9
     assert notice.context["mm"] == 4.5
+    assert notice.context["size_mm"] == pytest.approx(np.sqrt(4 * 4 * 18.75 * 20 / np.pi), rel=0.2)
     assert "vertex 9 (right)" in notice.message
+    # the same on a skin of a tenth of the size is a speck
+    speck = replace(MODEL, skin=Surface(0.1 * NEUTRAL, MODEL.skin.faces))
+    assert target_checks.after_fit(speck, "smile", error) == []
+    error[[0, 27, 40, 45, 60]] = 6.0
+    assert len(target_checks.after_fit(MODEL, "smile", error)) == 3
 
 
 def test_another_face_for_a_known_name():
