@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
+from solver.anatomy.bone_normals import bone_normals
 from solver.errors import SolveError
 from solver.mechanics import equilibrium, jaw
 from solver.mechanics.equilibrium import Equilibrium
 from solver.mechanics.flesh import IDENTITY, Flesh, Material
 from solver.mechanics.linear import LinearSolver, analyse
+from solver.mechanics.sliding import Planes, no_planes, planes
 from solver.model import SubjectModel
 from solver.surface import Floats
 
@@ -75,9 +77,10 @@ class Face:
         tolerance: float = equilibrium.TOLERANCE,
     ) -> None:
         self.model = model
-        # sliding vertices are held until sliding is solved for (see the model's docstring)
-        held = np.concatenate([model.cranium, model.mandible, model.cut, model.sliding])
-        self.flesh = Flesh(model.rest, model.tets, np.unique(held), material)
+        material = material or Material()
+        held = np.concatenate([model.cranium, model.mandible, model.cut])
+        sliding = sliding_planes(model, material.mu)
+        self.flesh = Flesh(model.rest, model.tets, np.unique(held), material, sliding=sliding)
         self.tolerance = tolerance
         rest = self.flesh.hessian(model.rest, self.flesh.passive())
         self.linear: LinearSolver = analyse(rest, linear)
@@ -207,3 +210,11 @@ class Face:
         whole = x.copy()
         whole[self.flesh.free] += by_activation
         return whole if self.flesh.narrowing(state.x, whole) > FLATTEST_GUESS else x
+
+
+def sliding_planes(model: SubjectModel, mu: float) -> Planes:
+    """Return the planes along the skull that the model's sliding vertices stay on."""
+    if not len(model.sliding):
+        return no_planes()
+    normals = bone_normals(model.bones["cranium"], model.rest[model.sliding])
+    return planes(model.rest, model.tets, model.sliding, normals, mu)

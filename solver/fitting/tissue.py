@@ -79,6 +79,7 @@ def of_face(face: Face) -> Tissue:
         np.flatnonzero(face.flesh.free_numbers < 0),
         face.flesh.material,
         np.concatenate([share, 1.0 - share[mixed]]),
+        face.flesh.sliding,
     )
     column = np.zeros(len(flesh.tets), dtype=np.int64)
     column[active] = 1 + np.arange(len(active))

@@ -16,6 +16,7 @@ import scipy.sparse as sp
 from solver.errors import InputError
 from solver.mechanics import elements
 from solver.mechanics.assembly import PAIRS, BlockSum, VertexSum, couple
+from solver.mechanics.sliding import Planes, no_planes
 from solver.surface import Floats, Ints
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
@@ -72,6 +73,8 @@ class Flesh:
     shares
         (n,) the part of its volume that each tet stands for, all of it by default: a tet of two
         tissues is listed twice.
+    sliding
+        The planes that some of the free vertices stay on.
 
     ``free`` lists the free vertices, ``free_numbers`` (p,) has each vertex's place in that list or
     -1.
@@ -84,6 +87,7 @@ class Flesh:
         held: Ints,
         material: Material | None = None,
         shares: Floats | None = None,
+        sliding: Planes | None = None,
     ) -> None:
         self.material = material or Material()
         self.rest = np.ascontiguousarray(rest, dtype=np.float64)
@@ -101,6 +105,8 @@ class Flesh:
         self.free = np.flatnonzero(is_free)
         self.free_numbers = np.full(len(self.rest), -1)
         self.free_numbers[self.free] = np.arange(len(self.free))
+        self.sliding = sliding or no_planes()
+        self._sliding_rows = 3 * self.free_numbers[self.sliding.vertices][:, None] + np.arange(3)
 
     @property
     def size(self) -> int:
@@ -121,11 +127,13 @@ class Flesh:
         """Return E(x, a); infinite if a tet is inverted."""
         out = np.empty(len(self.tets))
         elements.energies(*self._state(x, a, ALL, self.lam, self.kappa, self.barrier, out))
-        return float(out.sum())
+        return float(out.sum()) + self.sliding.energy(x)
 
     def gradient(self, x: Floats, a: Floats) -> Floats:
         """Return dE/dx by the free coordinates, shape (size,)."""
-        return self.scatter(self.forces(x, a))
+        gradient = self.scatter(self.forces(x, a))
+        gradient[self._sliding_rows] += self.sliding.gradient(x)
+        return gradient
 
     def forces(self, x: Floats, a: Floats) -> Floats:
         """Return every tet's gradient by its four vertices, (n, 4, 3)."""
@@ -147,7 +155,9 @@ class Flesh:
                 x, a, ALL, self.lam, self.kappa, self.barrier, float(project), self._blocks
             )
         )
-        return self._block_sum(self._blocks)
+        matrix = self._block_sum(self._blocks)
+        matrix.data[self._sliding_entries] += self.sliding.hessian()
+        return matrix
 
     @property
     def diagonal(self) -> Ints:
@@ -226,6 +236,12 @@ class Flesh:
     @cached_property
     def _block_sum(self) -> BlockSum:
         return BlockSum(self.free_numbers[self.tets], len(self.free))
+
+    @cached_property
+    def _sliding_entries(self) -> Ints:
+        """Where the sliding vertices' diagonal blocks are in the Hessian's data, (k, 3, 3)."""
+        offset = np.arange(3)
+        return self.diagonal[self._sliding_rows][:, :, None] + offset - offset[:, None]
 
     @cached_property
     def _blocks(self) -> Floats:

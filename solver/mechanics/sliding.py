@@ -1,0 +1,64 @@
+"""Flesh that slides on a bone: some vertices stay on planes, and move freely in them.
+
+The constraint of Phace (SIGGRAPH 2017), a point on the plane through its rest position, as a stiff
+quadratic along the normal: E = sum_k stiffness_k / 2 ((x_k - point_k) . normal_k)^2. It adds to
+3x3 diagonal blocks only, so the Hessian keeps its pattern.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from solver.surface import Floats, Ints
+
+STIFFNESS = 1000.0
+"""Stiffness along the normal over that of flesh: a stress of mu lifts a vertex off the bone by a
+thousandth of its tets' size."""
+
+
+@dataclass(frozen=True)
+class Planes:
+    """Planes that vertices slide on: ``vertices`` (k,), ``points`` and unit ``normals`` (k, 3).
+
+    ``stiffness`` (k,) is in stress units times mm.
+    """
+
+    vertices: Ints
+    points: Floats
+    normals: Floats
+    stiffness: Floats
+
+    def drift(self, x: Floats) -> Floats:
+        """Return how far the vertices ``x`` (p, 3) have left their planes, (k,) mm."""
+        return np.asarray(((x[self.vertices] - self.points) * self.normals).sum(axis=1))
+
+    def energy(self, x: Floats) -> float:
+        """Return E."""
+        return float(0.5 * self.stiffness @ self.drift(x) ** 2)
+
+    def gradient(self, x: Floats) -> Floats:
+        """Return dE/dx of the vertices, (k, 3)."""
+        return np.asarray((self.stiffness * self.drift(x))[:, None] * self.normals)
+
+    def hessian(self) -> Floats:
+        """Return d2E/dx2 of each vertex, (k, 3, 3)."""
+        outer = self.normals[:, :, None] * self.normals[:, None, :]
+        return np.asarray(self.stiffness[:, None, None] * outer)
+
+
+def planes(rest: Floats, tets: Ints, vertices: Ints, normals: Floats, mu: float) -> Planes:
+    """Return the planes through the rest positions of ``vertices`` (k,), with their stiffness.
+
+    ``rest`` (p, 3) and ``tets`` (n, 4) are the flesh's, ``normals`` (k, 3) of unit length, ``mu``
+    is the flesh's.
+    """
+    volume = np.abs(np.linalg.det(rest[tets[:, 1:]] - rest[tets[:, :1]])) / 6.0
+    size = np.cbrt(np.bincount(tets.ravel(), np.repeat(volume / 4.0, 4), len(rest)))
+    return Planes(vertices, rest[vertices], normals, STIFFNESS * mu * size[vertices])
+
+
+def no_planes() -> Planes:
+    """Return the planes of flesh that slides nowhere."""
+    return Planes(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
