@@ -54,6 +54,12 @@ SNAPS = 6
 SNAP_LOSS = 1.5
 """How often a fit may snap over a fold, and to what multiple of the least f."""
 
+SMALL_GAINS = 2
+"""Steps one after the other that gain next to nothing; a single one may just have been damped."""
+
+UNSTUCK = 0.02
+"""Gain, as a part of f, after which a refused step is forgotten."""
+
 PATIENCE = 6
 """Iterations without a new least f before it counts as the minimum."""
 
@@ -68,7 +74,7 @@ class PerTetOptions:
     """Weights of the regularisers, and when to stop.
 
     ``w_act``, ``w_sparse`` and ``w_volume`` are in mm^2, ``w_b`` weighs the jaw's change. The fit
-    ends after ``max_iterations`` or with a step that gains less than ``tolerance`` f.
+    ends after ``max_iterations`` or when steps gain less than ``tolerance`` f.
     """
 
     w_act: float = 0.03
@@ -110,11 +116,13 @@ class Damping:
     """Levenberg-Marquardt damping, one of each active tet, ``tets`` (n_active,), and the ``jaw``'s.
 
     The flesh may need ten times more of one tet than of another: with dampings of their own no
-    activation outruns the linear model, and none waits for others.
+    activation outruns the linear model, and none waits for others. They fall to no less than
+    ``fall`` times themselves a step, and more slowly after every refused step.
     """
 
     tets: Floats
     jaw: float
+    fall: float = DAMPING_FALL
 
     @classmethod
     def start(cls, count: int) -> Damping:
@@ -125,16 +133,22 @@ class Damping:
         """Cut a step (a, b) from activations ``at`` tet by tet; return it and the next damping."""
         length = np.sqrt(np.einsum("ei,eij,ej->e", a, stretches.metric(at), a)) / LARGEST_STEP
         jaw = float(np.abs(JAW_UNITS * b).max()) / LARGEST_JAW_STEP
-        tets = self.tets * np.clip(length, DAMPING_FALL, DAMPING_GROWTH)
+        tets = self.tets * np.clip(length, self.fall, DAMPING_GROWTH)
         damping = Damping(
             np.maximum(tets, DAMPING_LEAST),
-            max(self.jaw * min(max(jaw, DAMPING_FALL), DAMPING_GROWTH), DAMPING_LEAST),
+            max(self.jaw * min(max(jaw, self.fall), DAMPING_GROWTH), DAMPING_LEAST),
+            self.fall,
         )
         return a / np.maximum(length, 1.0)[:, None], b / max(jaw, 1.0), damping
 
     def raised(self, factor: float) -> Damping:
         """Return this damping times ``factor``."""
-        return Damping(factor * self.tets, factor * self.jaw)
+        return Damping(factor * self.tets, factor * self.jaw, self.fall)
+
+    def after_refusal(self) -> Damping:
+        """Return the damping to try again with."""
+        raised = self.raised(DAMPING_REFUSED)
+        return Damping(raised.tets, raised.jaw, float(np.sqrt(self.fall)))
 
 
 Listener = Callable[[int, float], None]
@@ -271,27 +285,31 @@ def _improve(
     best = state, value
     solver = SaddleSolver(objective.tissue)
     damping = Damping.start(len(objective.tissue.active))
-    refused, snaps, since_best = False, 0, 0
+    stuck = False
+    snaps = since_best = small = 0
     for iteration in range(1, options.max_iterations + 1):
         model = objective.quadratic(state, damping)
         a, b, lowered = damping.limited(state.pose.a, *solver.step(model, state))
-        trial, halvings = _shortened(objective, model, state, value, a, b)
-        if trial is None and refused and snaps < SNAPS:
-            snaps += 1
-            trial = _snapped(objective, state, SNAP_LOSS * best[1], a, b)
+        creeps = stuck and small > 0
+        trial, halvings = (None, 0) if creeps else _shortened(objective, model, state, value, a, b)
         since_best += 1
-        if trial is None:
-            if refused:
-                return _Improved(*best, iteration, Status.NO_DESCENT)
-            refused, damping = True, damping.raised(DAMPING_REFUSED)
+        if trial is None and not stuck:
+            stuck, damping = True, damping.after_refusal()
             continue
-        refused, damping = False, lowered.raised(2.0**halvings)
-        previous, value, state = value, objective.value(trial), trial
+        if trial is None and snaps < SNAPS:
+            stuck, snaps = False, snaps + 1
+            trial = _snapped(objective, state, SNAP_LOSS * best[1], a, b)
+        if trial is None:
+            return _Improved(*best, iteration, Status.NO_DESCENT)
+        damping = lowered.raised(2.0**halvings)
+        gain, value, state = value - objective.value(trial), objective.value(trial), trial
+        stuck = stuck and gain < UNSTUCK * value
+        small = small + 1 if 0.0 <= gain <= options.tolerance * value else 0
         if value < best[1]:
             best, since_best = (state, value), 0
         if listen:
             listen(iteration, best[1])
-        if 0.0 <= previous - value <= options.tolerance * value:
+        if small == SMALL_GAINS and not stuck:
             return _Improved(*best, iteration, Status.CONVERGED)
         if since_best == PATIENCE:
             return _Improved(*best, iteration, Status.NO_DESCENT)
