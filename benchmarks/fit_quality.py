@@ -6,15 +6,22 @@ by vertex, in mm. ``ablation_ratio`` is the training scans' mean with activation
 geometric S of the model) over that with the fitted S; ``three_scans_test_mean_mm`` the test scans'
 mean with an S of the first three training scans; ``followed_S`` and ``followed_P`` the part of a
 bump on the cheek of the first test scan that the fits follow. The worst subject is at top level.
+Subjects run side by side, as many as there are cores.
 """
 
 from __future__ import annotations
 
 import argparse
 import logging
+import os
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
+
+import numba
+from threadpoolctl import threadpool_limits
 
 from benchmarks import documents, pictures, plots, report, subject_fits, subjects
 from benchmarks.artifact import add_bump, cheek, followed
@@ -68,6 +75,8 @@ DETAILS = {
     "scan_lip_crossing_mm": "in the scan, mm",
 }
 
+Job = tuple[str, SubjectModel, CaptureSet, argparse.Namespace]
+
 log = logging.getLogger(__name__)
 
 
@@ -78,7 +87,6 @@ def main() -> None:
     parser.add_argument("--subjects", type=_names, default=["A", "B", "C"], metavar="LIST")
     parser.add_argument("--pictures", type=Path, help="folder for pictures of the fits by S and P")
     options = parser.parse_args()
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
     try:
         figures = run(options)
     except InputError as fault:
@@ -97,11 +105,35 @@ def run(options: argparse.Namespace) -> Figures:
     """Fit every subject and return the figures."""
     names = options.subjects[: 1 if options.quick else None]
     edge = COARSE_EDGE_MM if options.quick else EDGE_MM
-    people = {
-        name: _subject(name, model, captures, options)
-        for name, model, captures in subjects.each(options, names, edge)
-    }
+    jobs = [(*person, options) for person in subjects.each(options, names, edge)]
+    cores = os.cpu_count() or 1
+    workers = min(len(jobs), cores)
+    with ProcessPoolExecutor(
+        workers, get_context("spawn"), initializer=_begin, initargs=(cores // workers,)
+    ) as pool:
+        found = list(pool.map(_safely, jobs))
+    people = {}
+    for (name, *_), figures in zip(jobs, found, strict=True):
+        if isinstance(figures, dict):
+            people[name] = figures
+        else:
+            raise InputError(figures[0], f"subject {name}: {figures[1]}")
     return {**_worst(list(people.values())), "subjects": people}
+
+
+def _begin(threads: int) -> None:
+    """Prepare a process of the pool."""
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(process)d %(message)s")
+    numba.set_num_threads(min(threads, numba.get_num_threads()))
+    threadpool_limits(1, user_api="blas")
+
+
+def _safely(job: Job) -> Figures | tuple[str, str]:
+    """Return a subject's figures, or code and message of what is wrong with the input."""
+    try:
+        return _subject(*job)
+    except InputError as fault:
+        return fault.code, fault.message
 
 
 def _worst(people: list[Figures]) -> Figures:
