@@ -77,7 +77,7 @@ class PerTetOptions:
     ends after ``max_iterations`` or when steps gain less than ``tolerance`` f.
     """
 
-    w_act: float = 0.03
+    w_act: float = 0.01
     w_sparse: float = 1e-3
     w_volume: float = 10.0
     w_b: float = 1e-6
