@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
 
+import numba as nb
 import numpy as np
 import pymetis
 import scipy.sparse as sp
@@ -73,11 +75,17 @@ class _RslabFactor:
         if B.ndim == 1:
             return np.asarray(self._factor.solve(B))
         # columns in memory order: three times as fast as rows. A factor keeps ten times the memory
-        # of the right-hand sides it was given at once
+        # of the right-hand sides it was given at once. Blocks do not know of each other: any number
+        # of threads gives the same
         X = np.empty(B.shape, order="F")
-        for first in range(0, B.shape[1], BLOCK):
+
+        def solve(first: int) -> None:
             block = slice(first, first + BLOCK)
             X[:, block] = self._factor.solve_many(np.asfortranarray(B[:, block]))
+
+        with ThreadPoolExecutor(nb.get_num_threads()) as threads:
+            for _ in threads.map(solve, range(0, B.shape[1], BLOCK)):
+                pass
         return X
 
 
