@@ -140,7 +140,8 @@ def _rounds(
             distance = targets[name].distances(face.face_points(state.estimate))
             errors[name].append(float(np.nanmean(distance)))
 
-    fitted = geometry.fit(face, standard.terms(face, targets), options, listen=listen)
+    data, easy = standard.terms(face, targets), standard.distances(face, targets)
+    fitted = geometry.fit(face, data, options, easy=easy, listen=listen)
     listen(options.rounds, fitted.states)
     return errors
 

@@ -84,7 +84,8 @@ def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> tuple[sp
         log.info("round %d: %.3f mm", number, geometry.mean_error(face, targets, states))
 
     start = time.perf_counter()
-    fitted = geometry.fit(face, standard.terms(face, targets), schedule, listen=listen)
+    data, easy = standard.terms(face, targets), standard.distances(face, targets)
+    fitted = geometry.fit(face, data, schedule, easy=easy, listen=listen)
     seconds = time.perf_counter() - start
     return fitted.S, Fits(face, dict(scans), fitted.states, seconds, {})
 

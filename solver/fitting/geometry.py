@@ -21,6 +21,9 @@ from solver.fitting.joint import GeometryProblem, Iterate
 from solver.fitting.objective import Regulariser, Target
 from solver.fitting.terms import Term
 
+WHOLE_ROUNDS = 3
+"""Rounds at the end that see all terms."""
+
 LAST = ActivationOptions(20, tolerance=1e-3)
 """Of the activations, once S is found."""
 
@@ -69,18 +72,22 @@ def fit(
     data: Mapping[str, Term],
     options: GeometryOptions | None = None,
     *,
+    easy: Mapping[str, Term] | None = None,
     start: sp.csr_array | None = None,
     structure: sp.csr_array | None = None,
     listen: Listener | None = None,
 ) -> GeometryFit:
     """Fit S, activations and jaws to all data, from S ``start`` and the rest pose.
 
+    ``easy`` takes the place of ``data`` in all but the last rounds (:data:`WHOLE_ROUNDS`): the
+    distance without contact, which many small steps would otherwise be needed for.
     Without ``start`` it is the model's geometric S; it has to have that one's pattern.
     ``structure`` L (k, nnz) adds 1/2 |L (S - start)|^2 (:mod:`solver.fitting.symmetry`). An
     expression that can not be settled at the end is the best that was found of it, and its ending
     says so.
     """
     options = options or GeometryOptions()
+    easy = data if easy is None else easy
     S = face.model.weights if start is None else start
     structure = sp.csr_array((0, S.nnz)) if structure is None else structure
     rest = face.rest_state(S)
@@ -93,7 +100,7 @@ def fit(
     begin = regulariser(options.w_a[0])
     states = {
         name: activation.improve(face, S, term, begin, rest, first).state
-        for name, term in data.items()
+        for name, term in easy.items()
     }
     now = Iterate(S, states)
     prior = S.data
@@ -102,7 +109,8 @@ def fit(
         if listen:
             listen(number, now.states)
         w_a, w_s = options.weights(number)
-        problem = GeometryProblem(face, data, regulariser(w_a), w_s, prior, structure)
+        terms = data if number >= options.rounds - WHOLE_ROUNDS else easy
+        problem = GeometryProblem(face, terms, regulariser(w_a), w_s, prior, structure)
         before = problem.value(now.S, now.states)
         now = joint.step(problem, now)
         gain = before - problem.value(now.S, now.states)

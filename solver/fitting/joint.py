@@ -114,7 +114,7 @@ def step(problem: GeometryProblem, now: Iterate) -> Iterate:
         if gain > 0.0:
             predicted = sum(trial.predicted for trial in trials.values())
             # a step that had to be halved says how much too far the linear model reached
-            grown = 4.0 ** (2 * halving) * now.damping
+            grown = 4.0**halving * now.damping
             states = {name: trial.state for name, trial in trials.items() if trial.state}
             return Iterate(S, states, _adapted(grown, gain / predicted, DAMPING_LEAST), damping)
     losing = [name for name, trial in trials.items() if trial.gain < 0.0]

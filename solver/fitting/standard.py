@@ -17,12 +17,17 @@ UNSEEN = {"w_a": 1e-3, "w_v": 1e-2, "w_b": 1e-6}
 UNSEEN_STOP = ActivationOptions(max_iterations=25, tolerance=1e-3)
 
 
+def distances(face: Face, targets: Mapping[str, Target]) -> dict[str, Term]:
+    """Return the distance of every expression, without contact: what a fit of S begins with."""
+    return {name: SkinDistance(face, target) for name, target in targets.items()}
+
+
 def terms(face: Face, targets: Mapping[str, Target]) -> dict[str, Term]:
     """Return the terms of every expression: the distance, and contact if the model has lips."""
     mouth = Mouth.of(face.model)
-    data = {name: SkinDistance(face, target) for name, target in targets.items()}
+    data = distances(face, targets)
     if mouth is None:
-        return dict(data)
+        return data
     return {name: Together((term, Contact(face.model, mouth))) for name, term in data.items()}
 
 

@@ -81,7 +81,8 @@ def fit_geometry(
         fitted, notices = geometry_ipopt.fit(face, data, schedule, listen_ipopt, **priors)
         told.tell(0.8, notices)
     else:
-        fitted = geometry.fit(face, data, schedule, listen=listen, **priors)
+        easy = standard.distances(face, targets)
+        fitted = geometry.fit(face, data, schedule, easy=easy, listen=listen, **priors)
     seconds = time.perf_counter() - begin
     expressions = []
     for name, ending in fitted.endings.items():
