@@ -51,14 +51,14 @@ DAMPING_REFUSED = 16.0
 
 HALVINGS = 2
 SNAPS = 6
-SNAP_LOSS = 1.5
+SNAP_LOSS = 2.5
 """How often a fit may snap over a fold, and to what multiple of the least f."""
 
 SMALL_GAINS = 2
 """Steps one after the other that gain next to nothing; a single one may just have been damped."""
 
 UNSTUCK = 0.02
-"""Gain, as a part of f, after which a refused step is forgotten."""
+"""Gain, as a part of f, after which a refused step is forgotten; less is creeping."""
 
 PATIENCE = 6
 """Iterations without a new least f before it counts as the minimum."""
@@ -144,6 +144,15 @@ class Damping:
     def raised(self, factor: float) -> Damping:
         """Return this damping times ``factor``."""
         return Damping(factor * self.tets, factor * self.jaw, self.fall)
+
+    @property
+    def hindered(self) -> bool:
+        """Tell whether small gains may be the damping's doing."""
+        return self.fall > DAMPING_FALL
+
+    def afresh(self) -> Damping:
+        """Return this damping without the memory of refused steps."""
+        return Damping(self.tets, self.jaw)
 
     def after_refusal(self) -> Damping:
         """Return the damping to try again with."""
@@ -285,31 +294,35 @@ def _improve(
     best = state, value
     solver = SaddleSolver(objective.tissue)
     damping = Damping.start(len(objective.tissue.active))
-    stuck = False
+    stuck = slow = False
     snaps = since_best = small = 0
     for iteration in range(1, options.max_iterations + 1):
+        creeps = slow and damping.hindered
+        if creeps:
+            damping = Damping.start(len(objective.tissue.active))
         model = objective.quadratic(state, damping)
         a, b, lowered = damping.limited(state.pose.a, *solver.step(model, state))
-        creeps = stuck and small > 0
         trial, halvings = (None, 0) if creeps else _shortened(objective, model, state, value, a, b)
         since_best += 1
-        if trial is None and not stuck:
+        if trial is None and not (stuck or creeps):
             stuck, damping = True, damping.after_refusal()
             continue
         if trial is None and snaps < SNAPS:
             stuck, snaps = False, snaps + 1
             trial = _snapped(objective, state, SNAP_LOSS * best[1], a, b)
+            lowered = lowered.afresh()
         if trial is None:
             return _Improved(*best, iteration, Status.NO_DESCENT)
         damping = lowered.raised(2.0**halvings)
         gain, value, state = value - objective.value(trial), objective.value(trial), trial
-        stuck = stuck and gain < UNSTUCK * value
+        slow = 0.0 <= gain < UNSTUCK * value
+        stuck = stuck and slow
         small = small + 1 if 0.0 <= gain <= options.tolerance * value else 0
         if value < best[1]:
             best, since_best = (state, value), 0
         if listen:
             listen(iteration, best[1])
-        if small == SMALL_GAINS and not stuck:
+        if small == SMALL_GAINS:
             return _Improved(*best, iteration, Status.CONVERGED)
         if since_best == PATIENCE:
             return _Improved(*best, iteration, Status.NO_DESCENT)
