@@ -124,8 +124,9 @@ def test_fit_improves_on_the_wrong_weights_and_stays_on_the_simplex(face):
     assert geometry.mean_error(start, targets, again.states) < 0.5 * before
 
 
-def test_symmetric_option_leaves_changes_alike(face):
-    """One side's muscle is seen to act elsewhere than S says, the other's does not act at all."""
+def test_symmetric_option_leaves_changes_alike():
+    """One side's muscle contracts more than the other's, so that S changes on one side more."""
+    face = Face(block_model((4, 3, 2)))
     model = face.model
     structure = mirror_structure(model, 1.0)
     alike = np.zeros(model.weights.nnz)
@@ -139,7 +140,7 @@ def test_symmetric_option_leaves_changes_alike(face):
     unlike = []
     for weight in (0.0, 1e-1):
         fitted = geometry.fit(
-            start, data, GeometryOptions(rounds=5), structure=mirror_structure(model, weight)
+            start, data, GeometryOptions(rounds=4), structure=mirror_structure(model, weight)
         )
         unlike.append(np.linalg.norm(structure @ (fitted.S.data - start.model.weights.data)))
     assert unlike[1] < 0.2 * unlike[0]
