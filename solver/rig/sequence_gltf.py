@@ -37,7 +37,8 @@ class AnimatedSkin:
         motion = (skin - self._neutral.vertices).astype(np.float32).ravel()
         weights = self._shapes @ motion
         rest = motion - weights @ self._shapes
-        if len(weights) < MOST_SHAPES and np.abs(rest).max() > REACHED_MM:
+        off = np.linalg.norm(rest.reshape(-1, 3), axis=1).max()
+        if len(weights) < MOST_SHAPES and off > REACHED_MM:
             length = np.linalg.norm(rest)
             self._shapes = np.vstack([self._shapes, rest / length])
             weights = np.append(weights, length)
@@ -45,11 +46,14 @@ class AnimatedSkin:
         self._frames.append(frame)
 
     def write(self, path: Path, fps: float) -> None:
-        """Write the animation, in metres; a node carries the motion of the head."""
+        """Write the animation, in metres; a node carries the motion of the head.
+
+        Without a frame, or a frame that moves, it is the neutral.
+        """
         weights = np.zeros((len(self._weights), len(self._shapes)))
         for row, values in zip(weights, self._weights, strict=True):
             row[: len(values)] = values
-        greatest = np.abs(weights).max(axis=0)
+        greatest = np.abs(weights).max(axis=0, initial=0.0)
         shapes = {
             f"shape_{number}": self._neutral.vertices + (size * shape).reshape(-1, 3)
             for number, (size, shape) in enumerate(zip(greatest, self._shapes, strict=True))

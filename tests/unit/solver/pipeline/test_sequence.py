@@ -94,6 +94,9 @@ def test_frames_are_there_before_the_end_and_a_fit_goes_on_after_them(
     assert parts["frame"].tolist() == [0, 2, 4, 6]
     np.testing.assert_array_equal(whole["activations"][:3], parts["activations"][:3])
     np.testing.assert_allclose(whole["mean_mm"], parts["mean_mm"], atol=0.005)
+    fit(files, tmp_path / "parts", resume=True, step=2)  # nothing left to fit: written anew
+    with np.load(tmp_path / "parts" / "sequence.npz") as again:
+        np.testing.assert_array_equal(again["activations"], parts["activations"])
     with pytest.raises(InputError) as caught:
         fit(files, tmp_path / "parts", resume=True, step=1)
     assert caught.value.code == "sequence.resume"

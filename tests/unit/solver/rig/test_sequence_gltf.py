@@ -52,12 +52,18 @@ def test_skins_read_back(tmp_path: Path) -> None:
     weights = tracks["weights"].reshape(FRAMES, len(names))
     for number, skin in enumerate(skins):
         shown = NEUTRAL.vertices + 1e3 * np.tensordot(weights[number], shapes, 1)
-        assert np.abs(shown - skin).max() < REACHED_MM
+        assert np.linalg.norm(shown - skin, axis=1).max() < REACHED_MM
     turns = Rotation.from_quat(tracks["rotation"]).as_matrix()
     expected = Rotation.from_rotvec([[0.0, 0.6 * number, 0.0] for number in range(FRAMES)])
     np.testing.assert_allclose(turns, expected.as_matrix(), atol=1e-6)
     assert (np.sum(tracks["rotation"][1:] * tracks["rotation"][:-1], axis=1) > 0).all()
     np.testing.assert_allclose(tracks["translation"][3], [0.005, 0.0, 0.003], atol=1e-7)
+
+
+def test_without_frames_it_is_the_neutral(tmp_path: Path) -> None:
+    """As of a job whose worker was lost after its last frame."""
+    AnimatedSkin(NEUTRAL).write(tmp_path / "sequence.glb", 25.0)
+    assert validate_glb(tmp_path / "sequence.glb", []) == []
 
 
 def _values(document: pygltflib.GLTF2, number: int) -> Floats:
