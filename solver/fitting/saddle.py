@@ -101,12 +101,6 @@ class Quadratic:
         by_a, by_b = self.response.transposed(self.data @ self.response.motion(a, b))
         return by_a + np.einsum("eij,ej->ei", self.a, a), by_b + self.b * b
 
-    def gain(self, a: Floats, b: Floats) -> float:
-        """Return by how much the model falls along z = (a, b)."""
-        by_a, by_b = self.product(a, b)
-        linear = np.vdot(self.gradient[0], a) + self.gradient[1] @ b
-        return float(-linear - 0.5 * (np.vdot(by_a, a) + by_b @ b))
-
 
 class SaddleSolver:
     """Finds Gauss-Newton steps; the analysis of the matrix's pattern is kept from step to step."""
