@@ -43,15 +43,15 @@ class _Touching:
 
 
 class Contact:
-    """The term c, a :class:`solver.fitting.terms.Term`; ``weight`` is w by the face's vertices.
+    """The term c, a :class:`solver.fitting.terms.Term`; w is :data:`WEIGHT` / k, k face vertices.
 
     Its methods raise :class:`SolveError` (``solve.not_finite``) where x is not finite.
     """
 
-    def __init__(self, model: SubjectModel, mouth: Mouth, weight: float = WEIGHT) -> None:
+    def __init__(self, model: SubjectModel, mouth: Mouth) -> None:
         self._mouth = mouth
         # the data's weights sum to one over the face
-        self._weight = weight / len(model.face)
+        self._weight = WEIGHT / len(model.face)
         self._lips = np.flatnonzero(mouth.label == LIPS)
         self._teeth = _outer_teeth(mouth, mouth.points(model.rest))
         self._last: tuple[Floats, _Touching] | None = None
