@@ -25,7 +25,7 @@ REACH_MM = 4.0
 
 
 def mirror_structure(model: SubjectModel, w_m: float) -> sp.csr_array:
-    """Return L (k, nnz), so that |L ds|^2 is the sum above; entries without counterpart are free.
+    """Return L (k, nnz), so that 1/2 |L ds|^2 is the prior; entries without counterpart are free.
 
     Raises :class:`InputError` (``model.no_sides``) if no muscle's name tells its side.
     """

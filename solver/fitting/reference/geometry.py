@@ -1,6 +1,6 @@
 """The multi-target problem in full space: (x_k, a_k, b_k) of every expression and their common S.
 
-    min  sum_k [data_k(x_k) + regulariser(a_k, b_k)] + w_s/2 |S - S_prior|^2 + 1/2 |L S|^2
+    min  sum_k [data_k(x_k) + regulariser(a_k, b_k)] + w_s/2 |S - S_0|^2 + 1/2 |L (S - S_0)|^2
     with grad_x E(x_k; a_k, b_k, S) = 0,   sum_j s_ij = 1,   s_ij >= 0.
 
 The objective is that of :mod:`solver.fitting.joint`.
