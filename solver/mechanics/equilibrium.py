@@ -1,7 +1,8 @@
 """Quasi-static equilibrium: grad_x E(x; A, b) = 0 by Newton's method.
 
-The raw Hessian is tried first and gives quadratic convergence; only where it is not positive
-definite is the projected one used. A line search keeps the energy finite, hence every tet upright.
+Near the solution the raw Hessian gives quadratic convergence. Far from it, and where it is not
+positive definite, it is projected, no further than need be. A line search keeps the energy finite,
+hence every tet upright.
 """
 
 from __future__ import annotations
@@ -48,8 +49,8 @@ class Equilibrium:
 
     ``estimate`` (p, 3) is that step's end: the equilibrium to second order, x itself where that is
     solved. ``residual`` is |grad E| over the nodal forces at unit strain, ``iterations`` counts
-    Newton steps, ``minimum`` tells that the Hessian is positive definite (else ``factor`` is
-    projected).
+    Newton steps, ``minimum`` tells that the Hessian was factorised as it is, so that it is positive
+    definite (else ``factor`` is of a projected one).
     """
 
     x: Floats
