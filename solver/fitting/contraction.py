@@ -13,12 +13,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from solver.fitting.stretches import FROBENIUS
 from solver.fitting.tissue import Tissue
 from solver.mechanics.flesh import IDENTITY
 from solver.surface import Floats
-
-FROBENIUS = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])
-"""|S(a)|^2 = sum of these times a^2: an off-diagonal entry stands for two of the matrix."""
 
 
 class PreferredContraction:

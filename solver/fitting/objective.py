@@ -17,6 +17,7 @@ import numpy as np
 
 from solver.errors import InputError
 from solver.fitting.face import Pose
+from solver.fitting.stretches import matrices
 from solver.surface import Floats
 
 JAW_UNITS = np.array([100.0, 100.0, 1.0, 1.0, 1.0])
@@ -167,9 +168,7 @@ def determinant_gradients(a: Floats) -> Floats:
 
 def lacking_eigenvalues(a: Floats) -> tuple[Floats, Floats]:
     """Return max(0, e - lambda_k(S(a_j))), (m, 3), and where not 0 d lambda_k/da_j, (m, 3, 6)."""
-    xx, xy, xz, yy, yz, zz = a.T
-    matrices = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
-    values, vectors = np.linalg.eigh(matrices)
+    values, vectors = np.linalg.eigh(matrices(a))
     lack = np.maximum(LEAST_STRETCH - values, 0.0)
     x, y, z = vectors.transpose(1, 0, 2)
     slopes = np.stack([x * x, 2 * x * y, 2 * x * z, y * y, 2 * y * z, z * z], axis=2)

@@ -13,6 +13,9 @@ import numpy as np
 
 from solver.surface import Floats
 
+FROBENIUS = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])
+"""|S(a)|^2 = sum of these times a^2: an off-diagonal entry stands for two of the matrix."""
+
 PLACES = [0, 1, 2, 1, 3, 4, 2, 4, 5]
 """Where the nine entries of S(a) stand in a."""
 

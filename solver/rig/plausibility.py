@@ -8,8 +8,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.fitting.objective import determinants
+from solver.fitting.stretches import matrices
 from solver.mechanics import jaw
-from solver.mechanics.material import SYM_COLUMN, SYM_ROW
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
 
@@ -103,14 +103,6 @@ def fibre_tensors(model: SubjectModel, volumes: Floats, S: sp.csr_array) -> Floa
 def _by_entry(of_tets: Floats, S: sp.csr_array) -> Floats:
     """Return a value of every tet (n,) for each stored entry of S."""
     return np.asarray(np.repeat(of_tets, np.diff(S.indptr)))
-
-
-def matrices(a: Floats) -> Floats:
-    """Return S(a_j), (m, 3, 3), of activations (m, 6)."""
-    out = np.empty((len(a), 3, 3))
-    out[:, SYM_ROW, SYM_COLUMN] = a
-    out[:, SYM_COLUMN, SYM_ROW] = a
-    return out
 
 
 JAW_RANGES = {

@@ -16,6 +16,7 @@ from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, Pose, State
 from solver.fitting.objective import Regulariser, Target
+from solver.fitting.stretches import FROBENIUS
 from solver.fitting.terms import SkinDistance
 from solver.mechanics.flesh import IDENTITY
 from solver.surface import Floats
@@ -81,10 +82,9 @@ def round_trip(
 
 def activation_error(a: Floats, found: Floats) -> float:
     """Return |found - a| by |a - a_I| over the excited muscles of ``a`` (m, 6); NaN without any."""
-    tensor = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])  # an off-diagonal entry stands for two
-    strength = np.sqrt((tensor * (a - IDENTITY) ** 2).sum(axis=1))
+    strength = np.sqrt((a - IDENTITY) ** 2 @ FROBENIUS)
     excited = strength > EXCITED
     if not excited.any():
         return float("nan")
-    missed = np.sqrt((tensor * (found - a) ** 2).sum(axis=1))
+    missed = np.sqrt((found - a) ** 2 @ FROBENIUS)
     return float(np.linalg.norm(missed[excited]) / np.linalg.norm(strength[excited]))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.round_trip import contraction
-from solver.rig.plausibility import matrices
+from solver.fitting.stretches import matrices
 
 
 def test_a_contraction_shortens_fibres_and_keeps_the_volume() -> None:
