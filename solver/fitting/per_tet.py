@@ -6,8 +6,8 @@
 with x the equilibrium of active and passive tissue (:mod:`solver.fitting.tissue`) and v_i tet i's
 part of all muscle volume, so that no weight depends on the mesh's resolution (Ichim et al., Phace,
 SIGGRAPH 2017). Reduced-space Gauss-Newton as in :mod:`solver.fitting.activation`: x is eliminated.
-Before each step for (a, b) every muscle's contraction is found for
-the activations at hand (local), then a and b are solved for together (global).
+Before each step for (a, b) every muscle's contraction is found for the activations at hand (local),
+then a and b are solved for together (global).
 """
 
 from __future__ import annotations
