@@ -14,7 +14,7 @@ from solver.rig.web_expression import article, muscle_rows
 from solver.rig.web_markup import figure, row, tag, tile
 
 ROLES = {"train": "training", "test": "unseen"}
-LIMITS = {"train_mean_mm": "mean of training scans", "test_mean_mm": "mean of unseen scans"}
+MEANS = {"train_mean_mm": "mean of training scans", "test_mean_mm": "mean of unseen scans"}
 FILES = {
     "rig.glb": "the skin with one named morph target per expression",
     "activations.npz": "muscle activations, jaw and flesh of every expression",
@@ -22,9 +22,10 @@ FILES = {
     "report.json": "the figures of this page",
 }
 
-
 WHOLE = {"flesh.inverted", "muscles.beyond"}
+"""Checks whose figures are counts."""
 FEW = 4
+"""So many expressions are named one by one, even where a check fails in all of them."""
 LONG = 200
 """Letters of a detail that is only told with its expression."""
 
@@ -81,7 +82,7 @@ def _tiles(figures: dict[str, Any]) -> str:
     worst = {check["code"]: check for check in figures["checks"]}
     tiles = [
         tile(words, figure(figures[key], 2), "mm")
-        for key, words in LIMITS.items()
+        for key, words in MEANS.items()
         if figures[key] is not None
     ]
     for code, words in (
