@@ -125,7 +125,8 @@ def answer(solver: str, python: Path, problem: Problem) -> Answer:
         except subprocess.TimeoutExpired as error:
             raise StoppedError(f"stopped after {TIME_LIMIT_S:.0f} s") from error
         except subprocess.CalledProcessError as error:
-            raise StoppedError(error.stderr.strip().splitlines()[-1]) from error
+            said = error.stderr.strip() or str(error)  # a killed process says nothing
+            raise StoppedError(said.splitlines()[-1]) from error
         with np.load(found) as file:
             return Answer(
                 x=file["x"],
