@@ -51,8 +51,9 @@ def open_performance(path: Path, neutral: Surface, face: Ints) -> Performance:
         ``performance.format``, ``performance.unreadable``, ``performance.empty``,
         ``performance.shape`` (neither V nor k points a frame) or ``performance.order`` (an array
         whose frames do not lie one after the other); from a frame ``performance.bounds``
-        (infinite or too far away) or ``performance.unit``, with ``frame`` and ``vertex``, or
-        what :func:`~solver.scans.read.read_registered` finds.
+        (infinite or too far away; ``vertex`` is the point's number in the file) or
+        ``performance.unit``, with ``frame``, or what
+        :func:`~solver.scans.read.read_registered` finds.
     """
     if path.is_dir():
         return _Folder.open(path, neutral, face)
@@ -124,10 +125,11 @@ class _Array:
         points = np.asarray(self.points[number][self.columns], np.float64)
         beyond = (np.abs(points) > FARTHEST_MM).any(axis=1)  # NaN is not: unseen
         if beyond.any():
-            vertex = int(np.argmax(beyond))
+            first = int(np.argmax(beyond))
+            vertex = int(np.arange(self.points.shape[1])[self.columns][first])
             raise InputError(
                 "performance.bounds",
-                f"{self.name}, frame {number}: point {vertex} lies at {points[vertex].tolist()} mm",
+                f"{self.name}, frame {number}: point {vertex} lies at {points[first].tolist()} mm",
                 file=self.name,
                 frame=number,
                 vertex=vertex,

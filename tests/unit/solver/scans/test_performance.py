@@ -107,3 +107,12 @@ def test_a_frame_that_is_no_face_is_named(factor: float, code: str, tmp_path: Pa
         take.frame(2)
     assert caught.value.code == f"performance.{code}"
     assert caught.value.context["frame"] == 2
+
+
+def test_a_point_far_away_is_named_as_in_the_file(tmp_path: Path) -> None:
+    frames = FRAMES.copy()
+    frames[1, FACE[7]] = 1e5
+    np.save(tmp_path / "take.npy", frames)
+    with pytest.raises(InputError, match="frame 1") as caught:
+        open_performance(tmp_path / "take.npy", NEUTRAL, FACE).frame(1)
+    assert caught.value.context["vertex"] == FACE[7]
