@@ -127,7 +127,8 @@ def beat(
         for number, line in enumerate(lines, last + 1):
             session.add(LogLine(job_id=job_id, number=number, attempt=attempt, text=line))
     for chunk in chunks:
-        session.add(FrameChunk(job_id=job_id, attempt=attempt, **chunk))
+        # a worker that did not hear that they were written tells them again
+        session.merge(FrameChunk(job_id=job_id, attempt=attempt, **chunk))
     return state
 
 
