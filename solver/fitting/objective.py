@@ -46,7 +46,8 @@ class Target:
         """Normalise ``weights`` (k,), all equal if not given.
 
         A point that is not finite counts as unseen (weight 0). Raises :class:`InputError`
-        (``target.no_weight``) if nothing is left to fit.
+        (``target.weight``) for a negative or infinite weight, (``target.no_weight``) if nothing is
+        left to fit.
         """
         weights = np.ones(len(points)) if weights is None else weights.astype(np.float64)
         seen = np.asarray(np.isfinite(points).all(axis=1))
@@ -54,7 +55,11 @@ class Target:
             seen &= np.isfinite(normals).all(axis=1)
             normals = np.where(seen[:, None], normals, 0.0)
         weights = np.where(seen, weights, 0.0)
-        if not (np.isfinite(weights).all() and weights.min() >= 0.0 and weights.sum() > 0.0):
+        wrong = np.flatnonzero(~((weights >= 0.0) & np.isfinite(weights)))
+        if len(wrong):
+            message = f"the weight of the target's point {wrong[0]} is {weights[wrong[0]]}"
+            raise InputError("target.weight", message, vertex=int(wrong[0]))
+        if not weights.any():
             raise InputError("target.no_weight", "no point of the target has a positive weight")
         return cls(np.where(seen[:, None], points, 0.0), weights / weights.sum(), normals)
 

@@ -95,3 +95,5 @@ def test_points_that_are_missing_have_no_weight():
     assert np.isfinite(target.value(np.zeros((4, 3))))
     with pytest.raises(InputError, match="positive weight"):
         objective.Target.from_points(np.full((4, 3), np.nan))
+    with pytest.raises(InputError, match="point 3 is -1"):
+        objective.Target.from_points(np.zeros((4, 3)), np.array([1.0, 0.0, 2.0, -1.0]))
