@@ -142,7 +142,8 @@ def finite(value: float) -> float:
 class Data:
     """A term's derivatives by (x of the free vertices, b), b from variable ``jaw`` on.
 
-    The pattern of the term's curvature is that at rest.
+    The pattern of the term's curvature is that at rest: what is curved elsewhere only, as contact
+    is, has its gradient alone, which slows IPOPT but moves no minimum.
     """
 
     def __init__(self, face: Face, term: Term, jaw: int) -> None:
