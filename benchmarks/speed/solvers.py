@@ -30,6 +30,7 @@ PER_TET = PerTetOptions(max_iterations=200, tolerance=TOLERANCE)
 COARSE_W_A = 0.1
 """Prior's weight on the coarse model; with a tenth of it IPOPT takes 300 iterations and more."""
 
+IPOPT_ITERATIONS = 200
 SAME_OBJECTIVE = 1e-3
 
 
@@ -112,7 +113,14 @@ def against_ipopt(face: Face, targets: Mapping[str, Target]) -> list[Figures]:
         try:
             with Stopwatch() as ipopt:
                 full = reference.activations(
-                    face, S, data, regulariser, rest.pose, rest.x, listen=theirs
+                    face,
+                    S,
+                    data,
+                    regulariser,
+                    rest.pose,
+                    rest.x,
+                    max_iterations=IPOPT_ITERATIONS,
+                    listen=theirs,
                 )
         except NotConvergedError as error:
             found.append({**figures, "failed": error.message})
