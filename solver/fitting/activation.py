@@ -37,7 +37,6 @@ LARGEST_TURN = 0.1
 SHORTEST_TRUST = 2.0**-6
 """Part of the full trust, halved with every failure, that is kept from step to step."""
 
-
 SETTLINGS = 3
 BUCKLED = 1.005
 """A state whose f grows by more than this factor as it settles was not near its equilibrium."""
@@ -179,11 +178,20 @@ class _Linearised:
 def damped_step(hessian: Floats, gradient: Floats, damping: float, trust: float) -> Floats:
     """Solve (H + damping D^2) step = -gradient, D the units of (a, b); cut to the ``trust``."""
     damped = hessian.copy()
-    units = np.concatenate([np.ones(len(damped) - 5), JAW_UNITS**2 * JAW_DAMPING])
-    damped[np.diag_indices_from(damped)] += damping * units
+    damped[np.diag_indices_from(damped)] += damping * damping_units(len(damped))
     step = np.asarray(scipy.linalg.solve(damped, -gradient, assume_a="pos"))
-    longest = max(np.abs(step[:-5]).max() / LARGEST_STEP, np.abs(step[-5:-3]).max() / LARGEST_TURN)
-    return np.asarray(step / max(longest / trust, 1.0))
+    return np.asarray(step / max(reach(step) / trust, 1.0))
+
+
+def damping_units(size: int) -> Floats:
+    """Return the diagonal of D^2, (size,): what damping weighs each entry of (a, b) by."""
+    return np.concatenate([np.ones(size - 5), JAW_UNITS**2 * JAW_DAMPING])
+
+
+def reach(step: Floats) -> float:
+    """Return the length of a step (6 m + 5,), 1 being the longest that the linear model is for."""
+    by_a, turn = np.abs(step[:-5]).max(), np.abs(step[-5:-3]).max()
+    return float(max(by_a / LARGEST_STEP, turn / LARGEST_TURN))
 
 
 def _linearise(

@@ -26,9 +26,8 @@ import scipy.sparse as sp
 
 from solver.errors import SolveError
 from solver.fitting import activation, simplex
-from solver.fitting.activation import LARGEST_STEP, LARGEST_TURN
 from solver.fitting.face import Face, Pose, State
-from solver.fitting.objective import JAW_UNITS, Regulariser
+from solver.fitting.objective import Regulariser
 from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.terms import Term
 from solver.fitting.weights import replace_values
@@ -40,7 +39,6 @@ LARGEST_CHANGE = 0.3
 DAMPING_START = 1e-5
 POSE_DAMPING_START = 1e-2
 DAMPING_LEAST, POSE_DAMPING_LEAST = 1e-7, 1e-6
-JAW_DAMPING = 1e-3
 HALVINGS = 3
 
 WELL, BADLY = 0.75, 0.25
@@ -187,7 +185,7 @@ class _Linearised:
         self._coupling[:, -5:] += rows[self._touched][:, jacobian.moving] @ jacobian.jaw
         self._by_pose = jacobian.transposed(gradient) + regulariser.gradient(state.pose)
         self._hessian = jacobian.contracted(curvature) + regulariser.gauss_newton(state.pose)
-        units = np.concatenate([np.ones(state.pose.a.size), JAW_UNITS**2 * JAW_DAMPING])
+        units = activation.damping_units(len(self._hessian))
         self._factor = scipy.linalg.cho_factor(self._hessian + damping * np.diag(units))
 
     def gradient_by_geometry(self) -> Floats:
@@ -208,10 +206,7 @@ class _Linearised:
         problem, state = self._problem, self._state
         flesh = self._response.flesh_by_geometry(change)
         by_pose = -self._solve(self._by_pose + self._coupled(flesh))
-        longest = max(
-            np.abs(by_pose[:-5]).max() / LARGEST_STEP, np.abs(by_pose[-5:-3]).max() / LARGEST_TURN
-        )
-        by_pose *= share / max(longest, 1.0)
+        by_pose *= share / max(activation.reach(by_pose), 1.0)
         pose = Pose(state.pose.a + by_pose[:-5].reshape(-1, 6), state.pose.b + by_pose[-5:])
         predicted = self._predicted(flesh, by_pose)
         trial = self._moved(S, flesh + self._jacobian.flesh @ by_pose, pose)
