@@ -5,8 +5,8 @@ the test scans, by the functions and weights of the jobs. Distances are over the
 by vertex, in mm. ``ablation_ratio`` is the training scans' mean with activations alone (the
 geometric S of the model) over that with the fitted S; ``three_scans_test_mean_mm`` the test scans'
 mean with an S of the first three training scans; ``followed_S`` and ``followed_P`` the part of a
-bump on the cheek of the test scan with the calmest cheek that the fits follow. The worst subject is at top level.
-Subjects run side by side, as many as there are cores.
+bump that the fits follow, on the cheek of the test scan whose cheek is the calmest. The worst
+subject is at top level. Subjects run side by side, as many as there are cores.
 """
 
 from __future__ import annotations
