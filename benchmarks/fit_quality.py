@@ -187,6 +187,7 @@ def _subject(
         "followed_P": bump.get("P"),
         "per_tet_train_mean_mm": by_tets.mean_mm,
         "per_tet_inverted": by_tets.inverted(),
+        "failed": {**train.failed, **test.failed},
         "per_tet_failed": by_tets.failed,
         "seconds": {
             "geometry": train.seconds,
@@ -265,7 +266,11 @@ def section(figures: Figures) -> Section:
     """Return the document's section."""
     people: dict[str, Figures] = figures["subjects"]
     rows = [[name, *(person[key] for key in COLUMNS)] for name, person in people.items()]
-    names = list(next(iter(people.values()))["expressions"])
+    names = [
+        name
+        for name in next(iter(people.values()))["expressions"]
+        if all(name in person["expressions"] for person in people.values())
+    ]
     details = [
         [subject, name, found["role"], *(found[key] for key in DETAILS)]
         for subject, person in people.items()

@@ -95,7 +95,10 @@ def by_activations(face: Face, S: sp.csr_array, scans: Scans) -> Fits:
     regulariser, rest = standard.unseen_regulariser(face), face.rest_state(S)
 
     def fit(data: Term) -> State:
-        return chosen.fit(face, S, data, regulariser, rest, standard.UNSEEN_STOP).state
+        found = chosen.fit(face, S, data, regulariser, rest, standard.UNSEEN_STOP)
+        if found.status == "failed":
+            raise SolveError("fit.failed", "; ".join(notice.message for notice in found.notices))
+        return found.state
 
     return _each(face, scans, standard.terms(face, _targets(face, scans)), fit)
 

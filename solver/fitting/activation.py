@@ -176,10 +176,16 @@ class _Linearised:
 
 
 def damped_step(hessian: Floats, gradient: Floats, damping: float, trust: float) -> Floats:
-    """Solve (H + damping D^2) step = -gradient, D the units of (a, b); cut to the ``trust``."""
+    """Solve (H + damping D^2) step = -gradient, D the units of (a, b); cut to the ``trust``.
+
+    Raises :class:`SolveError` (``solve.not_finite``) where there is no such step.
+    """
     damped = hessian.copy()
     damped[np.diag_indices_from(damped)] += damping * damping_units(len(damped))
-    step = np.asarray(scipy.linalg.solve(damped, -gradient, assume_a="pos"))
+    try:
+        step = np.asarray(scipy.linalg.solve(damped, -gradient, assume_a="pos"))
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
     return np.asarray(step / max(reach(step) / trust, 1.0))
 
 

@@ -34,8 +34,8 @@ class GeometryOptions:
 
     ``w_a`` and ``w_s`` are the weights of the first and last round, geometric in between; ``w_v``
     weighs the muscles' volume and ``w_b`` the jaw. The first poses come from
-    ``first_iterations`` of the activations alone. The fit ends before its last round if two
-    rounds in turn gain less than ``tolerance`` f.
+    ``first_iterations`` of the activations alone. Where two rounds in turn gain less than
+    ``tolerance`` f, the fit goes on to the whole rounds (:data:`WHOLE_ROUNDS`), or ends there.
     """
 
     rounds: int = 12
@@ -104,20 +104,23 @@ def fit(
     }
     now = Iterate(S, states)
     prior = S.data
-    idle = 0
-    for number in range(options.rounds):
+    idle, number = 0, 0
+    whole = max(options.rounds - WHOLE_ROUNDS, 0)
+    while number < options.rounds:
         if listen:
             listen(number, now.states)
         w_a, w_s = options.weights(number)
-        terms = data if number >= options.rounds - WHOLE_ROUNDS else easy
+        terms = data if number >= whole else easy
         problem = GeometryProblem(face, terms, regulariser(w_a), w_s, prior, structure)
         before = problem.value(now.S, now.states)
         now = joint.step(problem, now)
         gain = before - problem.value(now.S, now.states)
         steps = {name: count + 1 for name, count in steps.items()}
         idle = idle + 1 if gain < options.tolerance * before else 0
+        number += 1
         if idle == 2:
-            break
+            # what is left of this stage gains nothing: on to the whole rounds, or to the end
+            number, idle = (whole, 0) if number < whole else (options.rounds, 0)
     return ended(face, now.S, data, regulariser(options.w_a[1]), now.states, steps)
 
 

@@ -105,7 +105,7 @@ class Regulariser:
         return replace(
             self,
             w_a=total,
-            w_b=self.w_b * total / self.w_a,
+            w_b=self.w_b * (total / self.w_a if self.w_a > 0.0 else 1.0),
             prior=self.prior.toward(pose, weight / total),
         )
 

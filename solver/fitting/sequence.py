@@ -24,7 +24,6 @@ from solver.fitting.sensitivity import PoseJacobian, Sensitivity
 from solver.fitting.terms import SkinDistance, Term
 from solver.mechanics import equilibrium
 from solver.mechanics.equilibrium import Equilibrium
-from solver.mechanics.linear import Factor
 from solver.surface import Floats
 
 STEPS = 3
@@ -80,12 +79,23 @@ class _Kept:
         return _Kept.of(self.jacobian, data, x)
 
 
+@dataclass(frozen=True)
+class _Found:
+    """A frame's state, the steps to it, and whether what is kept led there as it promised."""
+
+    state: State
+    steps: int
+    easily: bool
+
+
 class Tracker:
     """Fits the pose of each frame from the one before; ``state`` is the last one's.
 
     ``temporal`` is the weight w_t of w_t/2 |a - a_before|^2, the change from the frame before (the
     jaw's in the same measure): 0 is none. ``max_iterations`` bounds a frame that is fitted
-    as any expression is. A state's residual is that of :data:`CLOSE_MM`, not of a settled one.
+    as any expression is. A state's vertices are within about :data:`CLOSE_MM` of the equilibrium;
+    its factor and ``minimum`` are those of the frame that was factorised last, its residual is that
+    before the last correction.
     """
 
     def __init__(
@@ -130,11 +140,11 @@ class Tracker:
             self.state, steps = fitted.state, fitted.iterations
             self._keep(data)
             return steps
-        self.state, steps = found
+        self.state = found.state
         self._age += 1
-        if steps >= STEPS and self._age >= KEPT_FRAMES:
+        if not found.easily and self._age >= KEPT_FRAMES:
             self._keep(data)
-        return steps
+        return found.steps
 
     def _keep(self, data: SkinDistance) -> None:
         """Take the sensitivities of the state as it is."""
@@ -142,27 +152,27 @@ class Tracker:
         self._kept = _Kept.of(jacobian, data, self.state.x)
         self._age = 0
 
-    def _quick(self, kept: _Kept, data: Term, regulariser: Regulariser) -> tuple[State, int] | None:
-        """Return the frame's state and the steps to it; None if the first leads nowhere."""
+    def _quick(self, kept: _Kept, data: Term, regulariser: Regulariser) -> _Found | None:
+        """Fit a frame with what is kept; None if the first step leads nowhere."""
         state = self.state
         value = activation.objective(data, regulariser, state)
-        for number in range(1, STEPS + 1):
+        for taken in range(STEPS):
             gradient = kept.jacobian.transposed(data.gradient(state.x))
             gradient += regulariser.gradient(state.pose)
             hessian = kept.hessian + regulariser.gauss_newton(state.pose)
             step = damped_step(hessian, gradient, self._damping, trust=1.0)
             predicted = float(-gradient @ step - 0.5 * step @ hessian @ step)
             if predicted <= TOLERANCE * value:
-                return state, number
+                return _Found(state, taken, easily=True)
             trial = self._descend(kept, data, regulariser, state, step, value)
             if trial is None:
-                return (state, STEPS) if number > 1 else None
+                return _Found(state, taken, easily=False) if taken else None
             before, (state, value) = value, trial
             ratio = (before - value) / predicted
             self._adapt(ratio)
             if ratio < HARDLY:
-                return state, STEPS
-        return state, STEPS
+                return _Found(state, taken + 1, easily=False)
+        return _Found(state, STEPS, easily=False)
 
     def _descend(
         self,
@@ -179,7 +189,7 @@ class Tracker:
             x = state.x.copy()
             x[self.face.flesh.free] += (kept.jacobian.flesh @ step).reshape(-1, 3)
             x[self.face.model.mandible] = self.face.mandible(pose.b)
-            trial = self._corrected(pose, x, state.equilibrium.factor)
+            trial = self._corrected(pose, x, state.equilibrium)
             if trial is not None:
                 reached = activation.objective(data, regulariser, trial)
                 if reached < value:
@@ -195,10 +205,10 @@ class Tracker:
         elif ratio < BADLY:
             self._damping = min(self._damping * DAMPING_GROWTH, DAMPING_MOST)
 
-    def _corrected(self, pose: Pose, x: Floats, factor: Factor) -> State | None:
+    def _corrected(self, pose: Pose, x: Floats, before: Equilibrium) -> State | None:
         """Return the equilibrium of a pose from a prediction x near it; None if it is far.
 
-        By Newton corrections with the ``factor`` at hand as long as they get shorter, else by
+        By Newton corrections with the factor of ``before`` as long as they get shorter, else by
         Newton's method.
         """
         flesh = self.face.flesh
@@ -206,7 +216,7 @@ class Tracker:
         bound = LONG_MM
         for number in range(CORRECTIONS):
             gradient = flesh.gradient(x, a)
-            direction = -factor.solve(gradient)
+            direction = -before.factor.solve(gradient)
             length = float(np.abs(direction).max())
             if not length <= bound:
                 break
@@ -216,7 +226,8 @@ class Tracker:
                 if not np.isfinite(flesh.energy(x, a)):
                     return None
                 residual = float(np.linalg.norm(gradient)) / flesh.force_scale
-                return State(pose, Equilibrium(x, x, factor, residual, number, minimum=True))
+                found = replace(before, x=x, estimate=x, residual=residual, iterations=number)
+                return State(pose, found)
             bound = CONTRACTION * length
         try:
             found = equilibrium.approach(flesh, self.face.linear, x, a)

@@ -23,10 +23,12 @@ def stillness(face: Face, S: sp.csr_array) -> Floats:
     The motion is the linear response, at rest, to usual changes of every activation and of the
     jaw, all at once and independent of each other.
     """
-    by_pose = Sensitivity(face, S, face.rest_state(S)).by_pose().flesh
-    columns = by_pose.shape[1]
+    jacobian = Sensitivity(face, S, face.rest_state(S)).by_pose()
+    columns = jacobian.flesh.shape[1]
+    by_pose = np.zeros((face.model.rest.size, columns))
+    by_pose[jacobian.free] = jacobian.flesh
+    by_pose[jacobian.moving, -len(JAW_MOTION) :] = jacobian.jaw
     usual = np.concatenate([np.full(columns - len(JAW_MOTION), EXCITED), JAW_MOTION])
-    free = face.face_embedding[:, face.flesh.free]
-    motion = np.asarray(free @ (by_pose * usual).reshape(-1, 3 * columns))
+    motion = np.asarray(face.face_embedding @ (by_pose * usual).reshape(-1, 3 * columns))
     squares = np.sum(motion.reshape(len(motion), -1) ** 2, axis=1)
     return np.asarray(1.0 / (1.0 + squares / MOBILE_MM**2) ** 2)
