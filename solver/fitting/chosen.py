@@ -139,9 +139,11 @@ def by_ipopt(
             continue
         value = activation.objective(data, regulariser, state)
         if value < best.objective:
-            best = replace(best, state=state, objective=value, status="stopped")
+            wanted = converged and heavier == 1.0
+            status: Status = "converged" if wanted else "stopped"
+            best = replace(best, state=state, objective=value, status=status)
         if converged and heavier == 1.0:
-            return replace(best, status="converged", iterations=done)
+            return replace(best, iterations=done)
     return replace(best, iterations=done, notices=tuple(trouble.values()))
 
 

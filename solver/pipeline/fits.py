@@ -15,7 +15,7 @@ from solver.errors import InputError, SolveError
 from solver.fitting import chosen, geometry, geometry_ipopt, standard, target_checks
 from solver.fitting.chosen import ChosenFit, Solver
 from solver.fitting.face import Face, State
-from solver.fitting.geometry import GeometryOptions
+from solver.fitting.geometry import GeometryFit, GeometryOptions
 from solver.fitting.model_checks import check_held, idle_muscles
 from solver.fitting.notices import Notice
 from solver.fitting.objective import Target
@@ -61,28 +61,15 @@ def fit_geometry(
     schedule = GeometryOptions(rounds=given["rounds"])
     if given["solver"] == "ipopt":
         geometry_ipopt.check_size(face, len(scans))
+    priors = {"start": _begun(subject, start), "structure": _mirrored(subject, given["symmetry"])}
     told = Telling(subject, progress)
     told.tell(0.02, [*_odd(face, face.model.weights, scans), *_too_few(scans)])
     targets = {name: _target(subject, scan) for name, scan in scans.items()}
-    data = standard.terms(face, targets)
-    priors = {"start": _begun(subject, start), "structure": _mirrored(subject, given["symmetry"])}
-
-    def listen(number: int, states: Mapping[str, State]) -> None:
-        done = 0.02 + 0.78 * number / schedule.rounds
-        error = geometry.mean_error(face, targets, states)
-        progress(Step("geometry", done, number + 1, mean_error_mm=error))
-
-    def listen_ipopt(iteration: int, value: float) -> None:
-        part = min(iteration / geometry_ipopt.most_iterations(schedule), 1.0)
-        progress(Step("geometry", 0.02 + 0.78 * part, iteration, value))
-
     begin = time.perf_counter()
     if given["solver"] == "ipopt":
-        fitted, notices = geometry_ipopt.fit(face, data, schedule, listen_ipopt, **priors)
-        told.tell(0.8, notices)
+        fitted = _geometry_by_ipopt(face, targets, schedule, priors, told, progress)
     else:
-        easy = standard.distances(face, targets)
-        fitted = geometry.fit(face, data, schedule, easy=easy, listen=listen, **priors)
+        fitted = _geometry(face, targets, schedule, priors, progress)
     seconds = time.perf_counter() - begin
     expressions = []
     for name, ending in fitted.endings.items():
@@ -95,6 +82,40 @@ def fit_geometry(
     settings = {**asdict(schedule), "symmetry": given["symmetry"], "solver": given["solver"]}
     rig = Rig(subject, fitted.S, tuple(expressions), {"geometry": seconds}, told.general)
     return _export(face, rig, settings, out, _later(progress, 0.8))
+
+
+def _geometry(
+    face: Face,
+    targets: Mapping[str, Target],
+    schedule: GeometryOptions,
+    priors: Mapping[str, Any],
+    progress: Progress,
+) -> GeometryFit:
+    def listen(number: int, states: Mapping[str, State]) -> None:
+        done = 0.02 + 0.78 * number / schedule.rounds
+        error = geometry.mean_error(face, targets, states)
+        progress(Step("geometry", done, number + 1, mean_error_mm=error))
+
+    data, easy = standard.terms(face, targets), standard.distances(face, targets)
+    return geometry.fit(face, data, schedule, easy=easy, listen=listen, **priors)
+
+
+def _geometry_by_ipopt(
+    face: Face,
+    targets: Mapping[str, Target],
+    schedule: GeometryOptions,
+    priors: Mapping[str, Any],
+    told: Telling,
+    progress: Progress,
+) -> GeometryFit:
+    def listen(iteration: int, value: float) -> None:
+        part = min(iteration / geometry_ipopt.most_iterations(schedule), 1.0)
+        progress(Step("geometry", 0.02 + 0.78 * part, iteration, value))
+
+    data = standard.terms(face, targets)
+    fitted, notices = geometry_ipopt.fit(face, data, schedule, listen, **priors)
+    told.tell(0.8, notices)
+    return fitted
 
 
 def fit_activations(
