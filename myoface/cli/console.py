@@ -98,6 +98,7 @@ class JobView:
         self.phases: dict[str, float] = {}
         self._phase = "queued"
         self._since = time.monotonic()
+        self._warned: set[str | None] = set()
         self._bars = Progress(
             TextColumn("{task.fields[title]}"),
             BarColumn(),
@@ -135,6 +136,11 @@ class JobView:
         self._show(step)
 
     def _show(self, step: Step) -> None:
+        if step.phase == "warning":
+            if step.message not in self._warned:
+                self._warned.add(step.message)
+                out.print(f"{self.title}: warning: {step.message}", markup=False)
+            return
         if step.phase != self._phase:
             self._turn(step.phase)
             if not out.is_terminal:

@@ -47,6 +47,8 @@ DEFAULTS = {
 }
 CHUNK_FRAMES, CHUNK_SECONDS = 30, 2.0
 """A file of frames holds so many at most, and is written at the latest after so long."""
+UNLIKE_MM = 5.0
+"""Mean distance that says that a performance is not this person's: a fit leaves less than 2."""
 MOST_SHOTS = 6
 """Frames in the picture."""
 
@@ -100,6 +102,8 @@ def fit_sequence(
     try:
         for position in range(len(done), len(numbers)):
             frame = follower.fit(numbers[position], source.frame(numbers[position]))
+            if not done:
+                _check_likeness(source, frame)
             chunks.add(frame)
             done.append(frame)
             animated.add(frame, follower.skin())
@@ -189,11 +193,28 @@ def _check_same(done: list[SequenceFrame], numbers: range) -> None:
         )
 
 
+def _check_likeness(source: Performance, frame: SequenceFrame) -> None:
+    """Raise ``performance.unlike`` if a fitted face is nowhere near what was seen."""
+    if frame.mean_mm is not None and frame.mean_mm > UNLIKE_MM:
+        raise InputError(
+            "performance.unlike",
+            f"the fitted face is {frame.mean_mm:.0f} mm off frame {frame.frame} of {source.name}: "
+            "it is mirrored, another person's, or has its vertices in another order",
+            file=source.name,
+            frame=frame.frame,
+            found_mm=frame.mean_mm,
+            expected_mm=UNLIKE_MM,
+        )
+
+
 def _tell(progress: Progress, frame: SequenceFrame, count: int, total: int) -> None:
     done = 0.01 + 0.95 * count / total
     if frame.status != "fitted":
         why = "hardly any of the face is seen" if frame.status == "unseen" else "it does not settle"
         words = f"frame {frame.frame} keeps the pose of the frame before: {why}"
+        progress(Step("warning", done, message=words))
+    elif frame.mean_mm is not None and frame.mean_mm > UNLIKE_MM:
+        words = f"the fitted face is {frame.mean_mm:.0f} mm off frame {frame.frame}"
         progress(Step("warning", done, message=words))
     words = f"frame {count} of {total}"
     progress(Step("frames", done, mean_error_mm=frame.mean_mm, message=words))

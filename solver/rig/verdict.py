@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from solver.fitting.crossing import Crossing
+from solver.fitting.notices import Notice
 from solver.model import SubjectModel
 from solver.rig.certificate import Certificate, ExpressionCheck
 from solver.rig.checks import CHECKS, Check, Verdict
@@ -42,7 +44,10 @@ class Judgement:
 def judge(rig: Rig, certificate: Certificate) -> list[Judgement]:
     """Judge every check that could be made, in the order of :data:`CHECKS`."""
     made = {
-        fit.name: _measures(rig.model, fit, certificate.expressions[fit.name])
+        fit.name: {
+            **_measures(rig.model, fit, certificate.expressions[fit.name]),
+            "solver.warnings": _warnings((*rig.notices, *fit.notices)),
+        }
         for fit in rig.expressions
     }
     judgements = []
@@ -112,10 +117,14 @@ def _measures(
     return found
 
 
+def _warnings(notices: Sequence[Notice]) -> Measure:
+    """Return how many warnings there are, those of the whole job among them."""
+    return Measure(len(notices), "; ".join(notice.message for notice in notices))
+
+
 def _solve(fit: ExpressionFit) -> dict[str, Measure]:
     """Return how the solve went, as code -> figure."""
-    messages = "; ".join(notice.message for notice in fit.notices)
-    found = {"solver.warnings": Measure(len(fit.notices), messages)}
+    found = {}
     if fit.status != "unknown":
         for code, status in (("solver.failed", "failed"), ("solver.stopped", "stopped")):
             steps = f"after {fit.iterations} steps by {fit.solver}" if fit.status == status else ""

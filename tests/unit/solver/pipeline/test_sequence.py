@@ -140,6 +140,15 @@ def test_what_can_not_be_fitted_keeps_the_pose_and_warns(
     assert "frame 2 keeps the pose" in warning
 
 
+def test_another_face_is_refused_with_its_distance(files: Path, tmp_path: Path) -> None:
+    frames = np.load(files / "take.npy")
+    frames += np.random.default_rng(1).normal(0.0, 8.0, frames.shape[1:]).astype(frames.dtype)
+    np.save(files / "another.npy", frames)
+    with pytest.raises(InputError, match="mirrored, another person's") as caught:
+        fit(files, tmp_path, "another.npy")
+    assert caught.value.code == "performance.unlike"
+
+
 def test_frames_that_are_not_there(files: Path, tmp_path: Path) -> None:
     for options in ({"start": FRAMES}, {"end": FRAMES + 1}, {"start": 3, "end": 3}):
         with pytest.raises(InputError) as caught:
