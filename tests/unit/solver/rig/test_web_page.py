@@ -107,5 +107,5 @@ def test_it_says_what_to_look_at(page: Reader) -> None:
     assert "Usable" in words
     assert "not tried" in words  # no round trip
     assert "left has <no> flesh" in words
-    assert "Warnings : 1 in ah : half & half." in words
+    assert "Warnings : 2 in ah : left has <no> flesh; half & half." in words
     assert "Fits that ran out of steps : 1 in ah : after 3 steps by reduced." in words
