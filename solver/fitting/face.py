@@ -17,6 +17,7 @@ from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.sliding import Planes, no_planes, planes
 from solver.model import SubjectModel
 from solver.surface import Floats
+from solver.threads import leave_threads_to_kernels
 
 GUESSES = (1.0, 0.7, 0.4, 0.0)
 """Parts of a predicted motion that are tried as a start."""
@@ -76,6 +77,7 @@ class Face:
         linear: str | None = None,
         tolerance: float = equilibrium.TOLERANCE,
     ) -> None:
+        leave_threads_to_kernels()
         self.model = model
         material = material or Material()
         held = np.concatenate([model.cranium, model.mandible, model.cut])
