@@ -21,7 +21,9 @@ import numpy as np
 from benchmarks import plots, report, subjects
 from benchmarks.documents import IMAGES, Figures, Plot, Section, Table
 from benchmarks.plots import Curve
-from benchmarks.reference import COARSE_EDGE_MM, CONVERGED
+from benchmarks.reference import CONVERGED
+from benchmarks.speed.clock import History
+from benchmarks.subjects import COARSE_EDGE_MM
 from solver.errors import SolveError
 from solver.fitting import activation, geometry, per_tet, reference, standard
 from solver.fitting.activation import ActivationOptions
@@ -67,20 +69,6 @@ def run(options: argparse.Namespace) -> Figures:
     }
 
 
-class History:
-    """The objective after each iteration and the CPU seconds until then; a fit's listener."""
-
-    def __init__(self, start: float | None = None) -> None:
-        self._began = time.process_time()
-        self.objective = [] if start is None else [start]
-        self.seconds = [] if start is None else [0.0]
-
-    def __call__(self, _iteration: int, objective: float) -> None:
-        """Take an iteration's objective."""
-        self.objective.append(objective)
-        self.seconds.append(time.process_time() - self._began)
-
-
 def _solvers(model: SubjectModel, target: Target, w_a: float) -> dict[str, Any]:
     face, phace = Face(model), Face(model, material=per_tet.PHACE)
     S, data = model.weights, SkinDistance(face, target)
@@ -114,7 +102,7 @@ def _solvers(model: SubjectModel, target: Target, w_a: float) -> dict[str, Any]:
         ("P", per_tet_model, neutral),
         ("IPOPT", by_ipopt, None),
     ):
-        history, failed = History(start), {}
+        history, failed = History(time.process_time, start), {}
         try:
             solve(history)
         except SolveError as error:

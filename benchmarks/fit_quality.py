@@ -29,6 +29,7 @@ from benchmarks.artifact import add_bump, cheek, followed
 from benchmarks.documents import Figures, Plot, Section, Table
 from benchmarks.pictures import Compared
 from benchmarks.subject_fits import Fits
+from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.anatomy.capture_set import CaptureSet
 from solver.errors import InputError
 from solver.fitting import per_tet
@@ -37,7 +38,6 @@ from solver.fitting.geometry import GeometryOptions
 from solver.fitting.per_tet import PerTetOptions
 from solver.model import SubjectModel
 
-EDGE_MM, COARSE_EDGE_MM = 9.0, 18.0
 QUICK_ROUNDS = 6
 FEW_SCANS = 3
 

@@ -30,12 +30,12 @@ from benchmarks.documents import IMAGES, Figures, Plot, Section, Table
 from benchmarks.speed import forward, solvers
 from benchmarks.speed.clock import Stopwatch, peak_gib
 from benchmarks.speed.frames import frames
+from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.anatomy.ict_performance import performance_frames
 from solver.fitting import geometry, per_tet, standard
 from solver.fitting.face import Face
 from solver.fitting.objective import Target
 
-EDGE_MM, COARSE_EDGE_MM = 9.0, 18.0
 SIZES_MM = (19.0, 13.0, 9.0, 5.5)
 """Tets' edges of the scaling: about 1.9, 3.5, 7 and 19 thousand vertices."""
 

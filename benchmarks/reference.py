@@ -21,6 +21,7 @@ import numpy as np
 
 from benchmarks import plots, report, subjects
 from benchmarks.documents import IMAGES, Plot, Section, Table
+from benchmarks.subjects import COARSE_EDGE_MM
 from solver.errors import SolveError
 from solver.fitting import activation, reference
 from solver.fitting.activation import ActivationOptions
@@ -29,7 +30,6 @@ from solver.fitting.objective import Regulariser, Target
 from solver.fitting.terms import SkinDistance, Term
 from solver.model import SubjectModel
 
-COARSE_EDGE_MM = 18.0
 CONVERGED = ActivationOptions(max_iterations=200, tolerance=1e-7)
 
 Result = TypeVar("Result")

@@ -13,6 +13,7 @@ import numpy as np
 
 from benchmarks import report, subjects
 from benchmarks.documents import Figures, Section, Table
+from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.fitting.face import Face, Pose, State
 from solver.mechanics.flesh import IDENTITY
 from solver.mechanics.material import SYM_COLUMN, SYM_ROW
@@ -21,7 +22,6 @@ from solver.rig.plausibility import fibre_tensors
 from solver.rig.round_trip import round_trip
 from solver.surface import Floats
 
-EDGE_MM, COARSE_EDGE_MM = 9.0, 18.0
 SETS = 3
 EXCITED = 8
 """Muscles of a set, both sides counting as one."""

@@ -14,6 +14,9 @@ from solver.anatomy.ict_template import build_ict_template
 from solver.anatomy.mesh_cache import meshed
 from solver.model import SubjectModel
 
+EDGE_MM, COARSE_EDGE_MM = 9.0, 18.0
+"""Tets' edges of benchmarks: as in jobs, and small enough for IPOPT."""
+
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that choose one subject; without any it is the built-in person."""

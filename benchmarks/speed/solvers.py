@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from benchmarks.documents import Figures
-from benchmarks.speed.clock import Stopwatch
+from benchmarks.speed.clock import History, Stopwatch
 from solver.errors import SolveError
 from solver.fitting import activation, per_tet, reference, standard
 from solver.fitting.activation import ActivationFit, ActivationOptions
@@ -32,26 +32,6 @@ COARSE_W_A = 0.1
 
 IPOPT_ITERATIONS = 200
 SAME_OBJECTIVE = 1e-3
-
-
-class History:
-    """The objective after each iteration and the seconds until then; a solver's listener."""
-
-    def __init__(self) -> None:
-        self._began = time.perf_counter()
-        self._objective: list[float] = []
-        self._seconds: list[float] = []
-
-    def __call__(self, _iteration: int, objective: float) -> None:
-        """Take an iteration's objective."""
-        self._objective.append(objective)
-        self._seconds.append(time.perf_counter() - self._began)
-
-    def until(self, share: float) -> float:
-        """Return the seconds after which the objective stays within ``share`` of its end."""
-        objective = np.asarray(self._objective)
-        away = np.flatnonzero(np.abs(objective / objective[-1] - 1.0) > share)
-        return self._seconds[away[-1] + 1 if len(away) else 0]
 
 
 def activations(face: Face, S: sp.csr_array, targets: Mapping[str, Target]) -> list[Figures]:
@@ -106,7 +86,7 @@ def against_ipopt(face: Face, targets: Mapping[str, Target]) -> list[Figures]:
     found = []
     for name, target in targets.items():
         data = SkinDistance(face, target)
-        ours, theirs = History(), History()
+        ours, theirs = History(time.perf_counter), History(time.perf_counter)
         with Stopwatch() as watch:
             fitted = activation.fit(face, S, data, regulariser, rest, CONVERGED, ours)
         figures: Figures = {"name": name, "seconds": watch.seconds, "objective": fitted.objective}

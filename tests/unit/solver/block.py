@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 
+from solver.fitting.face import Pose
 from solver.model import JawFrame, SubjectModel
 from solver.surface import Surface
 
@@ -97,3 +98,14 @@ def dense_pattern(values):
     return sp.csr_array(
         (values.ravel(), np.tile(np.arange(columns), rows), indptr), shape=values.shape
     )
+
+
+def poses(count):
+    """Contractions along x of both muscles, jaw open by some degrees."""
+    rng = np.random.default_rng(4)
+    found = []
+    for _ in range(count):
+        stretch = rng.uniform(0.7, 1.0, 2)
+        a = np.array([[s, 0.05, 0.0, 1.0 / np.sqrt(s), 0.0, 1.0 / np.sqrt(s)] for s in stretch])
+        found.append(Pose(a, np.array([rng.uniform(0.0, 0.15), 0.02, 0.2, -0.5, 0.4])))
+    return found

@@ -9,7 +9,7 @@ from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, Target
 from solver.fitting.terms import SkinDistance
-from tests.unit.solver.block import block_model
+from tests.unit.solver.block import block_model, poses
 
 CONVERGED = ActivationOptions(max_iterations=100, tolerance=1e-10)
 
@@ -17,17 +17,6 @@ CONVERGED = ActivationOptions(max_iterations=100, tolerance=1e-10)
 @pytest.fixture(scope="module")
 def face():
     return Face(block_model())
-
-
-def poses(count):
-    """Contractions along x of both muscles, jaw open by some degrees."""
-    rng = np.random.default_rng(4)
-    found = []
-    for _ in range(count):
-        stretch = rng.uniform(0.7, 1.0, 2)
-        a = np.array([[s, 0.05, 0.0, 1.0 / np.sqrt(s), 0.0, 1.0 / np.sqrt(s)] for s in stretch])
-        found.append(Pose(a, np.array([rng.uniform(0.0, 0.15), 0.02, 0.2, -0.5, 0.4])))
-    return found
 
 
 def target_of(face, S, pose):

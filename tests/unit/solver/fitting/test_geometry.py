@@ -9,7 +9,7 @@ import scipy.sparse as sp
 
 from solver.errors import InputError
 from solver.fitting import activation, geometry, joint, simplex
-from solver.fitting.face import Face, Pose
+from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.joint import GeometryProblem, Iterate
 from solver.fitting.objective import Regulariser, Target
@@ -17,23 +17,12 @@ from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.symmetry import mirror_structure
 from solver.fitting.terms import SkinDistance
 from solver.fitting.weights import replace_values, transferred
-from tests.unit.solver.block import block_model
+from tests.unit.solver.block import block_model, poses
 
 
 @pytest.fixture(scope="module")
 def face():
     return Face(block_model())
-
-
-def poses(count):
-    """Contractions along x of both muscles, jaw open by some degrees."""
-    rng = np.random.default_rng(4)
-    found = []
-    for _ in range(count):
-        stretch = rng.uniform(0.7, 1.0, 2)
-        a = np.array([[s, 0.05, 0.0, 1.0 / np.sqrt(s), 0.0, 1.0 / np.sqrt(s)] for s in stretch])
-        found.append(Pose(a, np.array([rng.uniform(0.0, 0.15), 0.02, 0.2, -0.5, 0.4])))
-    return found
 
 
 def targets_of(face, count):
