@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
+from solver.fitting import per_tet
 from solver.mechanics import equilibrium, linear
-from solver.mechanics.flesh import Flesh, Material
+from solver.mechanics.flesh import Flesh
 from solver.surface import Floats
 
-PHACE = Material(mu=1.0, lam=0.0, kappa=3.0, barrier=0.0)
+PHACE = replace(per_tet.PHACE, barrier=0.0)
+"""The peer's energy has no barrier against inversion; both minimise the same one."""
 
 
 class Ours:
