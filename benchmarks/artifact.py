@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from solver.model import SubjectModel
-from solver.rig.normals import vertex_normals
+from solver.normals import vertex_normals
 from solver.surface import Floats, Ints, Surface
 
 HEIGHT_MM = 6.0

@@ -8,7 +8,7 @@ import igl
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from solver.rig.raster import Camera, look
+from solver.drawing.raster import Camera, look
 from solver.scans.raw import RawScan
 from solver.surface import Floats, Ints, Surface
 

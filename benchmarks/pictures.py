@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from solver.drawing.head import Head
+from solver.drawing.page import HEADER, Page
+from solver.drawing.render import Body, faded, render
 from solver.fitting.face import Face, State
-from solver.rig.head import Head
-from solver.rig.page import HEADER, Page
 from solver.rig.pictures import THREE_QUARTER, WIDTH, face_camera
-from solver.rig.render import Body, faded, render
 from solver.surface import Floats
 
 FOOTER = 64

@@ -14,10 +14,10 @@ import numpy as np
 from benchmarks import report, subjects
 from benchmarks.documents import Figures, Section, Table
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
+from solver.drawing.colours import both_sides
 from solver.fitting.face import Face, Pose, State
 from solver.mechanics.flesh import IDENTITY
 from solver.mechanics.material import SYM_COLUMN, SYM_ROW
-from solver.rig.colours import both_sides
 from solver.rig.plausibility import fibre_tensors
 from solver.rig.round_trip import round_trip
 from solver.surface import Floats

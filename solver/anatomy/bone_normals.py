@@ -5,7 +5,7 @@ from __future__ import annotations
 import igl
 import numpy as np
 
-from solver.rig.normals import vertex_normals
+from solver.normals import vertex_normals
 from solver.surface import Floats, Surface
 
 

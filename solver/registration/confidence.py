@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from solver.normals import vertex_normals
 from solver.registration.neighbours import adjacency
 from solver.registration.scan_surface import ScanSurface
 from solver.registration.similarity import Similarity
-from solver.rig.normals import vertex_normals
 from solver.surface import Floats, Ints, Surface
 
 COVERED_MM = 10.0

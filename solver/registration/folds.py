@@ -6,8 +6,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
+from solver.normals import vertex_normals
 from solver.registration.neighbours import adjacency
-from solver.rig.normals import vertex_normals
 from solver.surface import Floats, Ints, Surface
 
 WIDENINGS = 10

@@ -6,8 +6,8 @@ import numpy as np
 
 from solver.anatomy.template import Template
 from solver.anatomy.warp import interpolate, spread
+from solver.drawing.parts import skin_parts
 from solver.registration.similarity import weighted_motion
-from solver.rig.parts import skin_parts
 from solver.surface import Floats, Ints
 
 GUIDES = 500

@@ -19,11 +19,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.mechanics.linear import Rslab
+from solver.normals import vertex_normals
 from solver.registration.correspondence import Pins, pair
 from solver.registration.scan_surface import ScanSurface
 from solver.registration.similarity import Similarity
 from solver.registration.topology import Topology
-from solver.rig.normals import vertex_normals
 from solver.surface import Floats, Ints, Surface
 
 MEMBRANE = 0.02

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solver.anatomy.template import Template
-from solver.rig.raster import Camera, look
+from solver.drawing.raster import Camera, look
 
 PIXELS = 640
 YAWS = np.radians([0, 30, 60, 90, 130, 180, 230, 270, 300, 330])

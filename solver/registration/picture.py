@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from solver.drawing.head import Head
+from solver.drawing.page import HEADER, Page
+from solver.drawing.raster import Camera
+from solver.drawing.render import Body, Lit, render
 from solver.registration.register import Registration
 from solver.registration.scan_surface import ScanSurface
 from solver.registration.topology import Topology
-from solver.rig.head import Head
-from solver.rig.page import HEADER, Page
-from solver.rig.raster import Camera
-from solver.rig.render import Body, Lit, render
 from solver.surface import Floats, Ints, Surface
 
 CELL = (500, 440)

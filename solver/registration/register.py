@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from solver.anatomy.template import Template
+from solver.normals import vertex_normals
 from solver.progress import Progress, Step, silent
 from solver.registration.confidence import Trust, trust
 from solver.registration.correspondence import Pins
@@ -24,7 +25,6 @@ from solver.registration.shape_fit import expressions, fit_shapes, persons
 from solver.registration.similarity import IDENTITY, Similarity
 from solver.registration.stabilise import head_motion
 from solver.registration.topology import Topology
-from solver.rig.normals import vertex_normals
 from solver.scans.found_landmarks import find_landmarks
 from solver.scans.landmarks import landmark_vertices
 from solver.scans.raw import RawScan

@@ -9,8 +9,8 @@ from types import MappingProxyType
 import numpy as np
 import pygltflib as gl
 
-from solver.rig.normals import vertex_normals
-from solver.rig.parts import skin_parts
+from solver.drawing.parts import skin_parts
+from solver.normals import vertex_normals
 from solver.rig.result import ExpressionFit, Rig
 from solver.surface import Floats, Ints, Surface
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from solver.anatomy.template import Template
+from solver.drawing import colours
+from solver.drawing.head import Head
+from solver.drawing.page import HEADER, MARGIN, Colour, Page, swatch_columns, swatch_height
+from solver.drawing.raster import Camera
+from solver.drawing.render import Body, Lit, faded, render
 from solver.model import SubjectModel
-from solver.rig import colours
-from solver.rig.head import Head
-from solver.rig.page import HEADER, MARGIN, Colour, Page, swatch_columns, swatch_height
-from solver.rig.raster import Camera
-from solver.rig.render import Body, Lit, faded, render
 from solver.rig.result import ExpressionFit
 from solver.rig.strokes import fibre_threads
 from solver.surface import Floats, Ints, Surface

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from solver.drawing.head import Head
+from solver.drawing.page import HEADER, MARGIN, Page
+from solver.drawing.render import faded, render
 from solver.model import SubjectModel
-from solver.rig.head import Head
-from solver.rig.page import HEADER, MARGIN, Page
 from solver.rig.pictures import face_camera
-from solver.rig.render import faded, render
 from solver.rig.sequence import SequenceFrame
 from solver.surface import Floats
 

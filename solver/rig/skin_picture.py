@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from solver.anatomy.template import Template
-from solver.rig import colours
-from solver.rig.head import Head
-from solver.rig.normals import vertex_normals
-from solver.rig.page import HEADER, INK, MARGIN, Colour, Page, swatch_columns, swatch_height
-from solver.rig.raster import Camera
-from solver.rig.render import Body, render
+from solver.drawing import colours
+from solver.drawing.head import Head
+from solver.drawing.page import HEADER, INK, MARGIN, Colour, Page, swatch_columns, swatch_height
+from solver.drawing.raster import Camera
+from solver.drawing.render import Body, render
+from solver.normals import vertex_normals
 from solver.surface import Floats, Surface
 
 WIDTH, CELL_HEIGHT = 1800, 900

@@ -10,7 +10,7 @@ from typing import Any
 
 from PIL import Image
 
-from solver.rig.colours import both_sides
+from solver.drawing.colours import both_sides
 from solver.rig.web_markup import figure, row, tag
 
 PICTURE_WIDTH, JPEG_QUALITY = 1400, 86

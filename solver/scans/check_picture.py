@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from scipy.spatial import KDTree
 
-from solver.rig.raster import Camera, look
+from solver.drawing.raster import Camera, look
 from solver.scans.check import Check
 from solver.scans.relief import FAR_MM
 from solver.scans.sample import estimated_normals

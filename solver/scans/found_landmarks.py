@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from solver.drawing.raster import Camera, Pixels, Visible, look
+from solver.drawing.render import Body, Lit, render
 from solver.errors import InputError
-from solver.rig.raster import Camera, Pixels, Visible, look
-from solver.rig.render import Body, Lit, render
 from solver.scans.landmarks import MEDIAPIPE, Points
 from solver.surface import Floats, Surface
 

@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from solver.anatomy.template import Template
-from solver.rig.normals import vertex_normals
+from solver.normals import vertex_normals
 from solver.scans.pose import Pose
 from solver.scans.sample import Samples
 from solver.surface import Floats, Ints, Surface

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from solver.rig.raster import Camera, look
+from solver.drawing.raster import Camera, look
 from solver.surface import Floats, Surface
 
 FAR_MM = 4000.0  # so far away that the view is nearly parallel

@@ -11,6 +11,7 @@ import pygltflib
 import pytest
 import scipy.sparse as sp
 
+from solver.drawing.parts import skin_parts
 from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.model import SubjectModel
@@ -18,7 +19,6 @@ from solver.rig.certificate import Certificate, certify
 from solver.rig.export import write_rig
 from solver.rig.gltf import write_glb
 from solver.rig.gltf_check import validate_glb
-from solver.rig.parts import skin_parts
 from solver.rig.report import report, write_report
 from solver.rig.result import (
     ExpressionFit,

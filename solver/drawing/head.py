@@ -5,9 +5,9 @@ from __future__ import annotations
 import igl
 import numpy as np
 
-from solver.rig import colours
-from solver.rig.parts import skin_parts
-from solver.rig.render import Body, Lit
+from solver.drawing import colours
+from solver.drawing.parts import skin_parts
+from solver.drawing.render import Body, Lit
 from solver.surface import Floats, Ints, Surface
 
 EYE_SUBDIVISIONS = 2

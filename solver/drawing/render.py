@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from solver.rig.light import LAMPS, irradiance
-from solver.rig.normals import vertex_normals
-from solver.rig.raster import Camera, Pixels, Visible, look
+from solver.drawing.light import LAMPS, irradiance
+from solver.drawing.raster import Camera, Pixels, Visible, look
+from solver.normals import vertex_normals
 from solver.surface import Floats, Ints, Surface
 
 SUPERSAMPLING = 2

@@ -1,0 +1,1 @@
+"""Drawing surfaces: an unhurried rasteriser, its light and colours, and sheets of pictures."""
