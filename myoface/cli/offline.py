@@ -28,6 +28,18 @@ solve = typer.Typer(help="Solve here, without a service.", no_args_is_help=True)
 
 Model = Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="model.npz")]
 Scans = Annotated[list[Path], typer.Argument(exists=True, dir_okay=False, help="expression scans")]
+Rig = Annotated[Path, typer.Argument(exists=True, file_okay=False, help="a fitted rig's folder")]
+Distance = Annotated[
+    Literal["point", "plane"],
+    typer.Option(help="to the scan's vertices, or along its normals: the skin may slide"),
+]
+FitSolver = Annotated[
+    Literal["reduced", "ipopt"], typer.Option("--solver", help="ipopt: the slow reference")
+]
+LinearSolver = Annotated[
+    str | None, typer.Option(help="rslab, cholmod or superlu; default: the fastest there is")
+]
+MaxIterations = Annotated[int, typer.Option(min=1, max=500, help="at most so many of Gauss-Newton")]
 CaptureRole = Literal["unknown", "neutral", "expression"]
 TemplateFile = Annotated[
     Path | None, typer.Option("--template", exists=True, help="template NPZ; default: built-in")
@@ -120,14 +132,24 @@ def fit_geometry(
         tuple[Path, Path] | None,
         typer.Option(help="muscle_weights.npz and model.npz to start from, also of another person"),
     ] = None,
+    rounds: Annotated[int, typer.Option(min=1, max=50, help="rounds of Gauss-Newton at most")] = 12,
     symmetry: Annotated[
         float, typer.Option(min=0.0, help="how much alike left and right become; 1e-3 is much")
     ] = 0.0,
+    distance: Distance = "point",
+    solver: FitSolver = "reduced",
+    linear_solver: LinearSolver = None,
 ) -> None:
     """Fit muscle geometry, activations and jaw to several expressions at once."""
     from solver.pipeline import fit_geometry as fit
 
-    options = {"symmetry": symmetry}
+    options = {
+        "rounds": rounds,
+        "symmetry": symmetry,
+        "distance": distance,
+        "solver": solver,
+        "linear_solver": linear_solver,
+    }
     with JobView("geometry") as view, _made(output):
         fit(model, _named(scans), output, start=start, options=options, progress=view)
     out.print(f"{output / 'rig.glb'}", markup=False)
@@ -136,27 +158,33 @@ def fit_geometry(
 @solve.command("activations")
 def fit_activations(
     model: Model,
-    rig: Annotated[
-        Path, typer.Argument(exists=True, file_okay=False, help="a fitted rig's folder")
-    ],
+    rig: Rig,
     scans: Scans,
     output: NewFolder = Path("rig-new"),
+    max_iterations: MaxIterations = 25,
+    distance: Distance = "point",
+    solver: FitSolver = "reduced",
+    linear_solver: LinearSolver = None,
 ) -> None:
     """Fit activations and jaw of further expressions with a rig's muscle geometry."""
     from solver.pipeline import fit_activations as fit
 
+    options = {
+        "max_iterations": max_iterations,
+        "distance": distance,
+        "solver": solver,
+        "linear_solver": linear_solver,
+    }
     weights = rig / "muscle_weights.npz"
     with JobView("activations") as view, _made(output):
-        fit(model, weights, _named(scans), output, rig=rig, progress=view)
+        fit(model, weights, _named(scans), output, rig=rig, options=options, progress=view)
     out.print(f"{output / 'rig.glb'}", markup=False)
 
 
 @solve.command("sequence")
 def fit_sequence(
     model: Model,
-    rig: Annotated[
-        Path, typer.Argument(exists=True, file_okay=False, help="a fitted rig's folder")
-    ],
+    rig: Rig,
     performance: Annotated[
         Path, typer.Argument(exists=True, help="frames (.npy), or a folder of registered scans")
     ],
@@ -168,9 +196,12 @@ def fit_sequence(
     temporal: Annotated[
         float, typer.Option(min=0, help="weight of the change from frame to frame")
     ] = 0.0,
+    distance: Distance = "point",
     head_motion: Annotated[
         bool, typer.Option("--head-motion", help="solve the head's rigid motion")
     ] = False,
+    max_iterations: MaxIterations = 12,
+    linear_solver: LinearSolver = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="go on after the frames in the folder")
     ] = False,
@@ -184,7 +215,10 @@ def fit_sequence(
         "end": end,
         "step": step,
         "temporal": temporal,
+        "distance": distance,
         "head_motion": head_motion,
+        "max_iterations": max_iterations,
+        "linear_solver": linear_solver,
     }
     weights = rig / "muscle_weights.npz"
     with JobView("sequence") as view, _made(output):

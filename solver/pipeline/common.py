@@ -23,6 +23,16 @@ def take(options: Options, defaults: dict[str, Any]) -> dict[str, Any]:
     return {**defaults, **(options or {})}
 
 
+def check_choice(given: Mapping[str, Any], name: str, known: Sequence[str]) -> None:
+    """Raise ``options.<name>`` if the option is none of those that are known."""
+    if given[name] not in known:
+        raise InputError(
+            f"options.{name}",
+            f"unknown {name} {given[name]!r}; known are {', '.join(known)}",
+            expected=list(known),
+        )
+
+
 def within(step: Step, start: float, end: float) -> Step:
     """Map a part's progress into [start, end] of the whole."""
     given = {**step.as_dict(), "fraction": start + step.fraction * (end - start)}

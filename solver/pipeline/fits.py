@@ -23,7 +23,8 @@ from solver.fitting.symmetry import mirror_structure
 from solver.fitting.weights import transferred
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel
-from solver.pipeline.common import Options, refuse, take
+from solver.pipeline.common import Options, check_choice, refuse, take
+from solver.pipeline.targets import Distance, Targets
 from solver.pipeline.telling import Telling
 from solver.progress import Progress, Step, silent
 from solver.rig.certificate import certify, with_round_trips
@@ -46,12 +47,13 @@ def fit_geometry(
 
     ``start`` is a fitted ``muscle_weights.npz`` and the model it belongs to, this one's or another
     subject's, for S to begin with. Options: at most ``rounds`` of Gauss-Newton, ``symmetry`` (the
-    weight of the mirror prior on S, 0 for none), ``solver`` (``reduced``, or ``ipopt`` on small
-    meshes), ``linear_solver``.
+    weight of the mirror prior on S, 0 for none), ``distance`` (``point`` or ``plane``),
+    ``solver`` (``reduced``, or ``ipopt`` on small meshes), ``linear_solver``.
     """
     known = {
         "rounds": GeometryOptions.rounds,
         "symmetry": 0.0,
+        "distance": "point",
         "solver": "reduced",
         "linear_solver": None,
     }
@@ -64,7 +66,7 @@ def fit_geometry(
     priors = {"start": _begun(subject, start), "structure": _mirrored(subject, given["symmetry"])}
     told = Telling(subject, progress)
     told.tell(0.02, [*_odd(face, face.model.weights, scans), *_too_few(scans)])
-    targets = {name: _target(subject, scan) for name, scan in scans.items()}
+    targets = _targets(subject, scans, given["distance"])
     begin = time.perf_counter()
     if given["solver"] == "ipopt":
         fitted = _geometry_by_ipopt(face, targets, schedule, priors, told, progress)
@@ -79,7 +81,8 @@ def fit_geometry(
         )
         expressions.append(told.about(expression, 0.8, ending.notices))
     _refuse_failures(expressions)
-    settings = {**asdict(schedule), "symmetry": given["symmetry"], "solver": given["solver"]}
+    chosen_options = {name: given[name] for name in ("symmetry", "distance", "solver")}
+    settings = {**asdict(schedule), **chosen_options}
     rig = Rig(subject, fitted.S, tuple(expressions), {"geometry": seconds}, told.general)
     return _export(face, rig, settings, out, _later(progress, 0.8))
 
@@ -131,12 +134,14 @@ def fit_activations(
     """Fit activations and jaw of new expressions with the S of ``weights``; write the rig's files.
 
     ``rig`` (``activations.npz`` of a rig, or its folder) carries that rig's expressions over; a
-    new capture of the same name replaces the old. Options: ``max_iterations``, ``solver``
-    (``reduced`` or ``ipopt``), ``linear_solver``. An expression that the reduced solver can not
-    fit is given to IPOPT; one that neither can fit stays at rest, unless all do.
+    new capture of the same name replaces the old. Options: ``max_iterations``, ``distance``
+    (``point`` or ``plane``), ``solver`` (``reduced`` or ``ipopt``), ``linear_solver``. An
+    expression that the reduced solver can not fit is given to IPOPT; one that neither can fit
+    stays at rest, unless all do.
     """
     known = {
         "max_iterations": standard.UNSEEN_STOP.max_iterations,
+        "distance": "point",
         "solver": "reduced",
         "linear_solver": None,
     }
@@ -153,7 +158,7 @@ def fit_activations(
     rest = face.rest_state(S)
     regulariser = standard.unseen_regulariser(face)
     stop = replace(standard.UNSEEN_STOP, max_iterations=given["max_iterations"])
-    targets = {name: _target(subject, scan) for name, scan in scans.items()}
+    targets = _targets(subject, scans, given["distance"])
     data = standard.terms(face, targets)
     fitted = []
     begin = time.perf_counter()
@@ -171,7 +176,8 @@ def fit_activations(
         fitted.append(told.about(expression, done, found.notices))
     _refuse_failures(fitted)
     kept = [fit for fit in carried if fit.name not in scans]
-    settings = {**standard.UNSEEN, **asdict(stop), "solver": given["solver"]}
+    chosen_options = {name: given[name] for name in ("distance", "solver")}
+    settings = {**standard.UNSEEN, **asdict(stop), **chosen_options}
     whole = Rig(
         subject,
         S,
@@ -197,15 +203,10 @@ def _mirrored(subject: SubjectModel, symmetry: float) -> sp.csr_array | None:
 
 
 def _take(options: Options, known: dict[str, Any]) -> dict[str, Any]:
-    """Return the options with their defaults; raises ``options.solver`` for an unknown solver."""
+    """Return the options with their defaults; raises ``options.solver``, ``options.distance``."""
     given = take(options, known)
-    solvers = get_args(Solver)
-    if given["solver"] not in solvers:
-        raise InputError(
-            "options.solver",
-            f"unknown solver {given['solver']!r}; known are {', '.join(solvers)}",
-            expected=list(solvers),
-        )
+    check_choice(given, "solver", get_args(Solver))
+    check_choice(given, "distance", get_args(Distance))
     return given
 
 
@@ -272,8 +273,11 @@ def _refuse_failures(fits: Sequence[ExpressionFit]) -> None:
         raise SolveError("fit.failed", f"no expression could be fitted ({reasons})")
 
 
-def _target(model: SubjectModel, scan: RegisteredScan) -> Target:
-    return Target.from_points(scan.vertices[model.face], scan.confidence[model.face])
+def _targets(
+    model: SubjectModel, scans: Mapping[str, RegisteredScan], distance: Distance
+) -> dict[str, Target]:
+    targets = Targets(model, distance)
+    return {name: targets.of_scan(scan) for name, scan in scans.items()}
 
 
 def _expression(

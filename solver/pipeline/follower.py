@@ -11,6 +11,7 @@ from solver.errors import InputError, SolveError
 from solver.fitting.face import Pose
 from solver.fitting.objective import Target
 from solver.fitting.sequence import Tracker
+from solver.pipeline.targets import Targets
 from solver.registration.similarity import IDENTITY, Similarity, weighted_motion
 from solver.registration.stabilise import head_motion
 from solver.rig.sequence import SequenceFrame, Status
@@ -41,10 +42,15 @@ class Follower:
     """
 
     def __init__(
-        self, tracker: Tracker, last: SequenceFrame | None = None, still: Floats | None = None
+        self,
+        tracker: Tracker,
+        targets: Targets,
+        last: SequenceFrame | None = None,
+        still: Floats | None = None,
     ) -> None:
         self._tracker = tracker
         self._face = tracker.face
+        self._targets = targets
         self._still = still
         if still is not None and np.sum(still > STILL) < LEAST_STILL:
             raise InputError(
@@ -116,7 +122,7 @@ class Follower:
         return roughly.then(head_motion(roughly(fitted), seen, weights))
 
     def _fit(self, points: Floats, confidence: Floats, before: Pose | None = None) -> int:
-        self._target = Target.from_points(points, confidence)
+        self._target = self._targets.of_points(points, confidence)
         return self._tracker.fit(self._target, before)
 
     def _frame(

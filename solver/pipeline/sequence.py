@@ -6,7 +6,7 @@ import shutil
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,8 +18,9 @@ from solver.fitting.model_checks import check_held
 from solver.fitting.sequence import Tracker
 from solver.fitting.stillness import stillness
 from solver.model import SubjectModel
-from solver.pipeline.common import Options, take
+from solver.pipeline.common import Options, check_choice, take
 from solver.pipeline.follower import Follower
+from solver.pipeline.targets import Distance, Targets
 from solver.progress import Progress, Step, silent
 from solver.rig.result import load_weights
 from solver.rig.sequence import (
@@ -41,6 +42,7 @@ DEFAULTS = {
     "end": None,
     "step": 1,
     "temporal": 0.0,
+    "distance": "point",
     "head_motion": False,
     "max_iterations": 12,
     "linear_solver": None,
@@ -71,14 +73,15 @@ def fit_sequence(
 
     Options: ``fps``; ``start``, ``end`` (not included; None: the last) and ``step`` choose frames;
     ``temporal`` weighs the change of the activations from frame to frame like w_a their size, 0 is
-    none; ``head_motion`` solves the rigid motion of the head; ``max_iterations`` a frame;
-    ``linear_solver``.
+    none; ``distance`` is ``point`` or ``plane``; ``head_motion`` solves the rigid motion of the
+    head; ``max_iterations`` a frame; ``linear_solver``.
 
     Writes ``sequence.npz``, ``activations.csv``, ``sequence.json``, ``sequence.glb`` and
     ``sequence.png``. Raises :class:`InputError` for what can not be used, ``sequence.nothing`` if
     no frame could be fitted.
     """
     given = take(options, DEFAULTS)
+    check_choice(given, "distance", get_args(Distance))
     out.mkdir(parents=True, exist_ok=True)
     progress(Step("read", 0.0, message=performance.name))
     subject = SubjectModel.load(model)
@@ -150,7 +153,8 @@ def _follower(
         temporal=given["temporal"],
         max_iterations=given["max_iterations"],
     )
-    return Follower(tracker, last, stillness(face, S) if given["head_motion"] else None)
+    targets = Targets(face.model, given["distance"])
+    return Follower(tracker, targets, last, stillness(face, S) if given["head_motion"] else None)
 
 
 def _chosen(source: Performance, given: dict[str, Any]) -> range:

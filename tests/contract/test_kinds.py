@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from typer.main import get_command
 
+from myoface.cli.offline import solve
 from service.captures import service as captures
 from service.kinds import KINDS
 from service.store.queue import QUEUES
@@ -28,6 +30,14 @@ def test_options_are_those_of_the_pipeline(kind: str, tmp_path: Path) -> None:
     options = [*KINDS[kind].options["properties"], *known_to_the_worker]
     assert caught.value.context["expected"] == sorted(options)
     assert KINDS[kind].queue in QUEUES
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_command_line_has_the_options_and_their_defaults(kind: str) -> None:
+    command = get_command(solve).commands[kind.removeprefix("fit_").replace("_", "-")]
+    given = {param.name: param for param in command.params}
+    for option, schema in KINDS[kind].options["properties"].items():
+        assert given[option].default in (schema["default"], None)
 
 
 def test_scans_may_be_what_the_solver_reads() -> None:

@@ -15,8 +15,9 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.reference import NotConvergedError, Reference
 from solver.pipeline import fit_activations, fit_geometry
 from solver.progress import Step
-from solver.rig.result import save_weights
+from solver.rig.result import load_activations, save_weights
 from solver.scans.obj import write_obj
+from solver.scans.read import read_registered
 from solver.surface import Floats, Surface
 from tests.unit.solver.block import head_block
 
@@ -139,6 +140,26 @@ def test_a_flipped_scan_is_called_so(files: Path, tmp_path: Path) -> None:
     assert caught.value.code == "scan.misaligned"
 
 
-def test_an_unknown_solver_is_refused(files: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="known are reduced, ipopt"):
-        activations(files, tmp_path, "wide", options={"solver": "fast"})
+def test_a_fit_to_planes_is_not_misled_by_vertices_that_slid(files: Path, tmp_path: Path) -> None:
+    faces, count = MODEL.skin.faces, len(MODEL.skin.vertices)
+    true = read_registered(files / "narrow.obj", faces, count).vertices
+    scans = {"slid": write(tmp_path / "slid.obj", true + np.array([4.0, 0.0, 0.0]))}
+    given = (files / "model.npz", files / "weights.npz", scans)
+    away = {}
+    for distance in ("point", "plane"):
+        out = tmp_path / distance
+        fit_activations(*given, out, options={"distance": distance})
+        report = json.loads((out / "report.json").read_text())
+        assert (report["settings"]["distance"], report["inverted"]) == (distance, 0)
+        skin = load_activations(out / "activations.npz", MODEL)[0].skin
+        away[distance] = np.linalg.norm(skin - true, axis=1).mean()
+    assert away["plane"] < 1.0 < 3.0 < away["point"]
+
+
+@pytest.mark.parametrize(
+    ("option", "known"), [("solver", "reduced, ipopt"), ("distance", "point, plane")]
+)
+def test_an_unknown_choice_is_refused(files: Path, tmp_path: Path, option: str, known: str) -> None:
+    with pytest.raises(InputError, match=f"known are {known}") as caught:
+        activations(files, tmp_path, "wide", options={option: "fast"})
+    assert caught.value.code == f"options.{option}"

@@ -17,6 +17,7 @@ from solver.fitting.sequence import Tracker
 from solver.fitting.stillness import stillness
 from solver.pipeline.follower import Follower
 from solver.pipeline.sequence import fit_sequence
+from solver.pipeline.targets import Targets
 from solver.progress import Step
 from solver.rig.result import save_weights
 from solver.rig.sequence import read_frames
@@ -149,6 +150,17 @@ def test_another_face_is_refused_with_its_distance(files: Path, tmp_path: Path) 
     assert caught.value.code == "performance.unlike"
 
 
+def test_frames_are_fitted_to_planes_too(files: Path, tmp_path: Path) -> None:
+    for distance in ("point", "plane"):
+        fit(files, tmp_path / distance, end=3, distance=distance)
+    points, planes = (np.load(tmp_path / d / "sequence.npz") for d in ("point", "plane"))
+    assert (planes["status"] == "fitted").all()
+    assert not np.allclose(planes["activations"], points["activations"], atol=1e-3)
+    with pytest.raises(InputError, match="known are point, plane") as caught:
+        fit(files, tmp_path, distance="surface")
+    assert caught.value.code == "options.distance"
+
+
 def test_frames_that_are_not_there(files: Path, tmp_path: Path) -> None:
     for options in ({"start": FRAMES}, {"end": FRAMES + 1}, {"start": 3, "end": 3}):
         with pytest.raises(InputError) as caught:
@@ -176,7 +188,7 @@ def test_the_head_s_motion_is_told_from_the_face_s() -> None:
     change = np.random.default_rng(2).normal(0.0, 0.1, rest.a.shape)
     regulariser = Regulariser(w_a=2e-3, w_v=1e-2, w_b=1e-6, prior=rest)
     tracker = Tracker(face, model.weights, regulariser, state)
-    follower = Follower(tracker, still=stillness(face, model.weights))
+    follower = Follower(tracker, Targets(model, "point"), still=stillness(face, model.weights))
     for number in range(1, 3):
         pose = Pose(rest.a + number * change, number * np.array([0.06, 0.0, 0.0, 0.0, 0.5]))
         state = face.move(model.weights, state, pose)
