@@ -46,14 +46,14 @@ def write_face(
     path: Path,
     neutral: Surface,
     shapes: Mapping[str, Floats],
-    animate: Callable[[Buffer, int], gl.Animation],
+    animate: Callable[[Buffer, int], gl.Animation | None],
     attributes: Mapping[str, Floats] = NOTHING,
 ) -> None:
     """Write a skin with named ``shapes`` (v, 3), mm, as morph targets of node 0, and an animation.
 
     Every part of the skin (skin, eyes, teeth ...) is a primitive with its own material; they share
     all vertex data, so that vertex numbers stay the scan's. ``attributes`` are more values (v,) of
-    the vertices. ``animate`` gets the buffer and the number of shapes.
+    the vertices. ``animate`` gets the buffer and the number of shapes; None is no animation.
     """
     names = list(shapes)
     buffer = Buffer()
@@ -73,6 +73,7 @@ def write_face(
         )
         for shape in shapes.values()
     ]
+    animation = animate(buffer, len(names))
     parts = skin_parts(neutral)
     document = gl.GLTF2(
         asset=gl.Asset(version="2.0", generator=GENERATOR),
@@ -97,7 +98,7 @@ def write_face(
                 ],
             )
         ],
-        animations=[animate(buffer, len(names))] if names else [],
+        animations=[] if animation is None else [animation],
         accessors=buffer.accessors,
         bufferViews=buffer.views,
         buffers=[gl.Buffer(byteLength=len(buffer.content))],

@@ -48,7 +48,7 @@ class AnimatedSkin:
     def write(self, path: Path, fps: float) -> None:
         """Write the animation, in metres; a node carries the motion of the head.
 
-        Without a frame, or a frame that moves, it is the neutral.
+        Without a frame, or if neither face nor head moves, it is the neutral.
         """
         weights = np.zeros((len(self._weights), len(self._shapes)))
         for row, values in zip(weights, self._weights, strict=True):
@@ -59,7 +59,7 @@ class AnimatedSkin:
             for number, (size, shape) in enumerate(zip(greatest, self._shapes, strict=True))
         }
 
-        def animate(buffer: Buffer, _count: int) -> gl.Animation:
+        def animate(buffer: Buffer, _count: int) -> gl.Animation | None:
             return _animation(buffer, self._frames, weights / greatest, fps)
 
         write_face(path, self._neutral, shapes, animate)
@@ -67,15 +67,19 @@ class AnimatedSkin:
 
 def _animation(
     buffer: Buffer, frames: Sequence[SequenceFrame], weights: Floats, fps: float
-) -> gl.Animation:
-    times = buffer.dense(np.array([frame.frame / fps for frame in frames]), gl.SCALAR, bounds=True)
+) -> gl.Animation | None:
     heads = np.array([frame.head for frame in frames])
-    tracks = {gl.WEIGHTS: buffer.dense(weights.ravel(), gl.SCALAR)}
+    tracks = {}
+    if weights.size:
+        tracks[gl.WEIGHTS] = buffer.dense(weights.ravel(), gl.SCALAR)
     if heads.any():
         turns = Rotation.from_rotvec(heads[:, :3]).as_quat()
         turns *= _same_side(turns)[:, None]
         tracks[gl.ROTATION] = buffer.dense(turns, gl.VEC4)
         tracks[gl.TRANSLATION] = buffer.dense(heads[:, 3:] * METRES, gl.VEC3)
+    if not tracks:
+        return None
+    times = buffer.dense(np.array([frame.frame / fps for frame in frames]), gl.SCALAR, bounds=True)
     return gl.Animation(
         name="sequence",
         samplers=[

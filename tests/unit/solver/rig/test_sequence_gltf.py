@@ -43,12 +43,7 @@ def test_skins_read_back(tmp_path: Path) -> None:
     shapes = [
         _values(document, target["POSITION"]) for target in document.meshes[0].primitives[0].targets
     ]
-    tracks = {
-        channel.target.path: _values(
-            document, document.animations[0].samplers[channel.sampler].output
-        )
-        for channel in document.animations[0].channels
-    }
+    tracks = _tracks(document)
     weights = tracks["weights"].reshape(FRAMES, len(names))
     for number, skin in enumerate(skins):
         shown = NEUTRAL.vertices + 1e3 * np.tensordot(weights[number], shapes, 1)
@@ -60,10 +55,30 @@ def test_skins_read_back(tmp_path: Path) -> None:
     np.testing.assert_allclose(tracks["translation"][3], [0.005, 0.0, 0.003], atol=1e-7)
 
 
+def test_a_still_face_keeps_the_motion_of_its_head(tmp_path: Path) -> None:
+    animated = AnimatedSkin(NEUTRAL)
+    for number in range(FRAMES):
+        animated.add(frame(number), NEUTRAL.vertices)
+    animated.write(tmp_path / "sequence.glb", 25.0)
+    assert validate_glb(tmp_path / "sequence.glb", []) == []
+    tracks = _tracks(pygltflib.GLTF2().load(str(tmp_path / "sequence.glb")))
+    assert set(tracks) == {"rotation", "translation"}
+    np.testing.assert_allclose(tracks["translation"][3], [0.005, 0.0, 0.003], atol=1e-7)
+
+
 def test_without_frames_it_is_the_neutral(tmp_path: Path) -> None:
     """As of a job whose worker was lost after its last frame."""
     AnimatedSkin(NEUTRAL).write(tmp_path / "sequence.glb", 25.0)
     assert validate_glb(tmp_path / "sequence.glb", []) == []
+
+
+def _tracks(document: pygltflib.GLTF2) -> dict[str, Floats]:
+    """Return the output of each channel, by what it moves."""
+    animation = document.animations[0]
+    return {
+        channel.target.path: _values(document, animation.samplers[channel.sampler].output)
+        for channel in animation.channels
+    }
 
 
 def _values(document: pygltflib.GLTF2, number: int) -> Floats:
