@@ -170,22 +170,23 @@ def fit_activations(
 
         start = time.perf_counter()
         found = chosen.fit(face, S, data[name], regulariser, rest, stop, given["solver"], listen)
-        seconds = time.perf_counter() - start
-        expression = _expression(face, name, "test", scan, targets[name], found, seconds)
+        spent = time.perf_counter() - start
+        expression = _expression(face, name, "test", scan, targets[name], found, spent)
         done = 0.02 + 0.48 * (number + 1) / len(scans)
         fitted.append(told.about(expression, done, found.notices))
     _refuse_failures(fitted)
     kept = [fit for fit in carried if fit.name not in scans]
     chosen_options = {name: given[name] for name in ("distance", "solver")}
     settings = {**standard.UNSEEN, **asdict(stop), **chosen_options}
-    whole = Rig(
-        subject,
-        S,
-        (*kept, *fitted),
-        {"activations": time.perf_counter() - begin},
-        told.general,
-    )
+    seconds = {**_geometry_seconds(carried), "activations": time.perf_counter() - begin}
+    whole = Rig(subject, S, (*kept, *fitted), seconds, told.general)
     return _export(face, whole, settings, out, _later(progress, 0.5))
+
+
+def _geometry_seconds(carried: Sequence[ExpressionFit]) -> dict[str, float]:
+    """Return what the fit of S took: its expressions, solved together, share it."""
+    together = [fit.seconds for fit in carried if fit.role == "train"]
+    return {"geometry": sum(together)} if together else {}
 
 
 def _begun(subject: SubjectModel, start: tuple[Path, Path] | None) -> sp.csr_array | None:

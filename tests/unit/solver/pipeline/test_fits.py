@@ -125,6 +125,8 @@ def test_geometry_by_ipopt_from_one_target(
     assert [warning["code"] for warning in report["warnings"]] == ["fit.one_target"]
     assert report["expressions"]["wide"]["mean_mm"] < 0.1
     assert report["inverted"] == 0
+    after, _ = activations(files, tmp_path / "next", "narrow", rig=tmp_path / "rig")
+    assert after["seconds"]["geometry"] == pytest.approx(report["seconds"]["geometry"], abs=2e-3)
     monkeypatch.setattr(geometry_ipopt, "MOST_TETS", 400)
     scans["narrow"] = files / "narrow.obj"
     with pytest.raises(InputError, match="use solver reduced") as caught:
