@@ -72,8 +72,8 @@ class Target:
         return np.asarray(2.0 * self.weights[:, None] * self._measured(points))
 
     def distances(self, points: Floats) -> Floats:
-        """Return |p_v - t_v|, (k,) mm; NaN where the target has no point."""
-        distance = np.linalg.norm(points - self.points, axis=1)
+        """Return |p_v - t_v|, or that along the normals, (k,) mm; NaN where it has no point."""
+        distance = np.linalg.norm(self._measured(points), axis=1)
         return np.where(self.weights > 0.0, distance, np.nan)
 
     def _measured(self, points: Floats) -> Floats:

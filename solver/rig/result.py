@@ -40,14 +40,14 @@ class ExpressionFit:
     skin, target
         (v, 3) the whole scan topology in mm: as solved and as scanned.
     error_mm
-        (v,) distance between them on the face's vertices, NaN elsewhere and where the scan has
-        no confidence.
+        (v,) distance between them on the face's vertices, along the scan's normals if the fit was
+        to planes; NaN elsewhere and where the scan has no confidence.
     inverted
         Number of tets with det F <= 0.
     iterations, seconds
         How the solve went.
     objective
-        Mean squared distance to the target over the face, mm^2.
+        Mean square of that distance over the face, mm^2.
     x
         (p, 3) tet vertices as solved, mm; None in rigs made before they were kept.
     round_trip
