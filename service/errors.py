@@ -14,6 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.exc import OperationalError
 from starlette.exceptions import HTTPException
 
+from service.schemas import IN_WORDS
+
 CHECKSUM_MISMATCH = 460  # tus 1.0, checksum extension
 LONGEST_QUOTE = 64
 
@@ -122,7 +124,8 @@ def _message(fault: dict[str, Any]) -> str:
     """Return what a field should be and, where that is a short text, what it was."""
     found = fault.get("input")
     quoted = isinstance(found, str) and len(found) <= LONGEST_QUOTE
-    return f"{fault['msg']}, not {found!r}" if quoted else str(fault["msg"])
+    words = IN_WORDS.get(fault.get("ctx", {}).get("pattern"), str(fault["msg"]))
+    return f"{words}, not {found!r}" if quoted else words
 
 
 async def _on_os_error(request: Request, error: Exception) -> Response:

@@ -8,26 +8,38 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 Item = TypeVar("Item")
 
+_ID = r"^[0-9a-fA-F]{8}(-[0-9a-fA-F]{4}){3}-[0-9a-fA-F]{12}$"
+_LINE = r"^[^\x00-\x1f\x7f]*$"
+_NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
+_FILE_NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,254}$"
+_LETTERS = "letters, digits, '_', '.' and '-', with a letter or digit first"
+
+IN_WORDS = {
+    _ID: "an id is needed, such as 8c1d3a52-0f4e-4c5b-9b39-1f3a4f1f6c11",
+    _LINE: "one line of text is needed",
+    _NAME: f"a name is needed of at most 64 {_LETTERS}",
+    _FILE_NAME: f"a file's name is needed of at most 255 {_LETTERS}",
+}
+"""What the patterns of texts ask for, for people."""
+
 Id = Annotated[
     str,
-    StringConstraints(
-        pattern=r"^[0-9a-fA-F]{8}(-[0-9a-fA-F]{4}){3}-[0-9a-fA-F]{12}$", to_lower=True
-    ),
+    StringConstraints(pattern=_ID, to_lower=True),
     Field(json_schema_extra={"format": "uuid"}),
 ]
 """A UUID, as the text that the tables hold."""
 
 Line = Annotated[
     str,
-    StringConstraints(strip_whitespace=True, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$"),
+    StringConstraints(strip_whitespace=True, max_length=200, pattern=_LINE),
 ]
 """One line of text; PostgreSQL could not hold a NUL."""
 
 Title = Annotated[Line, StringConstraints(min_length=1)]
-Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+Name = Annotated[str, StringConstraints(pattern=_NAME)]
 """A name that also serves in file names and as the name of a morph target."""
 
-FileName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,254}$")]
+FileName = Annotated[str, StringConstraints(pattern=_FILE_NAME)]
 """The name of a result's file, which may hold a :data:`Name` and more."""
 
 Position = Annotated[int, Field(ge=0, lt=2**63)]

@@ -36,6 +36,9 @@ captures = typer.Typer(
     help="A subject's scans: add, check, register, list, delete.", no_args_is_help=True
 )
 
+FRAMES = ".npy"
+"""What files of a performance end in."""
+
 Names = Annotated[
     list[str] | None, typer.Argument(help="names or ids of captures; default: all that apply")
 ]
@@ -73,6 +76,9 @@ def add(
         raise typer.BadParameter("--neutral, --landmarks and --resume take one file")
     if performance and (neutral or raw or check):
         raise typer.BadParameter("--performance takes neither --neutral, --raw nor --check")
+    for file in files:
+        if not performance and file.suffix.lower() == FRAMES:
+            raise typer.BadParameter(f"{file.name}: frames are added with --performance")
     role: Role = "neutral" if neutral else "performance" if performance else "expression"
     with Client(url) as client:
         added = [

@@ -97,11 +97,13 @@ def _check_performance(upload: Upload, new: NewCapture) -> None:
 
 
 def _check_format(upload: Upload, code: str, what: str, formats: Sequence[str]) -> None:
-    if PurePath(upload.filename).suffix.lower() not in formats:
+    suffix = PurePath(upload.filename).suffix.lower()
+    if suffix not in formats:
+        hint = "; add it in the role performance" if suffix in PERFORMANCE_FORMATS else ""
         raise Problem(
             422,
             code,
-            f"{upload.filename}: {what} is one of {', '.join(formats)}",
+            f"{upload.filename}: {what} is one of {', '.join(formats)}{hint}",
             file=upload.filename,
             expected=list(formats),
         )

@@ -32,10 +32,16 @@ class Kind:
 
     def faults(self, options: dict[str, Any]) -> list[dict[str, str]]:
         """Return what is wrong with ``options``: where (a JSON path) and a sentence."""
-        errors = Draft202012Validator(self.options).iter_errors(options)
-        return [
+        known = self.options["properties"]
+        message = f"{self.kind} has no such option; it has {', '.join(known)}"
+        strangers = [
+            {"where": f"options.{name}", "message": message}
+            for name in sorted(options.keys() - known.keys())
+        ]
+        errors = Draft202012Validator({**self.options, "additionalProperties": True})
+        return strangers + [
             {"where": error.json_path.replace("$", "options", 1), "message": error.message}
-            for error in sorted(errors, key=lambda error: error.json_path)
+            for error in sorted(errors.iter_errors(options), key=lambda error: error.json_path)
         ]
 
 

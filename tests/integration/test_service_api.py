@@ -51,7 +51,7 @@ def test_jobs_that_can_not_be(studio: Studio) -> None:
             "job.unexpected",
             "captures",
         ),
-        ({"kind": "build_model", "subject_id": "../x"}, 422, "request.invalid", "subject_id"),
+        ({"kind": "build_model", "subject_id": "../x"}, 422, "request.invalid", "an id is needed"),
         (
             {"kind": "build_model", "subject_id": subject, "option": {}},
             422,
@@ -129,6 +129,9 @@ def test_a_performance_is_for_a_sequence_alone(studio: Studio) -> None:
         answer = studio.http.post("/v1/jobs", json=body)
         assert (answer.status_code, answer.json()["code"]) == (422, code)
     scan, array = studio.upload("a.obj", b"v 0 0 0"), studio.upload("a.npy", b"NUMPY")
+    body = {"name": "b", "role": "expression", "upload_id": array}
+    refused = studio.http.post(f"/v1/subjects/{subject}/captures", json=body).json()
+    assert "in the role performance" in refused["detail"]
     for upload, registered, code in (
         (scan, True, "capture.format"),
         (array, False, "capture.is_performance"),
@@ -205,7 +208,8 @@ def test_bodies_that_can_not_be(studio: Studio, body: bytes, status: int, code: 
 
 def test_options_are_checked_before_the_job_is_queued(studio: Studio) -> None:
     subject = studio.subject()
-    for options, named in (('{"edge_mm": NaN}', "range"), ('{"edge": 9}', "edge")):
+    unknown = "options.edge: build_model has no such option; it has edge_mm"
+    for options, named in (('{"edge_mm": NaN}', "range"), ('{"edge": 9}', unknown)):
         body = f'{{"kind": "build_model", "subject_id": "{subject}", "options": {options}}}'
         headers = {"Content-Type": "application/json"}
         answer = studio.http.post("/v1/jobs", content=body, headers=headers)
