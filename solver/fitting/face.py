@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from solver.anatomy.bone_normals import bone_normals
 from solver.errors import SolveError
 from solver.mechanics import equilibrium, jaw
-from solver.mechanics.equilibrium import Equilibrium
+from solver.mechanics.equilibrium import Equilibrium, Stiffness
 from solver.mechanics.flesh import IDENTITY, Flesh, Material
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.sliding import Planes, no_planes, planes
@@ -22,7 +22,7 @@ from solver.threads import leave_threads_to_kernels
 GUESSES = (1.0, 0.7, 0.4, 0.0)
 """Parts of a predicted motion that are tried as a start."""
 
-FLATTEST_GUESS = 0.5
+FLATTEST_GUESS = 0.3
 """How far a predicted motion may narrow a tet."""
 
 SMALLEST_FRACTION = 2.0**-6
@@ -109,12 +109,18 @@ class Face:
         """Return A_i = sum_j s_ij a_j, (n, 6), with a_0 = a_I for the passive column."""
         return np.ascontiguousarray(S @ np.vstack([IDENTITY, a]))
 
-    def settle(self, S: sp.csr_array, pose: Pose, x: Floats) -> State:
-        """Find the equilibrium of a pose from ``x`` (p, 3), the mandible being put where b says."""
+    def settle(
+        self, S: sp.csr_array, pose: Pose, x: Floats, near: Stiffness | None = None
+    ) -> State:
+        """Find the equilibrium of a pose from ``x`` (p, 3), the mandible being put where b says.
+
+        ``near`` is the stiffness of a state nearby, if there is one.
+        """
         x = x.copy()
         x[self.model.mandible] = self.mandible(pose.b)
+        a = self.tet_activations(S, pose.a)
         result = equilibrium.solve(
-            self.flesh, self.linear, x, self.tet_activations(S, pose.a), tolerance=self.tolerance
+            self.flesh, self.linear, x, a, tolerance=self.tolerance, near=near
         )
         return State(pose, result)
 
@@ -151,25 +157,42 @@ class Face:
         return min(guesses, key=lambda x: self.flesh.energy(x, a))
 
     def move(self, S: sp.csr_array, start: State, pose: Pose) -> State:
-        """Go from a settled state to another pose, in as few steps as stay free of inversion.
+        """Go from a settled state to another pose along the straight line between them.
 
-        Each step first carries the flesh along linearly with the jaw. Raises the last
-        :class:`SolveError` if the pose can not be reached.
+        A step is as long as the flesh's linear response flattens no tet; on the way its end is only
+        approached. Raises the last :class:`SolveError` if the pose can not be reached.
         """
         done, fraction = 0.0, 1.0
         state = start
         while done < 1.0:
             goal = min(1.0, done + fraction)
             target = start.pose.toward(pose, goal) if goal < 1.0 else pose
-            try:
-                state = self.settle(S, target, self.carried(S, state, target))
-            except SolveError:
-                fraction *= 0.5
-                if fraction < SMALLEST_FRACTION:
-                    raise
-                continue
-            done = goal
+            x = self.carried(S, state, target)
+            narrowing = self.flesh.narrowing(state.x, x)
+            least = fraction <= SMALLEST_FRACTION
+            if narrowing >= FLATTEST_GUESS or least:
+                try:
+                    state = self._reach(S, state, target, x, last=goal == 1.0)
+                    done = goal
+                except SolveError:
+                    if least:
+                        raise
+                    narrowing = -np.inf
+            # as a tet narrows about linearly, this is the longest step that flattens none
+            fit = 0.9 * (1.0 - FLATTEST_GUESS) / max(1.0 - narrowing, 0.1)
+            fraction = max(fraction * min(max(fit, 0.25), 2.0), SMALLEST_FRACTION)
         return state
+
+    def _reach(
+        self, S: sp.csr_array, state: State, target: Pose, x: Floats, *, last: bool
+    ) -> State:
+        """Find the state of ``target`` from ``x`` (p, 3): settled if it is the last of a motion."""
+        if last:
+            return self.settle(S, target, x, state.equilibrium.factor)
+        a = self.tet_activations(S, target.a)
+        reached = equilibrium.approach(self.flesh, self.linear, x, a, equilibrium.REACH_MM)
+        # where flesh buckles a linear response leads nowhere
+        return State(target, reached) if reached.minimum else self.settle(S, target, reached.x)
 
     def mandible(self, b: Floats) -> Floats:
         """Return where the mandible's vertices are for b, (k, 3)."""
@@ -195,23 +218,15 @@ class Face:
         return skin
 
     def carried(self, S: sp.csr_array, state: State, target: Pose) -> Floats:
-        """Predict x at ``target`` by the flesh's linear response to the change of pose.
-
-        Where the response to the activations would flatten a tet, only the jaw carries the flesh.
-        """
-        motion = np.zeros_like(self.model.rest)
-        mandible = self.model.mandible
-        motion[mandible] = self.mandible(target.b) - state.x[mandible]
+        """Predict x (p, 3) at ``target`` by the flesh's linear response to the change of pose."""
+        x = state.x.copy()
+        x[self.model.mandible] = self.mandible(target.b)
         before = self.tet_activations(S, state.pose.a)
+        pull = self.flesh.coupling(state.x, before, (x - state.x)[:, :, None])[:, 0]
         change = self.flesh.gradient(state.x, self.tet_activations(S, target.a))
-        pull = self.flesh.coupling(state.x, before, motion[:, :, None])
-        response = -state.equilibrium.factor.solve(np.column_stack([pull, change]))
-        by_jaw, by_activation = response.T.reshape(2, -1, 3)
-        motion[self.flesh.free] = by_jaw
-        x = state.x + motion
-        whole = x.copy()
-        whole[self.flesh.free] += by_activation
-        return whole if self.flesh.narrowing(state.x, whole) > FLATTEST_GUESS else x
+        response = -state.equilibrium.factor.solve(pull + change)
+        x[self.flesh.free] += response.reshape(-1, 3)
+        return x
 
 
 def sliding_planes(model: SubjectModel, mu: float) -> Planes:

@@ -2,13 +2,14 @@
 
 Near the solution the raw Hessian gives quadratic convergence. Far from it, and where it is not
 positive definite, it is projected, no further than need be. A line search keeps the energy finite,
-hence every tet upright.
+hence every tet upright. Where a Hessian from nearby still serves, its chord steps do instead: one
+costs a tenth of a new factorisation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -42,23 +43,63 @@ REACH_MM = 0.3
 
 CORRECTIONS = 6
 
+CONTRACTION = 0.3
+"""Part of what it was that a chord step leaves of the residual, or of the next step's length."""
+
+SETTLED_MM = 0.02
+CHORDS = 3
+"""Chord steps that end an approach, if the next one is not shorter than that before."""
+
+SAME_MM = 1e-3
+"""Motion over which a factorised Hessian counts as the one here."""
+
+
+class Stiffness:
+    """The Hessian at x (p, 3) with activations ``a`` (n, 6), factorised when first asked for.
+
+    ``first`` is the first of the :data:`SHARES` to be tried.
+    """
+
+    def __init__(
+        self, flesh: Flesh, linear: LinearSolver, x: Floats, a: Floats, first: int = 0
+    ) -> None:
+        self.x = x
+        self._problem = flesh, linear, x, a, first
+
+    def solve(self, B: Floats) -> Floats:
+        """See :class:`~solver.mechanics.linear.Factor`."""
+        return self._factorised[0].solve(B)
+
+    @property
+    def share(self) -> int:
+        """Return the number of the share by which the Hessian had to be projected."""
+        return self._factorised[1]
+
+    @cached_property
+    def _factorised(self) -> tuple[Factor, int]:
+        return factorise(*self._problem)
+
 
 @dataclass(frozen=True)
 class Equilibrium:
     """Vertices x (p, 3) with the factorised Hessian there, and what Newton's next step leads to.
 
     ``estimate`` (p, 3) is that step's end: the equilibrium to second order, x itself where that is
-    solved. ``residual`` is |grad E| over the nodal forces at unit strain, ``iterations`` counts
-    Newton steps, ``minimum`` tells that the Hessian was factorised as it is, so that it is positive
-    definite (else ``factor`` is of a projected one).
+    solved. ``factor`` is the Hessian's at x, or where it served last on the way, at most
+    :data:`REACH_MM` away (:data:`SAME_MM` where solved). ``residual`` is |grad E| over the nodal
+    forces at unit strain, ``iterations`` counts Newton steps.
     """
 
     x: Floats
     estimate: Floats
-    factor: Factor
+    factor: Stiffness
     residual: float
     iterations: int
-    minimum: bool
+
+    @property
+    def minimum(self) -> bool:
+        """Tell whether the Hessian is positive definite as it is (else it has been projected)."""
+        return self.factor.share == 0
 
 
 def factorise(
@@ -92,69 +133,116 @@ def solve(
     *,
     tolerance: float = TOLERANCE,
     max_iterations: int = MAX_ITERATIONS,
+    near: Stiffness | None = None,
 ) -> Equilibrium:
     """Minimise E over the free vertices from ``x`` (p, 3), held vertices staying where they are.
 
-    Raises :class:`SolveError`: ``solve.inverted`` if a tet is inverted at the start,
-    ``solve.no_convergence`` if it stops at a residual above both ``tolerance`` and ``STALLED``.
+    ``near`` is the stiffness of a state nearby, which is tried first. Raises :class:`SolveError`:
+    ``solve.inverted`` if a tet is inverted at the start, ``solve.no_convergence`` if it stops at a
+    residual above both ``tolerance`` and ``STALLED``.
     """
-    found = _newton(flesh, linear, x, a, lambda now: now.residual <= tolerance, max_iterations)
-    if found.residual > max(tolerance, STALLED):
+    _check_upright(flesh, x, a)
+    stiffness, share = near, -1
+    for iteration in range(max_iterations + 1):
+        gradient = flesh.gradient(x, a)
+        if stiffness is not None:
+            x, gradient = _coast(flesh, x, a, stiffness, gradient, tolerance)
+        residual = _residual(flesh, gradient)
+        if residual <= tolerance or iteration == max_iterations:
+            break
+        newton = Stiffness(flesh, linear, x, a, _first_share(residual, share))
+        share = newton.share
+        step = _line_search(flesh, x, a, newton.solve(-gradient), gradient, share > 0)
+        if step is None:
+            break
+        x, length = step
+        # what is projected, or led only part of the way, is no good a second time
+        stiffness = newton if share == 0 and length == 1.0 else None
+    if residual > max(tolerance, STALLED):
         raise SolveError(
             "solve.no_convergence",
-            f"equilibrium stopped at a residual of {found.residual:.1e} after "
-            f"{found.iterations} steps",
-            residual=found.residual,
+            f"equilibrium stopped at a residual of {residual:.1e} after {iteration} steps",
+            residual=residual,
         )
-    return found
+    if stiffness is None or np.abs(stiffness.x - x).max() > SAME_MM:
+        stiffness = Stiffness(flesh, linear, x, a)
+    return Equilibrium(x, x, stiffness, residual, iteration)
 
 
-def approach(flesh: Flesh, linear: LinearSolver, x: Floats, a: Floats) -> Equilibrium:
+def approach(
+    flesh: Flesh, linear: LinearSolver, x: Floats, a: Floats, settled_mm: float = SETTLED_MM
+) -> Equilibrium:
     """Take Newton steps from ``x`` (p, 3) until the next one is shorter than :data:`REACH_MM`.
 
-    Inside a fit that is near enough: ``estimate`` is what the fit compares with its target. Raises
+    Then chord steps follow, :data:`CHORDS` at most, until the next is shorter than ``settled_mm``.
+    Inside a fit that is near enough: ``estimate`` is what it compares with its target. Raises
     :class:`SolveError`: ``solve.inverted``, or ``solve.far`` after :data:`CORRECTIONS` steps.
     """
+    _check_upright(flesh, x, a)
+    share = -1
+    for iteration in range(CORRECTIONS + 1):
+        gradient = flesh.gradient(x, a)
+        residual = _residual(flesh, gradient)
+        stiffness = Stiffness(flesh, linear, x, a, _first_share(residual, share))
+        share = stiffness.share
+        direction = stiffness.solve(-gradient)
+        if np.abs(direction).max() <= REACH_MM:
+            estimate = _moved(flesh, x, direction)
+            found = Equilibrium(x, estimate, stiffness, residual, iteration)
+            return _polish(flesh, a, found, settled_mm)
+        step = _line_search(flesh, x, a, direction, gradient, share > 0)
+        if step is None:
+            break
+        x, _ = step
+    raise SolveError("solve.far", "the equilibrium is too far for a few steps")
 
-    def near(now: Equilibrium) -> bool:
-        return float(np.abs(now.estimate - now.x).max()) <= REACH_MM
 
-    found = _newton(flesh, linear, x, a, near, CORRECTIONS)
-    if not near(found):
-        raise SolveError("solve.far", "the equilibrium is too far for a few steps")
-    return found
-
-
-def _newton(
-    flesh: Flesh,
-    linear: LinearSolver,
-    x: Floats,
-    a: Floats,
-    done: Callable[[Equilibrium], bool],
-    max_iterations: int,
-) -> Equilibrium:
-    energy = flesh.energy(x, a)
-    if not np.isfinite(energy):
+def _check_upright(flesh: Flesh, x: Floats, a: Floats) -> None:
+    if not np.isfinite(flesh.energy(x, a)):
         raise SolveError(
             "solve.inverted", f"{flesh.inverted(x)} tetrahedra are inverted before the first step"
         )
-    share = -1
-    for iteration in range(max_iterations + 1):
-        gradient = flesh.gradient(x, a)
-        residual = float(np.linalg.norm(gradient)) / flesh.force_scale
-        first = _first_share(residual, share)
-        factor, share = factorise(flesh, linear, x, a, first)
-        direction = -factor.solve(gradient)
-        estimate = x.copy()
-        estimate[flesh.free] += direction.reshape(-1, 3)
-        now = Equilibrium(x, estimate, factor, residual, iteration, share == 0)
-        if iteration == max_iterations or done(now):
+
+
+def _residual(flesh: Flesh, gradient: Floats) -> float:
+    return float(np.linalg.norm(gradient)) / flesh.force_scale
+
+
+def _moved(flesh: Flesh, x: Floats, direction: Floats) -> Floats:
+    """Return x (p, 3) with the free vertices moved by ``direction`` (size,)."""
+    x = x.copy()
+    x[flesh.free] += direction.reshape(-1, 3)
+    return x
+
+
+def _coast(
+    flesh: Flesh, x: Floats, a: Floats, stiffness: Stiffness, gradient: Floats, tolerance: float
+) -> tuple[Floats, Floats]:
+    """Return where chord steps lead as long as the residual falls well, and the gradient there."""
+    while _residual(flesh, gradient) > tolerance:
+        trial = _moved(flesh, x, stiffness.solve(-gradient))
+        if flesh.narrowing(x, trial) < NARROWEST:
             break
-        slope = float(gradient @ direction)
-        step = _line_search(flesh, x, a, direction, energy, slope, share > 0)
-        if step is None:
+        after = flesh.gradient(trial, a)
+        if np.linalg.norm(after) > CONTRACTION * np.linalg.norm(gradient):
             break
-        x, energy = step
+        x, gradient = trial, after
+    return x, gradient
+
+
+def _polish(flesh: Flesh, a: Floats, now: Equilibrium, settled_mm: float) -> Equilibrium:
+    """Follow an estimate by chord steps that get shorter."""
+    for _ in range(CHORDS):
+        length = np.abs(now.estimate - now.x).max()
+        if length <= settled_mm or flesh.narrowing(now.x, now.estimate) < NARROWEST:
+            break
+        gradient = flesh.gradient(now.estimate, a)
+        direction = now.factor.solve(-gradient)
+        if np.abs(direction).max() > CONTRACTION * length:
+            break
+        estimate = _moved(flesh, now.estimate, direction)
+        residual = _residual(flesh, gradient)
+        now = replace(now, x=now.estimate, estimate=estimate, residual=residual)
     return now
 
 
@@ -168,23 +256,18 @@ def _first_share(residual: float, last: int) -> int:
 
 
 def _line_search(
-    flesh: Flesh,
-    x: Floats,
-    a: Floats,
-    direction: Floats,
-    energy: float,
-    slope: float,
-    grow: bool,
+    flesh: Flesh, x: Floats, a: Floats, direction: Floats, gradient: Floats, grow: bool
 ) -> tuple[Floats, float] | None:
     """Halve the step until the energy falls enough (Armijo); None if it does not fall at all.
 
     With ``grow`` a full step that does is made longer while the energy goes on falling: where flesh
-    buckles, at a saddle, the projected Hessian is too stiff.
+    buckles, at a saddle, the projected Hessian is too stiff. Returns the end and the step's length,
+    1 being the whole ``direction``.
     """
+    energy, slope = flesh.energy(x, a), float(gradient @ direction)
 
     def tried(step: float) -> tuple[Floats, float] | None:
-        trial = x.copy()
-        trial[flesh.free] += step * direction.reshape(-1, 3)
+        trial = _moved(flesh, x, step * direction)
         if flesh.narrowing(x, trial) < NARROWEST:
             return None
         value = flesh.energy(trial, a)
@@ -198,9 +281,8 @@ def _line_search(
         step *= 0.5
         found = tried(step)
     while grow and found is not None and step >= 1.0:
-        step *= GROWTH
-        longer = tried(step)
+        longer = tried(GROWTH * step)
         if longer is None or longer[1] >= found[1]:
             break
-        found = longer
-    return found
+        found, step = longer, GROWTH * step
+    return found and (found[0], step)
