@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from solver.anatomy.template import Muscle
 from solver.surface import Floats, Ints
+from solver.triangles import area_normals
 
 STRAIGHT_END, BENT_END = 0.15, 0.05
 """Part of a muscle's length at each end where the potential is given. Less takes the top of a dome,
@@ -76,7 +77,7 @@ def _basis(vertices: Floats, tets: Ints) -> tuple[Floats, Floats]:
 def _bend(muscle: Muscle) -> float:
     """Return how far a muscle's middle lies off the line between its ends, by their distance."""
     corners = muscle.surface.vertices[muscle.surface.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = area_normals(muscle.surface.vertices, muscle.surface.faces)
     area = np.linalg.norm(normals, axis=1)
     off = np.average(corners.mean(axis=1), axis=0, weights=area)
     off = off - (muscle.origin + muscle.insertion) / 2

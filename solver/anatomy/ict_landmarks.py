@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from importlib import resources
 
 import numpy as np
-import scipy.sparse as sp
 import trimesh
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
@@ -17,6 +16,7 @@ from solver.anatomy.bodyparts3d import Part
 from solver.anatomy.depth_warp import Landmarks
 from solver.anatomy.ict_facekit import FaceKit
 from solver.surface import Floats, Ints, Surface
+from solver.triangles import adjacency
 
 CROWN_MM = 8.0
 """Height of the part of a tooth whose middle is the landmark."""
@@ -67,11 +67,7 @@ def teeth_and_eyes(parts: dict[str, Part], kit: FaceKit) -> Landmarks:
 
 def _components(faces: Ints, numbers: range) -> list[Ints]:
     own = faces[ict_facekit.faces_within(faces, numbers)] - numbers.start
-    ones = np.ones(own.size)
-    graph = sp.coo_array(
-        (ones, (own.ravel(), np.roll(own, 1, axis=1).ravel())), shape=(len(numbers),) * 2
-    )
-    count, labels = connected_components(graph, directed=False)
+    count, labels = connected_components(adjacency(own, len(numbers)), directed=False)
     parts = [np.flatnonzero(labels == number) + numbers.start for number in range(count)]
     return sorted(parts, key=lambda part: int(part[0]))
 

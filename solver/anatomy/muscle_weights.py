@@ -8,6 +8,7 @@ import scipy.sparse as sp
 
 from solver.anatomy.tetrahedra import volumes
 from solver.surface import Floats, Ints, Surface
+from solver.triangles import directed_edges
 
 CANDIDATE_MM = 10.0
 """A muscle may act in the tetrahedra within this distance (the paper's sparsity of S)."""
@@ -96,7 +97,7 @@ def enclosed_volume(surface: Surface) -> float:
 
 def _closed(faces: Ints) -> bool:
     """Return whether every edge has two faces, which run along it in opposite directions."""
-    edges = np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = directed_edges(faces)
     places = np.array([faces.max() + 1, 1])
     there, back = np.sort(edges @ places), np.sort(edges[:, ::-1] @ places)
     return bool(np.array_equal(there, back) and (np.diff(there) > 0).all())

@@ -8,6 +8,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from solver.surface import Floats, Ints, Surface
+from solver.triangles import directed_edges
 
 
 class SkinDepth:
@@ -48,7 +49,7 @@ class SkinDepth:
 
 def boundary_edges(faces: Ints) -> tuple[Ints, Ints]:
     """Return the edges (e, 2) of only one face, in its direction, and the hole (e,) of each."""
-    edges = np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = directed_edges(faces)
     _, edge, count = np.unique(
         np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True
     )

@@ -14,6 +14,7 @@ from solver.anatomy.template_finding import Finding, error, warning
 from solver.anatomy.tetrahedra import dihedral_angles, volumes
 from solver.scans.landmarks import IBUG_68, SYNONYMS
 from solver.surface import Floats, Surface
+from solver.triangles import directed_edges
 
 FACE_MM = (90.0, 320.0)
 """Least and greatest height of the part of a head that is fitted."""
@@ -255,7 +256,6 @@ def _signed_volume(surface: Surface) -> float:
 
 def _edges_of_many_faces(surface: Surface) -> int:
     """Return how many edges belong to more than two triangles."""
-    faces = surface.faces
-    edges = np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = directed_edges(surface.faces)
     counts = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)[1]
     return int(np.sum(counts > 2))

@@ -7,10 +7,10 @@ eyeballs are spheres, and what is small lies at an eye or is a tooth.
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from solver.surface import Floats, Ints, Surface
+from solver.triangles import adjacency
 
 EYE_RADIUS_MM = (9.0, 18.0)
 ROUNDNESS = 0.07  # deviation from the best sphere, by its radius (the cornea's bulge gives 0.04)
@@ -33,10 +33,7 @@ def skin_parts(skin: Surface) -> dict[str, Ints]:
 
 def _components(skin: Surface) -> Ints:
     count = len(skin.vertices)
-    ends = np.roll(skin.faces, 1, axis=1)
-    edges = sp.coo_array(
-        (np.ones(skin.faces.size), (skin.faces.ravel(), ends.ravel())), shape=(count, count)
-    )
+    edges = adjacency(skin.faces, count)
     return np.asarray(connected_components(edges, directed=False)[1], np.int64)
 
 

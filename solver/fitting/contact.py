@@ -21,6 +21,7 @@ from solver.fitting.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
 from solver.fitting.overlap import Overlap, Shell, behind, between_lips
 from solver.model import SubjectModel
 from solver.surface import Floats
+from solver.triangles import area_normals
 
 WEIGHT = 300.0
 """A lip's vertex in contact counts like so many vertices of the face skin: its depth beyond the
@@ -114,7 +115,7 @@ def _outer_teeth(mouth: Mouth, points: Floats) -> Shell:
     if not len(faces):
         return Shell(faces)
     corners = points[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = area_normals(points, faces)
     middle = (points[faces].min(axis=(0, 1)) + points[faces].max(axis=(0, 1))) / 2
     out = (corners.mean(axis=1) - middle) * [1.0, 0.0, 1.0]
     lengths = np.linalg.norm(out, axis=1) * np.linalg.norm(normals, axis=1)

@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 from solver.anatomy.embedding import rows_of
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
+from solver.triangles import directed_edges
 
 REACH_MM = 12.0
 """Skin takes part that is this near to the other lip in the neutral face,"""
@@ -108,7 +109,7 @@ class Mouth:
 def _lips(model: SubjectModel, flesh: Ints, teeth: Ints) -> Ints:
     """Return the skin vertices of the flesh's triangles (g, 3) that may touch a lip or teeth."""
     skin = model.skin.vertices
-    edges = np.vstack([flesh[:, [0, 1]], flesh[:, [1, 2]], flesh[:, [2, 0]]])
+    edges = directed_edges(flesh)
     lengths = np.linalg.norm(skin[edges[:, 0]] - skin[edges[:, 1]], axis=1)
     graph = sp.coo_array((lengths, tuple(edges.T)), shape=(len(skin), len(skin))).tocsr()
     upper, lower = (

@@ -17,6 +17,7 @@ from solver.model import SubjectModel
 from solver.registration.similarity import Similarity, weighted_motion
 from solver.scans.registered import RegisteredScan
 from solver.surface import Floats, Ints
+from solver.triangles import directed_edges, vertex_areas
 
 SAME_MM = 0.01
 """Scans nearer than this everywhere are one scan; a repeated capture differs by its noise."""
@@ -86,7 +87,7 @@ def after_fit(model: SubjectModel, name: str, error_mm: Floats) -> list[Notice]:
     joined = edges[high[edges].all(axis=1)]
     graph = sp.coo_array((np.ones(len(joined)), joined.T), shape=(len(error),) * 2)
     _, patch = connected_components(graph, directed=False)
-    area = np.bincount(patch[high], _areas(model)[high])
+    area = np.bincount(patch[high], vertex_areas(model.skin.vertices, model.skin.faces)[high])
     found = []
     for number in np.unique(patch[high]):
         size = 2.0 * float(np.sqrt(area[number] / np.pi))
@@ -212,21 +213,8 @@ def _seen(model: SubjectModel, scan: RegisteredScan) -> Ints:
     return model.face[scan.confidence[model.face] > 0.0]
 
 
-def _areas(model: SubjectModel) -> Floats:
-    """Return the area of the neutral's skin that belongs to each vertex, (V,) mm^2."""
-    corners = model.skin.vertices[model.skin.faces]
-    doubled = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
-    areas = np.zeros(len(model.skin.vertices))
-    np.add.at(areas, model.skin.faces, doubled[:, None] / 6.0)
-    return areas
-
-
 def _edges(model: SubjectModel) -> Ints:
-    faces = model.skin.faces
-    both = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    return np.unique(np.sort(both, axis=1), axis=0)
+    return np.unique(np.sort(directed_edges(model.skin.faces), axis=1), axis=0)
 
 
 def _where(model: SubjectModel, vertex: int) -> str:

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solver.normals import vertex_normals
-from solver.registration.neighbours import adjacency
 from solver.registration.scan_surface import ScanSurface
 from solver.registration.similarity import Similarity
 from solver.surface import Floats, Ints, Surface
+from solver.triangles import adjacency
 
 COVERED_MM = 10.0
 COVERED_COSINE = 0.5

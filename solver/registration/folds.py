@@ -7,8 +7,8 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
 from solver.normals import vertex_normals
-from solver.registration.neighbours import adjacency
 from solver.surface import Floats, Ints, Surface
+from solver.triangles import adjacency, area_normals
 
 WIDENINGS = 10
 SHORTEST_MM = 0.05
@@ -64,7 +64,6 @@ def _bending(vertices: Floats, graph: sp.csr_array) -> sp.csr_array:
 
 
 def _agreement(vertices: Floats, faces: Ints) -> Floats:
-    corners = vertices[faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = area_normals(vertices, faces)
     around = vertex_normals(Surface(vertices, faces))[faces].mean(axis=1)
     return np.asarray(np.einsum("nd,nd->n", normal, around))

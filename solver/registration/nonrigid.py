@@ -25,6 +25,7 @@ from solver.registration.scan_surface import ScanSurface
 from solver.registration.similarity import Similarity
 from solver.registration.topology import Topology
 from solver.surface import Floats, Ints, Surface
+from solver.triangles import vertex_areas
 
 MEMBRANE = 0.02
 """m: keeps what the scan does not show from swinging out."""
@@ -175,10 +176,5 @@ def _laplacian(surface: Surface) -> tuple[sp.csr_array, Floats]:
     weights = sp.csr_array(half + half.T)
     weights.data = np.clip(weights.data, *COTANGENT)
     laplacian = sp.csr_array(sp.diags_array(weights.sum(axis=1)) - weights)
-    double = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
-    area = np.zeros(count)
-    for corner in range(3):
-        np.add.at(area, surface.faces[:, corner], double / 6)
+    area = vertex_areas(surface.vertices, surface.faces)
     return laplacian, np.maximum(area, 0.02 * np.median(area))

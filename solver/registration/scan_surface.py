@@ -13,9 +13,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from solver.errors import InputError
-from solver.registration.neighbours import adjacency
 from solver.scans.raw import RawScan
 from solver.surface import Floats, Ints, Surface
+from solver.triangles import adjacency, area_normals
 
 MAX_VERTICES = 120_000
 """More than this is thinned: a 1.5 mm grid on a head, well below a template's edges."""
@@ -214,9 +214,8 @@ def _without_debris(surface: Surface) -> Surface:
 
 def _outward(surface: Surface) -> Surface:
     """Return the scan, its faces wound the other way if most of them look inward."""
-    corners = surface.vertices[surface.faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    away = corners.mean(axis=1) - np.median(surface.vertices, axis=0)
+    normal = area_normals(surface.vertices, surface.faces)
+    away = surface.vertices[surface.faces].mean(axis=1) - np.median(surface.vertices, axis=0)
     if float(np.sum(normal * away)) >= 0:
         return surface
     return Surface(surface.vertices, np.ascontiguousarray(surface.faces[:, ::-1]))
@@ -224,7 +223,7 @@ def _outward(surface: Surface) -> Surface:
 
 def _smooth_normals(surface: Surface) -> Floats:
     corners = surface.vertices[surface.faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = area_normals(surface.vertices, surface.faces)
     count = len(surface.vertices)
     sums = np.zeros((count, 3))
     for corner in range(3):

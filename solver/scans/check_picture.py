@@ -13,6 +13,7 @@ from solver.scans.check import Check
 from solver.scans.relief import FAR_MM
 from solver.scans.sample import estimated_normals
 from solver.surface import Floats, Ints, Surface
+from solver.triangles import area_normals
 
 WIDTH, HEIGHT = 420, 520
 SUPERSAMPLING = 2
@@ -92,8 +93,7 @@ def _draw_mesh(
     mask = np.asarray(seen.mask)
     if not mask.any():
         return
-    corners = surface.vertices[surface.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = area_normals(surface.vertices, surface.faces)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-30
     smooth = _smooth(normals, surface.faces, len(surface.vertices))
     normal = seen.interpolate(smooth).astype(np.float64)

@@ -20,6 +20,7 @@ from solver.normals import vertex_normals
 from solver.scans.pose import Pose
 from solver.scans.sample import Samples
 from solver.surface import Floats, Ints, Surface
+from solver.triangles import vertex_areas
 
 IDENTITIES = 30
 EXPRESSION_SD = 0.35
@@ -80,7 +81,7 @@ def _fit(
     count = len(basis)
     weights = np.zeros(count)
     tree = KDTree(scan.points)
-    area = _vertex_areas(rest, faces)
+    area = vertex_areas(rest, faces)
     scale, rotation, translation = pose.scale, pose.rotation, pose.translation
     for reach in REACHES_MM:
         model = rest + np.tensordot(weights, basis, 1)
@@ -106,10 +107,3 @@ def _fit(
         translation = growth * turn @ (translation - centre) + centre + step[count + 3 : -1]
         rotation, scale = turn @ rotation, growth * scale
     return weights, Pose(scale, rotation, translation, pose.residual_mm, pose.coverage)
-
-
-def _vertex_areas(vertices: Floats, faces: Ints) -> Floats:
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
-    sums = np.bincount(faces.ravel(), np.repeat(area, 3), minlength=len(vertices))
-    return np.asarray(sums, np.float64)

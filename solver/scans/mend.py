@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from solver.scans.raw import RawScan
 from solver.scans.weld import alike, weld
 from solver.surface import Floats, Ints
+from solver.triangles import area_normals
 
 FLAT = 1e-7
 """A triangle is flat if twice its area is less than this share of its longest edge squared."""
@@ -104,7 +105,7 @@ def _picked(scan: RawScan, vertices: Ints, faces: Ints) -> RawScan:
 
 def _is_flat(vertices: Floats, faces: Ints) -> NDArray[np.bool_]:
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    double_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    double_area = np.linalg.norm(area_normals(vertices, faces), axis=1)
     longest = np.max([((b - a) ** 2).sum(1), ((c - b) ** 2).sum(1), ((a - c) ** 2).sum(1)], axis=0)
     return np.asarray(double_area <= FLAT * longest)
 

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from solver.surface import Floats, Ints
+from solver.triangles import area_normals
 
 NEIGHBOURS = 12
 
@@ -46,7 +47,7 @@ def sample(
 
 def _on_triangles(vertices: Floats, faces: Ints, count: int, rng: np.random.Generator) -> Samples:
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    cross = np.cross(b - a, c - a)
+    cross = area_normals(vertices, faces)
     area = np.linalg.norm(cross, axis=1)
     ends = np.cumsum(area)
     if ends[-1] <= 0:
