@@ -30,10 +30,10 @@ from solver.anatomy.ict_template import build_ict_template
 from solver.anatomy.shapes import ShapeBasis
 from solver.anatomy.template import Template
 from solver.registration.register import Registration, register
-from solver.registration.similarity import weighted_motion
 from solver.registration.topology import Topology, topology
 from solver.scans.mend import mend
 from solver.scans.raw import RawScan, read_raw
+from solver.similarity import weighted_motion
 from solver.surface import Floats, Surface
 
 RAW = ("meshmonk/DemoFace_10K.obj", "menpo3d/james.obj")

@@ -14,8 +14,8 @@ from scipy.sparse.csgraph import connected_components
 
 from solver.fitting.notices import Notice
 from solver.model import SubjectModel
-from solver.registration.similarity import Similarity, weighted_motion
 from solver.scans.registered import RegisteredScan
+from solver.similarity import Similarity, weighted_motion
 from solver.surface import Floats, Ints
 from solver.triangles import directed_edges, vertex_areas
 

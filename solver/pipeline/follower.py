@@ -12,11 +12,11 @@ from solver.fitting.face import Pose
 from solver.fitting.objective import Target
 from solver.fitting.sequence import Tracker
 from solver.pipeline.targets import Targets
-from solver.registration.similarity import IDENTITY, Similarity, weighted_motion
 from solver.registration.stabilise import head_motion
 from solver.rig.sequence import SequenceFrame, Status
 from solver.rig.sequence_picture import Shot
 from solver.scans.registered import RegisteredScan
+from solver.similarity import IDENTITY, Similarity, weighted_motion
 from solver.surface import Floats
 
 LEAST_COVERAGE = 0.1

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from solver.normals import vertex_normals
 from solver.registration.scan_surface import ScanSurface
-from solver.registration.similarity import Similarity
+from solver.similarity import Similarity
 from solver.surface import Floats, Ints, Surface
 from solver.triangles import adjacency
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from solver.registration.scan_surface import ScanSurface
-from solver.registration.similarity import Similarity
+from solver.similarity import Similarity
 from solver.surface import Floats, Ints
 
 MIN_COSINE = 0.5

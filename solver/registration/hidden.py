@@ -7,7 +7,7 @@ import numpy as np
 from solver.anatomy.template import Template
 from solver.anatomy.warp import interpolate, spread
 from solver.drawing.parts import skin_parts
-from solver.registration.similarity import weighted_motion
+from solver.similarity import weighted_motion
 from solver.surface import Floats, Ints
 
 GUIDES = 500

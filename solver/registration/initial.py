@@ -14,10 +14,10 @@ from solver.registration.correspondence import Pins
 from solver.registration.pose import FacePatch, find_face
 from solver.registration.rigid import align
 from solver.registration.scan_surface import ScanSurface, scan_surface
-from solver.registration.similarity import Similarity
 from solver.scans.faults import empty
 from solver.scans.raw import RawScan
 from solver.scans.units import AXES, EXTENT_MM, UNITS, unit_of
+from solver.similarity import Similarity
 from solver.surface import Floats
 
 CLOSE_MM, FAR_MM = 5.7, 6.5

@@ -22,8 +22,8 @@ from solver.mechanics.linear import Rslab
 from solver.normals import vertex_normals
 from solver.registration.correspondence import Pins, pair
 from solver.registration.scan_surface import ScanSurface
-from solver.registration.similarity import Similarity
 from solver.registration.topology import Topology
+from solver.similarity import Similarity
 from solver.surface import Floats, Ints, Surface
 from solver.triangles import vertex_areas
 

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from solver.anatomy.warp import spread
 from solver.registration.scan_surface import ScanSurface
-from solver.registration.similarity import Similarity
+from solver.similarity import Similarity
 from solver.surface import Floats, Ints
 
 THIN_MM = 4.0

@@ -22,13 +22,13 @@ from solver.registration.pose import FacePatch
 from solver.registration.rigid import align
 from solver.registration.scan_surface import ScanSurface
 from solver.registration.shape_fit import expressions, fit_shapes, persons
-from solver.registration.similarity import IDENTITY, Similarity
 from solver.registration.stabilise import head_motion
 from solver.registration.topology import Topology
 from solver.scans.found_landmarks import find_landmarks
 from solver.scans.landmarks import landmark_vertices
 from solver.scans.raw import RawScan
 from solver.scans.units import FRAME
+from solver.similarity import IDENTITY, Similarity
 from solver.surface import Floats, Ints, Surface
 
 LEAST_COVER, FARTHEST_MM = 0.15, 1.0

@@ -6,7 +6,7 @@ import numpy as np
 
 from solver.registration.correspondence import motion_columns, pair
 from solver.registration.scan_surface import ScanSurface
-from solver.registration.similarity import Similarity, small_motion
+from solver.similarity import Similarity, small_motion
 from solver.surface import Floats
 
 REACHES_MM = (12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 4.0, 3.0, 3.0, 3.0, 3.0, 3.0)

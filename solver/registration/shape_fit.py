@@ -21,8 +21,8 @@ from solver.anatomy.shapes import ShapeBasis
 from solver.normals import vertex_normals
 from solver.registration.correspondence import Pins, motion_columns, pair, pinned
 from solver.registration.scan_surface import ScanSurface
-from solver.registration.similarity import Similarity, small_motion
 from solver.registration.topology import Topology
+from solver.similarity import Similarity, small_motion
 from solver.surface import Floats, Surface
 
 REACHES_MM = (12.0, 12.0, 10.0, 10.0, 8.0, 8.0, 6.0, 6.0, *(4.0,) * 6, *(3.0,) * 8, *(2.0,) * 6)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from solver.registration.similarity import IDENTITY, Similarity, weighted_motion
+from solver.similarity import IDENTITY, Similarity, weighted_motion
 from solver.surface import Floats
 
 STEPS = 6
