@@ -23,8 +23,6 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-import numpy as np
-
 from benchmarks import plots, report, subjects
 from benchmarks.documents import IMAGES, Figures, Plot, Section, Table
 from benchmarks.speed import forward, solvers
@@ -114,6 +112,7 @@ def run(options: argparse.Namespace) -> Figures:
         "ratio_per_tet": median(e["seconds"] / seconds[e["name"]] for e in by_p),
         "ratio_ipopt": median(e["ratio"] for e in same) if same else None,
         "ratio_ipopt_same": median(e["ratio_same"] for e in same) if same else None,
+        "ipopt_failed": [e["name"] for e in ipopt if "failed" in e],
         "frame_ms": sequence and sequence["median_ms"],
         "frame_mean_mm": sequence and sequence["mean_mm"],
         "frame_loss": sequence and sequence["loss"],
@@ -168,9 +167,8 @@ def _scaling(options: argparse.Namespace, skin: Any, edges: Sequence[float]) -> 
 
 
 def exponent(sizes: Sequence[Figures], key: str) -> float:
-    """Return the slope of the least-squares line through log seconds by log vertices."""
-    vertices, seconds = ([e[name] for e in sizes] for name in ("vertices", key))
-    return float(np.polyfit(np.log(vertices), np.log(seconds), 1)[0])
+    """Return the exponent of time ``key`` by vertices."""
+    return plots.power_law([e["vertices"] for e in sizes], [e[key] for e in sizes])[0]
 
 
 def section(figures: Figures) -> Section:

@@ -96,7 +96,7 @@ def scaling(
         axes = figure.subplots()
         for name, colour in _colours(seconds).items():
             times = np.asarray(seconds[name], dtype=float)
-            slope, offset = np.polyfit(np.log(sizes), np.log(times), 1)
+            slope, offset = power_law(vertices, seconds[name])
             axes.plot(sizes, times, "o", color=colour, label=f"{name}: exponent {slope:.2f}")
             axes.plot(sizes, np.exp(offset) * sizes**slope, "-", color=colour, linewidth=1.0)
         axes.set(title=title, xlabel="vertices", ylabel="seconds", xscale="log", yscale="log")
@@ -104,6 +104,12 @@ def scaling(
         axes.minorticks_off()
         _legend_beside(axes)
         _save(figure, path)
+
+
+def power_law(sizes: Sequence[float], values: Sequence[float]) -> tuple[float, float]:
+    """Return exponent and log factor of the least-squares line through the logarithms."""
+    slope, offset = np.polyfit(np.log(sizes), np.log(values), 1)
+    return float(slope), float(offset)
 
 
 def frame_times(path: Path, title: str, milliseconds: Sequence[float], limit_ms: float) -> None:

@@ -25,8 +25,9 @@ GUESSES = (1.0, 0.7, 0.4, 0.0)
 FLATTEST_GUESS = 0.3
 """How far a predicted motion may narrow a tet."""
 
-SMALLEST_FRACTION = 2.0**-6
-"""How far the way to a new pose is cut before it counts as out of reach."""
+SMALLEST_FRACTION, TRAVELLED_FRACTION = 2.0**-6, 2.0**-3
+"""How far the way to a new pose is cut before it counts as out of reach, and as too far for a fit's
+step."""
 
 
 @dataclass(frozen=True)
@@ -159,8 +160,24 @@ class Face:
     def move(self, S: sp.csr_array, start: State, pose: Pose) -> State:
         """Go from a settled state to another pose along the straight line between them.
 
-        A step is as long as the flesh's linear response flattens no tet; on the way its end is only
-        approached. Raises the last :class:`SolveError` if the pose can not be reached.
+        Raises the last :class:`SolveError` if the pose can not be reached.
+        """
+        return self._along(S, start, pose, SMALLEST_FRACTION, settled=True)
+
+    def travel(self, S: sp.csr_array, state: State, response: Floats, pose: Pose) -> State:
+        """Do as :meth:`approach`, but in steps along the straight line where that fails."""
+        try:
+            return self.approach(S, state, response, pose)
+        except SolveError:
+            return self._along(S, state, pose, TRAVELLED_FRACTION, settled=False)
+
+    def _along(
+        self, S: sp.csr_array, start: State, pose: Pose, smallest: float, *, settled: bool
+    ) -> State:
+        """Go to a pose along the straight line, in steps of at least the ``smallest`` fraction.
+
+        A step is as long as the flesh's linear response flattens no tet; its end is only
+        approached, and the last one's ``settled`` if asked for.
         """
         done, fraction = 0.0, 1.0
         state = start
@@ -169,10 +186,10 @@ class Face:
             target = start.pose.toward(pose, goal) if goal < 1.0 else pose
             x = self.carried(S, state, target)
             narrowing = self.flesh.narrowing(state.x, x)
-            least = fraction <= SMALLEST_FRACTION
+            least = fraction <= smallest
             if narrowing >= FLATTEST_GUESS or least:
                 try:
-                    state = self._reach(S, state, target, x, last=goal == 1.0)
+                    state = self._reach(S, state, target, x, settled=settled and goal == 1.0)
                     done = goal
                 except SolveError:
                     if least:
@@ -180,14 +197,14 @@ class Face:
                     narrowing = -np.inf
             # as a tet narrows about linearly, this is the longest step that flattens none
             fit = 0.9 * (1.0 - FLATTEST_GUESS) / max(1.0 - narrowing, 0.1)
-            fraction = max(fraction * min(max(fit, 0.25), 2.0), SMALLEST_FRACTION)
+            fraction = max(fraction * min(max(fit, 0.25), 2.0), smallest)
         return state
 
     def _reach(
-        self, S: sp.csr_array, state: State, target: Pose, x: Floats, *, last: bool
+        self, S: sp.csr_array, state: State, target: Pose, x: Floats, *, settled: bool
     ) -> State:
-        """Find the state of ``target`` from ``x`` (p, 3): settled if it is the last of a motion."""
-        if last:
+        """Find the state of ``target`` from ``x`` (p, 3), near ``state``."""
+        if settled:
             return self.settle(S, target, x, state.equilibrium.factor)
         a = self.tet_activations(S, target.a)
         reached = equilibrium.approach(self.flesh, self.linear, x, a, equilibrium.REACH_MM)

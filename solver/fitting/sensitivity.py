@@ -78,6 +78,27 @@ class Sensitivity:
             coordinates(face.model.mandible),
         )
 
+    def flesh_by_pose(self, change: Floats) -> Floats:
+        """Return the free vertices' change (size,) for a change of (a, b), (6 m + 5,)."""
+        by_tet, (by_jaw, _) = self._by_weight[0], self._by_jaw
+        tet_change = self._S[:, 1:] @ change[:-5].reshape(-1, 6)
+        forces = np.matmul(by_tet, tet_change[:, None, :, None])[..., 0]
+        pull = self._face.flesh.scatter(forces) + by_jaw @ change[-5:]
+        return -self._state.equilibrium.factor.solve(pull)
+
+    def by_pose_adjoint(self, gradient: Floats) -> Floats:
+        """Return (dx/d(a, b))^T g for g by x, (p, 3), by one solve: shape (6 m + 5,)."""
+        flesh = self._face.flesh
+        by_tet, (by_jaw, direct) = self._by_weight[0], self._by_jaw
+        adjoint = np.zeros_like(gradient)
+        solved = -self._state.equilibrium.factor.solve(gradient[flesh.free].ravel())
+        adjoint[flesh.free] = solved.reshape(-1, 3)
+        corners = adjoint[flesh.tets].reshape(-1, 1, 12)
+        by_tet_a = (corners @ by_tet.reshape(-1, 12, 6))[:, 0]
+        by_a = self._S[:, 1:].T @ by_tet_a
+        by_b = by_jaw.T @ solved + np.tensordot(gradient, direct, 2)
+        return np.concatenate([by_a.ravel(), by_b])
+
     def flesh_by_geometry(self, change: Floats) -> Floats:
         """Return the free vertices' change (size,) for a change of S's values (nnz,)."""
         forces = np.zeros(self._face.flesh.size)
@@ -90,6 +111,14 @@ class Sensitivity:
         out = np.empty(self._S.nnz)
         _weights_by_forces(*self._by_weight, adjoint, out)
         return out
+
+    @cached_property
+    def _by_jaw(self) -> tuple[Floats, Floats]:
+        """The free gradient's derivative by b, (size, 5), and that of x, (p, 3, 5)."""
+        face, state = self._face, self._state
+        direct = face.mandible_jacobian(state.pose.b)
+        tet_a = face.tet_activations(self._S, state.pose.a)
+        return face.flesh.coupling(state.x, tet_a, direct), direct
 
     @cached_property
     def _by_weight(self) -> tuple[Floats, Ints, Ints, Ints, Floats]:
@@ -131,12 +160,20 @@ def gradient_by_geometry(face: Face, S: sp.csr_array, pose: Pose, x: Floats) -> 
     by_tet = flesh.forces_by_activation(x, face.tet_activations(S, pose.a))
     tets = np.repeat(np.arange(len(flesh.tets)), np.diff(S.indptr))
     values = np.einsum("eviq,eq->evi", by_tet[tets], columns[S.indices])
-    rows = 3 * flesh.free_numbers[flesh.tets[tets]][:, :, None] + np.arange(3)
+    return force_columns(values, flesh.free_numbers[flesh.tets[tets]], flesh.size)
+
+
+def force_columns(forces: Floats, numbers: Ints, size: int) -> sp.csc_array:
+    """Return (size, k) with the ``forces`` (k, 4, 3) on a tet's vertices in each column.
+
+    ``numbers`` (k, 4) are the vertices' among the free ones, -1 for one that is held.
+    """
+    rows = 3 * numbers[:, :, None] + np.arange(3)
     # a held vertex feels no force: its entries are zeroed and go to row 0
     held = rows < 0
-    values[held], rows[held] = 0.0, 0
-    indptr = 12 * np.arange(len(tets) + 1)
-    return sp.csc_array((values.ravel(), rows.ravel(), indptr), shape=(flesh.size, len(tets)))
+    values, rows = np.where(held, 0.0, forces), np.where(held, 0, rows)
+    indptr = 12 * np.arange(len(forces) + 1)
+    return sp.csc_array((values.ravel(), rows.ravel(), indptr), shape=(size, len(forces)))
 
 
 @nb.njit(cache=True, nogil=True)

@@ -49,6 +49,11 @@ def test_by_pose(posed):
     np.testing.assert_allclose(
         jacobian.transposed(gradient), numeric.T @ gradient.ravel(), rtol=1e-5, atol=1e-5 * scale
     )
+    products = Sensitivity(face, S, state)
+    adjoint = products.by_pose_adjoint(gradient)
+    np.testing.assert_allclose(adjoint, jacobian.transposed(gradient), rtol=1e-9)
+    change = rng.standard_normal(17)
+    np.testing.assert_allclose(products.flesh_by_pose(change), jacobian.flesh @ change, rtol=1e-9)
     points = rng.standard_normal((len(face.model.face), 3)) + face.face_points(state.x)
     curvature = SkinDistance(face, Target.from_points(points)).curvature(state.x)
     exact = numeric.T @ (curvature @ numeric)
