@@ -42,8 +42,8 @@ LARGEST_STEP = 0.4
 LARGEST_TURN = 0.1
 """Change of an activation's entry and of the jaw's angles in a step of reach 1."""
 
-MOST_TRUST, LEAST_TRUST = 4.0, 2.0**-8
-"""A step's reach; the first is trusted to 1."""
+FIRST_TRUST, MOST_TRUST, LEAST_TRUST = 2.0, 4.0, 2.0**-8
+"""Reach that a step is cut to."""
 
 WELL, BADLY = 0.75, 0.25
 """Gains, as parts of the predicted, that make trust grow and shrink."""
@@ -185,7 +185,7 @@ def improve(
 class _Trust:
     """How far the linear model is trusted, and how much it is damped."""
 
-    reach: float = 1.0
+    reach: float = FIRST_TRUST
     damping: float = DAMPING_START
 
     def adapt(self, ratio: float, taken: float) -> None:
@@ -275,6 +275,6 @@ def damping_units(size: int) -> Floats:
 
 
 def reach(step: Floats) -> float:
-    """Return the length of a step (6 m + 5,), 1 being the longest that the linear model is for."""
+    """Return the length of a step (6 m + 5,) in units of what a linear model is surely good for."""
     by_a, turn = np.abs(step[:-5]).max(), np.abs(step[-5:-3]).max()
     return float(max(by_a / LARGEST_STEP, turn / LARGEST_TURN))
