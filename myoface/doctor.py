@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.metadata
 import os
 import shutil
-import socket
 import subprocess
 import sys
 import tempfile
@@ -18,6 +17,7 @@ import numpy as np
 import trimesh
 from packaging.requirements import Requirement
 
+from myoface.ports import check_port
 from service.settings import Settings
 from service.store.broker import BrokerNotFoundError, find_server
 from solver.anatomy.tetrahedra import EdgeLengths, background_grid, tetrahedralize
@@ -119,13 +119,11 @@ def memory() -> Finding:
 
 def port(host: str, number: int) -> Finding:
     """Check that the port is free."""
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((host, number))
-        except OSError as error:
-            advice = "is the service running already? else `myoface up --port 0` takes a free one"
-            return Finding("port", "warning", f"{host}:{number}: {error.strerror}", advice)
+    try:
+        check_port(host, number)
+    except OSError as error:
+        advice = "is the service running already? else `myoface up --port 0` takes a free one"
+        return Finding("port", "warning", f"{host}:{number}: {error.strerror}", advice)
     return Finding("port", "ok", f"{host}:{number} is free")
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import fcntl
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -19,6 +18,7 @@ import httpx
 import structlog
 
 from myoface.errors import StackError
+from myoface.ports import check_port, free_port
 from service.settings import Settings
 from service.store.broker import BrokerNotFoundError, EmbeddedBroker
 from service.store.queue import QUEUES
@@ -40,7 +40,7 @@ class Stack:
     """
 
     def __init__(self, settings: Settings) -> None:
-        port = settings.port or _free_port(settings.host)
+        port = settings.port or free_port(settings.host)
         self.settings = settings.model_copy(update={"port": port, "stack_pid": os.getpid()})
         self.url = f"http://{settings.host}:{port}"
         self._broker = (
@@ -69,7 +69,7 @@ class Stack:
         """
         self._lock = _lock(self.settings.data_dir)
         try:
-            _check_port(self.settings.host, self.settings.port)
+            self._check_port()
             if self._broker:
                 self._broker.start()
             self._keeper.start()
@@ -119,6 +119,13 @@ class Stack:
         trace: TracebackType | None,
     ) -> None:
         self.stop()
+
+    def _check_port(self) -> None:
+        host, port = self.settings.host, self.settings.port
+        try:
+            check_port(host, port)
+        except OSError as error:
+            raise StackError(f"port {port} of {host} is taken; set MYOFACE_PORT") from error
 
     def _keep(self) -> None:
         """Start the children here: they end with the thread that started them."""
@@ -233,19 +240,3 @@ def _lock(data_dir: Path) -> IO[str]:
         lock.close()
         raise StackError(f"a service is running in {data_dir} already") from error
     return lock
-
-
-def _free_port(host: str) -> int:
-    with socket.socket() as probe:
-        probe.bind((host, 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
-def _check_port(host: str, port: int) -> None:
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((host, port))
-        except OSError as error:
-            raise StackError(f"port {port} of {host} is taken; set MYOFACE_PORT") from error

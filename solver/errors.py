@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 
-class InputError(ValueError):
-    """Something the user gave can not be used.
+class _PlainError(Exception):
+    """A fault that is told to people.
 
     ``code`` is stable and machine readable (``scan.nan``, ``scan.vertex_count`` ...), ``message``
     is one plain sentence, ``context`` holds what locates the fault (``file``, ``line``, ``vertex``,
@@ -24,15 +24,9 @@ class InputError(ValueError):
         return {"code": self.code, "message": self.message, **self.context}
 
 
-class SolveError(RuntimeError):
+class InputError(_PlainError, ValueError):
+    """Something the user gave can not be used."""
+
+
+class SolveError(_PlainError, RuntimeError):
     """A solve could not be finished (singular system, no descent, a mesher that died)."""
-
-    def __init__(self, code: str, message: str, **context: Any) -> None:
-        super().__init__(message)
-        self.code = code
-        self.message = message
-        self.context = context
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the error as plain JSON values."""
-        return {"code": self.code, "message": self.message, **self.context}

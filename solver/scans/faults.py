@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +25,20 @@ def truncated(file: str, reason: str, **where: Any) -> InputError:
 def unsupported(file: str, reason: str, **where: Any) -> InputError:
     """Return the error for a well-formed file in a form that can not be used."""
     return InputError("scan.format", f"{file}{_at(where)}: {reason}", file=file, **where)
+
+
+def check_suffix(path: Path, formats: Collection[str]) -> str:
+    """Return a file's suffix in small letters; raises ``scan.format`` if it is none of these."""
+    suffix = path.suffix.lower()
+    if suffix not in formats:
+        raise InputError(
+            "scan.format",
+            f"{path.name}: unknown suffix {suffix!r}; a scan is one of {', '.join(formats)}",
+            file=path.name,
+            expected=list(formats),
+            found=suffix,
+        )
+    return suffix
 
 
 def empty(file: str) -> InputError:

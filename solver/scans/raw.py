@@ -10,6 +10,7 @@ import numpy as np
 
 from solver.errors import InputError
 from solver.scans.content import read_content
+from solver.scans.faults import check_suffix
 from solver.scans.glb import MM_PER_METRE
 from solver.scans.mesh import Mesh
 from solver.scans.raw_glb import read_raw_glb
@@ -76,15 +77,7 @@ def read_raw(path: Path) -> RawScan:
     ``scan.wrong_extension`` (no scan at all), ``scan.too_large``, ``scan.empty``,
     ``scan.unreadable`` or ``scan.truncated``, each with ``file`` and, where it helps, ``line``.
     """
-    file, suffix = path.name, path.suffix.lower()
-    if suffix not in FORMATS:
-        raise InputError(
-            "scan.format",
-            f"{file}: unknown suffix {suffix!r}; a scan is one of {', '.join(FORMATS)}",
-            file=file,
-            expected=list(FORMATS),
-            found=suffix,
-        )
+    file, suffix = path.name, check_suffix(path, FORMATS)
     content = read_content(path, MAX_BYTES, "a raw scan")
     held = sniff(file, content, FORMATS[suffix])
     mesh = READERS[held](file, content)

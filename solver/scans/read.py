@@ -8,7 +8,7 @@ import numpy as np
 
 from solver.errors import InputError
 from solver.scans.content import read_content
-from solver.scans.faults import check_finite, wrong_vertex_count
+from solver.scans.faults import check_finite, check_suffix, wrong_vertex_count
 from solver.scans.glb import read_glb
 from solver.scans.obj import read_obj
 from solver.scans.plausible import check_alignment, check_scale, check_vertex_order
@@ -36,16 +36,7 @@ def read_registered(
     ``scan.vertex_order``, ``scan.confidence``, ``scan.unit`` or ``scan.misaligned``, each with
     ``file`` and, where it helps, ``line``, ``vertex``, ``expected`` and ``found``.
     """
-    file, suffix = path.name, path.suffix.lower()
-    if suffix not in FORMATS:
-        known = ", ".join(FORMATS)
-        raise InputError(
-            "scan.format",
-            f"{file}: unknown suffix {suffix!r}; a scan is one of {known}",
-            file=file,
-            expected=list(FORMATS),
-            found=suffix,
-        )
+    file, suffix = path.name, check_suffix(path, FORMATS)
     content = read_content(path, MAX_BYTES, "a registered scan")
     confidence = np.ones(vertex_count)
     if suffix == ".obj":
