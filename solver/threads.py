@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+
+import numba as nb
 from threadpoolctl import threadpool_limits
 
 
@@ -12,3 +16,10 @@ def leave_threads_to_kernels() -> None:
     frame of a sequence took four times as long with both.
     """
     threadpool_limits(limits=1, user_api="blas")
+
+
+def in_threads(work: Callable[[int], None], items: Iterable[int]) -> None:
+    """Call ``work`` for each item on as many threads as the kernels use; it must let others run."""
+    with ThreadPoolExecutor(nb.get_num_threads()) as threads:
+        for _ in threads.map(work, items):
+            pass

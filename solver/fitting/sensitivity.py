@@ -19,6 +19,10 @@ import scipy.sparse as sp
 from solver.fitting.face import Face, Pose, State
 from solver.mechanics.flesh import IDENTITY
 from solver.surface import Floats, Ints
+from solver.threads import in_threads
+
+BLOCK = 64
+"""Columns that a symmetric product takes at once."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,16 @@ class PoseJacobian:
         place[self.moving] = np.arange(len(self.moving))
         moving = place[touched] >= 0
         rows[moving, -self.jaw.shape[1] :] += self.jaw[place[touched[moving]]]
-        return np.asarray(rows.T @ (curvature[touched][:, touched] @ rows))
+        inner = curvature[touched][:, touched]
+        out = np.empty((rows.shape[1], rows.shape[1]))
+
+        def contract(first: int) -> None:
+            block = slice(first, first + BLOCK)
+            out[first:, block] = rows[:, first:].T @ (inner @ rows[:, block])
+            out[block, first:] = out[first:, block].T
+
+        in_threads(contract, range(0, len(out), BLOCK))
+        return out
 
 
 class Sensitivity:

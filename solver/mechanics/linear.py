@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
 
-import numba as nb
 import numpy as np
 import pymetis
 import scipy.sparse as sp
@@ -19,6 +17,7 @@ import scipy.sparse.linalg
 
 from solver.errors import InputError
 from solver.surface import Floats, Ints
+from solver.threads import in_threads
 
 
 class NotPositiveDefiniteError(ArithmeticError):
@@ -83,9 +82,7 @@ class _RslabFactor:
             block = slice(first, first + BLOCK)
             X[:, block] = self._factor.solve_many(np.asfortranarray(B[:, block]))
 
-        with ThreadPoolExecutor(nb.get_num_threads()) as threads:
-            for _ in threads.map(solve, range(0, B.shape[1], BLOCK)):
-                pass
+        in_threads(solve, range(0, B.shape[1], BLOCK))
         return X
 
 
