@@ -1,11 +1,11 @@
 """Activations and jaw frame after frame: what one frame has cost is kept for the next.
 
-A frame takes a few SQP steps in (x, a, b): a Gauss-Newton step of the pose, then Newton corrections
-of the equilibrium. The stiffness is that of a frame or a few ago, factorised anew where corrections
-do not get shorter; the sensitivities are kept for longer still, as they cost most and an error in
-them changes the objective to second order only. How well the steps do what they promise decides
-about the damping. Where nothing comes of them the frame is fitted as any expression is, from the
-frame before.
+A frame takes a few SQP steps in (x, a, b): a Gauss-Newton step of the pose, then corrections of the
+equilibrium with the stiffness of a frame or a few ago. The sensitivities are kept for longer still,
+as they cost most and an error in them changes the objective to second order only. How well the
+steps do what they promise decides about the damping. Where nothing comes of them with new
+sensitivities either, the frame is fitted as any expression is, from the frame before; or left at
+that, if that is about as good as it was.
 """
 
 from __future__ import annotations
@@ -15,15 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 
-from solver.errors import SolveError
 from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions, damped_step
 from solver.fitting.face import Face, Pose, State
 from solver.fitting.objective import Regulariser, Target
 from solver.fitting.sensitivity import PoseJacobian, Sensitivity
 from solver.fitting.terms import SkinDistance, Term
-from solver.mechanics import equilibrium
-from solver.mechanics.equilibrium import Equilibrium
+from solver.mechanics.equilibrium import Stiffness
+from solver.mechanics.lagged import CLOSE_MM, correct, untangled
 from solver.surface import Floats
 
 STEPS = 3
@@ -38,13 +37,8 @@ HALVINGS = 2
 TOLERANCE = 2e-3
 """A step that gains less than this part of f is not worth taking."""
 
-LONG_MM, CLOSE_MM = 0.75, 0.2
-"""After a longer correction Newton's method takes over; the end of a shorter one is good enough."""
-
-CONTRACTION = 0.5
-"""So it does after one that is not shorter than this part of the one before."""
-
-CORRECTIONS = 6
+STUCK = 1.1
+"""Growth of f up to which a frame without a way down stays where the frame before was."""
 
 DAMPING_START, DAMPING_LEAST, DAMPING_MOST = 1e-3, 1e-4, 1.0
 DAMPING_GROWTH = 4.0
@@ -81,9 +75,10 @@ class _Kept:
 
 @dataclass(frozen=True)
 class _Found:
-    """A frame's state, the steps to it, and whether what is kept led there as it promised."""
+    """A frame's state with its f, the steps to it, and whether what is kept led there easily."""
 
     state: State
+    value: float
     steps: int
     easily: bool
 
@@ -94,8 +89,8 @@ class Tracker:
     ``temporal`` is the weight w_t of w_t/2 |a - a_before|^2, the change from the frame before (the
     jaw's in the same measure): 0 is none. ``max_iterations`` bounds a frame that is fitted
     as any expression is. A state's vertices are within about :data:`CLOSE_MM` of the equilibrium;
-    its factor and ``minimum`` are those of the frame that was factorised last, its residual is that
-    before the last correction.
+    its factor is that of the frame that was factorised last, its residual is that before the last
+    correction.
     """
 
     def __init__(
@@ -113,9 +108,10 @@ class Tracker:
         self._S = S
         self._regulariser = regulariser
         self._temporal = temporal
-        self._thorough = ActivationOptions(max_iterations, tolerance=1e-3)
+        self._options = ActivationOptions(max_iterations, tolerance=1e-3)
         self._kept: _Kept | None = None
         self._age = 0
+        self._value = np.inf
         self._damping = DAMPING_START
 
     def fit(self, target: Target, before: Pose | None = None) -> int:
@@ -133,24 +129,34 @@ class Tracker:
         if self._kept:
             self._kept = self._kept.for_data(data, self.state.x)
             found = self._quick(self._kept, data, regulariser)
+            if found is None and self._age:
+                found = self._quick(self._keep(data), data, regulariser)
+            value = activation.objective(data, regulariser, self.state)
+            if found is None and value < STUCK * self._value:
+                return 0
         if found is None:
             fitted = activation.fit(
-                self.face, self._S, data, regulariser, self.state, self._thorough
+                self.face, self._S, data, regulariser, self.state, self._options
             )
-            self.state, steps = fitted.state, fitted.iterations
-            self._keep(data)
-            return steps
-        self.state = found.state
+            found = _Found(fitted.state, fitted.objective, fitted.iterations, easily=False)
+            self._age = KEPT_FRAMES
+        self.state, self._value = found.state, found.value
         self._age += 1
         if not found.easily and self._age >= KEPT_FRAMES:
             self._keep(data)
         return found.steps
 
-    def _keep(self, data: SkinDistance) -> None:
-        """Take the sensitivities of the state as it is."""
+    def _keep(self, data: SkinDistance) -> _Kept:
+        """Take the stiffness and the sensitivities of the state as it is."""
+        pose, found = self.state.pose, self.state.equilibrium
+        if np.abs(found.factor.x - found.x).max() > CLOSE_MM:
+            a = self.face.tet_activations(self._S, pose.a)
+            stiffness = Stiffness(self.face.flesh, self.face.linear, found.x, a)
+            self.state = State(pose, replace(found, factor=stiffness))
         jacobian = Sensitivity(self.face, self._S, self.state).by_pose()
         self._kept = _Kept.of(jacobian, data, self.state.x)
         self._age = 0
+        return self._kept
 
     def _quick(self, kept: _Kept, data: Term, regulariser: Regulariser) -> _Found | None:
         """Fit a frame with what is kept; None if the first step leads nowhere."""
@@ -163,40 +169,36 @@ class Tracker:
             step = damped_step(hessian, gradient, self._damping, trust=1.0)
             predicted = float(-gradient @ step - 0.5 * step @ hessian @ step)
             if predicted <= TOLERANCE * value:
-                return _Found(state, taken, easily=True)
-            trial = self._descend(kept, data, regulariser, state, step, value)
-            if trial is None:
-                return _Found(state, taken, easily=False) if taken else None
-            before, (state, value) = value, trial
-            ratio = (before - value) / predicted
+                return _Found(state, value, taken, easily=True)
+            for _ in range(HALVINGS + 1):
+                trial = self._moved(kept, state, step)
+                if trial is not None:
+                    reached = activation.objective(data, regulariser, trial)
+                    if reached < value:
+                        break
+                step = 0.5 * step
+                self._damping = min(self._damping * DAMPING_GROWTH, DAMPING_MOST)
+            else:
+                return _Found(state, value, taken, easily=False) if taken else None
+            ratio = (value - reached) / predicted
+            state, value = trial, reached
             self._adapt(ratio)
             if ratio < HARDLY:
-                return _Found(state, taken + 1, easily=False)
-        return _Found(state, STEPS, easily=False)
+                return _Found(state, value, taken + 1, easily=False)
+        return _Found(state, value, STEPS, easily=False)
 
-    def _descend(
-        self,
-        kept: _Kept,
-        data: Term,
-        regulariser: Regulariser,
-        state: State,
-        step: Floats,
-        value: float,
-    ) -> tuple[State, float] | None:
-        """Return the state a step or part of it leads to with its f, if that is below ``value``."""
-        for _ in range(HALVINGS + 1):
-            pose = Pose(state.pose.a + step[:-5].reshape(-1, 6), state.pose.b + step[-5:])
-            x = state.x.copy()
-            x[self.face.flesh.free] += (kept.jacobian.flesh @ step).reshape(-1, 3)
-            x[self.face.model.mandible] = self.face.mandible(pose.b)
-            trial = self._corrected(pose, x, state.equilibrium)
-            if trial is not None:
-                reached = activation.objective(data, regulariser, trial)
-                if reached < value:
-                    return trial, reached
-            step = 0.5 * step
-            self._damping = min(self._damping * DAMPING_GROWTH, DAMPING_MOST)
-        return None
+    def _moved(self, kept: _Kept, state: State, step: Floats) -> State | None:
+        """Return the state a step of the pose leads to, None if it is far."""
+        pose = Pose(state.pose.a + step[:-5].reshape(-1, 6), state.pose.b + step[-5:])
+        x = state.x.copy()
+        x[self.face.flesh.free] += (kept.jacobian.flesh @ step).reshape(-1, 3)
+        x[self.face.model.mandible] = self.face.mandible(pose.b)
+        flesh, a = self.face.flesh, self.face.tet_activations(self._S, pose.a)
+        guess = untangled(flesh, state.x, x)
+        if guess is None:
+            return None
+        found = correct(flesh, self.face.linear, guess, a, state.equilibrium.factor)
+        return None if found is None else State(pose, found)
 
     def _adapt(self, ratio: float) -> None:
         """Take back or add damping, as a step gained ``ratio`` of what was predicted."""
@@ -204,35 +206,3 @@ class Tracker:
             self._damping = max(self._damping / DAMPING_GROWTH, DAMPING_LEAST)
         elif ratio < BADLY:
             self._damping = min(self._damping * DAMPING_GROWTH, DAMPING_MOST)
-
-    def _corrected(self, pose: Pose, x: Floats, before: Equilibrium) -> State | None:
-        """Return the equilibrium of a pose from a prediction x near it; None if it is far.
-
-        By Newton corrections with the factor of ``before`` as long as they get shorter, else by
-        Newton's method.
-        """
-        flesh = self.face.flesh
-        a = self.face.tet_activations(self._S, pose.a)
-        bound = LONG_MM
-        for number in range(CORRECTIONS):
-            gradient = flesh.gradient(x, a)
-            direction = -before.factor.solve(gradient)
-            length = float(np.abs(direction).max())
-            if not length <= bound:
-                break
-            x = x.copy()
-            x[flesh.free] += direction.reshape(-1, 3)
-            if length <= CLOSE_MM:
-                if not np.isfinite(flesh.energy(x, a)):
-                    return None
-                residual = float(np.linalg.norm(gradient)) / flesh.force_scale
-                found = replace(before, x=x, estimate=x, residual=residual, iterations=number)
-                return State(pose, found)
-            bound = CONTRACTION * length
-        try:
-            found = equilibrium.approach(flesh, self.face.linear, x, a)
-        except SolveError:
-            return None
-        if np.isfinite(flesh.energy(found.estimate, a)):
-            found = replace(found, x=found.estimate)
-        return State(pose, found)

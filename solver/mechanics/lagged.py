@@ -1,0 +1,108 @@
+"""Equilibrium near a known one: Newton's method with a stiffness from somewhere near.
+
+A factorisation costs as much as six corrections with an old one. So these go on while they get
+shorter, with Anderson's acceleration (Walker & Ni 2011, Anderson acceleration for fixed-point
+iterations): it finds the few modes in which the old stiffness is wrong.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from solver.mechanics.equilibrium import NARROWEST, Equilibrium, Stiffness
+from solver.mechanics.flesh import Flesh
+from solver.mechanics.linear import LinearSolver
+from solver.mechanics.material import BARRIER_START
+from solver.surface import Floats
+
+LONG_MM, CLOSE_MM = 0.75, 0.2
+"""A longer correction asks for a new stiffness; the end of a shorter one is good enough."""
+
+CONTRACTION = 0.7
+"""So does one that is not shorter than this part of the one before."""
+
+CORRECTIONS = 8
+FACTORISATIONS = 5
+PARTS = (1.0, 0.5, 0.25, 0.125)
+"""Parts of a correction that are tried where it would crush a tet."""
+
+UNTANGLINGS = 6
+
+
+def correct(
+    flesh: Flesh, linear: LinearSolver, x: Floats, a: Floats, stiffness: Stiffness
+) -> Equilibrium | None:
+    """Return the equilibrium near ``x`` (p, 3) to within :data:`CLOSE_MM`, None if it is far.
+
+    ``stiffness`` is one nearby; the result has the last that served. Its residual is that before
+    the last correction. Raises :class:`SolveError` (``solve.singular``).
+    """
+    points: list[Floats] = []
+    directions: list[Floats] = []
+    left = FACTORISATIONS
+    # a projected stiffness is too stiff for its corrections to tell how far it still is
+    bound = LONG_MM if stiffness.share == 0 else 0.0
+    for number in range(CORRECTIONS):
+        gradient = flesh.gradient(x, a)
+        direction = stiffness.solve(-gradient) if bound else None
+        if direction is None or not np.abs(direction).max() <= bound:
+            if not left:
+                return None
+            left -= 1
+            stiffness = Stiffness(flesh, linear, x, a)
+            direction = stiffness.solve(-gradient)
+            points, directions = [], []
+        length = float(np.abs(direction).max())
+        points.append(x[flesh.free].ravel())
+        directions.append(direction)
+        last = length <= CLOSE_MM
+        moved = _moved(flesh, x, direction if last else _accelerated(points, directions))
+        if moved is None:
+            return None
+        if last:
+            residual = float(np.linalg.norm(gradient)) / flesh.force_scale
+            return Equilibrium(moved, moved, stiffness, residual, number)
+        x, bound = moved, CONTRACTION * length
+    return None
+
+
+def _moved(flesh: Flesh, x: Floats, motion: Floats) -> Floats | None:
+    """Return x (p, 3) with as much of the ``motion`` (size,) as crushes no tet."""
+    for part in PARTS:
+        moved = x.copy()
+        moved[flesh.free] += part * motion.reshape(-1, 3)
+        if flesh.narrowing(x, moved) >= NARROWEST:
+            return moved
+    return None
+
+
+def _accelerated(points: list[Floats], directions: list[Floats]) -> Floats:
+    """Return Anderson's step from the last point, by all corrections since the factorisation."""
+    last = directions[-1]
+    if len(points) < 2:
+        return last
+    changes = np.diff(directions, axis=0).T
+    weights = np.linalg.lstsq(changes, last, rcond=1e-6)[0]
+    return np.asarray(last - (np.diff(points, axis=0).T + changes) @ weights)
+
+
+def untangled(flesh: Flesh, upright: Floats, moved: Floats) -> Floats | None:
+    """Return ``moved`` (p, 3) with every tet that it crushes carried along whole; None if it fails.
+
+    A linear prediction turns a few crushed tets beside the jaw inside out. Their free corners go
+    with those that are held, or all four together, from where ``upright`` (p, 3) has them.
+    """
+    if flesh.narrowing(upright, moved) >= NARROWEST:
+        return moved
+    before = np.linalg.det(flesh.deformation_gradients(upright))
+    least = NARROWEST * np.minimum(before, BARRIER_START)
+    for _ in range(UNTANGLINGS):
+        crushed = np.linalg.det(flesh.deformation_gradients(moved)) < least
+        if not crushed.any():
+            return moved
+        for tet in flesh.tets[crushed]:
+            free = flesh.free_numbers[tet] >= 0
+            leading = tet if free.all() else tet[~free]
+            shift = (moved[leading] - upright[leading]).mean(axis=0)
+            moved[tet[free]] = upright[tet[free]] + shift
+    return None
