@@ -165,10 +165,15 @@ class Face:
         return self._along(S, start, pose, SMALLEST_FRACTION, settled=True)
 
     def travel(self, S: sp.csr_array, state: State, response: Floats, pose: Pose) -> State:
-        """Do as :meth:`approach`, but in steps along the straight line where that fails."""
+        """Do as :meth:`approach`, but in steps along the straight line where the flesh would invert.
+
+        Where it buckles instead, steps are dear and lead no further.
+        """
         try:
             return self.approach(S, state, response, pose)
-        except SolveError:
+        except SolveError as error:
+            if error.code != "solve.inverted":
+                raise
             return self._along(S, state, pose, TRAVELLED_FRACTION, settled=False)
 
     def _along(
