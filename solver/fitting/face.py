@@ -165,7 +165,7 @@ class Face:
         return self._along(S, start, pose, SMALLEST_FRACTION, settled=True)
 
     def travel(self, S: sp.csr_array, state: State, response: Floats, pose: Pose) -> State:
-        """Do as :meth:`approach`, but in steps along the straight line where the flesh would invert.
+        """Do as :meth:`approach`, but in parts of the way where the flesh would invert.
 
         Where it buckles instead, steps are dear and lead no further.
         """
