@@ -10,6 +10,7 @@ import importlib.util
 from collections.abc import Callable
 from typing import Any, Protocol
 
+import numba as nb
 import numpy as np
 import pymetis
 import scipy.sparse as sp
@@ -52,7 +53,10 @@ class Rslab:
         self._keep, indices, indptr = _upper(pattern)
         ones = np.ones(len(indices))
         lower = sp.csc_matrix((ones, indices, indptr), shape=pattern.shape)
-        self._analysis: Any = rslab.analyze(lower, path="ldlt", ordering="metis", threads=1)
+        # any number of threads gives the same
+        self._analysis: Any = rslab.analyze(
+            lower, path="ldlt", ordering="metis", threads=nb.get_num_threads()
+        )
 
     def factor(self, data: Floats) -> Factor:
         """See :class:`LinearSolver`."""

@@ -1,7 +1,8 @@
 """(P) in full space: minimise the per-tet model's f over (x, activations, b), for small meshes.
 
-Every active tet is a muscle by itself (:mod:`solver.fitting.tissue`), so the problem is (A) with
-the priors of :mod:`solver.fitting.per_tet`; the contractions gamma_m are the best at every iterate.
+Every active tet is a muscle by itself (:mod:`solver.fitting.per_tet.tissue`), so the problem is (A)
+with the priors of :mod:`solver.fitting.per_tet`; the contractions gamma_m are the best at every
+iterate.
 """
 
 from __future__ import annotations
@@ -10,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from solver.fitting import tissue as tissues
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import JAW_UNITS
 from solver.fitting.per_tet import Objective, PerTetOptions, rest_state
+from solver.fitting.per_tet import tissue as tissues
 from solver.fitting.reference.common import Listener, Reference
 from solver.fitting.reference.expression import Expression
 from solver.fitting.reference.one import minimise

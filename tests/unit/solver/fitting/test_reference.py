@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from solver.fitting import joint, per_tet, reference, tissue
+from solver.fitting import joint, per_tet, reference
 from solver.fitting.face import Face, Pose
 from solver.fitting.joint import GeometryProblem, Iterate
 from solver.fitting.objective import Regulariser, Target
-from solver.fitting.per_tet import PerTetOptions
+from solver.fitting.per_tet import PerTetOptions, tissue
 from solver.fitting.reference.geometry import FullGeometry
 from solver.fitting.terms import SkinDistance
 from solver.fitting.weights import replace_values

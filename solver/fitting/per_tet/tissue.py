@@ -15,9 +15,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.errors import InputError
-from solver.fitting.face import Face
-from solver.mechanics.flesh import Flesh
+from solver.fitting.face import Face, Pose, State
+from solver.mechanics.flesh import IDENTITY, Flesh, Material
 from solver.surface import Floats, Ints
+
+PHACE = Material(mu=1.0, lam=0.0, kappa=3.0)
+"""The flesh as published: mu |F - R S(a)|^2 + 3 mu (det F - det S(a))^2."""
 
 LEAST_SHARE = 0.05
 """A tet with less muscle than this is passive."""
@@ -100,3 +103,9 @@ def of_face(face: Face) -> Tissue:
         shape=(len(active), model.muscle_count),
     )
     return Tissue(face.with_flesh(flesh), selection, active, shares, model.fibres[kept])
+
+
+def rest_state(tissue: Tissue) -> State:
+    """Return the neutral face with passive flesh."""
+    pose = Pose(np.tile(IDENTITY, (len(tissue.active), 1)), np.zeros(5))
+    return tissue.face.settle(tissue.selection, pose, tissue.face.model.rest)

@@ -19,14 +19,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numba as nb
 import numpy as np
 import rslab
 import scipy.sparse as sp
 
 from solver.errors import SolveError
 from solver.fitting.face import State
-from solver.fitting.sensitivity import coordinates
-from solver.fitting.tissue import Tissue
+from solver.fitting.per_tet.tissue import Tissue
+from solver.fitting.sensitivity import coordinates, force_columns
 from solver.mechanics import jaw
 from solver.surface import Floats, Ints
 
@@ -50,7 +51,9 @@ class Response:
         self.free = coordinates(flesh.free)
         self.moving = coordinates(face.model.mandible)
         self.factor = state.equilibrium.factor
-        self._G = self._matrix(flesh.free_numbers[flesh.tets[tissue.active]], flesh.size)
+        columns = self.forces.transpose(0, 3, 1, 2).reshape(-1, 4, 3)
+        numbers = np.repeat(flesh.free_numbers[flesh.tets[tissue.active]], 6, axis=0)
+        self._G = force_columns(columns, numbers, flesh.size)
         self._coordinates = 3 * len(flesh.rest)
 
     def pull(self, a: Floats, b: Floats) -> Floats:
@@ -72,15 +75,6 @@ class Response:
         """Return J^T g for g by the coordinates (3 p,): (n_active, 6) and (5,)."""
         by_a, by_b = self.pulled(-self.factor.solve(gradient[self.free]))
         return by_a, by_b + self.jaw.T @ gradient[self.moving]
-
-    def _matrix(self, numbers: Ints, size: int) -> sp.csc_array:
-        """Return G (size, 6 n_active): column q of a tet holds its twelve forces by a_q."""
-        values = np.ascontiguousarray(self.forces.transpose(0, 3, 1, 2))
-        rows = np.repeat((3 * numbers[:, :, None] + np.arange(3))[:, None], 6, axis=1)
-        # a held vertex feels no force: its entries are zeroed and go to row 0
-        values[rows < 0], rows[rows < 0] = 0.0, 0
-        indptr = 12 * np.arange(6 * len(numbers) + 1)
-        return sp.csc_array((values.ravel(), rows.ravel(), indptr), shape=(size, len(indptr) - 1))
 
 
 @dataclass(frozen=True)
@@ -207,7 +201,9 @@ class SaddleSolver:
             or not np.array_equal(self._pattern[1], lower.indices)
         ):
             self._pattern = lower.indptr, lower.indices
-            self._analysis = rslab.analyze(lower, path="ldlt", ordering="metis", threads=1)
+            self._analysis = rslab.analyze(
+                lower, path="ldlt", ordering="metis", threads=nb.get_num_threads()
+            )
         return self._analysis
 
 

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from solver.fitting.per_tet.tissue import Tissue
 from solver.fitting.stretches import FROBENIUS
-from solver.fitting.tissue import Tissue
 from solver.mechanics.flesh import IDENTITY
 from solver.surface import Floats
 

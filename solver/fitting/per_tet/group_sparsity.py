@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from solver.fitting.tissue import Tissue
+from solver.fitting.per_tet.tissue import Tissue
 from solver.mechanics.flesh import IDENTITY
 from solver.surface import Floats
 

@@ -1,0 +1,143 @@
+"""From equilibrium to equilibrium to a minimum of f; where the flesh folds, over the fold.
+
+At a fold no short step helps: the flesh snaps into another equilibrium, where f may at first be
+higher. The best state of all is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+from solver.errors import SolveError
+from solver.fitting.face import State
+from solver.fitting.per_tet.damping import Damping
+from solver.fitting.per_tet.objective import Objective
+from solver.fitting.per_tet.saddle import SaddleSolver
+from solver.fitting.per_tet.steps import Step, settled
+
+TRIES = 2
+"""Whole and half steps before the damping grows."""
+
+SNAPS = 6
+SNAP_LOSS = 2.5
+"""How often a fit may snap over a fold, and to what multiple of the least f."""
+
+SNAP_ITERATIONS = 30
+"""Newton steps to an equilibrium behind a fold."""
+
+SMALL_GAINS = 2
+"""Steps one after the other that gain next to nothing; a single one may just have been damped."""
+
+UNSTUCK = 0.02
+"""Gain, as a part of f, after which a refused step is forgotten; less is creeping."""
+
+PATIENCE = 6
+"""Iterations without a new least f before it counts as the minimum."""
+
+Listener = Callable[[int, float], None]
+"""Called after each accepted step with the iteration and the least objective so far."""
+
+
+class Status(StrEnum):
+    """Why a fit ended."""
+
+    CONVERGED = "converged"
+    NO_DESCENT = "no descent"
+    ITERATIONS = "iterations"
+
+
+@dataclass(frozen=True)
+class Found:
+    """The best state, its f, the iterations and why there are no more."""
+
+    state: State
+    value: float
+    iterations: int
+    status: Status
+
+
+class Descent:
+    """Minimises f from ``state``, iterations being counted from ``taken``."""
+
+    def __init__(
+        self, objective: Objective, state: State, listen: Listener | None, taken: int
+    ) -> None:
+        self._objective = objective
+        self._listen = listen
+        self._solver = SaddleSolver(objective.tissue)
+        self._damping = self._afresh()
+        self._state, self._value = state, objective.value(state)
+        self._best = self._state, self._value
+        self._taken = taken
+        self._since_best = self._small = self._snaps = 0
+        self._stuck = self._slow = False
+
+    def run(self, max_iterations: int, tolerance: float) -> Found:
+        """Go on until ``max_iterations``, or steps that gain less than ``tolerance`` f."""
+        while self._taken < max_iterations:
+            self._taken += 1
+            self._since_best += 1
+            if not self._advance(tolerance):
+                return self._found(Status.NO_DESCENT)
+            if self._small == SMALL_GAINS:
+                return self._found(Status.CONVERGED)
+            if self._since_best == PATIENCE:
+                return self._found(Status.NO_DESCENT)
+        return self._found(Status.ITERATIONS)
+
+    def _advance(self, tolerance: float) -> bool:
+        """Take a step, or have the next one shorter; False if there is no way on."""
+        creeps = self._slow and self._damping.hindered
+        if creeps:
+            self._damping = self._afresh()
+        step = Step.of(self._objective, self._solver, self._state, self._value, self._damping)
+        found = None if creeps else step.descend(self._objective, TRIES)
+        if found is None and not (self._stuck or creeps):
+            self._stuck, self._damping = True, self._damping.after_refusal()
+            return True
+        if found is None and self._snaps < SNAPS:
+            self._snaps += 1
+            self._stuck = False
+            found = self._snapped(step)
+        if found is None:
+            return False
+        self._take(*found, tolerance)
+        return True
+
+    def _snapped(self, step: Step) -> tuple[State, Damping] | None:
+        """Return the equilibrium at the end of a step, however far that is, if f is not too high.
+
+        Half the step is tried where the whole one leads nowhere.
+        """
+        for part in (1.0, 0.5):
+            try:
+                state = settled(
+                    self._objective.tissue, step.pose(part), step.state.x, SNAP_ITERATIONS
+                )
+            except SolveError:
+                continue
+            limit = SNAP_LOSS * self._best[1]
+            if state.equilibrium.minimum and self._objective.value(state) < limit:
+                return state, step.lowered.afresh()
+        return None
+
+    def _take(self, state: State, damping: Damping, tolerance: float) -> None:
+        """Go to a state."""
+        value = self._objective.value(state)
+        gain = self._value - value
+        self._state, self._value, self._damping = state, value, damping
+        self._slow = 0.0 <= gain < UNSTUCK * value
+        self._stuck = self._stuck and self._slow
+        self._small = self._small + 1 if 0.0 <= gain <= tolerance * value else 0
+        if value < self._best[1]:
+            self._best, self._since_best = (state, value), 0
+        if self._listen:
+            self._listen(self._taken, self._best[1])
+
+    def _found(self, status: Status) -> Found:
+        return Found(*self._best, self._taken, status)
+
+    def _afresh(self) -> Damping:
+        return Damping.start(len(self._objective.tissue.active))
