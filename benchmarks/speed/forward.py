@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -12,14 +11,20 @@ import scipy.sparse as sp
 from benchmarks.documents import Figures
 from benchmarks.speed.clock import Stopwatch
 from benchmarks.speed.solvers import COARSE_W_A, CONVERGED
+from solver.anatomy.capture_set import CaptureSet
 from solver.fitting import activation, standard
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Target
 from solver.fitting.terms import SkinDistance
+from solver.mechanics.linear import Factor, LinearSolver
 from solver.model import SubjectModel
+from solver.surface import Floats
 
 NEIGHBOUR = 0.95
 """Part of the way from rest to an expression: where the warm start of that expression is."""
+
+PART = 0.5
+"""Part of the way from the neutral face to a scan that meshes are compared with."""
 
 
 def forward(face: Face, S: sp.csr_array, poses: Mapping[str, Pose]) -> list[Figures]:
@@ -45,36 +50,71 @@ def forward(face: Face, S: sp.csr_array, poses: Mapping[str, Pose]) -> list[Figu
     return found
 
 
-def scaling(models: Mapping[float, SubjectModel], skin: Any, repeats: int) -> list[Figures]:
-    """Fit one expression, ``skin`` (V, 3), on meshes of several sizes and simulate what was found.
+def scaling(
+    models: Mapping[float, SubjectModel],
+    captures: CaptureSet,
+    names: Sequence[str],
+    common: float,
+) -> list[Figures]:
+    """Fit the expressions ``names`` on meshes of several sizes, by tets' edge, and simulate them.
 
-    S is every model's geometric one and the prior that of the comparison with IPOPT, so that all
-    solve the same problem as nearly as meshes can: with a lighter prior the steps that a fit takes
-    tell how it is conditioned, not how large it is. Times are the medians of ``repeats``.
+    How cost grows with the mesh shows where every mesh solves the same problem in about as many
+    steps. So the targets are :data:`PART` of the way to the scans and the prior is that of the
+    comparison with IPOPT: whole expressions with S made by geometry make flesh buckle, differently
+    on every mesh, and with a lighter prior the steps tell how a fit is conditioned. The poses
+    simulated are the same for all meshes, those fitted on that of edge ``common``. Every solve
+    starts with the resting face, found and factorised anew.
+
+    Seconds are medians over the expressions; ``*_iteration_seconds`` and ``*_factor_seconds`` are
+    all seconds over all iterations of the fits and over all factorisations of the simulations.
     """
+    poses: dict[str, Pose] = {}
     found = []
-    for edge, model in models.items():
+    for edge in sorted(models, key=lambda edge: edge != common):
+        model = models[edge]
         face, S = Face(model), model.weights
         regulariser = replace(standard.unseen_regulariser(face), w_a=COARSE_W_A)
-        rest = face.rest_state(S)
-        data = SkinDistance(face, Target.from_points(skin[model.face]))
-        fits, moves = [], []
-        for _ in range(repeats):
+        linear = _Counting(face.linear)
+        face.linear = linear
+        fits, iterations, moves, factors = [], [], [], []
+        for name in names:
+            way = captures.test[name].vertices - captures.neutral.vertices
+            target = Target.from_points((model.skin.vertices + PART * way)[model.face])
+            data = SkinDistance(face, target)
             with Stopwatch() as watch:
-                fitted = activation.fit(face, S, data, regulariser, rest, CONVERGED)
+                fitted = activation.fit(face, S, data, regulariser, face.rest_state(S), CONVERGED)
             fits.append(watch.seconds)
-        for _ in range(repeats):
+            iterations.append(fitted.iterations)
+            pose = poses.setdefault(name, fitted.state.pose)
+            linear.count = 0
             with Stopwatch() as watch:
-                face.move(S, rest, fitted.state.pose)
+                face.move(S, face.rest_state(S), pose)
             moves.append(watch.seconds)
+            factors.append(linear.count)
         found.append(
             {
                 "edge_mm": edge,
                 "vertices": len(model.rest),
+                "free_vertices": len(face.flesh.free),
                 "tets": len(model.tets),
                 "activation_seconds": float(np.median(fits)),
-                "activation_iterations": fitted.iterations,
+                "activation_iterations": iterations,
+                "activation_iteration_seconds": sum(fits) / sum(iterations),
                 "forward_seconds": float(np.median(moves)),
+                "forward_factors": factors,
+                "forward_factor_seconds": sum(moves) / sum(factors),
             }
         )
-    return found
+    return sorted(found, key=lambda size: size["vertices"])
+
+
+class _Counting:
+    """A linear solver that counts its factorisations."""
+
+    def __init__(self, solver: LinearSolver) -> None:
+        self._solver = solver
+        self.count = 0
+
+    def factor(self, data: Floats) -> Factor:
+        self.count += 1
+        return self._solver.factor(data)
