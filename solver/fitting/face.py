@@ -125,15 +125,23 @@ class Face:
         )
         return State(pose, result)
 
-    def approach(self, S: sp.csr_array, state: State, response: Floats, pose: Pose) -> State:
+    def approach(
+        self,
+        S: sp.csr_array,
+        state: State,
+        response: Floats,
+        pose: Pose,
+        settled_mm: float = equilibrium.SETTLED_MM,
+    ) -> State:
         """Go from ``state`` to a pose nearby, only so near to its equilibrium as a fit needs.
 
-        ``response`` (size,) is the flesh's linear response to the change of pose (or of S).
+        ``response`` (size,) is the flesh's linear response to the change of pose (or of S),
+        ``settled_mm`` how near that is (:func:`~solver.mechanics.equilibrium.approach`).
         Raises :class:`SolveError` where that is too far for a few Newton steps.
         """
         a = self.tet_activations(S, pose.a)
         x = self._guess(state, response, pose, a)
-        return State(pose, equilibrium.approach(self.flesh, self.linear, x, a))
+        return State(pose, equilibrium.approach(self.flesh, self.linear, x, a, settled_mm))
 
     def follow(self, S: sp.csr_array, state: State, response: Floats, pose: Pose) -> State:
         """Do as :meth:`approach`, but settle."""

@@ -21,7 +21,7 @@ from solver.fitting.joint import GeometryProblem, Iterate
 from solver.fitting.objective import Regulariser, Target
 from solver.fitting.terms import Term
 
-WHOLE_ROUNDS = 3
+WHOLE_ROUNDS = 5
 """Rounds at the end that see all terms."""
 
 LAST = ActivationOptions(20, tolerance=1e-3)
@@ -99,7 +99,7 @@ def fit(
     first = ActivationOptions(options.first_iterations)
     begin = regulariser(options.w_a[0])
     states = {
-        name: activation.improve(face, S, term, begin, rest, first).state
+        name: activation.improve(face, S, term, begin, rest, first, go=Face.approach).state
         for name, term in easy.items()
     }
     now = Iterate(S, states)

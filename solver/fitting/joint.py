@@ -31,6 +31,7 @@ from solver.fitting.objective import Regulariser
 from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.terms import Term
 from solver.fitting.weights import replace_values
+from solver.mechanics.equilibrium import REACH_MM
 from solver.surface import Floats
 
 LARGEST_CHANGE = 0.3
@@ -218,11 +219,12 @@ class _Linearised:
 
     def _moved(self, S: sp.csr_array, response: Floats, pose: Pose) -> State | None:
         """Approach a pose with S; settle where that is too far; None where that fails too."""
-        for go in (self._problem.face.approach, self._problem.face.follow):
-            try:
-                return go(S, self._state, response, pose)
-            except SolveError:
-                pass
+        face = self._problem.face
+        with contextlib.suppress(SolveError):
+            # the next linear models, of S too, are the better for a stiffness that is that at x
+            return face.approach(S, self._state, response, pose, REACH_MM)
+        with contextlib.suppress(SolveError):
+            return face.follow(S, self._state, response, pose)
         return None
 
     def _predicted(self, flesh: Floats, by_pose: Floats) -> float:
