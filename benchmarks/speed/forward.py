@@ -66,7 +66,7 @@ def scaling(
     starts with the resting face, found and factorised anew.
 
     Seconds are medians over the expressions; ``*_iteration_seconds`` and ``*_factor_seconds`` are
-    all seconds over all iterations of the fits and over all factorisations of the simulations.
+    those of a fit's seconds by iteration and of a simulation's by factorisation.
     """
     poses: dict[str, Pose] = {}
     found = []
@@ -99,10 +99,10 @@ def scaling(
                 "tets": len(model.tets),
                 "activation_seconds": float(np.median(fits)),
                 "activation_iterations": iterations,
-                "activation_iteration_seconds": sum(fits) / sum(iterations),
+                "activation_iteration_seconds": float(np.median(np.divide(fits, iterations))),
                 "forward_seconds": float(np.median(moves)),
                 "forward_factors": factors,
-                "forward_factor_seconds": sum(moves) / sum(factors),
+                "forward_factor_seconds": float(np.median(np.divide(moves, factors))),
             }
         )
     return sorted(found, key=lambda size: size["vertices"])
