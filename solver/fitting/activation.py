@@ -33,7 +33,7 @@ MAX_TRIALS = 6
 KEPT_TRIALS = 2
 """The same with a matrix that was kept: then a new one is made."""
 
-KEPT_REACH = 0.5
+KEPT_REACH = 0.25
 """How far, in steps' reach, a Gauss-Newton matrix is kept."""
 
 JAW_DAMPING = 1e-3
