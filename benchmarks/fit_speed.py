@@ -6,8 +6,8 @@ cold fits of single expressions to a relative objective of 1e-4, and ``ratio_per
 the per-tet model for the same expressions over it; ``frame_ms``, the median over a recorded
 performance, with ``frame_mean_mm`` and ``frame_loss`` against frames fitted alone; the forward
 problem cold and warm; and the exponents of time by vertices over meshes of several sizes, for
-fitting and simulating the unseen expressions half of the way, which on all of them is the same
-well-posed problem, as a whole and by iteration and by factorisation.
+fitting and simulating the milder unseen expressions half of the way, which on all of them is the
+same well-posed problem: of a whole solve, and by iteration and by factorisation.
 ``ratio_ipopt``: (A) by IPOPT over the reduced solver, the median over the expressions of the
 built-in face with coarse tets for which both find the same objective within 0.1 %, each to its own
 tolerance, and ``ratio_ipopt_same`` until each is within 0.1 % of its end.
@@ -168,7 +168,7 @@ def _against_ipopt(count: int | None) -> list[Figures]:
 def _scaling(options: argparse.Namespace, captures: CaptureSet, quick: bool) -> list[Figures]:
     edges = SIZES_MM[:2] if quick else SIZES_MM
     models = {edge: subjects.load(options, edge)[0] for edge in edges}
-    names = list(captures.test)[: 2 if quick else None]
+    names = forward.mildest(captures)[: 2 if quick else None]
     return forward.scaling(models, captures, names, common=EDGE_MM if not quick else edges[-1])
 
 

@@ -108,6 +108,16 @@ def scaling(
     return sorted(found, key=lambda size: size["vertices"])
 
 
+def mildest(captures: CaptureSet) -> list[str]:
+    """Return the half of the unseen expressions that move the skin least, in mean."""
+    neutral = captures.neutral.vertices
+    motion = {
+        name: float(np.linalg.norm(scan.vertices - neutral, axis=1).mean())
+        for name, scan in captures.test.items()
+    }
+    return sorted(motion, key=motion.__getitem__)[: (len(motion) + 1) // 2]
+
+
 class _Counting:
     """A linear solver that counts its factorisations."""
 
