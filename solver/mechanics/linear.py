@@ -10,7 +10,6 @@ import importlib.util
 from collections.abc import Callable
 from typing import Any, Protocol
 
-import numba as nb
 import numpy as np
 import pymetis
 import scipy.sparse as sp
@@ -53,10 +52,7 @@ class Rslab:
         self._keep, indices, indptr = _upper(pattern)
         ones = np.ones(len(indices))
         lower = sp.csc_matrix((ones, indices, indptr), shape=pattern.shape)
-        # any number of threads gives the same
-        self._analysis: Any = rslab.analyze(
-            lower, path="ldlt", ordering="metis", threads=nb.get_num_threads()
-        )
+        self._analysis: Any = rslab.analyze(lower, path="ldlt", ordering="metis", threads=1)
 
     def factor(self, data: Floats) -> Factor:
         """See :class:`LinearSolver`."""

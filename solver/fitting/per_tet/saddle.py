@@ -19,7 +19,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numba as nb
 import numpy as np
 import rslab
 import scipy.sparse as sp
@@ -201,9 +200,7 @@ class SaddleSolver:
             or not np.array_equal(self._pattern[1], lower.indices)
         ):
             self._pattern = lower.indptr, lower.indices
-            self._analysis = rslab.analyze(
-                lower, path="ldlt", ordering="metis", threads=nb.get_num_threads()
-            )
+            self._analysis = rslab.analyze(lower, path="ldlt", ordering="metis", threads=1)
         return self._analysis
 
 
