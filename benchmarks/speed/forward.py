@@ -1,4 +1,4 @@
-"""The forward problem: activations and jaw in, equilibrium out; and how both grow with the mesh."""
+"""The forward problem: activations and jaw in, equilibrium out; how time grows with the mesh."""
 
 from __future__ import annotations
 
