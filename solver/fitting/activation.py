@@ -76,7 +76,8 @@ Listener = Callable[[int, float], None]
 """Called after each accepted step with the iteration and the objective."""
 
 Mover = Callable[[Face, sp.csr_array, State, Floats, Pose], State]
-"""Goes from a state to a pose nearby by the flesh's linear response: Face.travel or follow."""
+"""Goes from a state to a pose nearby by the flesh's linear response: Face.approach, travel or
+follow."""
 
 
 def objective(data: Term, regulariser: Regulariser, state: State) -> float:
@@ -95,15 +96,17 @@ def fit(
 ) -> ActivationFit:
     """Minimise f over (a, b) from ``start`` and settle the result.
 
-    Where the flesh buckles as it settles, the fit goes on from there; if it does not settle at
-    all, from the rest pose, with every state on the way settled too. Raises :class:`SolveError`
-    (``solve.no_convergence``) if the face can not be settled even so.
+    Where the flesh buckles as it settles, or does not settle at all, the fit goes on from the best
+    that did settle, else from the rest pose; in the second case every state on the way is settled
+    too. Raises :class:`SolveError` (``solve.no_convergence``) if the face can not be settled even
+    so.
     """
     options = options or ActivationOptions()
     best = None
-    found = improve(face, S, data, regulariser, start, options, listen)
-    iterations = found.iterations
+    iterations, begin, go = 0, start, Face.travel
     for _ in range(SETTLINGS):
+        found = improve(face, S, data, regulariser, begin, options, listen, go)
+        iterations += found.iterations
         state = _settled(face, S, found.state)
         if state is not None:
             value = objective(data, regulariser, state)
@@ -112,9 +115,7 @@ def fit(
             if value <= BUCKLED * found.objective:
                 break
         go = Face.follow if state is None else Face.travel
-        state = best.state if best else face.rest_state(S)
-        found = improve(face, S, data, regulariser, state, options, listen, go)
-        iterations += found.iterations
+        begin = best.state if best else face.rest_state(S)
     if best is None:
         raise SolveError("solve.no_convergence", "the fitted face does not come to rest")
     return best
@@ -137,7 +138,7 @@ def improve(
     listen: Listener | None = None,
     go: Mover = Face.travel,
 ) -> ActivationFit:
-    """Minimise f over (a, b), going from state to state by ``go``; the last is as good as that."""
+    """Minimise f over (a, b), going from state to state by ``go``, which settles them or not."""
     state = start
     value = objective(data, regulariser, state)
     trust, kept = _Trust(), 0.0

@@ -3,7 +3,7 @@
 Near the solution the raw Hessian gives quadratic convergence. Far from it, and where it is not
 positive definite, it is projected, no further than need be. A line search keeps the energy finite,
 hence every tet upright. Where a Hessian from nearby still serves, its chord steps do instead: one
-costs a tenth of a new factorisation.
+costs a fraction of a new factorisation.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ REACH_MM = 0.3
 """A Newton step no longer than this is taken to end in the equilibrium."""
 
 CORRECTIONS = 6
+"""Newton steps of an approach at most."""
 
 CONTRACTION = 0.3
-"""Part of what it was that a chord step leaves of the residual, or of the next step's length."""
+"""Part of the residual, or of the next step's length, that a useful chord step leaves at most."""
 
-SETTLED_MM = 0.02
-CHORDS = 3
-"""Chord steps that end an approach, if the next one is not shorter than that before."""
+SETTLED_MM, CHORDS = 0.02, 3
+"""Chord steps end an approach: until the next is shorter than the one, the other at most."""
 
 SAME_MM = 1e-3
 """Motion over which a factorised Hessian counts as the one here."""
@@ -85,9 +85,10 @@ class Equilibrium:
     """Vertices x (p, 3) with the factorised Hessian there, and what Newton's next step leads to.
 
     ``estimate`` (p, 3) is that step's end: the equilibrium to second order, x itself where that is
-    solved. ``factor`` is the Hessian's at x, or where it served last on the way, at most
-    :data:`REACH_MM` away (:data:`SAME_MM` where solved). ``residual`` is |grad E| over the nodal
-    forces at unit strain, ``iterations`` counts Newton steps.
+    solved. ``factor`` is the Hessian's at x, or where it served last on the way: about
+    :data:`REACH_MM` away at most, :data:`SAME_MM` where solved (:mod:`solver.mechanics.lagged` has
+    its own from further away). ``residual`` is |grad E| over the nodal forces at unit strain,
+    ``iterations`` counts Newton steps.
     """
 
     x: Floats

@@ -1,6 +1,6 @@
 """Equilibrium near a known one: Newton's method with a stiffness from somewhere near.
 
-A factorisation costs as much as six corrections with an old one. So these go on while they get
+A factorisation costs as much as several corrections with an old one. So these go on while they get
 shorter, with Anderson's acceleration (Walker & Ni 2011, Anderson acceleration for fixed-point
 iterations): it finds the few modes in which the old stiffness is wrong.
 """
@@ -19,7 +19,7 @@ LONG_MM, CLOSE_MM = 0.75, 0.2
 """A longer correction asks for a new stiffness; the end of a shorter one is good enough."""
 
 CONTRACTION = 0.7
-"""So does one that is not shorter than this part of the one before."""
+"""A correction that is longer than this part of the one before asks for a new stiffness too."""
 
 CORRECTIONS = 8
 FACTORISATIONS = 5
@@ -27,6 +27,7 @@ PARTS = (1.0, 0.5, 0.25, 0.125)
 """Parts of a correction that are tried where it would crush a tet."""
 
 UNTANGLINGS = 6
+"""Rounds of carrying crushed tets along: each may crush others."""
 
 
 def correct(

@@ -31,7 +31,7 @@ SMALL_GAINS = 2
 """Steps one after the other that gain next to nothing; a single one may just have been damped."""
 
 UNSTUCK = 0.02
-"""Gain, as a part of f, after which a refused step is forgotten; less is creeping."""
+"""Gain, as a part of f, after which a refused step is forgotten; less is crawling."""
 
 PATIENCE = 6
 """Iterations without a new least f before it counts as the minimum."""
@@ -67,7 +67,7 @@ class Descent:
         self._objective = objective
         self._listen = listen
         self._solver = SaddleSolver(objective.tissue)
-        self._damping = self._afresh()
+        self._damping = self._first_damping()
         self._state, self._value = state, objective.value(state)
         self._best = self._state, self._value
         self._taken = taken
@@ -89,12 +89,12 @@ class Descent:
 
     def _advance(self, tolerance: float) -> bool:
         """Take a step, or have the next one shorter; False if there is no way on."""
-        creeps = self._slow and self._damping.hindered
-        if creeps:
-            self._damping = self._afresh()
+        crawls = self._slow and self._damping.hindered
+        if crawls:
+            self._damping = self._first_damping()
         step = Step.of(self._objective, self._solver, self._state, self._value, self._damping)
-        found = None if creeps else step.descend(self._objective, TRIES)
-        if found is None and not (self._stuck or creeps):
+        found = None if crawls else step.descend(self._objective, TRIES)
+        if found is None and not (self._stuck or crawls):
             self._stuck, self._damping = True, self._damping.after_refusal()
             return True
         if found is None and self._snaps < SNAPS:
@@ -139,5 +139,5 @@ class Descent:
     def _found(self, status: Status) -> Found:
         return Found(*self._best, self._taken, status)
 
-    def _afresh(self) -> Damping:
+    def _first_damping(self) -> Damping:
         return Damping.start(len(self._objective.tissue.active))
