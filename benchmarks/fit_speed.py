@@ -2,12 +2,12 @@
 
 Wall times on the threads that the machine gives, kernels compiled. Subject A of the data at 9 mm
 tets: ``geometry_seconds`` and ``peak_memory_gib`` of the fit of S; ``activation_ms``, the median of
-cold fits of single expressions to a relative objective of 1e-4, and ``ratio_per_tet``, the time of
-the per-tet model for the same expressions over it; ``frame_ms``, the median over a recorded
-performance, with ``frame_mean_mm`` and ``frame_loss`` against frames fitted alone; the forward
-problem cold and warm; and the exponents of time by vertices over meshes of several sizes, for
-fitting and simulating the milder unseen expressions half of the way, which on all of them is the
-same well-posed problem: of a whole solve, and by iteration and by factorisation.
+cold fits of single expressions until a step gains less than 1e-4 of the objective, and
+``ratio_per_tet``, the time of the per-tet model for the same expressions over it; ``frame_ms``, the
+median over a recorded performance, with ``frame_mean_mm`` and ``frame_loss`` against frames fitted
+alone; the forward problem cold and warm; and the exponents of time by vertices over meshes of
+several sizes, for fitting and simulating the milder unseen expressions half of the way, which on
+all of them is the same well-posed problem: of a whole solve, and by iteration and by factorisation.
 ``ratio_ipopt``: (A) by IPOPT over the reduced solver, the median over the expressions of the
 built-in face with coarse tets for which both find the same objective within 0.1 %, each to its own
 tolerance, and ``ratio_ipopt_same`` until each is within 0.1 % of its end.

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from benchmarks.documents import Figures
 from benchmarks.speed.clock import Stopwatch
-from benchmarks.speed.solvers import COARSE_W_A, CONVERGED
+from benchmarks.speed.solvers import CONVERGED, IPOPT_W_A
 from solver.anatomy.capture_set import CaptureSet
 from solver.fitting import activation, standard
 from solver.fitting.face import Face, Pose
@@ -73,7 +73,7 @@ def scaling(
     for edge in sorted(models, key=lambda edge: edge != common):
         model = models[edge]
         face, S = Face(model), model.weights
-        regulariser = replace(standard.unseen_regulariser(face), w_a=COARSE_W_A)
+        regulariser = replace(standard.unseen_regulariser(face), w_a=IPOPT_W_A)
         linear = _Counting(face.linear)
         face.linear = linear
         fits, iterations, moves, factors = [], [], [], []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -21,15 +22,15 @@ from solver.fitting.reference import NotConvergedError
 from solver.fitting.terms import SkinDistance
 
 TOLERANCE = 1e-4
-"""Relative objective that a solve is run to."""
+"""Gain of a step, as a part of the objective, below which a solve ends."""
 
 CONVERGED = ActivationOptions(max_iterations=60, tolerance=TOLERANCE)
 FURTHER = ActivationOptions(max_iterations=60, tolerance=1e-7)
 PER_TET = PerTetOptions(max_iterations=200, tolerance=TOLERANCE)
 
-COARSE_W_A = 0.05
-"""Prior's weight on the coarse model: the lightest with which IPOPT converges for nearly every
-expression. With 0.02 it fails for most of them."""
+IPOPT_W_A = 0.05
+"""Prior's weight, the lightest with which IPOPT converges on the coarse model for nearly every
+expression. With 0.02 it fails for most of them. The scaling has it on all meshes."""
 
 IPOPT_ITERATIONS = 200
 SAME_OBJECTIVE = 1e-3
@@ -84,7 +85,7 @@ def against_ipopt(face: Face, targets: Mapping[str, Target]) -> list[Figures]:
     the times after which f is within 0.1 % of its end for good.
     """
     S, rest = face.model.weights, face.rest_state(face.model.weights)
-    regulariser = replace(standard.unseen_regulariser(face), w_a=COARSE_W_A)
+    regulariser = replace(standard.unseen_regulariser(face), w_a=IPOPT_W_A)
     found = []
     for name, target in targets.items():
         data = SkinDistance(face, target)
@@ -135,10 +136,8 @@ def compile_kernels(face: Face, phace: Face | None, target: Target) -> None:
     regulariser = standard.unseen_regulariser(face)
     activation.fit(face, S, data, regulariser, rest, ActivationOptions(1))
     if phace is not None:
-        try:
+        with contextlib.suppress(SolveError):
             per_tet.fit(phace, data, None, PerTetOptions(max_iterations=1))
-        except SolveError:
-            return
 
 
 def mean_mm(face: Face, target: Target, fitted: ActivationFit) -> float:
