@@ -159,7 +159,8 @@ def solve(
         x, length = step
         # what is projected, or led only part of the way, is no good a second time
         stiffness = newton if share == 0 and length == 1.0 else None
-    if residual > max(tolerance, STALLED):
+    # NaN, too, is no equilibrium
+    if not residual <= max(tolerance, STALLED):
         raise SolveError(
             "solve.no_convergence",
             f"equilibrium stopped at a residual of {residual:.1e} after {iteration} steps",
