@@ -116,7 +116,7 @@ def _outer_teeth(mouth: Mouth, points: Floats) -> Shell:
         return Shell(faces)
     corners = points[faces]
     normals = area_normals(points, faces)
-    middle = (points[faces].min(axis=(0, 1)) + points[faces].max(axis=(0, 1))) / 2
+    middle = (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1))) / 2
     out = (corners.mean(axis=1) - middle) * [1.0, 0.0, 1.0]
     lengths = np.linalg.norm(out, axis=1) * np.linalg.norm(normals, axis=1)
     return Shell(faces[np.einsum("fi,fi->f", out, normals) > OUTER * lengths])
