@@ -105,7 +105,12 @@ def fit(
     best = None
     iterations, begin, go = 0, start, Face.travel
     for _ in range(SETTLINGS):
-        found = improve(face, S, data, regulariser, begin, options, listen, go)
+        try:
+            found = improve(face, S, data, regulariser, begin, options, listen, go)
+        except SolveError:
+            if best is None:
+                raise
+            break
         iterations += found.iterations
         state = _settled(face, S, found.state)
         if state is not None:

@@ -127,8 +127,10 @@ def _material(part: str) -> gl.Material:
     )
 
 
-def _in_turn(buffer: Buffer, count: int) -> gl.Animation:
-    """Return neutral -> expression -> neutral for one expression after the other."""
+def _in_turn(buffer: Buffer, count: int) -> gl.Animation | None:
+    """Return neutral -> expression -> neutral for one after the other; None if there is none."""
+    if not count:
+        return None
     period = 2 * MOVE_SECONDS + HOLD_SECONDS
     times = [0.0]
     weights = [np.zeros(count)]

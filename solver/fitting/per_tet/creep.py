@@ -47,10 +47,10 @@ def creep(
         flesh.viscosity, flesh.anchor = float(viscosity), state.x
         try:
             state = settled(viscous, state.pose, state.x, CORRECTIONS)
+            step = Step.of(objective, solver, state, objective.value(state), damping)
         except SolveError:
             break
         taken += 1
-        step = Step.of(objective, solver, state, objective.value(state), damping)
         found = step.descend(objective, TRIES)
         if found is None:
             damping = damping.after_refusal()

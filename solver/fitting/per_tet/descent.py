@@ -88,11 +88,14 @@ class Descent:
         return self._found(Status.ITERATIONS)
 
     def _advance(self, tolerance: float) -> bool:
-        """Take a step, or have the next one shorter; False if there is no way on."""
+        """Take a step, or have the next one shorter; False if there is none that leads on."""
         crawls = self._slow and self._damping.hindered
         if crawls:
             self._damping = self._first_damping()
-        step = Step.of(self._objective, self._solver, self._state, self._value, self._damping)
+        try:
+            step = Step.of(self._objective, self._solver, self._state, self._value, self._damping)
+        except SolveError:
+            return False
         found = None if crawls else step.descend(self._objective, TRIES)
         if found is None and not (self._stuck or crawls):
             self._stuck, self._damping = True, self._damping.after_refusal()
