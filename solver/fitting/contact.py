@@ -23,7 +23,7 @@ from solver.model import SubjectModel
 from solver.surface import Floats
 from solver.triangles import area_normals
 
-WEIGHT = 300.0
+WEIGHT = 600.0
 """A lip's vertex in contact counts like so many vertices of the face skin: its depth beyond the
 slack has to be small even where a scan, by interpolation or registration, crosses itself."""
 LIPS_SLACK_MM = 0.2
