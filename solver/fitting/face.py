@@ -111,17 +111,29 @@ class Face:
         return np.ascontiguousarray(S @ np.vstack([IDENTITY, a]))
 
     def settle(
-        self, S: sp.csr_array, pose: Pose, x: Floats, near: Stiffness | None = None
+        self,
+        S: sp.csr_array,
+        pose: Pose,
+        x: Floats,
+        near: Stiffness | None = None,
+        max_iterations: int = equilibrium.MAX_ITERATIONS,
     ) -> State:
         """Find the equilibrium of a pose from ``x`` (p, 3), the mandible being put where b says.
 
-        ``near`` is the stiffness of a state nearby, if there is one.
+        ``near`` is the stiffness of a state nearby, if there is one. Raises :class:`SolveError` if
+        it is not found within so many Newton steps.
         """
         x = x.copy()
         x[self.model.mandible] = self.mandible(pose.b)
         a = self.tet_activations(S, pose.a)
         result = equilibrium.solve(
-            self.flesh, self.linear, x, a, tolerance=self.tolerance, near=near
+            self.flesh,
+            self.linear,
+            x,
+            a,
+            tolerance=self.tolerance,
+            max_iterations=max_iterations,
+            near=near,
         )
         return State(pose, result)
 

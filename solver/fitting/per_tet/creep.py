@@ -17,7 +17,7 @@ from solver.fitting.face import State
 from solver.fitting.per_tet.damping import Damping
 from solver.fitting.per_tet.objective import Objective, PerTetOptions
 from solver.fitting.per_tet.saddle import SaddleSolver
-from solver.fitting.per_tet.steps import CORRECTIONS, Step, settled
+from solver.fitting.per_tet.steps import CORRECTIONS, Step
 from solver.fitting.per_tet.tissue import Tissue
 from solver.fitting.terms import Term
 from solver.mechanics.viscous import Viscous
@@ -46,7 +46,9 @@ def creep(
     for viscosity in np.repeat(VISCOSITIES, steps):
         flesh.viscosity, flesh.anchor = float(viscosity), state.x
         try:
-            state = settled(viscous, state.pose, state.x, CORRECTIONS)
+            state = viscous.face.settle(
+                viscous.selection, state.pose, state.x, max_iterations=CORRECTIONS
+            )
             step = Step.of(objective, solver, state, objective.value(state), damping)
         except SolveError:
             break

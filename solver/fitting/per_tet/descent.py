@@ -15,7 +15,7 @@ from solver.fitting.face import State
 from solver.fitting.per_tet.damping import Damping
 from solver.fitting.per_tet.objective import Objective
 from solver.fitting.per_tet.saddle import SaddleSolver
-from solver.fitting.per_tet.steps import Step, settled
+from solver.fitting.per_tet.steps import Step
 
 TRIES = 2
 """Whole and half steps before the damping grows."""
@@ -114,10 +114,11 @@ class Descent:
 
         Half the step is tried where the whole one leads nowhere.
         """
+        tissue = self._objective.tissue
         for part in (1.0, 0.5):
             try:
-                state = settled(
-                    self._objective.tissue, step.pose(part), step.state.x, SNAP_ITERATIONS
+                state = tissue.face.settle(
+                    tissue.selection, step.pose(part), step.state.x, max_iterations=SNAP_ITERATIONS
                 )
             except SolveError:
                 continue

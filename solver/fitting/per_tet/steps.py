@@ -11,7 +11,6 @@ from solver.fitting.per_tet.damping import Damping
 from solver.fitting.per_tet.objective import Objective
 from solver.fitting.per_tet.saddle import Quadratic, SaddleSolver
 from solver.fitting.per_tet.tissue import Tissue
-from solver.mechanics import equilibrium
 from solver.surface import Floats
 
 CORRECTIONS = 8
@@ -71,19 +70,4 @@ class Step:
         motion = self.model.response.motion(pose.a - before.a, pose.b - before.b)
         free = motion[self.model.response.free]
         near = tissue.face.approach(tissue.selection, self.state, free, pose)
-        return settled(tissue, pose, near.x, CORRECTIONS)
-
-
-def settled(tissue: Tissue, pose: Pose, x: Floats, iterations: int) -> State:
-    """Find the equilibrium of a pose from ``x`` within so many Newton steps."""
-    x = x.copy()
-    x[tissue.face.model.mandible] = tissue.face.mandible(pose.b)
-    found = equilibrium.solve(
-        tissue.face.flesh,
-        tissue.face.linear,
-        x,
-        tissue.face.tet_activations(tissue.selection, pose.a),
-        tolerance=tissue.face.tolerance,
-        max_iterations=iterations,
-    )
-    return State(pose, found)
+        return tissue.face.settle(tissue.selection, pose, near.x, max_iterations=CORRECTIONS)
