@@ -80,8 +80,9 @@ class Sensitivity:
     def by_pose(self) -> PoseJacobian:
         """Return the derivatives by (a, b); a muscle by muscle, six entries each."""
         face, state = self._face, self._state
+        by_tet, numbers = self._by_weight[:2]
         response = state.equilibrium.factor.solve(
-            gradient_by_pose(face, self._S, state.pose, state.x)
+            _pose_columns(face.flesh.size, self._S, by_tet, numbers, self._by_jaw[0])
         )
         # in place: on fine meshes new memory takes as long as arithmetic
         np.negative(response, out=response)
@@ -155,13 +156,19 @@ def gradient_by_pose(face: Face, S: sp.csr_array, pose: Pose, x: Floats) -> Floa
     """Return d(grad_x E)/d(a, b) at any x (p, 3), shape (size, 6 m + 5)."""
     flesh = face.flesh
     tet_a = face.tet_activations(S, pose.a)
-    direct = face.mandible_jacobian(pose.b)
-    columns = pose.a.size
-    out = np.zeros((flesh.size, columns + direct.shape[2]), order="F")
+    by_jaw = flesh.coupling(x, tet_a, face.mandible_jacobian(pose.b))
     by_tet = flesh.forces_by_activation(x, tet_a)
-    numbers = flesh.free_numbers[flesh.tets]
+    return _pose_columns(flesh.size, S, by_tet, flesh.free_numbers[flesh.tets], by_jaw)
+
+
+def _pose_columns(
+    size: int, S: sp.csr_array, by_tet: Floats, numbers: Ints, by_jaw: Floats
+) -> Floats:
+    """Return d(grad_x E)/d(a, b) from the forces' derivatives by tet, and those by b."""
+    columns = 6 * (S.shape[1] - 1)
+    out = np.zeros((size, columns + by_jaw.shape[1]), order="F")
     _add_by_muscle(by_tet, numbers, S.indptr, S.indices, S.data, out)
-    out[:, columns:] = flesh.coupling(x, tet_a, direct)
+    out[:, columns:] = by_jaw
     return out
 
 

@@ -189,7 +189,7 @@ def approach(
         share = stiffness.share
         direction = stiffness.solve(-gradient)
         if np.abs(direction).max() <= REACH_MM:
-            estimate = _moved(flesh, x, direction)
+            estimate = flesh.moved(x, direction)
             found = Equilibrium(x, estimate, stiffness, residual, iteration)
             return _polish(flesh, a, found, settled_mm)
         step = _line_search(flesh, x, a, direction, gradient, share > 0)
@@ -210,19 +210,12 @@ def _residual(flesh: Flesh, gradient: Floats) -> float:
     return float(np.linalg.norm(gradient)) / flesh.force_scale
 
 
-def _moved(flesh: Flesh, x: Floats, direction: Floats) -> Floats:
-    """Return x (p, 3) with the free vertices moved by ``direction`` (size,)."""
-    x = x.copy()
-    x[flesh.free] += direction.reshape(-1, 3)
-    return x
-
-
 def _coast(
     flesh: Flesh, x: Floats, a: Floats, stiffness: Stiffness, gradient: Floats, tolerance: float
 ) -> tuple[Floats, Floats]:
     """Return where chord steps lead as long as the residual falls well, and the gradient there."""
     while _residual(flesh, gradient) > tolerance:
-        trial = _moved(flesh, x, stiffness.solve(-gradient))
+        trial = flesh.moved(x, stiffness.solve(-gradient))
         if flesh.narrowing(x, trial) < NARROWEST:
             break
         after = flesh.gradient(trial, a)
@@ -242,7 +235,7 @@ def _polish(flesh: Flesh, a: Floats, now: Equilibrium, settled_mm: float) -> Equ
         direction = now.factor.solve(-gradient)
         if np.abs(direction).max() > CONTRACTION * length:
             break
-        estimate = _moved(flesh, now.estimate, direction)
+        estimate = flesh.moved(now.estimate, direction)
         residual = _residual(flesh, gradient)
         now = replace(now, x=now.estimate, estimate=estimate, residual=residual)
     return now
@@ -269,7 +262,7 @@ def _line_search(
     energy, slope = flesh.energy(x, a), float(gradient @ direction)
 
     def tried(step: float) -> tuple[Floats, float] | None:
-        trial = _moved(flesh, x, step * direction)
+        trial = flesh.moved(x, step * direction)
         if flesh.narrowing(x, trial) < NARROWEST:
             return None
         value = flesh.energy(trial, a)

@@ -123,6 +123,12 @@ class Flesh:
         """Return the activations (n, 6) of a face at rest."""
         return np.tile(IDENTITY, (len(self.tets), 1))
 
+    def moved(self, x: Floats, motion: Floats) -> Floats:
+        """Return a copy of x (p, 3) with the free vertices moved by ``motion`` (size,)."""
+        x = x.copy()
+        x[self.free] += motion.reshape(-1, 3)
+        return x
+
     def energy(self, x: Floats, a: Floats) -> float:
         """Return E(x, a); infinite if a tet is inverted."""
         out = np.empty(len(self.tets))

@@ -70,8 +70,7 @@ def correct(
 def _moved(flesh: Flesh, x: Floats, motion: Floats) -> Floats | None:
     """Return x (p, 3) with as much of the ``motion`` (size,) as crushes no tet."""
     for part in PARTS:
-        moved = x.copy()
-        moved[flesh.free] += part * motion.reshape(-1, 3)
+        moved = flesh.moved(x, part * motion)
         if flesh.narrowing(x, moved) >= NARROWEST:
             return moved
     return None
