@@ -2,7 +2,8 @@
 
 Wall times on the threads that the machine gives, kernels compiled. Subject A of the data at 9 mm
 tets: ``geometry_seconds`` and ``peak_memory_gib`` of the fit of S; ``activation_ms``, the median of
-cold fits of single expressions until a step gains less than 1e-4 of the objective, and
+cold fits of single expressions until a step gains less than 1e-4 of the objective (the resting face
+with its Gauss-Newton matrix, ``prepared_ms``, is known: all of them begin with it), and
 ``ratio_per_tet``, the time of the per-tet model for the same expressions over it; ``frame_ms``, the
 median over a recorded performance, with ``frame_mean_mm`` and ``frame_loss`` against frames fitted
 alone; the forward problem cold and warm; and the exponents of time by vertices over meshes of
@@ -36,6 +37,9 @@ from solver.anatomy.ict_performance import performance_frames
 from solver.fitting import geometry, per_tet, standard
 from solver.fitting.face import Face
 from solver.fitting.objective import Target
+from solver.fitting.sequence import LINEAR_SOLVERS
+from solver.mechanics.linear import installed
+from solver.model import SubjectModel
 
 SIZES_MM = (19.0, 13.0, 9.0, 5.5)
 """Tets' edges of the scaling: about 1.9, 3.5, 7 and 19 thousand vertices."""
@@ -88,6 +92,7 @@ def run(options: argparse.Namespace) -> Figures:
     memory = peak_gib()
     log.info("geometry: %.1f s, %.2f GiB", watch.seconds, memory)
     S = fitted.S
+    _, preparing = solvers.prepared(face, S)
     by_a = solvers.activations(face, S, _first(test, 2 if quick else len(test)))
     log.info("activations: %s", [round(e["seconds"], 2) for e in by_a])
     by_p = solvers.per_tets(phace, _first(test, 1 if quick else PER_TETS))
@@ -95,7 +100,7 @@ def run(options: argparse.Namespace) -> Figures:
     poses = {name: state.pose for name, state in fitted.states.items()}
     forwards = forward.forward(face, S, poses)
     log.info("forward: %s", [round(e["cold_seconds"], 2) for e in forwards])
-    sequence = _performance(options, face, S)
+    sequence = _performance(options, model, S)
     ipopt = _against_ipopt(2 if quick else None)
     log.info("IPOPT: %s", [e.get("ratio") for e in ipopt])
     sizes = _scaling(options, captures, quick)
@@ -110,6 +115,7 @@ def run(options: argparse.Namespace) -> Figures:
         "geometry_seconds": watch.seconds,
         "peak_memory_gib": memory,
         "geometry_mean_mm": geometry.mean_error(face, train, fitted.states),
+        "prepared_ms": 1e3 * preparing,
         "activation_ms": 1e3 * median(seconds.values()),
         "ratio_per_tet": median(e["seconds"] / seconds[e["name"]] for e in by_p),
         "ratio_ipopt": median(e["ratio"] for e in same) if same else None,
@@ -137,7 +143,7 @@ def _first(targets: dict[str, Target], count: int) -> dict[str, Target]:
     return dict(list(targets.items())[:count])
 
 
-def _performance(options: argparse.Namespace, face: Face, S: Any) -> Figures | None:
+def _performance(options: argparse.Namespace, model: SubjectModel, S: Any) -> Figures | None:
     if options.recording is None:
         return None
     take = performance_frames(
@@ -148,6 +154,7 @@ def _performance(options: argparse.Namespace, face: Face, S: Any) -> Figures | N
     )
     count, compared = (60, 2) if options.quick else (FRAMES, COMPARED)
     numbers = range(options.first_frame, min(options.first_frame + count, len(take)))
+    face = Face(model, linear=installed(*LINEAR_SOLVERS))
     found = frames(face, S, take, numbers, compared)
     log.info("frames: median %.0f ms, %.3f mm", found["median_ms"], found["mean_mm"])
     return found
@@ -209,7 +216,8 @@ def section(figures: Figures) -> Section:
 HEADLINES = {
     "geometry_seconds": "S of five scans, s",
     "peak_memory_gib": "peak memory, GiB",
-    "activation_ms": "one expression by A, cold, ms",
+    "prepared_ms": "what all expressions of a subject begin with, ms",
+    "activation_ms": "one expression by A from there, cold, ms",
     "ratio_per_tet": "P's time over A's",
     "ratio_ipopt": "IPOPT's time over the reduced solver's, each to its tolerance",
     "ratio_ipopt_same": "both until f is within 0.1 % of its end",

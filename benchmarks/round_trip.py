@@ -15,7 +15,8 @@ from benchmarks import report, subjects
 from benchmarks.documents import Figures, Section, Table
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.drawing.colours import both_sides
-from solver.fitting.face import Face, Pose, State
+from solver.fitting.face import Face, Pose
+from solver.fitting.resting import Resting
 from solver.mechanics.flesh import IDENTITY
 from solver.mechanics.material import SYM_COLUMN, SYM_ROW
 from solver.rig.plausibility import fibre_tensors
@@ -40,7 +41,7 @@ def main() -> None:
     options = parser.parse_args()
     model, _ = subjects.load(options, COARSE_EDGE_MM if options.quick else EDGE_MM)
     face = Face(model)
-    rest = face.rest_state(model.weights)
+    rest = Resting(face, model.weights)
     sets = [_measure(face, rest, seed) for seed in range(SETS)]
     figures: Figures = {
         "vertices": len(model.rest),
@@ -72,11 +73,11 @@ def section(figures: Figures) -> Section:
     )
 
 
-def _measure(face: Face, rest: State, seed: int) -> Figures:
+def _measure(face: Face, rest: Resting, seed: int) -> Figures:
     S = face.model.weights
     pose = plausible_pose(face, np.random.default_rng(seed))
-    simulated = face.face_points(face.move(S, rest, pose).x)
-    moved = np.linalg.norm(simulated - face.face_points(rest.x), axis=1)
+    simulated = face.face_points(face.move(S, rest.state, pose).x)
+    moved = np.linalg.norm(simulated - face.face_points(rest.state.x), axis=1)
     trip = round_trip(face, S, pose, simulated, rest)
     return {
         "seed": seed,

@@ -19,6 +19,7 @@ from solver.fitting.geometry import GeometryOptions
 from solver.fitting.mouth import Mouth
 from solver.fitting.objective import Target
 from solver.fitting.per_tet import PerTetOptions
+from solver.fitting.resting import Resting
 from solver.fitting.terms import Term
 from solver.surface import Floats, Surface
 
@@ -92,7 +93,7 @@ def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> tuple[sp
 
 def by_activations(face: Face, S: sp.csr_array, scans: Scans) -> Fits:
     """Fit activations and jaw to every scan, S being known."""
-    regulariser, rest = standard.unseen_regulariser(face), face.rest_state(S)
+    regulariser, rest = standard.unseen_regulariser(face), Resting(face, S)
 
     def fit(data: Term) -> State:
         found = chosen.fit(face, S, data, regulariser, rest, standard.UNSEEN_STOP)

@@ -13,14 +13,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-import scipy.linalg
 import scipy.sparse as sp
 
 from solver.errors import SolveError
+from solver.fitting import gauss_newton
 from solver.fitting.face import Face, Pose, State
-from solver.fitting.objective import JAW_UNITS, Regulariser
-from solver.fitting.sensitivity import Sensitivity
+from solver.fitting.gauss_newton import GaussNewton, Step
+from solver.fitting.objective import Regulariser
 from solver.fitting.terms import Term
 from solver.surface import Floats
 
@@ -93,8 +92,14 @@ def fit(
     start: State,
     options: ActivationOptions | None = None,
     listen: Listener | None = None,
+    *,
+    matrix: Floats | None = None,
 ) -> ActivationFit:
     """Minimise f over (a, b) from ``start`` and settle the result.
+
+    ``matrix`` (6 m + 5, 6 m + 5) is f's Gauss-Newton matrix without its priors, or one like it: of
+    a state nearby or of other data (:mod:`solver.fitting.gauss_newton`). Without it that of
+    ``start`` is made, which takes as long as a few iterations.
 
     Where the flesh buckles as it settles, or does not settle at all, the fit goes on from the best
     that did settle, else from the rest pose; in the second case every state on the way is settled
@@ -106,7 +111,7 @@ def fit(
     iterations, begin, go = 0, start, Face.travel
     for _ in range(SETTLINGS):
         try:
-            found = improve(face, S, data, regulariser, begin, options, listen, go)
+            found = improve(face, S, data, regulariser, begin, options, listen, go, matrix)
         except SolveError:
             if best is None:
                 raise
@@ -142,50 +147,49 @@ def improve(
     options: ActivationOptions,
     listen: Listener | None = None,
     go: Mover = Face.travel,
+    matrix: Floats | None = None,
 ) -> ActivationFit:
     """Minimise f over (a, b), going from state to state by ``go``, which settles them or not."""
     state = start
     value = objective(data, regulariser, state)
-    trust, kept = _Trust(), 0.0
-    model = _linearise(face, S, data, regulariser, state)
-
-    def descend(trials: int) -> tuple[State, float, Floats] | None:
-        """Return the next state, its f and the step to it; None if no trial is any better."""
-        for _ in range(trials):
-            step = model.step(trust)
-            pose = Pose(state.pose.a + step[:-5].reshape(-1, 6), state.pose.b + step[-5:])
-            try:
-                trial = go(face, S, state, model.sensitivity.flesh_by_pose(step), pose)
-            except SolveError:
-                trust.shrink(reach(step))
-                continue
-            reached = objective(data, regulariser, trial)
-            trust.adapt((value - reached) / model.predicted_gain(step), reach(step))
-            if reached < value:
-                return trial, reached, step
-        return None
-
+    matrix = gauss_newton.curvature(face, S, data, state) if matrix is None else matrix
+    trust = _Trust()
     for iteration in range(1, options.max_iterations + 1):
-        if model.predicted_gain(model.step(trust)) <= options.tolerance * value:
-            return ActivationFit(state, value, iteration, True)
-        found = descend(KEPT_TRIALS if kept else MAX_TRIALS)
-        if found is None and kept:
-            model, kept = _linearise(face, S, data, regulariser, state), 0.0
-            found = descend(MAX_TRIALS)
-        if found is None:
-            return ActivationFit(state, value, iteration, True)
-        before = value
-        state, value, step = found
+        model = GaussNewton(face, S, data, regulariser, state, matrix)
+        better = None
+        for trial in range(MAX_TRIALS):
+            step = model.step(trust.damping, trust.reach)
+            if not trial and step.gain <= options.tolerance * value:
+                return ActivationFit(state, value, iteration, True)
+            better = _tried(face, S, state, step, go)
+            if better is None:
+                trust.shrink(step.reach)
+                continue
+            reached = objective(data, regulariser, better)
+            trust.adapt((value - reached) / step.gain, step.reach)
+            if reached < value:
+                break
+            better = None
+        if better is None:
+            return ActivationFit(state, value, iteration, False)
+        matrix = model.matrix
+        gain = value - reached
+        state, value = better, reached
         if listen:
             listen(iteration, value)
-        if before - value <= options.tolerance * value:
+        if gain <= options.tolerance * value:
             return ActivationFit(state, value, iteration, True)
-        kept += reach(step)
-        if kept <= KEPT_REACH:
-            model = model.updated(face, S, data, regulariser, state, step)
-        else:
-            model, kept = _linearise(face, S, data, regulariser, state), 0.0
     return ActivationFit(state, value, options.max_iterations, False)
+
+
+def _tried(face: Face, S: sp.csr_array, state: State, step: Step, go: Mover) -> State | None:
+    """Return the state a step leads to, None where that is too far."""
+    change = step.change
+    pose = Pose(state.pose.a + change[:-5].reshape(-1, 6), state.pose.b + change[-5:])
+    try:
+        return go(face, S, state, step.response, pose)
+    except SolveError:
+        return None
 
 
 @dataclass
@@ -208,80 +212,3 @@ class _Trust:
     def shrink(self, taken: float) -> None:
         """Trust in steps half as long as the one ``taken``."""
         self.reach = max(0.5 * min(self.reach, taken), LEAST_TRUST)
-
-
-@dataclass(frozen=True)
-class _Model:
-    """The quadratic model of f at a state, and the flesh's response to a step."""
-
-    gradient: Floats
-    hessian: Floats
-    sensitivity: Sensitivity
-
-    def step(self, trust: _Trust) -> Floats:
-        return damped_step(self.hessian, self.gradient, trust.damping, trust.reach)
-
-    def predicted_gain(self, step: Floats) -> float:
-        return float(-self.gradient @ step - 0.5 * step @ self.hessian @ step)
-
-    def updated(
-        self,
-        face: Face,
-        S: sp.csr_array,
-        data: Term,
-        regulariser: Regulariser,
-        state: State,
-        step: Floats,
-    ) -> _Model:
-        """Return the model at ``state``, a ``step`` away, with this one's matrix updated by BFGS.
-
-        Damped as by Powell (1978), so that it stays positive definite.
-        """
-        sensitivity = Sensitivity(face, S, state)
-        gradient = sensitivity.by_pose_adjoint(data.gradient(state.estimate))
-        gradient += regulariser.gradient(state.pose)
-        change, expected = gradient - self.gradient, self.hessian @ step
-        bend, seen = float(step @ expected), float(step @ change)
-        if seen < 0.2 * bend:
-            change = expected + 0.8 * bend / (bend - seen) * (change - expected)
-        hessian = self.hessian - np.outer(expected, expected) / bend
-        hessian += np.outer(change, change) / float(step @ change)
-        return _Model(gradient, hessian, sensitivity)
-
-
-def _linearise(
-    face: Face, S: sp.csr_array, data: Term, regulariser: Regulariser, state: State
-) -> _Model:
-    sensitivity = Sensitivity(face, S, state)
-    jacobian = sensitivity.by_pose()
-    x = state.estimate
-    return _Model(
-        jacobian.transposed(data.gradient(x)) + regulariser.gradient(state.pose),
-        jacobian.contracted(data.curvature(x)) + regulariser.gauss_newton(state.pose),
-        sensitivity,
-    )
-
-
-def damped_step(hessian: Floats, gradient: Floats, damping: float, trust: float) -> Floats:
-    """Solve (H + damping D^2) step = -gradient, D the units of (a, b); cut to the ``trust``.
-
-    Raises :class:`SolveError` (``solve.not_finite``) where there is no such step.
-    """
-    damped = hessian.copy()
-    damped[np.diag_indices_from(damped)] += damping * damping_units(len(damped))
-    try:
-        step = np.asarray(scipy.linalg.solve(damped, -gradient, assume_a="pos"))
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
-    return np.asarray(step / max(reach(step) / trust, 1.0))
-
-
-def damping_units(size: int) -> Floats:
-    """Return the diagonal of D^2, (size,): what damping weighs each entry of (a, b) by."""
-    return np.concatenate([np.ones(size - 5), JAW_UNITS**2 * JAW_DAMPING])
-
-
-def reach(step: Floats) -> float:
-    """Return the length of a step (6 m + 5,) in units of what a linear model is surely good for."""
-    by_a, turn = np.abs(step[:-5]).max(), np.abs(step[-5:-3]).max()
-    return float(max(by_a / LARGEST_STEP, turn / LARGEST_TURN))

@@ -19,6 +19,7 @@ from solver.fitting.face import Face, State
 from solver.fitting.notices import Notice
 from solver.fitting.objective import Regulariser
 from solver.fitting.reference import NotConvergedError, Reference
+from solver.fitting.resting import Resting
 from solver.fitting.terms import Term
 
 Solver = Literal["reduced", "ipopt"]
@@ -62,21 +63,26 @@ def fit(
     S: sp.csr_array,
     data: Term,
     regulariser: Regulariser,
-    rest: State,
+    rest: Resting,
     options: ActivationOptions,
     solver: Solver = "reduced",
     listen: Listener | None = None,
     *,
     start: State | None = None,
 ) -> ChosenFit:
-    """Minimise f over (a, b) from the resting face ``rest``; never raises :class:`SolveError`.
+    """Minimise f over (a, b); never raises :class:`SolveError`.
 
     The reduced solver begins at ``start``, if given, which may be no more than approached.
     """
     if solver == "ipopt":
         return by_ipopt(face, S, data, regulariser, rest, options, listen)
     try:
-        found = activation.fit(face, S, data, regulariser, start or rest, options, listen)
+        if start is None:
+            found = activation.fit(
+                face, S, data, regulariser, rest.state, options, listen, matrix=rest.matrix
+            )
+        else:
+            found = activation.fit(face, S, data, regulariser, start, options, listen)
     except (SolveError, np.linalg.LinAlgError) as error:
         reason = Notice(
             "solve.fallback",
@@ -94,7 +100,7 @@ def by_ipopt(
     S: sp.csr_array,
     data: Term,
     regulariser: Regulariser,
-    rest: State,
+    rest: Resting,
     options: ActivationOptions,
     listen: Listener | None = None,
 ) -> ChosenFit:
@@ -103,7 +109,8 @@ def by_ipopt(
     Where IPOPT does not converge, it tries again with heavier priors of the activations, each time
     from the best state so far: there the flesh does not buckle, and the answer is nearby.
     """
-    best = ChosenFit(rest, activation.objective(data, regulariser, rest), 0, "ipopt", "failed", ())
+    neutral = activation.objective(data, regulariser, rest.state)
+    best = ChosenFit(rest.state, neutral, 0, "ipopt", "failed", ())
     limit = IPOPT_ITERATIONS * options.max_iterations
     done = 0
     trouble: dict[str, Notice] = {}

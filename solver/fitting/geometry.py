@@ -19,6 +19,7 @@ from solver.fitting.chosen import ChosenFit
 from solver.fitting.face import Face, State
 from solver.fitting.joint import GeometryProblem, Iterate
 from solver.fitting.objective import Regulariser, Target
+from solver.fitting.resting import Resting
 from solver.fitting.terms import Term
 
 WHOLE_ROUNDS = 5
@@ -90,16 +91,18 @@ def fit(
     easy = data if easy is None else easy
     S = face.model.weights if start is None else start
     structure = sp.csr_array((0, S.nnz)) if structure is None else structure
-    rest = face.rest_state(S)
+    rest = Resting(face, S)
     steps = dict.fromkeys(data, options.first_iterations)
 
     def regulariser(w_a: float) -> Regulariser:
-        return Regulariser(w_a, options.w_v, options.w_b, rest.pose)
+        return Regulariser(w_a, options.w_v, options.w_b, face.rest_pose())
 
     first = ActivationOptions(options.first_iterations)
     begin = regulariser(options.w_a[0])
     states = {
-        name: activation.improve(face, S, term, begin, rest, first, go=Face.approach).state
+        name: activation.improve(
+            face, S, term, begin, rest.state, first, go=Face.approach, matrix=rest.matrix
+        ).state
         for name, term in easy.items()
     }
     now = Iterate(S, states)
@@ -133,7 +136,7 @@ def ended(
     steps: Mapping[str, int],
 ) -> GeometryFit:
     """Settle states that were only approached, together with a last fit of the activations."""
-    rest = face.rest_state(S)
+    rest = Resting(face, S)
     endings = {
         name: chosen.fit(face, S, term, regulariser, rest, LAST, start=states[name])
         for name, term in data.items()

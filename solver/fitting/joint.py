@@ -25,7 +25,7 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from solver.errors import SolveError
-from solver.fitting import activation, simplex
+from solver.fitting import activation, gauss_newton, simplex
 from solver.fitting.face import Face, Pose, State
 from solver.fitting.objective import Regulariser
 from solver.fitting.sensitivity import Sensitivity
@@ -186,7 +186,7 @@ class _Linearised:
         self._coupling[:, -5:] += rows[self._touched][:, jacobian.moving] @ jacobian.jaw
         self._by_pose = jacobian.transposed(gradient) + regulariser.gradient(state.pose)
         self._hessian = jacobian.contracted(curvature) + regulariser.gauss_newton(state.pose)
-        units = activation.damping_units(len(self._hessian))
+        units = gauss_newton.damping_units(len(self._hessian))
         self._factor = scipy.linalg.cho_factor(self._hessian + damping * np.diag(units))
 
     def gradient_by_geometry(self) -> Floats:
@@ -207,7 +207,7 @@ class _Linearised:
         problem, state = self._problem, self._state
         flesh = self._response.flesh_by_geometry(change)
         by_pose = -self._solve(self._by_pose + self._coupled(flesh))
-        by_pose *= share / max(activation.reach(by_pose), 1.0)
+        by_pose *= share / max(gauss_newton.reach(by_pose), 1.0)
         pose = Pose(state.pose.a + by_pose[:-5].reshape(-1, 6), state.pose.b + by_pose[-5:])
         predicted = self._predicted(flesh, by_pose)
         trial = self._moved(S, flesh + self._jacobian.flesh @ by_pose, pose)

@@ -86,7 +86,7 @@ class Sensitivity:
         )
         # in place: on fine meshes new memory takes as long as arithmetic
         np.negative(response, out=response)
-        direct = face.mandible_jacobian(state.pose.b)[face.model.mandible]
+        direct = self._by_jaw[1]
         return PoseJacobian(
             response,
             direct.reshape(-1, direct.shape[2]),
@@ -96,23 +96,29 @@ class Sensitivity:
 
     def flesh_by_pose(self, change: Floats) -> Floats:
         """Return the free vertices' change (size,) for a change of (a, b), (6 m + 5,)."""
-        by_tet, (by_jaw, _) = self._by_weight[0], self._by_jaw
-        tet_change = self._S[:, 1:] @ change[:-5].reshape(-1, 6)
-        forces = np.matmul(by_tet, tet_change[:, None, :, None])[..., 0]
-        pull = self._face.flesh.scatter(forces) + by_jaw @ change[-5:]
+        by_tet, numbers, indptr, indices, _ = self._by_weight
+        columns = np.vstack([np.zeros(6), change[:-5].reshape(-1, 6)])
+        pull = self._by_jaw[0] @ change[-5:]
+        _forces_by_weights(by_tet, numbers, indptr, indices, columns, self._S.data, pull)
         return -self._state.equilibrium.factor.solve(pull)
+
+    def by_pose_product(self, change: Floats) -> Floats:
+        """Return dx/d(a, b) applied to a change of (a, b), (6 m + 5,): motions (p, 3)."""
+        out = np.zeros_like(self._state.x)
+        out[self._face.flesh.free] = self.flesh_by_pose(change).reshape(-1, 3)
+        out[self._face.model.mandible] = self._by_jaw[1] @ change[-5:]
+        return out
 
     def by_pose_adjoint(self, gradient: Floats) -> Floats:
         """Return (dx/d(a, b))^T g for g by x, (p, 3), by one solve: shape (6 m + 5,)."""
-        flesh = self._face.flesh
-        by_tet, (by_jaw, direct) = self._by_weight[0], self._by_jaw
-        adjoint = np.zeros_like(gradient)
-        solved = -self._state.equilibrium.factor.solve(gradient[flesh.free].ravel())
-        adjoint[flesh.free] = solved.reshape(-1, 3)
-        corners = adjoint[flesh.tets].reshape(-1, 1, 12)
-        by_tet_a = (corners @ by_tet.reshape(-1, 12, 6))[:, 0]
-        by_a = self._S[:, 1:].T @ by_tet_a
-        by_b = by_jaw.T @ solved + np.tensordot(gradient, direct, 2)
+        free, mandible = self._face.flesh.free, self._face.model.mandible
+        by_tet, numbers = self._by_weight[:2]
+        by_jaw, direct = self._by_jaw
+        solved = -self._state.equilibrium.factor.solve(gradient[free].ravel())
+        by_tet_a = np.empty((len(by_tet), 6))
+        _activations_by_forces(by_tet, numbers, solved, by_tet_a)
+        by_a = (self._S.T @ by_tet_a)[1:]
+        by_b = by_jaw.T @ solved + np.tensordot(gradient[mandible], direct, 2)
         return np.concatenate([by_a.ravel(), by_b])
 
     def flesh_by_geometry(self, change: Floats) -> Floats:
@@ -130,11 +136,11 @@ class Sensitivity:
 
     @cached_property
     def _by_jaw(self) -> tuple[Floats, Floats]:
-        """The free gradient's derivative by b, (size, 5), and that of x, (p, 3, 5)."""
+        """The free gradient's derivative by b, (size, 5), and the mandible's, (k, 3, 5)."""
         face, state = self._face, self._state
         direct = face.mandible_jacobian(state.pose.b)
         tet_a = face.tet_activations(self._S, state.pose.a)
-        return face.flesh.coupling(state.x, tet_a, direct), direct
+        return face.flesh.coupling(state.x, tet_a, direct), direct[face.model.mandible]
 
     @cached_property
     def _by_weight(self) -> tuple[Floats, Ints, Ints, Ints, Floats]:
@@ -199,6 +205,20 @@ def force_columns(forces: Floats, numbers: Ints, size: int) -> sp.csc_array:
 
 
 @nb.njit(cache=True, nogil=True)
+def _activations_by_forces(by_tet: Floats, number: Ints, forces: Floats, out: Floats) -> None:
+    """Fill ``out`` (n, 6): the forces (size,) times their derivatives by every tet's activation."""
+    for tet in range(len(by_tet)):
+        out[tet] = 0.0
+        for v in range(4):
+            row = 3 * number[tet, v]
+            if row < 0:
+                continue
+            for i in range(3):
+                for q in range(6):
+                    out[tet, q] += by_tet[tet, v, i, q] * forces[row + i]
+
+
+@nb.njit(cache=True, nogil=True)
 def _forces_by_weights(
     by_tet: Floats,
     number: Ints,
@@ -208,12 +228,19 @@ def _forces_by_weights(
     change: Floats,
     out: Floats,
 ) -> None:
-    """Add the forces (size,) of a change of S's values (nnz,): tet by tet, by dA_i."""
+    """Add the forces (size,) of a change of A_i = sum_j s_ij a_j, tet by tet.
+
+    ``change`` (nnz,) is that of S's values and ``columns`` (m + 1, 6) are the a_j, or the other way
+    round.
+    """
+    by_a = np.empty(6)
     for tet in range(len(by_tet)):
-        by_a = np.zeros(6)
+        by_a[:] = 0.0
         for entry in range(indptr[tet], indptr[tet + 1]):
             for q in range(6):
                 by_a[q] += change[entry] * columns[indices[entry], q]
+        if not by_a.any():
+            continue
         for v in range(4):
             row = 3 * number[tet, v]
             if row < 0:
@@ -234,19 +261,13 @@ def _weights_by_forces(
     out: Floats,
 ) -> None:
     """Fill ``out`` (nnz,) with the transpose of :func:`_forces_by_weights` applied to forces."""
+    by_tet_a = np.empty((len(by_tet), 6))
+    _activations_by_forces(by_tet, number, forces, by_tet_a)
     for tet in range(len(by_tet)):
-        by_a = np.zeros(6)
-        for v in range(4):
-            row = 3 * number[tet, v]
-            if row < 0:
-                continue
-            for i in range(3):
-                for q in range(6):
-                    by_a[q] += by_tet[tet, v, i, q] * forces[row + i]
         for entry in range(indptr[tet], indptr[tet + 1]):
             out[entry] = 0.0
             for q in range(6):
-                out[entry] += by_a[q] * columns[indices[entry], q]
+                out[entry] += by_tet_a[tet, q] * columns[indices[entry], q]
 
 
 @nb.njit(cache=True)

@@ -16,14 +16,19 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.fitting import activation
-from solver.fitting.activation import ActivationOptions, damped_step
+from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, Pose, State
+from solver.fitting.gauss_newton import damped_step
 from solver.fitting.objective import Regulariser, Target
 from solver.fitting.sensitivity import PoseJacobian, Sensitivity
 from solver.fitting.terms import SkinDistance, Term
 from solver.mechanics.equilibrium import Stiffness
 from solver.mechanics.lagged import CLOSE_MM, correct, untangled
 from solver.surface import Floats
+
+LINEAR_SOLVERS = ("rslab-single", "cholmod", "superlu")
+"""Linear solvers for a face whose frames are fitted, the fastest first: corrections, which follow
+every step anyway, mend what single precision leaves."""
 
 STEPS = 3
 """SQP steps a frame at most; one that takes them all would like new sensitivities ..."""
@@ -136,7 +141,13 @@ class Tracker:
                 return 0
         if found is None:
             fitted = activation.fit(
-                self.face, self._S, data, regulariser, self.state, self._options
+                self.face,
+                self._S,
+                data,
+                regulariser,
+                self.state,
+                self._options,
+                matrix=None if self._kept is None else self._kept.hessian,
             )
             found = _Found(fitted.state, fitted.objective, fitted.iterations, easily=False)
             self._age = KEPT_FRAMES
@@ -167,20 +178,21 @@ class Tracker:
             gradient += regulariser.gradient(state.pose)
             hessian = kept.hessian + regulariser.gauss_newton(state.pose)
             step = damped_step(hessian, gradient, self._damping, trust=1.0)
-            predicted = float(-gradient @ step - 0.5 * step @ hessian @ step)
-            if predicted <= TOLERANCE * value:
+            slope, bend = float(gradient @ step), float(step @ hessian @ step)
+            if -slope - 0.5 * bend <= TOLERANCE * value:
                 return _Found(state, value, taken, easily=True)
+            part = 1.0
             for _ in range(HALVINGS + 1):
-                trial = self._moved(kept, state, step)
+                trial = self._moved(kept, state, part * step)
                 if trial is not None:
                     reached = activation.objective(data, regulariser, trial)
                     if reached < value:
                         break
-                step = 0.5 * step
+                part *= 0.5
                 self._damping = min(self._damping * DAMPING_GROWTH, DAMPING_MOST)
             else:
                 return _Found(state, value, taken, easily=False) if taken else None
-            ratio = (value - reached) / predicted
+            ratio = (value - reached) / (-part * slope - 0.5 * part**2 * bend)
             state, value = trial, reached
             self._adapt(ratio)
             if ratio < HARDLY:

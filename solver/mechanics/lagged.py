@@ -50,7 +50,8 @@ def correct(
             if not left:
                 return None
             left -= 1
-            stiffness = Stiffness(flesh, linear, x, a)
+            # flesh that needed some projection a moment ago hardly does without now
+            stiffness = Stiffness(flesh, linear, x, a, max(stiffness.share - 1, 0))
             direction = stiffness.solve(-gradient)
             points, directions = [], []
         length = float(np.abs(direction).max())

@@ -19,6 +19,7 @@ from solver.fitting.geometry import GeometryFit, GeometryOptions
 from solver.fitting.model_checks import check_held, idle_muscles
 from solver.fitting.notices import Notice
 from solver.fitting.objective import Target
+from solver.fitting.resting import Resting
 from solver.fitting.symmetry import mirror_structure
 from solver.fitting.weights import transferred
 from solver.mechanics.flesh import IDENTITY
@@ -155,7 +156,7 @@ def fit_activations(
     told.tell(0.02, _replaced(subject, carried, scans))
     if given["solver"] == "ipopt":
         told.tell(0.02, chosen.slowness(face))
-    rest = face.rest_state(S)
+    rest = Resting(face, S)
     regulariser = standard.unseen_regulariser(face)
     stop = replace(standard.UNSEEN_STOP, max_iterations=given["max_iterations"])
     targets = _targets(subject, scans, given["distance"])

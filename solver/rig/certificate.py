@@ -10,8 +10,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.fitting.crossing import Crossing, crossing
-from solver.fitting.face import Face, Pose, State
+from solver.fitting.face import Face, Pose
 from solver.fitting.mouth import Mouth
+from solver.fitting.resting import Resting
 from solver.mechanics.equilibrium import factorise
 from solver.rig.plausibility import JawMotion, Muscles, jaw_motion, muscles
 from solver.rig.result import ExpressionFit, Rig
@@ -71,13 +72,12 @@ def with_round_trips(
     face: Face, S: sp.csr_array, fits: tuple[ExpressionFit, ...], listen: Listener | None = None
 ) -> tuple[ExpressionFit, ...]:
     """Return the fits with their round trips; those that have one keep it."""
-    rest: State | None = None
+    rest = Resting(face, S)
     done = []
     for number, fit in enumerate(fits):
         if fit.round_trip is None:
             if listen:
                 listen(fit.name, number)
-            rest = rest or face.rest_state(S)
             pose, skin = Pose(fit.activations, fit.jaw), fit.skin[face.model.face]
             done.append(replace(fit, round_trip=round_trip(face, S, pose, skin, rest)))
         else:

@@ -14,8 +14,9 @@ import scipy.sparse as sp
 from solver.errors import SolveError
 from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions
-from solver.fitting.face import Face, Pose, State
+from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, Target
+from solver.fitting.resting import Resting
 from solver.fitting.stretches import FROBENIUS
 from solver.fitting.terms import SkinDistance
 from solver.mechanics.flesh import IDENTITY
@@ -52,14 +53,14 @@ class RoundTrip:
 
 
 def round_trip(
-    face: Face, S: sp.csr_array, pose: Pose, fitted_face: Floats, rest: State
+    face: Face, S: sp.csr_array, pose: Pose, fitted_face: Floats, rest: Resting
 ) -> RoundTrip:
     """Simulate ``pose`` from ``rest`` and fit it again to the simulated skin.
 
     ``fitted_face`` (k, 3) is the fitted skin of the face, in mm.
     """
     try:
-        simulated = face.move(S, rest, pose)
+        simulated = face.move(S, rest.state, pose)
     except SolveError:
         return RoundTrip()
     points = face.face_points(simulated.x)
@@ -68,7 +69,9 @@ def round_trip(
     regulariser = Regulariser(**REFIT, prior=face.rest_pose())
     data = SkinDistance(face, Target.from_points(points))
     try:
-        again = activation.fit(face, S, data, regulariser, rest, STOP).state
+        again = activation.fit(
+            face, S, data, regulariser, rest.state, STOP, matrix=rest.matrix
+        ).state
     except (SolveError, np.linalg.LinAlgError):
         return there
     left = np.linalg.norm(face.face_points(again.x) - points, axis=1)

@@ -8,6 +8,7 @@ from solver.fitting import chosen
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, Target
+from solver.fitting.resting import Resting
 from solver.fitting.terms import SkinDistance
 from tests.unit.solver.block import block_model
 
@@ -19,10 +20,10 @@ def problem():
     """Return what a fit takes, for two contracted muscles and an open jaw."""
     face = Face(block_model())
     S = face.model.weights
-    rest = face.rest_state(S)
+    rest = Resting(face, S)
     a = np.array([[0.8, 0.05, 0.0, 1.1, 0.0, 1.1], [0.9, 0.0, 0.0, 1.05, 0.0, 1.05]])
     pose = Pose(a, np.array([0.1, 0.02, 0.2, -0.5, 0.4]))
-    target = Target.from_points(face.face_points(face.move(S, rest, pose).x))
+    target = Target.from_points(face.face_points(face.move(S, rest.state, pose).x))
     regulariser = Regulariser(1e-3, 1e-2, 1e-6, face.rest_pose())
     return face, S, SkinDistance(face, target), regulariser, rest, STOP
 
@@ -32,7 +33,8 @@ def test_both_solvers_find_the_same(problem):
     assert (reduced.solver, reduced.status, reduced.notices) == ("reduced", "converged", ())
     assert (full.solver, full.status, full.notices) == ("ipopt", "converged", ())
     assert full.objective == pytest.approx(reduced.objective, rel=1e-3)
-    assert full.objective < 0.01 * chosen.activation.objective(problem[2], problem[3], problem[4])
+    _, _, data, regulariser, rest, _ = problem
+    assert full.objective < 0.01 * chosen.activation.objective(data, regulariser, rest.state)
 
 
 @pytest.mark.parametrize("error", [SolveError("solve.far", "too far"), np.linalg.LinAlgError("no")])
@@ -61,6 +63,6 @@ def test_out_of_iterations_the_best_is_kept(problem, monkeypatch):
     found = chosen.by_ipopt(face, S, data, regulariser, rest, few)
     assert found.status == "stopped"
     assert [notice.code for notice in found.notices] == ["ipopt.failed"]
-    assert found.objective < 0.5 * chosen.activation.objective(data, regulariser, rest)
+    assert found.objective < 0.5 * chosen.activation.objective(data, regulariser, rest.state)
     assert found.state.equilibrium.residual < 1e-6
     assert face.flesh.inverted(found.state.x) == 0

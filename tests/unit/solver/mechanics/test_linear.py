@@ -30,9 +30,10 @@ def test_solves_and_rejects(name):
     first = solver.factor(K.data)
     second = solver.factor(3.0 * K.data)
     expected = np.linalg.solve(K.toarray(), B)
-    np.testing.assert_allclose(first.solve(B), expected, atol=1e-10)
-    np.testing.assert_allclose(first.solve(B[:, 0]), expected[:, 0], atol=1e-10)
-    np.testing.assert_allclose(second.solve(B), expected / 3.0, atol=1e-10)
+    error = 1e-5 if name == "rslab-single" else 1e-10
+    np.testing.assert_allclose(first.solve(B), expected, atol=error)
+    np.testing.assert_allclose(first.solve(B[:, 0]), expected[:, 0], atol=error)
+    np.testing.assert_allclose(second.solve(B), expected / 3.0, atol=error)
     rows = np.repeat(np.arange(K.shape[0]), np.diff(K.indptr))
     indefinite = K.data.copy()
     indefinite[(rows == 40) & (K.indices == 40)] = -5.0

@@ -1,0 +1,155 @@
+"""The Gauss-Newton model of f at a state, and its damped steps.
+
+    f(p + s) ~ f + g . s + 1/2 s . (J^T C J + R) s,    p = (a, b),    J = dx/dp
+
+The gradient g takes one adjoint solve and a product with J^T C J two solves; the matrix itself
+takes as many as p has entries. So a matrix K from a state nearby, or from the same face fitted to
+other data, stands in for it: it preconditions the conjugate gradients that the exact products lead
+to the step, and a BFGS update keeps in K what each product tells (Morales and Nocedal 2000,
+Automatic preconditioning by limited memory quasi-Newton updating).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sp
+
+from solver.errors import SolveError
+from solver.fitting.face import Face, State
+from solver.fitting.objective import JAW_UNITS, Regulariser
+from solver.fitting.sensitivity import Sensitivity
+from solver.fitting.terms import Term
+from solver.surface import Floats
+
+PRODUCTS = 16
+"""Products with J^T C J for a step at most."""
+
+ACCURACY = 0.1
+"""Length of the last correction of a step, as a part of the step in the model's own norm."""
+
+JAW_DAMPING = 1e-3
+
+LARGEST_STEP = 0.4
+LARGEST_TURN = 0.1
+"""Change of an activation's entry and of the jaw's angles in a step of reach 1."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A change of (a, b), (6 m + 5,), the flesh's linear response to it, (size,), and f's gain."""
+
+    change: Floats
+    response: Floats
+    gain: float
+
+    @property
+    def reach(self) -> float:
+        """Return its length in units of what a linear model is surely good for."""
+        return reach(self.change)
+
+
+class GaussNewton:
+    """f's model at ``state``; ``matrix`` (6 m + 5, 6 m + 5) is K, corrected as steps are taken."""
+
+    def __init__(
+        self,
+        face: Face,
+        S: sp.csr_array,
+        data: Term,
+        regulariser: Regulariser,
+        state: State,
+        matrix: Floats,
+    ) -> None:
+        self._face = face
+        self._sensitivity = Sensitivity(face, S, state)
+        self._curvature = data.curvature(state.estimate)
+        self._regulariser = regulariser.gauss_newton(state.pose)
+        self._gradient = self._sensitivity.by_pose_adjoint(data.gradient(state.estimate))
+        self._gradient += regulariser.gradient(state.pose)
+        self.matrix = matrix
+
+    def step(self, damping: float, trust: float) -> Step:
+        """Return the step with ``damping`` D^2 added to the matrix, cut to the reach ``trust``.
+
+        Raises :class:`SolveError` (``solve.not_finite``) where there is none.
+        """
+        units = damping * damping_units(len(self._gradient))
+        known = self._regulariser + np.diag(units)
+        step, bent = np.zeros_like(self._gradient), np.zeros_like(self._gradient)
+        for number in range(PRODUCTS + 1):
+            residual = -(self._gradient + bent)
+            direction = solved(self.matrix + known, residual)
+            slope = direction @ residual
+            if number == PRODUCTS or slope <= ACCURACY**2 * step @ bent:
+                break
+            seen = self._product(direction)
+            self.matrix = _taught(self.matrix, direction, seen)
+            whole = seen + known @ direction
+            length = slope / (direction @ whole)
+            step = step + length * direction
+            bent = bent + length * whole
+        step = step + direction
+        bent = bent + (self.matrix + known) @ direction
+        part = 1.0 / max(reach(step) / trust, 1.0)
+        step, bent = part * step, part * bent - part * units * step
+        gain = -self._gradient @ step - 0.5 * step @ bent
+        return Step(step, self._sensitivity.flesh_by_pose(step), float(gain))
+
+    def _product(self, change: Floats) -> Floats:
+        """Return J^T C J applied to a change of (a, b)."""
+        pull = self._curvature @ self._sensitivity.by_pose_product(change).ravel()
+        return self._sensitivity.by_pose_adjoint(pull.reshape(-1, 3))
+
+
+def curvature(face: Face, S: sp.csr_array, data: Term, state: State) -> Floats:
+    """Return J^T C J at a state, (6 m + 5, 6 m + 5): f's Gauss-Newton matrix but for its priors."""
+    jacobian = Sensitivity(face, S, state).by_pose()
+    return jacobian.contracted(data.curvature(state.estimate))
+
+
+def _taught(matrix: Floats, change: Floats, seen: Floats) -> Floats:
+    """Return ``matrix`` updated by BFGS so that its product with ``change`` is what was seen."""
+    expected = matrix @ change
+    bend, true = float(change @ expected), float(change @ seen)
+    # what the data do not feel is left to the regulariser
+    if min(bend, true) <= 1e-12 * np.abs(matrix).max() * float(change @ change):
+        return matrix
+    matrix = matrix - np.outer(expected, expected) / bend
+    matrix += np.outer(seen, seen) / true
+    return matrix
+
+
+def damped_step(hessian: Floats, gradient: Floats, damping: float, trust: float) -> Floats:
+    """Solve (H + damping D^2) step = -gradient, D the units of (a, b); cut to the ``trust``.
+
+    Raises :class:`SolveError` (``solve.not_finite``) where there is no such step.
+    """
+    damped = hessian.copy()
+    damped[np.diag_indices_from(damped)] += damping * damping_units(len(damped))
+    step = solved(damped, -gradient)
+    return np.asarray(step / max(reach(step) / trust, 1.0))
+
+
+def solved(matrix: Floats, right: Floats) -> Floats:
+    """Return matrix^-1 right for a positive definite matrix.
+
+    Raises :class:`SolveError` (``solve.not_finite``) where it is none.
+    """
+    try:
+        return np.asarray(scipy.linalg.solve(matrix, right, assume_a="pos"))
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
+
+
+def damping_units(size: int) -> Floats:
+    """Return the diagonal of D^2, (size,): what damping weighs each entry of (a, b) by."""
+    return np.concatenate([np.ones(size - 5), JAW_UNITS**2 * JAW_DAMPING])
+
+
+def reach(step: Floats) -> float:
+    """Return the length of a step (6 m + 5,) in units of what a linear model is surely good for."""
+    by_a, turn = np.abs(step[:-5]).max(), np.abs(step[-5:-3]).max()
+    return float(max(by_a / LARGEST_STEP, turn / LARGEST_TURN))
