@@ -170,12 +170,15 @@ class Face:
         motion = response.reshape(-1, 3) + (state.estimate - state.x)[self.flesh.free]
         base = state.x.copy()
         base[self.model.mandible] = self.mandible(pose.b)
-        guesses = []
+        best, least = base, np.inf
         for part in GUESSES:
             x = base.copy()
             x[self.flesh.free] += part * motion
-            guesses.append(x)
-        return min(guesses, key=lambda x: self.flesh.energy(x, a))
+            energy = self.flesh.energy(x, a)
+            if energy > least:
+                break
+            best, least = x, energy
+        return best
 
     def move(self, S: sp.csr_array, start: State, pose: Pose) -> State:
         """Go from a settled state to another pose along the straight line between them.

@@ -58,13 +58,10 @@ def activation(a: Floats) -> Symmetric:
 
 
 @nb.njit(cache=True, parallel=True, error_model="numpy")
-def deformation_gradients(x: Floats, tets: Ints, N: Floats, out: Floats) -> None:
-    """Fill ``out`` (n, 3, 3) with the deformation gradients."""
+def openings(x: Floats, tets: Ints, N: Floats, out: Floats) -> None:
+    """Fill ``out`` (n,) with det F."""
     for e in nb.prange(len(tets)):
-        F = deformation_gradient(x, tets[e], N[e])
-        for i in range(3):
-            for j in range(3):
-                out[e, i, j] = F[3 * i + j]
+        out[e] = determinant(deformation_gradient(x, tets[e], N[e]))
 
 
 @nb.njit(cache=True, parallel=True, error_model="numpy")

@@ -95,10 +95,10 @@ def untangled(flesh: Flesh, upright: Floats, moved: Floats) -> Floats | None:
     """
     if flesh.narrowing(upright, moved) >= NARROWEST:
         return moved
-    before = np.linalg.det(flesh.deformation_gradients(upright))
+    before = flesh.openings(upright)
     least = NARROWEST * np.minimum(before, BARRIER_START)
     for _ in range(UNTANGLINGS):
-        crushed = np.linalg.det(flesh.deformation_gradients(moved)) < least
+        crushed = flesh.openings(moved) < least
         if not crushed.any():
             return moved
         for tet in flesh.tets[crushed]:

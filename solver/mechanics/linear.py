@@ -43,10 +43,6 @@ BLOCK = 32
 """Right-hand sides that rslab gets at once."""
 
 
-LARGE = 20_000
-"""Unknowns from which on a factorisation is faster in several threads, with kernels beside it."""
-
-
 class Rslab:
     """Supernodal LDL^T in Rust (MIT): by far the fastest with many right-hand sides."""
 
@@ -65,7 +61,7 @@ class Rslab:
             ordering="metis",
             factor_dtype=self.dtype,
             # the factor is the same, bit for bit, with any number of threads
-            threads=nb.get_num_threads() if pattern.shape[0] >= LARGE else 1,
+            threads=nb.get_num_threads(),
         )
 
     def factor(self, data: Floats) -> Factor:

@@ -109,7 +109,7 @@ def _check(face: Face, S: sp.csr_array, fit: ExpressionFit, mouth: Mouth | None)
 def check_flesh(face: Face, a: Floats, x: Floats) -> FleshCheck:
     """Check vertices ``x`` (p, 3) under activations ``a`` (n, 6)."""
     flesh = face.flesh
-    det = np.linalg.det(flesh.deformation_gradients(x))
+    det = flesh.openings(x)
     residual = np.linalg.norm(flesh.gradient(x, a)) / flesh.force_scale
     _, share = factorise(flesh, face.linear, x, a)
     return FleshCheck(

@@ -35,7 +35,7 @@ def test_crushed_tets_go_along_with_what_holds_them(face):
     moved = rest.copy()
     moved[face.model.mandible] += [0.0, 0.0, 6.0]
     moved[flesh.free] += np.random.default_rng(1).uniform(-0.1, 0.1, (len(flesh.free), 3))
-    turned = np.linalg.det(flesh.deformation_gradients(moved)) <= 0.0
+    turned = flesh.openings(moved) <= 0.0
     found = untangled(flesh, rest, moved)
     assert turned.any()
     assert flesh.narrowing(rest, found) > 0.0
