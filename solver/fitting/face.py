@@ -66,7 +66,7 @@ class State:
 class Face:
     """A subject's flesh with its bones and skin; all fits talk to this.
 
-    ``linear`` names the linear solver (None: the fastest installed), ``tolerance`` is the
+    ``linear`` names the linear solver (None: the fastest in double precision), ``tolerance`` is the
     equilibrium's relative residual.
     """
 

@@ -26,10 +26,6 @@ from solver.mechanics.equilibrium import Stiffness
 from solver.mechanics.lagged import CLOSE_MM, correct, untangled
 from solver.surface import Floats
 
-LINEAR_SOLVERS = ("rslab-single", "cholmod", "superlu")
-"""Linear solvers for a face whose frames are fitted, the fastest first: corrections, which follow
-every step anyway, mend what single precision leaves."""
-
 STEPS = 3
 """SQP steps a frame at most; one that takes them all would like new sensitivities ..."""
 

@@ -1,14 +1,14 @@
 """Equilibrium near a known one: Newton's method with a stiffness from somewhere near.
 
 A factorisation costs as much as several corrections with an old one. So these go on while they get
-shorter, with Anderson's acceleration (Walker & Ni 2011, Anderson acceleration for fixed-point
-iterations): it finds the few modes in which the old stiffness is wrong.
+shorter, with Anderson's acceleration: it finds the few modes in which the old stiffness is wrong.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from solver.mechanics.anderson import Accelerator
 from solver.mechanics.equilibrium import NARROWEST, Equilibrium, Stiffness
 from solver.mechanics.flesh import Flesh
 from solver.mechanics.linear import LinearSolver
@@ -38,8 +38,7 @@ def correct(
     ``stiffness`` is one nearby; the result has the last that served. Its residual is that before
     the last correction. Raises :class:`SolveError` (``solve.singular``).
     """
-    points: list[Floats] = []
-    directions: list[Floats] = []
+    accelerator = Accelerator()
     left = FACTORISATIONS
     # a projected stiffness is too stiff for its corrections to tell how far it still is
     bound = LONG_MM if stiffness.share == 0 else 0.0
@@ -53,12 +52,11 @@ def correct(
             # flesh that needed some projection a moment ago hardly does without now
             stiffness = Stiffness(flesh, linear, x, a, max(stiffness.share - 1, 0))
             direction = stiffness.solve(-gradient)
-            points, directions = [], []
+            accelerator = Accelerator()
         length = float(np.abs(direction).max())
-        points.append(x[flesh.free].ravel())
-        directions.append(direction)
+        step = accelerator.step(x[flesh.free].ravel(), direction)
         last = length <= CLOSE_MM
-        moved = _moved(flesh, x, direction if last else _accelerated(points, directions))
+        moved = _moved(flesh, x, direction if last else step)
         if moved is None:
             return None
         if last:
@@ -75,16 +73,6 @@ def _moved(flesh: Flesh, x: Floats, motion: Floats) -> Floats | None:
         if flesh.narrowing(x, moved) >= NARROWEST:
             return moved
     return None
-
-
-def _accelerated(points: list[Floats], directions: list[Floats]) -> Floats:
-    """Return Anderson's step from the last point, by all corrections since the factorisation."""
-    last = directions[-1]
-    if len(points) < 2:
-        return last
-    changes = np.diff(directions, axis=0).T
-    weights = np.linalg.lstsq(changes, last, rcond=1e-6)[0]
-    return np.asarray(last - (np.diff(points, axis=0).T + changes) @ weights)
 
 
 def untangled(flesh: Flesh, upright: Floats, moved: Floats) -> Floats | None:

@@ -79,7 +79,7 @@ class Rslab:
 class RslabSingle(Rslab):
     """The same in single precision: a fifth faster, with relative errors of about 1e-5.
 
-    Newton's method mends them, as its residuals are in double precision; sensitivities have them.
+    Newton's method mends them, as its residuals are in double precision; sensitivities keep them.
     """
 
     dtype = "float32"
@@ -195,7 +195,10 @@ SOLVERS: dict[str, tuple[str, Callable[[sp.csr_array], LinearSolver]]] = {
     "cholmod": ("cvxopt", Cholmod),
     "superlu": ("scipy", SuperLU),
 }
-"""Name -> (the package it needs, the solver); of those in double precision the fastest first."""
+"""Name -> (the package it needs, the solver)."""
+
+DOUBLE = ("rslab", "cholmod", "superlu")
+"""Those in double precision, the fastest first."""
 
 
 def analyse(pattern: sp.csr_array, name: str | None = None) -> LinearSolver:
@@ -205,7 +208,7 @@ def analyse(pattern: sp.csr_array, name: str | None = None) -> LinearSolver:
 
     Raises :class:`InputError` (``solver.unknown``, ``solver.missing``).
     """
-    name = name or installed("rslab", "cholmod", "superlu")
+    name = name or next(each for each in DOUBLE if _installed(SOLVERS[each][0]))
     if name not in SOLVERS:
         raise InputError("solver.unknown", f"no linear solver {name!r}: one of {list(SOLVERS)}")
     package, solver = SOLVERS[name]
@@ -214,9 +217,13 @@ def analyse(pattern: sp.csr_array, name: str | None = None) -> LinearSolver:
     return solver(pattern)
 
 
-def installed(*names: str) -> str:
-    """Return the first of the solvers that is installed."""
-    return next(name for name in names if _installed(SOLVERS[name][0]))
+def fastest() -> str:
+    """Return the fastest solver that is installed, for work that needs no double precision.
+
+    Equilibria and the activations of one expression do not. S does, and so does the per-tet model.
+    """
+    fast = ("rslab-single", *DOUBLE)
+    return next(name for name in fast if _installed(SOLVERS[name][0]))
 
 
 def nested_dissection(pattern: sp.csr_array, block: int = 3) -> Ints:

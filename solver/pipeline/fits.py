@@ -23,6 +23,7 @@ from solver.fitting.resting import Resting
 from solver.fitting.symmetry import mirror_structure
 from solver.fitting.weights import transferred
 from solver.mechanics.flesh import IDENTITY
+from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.pipeline.common import Options, check_choice, refuse, take
 from solver.pipeline.targets import Distance, Targets
@@ -59,7 +60,7 @@ def fit_geometry(
         "linear_solver": None,
     }
     given = _take(options, known)
-    face, scans = _read(model, captures, given, progress)
+    face, scans = _read(model, captures, given["linear_solver"], progress)
     subject = face.model
     schedule = GeometryOptions(rounds=given["rounds"])
     if given["solver"] == "ipopt":
@@ -147,7 +148,7 @@ def fit_activations(
         "linear_solver": None,
     }
     given = _take(options, known)
-    face, scans = _read(model, captures, given, progress)
+    face, scans = _read(model, captures, given["linear_solver"] or fastest(), progress)
     subject = face.model
     S = load_weights(weights, subject)
     carried = () if rig is None else load_activations(_activations_file(rig), subject)
@@ -213,7 +214,7 @@ def _take(options: Options, known: dict[str, Any]) -> dict[str, Any]:
 
 
 def _read(
-    model: Path, captures: Mapping[str, Path], given: dict[str, Any], progress: Progress
+    model: Path, captures: Mapping[str, Path], linear: str | None, progress: Progress
 ) -> tuple[Face, dict[str, RegisteredScan]]:
     """Read the model and the registered scans; all are checked before any work begins."""
     if not captures:
@@ -234,7 +235,7 @@ def _read(
         except InputError as fault:
             faults.append(fault)
     refuse(faults)
-    face = Face(subject, linear=given["linear_solver"])
+    face = Face(subject, linear=linear)
     check_held(face)
     return face, scans
 

@@ -15,9 +15,9 @@ from solver.errors import InputError, SolveError
 from solver.fitting import standard
 from solver.fitting.face import Face, Pose
 from solver.fitting.model_checks import check_held
-from solver.fitting.sequence import LINEAR_SOLVERS, Tracker
+from solver.fitting.sequence import Tracker
 from solver.fitting.stillness import stillness
-from solver.mechanics.linear import installed
+from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.pipeline.common import Options, check_choice, take
 from solver.pipeline.follower import Follower
@@ -91,7 +91,7 @@ def fit_sequence(
     numbers = _chosen(source, given)
     if not given["head_motion"]:
         _check_place(source, numbers[0], subject)
-    face = Face(subject, linear=given["linear_solver"] or installed(*LINEAR_SOLVERS))
+    face = Face(subject, linear=given["linear_solver"] or fastest())
     check_held(face)
     if not resume:
         shutil.rmtree(out / FRAMES, ignore_errors=True)
