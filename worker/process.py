@@ -132,4 +132,5 @@ def _signal_group(group: int, number: int) -> None:
 
 def _thread_counts(threads: int) -> dict[str, str]:
     names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-    return dict.fromkeys(names, str(threads))
+    # and those of kernels sleep while they wait for the next one
+    return dict.fromkeys(names, str(threads)) | {"OMP_WAIT_POLICY": "passive"}

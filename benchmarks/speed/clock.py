@@ -43,7 +43,12 @@ class History:
         self.seconds.append(self._clock() - self._began)
 
     def until(self, share: float) -> float:
-        """Return the seconds after which the objective stays within ``share`` of its end."""
+        """Return the seconds after which the objective stays within ``share`` of its end.
+
+        NaN if it was told nothing.
+        """
+        if not self.objective:
+            return float("nan")
         objective = np.asarray(self.objective)
         away = np.flatnonzero(np.abs(objective / objective[-1] - 1.0) > share)
         return self.seconds[away[-1] + 1 if len(away) else 0]

@@ -9,7 +9,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from benchmarks.documents import Figures
-from benchmarks.round_trip import plausible_pose
 from benchmarks.speed.clock import Stopwatch
 from benchmarks.speed.solvers import CONVERGED, IPOPT_W_A, prepared
 from solver.anatomy.capture_set import CaptureSet
@@ -23,8 +22,6 @@ from solver.surface import Floats
 
 NEIGHBOUR = 0.95
 """Part of the way from rest to an expression: where the warm start of that expression is."""
-
-PLAUSIBLE = 8
 
 PART = 0.5
 """Part of the way from the neutral face to a scan that meshes are compared with."""
@@ -57,6 +54,7 @@ def scaling(
     models: Mapping[float, SubjectModel],
     captures: CaptureSet,
     names: Sequence[str],
+    plausible: Mapping[str, Pose],
     common: float,
 ) -> list[Figures]:
     """Fit the expressions ``names`` on meshes of several sizes, by tets' edge, and simulate them.
@@ -64,8 +62,8 @@ def scaling(
     How cost grows with the mesh shows where every mesh solves the same problem. So what is fitted
     is :data:`PART` of the way to the scans, with the prior of the comparison with IPOPT: whole
     expressions with S made by geometry make flesh buckle, differently on every mesh, and with a
-    lighter prior the steps tell how a fit is conditioned. What is simulated are :data:`PLAUSIBLE`
-    random contractions with an open jaw, and beside them (``forward_fitted_seconds``) the poses
+    lighter prior the steps tell how a fit is conditioned. What is simulated are ``plausible``
+    poses, and beside them (``forward_fitted_seconds``) the poses
     that were fitted on the mesh of edge ``common``, which no muscle could take: they crush single
     tets of the others. All begin with the resting face, which is prepared once.
 
@@ -90,9 +88,7 @@ def scaling(
             fits.append(watch.seconds)
             iterations.append(fitted.iterations)
             poses.setdefault(name, fitted.state.pose)
-        for seed in range(PLAUSIBLE):
-            poses.setdefault(str(seed), plausible_pose(face, np.random.default_rng(seed)))
-        moves, factors = _simulated(face, S, rest.state, poses)
+        moves, factors = _simulated(face, S, rest.state, {**plausible, **poses})
         found.append(
             {
                 "edge_mm": edge,
@@ -103,7 +99,7 @@ def scaling(
                 "activation_seconds": float(np.median(fits)),
                 "activation_iterations": iterations,
                 "activation_iteration_seconds": float(np.median(np.divide(fits, iterations))),
-                "forward_seconds": float(np.median([moves[str(s)] for s in range(PLAUSIBLE)])),
+                "forward_seconds": float(np.median([moves[name] for name in plausible])),
                 "forward_fitted_seconds": float(np.median([moves[name] for name in names])),
                 "forward_factors": factors,
             }

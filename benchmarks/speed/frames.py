@@ -8,6 +8,7 @@ import scipy.sparse as sp
 from benchmarks.documents import Figures
 from benchmarks.speed.clock import Stopwatch
 from solver.anatomy.ict_performance import IctPerformance
+from solver.errors import SolveError
 from solver.fitting import activation, standard
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face
@@ -24,17 +25,21 @@ def frames(
     """Fit the frames ``numbers``, and ``compared`` of them cold as well.
 
     ``frame_ms`` is the time of every frame from its points to its pose. ``loss`` is the mean
-    objective of the compared frames over the mean of their cold fits, less one.
+    objective of the compared frames over the mean of their cold fits, less one. A frame that can
+    not be fitted stays as the one before, and is in ``failed``.
     """
     regulariser, rest = standard.unseen_regulariser(face), face.rest_state(S)
     tracker = Tracker(face, S, regulariser, rest)
     alone = set(numbers[:: max(len(numbers) // compared, 1)])
-    milliseconds, errors, inverted, pairs = [], [], 0, []
+    milliseconds, errors, inverted, pairs, failed = [], [], 0, [], []
     for number in numbers:
         points = performance.frame(number)[face.model.face]
         target = Target.from_points(points)
         with Stopwatch() as watch:
-            tracker.fit(target)
+            try:
+                tracker.fit(target)
+            except SolveError as error:
+                failed.append(f"{number}: {error.message}")
         milliseconds.append(1e3 * watch.seconds)
         state = tracker.state
         errors.append(float(np.nanmean(target.distances(face.face_points(state.x)))))
@@ -54,6 +59,7 @@ def frames(
         "mean_mm": float(np.mean(errors)),
         "max_mean_mm": float(np.max(errors)),
         "inverted": inverted,
+        "failed": failed,
         "loss": kept / sum(cold for _, _, cold in pairs) - 1.0,
         "compared": [
             {"frame": number, "objective": warm, "cold_objective": cold}

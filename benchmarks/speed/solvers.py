@@ -1,25 +1,21 @@
-"""One expression by activations with S (A), by the per-tet model (P) and in full space by IPOPT."""
+"""One expression by activations with S (A) and by the per-tet model (P)."""
 
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Mapping
-from dataclasses import replace
-from statistics import median
 
 import numpy as np
 import scipy.sparse as sp
 
 from benchmarks.documents import Figures
-from benchmarks.speed.clock import History, Stopwatch
+from benchmarks.speed.clock import Stopwatch
 from solver.errors import SolveError
-from solver.fitting import activation, per_tet, reference, standard
+from solver.fitting import activation, per_tet, standard
 from solver.fitting.activation import ActivationFit, ActivationOptions
 from solver.fitting.face import Face
 from solver.fitting.objective import Target
 from solver.fitting.per_tet import PerTetOptions
-from solver.fitting.reference import NotConvergedError
 from solver.fitting.resting import Resting
 from solver.fitting.terms import SkinDistance
 
@@ -33,12 +29,6 @@ PER_TET = PerTetOptions(max_iterations=200, tolerance=TOLERANCE)
 IPOPT_W_A = 0.05
 """Prior's weight, the lightest with which IPOPT converges on the coarse model for nearly every
 expression. With 0.02 it fails for most of them. The scaling has it on all meshes."""
-
-IPOPT_ITERATIONS = 200
-SAME_OBJECTIVE = 1e-3
-
-REPEATS = 3
-"""Runs of the reduced solver on the coarse face, where it takes a tenth of a second."""
 
 
 def activations(face: Face, S: sp.csr_array, targets: Mapping[str, Target]) -> list[Figures]:
@@ -86,71 +76,6 @@ def per_tets(face: Face, targets: Mapping[str, Target]) -> list[Figures]:
                 "seconds": watch.seconds,
                 "iterations": fitted.iterations,
                 "mean_mm": float(np.nanmean(distances)),
-            }
-        )
-    return found
-
-
-def against_ipopt(face: Face, targets: Mapping[str, Target]) -> list[Figures]:
-    """Solve (A) by the reduced solver and by IPOPT, both from the resting face.
-
-    Ours has what is :func:`prepared` once for all expressions, which IPOPT can not make use of, and
-    the median of some repeats counts.
-
-    Where IPOPT does not converge its reason is in ``failed``, with the time it took and the
-    objective of its last iterate. ``same`` tells whether both found the same objective. ``ratio``
-    is of the times that each takes by its own tolerance, 1e-4 and IPOPT's 1e-7; ``ratio_same`` of
-    the times after which f is within 0.1 % of its end for good.
-    """
-    S = face.model.weights
-    rest, _ = prepared(face, S)
-    regulariser = replace(standard.unseen_regulariser(face), w_a=IPOPT_W_A)
-    found = []
-    for name, target in targets.items():
-        data = SkinDistance(face, target)
-        seconds, same = [], []
-        for _ in range(REPEATS):
-            ours = History(time.perf_counter)
-            with Stopwatch() as watch:
-                fitted = activation.fit(
-                    face, S, data, regulariser, rest.state, CONVERGED, ours, matrix=rest.matrix
-                )
-            seconds.append(watch.seconds)
-            same.append(ours.until(SAME_OBJECTIVE))
-        taken = median(seconds)
-        figures: Figures = {"name": name, "seconds": taken, "objective": fitted.objective}
-        theirs = History(time.perf_counter)
-        with Stopwatch() as ipopt:
-            try:
-                full = reference.activations(
-                    face,
-                    S,
-                    data,
-                    regulariser,
-                    rest.state.pose,
-                    rest.state.x,
-                    max_iterations=IPOPT_ITERATIONS,
-                    listen=theirs,
-                )
-            except NotConvergedError as error:
-                full = error.last
-                figures["failed"] = error.message
-        ratio = fitted.objective / full.objective
-        figures |= {
-            "ipopt_seconds": ipopt.seconds,
-            "ipopt_objective": full.objective,
-            "ipopt_violation": full.violation,
-            "objective_ratio": ratio,
-        }
-        if "failed" in figures:
-            found.append(figures)
-            continue
-        found.append(
-            {
-                **figures,
-                "same": abs(ratio - 1.0) <= SAME_OBJECTIVE,
-                "ratio": ipopt.seconds / taken,
-                "ratio_same": theirs.until(SAME_OBJECTIVE) / median(same),
             }
         )
     return found

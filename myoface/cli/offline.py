@@ -37,7 +37,7 @@ FitSolver = Annotated[
     Literal["reduced", "ipopt"], typer.Option("--solver", help="ipopt: the slow reference")
 ]
 LinearSolver = Annotated[
-    str | None, typer.Option(help="rslab, cholmod or superlu; default: the fastest there is")
+    str | None, typer.Option(help="rslab, rslab-single, cholmod, superlu; default: what is fast")
 ]
 MaxIterations = Annotated[int, typer.Option(min=1, max=500, help="at most so many of Gauss-Newton")]
 CaptureRole = Literal["unknown", "neutral", "expression"]

@@ -1,17 +1,15 @@
 """(A): activations and jaw of one expression, S being known.
 
-Reduced-space Gauss-Newton: x is eliminated through the equilibrium, the dense Jacobian by (a, b)
-comes from one factorisation, and Levenberg-Marquardt damping and a trust in the linear model keep
-the steps in reach. After a short step the Gauss-Newton matrix is kept and updated by what the exact
-gradient, one adjoint solve, tells of it (BFGS): the sensitivities are most of an iteration's cost.
-On the way the equilibrium is only approached, the rest of the way being part of the linear model,
-as in a full-space (SQP) method. The last state is settled.
+Reduced-space Gauss-Newton (:mod:`solver.fitting.gauss_newton`): x is eliminated through the
+equilibrium, and Levenberg-Marquardt damping and a trust in the linear model keep the steps in
+reach. On the way the equilibrium is only approached, the rest of the way being part of the linear
+model, as in a full-space (SQP) method. The last state is settled.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import scipy.sparse as sp
 
@@ -27,19 +25,7 @@ DAMPING_START = 0.1
 DAMPING_CHANGE = 8.0
 DAMPING_LEAST = 1e-6
 MAX_TRIALS = 6
-"""Steps tried from one state, each shorter and more damped, before it counts as the minimum."""
-
-KEPT_TRIALS = 2
-"""The same with a matrix that was kept: then a new one is made."""
-
-KEPT_REACH = 0.25
-"""How far, in steps' reach, a Gauss-Newton matrix is kept."""
-
-JAW_DAMPING = 1e-3
-
-LARGEST_STEP = 0.4
-LARGEST_TURN = 0.1
-"""Change of an activation's entry and of the jaw's angles in a step of reach 1."""
+"""Steps tried from one state, each shorter and more damped, before the descent counts as stuck."""
 
 MOST_TRUST, LEAST_TRUST = 1.0, 2.0**-8
 """Reach that a step is cut to. Longer steps end, now and then, in flesh that buckles: from there a
@@ -63,7 +49,7 @@ class ActivationOptions:
 
 @dataclass(frozen=True)
 class ActivationFit:
-    """A fitted state, its objective f, the iterations, and whether they were enough."""
+    """A fitted state, its objective f, the iterations, and whether no step gains any more."""
 
     state: State
     objective: float
@@ -101,10 +87,10 @@ def fit(
     a state nearby or of other data (:mod:`solver.fitting.gauss_newton`). Without it that of
     ``start`` is made, which takes as long as a few iterations.
 
-    Where the flesh buckles as it settles, or does not settle at all, the fit goes on from the best
-    that did settle, else from the rest pose; in the second case every state on the way is settled
-    too. Raises :class:`SolveError` (``solve.no_convergence``) if the face can not be settled even
-    so.
+    Where the descent gets stuck, or the flesh buckles as it settles or does not settle at all, the
+    fit goes on from the best that did settle, else from the rest pose; in the last case every state
+    on the way is settled too. A descent that gets stuck where it began has found the minimum.
+    Raises :class:`SolveError` (``solve.no_convergence``) if the face can not be settled even so.
     """
     options = options or ActivationOptions()
     best = None
@@ -117,13 +103,19 @@ def fit(
                 raise
             break
         iterations += found.iterations
+        stuck = not found.converged and found.iterations < options.max_iterations
         state = _settled(face, S, found.state)
         if state is not None:
             value = objective(data, regulariser, state)
+            gained = best is None or value < (1.0 - options.tolerance) * best.objective
             if best is None or value < best.objective:
                 best = ActivationFit(state, value, iterations, found.converged)
-            if value <= BUCKLED * found.objective:
+            if stuck and not gained:
+                best = replace(best, converged=True)
                 break
+            if value <= BUCKLED * found.objective and not stuck:
+                break
+        matrix = None
         go = Face.follow if state is None else Face.travel
         begin = best.state if best else face.rest_state(S)
     if best is None:
@@ -149,7 +141,10 @@ def improve(
     go: Mover = Face.travel,
     matrix: Floats | None = None,
 ) -> ActivationFit:
-    """Minimise f over (a, b), going from state to state by ``go``, which settles them or not."""
+    """Minimise f over (a, b), going from state to state by ``go``, which settles them or not.
+
+    It has got stuck where it ends before ``max_iterations`` and has not converged.
+    """
     state = start
     value = objective(data, regulariser, state)
     matrix = gauss_newton.curvature(face, S, data, state) if matrix is None else matrix
@@ -159,7 +154,9 @@ def improve(
         better = None
         for trial in range(MAX_TRIALS):
             step = model.step(trust.damping, trust.reach)
-            if not trial and step.gain <= options.tolerance * value:
+            # a step that was cut says nothing of what is left
+            whole = step.reach < 0.99 * trust.reach
+            if not trial and whole and step.gain <= options.tolerance * value:
                 return ActivationFit(state, value, iteration, True)
             better = _tried(face, S, state, step, go)
             if better is None:
@@ -177,7 +174,7 @@ def improve(
         state, value = better, reached
         if listen:
             listen(iteration, value)
-        if gain <= options.tolerance * value:
+        if whole and gain <= options.tolerance * value:
             return ActivationFit(state, value, iteration, True)
     return ActivationFit(state, value, options.max_iterations, False)
 

@@ -4,9 +4,8 @@
 
 The gradient g takes one adjoint solve and a product with J^T C J two solves; the matrix itself
 takes as many as p has entries. So a matrix K from a state nearby, or from the same face fitted to
-other data, stands in for it: it preconditions the conjugate gradients that the exact products lead
-to the step, and a BFGS update keeps in K what each product tells (Morales and Nocedal 2000,
-Automatic preconditioning by limited memory quasi-Newton updating).
+other data, stands in for it: it gives a direction, an exact product says how far to go in it, and
+a BFGS update keeps in K what the product told, for the next direction and for the next states.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ PRODUCTS = 16
 """Products with J^T C J for a step at most."""
 
 ACCURACY = 0.1
-"""Length of the last correction of a step, as a part of the step in the model's own norm."""
+"""Length of the correction that a step is left without, as a part of it in the model's own norm."""
 
 JAW_DAMPING = 1e-3
 
@@ -79,22 +78,20 @@ class GaussNewton:
         units = damping * damping_units(len(self._gradient))
         known = self._regulariser + np.diag(units)
         step, bent = np.zeros_like(self._gradient), np.zeros_like(self._gradient)
-        for number in range(PRODUCTS + 1):
+        for _ in range(PRODUCTS):
             residual = -(self._gradient + bent)
             direction = solved(self.matrix + known, residual)
             slope = direction @ residual
-            if number == PRODUCTS or slope <= ACCURACY**2 * step @ bent:
+            if slope <= ACCURACY**2 * step @ bent:
                 break
             seen = self._product(direction)
             self.matrix = _taught(self.matrix, direction, seen)
-            whole = seen + known @ direction
-            length = slope / (direction @ whole)
+            bend = seen + known @ direction
+            length = slope / (direction @ bend)
             step = step + length * direction
-            bent = bent + length * whole
-        step = step + direction
-        bent = bent + (self.matrix + known) @ direction
+            bent = bent + length * bend
         part = 1.0 / max(reach(step) / trust, 1.0)
-        step, bent = part * step, part * bent - part * units * step
+        step, bent = part * step, part * (bent - units * step)
         gain = -self._gradient @ step - 0.5 * step @ bent
         return Step(step, self._sensitivity.flesh_by_pose(step), float(gain))
 

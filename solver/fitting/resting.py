@@ -14,20 +14,22 @@ from solver.surface import Floats
 
 
 class Resting:
-    """What all expressions of a face with S share; each part is computed when first asked for."""
+    """What all expressions of a face with S share: ``state``, the neutral face as an equilibrium.
+
+    Raises :class:`SolveError` if there is none.
+    """
 
     def __init__(self, face: Face, S: sp.csr_array) -> None:
         self._face = face
         self._S = S
-
-    @cached_property
-    def state(self) -> State:
-        """Return the neutral face as an equilibrium."""
-        return self._face.rest_state(self._S)
+        self.state: State = face.rest_state(S)
 
     @cached_property
     def matrix(self) -> Floats:
-        """Return the Gauss-Newton matrix (:func:`gauss_newton.curvature`) for points all alike."""
+        """Return the Gauss-Newton matrix (:func:`gauss_newton.curvature`) for points all alike.
+
+        It is computed when first asked for.
+        """
         target = Target.from_points(self._face.face_points(self.state.x))
         data = SkinDistance(self._face, target)
         return gauss_newton.curvature(self._face, self._S, data, self.state)

@@ -156,7 +156,8 @@ class Tracker:
     def _keep(self, data: SkinDistance) -> _Kept:
         """Take the stiffness and the sensitivities of the state as it is."""
         pose, found = self.state.pose, self.state.equilibrium
-        if np.abs(found.factor.x - found.x).max() > CLOSE_MM:
+        # what was projected, too, would be wrong in every frame that it is kept for
+        if found.factor.share > 0 or np.abs(found.factor.x - found.x).max() > CLOSE_MM:
             a = self.face.tet_activations(self._S, pose.a)
             stiffness = Stiffness(self.face.flesh, self.face.linear, found.x, a)
             self.state = State(pose, replace(found, factor=stiffness))

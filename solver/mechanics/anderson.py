@@ -10,6 +10,9 @@ import numpy as np
 
 from solver.surface import Floats
 
+KEPT = 8
+"""Corrections that it looks back on."""
+
 
 class Accelerator:
     """Takes points (size,) with the corrections (size,) there, and makes better corrections."""
@@ -20,10 +23,14 @@ class Accelerator:
 
     def step(self, point: Floats, correction: Floats) -> Floats:
         """Return the step from ``point``, the ``correction`` there itself if it is the first."""
-        self._points.append(point)
-        self._corrections.append(correction)
+        self._points = [*self._points[-KEPT:], point]
+        self._corrections = [*self._corrections[-KEPT:], correction]
         if len(self._points) < 2:
             return correction
         changes = np.diff(self._corrections, axis=0).T
-        weights = np.linalg.lstsq(changes, correction, rcond=1e-6)[0]
+        # they get shorter by orders of magnitude: all count alike
+        scale = np.linalg.norm(changes, axis=0)
+        if not (np.isfinite(scale).all() and scale.all()):
+            return correction
+        weights = np.linalg.lstsq(changes / scale, correction, rcond=1e-6)[0] / scale
         return np.asarray(correction - (np.diff(self._points, axis=0).T + changes) @ weights)

@@ -230,7 +230,8 @@ def _coast(
         if flesh.narrowing(x, trial) < NARROWEST:
             break
         after = flesh.gradient(trial, a)
-        if np.linalg.norm(after) > COASTING * np.linalg.norm(gradient):
+        # NaN is no progress either
+        if not np.linalg.norm(after) <= COASTING * np.linalg.norm(gradient):
             break
         x, gradient = trial, after
     return x, gradient

@@ -14,6 +14,7 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.mouth import Mouth
 from solver.fitting.resting import Resting
 from solver.mechanics.equilibrium import factorise
+from solver.mechanics.linear import LinearSolver, analyse
 from solver.rig.plausibility import JawMotion, Muscles, jaw_motion, muscles
 from solver.rig.result import ExpressionFit, Rig
 from solver.rig.round_trip import round_trip
@@ -88,11 +89,15 @@ def with_round_trips(
 def certify(face: Face, rig: Rig, settings: dict[str, Any]) -> Certificate:
     """Check every expression of a rig of ``face``; ``settings`` are JSON values."""
     mouth = Mouth.of(face.model)
-    checks = {fit.name: _check(face, rig.weights, fit, mouth) for fit in rig.expressions}
+    # the signs of pivots near buckling take double precision, whatever the fit had
+    linear = analyse(face.flesh.hessian(face.model.rest, face.flesh.passive()))
+    checks = {fit.name: _check(face, rig.weights, fit, mouth, linear) for fit in rig.expressions}
     return Certificate(checks, settings)
 
 
-def _check(face: Face, S: sp.csr_array, fit: ExpressionFit, mouth: Mouth | None) -> ExpressionCheck:
+def _check(
+    face: Face, S: sp.csr_array, fit: ExpressionFit, mouth: Mouth | None, linear: LinearSolver
+) -> ExpressionCheck:
     model = face.model
     whole = np.isfinite(fit.target).all()
     return ExpressionCheck(
@@ -100,18 +105,18 @@ def _check(face: Face, S: sp.csr_array, fit: ExpressionFit, mouth: Mouth | None)
         jaw_motion(model, fit.jaw),
         None
         if fit.x is None
-        else check_flesh(face, face.tet_activations(S, fit.activations), fit.x),
+        else check_flesh(face, face.tet_activations(S, fit.activations), fit.x, linear),
         None if mouth is None else crossing(mouth, fit.skin),
         None if mouth is None or not whole else crossing(mouth, fit.target),
     )
 
 
-def check_flesh(face: Face, a: Floats, x: Floats) -> FleshCheck:
-    """Check vertices ``x`` (p, 3) under activations ``a`` (n, 6)."""
+def check_flesh(face: Face, a: Floats, x: Floats, linear: LinearSolver) -> FleshCheck:
+    """Check vertices ``x`` (p, 3) under activations ``a`` (n, 6); ``linear`` finds the inertia."""
     flesh = face.flesh
     det = flesh.openings(x)
     residual = np.linalg.norm(flesh.gradient(x, a)) / flesh.force_scale
-    _, share = factorise(flesh, face.linear, x, a)
+    _, share = factorise(flesh, linear, x, a)
     return FleshCheck(
         inverted=int((det <= 0.0).sum()),
         det_least=float(det.min()),

@@ -255,7 +255,7 @@ CHECKS = (
     Check(
         "solver.stopped",
         "Solver",
-        "Fits that ran out of steps",
+        "Fits that ended early",
         "",
         0,
         np.inf,

@@ -53,8 +53,9 @@ class ExpressionFit:
     round_trip
         What came back when the activations were simulated and fitted again; None if not tried.
     solver, status
-        ``reduced`` or ``ipopt``, and how it ended: ``converged``, ``stopped`` (out of iterations)
-        or ``failed`` (the best of what there was); ``unknown`` in rigs made before it was kept.
+        ``reduced`` or ``ipopt``, and how it ended: ``converged``, ``stopped`` (out of steps, or
+        stuck) or ``failed`` (the best of what there was); ``unknown`` in rigs made before it was
+        kept.
     notices
         What was odd about the scan or the solve.
     """

@@ -13,7 +13,7 @@ from service.kinds import KINDS
 from service.store.queue import QUEUES
 from solver import pipeline
 from solver.errors import InputError
-from solver.mechanics.linear import SOLVERS
+from solver.mechanics.linear import DOUBLE, SOLVERS
 from solver.rig import sequence
 from solver.scans import performance, raw, read
 from worker import attempt
@@ -51,6 +51,10 @@ def test_frames_are_where_the_worker_looks() -> None:
 
 
 def test_linear_solvers_are_those_of_the_solver() -> None:
-    for kind in ("fit_geometry", "fit_activations", "fit_sequence"):
+    for kind, names in (
+        ("fit_geometry", DOUBLE),
+        ("fit_activations", SOLVERS),
+        ("fit_sequence", SOLVERS),
+    ):
         offered = KINDS[kind].options["properties"]["linear_solver"]["enum"]
-        assert offered == [*SOLVERS, None]
+        assert offered == [*names, None]

@@ -108,4 +108,4 @@ def test_it_says_what_to_look_at(page: Reader) -> None:
     assert "not tried" in words  # no round trip
     assert "left has <no> flesh" in words
     assert "Warnings : 2 in ah : left has <no> flesh; half & half." in words
-    assert "Fits that ran out of steps : 1 in ah : after 3 steps by reduced." in words
+    assert "Fits that ended early : 1 in ah : after 3 steps by reduced." in words
