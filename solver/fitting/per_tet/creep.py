@@ -8,6 +8,7 @@ viscosity falls from step to step, and what is left of it is settled at the end.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -32,7 +33,12 @@ TRIES = 3
 
 
 def creep(
-    tissue: Tissue, data: Term, options: PerTetOptions, start: State, steps: int
+    tissue: Tissue,
+    data: Term,
+    options: PerTetOptions,
+    start: State,
+    viscosities: Sequence[float],
+    steps: int,
 ) -> tuple[State, int]:
     """Return an equilibrium near the target and the steps to it, ``steps`` with each viscosity.
 
@@ -43,7 +49,7 @@ def creep(
     objective = Objective(viscous, data, options, start.pose.b)
     solver = SaddleSolver(viscous)
     state, damping, taken = start, Damping.start(len(tissue.active)), 0
-    for viscosity in np.repeat(VISCOSITIES, steps):
+    for viscosity in np.repeat(viscosities, steps):
         flesh.viscosity, flesh.anchor = float(viscosity), state.x
         try:
             state = viscous.face.settle(

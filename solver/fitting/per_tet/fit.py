@@ -13,6 +13,12 @@ from solver.fitting.per_tet.objective import Objective, PerTetOptions
 from solver.fitting.terms import Term
 from solver.surface import Floats, Ints
 
+CYCLES = 4
+"""Times that the flesh creeps: again from wherever a descent gets stuck ..."""
+
+ENOUGH = 0.97
+"""... as long as it leaves this part of f at most."""
+
 
 @dataclass(frozen=True)
 class PerTetFit:
@@ -52,13 +58,21 @@ def fit(
     if state.pose.a.shape != (len(tissue.active), 6):
         raise InputError("start.activations", "the start has not six activations per active tet")
     objective = Objective(tissue, data, options, state.pose.b)
-    taken = 0
-    if start is None:
-        # half the iterations at most are for the viscous flesh
-        steps = min(STEPS, options.max_iterations // (2 * len(VISCOSITIES)))
-        state, taken = creep(tissue, data, options, state, steps)
-    descent = Descent(objective, state, listen, taken)
-    found = descent.run(options.max_iterations, options.tolerance)
+    taken, value = 0, objective.value(state)
+    for cycle in range(CYCLES):
+        if cycle or start is None:
+            # half the iterations at most are for the viscous flesh
+            left = options.max_iterations - taken
+            viscosities = VISCOSITIES[min(cycle, 1) :]
+            steps = min(STEPS, left // (2 * len(viscosities)))
+            state, crept = creep(tissue, data, options, state, viscosities, steps)
+            taken += crept
+        descent = Descent(objective, state, listen, taken)
+        found = descent.run(options.max_iterations, options.tolerance)
+        state, taken = found.state, found.iterations
+        before, value = value, objective.value(state)
+        if found.status != Status.NO_DESCENT or value > ENOUGH * before:
+            break
     pose = found.state.pose
     state = tissue.face.settle(tissue.selection, pose, found.state.x)
     return PerTetFit(
