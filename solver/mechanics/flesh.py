@@ -137,15 +137,10 @@ class Flesh:
 
     def gradient(self, x: Floats, a: Floats) -> Floats:
         """Return dE/dx by the free coordinates, shape (size,)."""
-        gradient = self.scatter(self.forces(x, a))
+        elements.forces(*self._state(x, a, ALL, self.lam, self.kappa, self.barrier, self._forces))
+        gradient = self.scatter(self._forces)
         gradient[self._sliding_rows] += self.sliding.gradient(x)
         return gradient
-
-    def forces(self, x: Floats, a: Floats) -> Floats:
-        """Return every tet's gradient by its four vertices, (n, 4, 3)."""
-        out = np.empty((len(self.tets), 4, 3))
-        elements.forces(*self._state(x, a, ALL, self.lam, self.kappa, self.barrier, out))
-        return out
 
     def scatter(self, per_tet: Floats) -> Floats:
         """Sum (n, 4, 3, ...) over the tets of each free vertex: (size, ...)."""
@@ -203,7 +198,10 @@ class Flesh:
         return out.reshape(self.size, -1)
 
     def forces_by_activation(self, x: Floats, a: Floats) -> Floats:
-        """Return the derivative of :meth:`forces` by each tet's activation, (n, 4, 3, 6)."""
+        """Return the derivative by each tet's activation of its forces, (n, 4, 3, 6).
+
+        A tet's forces are its gradient by its four vertices.
+        """
         out = np.empty((len(self.tets), 4, 3, 6))
         elements.forces_by_activation(*self._state(x, a, ALL, self.kappa, out))
         return out
@@ -248,6 +246,11 @@ class Flesh:
         """Where the sliding vertices' diagonal blocks are in the Hessian's data, (k, 3, 3)."""
         offset = np.arange(3)
         return self.diagonal[self._sliding_rows][:, :, None] + offset - offset[:, None]
+
+    @cached_property
+    def _forces(self) -> Floats:
+        """Room for the tets' forces, kept likewise."""
+        return np.empty((len(self.tets), 4, 3))
 
     @cached_property
     def _blocks(self) -> Floats:

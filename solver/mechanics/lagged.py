@@ -18,8 +18,9 @@ from solver.surface import Floats
 LONG_MM, CLOSE_MM = 0.75, 0.2
 """A longer correction asks for a new stiffness; the end of a shorter one is good enough."""
 
-CONTRACTION = 0.7
-"""A correction that is longer than this part of the one before asks for a new stiffness too."""
+CONTRACTION = 1.2
+"""A correction that is as many times as long as the one before asks for a new stiffness too: an
+accelerated one may be longer now and then."""
 
 CORRECTIONS = 8
 FACTORISATIONS = 5
