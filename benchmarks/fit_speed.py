@@ -237,8 +237,8 @@ HEADLINES = {
     "forward_cold_s": "simulation, from rest, s",
     "forward_warm_s": "simulation, from 95 % of the way, s",
     "forward_exponent": "exponent of the simulation's time by vertices",
-    "activation_exponent": "exponent of the fit's time by vertices",
     "forward_fitted_exponent": "the same, of poses that were fitted on one of the meshes",
+    "activation_exponent": "exponent of the fit's time by vertices",
     "activation_iteration_exponent": "the fit's, by iteration",
 }
 
