@@ -98,8 +98,8 @@ def run(options: argparse.Namespace) -> Figures:
     memory = peak_gib()
     log.info("geometry: %.1f s, %.2f GiB", watch.seconds, memory)
     S = fitted.S
-    _, preparing = solvers.prepared(face, S)
-    by_a = solvers.activations(face, S, _first(test, 2 if quick else len(test)))
+    rest, preparing = solvers.prepared(face, S)
+    by_a = solvers.activations(face, S, rest, _first(test, 2 if quick else len(test)))
     log.info("activations: %s", [round(e["seconds"], 2) for e in by_a])
     by_p = solvers.per_tets(phace, _first(test, 1 if quick else PER_TETS))
     log.info("per tet: %s", [round(e["seconds"], 1) for e in by_p])

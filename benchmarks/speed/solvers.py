@@ -31,9 +31,11 @@ IPOPT_W_A = 0.05
 expression. With 0.02 it fails for most of them. The scaling has it on all meshes."""
 
 
-def activations(face: Face, S: sp.csr_array, targets: Mapping[str, Target]) -> list[Figures]:
-    """Fit every target by A, cold: from the resting face, which is :func:`prepared`."""
-    regulariser, (rest, _) = standard.unseen_regulariser(face), prepared(face, S)
+def activations(
+    face: Face, S: sp.csr_array, rest: Resting, targets: Mapping[str, Target]
+) -> list[Figures]:
+    """Fit every target by A, cold: from the resting face ``rest``, which is :func:`prepared`."""
+    regulariser = standard.unseen_regulariser(face)
     found = []
     for name, target in targets.items():
         data = SkinDistance(face, target)

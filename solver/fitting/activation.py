@@ -181,10 +181,8 @@ def improve(
 
 def _tried(face: Face, S: sp.csr_array, state: State, step: Step, go: Mover) -> State | None:
     """Return the state a step leads to, None where that is too far."""
-    change = step.change
-    pose = Pose(state.pose.a + change[:-5].reshape(-1, 6), state.pose.b + change[-5:])
     try:
-        return go(face, S, state, step.response, pose)
+        return go(face, S, state, step.response, state.pose.changed(step.change))
     except SolveError:
         return None
 

@@ -37,6 +37,10 @@ class Pose:
     a: Floats
     b: Floats
 
+    def changed(self, change: Floats) -> Pose:
+        """Return the pose with a ``change`` of (a, b), (6 m + 5,), added to it."""
+        return Pose(self.a + change[:-5].reshape(-1, 6), self.b + change[-5:])
+
     def toward(self, other: Pose, fraction: float) -> Pose:
         """Return the pose ``fraction`` of the way to another one."""
         return Pose(self.a + fraction * (other.a - self.a), self.b + fraction * (other.b - self.b))

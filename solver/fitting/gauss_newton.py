@@ -62,7 +62,6 @@ class GaussNewton:
         state: State,
         matrix: Floats,
     ) -> None:
-        self._face = face
         self._sensitivity = Sensitivity(face, S, state)
         self._curvature = data.curvature(state.estimate)
         self._regulariser = regulariser.gauss_newton(state.pose)

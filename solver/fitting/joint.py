@@ -208,7 +208,7 @@ class _Linearised:
         flesh = self._response.flesh_by_geometry(change)
         by_pose = -self._solve(self._by_pose + self._coupled(flesh))
         by_pose *= share / max(gauss_newton.reach(by_pose), 1.0)
-        pose = Pose(state.pose.a + by_pose[:-5].reshape(-1, 6), state.pose.b + by_pose[-5:])
+        pose = state.pose.changed(by_pose)
         predicted = self._predicted(flesh, by_pose)
         trial = self._moved(S, flesh + self._jacobian.flesh @ by_pose, pose)
         if trial is None:

@@ -198,7 +198,7 @@ class Tracker:
 
     def _moved(self, kept: _Kept, state: State, step: Floats) -> State | None:
         """Return the state a step of the pose leads to, None if it is far."""
-        pose = Pose(state.pose.a + step[:-5].reshape(-1, 6), state.pose.b + step[-5:])
+        pose = state.pose.changed(step)
         x = self.face.flesh.moved(state.x, kept.jacobian.flesh @ step)
         x[self.face.model.mandible] = self.face.mandible(pose.b)
         flesh, a = self.face.flesh, self.face.tet_activations(self._S, pose.a)
