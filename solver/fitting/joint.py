@@ -109,9 +109,11 @@ def step(problem: GeometryProblem, now: Iterate) -> Iterate:
         trials = {name: model.trial(S, share * change, share) for name, model in models.items()}
         for name, trial in trials.items():
             damping[name] = _adapted(damping[name], trial.ratio, POSE_DAMPING_LEAST)
-        gain = sum(trial.gain for trial in trials.values()) + before - problem.prior_value(S.data)
+        # the priors are quadratic: what they gain is what their model says
+        nearer = before - problem.prior_value(S.data)
+        gain = sum(trial.gain for trial in trials.values()) + nearer
         if gain > 0.0:
-            predicted = sum(trial.predicted for trial in trials.values())
+            predicted = sum(trial.predicted for trial in trials.values()) + nearer
             # a step that had to be halved says how much too far the linear model reached
             grown = 4.0**halving * now.damping
             states = {name: trial.state for name, trial in trials.items() if trial.state}
