@@ -1,8 +1,8 @@
 """The container of the files a browser reads: a JSON header and plain arrays it can map in place.
 
 Four bytes ``MYOV``, the header's length H (uint32), H bytes of JSON, padded with spaces so that the
-first array lies at a multiple of 8, then the arrays in C order, each at a multiple of 8. Numbers are
-little-endian. The header's ``arrays`` names each array with its dtype, shape and place in the file.
+first array lies at a multiple of 8, then the arrays in C order, each at a multiple of 8. All of it
+is little-endian. The header's ``arrays`` gives each array's dtype, shape and place in the file.
 """
 
 from __future__ import annotations
