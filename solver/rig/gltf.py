@@ -74,7 +74,7 @@ def write_face(
         for shape in shapes.values()
     ]
     animation = animate(buffer, len(names))
-    parts = skin_parts(neutral)
+    parts = _parts_in_order(neutral)
     document = gl.GLTF2(
         asset=gl.Asset(version="2.0", generator=GENERATOR),
         scene=0,
@@ -105,6 +105,15 @@ def write_face(
     )
     document.set_binary_blob(bytes(buffer.content))
     document.save_binary(str(path))
+
+
+def _parts_in_order(skin: Surface) -> dict[str, Ints]:
+    """Return part -> face numbers, by their first vertices.
+
+    Blender numbers vertices by primitives, so this keeps their order where parts do not mix.
+    """
+    parts = skin_parts(skin)
+    return dict(sorted(parts.items(), key=lambda part: int(skin.faces[part[1]].min())))
 
 
 def _worst_error(expressions: tuple[ExpressionFit, ...], vertices: int) -> Floats:
