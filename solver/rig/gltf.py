@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
@@ -38,7 +38,7 @@ def write_glb(path: Path, rig: Rig) -> None:
     was measured.
     """
     shapes = {fit.name: fit.skin for fit in rig.expressions}
-    worst = _worst_error(rig.expressions, len(rig.model.skin.vertices))
+    worst = worst_error(rig.expressions, len(rig.model.skin.vertices))
     write_face(path, rig.model.skin, shapes, _in_turn, {ERROR_ATTRIBUTE: worst})
 
 
@@ -116,7 +116,8 @@ def _parts_in_order(skin: Surface) -> dict[str, Ints]:
     return dict(sorted(parts.items(), key=lambda part: int(skin.faces[part[1]].min())))
 
 
-def _worst_error(expressions: tuple[ExpressionFit, ...], vertices: int) -> Floats:
+def worst_error(expressions: Sequence[ExpressionFit], vertices: int) -> Floats:
+    """Return the greatest distance (v,) to the scans, mm; 0 where nothing was measured."""
     worst = np.zeros(vertices)
     for fit in expressions:
         worst = np.fmax(worst, fit.error_mm)
