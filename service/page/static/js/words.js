@@ -1,8 +1,10 @@
 // Figures and moments as people read them.
 
-const TIME = new Intl.DateTimeFormat(undefined, { hour: "2-digit", minute: "2-digit", second: "2-digit" });
+const TIME = new Intl.DateTimeFormat(undefined, {
+  hour: "2-digit", minute: "2-digit", second: "2-digit", hourCycle: "h23",
+});
 const DAY_AND_TIME = new Intl.DateTimeFormat(undefined, {
-  day: "numeric", month: "short", hour: "2-digit", minute: "2-digit",
+  day: "numeric", month: "short", hour: "2-digit", minute: "2-digit", hourCycle: "h23",
 });
 const UNITS = ["B", "kB", "MB", "GB", "TB"];
 
@@ -39,7 +41,9 @@ export function bytes(number) {
 /** A number with three digits that count. */
 export function figure(number) {
   if (number === null || number === undefined || !Number.isFinite(number)) return "–";
-  if (number !== 0 && (Math.abs(number) < 1e-3 || Math.abs(number) >= 1e6)) return number.toExponential(2);
+  if (number !== 0 && (Math.abs(number) < 1e-3 || Math.abs(number) >= 1e6)) {
+    return Number(number.toPrecision(3)).toExponential();
+  }
   return String(Number(number.toPrecision(Number.isInteger(number) ? 15 : 3)));
 }
 
