@@ -23,6 +23,10 @@ function showAccount() {
   document.getElementById("account").textContent = auth.key() ? "Signed in" : "Sign in";
 }
 
+document.addEventListener("uploads", ({ detail: open }) => {
+  document.querySelector("nav a[href='/upload']").textContent = open ? `Upload (${open})` : "Upload";
+});
+
 document.addEventListener("keychange", showAccount);
 showAccount();
 start();
