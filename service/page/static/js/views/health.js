@@ -29,7 +29,8 @@ export async function mount(root) {
       panel("limits", "Limits", limitList(limits))));
   let toldReady = null;
   const refresh = async () => {
-    const [ready, lengths] = await Promise.all([readiness(signal), queueLengths(kinds, signal)]);
+    const [ready, living, lengths] = await Promise.all([readiness(signal), livingWorkers(signal), queueLengths(kinds, signal)]);
+    const serving = byQueue(ready.workers);
     if (toldReady !== ready.ready) {
       toldReady = ready.ready;
       show(overall, h("div", { class: `notice ${ready.ready ? "good" : "bad"}` },
@@ -37,8 +38,8 @@ export async function mount(root) {
     }
     show(parts, Object.entries(ready.checks).map(([name, found]) =>
       h("tr", {}, h("th", { scope: "row" }, PARTS[name] ?? name), h("td", {}, state(found, found === "ok" ? "Answers" : "Does not answer")))));
-    show(workers, workerRows(ready.workers));
-    show(queues, queueRows(lengths, ready.workers));
+    show(workers, workerRows(living ?? ready.workers, serving));
+    show(queues, queueRows(lengths, serving));
     asked.textContent = `as of ${time(new Date())}`;
   };
   await repeat(refresh, EVERY_MS, signal);
@@ -53,6 +54,22 @@ async function readiness(signal) {
     if (error instanceof ApiProblem && error.document.checks) return { workers: [], ...error.document };
     throw error;
   }
+}
+
+/** Return the living workers; null if the key may not see them. */
+async function livingWorkers(signal) {
+  try {
+    return (await get("/v1/workers", {}, signal)).items;
+  } catch (error) {
+    if (error.status === 403 || error.status === 404) return null;
+    throw error;
+  }
+}
+
+/** Return how many workers live, by queue. */
+function byQueue(workers) {
+  if (!Array.isArray(workers)) return workers;
+  return Object.fromEntries(workers.map(({ queue }) => [queue, workers.filter((other) => other.queue === queue).length]));
 }
 
 /** Return running and queued jobs by queue: the newest queued job's place is the queue's length. */
@@ -71,16 +88,19 @@ async function queueLengths(kinds, signal) {
   return lengths;
 }
 
-function queueRows(lengths, workers) {
+function queueRows(lengths, serving) {
   return [...lengths].sort().map(([name, { running, queued }]) => {
-    const isServed = workers.some(({ queue }) => queue === name);
-    return h("tr", {}, h("th", { scope: "row" }, name, !isServed && h("div", {}, state("usable", "No worker: its jobs wait"))),
+    return h("tr", {}, h("th", { scope: "row" }, name, !serving[name] && h("div", {}, state("usable", "No worker: its jobs wait"))),
       h("td", {}, running), h("td", {}, queued));
   });
 }
 
-function workerRows(workers) {
-  if (!workers.length) return h("tr", {}, h("td", { colspan: 4 }, state("failed", "No worker is alive: jobs wait.")));
+function workerRows(workers, serving) {
+  if (!Object.keys(serving).length) return h("tr", {}, h("td", { colspan: 4 }, state("failed", "No worker is alive: jobs wait.")));
+  if (!Array.isArray(workers)) {
+    const words = Object.entries(serving).map(([queue, number]) => `${number} for ${queue}`).join(", ");
+    return h("tr", {}, h("td", { colspan: 4 }, `${words}. This key may not see their names.`));
+  }
   return workers.map(({ name, queue, started_at: started, seen_at: seen }) => h("tr", {},
     h("th", { scope: "row", class: "breaks" }, name), h("td", {}, queue), h("td", {}, when(started)), h("td", {}, time(seen))));
 }

@@ -55,13 +55,14 @@ class SubjectView {
 
   async refresh() {
     const of = { subject_id: this.subject.id };
-    const [captures, rigs, models, active] = await Promise.all([
+    const [captures, rigs, models, checks] = await Promise.all([
       all(`/v1/subjects/${this.subject.id}/captures`, {}, this.signal),
       all("/v1/rigs", of, this.signal),
       get("/v1/jobs", { ...of, kind: "build_model", limit: 1 }, this.signal),
       get("/v1/jobs", { ...of, kind: "check_scan", limit: 200 }, this.signal),
     ]);
-    this.checks = new Map(active.items.filter((job) => !job.finished_at).map((job) => [job.captures[0], job]));
+    // newest first, so the last one written is the newest
+    this.checks = new Map(checks.items.reverse().map((job) => [job.captures[0], job]));
     captures.sort((a, b) => (b.role === "neutral") - (a.role === "neutral") || a.name.localeCompare(b.name));
     this.rigs = rigs;
     const ids = new Set(captures.map(({ id }) => id));
@@ -112,12 +113,12 @@ class SubjectView {
         h("td", {}, plain(role)), h("td", {}, capture.registered ? "Registered" : "Raw"), check, registration,
         h("td", { class: "tight" }, when(capture.created_at)), h("td", { class: "tight" }, actions)),
       update: (next) => {
-        const running = this.checks.get(id);
-        const key = JSON.stringify([next.check, next.registration, running?.state]);
+        const job = this.checks.get(id);
+        const key = JSON.stringify([next.check, next.registration, job?.state]);
         if (shown === key) return;
         shown = key;
-        show(check, running ? link(running.id, state(running.state)) : next.check ? link(next.check.job_id, state(next.check.verdict)) : isScan ? "not checked" : "");
-        show(registration, next.registration ? link(next.registration.job_id, state("succeeded", "Done")) : capture.registered ? "" : "not yet");
+        show(check, isScan && checkOf(next, job));
+        show(registration, !capture.registered && registrationOf(next));
       },
     };
   }
@@ -167,6 +168,16 @@ class SubjectView {
     toast(`${this.subject.name} was deleted. Files go within minutes.`);
     navigate("/subjects");
   }
+}
+
+/** The verdict of the newest check, or where it stands. */
+function checkOf({ check }, job) {
+  if (job && job.state !== "succeeded") return link(job.id, state(job.state));
+  return check ? link(check.job_id, state(check.verdict)) : "not checked";
+}
+
+function registrationOf({ registration }) {
+  return registration ? link(registration.job_id, state("succeeded", "Done")) : "not yet";
 }
 
 function button(words, action, kind = null, more = {}) {

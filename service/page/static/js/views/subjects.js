@@ -2,8 +2,6 @@
 
 import { all, get } from "../api.js";
 import { h, setText, show } from "../dom.js";
-import { changed } from "../library.js";
-import { askToDeleteSubject } from "../parts/delete_subject.js";
 import { toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
 import { count, when } from "../words.js";
@@ -25,7 +23,7 @@ class SubjectList {
     this.body = h("tbody");
     this.empty = h("p", { class: "empty", hidden: true }, "No subjects yet. ", h("a", { href: "/upload" }, "Upload scans"), " to add one.");
     this.table = h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {},
-      ["Subject", "Scans", "Rigs", "Added", ""].map((text) => h("th", { scope: "col" }, text || h("span", { class: "unseen" }, "Actions"))))), this.body));
+      ["Subject", "Scans", "Rigs", "Added"].map((text) => h("th", { scope: "col" }, text)))), this.body));
     this.newer = h("button", { type: "button", onclick: () => this.turn(-1) }, "Newer");
     this.older = h("button", { type: "button", onclick: () => this.turn(1) }, "Older");
     this.elements = [
@@ -56,11 +54,9 @@ class SubjectList {
   row(subject) {
     const scans = h("td", {}, "…");
     const rigs = h("td", {}, "…");
-    const remove = h("button", { type: "button", class: "danger", onclick: () => this.remove(subject) },
-      "Delete", h("span", { class: "unseen" }, ` ${subject.name}`));
     return { subject, scans, rigs, element: h("tr", {},
       h("th", { scope: "row" }, h("a", { href: `/subjects/${subject.id}` }, subject.name)),
-      scans, rigs, h("td", { class: "tight" }, when(subject.created_at)), h("td", { class: "tight number" }, remove)) };
+      scans, rigs, h("td", { class: "tight" }, when(subject.created_at))) };
   }
 
   /** Ask for each subject's scans and rigs, one after the other: the list is not urgent. */
@@ -73,13 +69,6 @@ class SubjectList {
       setText(scans, standing(captures));
       show(rigs, found.items.length ? h("a", { href: `/rigs/${found.items[0].id}` }, found.items.length === 1 ? "Open" : `${found.items.length}, open the newest`) : "none");
     }
-  }
-
-  async remove(subject) {
-    if (!(await askToDeleteSubject(subject))) return;
-    changed(subject.id);
-    toast(`${subject.name} was deleted. Files go within minutes.`);
-    await this.refresh();
   }
 }
 
