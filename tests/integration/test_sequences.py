@@ -71,7 +71,7 @@ def test_a_killed_solver_goes_on_after_its_last_frame(
     stack_and_studio: tuple[Stack, Studio], studio: Studio, rigged: tuple[str, str]
 ) -> None:
     job = submit(studio, rigged, "killed", frames=8, fault="killed")
-    with Client(stack_and_studio[0].url) as client:
+    with Client(stack_and_studio[0].url, studio.key) as client:
         frames = list(client.frames(job, follow=True))
     done = studio.finished(job)
     assert [attempt["outcome"] for attempt in done["attempts"]] == ["lost", "succeeded"]
