@@ -15,6 +15,7 @@ from service.access.keys import Keyring
 from service.captures.routes import router as captures
 from service.jobs.routes import router as jobs
 from service.middleware import BodyLimit, RequestContext
+from service.page.routes import router as page
 from service.rigs.routes import router as rigs
 from service.secret import secret
 from service.settings import Settings
@@ -71,7 +72,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.state.store = store
     app.state.keyring = keyring
     errors.install(app)
-    for router in (uploads, subjects, captures, templates, jobs, rigs, system):
+    for router in (uploads, subjects, captures, templates, jobs, rigs, system, page):
         app.include_router(router)
     _describe_problems(app)
     app.add_middleware(BodyLimit, limit=MAX_BODY_BYTES)
