@@ -153,5 +153,3 @@ def test_the_page_is_not_part_of_the_api_description(http: TestClient) -> None:
 def _without_comments(text: str) -> str:
     text = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
     return re.sub(r"(^|\s)//[^\n]*", "", text)
-
-
