@@ -13,6 +13,7 @@ from service import errors
 from service.captures.routes import router as captures
 from service.jobs.routes import router as jobs
 from service.middleware import BodyLimit, RequestContext
+from service.page.routes import router as page
 from service.rigs.routes import router as rigs
 from service.settings import Settings
 from service.store.store import Store
@@ -64,7 +65,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.state.settings = settings
     app.state.store = store
     errors.install(app)
-    for router in (uploads, subjects, captures, templates, jobs, rigs, system):
+    for router in (uploads, subjects, captures, templates, jobs, rigs, system, page):
         app.include_router(router)
     _describe_problems(app)
     app.add_middleware(BodyLimit, limit=MAX_BODY_BYTES)
