@@ -5,21 +5,17 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 import scipy.sparse as sp
 
 from solver.errors import InputError
+from solver.npz import read_arrays
 
 Arrays = dict[str, np.ndarray]
-
-NOT_READABLE = (OSError, EOFError, BadZipFile, RuntimeError, zlib.error)
-"""What reading a ZIP raises that is damaged, or packed in a way that is not known."""
 
 
 @dataclass(frozen=True)
@@ -58,11 +54,10 @@ class Archive:
         its header has another format number.
         """
         try:
-            with np.load(path, allow_pickle=False) as data:
-                arrays = dict(data)
-                header = json.loads(bytes(arrays.pop("header")))
-                found = header["format"]
-        except (*NOT_READABLE, KeyError, TypeError, ValueError) as error:
+            arrays = read_arrays(path)
+            header = json.loads(bytes(arrays.pop("header")))
+            found = header["format"]
+        except (LookupError, RecursionError, TypeError, ValueError) as error:
             raise InputError(
                 f"{kind}.unreadable", f"{path.name} is not {noun}: {error}", file=path.name
             ) from error

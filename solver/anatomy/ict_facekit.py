@@ -14,8 +14,8 @@ import numpy as np
 
 from solver.anatomy.public_ict_facekit import public_facekit
 from solver.anatomy.shapes import ShapeBasis
-from solver.archive import NOT_READABLE
 from solver.errors import InputError
+from solver.npz import read_arrays
 from solver.surface import Floats, Ints, Surface
 
 VERTEX_COUNT = 26719
@@ -75,11 +75,10 @@ def read_facekit(folder: Path) -> FaceKit:
     if not path.exists():
         return _face_kit(public_facekit(folder), folder)
     try:
-        with np.load(path, allow_pickle=False) as data:
-            return _face_kit(dict(data), path)
+        return _face_kit(read_arrays(path), path)
     except InputError:
         raise
-    except (*NOT_READABLE, KeyError, TypeError, ValueError) as error:
+    except (LookupError, TypeError, ValueError) as error:
         raise InputError(
             "faces.unreadable", f"{path} is not an ICT-FaceKit file: {error}", file=str(path)
         ) from error

@@ -9,8 +9,8 @@ from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
-from solver.archive import NOT_READABLE
 from solver.errors import InputError
+from solver.npz import NOT_READABLE
 from solver.surface import Floats, Ints
 
 

@@ -22,8 +22,8 @@ def check_arrays(template: Template, file: str) -> None:
         ``template.shape``, ``template.nan`` or ``template.range``, with the ``array``'s name.
     """
     check = _Check(file)
-    skin = len(template.skin.vertices)
     check.surface("skin", template.skin)
+    skin = len(template.skin.vertices)
     check.surface("cranium", template.cranium)
     check.surface("mandible", template.mandible)
     check.numbers("flesh_faces", template.flesh_faces, len(template.skin.faces))
@@ -49,8 +49,8 @@ def check_arrays(template: Template, file: str) -> None:
         check.points("expressions", shapes.expressions, (len(shapes.expression_names), skin, 3))
     if template.mesh is not None:
         mesh = template.mesh
-        count = len(mesh.vertices)
         check.points("mesh vertices", mesh.vertices, (None, 3))
+        count = len(mesh.vertices)
         check.numbers("mesh tets", mesh.tets, count, columns=4)
         for name in ("cranium", "mandible", "cut", "sliding"):
             check.numbers(f"mesh {name}", getattr(mesh, name), count)

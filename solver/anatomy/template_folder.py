@@ -28,8 +28,8 @@ from solver.anatomy.muscle_axes import with_axis
 from solver.anatomy.shapes import ShapeBasis
 from solver.anatomy.template import Muscle, Template
 from solver.anatomy.template_arrays import check_arrays
-from solver.archive import NOT_READABLE
 from solver.errors import InputError
+from solver.npz import NOT_READABLE
 from solver.scans.raw import read_raw
 from solver.scans.units import AXES, UNITS
 from solver.surface import Floats, Surface

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from solver.archive import NOT_READABLE
 from solver.errors import InputError
 from solver.fitting.notices import Notice
 from solver.model import SubjectModel
+from solver.npz import read_arrays
 from solver.rig.round_trip import RoundTrip
 from solver.surface import Floats, Ints
 
@@ -147,8 +147,8 @@ def load_activations(path: Path, model: SubjectModel) -> tuple[ExpressionFit, ..
     Raises :class:`InputError`: ``rig.unreadable``, ``rig.format``, or ``rig.model`` if it belongs
     to a model with other muscles or another skin.
     """
-    with _reading(path), np.load(path, allow_pickle=False) as file:
-        data = dict(file)
+    with _reading(path):
+        data = read_arrays(path)
         _check_format(path, data)
         if (
             tuple(data["muscles"].tolist()) != model.muscle_names
@@ -200,8 +200,8 @@ def load_weights(path: Path, model: SubjectModel) -> sp.csr_array:
     Raises :class:`InputError`: ``rig.unreadable``, ``rig.format``, or ``rig.model`` if S was fitted
     on another model.
     """
-    with _reading(path), np.load(path, allow_pickle=False) as file:
-        data = dict(file)
+    with _reading(path):
+        data = read_arrays(path)
         _check_format(path, data)
         if str(data["model"]) != model_hash(model):
             raise _other_model(path)
@@ -246,7 +246,7 @@ def _reading(path: Path) -> Iterator[None]:
         yield
     except InputError:
         raise
-    except (*NOT_READABLE, LookupError, TypeError, ValueError) as error:
+    except (LookupError, TypeError, ValueError) as error:
         raise InputError(
             "rig.unreadable", f"{path.name} is not part of a rig: {error}", file=path.name
         ) from error

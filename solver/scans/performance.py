@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from solver.errors import InputError
+from solver.npz import map_array
 from solver.scans.read import FORMATS as SCAN_FORMATS
 from solver.scans.read import read_registered
 from solver.scans.registered import RegisteredScan
@@ -88,8 +89,8 @@ class _Array:
     @classmethod
     def open(cls, path: Path, neutral: Surface, face: Ints) -> _Array:
         try:
-            points = np.load(path, mmap_mode="r", allow_pickle=False)
-        except (OSError, ValueError, EOFError) as error:
+            points = map_array(path)
+        except ValueError as error:
             raise InputError(
                 "performance.unreadable",
                 f"{path.name} is not a whole array of numbers: {error}",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from dataclasses import astuple, replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from solver.drawing.parts import skin_parts
 from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.model import SubjectModel
+from solver.rig.activations_csv import write_activations_csv
 from solver.rig.certificate import Certificate, certify
 from solver.rig.export import write_rig
 from solver.rig.gltf import write_glb
@@ -211,10 +213,30 @@ def test_a_broken_glb_is_noticed(rig: Rig, tmp_path: Path) -> None:
     assert any("not finite" in fault for fault in validate_glb(path, NAMES))
 
 
+def test_the_table_says_what_the_arrays_say(
+    rig: Rig, certificate: Certificate, tmp_path: Path
+) -> None:
+    path = tmp_path / "activations.csv"
+    figures = report(rig, certificate)
+    write_activations_csv(path, rig, figures)
+    rows = list(csv.DictReader(path.open(newline="", encoding="utf-8")))
+    assert len(rows) == len(NAMES) * rig.model.muscle_count
+    surprise = rig.expressions[1]
+    row = rows[rig.model.muscle_count + 4]
+    muscle = rig.model.muscle_names[4]
+    assert (row["expression"], row["role"], row["muscle"]) == ("surprise", "train", muscle)
+    stored = [float(row[entry]) for entry in ("xx", "xy", "xz", "yy", "yz", "zz")]
+    np.testing.assert_allclose(stored, surprise.activations[4], atol=1e-6)
+    np.testing.assert_allclose(
+        [float(row[f"jaw.{k}"]) for k in range(1, 6)], surprise.jaw, atol=1e-6
+    )
+    assert row["fibres"] == ""  # this model has no fibres
+
+
 def test_write_rig_writes_every_file(rig: Rig, certificate: Certificate, tmp_path: Path) -> None:
     one = replace(rig, expressions=rig.expressions[:1])
     written = write_rig(one, certificate, tmp_path / "rig")
-    names = ["rig.glb", "activations.npz", "muscle_weights.npz", "report.json", "report.html"]
-    names.append("fit_smile.png")
+    names = ["rig.glb", "activations.npz", "activations.csv", "muscle_weights.npz", "view.bin"]
+    names += ["inside.bin", "report.json", "report.html", "fit_smile.png"]
     assert [path.name for path in written] == names
     assert all(path.stat().st_size > 500 for path in written)

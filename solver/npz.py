@@ -1,0 +1,139 @@
+"""Reading arrays that others packed: what a file claims is checked before room is made for it.
+
+A megabyte of NPZ can unpack to a gigabyte, and a header can claim any shape. So a file's list of
+members is bounded, every member is an array of plain values whose header agrees with its size, and
+all of them together are no larger than a limit. Pickles are never read.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from pathlib import Path
+from typing import IO
+from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile, ZipInfo
+
+import numpy as np
+
+NOT_READABLE = (OSError, EOFError, BadZipFile, RuntimeError, struct.error, zlib.error)
+"""What reading a ZIP raises that is damaged, or packed in a way that is not known."""
+
+MOST_BYTES = 1 << 30
+"""What a file may unpack to."""
+MOST_DIRECTORY_BYTES = 1 << 20
+"""A ZIP's list of members; each takes about a hundred bytes of it."""
+PLAIN = "biufU"
+"""Kinds of values: booleans, whole numbers, floats and text."""
+
+END_OF_DIRECTORY = struct.Struct("<4s4H2LH")
+END_MAGIC, LARGE_MAGIC = b"PK\5\6", b"PK\6\7"
+LARGE_SIZE = 20
+LONGEST_COMMENT = 1 << 16
+ENCRYPTED = 1
+
+
+def read_arrays(path: Path, most_bytes: int = MOST_BYTES) -> dict[str, np.ndarray]:
+    """Return the arrays of an NPZ file that unpack to no more than ``most_bytes``.
+
+    Raises :class:`ValueError`, in words, for a file that is none, is damaged, holds more, or holds
+    anything but plain arrays.
+    """
+    try:
+        with path.open("rb") as stream:
+            _check_directory(stream)
+            with ZipFile(stream) as archive:
+                members = archive.infolist()
+                _check_members(members, most_bytes)
+                for member in members:
+                    _check_array(archive, member)
+                return {member.filename[:-4]: _array(archive, member) for member in members}
+    except (*NOT_READABLE, ArithmeticError) as error:
+        raise ValueError(str(error)) from error
+
+
+def map_array(path: Path) -> np.ndarray:
+    """Return the array of an NPY file, mapped: its values are read when they are looked at.
+
+    Raises :class:`ValueError`, in words, for a file that is none or too short, and for anything
+    but plain values.
+    """
+    try:
+        with path.open("rb") as stream:
+            _check_size(stream, path.stat().st_size)
+        return np.lib.format.open_memmap(path, mode="r")
+    except (*NOT_READABLE, ArithmeticError) as error:
+        raise ValueError(str(error)) from error
+
+
+def _check_directory(stream: IO[bytes]) -> None:
+    """Raise if the list of members is long: it is read at once, and each entry becomes an object.
+
+    A second end of the directory, for archives of many gigabytes, would overrule the first.
+    """
+    length = stream.seek(0, 2)
+    stream.seek(max(0, length - END_OF_DIRECTORY.size - LONGEST_COMMENT - LARGE_SIZE))
+    tail = stream.read()
+    place = tail.rfind(END_MAGIC)
+    if place < 0 or place + END_OF_DIRECTORY.size > len(tail):
+        raise ValueError("it is not a ZIP of arrays")
+    size = END_OF_DIRECTORY.unpack_from(tail, place)[5]
+    large = tail[max(0, place - LARGE_SIZE) : place].startswith(LARGE_MAGIC)
+    if large or size > MOST_DIRECTORY_BYTES:
+        raise ValueError("it lists too many members")
+    stream.seek(0)
+
+
+def _check_members(members: list[ZipInfo], most_bytes: int) -> None:
+    names = set()
+    for member in members:
+        name = member.filename
+        if not name.endswith(".npy"):
+            raise ValueError(f"it holds {name!r}, which is no array")
+        if name in names:
+            raise ValueError(f"it holds {name!r} twice")
+        names.add(name)
+        packed = member.compress_type in (ZIP_STORED, ZIP_DEFLATED)
+        if not packed or member.flag_bits & ENCRYPTED:
+            raise ValueError(f"{name!r} is encrypted or packed in another way than NumPy does")
+    size = sum(member.file_size for member in members)
+    if size > most_bytes:
+        raise ValueError(f"it unpacks to {size} bytes; at most {most_bytes} can be read")
+
+
+def _check_array(archive: ZipFile, member: ZipInfo) -> None:
+    with archive.open(member) as stream:
+        try:
+            _check_size(stream, member.file_size)
+        except ValueError as error:
+            raise ValueError(f"{member.filename}: {error}") from error
+
+
+def _array(archive: ZipFile, member: ZipInfo) -> np.ndarray:
+    with archive.open(member) as stream:
+        return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
+
+
+def _check_size(stream: IO[bytes], size: int) -> None:
+    """Raise unless a ``stream`` of so many bytes begins with an NPY header that fits it."""
+    shape, dtype = _header(stream)
+    if dtype.kind not in PLAIN or not dtype.itemsize:
+        raise ValueError(f"it holds {dtype}, not plain values")
+    if any(length < 0 for length in shape):
+        raise ValueError(f"it claims the shape {shape}")
+    needed = stream.tell() + math.prod(shape) * dtype.itemsize
+    if needed != size:
+        raise ValueError(f"it has {size} bytes where {dtype} of shape {shape} needs {needed}")
+
+
+def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
+    version = np.lib.format.read_magic(stream)
+    if version not in ((1, 0), (2, 0)):
+        raise ValueError(f"its format version {version} is not known")
+    first = version == (1, 0)
+    read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
+    try:
+        shape, _, dtype = read(stream)
+    except (MemoryError, RecursionError, SyntaxError, TypeError) as error:
+        raise ValueError("its header is not one of NumPy's") from error
+    return shape, dtype

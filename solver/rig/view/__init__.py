@@ -1,0 +1,1 @@
+"""What a browser reads of a rig: ``view.bin``, ``inside.bin`` and their container."""

@@ -1,0 +1,135 @@
+"""The container of the files a browser reads: a JSON header and plain arrays it can map in place.
+
+Four bytes ``MYOV``, the header's length H (uint32), H bytes of JSON, padded with spaces so that the
+first array lies at a multiple of 8, then the arrays in C order, each at a multiple of 8. All of it
+is little-endian. The header's ``arrays`` gives each array's dtype, shape and place in the file.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from solver.errors import InputError
+
+MAGIC = b"MYOV"
+FORMAT = 1
+DTYPES = ("float32", "float16", "uint32", "uint8")
+ALIGNMENT = 8
+PREFIX = struct.Struct("<4sI")
+
+
+@dataclass(frozen=True)
+class Container:
+    """What is in such a file: ``header`` without its table of arrays, and ``arrays`` by name."""
+
+    header: dict[str, Any]
+    arrays: dict[str, np.ndarray]
+
+
+def write_container(
+    path: Path, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]
+) -> None:
+    """Write a file of JSON values and arrays, each of one of :data:`DTYPES`; lengths are mm.
+
+    The same content gives the same bytes. ``format``, ``unit`` and ``arrays`` are put into the
+    header here. Raises :class:`ValueError` for another dtype and for NaN in the header.
+    """
+    stored = {name: _stored(name, array) for name, array in arrays.items()}
+    text, begin = _header(header, stored)
+    with path.open("wb") as stream:
+        stream.write(PREFIX.pack(MAGIC, len(text)) + text)
+        place = begin
+        for array in stored.values():
+            stream.write(bytes(_aligned(place) - place))
+            stream.write(array.data)
+            place = _aligned(place) + array.nbytes
+
+
+def read_container(path: Path) -> Container:
+    """Read such a file.
+
+    Raises :class:`InputError`: ``view.unreadable`` if it is not one, or arrays lie outside it;
+    ``view.format`` if it has another format number.
+    """
+    content = path.read_bytes()
+    try:
+        header, arrays = _parsed(content)
+    except (struct.error, ArithmeticError, LookupError, TypeError, ValueError) as error:
+        raise InputError(
+            "view.unreadable", f"{path.name} is no view of a rig: {error}", file=path.name
+        ) from error
+    found = header.pop("format", None)
+    if found != FORMAT:
+        raise InputError(
+            "view.format",
+            f"{path.name} has view format {found}, not {FORMAT}",
+            file=path.name,
+            expected=FORMAT,
+            found=found,
+        )
+    return Container(header, arrays)
+
+
+def _stored(name: str, array: np.ndarray) -> np.ndarray:
+    if array.dtype.name not in DTYPES:
+        raise ValueError(f"{name} has dtype {array.dtype}; a view holds {', '.join(DTYPES)}")
+    return np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+
+
+def _header(header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[bytes, int]:
+    """Return the header's bytes and where the arrays begin.
+
+    The places of the arrays are part of the header, and their digits of its length: the beginning
+    moves on until the header fits before it.
+    """
+    begin = 0
+    while True:
+        text = json.dumps(
+            {"format": FORMAT, "unit": "mm", **header, "arrays": _table(arrays, begin)},
+            allow_nan=False,
+            separators=(",", ":"),
+        ).encode()
+        needed = _aligned(PREFIX.size + len(text))
+        if needed <= begin:
+            return text.ljust(begin - PREFIX.size), begin
+        begin = needed
+
+
+def _table(arrays: Mapping[str, np.ndarray], begin: int) -> dict[str, Any]:
+    table = {}
+    place = begin
+    for name, array in arrays.items():
+        place = _aligned(place)
+        table[name] = {"dtype": array.dtype.name, "shape": list(array.shape), "offset": place}
+        place += array.nbytes
+    return table
+
+
+def _parsed(content: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    magic, length = PREFIX.unpack_from(content)
+    if magic != MAGIC:
+        raise ValueError("it does not begin with MYOV")
+    header = json.loads(content[PREFIX.size : PREFIX.size + length])
+    arrays = {}
+    for name, entry in header.pop("arrays").items():
+        if entry["dtype"] not in DTYPES:
+            raise ValueError(f"{name} has the unknown dtype {entry['dtype']}")
+        if any(size < 0 for size in entry["shape"]):
+            raise ValueError(f"{name} has the shape {entry['shape']}")
+        dtype = np.dtype(entry["dtype"]).newbyteorder("<")
+        count = math.prod(entry["shape"])
+        flat = np.frombuffer(content, dtype, count, entry["offset"])
+        arrays[name] = flat.reshape(entry["shape"])
+    return header, arrays
+
+
+def _aligned(place: int) -> int:
+    return place + -place % ALIGNMENT

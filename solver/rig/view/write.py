@@ -1,0 +1,125 @@
+"""``view.bin`` and ``inside.bin``: a rig for a page that shows it.
+
+docs/rig-format.md describes them. Displacements are in half precision, at most 0.004 mm off up to
+16 mm and 0.016 mm up to 64 mm.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from solver.mechanics import jaw
+from solver.model import JawFrame, SubjectModel
+from solver.rig.result import Rig
+from solver.rig.view.binding import bind
+from solver.rig.view.format import write_container
+from solver.surface import Floats, Surface
+
+NO_MUSCLE = 255
+NO_SURFACE = Surface(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
+Arrays = dict[str, np.ndarray]
+
+
+def write_view(path: Path, rig: Rig, figures: dict[str, Any]) -> None:
+    """Write the skin in every expression, the scans and the distances between them.
+
+    ``figures`` are :func:`solver.rig.report.report` of the rig.
+    """
+    neutral = rig.model.skin.vertices
+    told = [figures["expressions"][fit.name] for fit in rig.expressions]
+    names = rig.model.muscle_names
+    header = {
+        "expressions": [
+            {"name": fit.name, **{key: each[key] for key in ("mean_mm", "p95_mm", "max_mm")}}
+            for fit, each in zip(rig.expressions, told, strict=True)
+        ],
+        "muscles": list(names),
+    }
+    stretches = [[each["muscles"][name]["fibres"] for name in names] for each in told]
+    arrays: Arrays = {
+        "neutral": neutral.astype(np.float32),
+        "faces": rig.model.skin.faces.astype(np.uint32),
+        "activation": np.array(stretches, np.float32).reshape(len(told), len(names)),
+    }
+    for k, fit in enumerate(rig.expressions):
+        arrays[f"skin/{k}"] = _half(fit.skin - neutral)
+        arrays[f"scan/{k}"] = _half(fit.target - neutral)
+        arrays[f"error/{k}"] = _half(fit.error_mm)
+    write_container(path, header, arrays)
+
+
+def write_inside(path: Path, rig: Rig) -> None:
+    """Write the tets in every expression, and the bones and muscles that move with them.
+
+    ``at/k`` is left out for an expression whose tets the rig does not hold. Muscles are numbered as
+    in ``view.bin``; one without a surface has no triangles.
+    """
+    model = rig.model
+    header = {
+        "bones": [
+            {"name": name, "moves_with": "jaw" if name == "mandible" else "skull"}
+            for name in model.bones
+        ],
+        "muscles": list(model.muscle_names),
+    }
+    arrays: Arrays = {
+        "rest": model.rest.astype(np.float32),
+        "tets": model.tets.astype(np.uint32),
+        "main_muscle": _main_muscles(rig.weights),
+        "jaw": np.array([_rigid(model.jaw, fit.jaw) for fit in rig.expressions], np.float32),
+    }
+    for k, fit in enumerate(rig.expressions):
+        if fit.x is not None:
+            arrays[f"at/{k}"] = _half(fit.x - model.rest)
+    for i, bone in enumerate(model.bones.values()):
+        arrays |= _surface(f"bone/{i}", bone)
+    arrays |= _muscles(model)
+    write_container(path, header, arrays)
+
+
+def _half(values: Floats) -> np.ndarray:
+    return values.astype(np.float16)
+
+
+def _surface(name: str, surface: Surface) -> Arrays:
+    return {
+        f"{name}/vertices": surface.vertices.astype(np.float32),
+        f"{name}/faces": surface.faces.astype(np.uint32),
+    }
+
+
+def _muscles(model: SubjectModel) -> Arrays:
+    """Return the muscles' surfaces and the tets that their vertices follow."""
+    surfaces = [model.muscles.get(name, NO_SURFACE) for name in model.muscle_names]
+    points = np.vstack([surface.vertices for surface in surfaces])
+    tet, weights = bind(points, model.rest, model.tets)
+    ends = np.cumsum([len(surface.vertices) for surface in surfaces])[:-1]
+    arrays: Arrays = {}
+    of_muscles = zip(surfaces, np.split(tet, ends), np.split(weights, ends), strict=True)
+    for i, (surface, tets, shares) in enumerate(of_muscles):
+        arrays |= _surface(f"muscle/{i}", surface)
+        arrays[f"muscle/{i}/tet"] = tets.astype(np.uint32)
+        arrays[f"muscle/{i}/weights"] = shares.astype(np.float32)
+    return arrays
+
+
+def _main_muscles(S: sp.csr_array) -> np.ndarray:
+    """Return the number (n,) of the muscle with the greatest share of each tet.
+
+    :data:`NO_MUSCLE` where passive flesh is the greater part, and beyond so many muscles.
+    """
+    main = np.asarray(S[:, 1:].tocsr().argmax(axis=1)).ravel()
+    passive = np.asarray(S[:, [0]].todense()).ravel()
+    return np.where((passive < 0.5) & (main < NO_MUSCLE), main, NO_MUSCLE).astype(np.uint8)
+
+
+def _rigid(frame: JawFrame, b: Floats) -> Floats:
+    """Return the mandible's motion (4, 4) for b (5,), as a matrix of columns (x, y, z, 1) in mm."""
+    motion = np.eye(4)
+    motion[:3, :3] = jaw.rotation(frame, b)
+    motion[:3, 3] = jaw.move(frame, np.zeros((1, 3)), b)[0]
+    return motion
