@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Annotated
 
@@ -31,6 +31,7 @@ class Principal:
     tenant_id: str
     key_id: str
     scopes: frozenset[str]
+    request_id: str = ""
 
 
 _bearer = HTTPBearer(
@@ -44,7 +45,8 @@ def _principal(request: Request, credentials: Credentials) -> Principal:
         raise unauthorized("auth.missing", "send an API key: Authorization: Bearer myo_...")
     principal: Principal = request.app.state.keyring.verify(credentials.credentials)
     request.state.key_id = principal.key_id
-    return principal
+    request.state.rate = request.app.state.rates.check(principal.key_id)
+    return replace(principal, request_id=request.state.request_id)
 
 
 def unauthorized(code: str, detail: str) -> Problem:

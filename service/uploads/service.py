@@ -18,6 +18,7 @@ from typing import BinaryIO
 from anyio import to_thread
 from starlette.requests import ClientDisconnect
 
+from service.access.quotas import check_bytes
 from service.errors import CHECKSUM_MISMATCH, Problem
 from service.settings import Settings
 from service.store.database import clock
@@ -51,6 +52,7 @@ class UploadService:
                 found=size,
             )
         with self._store.write() as session:
+            check_bytes(session, size)
             until = clock(session) + timedelta(seconds=self._settings.upload_ttl)
             upload = Upload(filename=filename, size=size, sha256=sha256, expires_at=until)
             session.add(upload)
