@@ -13,8 +13,10 @@ from service import errors
 from service.access import bootstrap
 from service.access.keys import Keyring
 from service.access.rates import RateHeaders, Rates
+from service.access.signed import Signer
 from service.audit.routes import router as audit
 from service.captures.routes import router as captures
+from service.deletions.routes import router as deletions
 from service.jobs.routes import router as jobs
 from service.keys.routes import router as keys
 from service.middleware import BodyLimit, RequestContext
@@ -47,6 +49,7 @@ TAGS = [
     {"name": "rigs", "description": "The results and their files."},
     {"name": "keys", "description": "API keys: make, rotate, revoke."},
     {"name": "tenants", "description": "Who is asking, and what its tenant uses."},
+    {"name": "deletions", "description": "Receipts of what was deleted."},
     {"name": "audit", "description": "Who did what."},
     {"name": "system", "description": "Health, limits and kinds of job."},
 ]
@@ -82,6 +85,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.state.keyring = keyring
     app.state.master = master
     app.state.rates = rates
+    app.state.signer = Signer(master)
     errors.install(app)
     for router in (
         uploads,
@@ -93,6 +97,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         keys,
         tenants,
         audit,
+        deletions,
         system,
     ):
         app.include_router(router)

@@ -9,6 +9,7 @@ from fastapi import Depends, Query, Request
 from sqlalchemy.orm import Session
 
 from service.access.principal import Admin, Deleter, Reader, Writer
+from service.access.signed import FileReader
 from service.settings import Settings
 from service.store.store import Store
 
@@ -32,6 +33,10 @@ def _for_reading(store: WholeStore, who: Reader) -> Store:
     return store.of(who.tenant_id)
 
 
+def _for_downloading(store: WholeStore, who: FileReader) -> Store:
+    return store.of(who.tenant_id)
+
+
 def _for_writing(store: WholeStore, who: Writer) -> Store:
     return store.of(who.tenant_id)
 
@@ -45,6 +50,8 @@ def _for_administering(store: WholeStore, who: Admin) -> Store:
 
 
 ReadStore = Annotated[Store, Depends(_for_reading)]
+FileStore = Annotated[Store, Depends(_for_downloading)]
+"""For a file alone: a signed URL is as good as a key."""
 WriteStore = Annotated[Store, Depends(_for_writing)]
 DeleteStore = Annotated[Store, Depends(_for_deleting)]
 AdminStore = Annotated[Store, Depends(_for_administering)]

@@ -67,13 +67,11 @@ def check_queued(session: Session) -> None:
 def stored_bytes(session: Session, tenant_id: str) -> int:
     """Return the bytes of a tenant's files, each counted once, and of its open uploads."""
     tables = (Capture, Template, Artifact)
-    files = [
+    files = (
         select(table.sha256, table.size).where(table.tenant_id == tenant_id) for table in tables
-    ]
-    files.append(
-        select(Upload.sha256, Upload.size).where(Upload.tenant_id == tenant_id, Upload.complete)
     )
-    stored = session.scalar(select(func.sum(union(*files).subquery().c.size)))
+    sent = select(Upload.sha256, Upload.size).where(Upload.tenant_id == tenant_id, Upload.complete)
+    stored = session.scalar(select(func.sum(union(sent, *files).subquery().c.size)))
     opened = session.scalar(
         select(func.sum(Upload.size)).where(Upload.tenant_id == tenant_id, ~Upload.complete)
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from fastapi import APIRouter
 
 from service.access import quotas
-from service.access.principal import Reader
+from service.access.principal import Reader, Scope
 from service.dependencies import ReadSession
 from service.store.tenancy import own_tenant
 from service.tenants.schemas import Me, Usage, Use
@@ -16,7 +16,8 @@ router = APIRouter(prefix="/v1", tags=["tenants"])
 @router.get("/me", summary="Whose key is this?")
 def me(who: Reader, session: ReadSession) -> Me:
     """Tell the tenant, the id and the scopes of the key."""
-    return Me(tenant=own_tenant(session).name, key_id=who.key_id, scopes=sorted(who.scopes))
+    scopes = sorted(map(Scope, who.scopes))
+    return Me(tenant=own_tenant(session).name, key_id=who.key_id, scopes=scopes)
 
 
 @router.get("/usage", summary="What the tenant uses")

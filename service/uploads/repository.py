@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from sqlalchemy import delete
 from sqlalchemy.orm import Session
 
 from service.errors import Problem, unknown
@@ -36,8 +33,3 @@ def get_complete(session: Session, upload_id: str) -> Upload:
             found=upload.offset,
         )
     return upload
-
-
-def forget(session: Session, sha256s: Sequence[str]) -> None:
-    """Delete the uploads of what was deleted, which would keep the files until they expire."""
-    session.execute(delete(Upload).where(Upload.complete, Upload.sha256.in_(sha256s)))

@@ -35,6 +35,8 @@ def _one_of_everything(studio: Studio) -> dict[str, str]:
     template_upload = studio.upload("anatomy.npz", b"PK")
     template = studio.post("/v1/templates", name="mine", upload_id=template_upload)["id"]
     upload = studio.upload("frown.obj", b"v 0 0 0\n")
+    gone = studio.post("/v1/subjects", name="gone")["id"]
+    receipt = studio.http.delete(f"/v1/subjects/{gone}").headers["Location"]
     job = studio.submit("build_model", subject)
     store = studio.http.app.state.store  # type: ignore[attr-defined]
     with store.write() as session:
@@ -54,6 +56,7 @@ def _one_of_everything(studio: Studio) -> dict[str, str]:
         "rig_id": rig.id,
         "artifact_id": left.id,
         "key_id": studio.post("/v1/keys", name="x", scopes=["read"])["id"],
+        "deletion_id": receipt.rsplit("/", 1)[1],
         "name": "rig.glb",
     }
 
