@@ -3,9 +3,9 @@
 import { h, svg } from "../dom.js";
 import { figure, plain } from "../words.js";
 
-const WIDTH = 720;
-const HEIGHT = 220;
-const EDGE = { left: 64, right: 12, top: 22, bottom: 34 };
+const WIDTH = 480;
+const HEIGHT = 210;
+const EDGE = { left: 58, right: 12, top: 22, bottom: 34 };
 const TICKS = 5;
 
 /**
@@ -72,7 +72,7 @@ function nice(step) {
 
 /** Return where each phase begins, without those too short to be labelled. */
 function phases(points) {
-  const least = (points.at(-1).x - points[0].x) / 8;
+  const least = (points.at(-1).x - points[0].x) / 6;
   const found = [];
   for (const { x, phase } of points) {
     const previous = found.at(-1);

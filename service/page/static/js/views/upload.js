@@ -21,7 +21,12 @@ const ACTIVE = ["waiting", "sending", "checking"];
 
 let tray = null;
 
+document.addEventListener("keychange", () => {
+  tray = null; // another key may be another studio's
+});
+
 export async function mount(root, _params, query) {
+  changed(); // others add subjects too
   const [limits, kinds, subjects] = await Promise.all([serviceLimits(), kindsByName(), subjectsById()]);
   tray ??= new Tray(limits, kinds.get("check_scan").options);
   tray.showSubjects(subjects, query.get("subject"));
