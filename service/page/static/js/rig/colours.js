@@ -8,10 +8,15 @@ export const PARTS = {
   eyes: [0.74, 0.72, 0.69],
   teeth: [0.72, 0.66, 0.54],
   mouth: [0.45, 0.16, 0.15],
-  lashes: [0.3, 0.2, 0.16],
+  lashes: [0, 0, 0],
 };
+export const IRIS = [0.1, 0.16, 0.17];
+export const PUPIL = [0.008, 0.008, 0.01];
+export const IRIS_MM = 6; // radii; an adult iris is 11.7 mm across (Rüfer et al. 2005)
+export const PUPIL_MM = 2.4;
 export const BONE = [0.72, 0.64, 0.5];
 export const SCAN = [0.42, 0.5, 0.58];
+export const NET = [0.02, 0.1, 0.22];
 export const UNSEEN = [0.6, 0.6, 0.61];
 export const FLESH = [0.86, 0.68, 0.42];
 

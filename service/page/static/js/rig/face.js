@@ -78,3 +78,8 @@ export function figures(values) {
     max: known[known.length - 1],
   };
 }
+
+/** Return a distance as text, a dash where there is none. */
+export function millimetres(value) {
+  return Number.isFinite(value) ? value.toFixed(2) : "–";
+}

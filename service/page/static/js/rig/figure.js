@@ -1,6 +1,7 @@
 // One rig in the canvas: its skin, the scan over it or beside it, what is inside, and a section.
 
 import { distances } from "./face.js";
+import { occlusion } from "./occlusion.js";
 import { Section } from "./section.js";
 import { Scan, Skin } from "./skin.js";
 
@@ -19,6 +20,14 @@ export class Figure {
     this.skin = new Skin(face.neutral, face.faces);
     this.inside = null;
     stage.panes[pane].add(this.skin.mesh);
+  }
+
+  /** Shade hollows, once that is worked out. */
+  async shade(signal) {
+    const { geometry } = this.skin.surface;
+    const normals = geometry.attributes.normal.array.slice();
+    this.skin.setLight(await occlusion(this.#face.neutral, geometry.index.array, normals, signal));
+    this.#stage.invalidate();
   }
 
   /** Corners of the box about the neutral. */

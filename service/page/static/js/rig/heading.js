@@ -3,8 +3,8 @@
 import { h } from "../dom.js";
 import { figure, when } from "../words.js";
 
-/** Return the heading of a rig of a subject, with its figures and ways on. */
-export function heading(rig, subject) {
+/** Return the heading of a rig of a subject, with its figures and ways on; `buttons` stand before. */
+export function heading(rig, subject, buttons = []) {
   const { train_mean_mm: train, test_mean_mm: test, muscles, inverted } = rig.summary;
   const facts = [
     ["training", millimetres(train)],
@@ -16,6 +16,7 @@ export function heading(rig, subject) {
     h("h1", {}, "Rig of ", h("a", { href: `/subjects/${subject.id}` }, subject.name)),
     h("dl", { class: "rig-facts grow" }, facts.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value)))),
     h("span", { class: "fine" }, when(rig.created_at)),
+    buttons,
     h("a", { class: "button", href: `/compare?a=${rig.id}` }, "Compare"),
     h("a", { class: "button", href: `/jobs/${rig.job_id}` }, "Job and files"));
 }

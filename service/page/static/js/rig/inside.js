@@ -1,7 +1,7 @@
 // What lies under the skin: flesh that moves with the expressions, muscles in it, and bones.
 
 import {
-  DoubleSide, FrontSide, Group, Matrix4, Mesh, MeshStandardMaterial,
+  DoubleSide, FrontSide, Group, Matrix4, Mesh, MeshPhongMaterial,
 } from "../../vendor/three.js";
 import { BONE, muscleColours } from "./colours.js";
 import { Container } from "./container.js";
@@ -74,7 +74,7 @@ export class Inside {
   #muscle(name, number) {
     const place = `muscle/${number}`;
     const surface = new MovingSurface(this.#file.array(`${place}/vertices`), this.#file.array(`${place}/faces`));
-    const material = new MeshStandardMaterial({ roughness: 0.6 });
+    const material = new MeshPhongMaterial({ specular: "#1c1c1c", shininess: 18 });
     material.color.setRGB(...this.colours.get(name));
     const mesh = new Mesh(surface.geometry, material);
     mesh.name = name;
@@ -85,7 +85,7 @@ export class Inside {
     const place = `bone/${number}`;
     const faces = this.#file.array(`${place}/faces`);
     const surface = new MovingSurface(this.#file.array(`${place}/vertices`), faces);
-    const material = new MeshStandardMaterial({ roughness: 0.7 });
+    const material = new MeshPhongMaterial({ specular: "#1c1c1c", shininess: 18 });
     material.color.setRGB(...BONE);
     const mesh = new Mesh(surface.geometry, material);
     mesh.name = name;

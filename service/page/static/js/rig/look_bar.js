@@ -3,9 +3,17 @@
 import { h } from "../dom.js";
 import { VIEWS } from "./stage.js";
 
-const VIEW_NAMES = { front: "Front", "three-quarter": "Three quarter", side: "Right side", "other-side": "Left side" };
+const VIEW_NAMES = {
+  front: ["Front", "From the front"],
+  "three-quarter": ["¾", "Three quarter"],
+  side: ["Right", "Right side"],
+  "other-side": ["Left", "Left side"],
+};
 
-/** A row of controls; `change(patch)` takes a part of a state. `heats` are [name, title, most mm]. */
+/**
+ * A row of controls; `change(patch)` takes a part of a state. `heats` are [name, title, most mm];
+ * `box` is the face's, for sections.
+ */
 export class LookBar {
   #heat;
   #scan;
@@ -15,7 +23,7 @@ export class LookBar {
   #views;
   #box;
 
-  constructor({ heats, hasScans, hasInside, box, change }) {
+  constructor({ heats, change, box = null, hasScans = false, hasInside = false }) {
     this.#box = box;
     this.#heat = h("select", {
       onchange: () => {
@@ -35,7 +43,10 @@ export class LookBar {
       oninput: () => change({ section: { axis: this.#axis.value, at: Number(this.#at.value) } }),
     });
     this.#views = Object.keys(VIEWS).map((name) => (
-      h("button", { type: "button", "data-view": name, onclick: () => change({ view: name }) }, VIEW_NAMES[name])
+      h("button", {
+        type: "button", "data-view": name, title: VIEW_NAMES[name][1], "aria-label": VIEW_NAMES[name][1],
+        onclick: () => change({ view: name }),
+      }, VIEW_NAMES[name][0])
     ));
     this.element = h("div", { class: "look-bar", role: "toolbar", "aria-label": "How the face is shown" },
       field("Heat map", this.#heat),

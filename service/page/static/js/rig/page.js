@@ -4,7 +4,7 @@ import * as api from "../api.js";
 import { h } from "../dom.js";
 import { sentence } from "../parts/trouble.js";
 import { plain } from "../words.js";
-import { blend } from "./face.js";
+import { blend, millimetres } from "./face.js";
 import { Figure } from "./figure.js";
 import { copyAddress, save } from "./hand_out.js";
 import { onClick, onKeys } from "./hands.js";
@@ -29,7 +29,7 @@ export class RigPage extends EventTarget {
   #face;
   #signal;
   #figure;
-  #box = new StageBox();
+  #box = new StageBox("The face");
   #legend = new Legend((low, high) => this.change({ heat: { ...this.state.heat, low, high } }));
   #panels;
   #muscles;
@@ -57,7 +57,14 @@ export class RigPage extends EventTarget {
       box: this.#figure.box,
       change,
     });
-    const expressions = new ExpressionPanel(face, change);
+    const expressions = new ExpressionPanel({
+      rows: face.expressions.map(({ name, mean_mm: mean, p95_mm: p95, max_mm: most }) => (
+        { name, figures: [mean, p95, most].map(millimetres) }
+      )),
+      heads: ["mean", "p95", "most"],
+      explained: "Distance to the scan in mm: mean, 95th percentile, most",
+      change,
+    });
     this.#muscles = new MusclePanel(face, change);
     this.#takes = new TakePanel(face.count, change, signal);
     this.#panels = [look, expressions, this.#muscles, this.#takes];
@@ -70,11 +77,17 @@ export class RigPage extends EventTarget {
     if (state.take) poses.open("takes");
     this.#box.overlay(this.#legend.element);
     this.element = h("div", { class: "rig" },
-      h("div", { class: "rig-look" }, look.element, h("div", { class: "row" },
-        h("button", { type: "button", onclick: () => this.#savePicture() }, "Save picture"),
-        h("button", { type: "button", onclick: () => this.#copyLink() }, "Copy link"))),
+      look.element,
       this.#box.element,
       h("section", { class: "panel rig-poses", "aria-label": "What the face does" }, poses.element));
+  }
+
+  /** Buttons that hand out what is shown. */
+  get buttons() {
+    return [
+      h("button", { type: "button", onclick: () => this.#savePicture() }, "Save picture"),
+      h("button", { type: "button", onclick: () => this.#copyLink() }, "Copy link"),
+    ];
   }
 
   /** Show the face, in the document now; then read what is not needed for that. */
@@ -87,6 +100,7 @@ export class RigPage extends EventTarget {
     onClick(stage, (event) => this.#pick(event));
     this.#update();
     stage.finish();
+    this.#figure.shade(this.#signal).catch((error) => this.#fail(error));
     if (this.#has("preview.bin")) this.#read("preview.bin", (buffer) => this.#takePreview(buffer));
     else this.#muscles.setMissing(whyNoPreview(this.#rig));
     this.#takes.find(this.#rig).then(() => this.#update(), (error) => this.#fail(error));
@@ -185,7 +199,7 @@ export class RigPage extends EventTarget {
 
   /** Say and keep what is shown, once the controls rest. */
   #settle() {
-    this.#box.describe(summary(this.state, { heat: this.#heat, take: this.#shownTake }));
+    this.#box.describe(summary(this.state, { heats: this.#heat ? [this.#heat] : [], take: this.#shownTake }));
     this.dispatchEvent(new Event("change"));
   }
 

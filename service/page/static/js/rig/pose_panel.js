@@ -6,27 +6,30 @@ import { Slider } from "./slider.js";
 
 const KEYS = 9; // 1 to 9 choose an expression
 
-/** The expressions with their sliders and figures; `change(patch)` takes a part of a state. */
+/**
+ * Expressions with their sliders: `rows` are names with three `figures` each, under `heads`, which
+ * `explained` says more of. `change(patch)` takes a part of a state.
+ */
 export class ExpressionPanel {
   #rows;
 
-  constructor(face, change) {
-    this.#rows = new Map(face.expressions.map((expression, k) => [expression.name, new Slider({
-      name: plain(expression.name),
+  constructor({ rows, heads, explained, change }) {
+    this.#rows = new Map(rows.map(({ name, figures }, k) => [name, new Slider({
+      name: plain(name),
       hint: "Show this expression alone",
       key: k < KEYS ? String(k + 1) : null,
-      figures: [expression.mean_mm, expression.p95_mm, expression.max_mm].map(millimetres),
-      moved: (value) => change(pose(new Map(this.weights).set(expression.name, value))),
-      chosen: () => change(pose(new Map([[expression.name, 1]]))),
+      figures,
+      moved: (value) => change(pose(new Map(this.weights).set(name, value))),
+      chosen: () => change(pose(new Map([[name, 1]]))),
     })]));
     this.weights = new Map();
     this.element = h("div", { class: "pose" },
       h("div", { class: "row" },
         h("button", { type: "button", onclick: () => change(pose(new Map())) }, "Neutral"),
-        h("span", { class: "fine grow" }, "Distance to the scan in mm: mean, 95th percentile, most")),
+        h("span", { class: "fine grow" }, explained)),
       h("ol", { class: "sliders with-figures" },
         h("li", { class: "slider heads", "aria-hidden": "true" }, h("span"), h("span"), h("span"),
-          ["mean", "p95", "most"].map((text) => h("span", { class: "figure" }, text))),
+          heads.map((text) => h("span", { class: "figure" }, text))),
         [...this.#rows.values()].map((row) => row.element)));
   }
 
@@ -46,17 +49,13 @@ function positive(values) {
   return new Map([...values].filter(([, value]) => value > 0));
 }
 
-function millimetres(value) {
-  return value === null || value === undefined ? "–" : value.toFixed(2);
-}
-
 /** The muscles: their sliders where the rig has an approximation, else their names. */
 export class MusclePanel {
   #face;
   #change;
   #preview = null;
   #rows = new Map();
-  #list = h("ol", { class: "sliders" });
+  #list = h("ol", { class: "sliders with-error" });
   #head = h("div", { class: "stack" });
   #bothSides = h("input", { type: "checkbox", checked: true });
   #values = new Map();

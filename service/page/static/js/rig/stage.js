@@ -28,6 +28,7 @@ export class Stage extends EventTarget {
   #centre = new Vector3();
   #distance = 500;
   #shown = 1;
+  #wide = 1;
 
   constructor(canvas) {
     super();
@@ -65,8 +66,9 @@ export class Stage extends EventTarget {
   /** Look at a face in this box, mm; `low` and `high` are corners. */
   frame(low, high) {
     this.#centre.set((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, (low[2] + high[2]) / 2);
-    const half = Math.max(high[1] - low[1], 0.8 * (high[2] - low[2]), high[0] - low[0]) / 2;
-    this.#distance = (1.16 * half) / Math.tan((FIELD_OF_VIEW * Math.PI) / 360) + (high[2] - low[2]) / 2;
+    const half = Math.max(high[1] - low[1], 0.6 * (high[0] - low[0])) / 2;
+    this.#wide = Math.max(high[0] - low[0], 0.8 * (high[2] - low[2])) / (2 * half);
+    this.#distance = (1.04 * half) / Math.tan((FIELD_OF_VIEW * Math.PI) / 360) + (high[2] - low[2]) / 2;
     this.controls.minDistance = this.#distance / 12;
     this.controls.maxDistance = this.#distance * 4;
   }
@@ -124,8 +126,7 @@ export class Stage extends EventTarget {
     const { width, height } = this.#size;
     const wide = width / this.#shown;
     this.camera.aspect = wide / height;
-    // a tall pane must still have the whole face in its width
-    this.camera.zoom = Math.min(1, this.camera.aspect);
+    this.camera.zoom = Math.min(1, this.camera.aspect / this.#wide); // all of the face in a tall pane
     this.camera.updateProjectionMatrix();
     for (let i = 0; i < this.#shown; i++) {
       this.#renderer.setViewport(i * wide, 0, wide, height);
@@ -183,13 +184,13 @@ export class Stage extends EventTarget {
 
 function litScene() {
   const scene = new Scene();
-  const key = new DirectionalLight("#fff4e8", 2.3);
-  key.position.set(-0.7, 0.65, 0.8);
-  const fill = new DirectionalLight("#d4e2ff", 0.75);
+  const key = new DirectionalLight("#fff1e2", 2.6);
+  key.position.set(-0.6, 0.75, 0.8);
+  const fill = new DirectionalLight("#cfe0ff", 0.8);
   fill.position.set(0.9, 0.05, 0.6);
-  const rim = new DirectionalLight("#ffffff", 1.1);
-  rim.position.set(0.6, 0.45, -0.9);
-  scene.add(new HemisphereLight("#e4ebf5", "#7a5f52", 1.15), key, fill, rim);
+  const rim = new DirectionalLight("#ffffff", 1.4);
+  rim.position.set(0.7, 0.5, -0.9);
+  scene.add(new HemisphereLight("#e8eef6", "#6d4a3c", 0.95), key, fill, rim);
   return scene;
 }
 

@@ -14,9 +14,10 @@ export class StageBox {
   #repaint = () => this.stage.setBackground(getComputedStyle(this.#room).backgroundColor);
   #room;
 
-  constructor() {
+  /** `label` says in a few words what the picture is of. */
+  constructor(label) {
     const canvas = h("canvas", {
-      class: "stage", tabindex: 0, role: "img", "aria-label": "The face", "aria-describedby": "stage-caption stage-keys",
+      class: "stage", tabindex: 0, role: "img", "aria-label": label, "aria-describedby": "stage-caption stage-keys",
     });
     this.#room = h("div", { class: "stage-room" }, canvas, this.#names, this.#message, this.#picked);
     this.element = h("figure", { class: "stage-box" }, this.#room,

@@ -3,10 +3,10 @@
 import { plain } from "../words.js";
 import { figures } from "./face.js";
 
-/** Return sentences about a state, the `title` and `values` of its heat map, and its sequence, or null. */
-export function summary(state, { heat, take }) {
+/** Return sentences about a state, the `title` and `values` of its heat maps, and its sequence or null. */
+export function summary(state, { heats, take }) {
   const sentences = [pose(state, take)];
-  if (heat) {
+  for (const heat of heats) {
     const of = figures(heat.values);
     sentences.push(of
       ? `${heat.title}: mean ${of.mean.toFixed(2)} mm, 95th percentile ${of.p95.toFixed(2)} mm, at most ${of.max.toFixed(2)} mm.`

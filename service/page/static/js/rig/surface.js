@@ -2,15 +2,15 @@
 
 import { BufferAttribute, BufferGeometry } from "../../vendor/three.js";
 
-/** A geometry of triangles `faces` over `places` (flat x, y, z in mm). */
+/** A geometry of triangles `faces` over `places` (flat x, y, z in mm); `drawn` are those to draw. */
 export class MovingSurface {
   #faces;
 
-  constructor(places, faces) {
+  constructor(places, faces, drawn = faces) {
     this.#faces = faces;
     this.places = new Float32Array(places);
     this.geometry = new BufferGeometry();
-    this.geometry.setIndex(new BufferAttribute(faces, 1));
+    this.geometry.setIndex(new BufferAttribute(drawn, 1));
     this.geometry.setAttribute("position", new BufferAttribute(this.places, 3));
     this.geometry.setAttribute("normal", new BufferAttribute(new Float32Array(places.length), 3));
     this.moved();

@@ -1,22 +1,18 @@
 // A rig: the fitted face with its expressions, muscles, scans and what is inside.
 
-import * as api from "../api.js";
 import { h, show } from "../dom.js";
 import { replaceQuery, title } from "../router.js";
 import { Face } from "../rig/face.js";
 import { heading } from "../rig/heading.js";
 import { fromQuery, toQuery } from "../rig/link.js";
 import { RigPage } from "../rig/page.js";
+import { rigAndSubject, viewOf } from "../rig/read.js";
 
 export async function mount(root, { id }, query) {
   const ending = new AbortController();
   const { signal } = ending;
   show(root, h("p", { class: "empty", role: "status" }, "Loading the face …"));
-  const [rig, buffer] = await Promise.all([
-    api.get(`/v1/rigs/${id}`, {}, signal),
-    api.bytes(`/v1/rigs/${id}/artifacts/view.bin`, { signal }).catch(notThere),
-  ]);
-  const subject = await api.get(`/v1/subjects/${rig.subject_id}`, {}, signal);
+  const [[rig, subject], buffer] = await Promise.all([rigAndSubject(id, signal), viewOf(id, signal)]);
   title(`Rig of ${subject.name}`);
   if (!buffer) {
     show(root, heading(rig, subject), h("div", { class: "notice" },
@@ -26,7 +22,7 @@ export async function mount(root, { id }, query) {
   }
   const page = new RigPage(rig, new Face(buffer), fromQuery(query), signal);
   page.addEventListener("change", () => replaceQuery(toQuery(page.state)));
-  show(root, heading(rig, subject), page.element);
+  show(root, heading(rig, subject, page.buttons), page.element);
   page.start();
   performance.mark("rig-shown");
   return () => {
@@ -35,8 +31,3 @@ export async function mount(root, { id }, query) {
   };
 }
 
-/** Let an artifact be missing; every other problem goes on. */
-function notThere(problem) {
-  if (problem.code === "artifact.unknown") return null;
-  throw problem;
-}

@@ -1,0 +1,19 @@
+// Reading a rig from the API.
+
+import * as api from "../api.js";
+
+/** Return a rig and its subject. */
+export async function rigAndSubject(id, signal) {
+  const rig = await api.get(`/v1/rigs/${id}`, {}, signal);
+  return [rig, await api.get(`/v1/subjects/${rig.subject_id}`, {}, signal)];
+}
+
+/** Return a rig's `view.bin`; null if the rig is older than such files. */
+export async function viewOf(id, signal) {
+  try {
+    return await api.bytes(`/v1/rigs/${id}/artifacts/view.bin`, { signal });
+  } catch (problem) {
+    if (problem.code === "artifact.unknown") return null;
+    throw problem;
+  }
+}
