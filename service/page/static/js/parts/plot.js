@@ -70,13 +70,14 @@ function nice(step) {
   return power * [1, 2, 5, 10].find((factor) => factor * power >= step * (1 - 1e-9));
 }
 
-/** Return where each phase begins, without those too short to be labelled. */
+/** Return where each phase begins, without those that have no room for a label. */
 function phases(points) {
   const least = (points.at(-1).x - points[0].x) / 6;
   const found = [];
   for (const { x, phase } of points) {
     const previous = found.at(-1);
-    if (previous && (previous.phase === phase || x - previous.from < least)) continue;
+    const isNear = previous && x - previous.from < least;
+    if (previous?.phase === phase || isNear || points.at(-1).x - x < least) continue;
     found.push({ phase, from: x });
   }
   return found;
