@@ -148,6 +148,7 @@ def test_a_job_is_watched_canceled_and_run_again(show: Show, studio: Studio) -> 
     subject_id = studio.modelled()
     long = studio.capture(subject_id, "long", seconds="60")
     page = show("/")
+    page.locator("tr[data-job]").first.wait_for()
     job_id = studio.submit("fit_geometry", subject_id, captures=[long], options={"rounds": 7})
 
     row = page.locator(f'tr[data-job="{job_id}"]')  # it comes by itself
