@@ -37,8 +37,9 @@ def build_preview(
     the ``seed`` of the poses and ``max_seconds``, after which it is made of those that are ready.
 
     Writes ``preview.bin``, ``preview.json`` (the error, and what could not be simulated) and
-    ``preview.png``. Raises :class:`solver.errors.InputError` for files that do not belong together and for a rig
-    without a fitted expression, :class:`solver.errors.SolveError` if nothing can be simulated.
+    ``preview.png``. Raises :class:`solver.errors.InputError` for files that do not belong together
+    and for a rig without a fitted expression, :class:`solver.errors.SolveError` if too little can
+    be simulated.
     """
     given = take(options, {"seed": 0, "max_seconds": 600.0})
     out.mkdir(parents=True, exist_ok=True)
