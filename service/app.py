@@ -14,6 +14,7 @@ from service.access import bootstrap
 from service.access.keys import Keyring
 from service.captures.routes import router as captures
 from service.jobs.routes import router as jobs
+from service.outbound.client import Sender
 from service.page.routes import router as page
 from service.rigs.routes import router as rigs
 from service.secret import secret
@@ -23,6 +24,7 @@ from service.subjects.routes import router as subjects
 from service.system.routes import router as system
 from service.templates.routes import router as templates
 from service.uploads.routes import router as uploads
+from service.webhooks.routes import router as webhooks
 
 DESCRIPTION = """
 Registered 3D scans of one person in, a muscle-driven face out.
@@ -39,6 +41,7 @@ TAGS = [
     {"name": "templates", "description": "Anatomies that a studio brings."},
     {"name": "jobs", "description": "The work: submit, watch, cancel."},
     {"name": "rigs", "description": "The results and their files."},
+    {"name": "webhooks", "description": "Who is told what happens."},
     {"name": "system", "description": "Health, limits and kinds of job."},
 ]
 
@@ -47,7 +50,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     """Return the application; without ``settings`` the environment's are used."""
     settings = settings or Settings()
     store = Store(settings.database, settings.files, settings.broker)
-    keyring = Keyring(store, secret(settings))
+    master = secret(settings)
+    keyring = Keyring(store, master)
 
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
@@ -68,8 +72,10 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.state.settings = settings
     app.state.store = store
     app.state.keyring = keyring
+    app.state.master = master
+    app.state.sender = Sender(settings.webhook_timeout, settings.webhook_allow)
     errors.install(app)
-    for router in (uploads, subjects, captures, templates, jobs, rigs, system, page):
+    for router in (uploads, subjects, captures, templates, jobs, rigs, webhooks, system, page):
         app.include_router(router)
     _describe_problems(app)
     http.install(app, settings)

@@ -8,7 +8,7 @@ from typing import Annotated
 from fastapi import Depends, Query, Request
 from sqlalchemy.orm import Session
 
-from service.access.principal import Deleter, Reader, Writer
+from service.access.principal import Deleter, Hooks, Reader, Writer
 from service.settings import Settings
 from service.store.store import Store
 
@@ -40,9 +40,14 @@ def _for_deleting(store: WholeStore, who: Deleter) -> Store:
     return store.of(who.tenant_id)
 
 
+def _for_hooks(store: WholeStore, who: Hooks) -> Store:
+    return store.of(who.tenant_id)
+
+
 ReadStore = Annotated[Store, Depends(_for_reading)]
 WriteStore = Annotated[Store, Depends(_for_writing)]
 DeleteStore = Annotated[Store, Depends(_for_deleting)]
+HookStore = Annotated[Store, Depends(_for_hooks)]
 
 
 def _reading(store: ReadStore) -> Iterator[Session]:
@@ -60,10 +65,16 @@ def _deleting(store: DeleteStore) -> Iterator[Session]:
         yield session
 
 
+def _of_hooks(store: HookStore) -> Iterator[Session]:
+    with store.write() as session:
+        yield session
+
+
 ReadSession = Annotated[Session, Depends(_reading, scope="function")]
 # "function": the commit, and the wake-up calls after it, come before the response.
 WriteSession = Annotated[Session, Depends(_writing, scope="function")]
 DeleteSession = Annotated[Session, Depends(_deleting, scope="function")]
+HookSession = Annotated[Session, Depends(_of_hooks, scope="function")]
 
 Cursor = Annotated[
     str | None, Query(max_length=200, description="`next` of the page before; default: the newest")

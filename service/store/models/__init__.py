@@ -4,6 +4,7 @@ from service.store.models.base import Base, Owned, UtcDateTime, new_id, now
 from service.store.models.jobs import Artifact, Attempt, Event, FrameChunk, Job, LogLine, Rig
 from service.store.models.people import Capture, Subject, Template, Upload
 from service.store.models.tenants import DEFAULT_TENANT, ApiKey, Tenant
+from service.store.models.webhooks import Delivery, Webhook, WebhookEvent
 from service.store.models.work import Lease, Worker
 
 __all__ = [
@@ -13,6 +14,7 @@ __all__ = [
     "Attempt",
     "Base",
     "Capture",
+    "Delivery",
     "Event",
     "FrameChunk",
     "Job",
@@ -25,6 +27,8 @@ __all__ = [
     "Tenant",
     "Upload",
     "UtcDateTime",
+    "Webhook",
+    "WebhookEvent",
     "Worker",
     "new_id",
     "now",
