@@ -13,6 +13,7 @@ from service import errors, http
 from service.access import bootstrap
 from service.access.keys import Keyring
 from service.captures.routes import router as captures
+from service.jobs.following import Feed
 from service.jobs.routes import router as jobs
 from service.page.routes import router as page
 from service.rigs.routes import router as rigs
@@ -67,6 +68,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     )
     app.state.settings = settings
     app.state.store = store
+    app.state.feed = Feed(store)
     app.state.keyring = keyring
     errors.install(app)
     for router in (uploads, subjects, captures, templates, jobs, rigs, system, page):
