@@ -85,6 +85,11 @@ def forget_workers(session: Session) -> None:
 
 def collect_garbage(store: Store, age: float) -> int:
     """Remove files that no row refers to; returns how many."""
+    return store.files.collect_garbage(referenced_files(store), age)
+
+
+def referenced_files(store: Store) -> set[str]:
+    """Return the sha256 of the files that rows refer to, and that jobs still read."""
     referenced: set[str] = set()
     with store.read() as session:
         files = (
@@ -100,4 +105,4 @@ def collect_garbage(store: Store, age: float) -> int:
         active = select(Job.inputs).where(Job.state.not_in(FINAL))
         for inputs in session.scalars(active):
             referenced.update(item["sha256"] for item in inputs)
-    return store.files.collect_garbage(referenced, age)
+    return referenced
