@@ -33,6 +33,7 @@ TELLING = {
     "fit_geometry": "report.json",
     "fit_activations": "report.json",
     "fit_sequence": "sequence.json",
+    "build_preview": "preview.json",
 }
 """The file of each kind of job that holds its verdict or figures."""
 
@@ -104,6 +105,8 @@ def solve(folder: Path, progress: Progress) -> dict[str, Any]:
         pipeline.fit_sequence(
             files["model"], files["weights"], performance, out, resume=resume, **how
         )
+    elif kind == "build_preview":
+        pipeline.build_preview(files["model"], files["weights"], files["rig"], out, **how)
     else:
         rig = files["rig"]
         pipeline.fit_activations(files["model"], files["weights"], captures, out, rig=rig, **how)

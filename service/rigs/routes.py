@@ -11,7 +11,7 @@ from service.dependencies import Cursor, Limit, ReadSession, StoreDep
 from service.errors import problems
 from service.rigs import repository
 from service.rigs.download import Download
-from service.rigs.schemas import RigView
+from service.rigs.schemas import ArtifactView, RigView
 from service.schemas import FileName, Id, Page
 from service.store.models import Artifact
 from service.store.store import Store
@@ -46,8 +46,12 @@ def index(
     "/rigs/{rig_id}", response_model=RigView, summary="Show a rig", responses=problems(404, 422)
 )
 def show(rig_id: Id, session: ReadSession) -> Any:
-    """Show a rig's expressions, figures and files."""
-    return repository.get(session, rig_id)
+    """Show a rig's expressions, figures and files, `preview.bin` among them once it is made."""
+    rig = repository.get(session, rig_id)
+    view = RigView.model_validate(rig)
+    if preview := repository.preview(session, rig):
+        view.artifacts.append(ArtifactView.model_validate(preview))
+    return view
 
 
 @router.get(
@@ -65,7 +69,7 @@ def download_by_name(
 ) -> Response:
     """Download for example `rig.glb`; `Range` and `If-None-Match` work."""
     rig = repository.get(session, rig_id)
-    return _file(repository.artifact_of_job(session, rig.job_id, name), store, if_none_match)
+    return _file(repository.artifact_of_rig(session, rig, name), store, if_none_match)
 
 
 @router.get(
