@@ -20,6 +20,7 @@ from httpx_sse import ServerSentEvent, connect_sse
 
 from myoface import transfer
 from myoface.connection import Patience, checked, once, patiently
+from myoface.credentials import key_for
 from myoface.errors import ApiError
 from myoface.resources import (
     FINAL_STATES,
@@ -61,8 +62,11 @@ def unwatched(_job: Job, /) -> None:
 class Client:
     """One service. Every method raises :class:`ApiError` with the service's problem document."""
 
-    def __init__(self, url: str = DEFAULT_URL) -> None:
-        self.http = httpx.Client(base_url=url, timeout=TIMEOUT, trust_env=False)
+    def __init__(self, url: str = DEFAULT_URL, key: str | None = None) -> None:
+        """Speak to the service at ``url``; ``key`` is by default :func:`key_for` it."""
+        key = key or key_for(url)
+        headers = {"Authorization": f"Bearer {key}"} if key else {}
+        self.http = httpx.Client(base_url=url, headers=headers, timeout=TIMEOUT, trust_env=False)
 
     def __enter__(self) -> Self:
         return self

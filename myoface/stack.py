@@ -102,6 +102,11 @@ class Stack:
             signal.signal(number, lambda *_: told.set())
         told.wait()
 
+    @property
+    def key(self) -> str:
+        """The key that the first start in the data folder made."""
+        return self.settings.admin_key.read_text()
+
     def pid(self, name: str) -> int:
         """Return the process id of ``broker``, ``api`` or a queue's worker."""
         if name == "broker" and self._broker:
@@ -159,7 +164,7 @@ class Stack:
     def _is_ready(self) -> bool:
         try:
             answer = httpx.get(f"{self.url}/readyz", timeout=5, trust_env=False)  # no proxy
-            queues = {worker["queue"] for worker in answer.json()["workers"]}
+            queues = set(answer.json()["workers"])
         except (httpx.HTTPError, ValueError, KeyError):
             return False
         return answer.status_code == 200 and queues >= set(QUEUES)

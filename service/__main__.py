@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import signal
+import sys
 
 import uvicorn
 
 from service import logs
+from service.access.bootstrap import OpenDoorError, prepare
 from service.app import create_app
 from service.parent import die_with_parent
 from service.settings import Settings
@@ -18,8 +20,13 @@ def main() -> None:
     if settings.stack_pid:
         die_with_parent(settings.stack_pid, signal.SIGTERM)
     logs.configure(settings.log_json)
+    app = create_app(settings)
+    try:
+        prepare(app.state.store, app.state.keyring, settings)
+    except OpenDoorError as error:
+        sys.exit(str(error))
     uvicorn.run(
-        create_app(settings),
+        app,
         host=settings.host,
         port=settings.port,
         log_config=None,

@@ -10,10 +10,13 @@ from anyio import to_thread
 from fastapi import FastAPI
 
 from service import errors
+from service.access import bootstrap
+from service.access.keys import Keyring
 from service.captures.routes import router as captures
 from service.jobs.routes import router as jobs
 from service.middleware import BodyLimit, RequestContext
 from service.rigs.routes import router as rigs
+from service.secret import secret
 from service.settings import Settings
 from service.store.store import Store
 from service.subjects.routes import router as subjects
@@ -46,10 +49,11 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     """Return the application; without ``settings`` the environment's are used."""
     settings = settings or Settings()
     store = Store(settings.database, settings.files, settings.broker)
+    keyring = Keyring(store, secret(settings))
 
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
-        await to_thread.run_sync(store.database.migrate)
+        await to_thread.run_sync(bootstrap.prepare, store, keyring, settings)
         yield
         store.close()
 
@@ -59,10 +63,13 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         description=DESCRIPTION,
         openapi_tags=TAGS,
         lifespan=lifespan,
+        docs_url=None,  # FastAPI's own pages load their scripts from elsewhere
+        redoc_url=None,
         license_info={"name": "MIT"},
     )
     app.state.settings = settings
     app.state.store = store
+    app.state.keyring = keyring
     errors.install(app)
     for router in (uploads, subjects, captures, templates, jobs, rigs, system):
         app.include_router(router)
@@ -77,11 +84,14 @@ def _describe_problems(app: FastAPI) -> None:
     document = app.openapi()  # FastAPI keeps it and serves it from now on
     schema = errors.ProblemDocument.model_json_schema()
     document["components"]["schemas"]["ProblemDocument"] = schema
+    of_keys = {str(status): answer for status, answer in errors.problems(401, 403).items()}
     of_bodies = {str(status): answer for status, answer in errors.problems(400, 413).items()}
     for operations in document["paths"].values():
         for operation in operations.values():
             if "requestBody" in operation:
                 operation["responses"] = of_bodies | operation["responses"]
+            if "security" in operation:
+                operation["responses"] = of_keys | operation["responses"]
 
 
 def _version() -> str:

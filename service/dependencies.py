@@ -8,6 +8,7 @@ from typing import Annotated
 from fastapi import Depends, Query, Request
 from sqlalchemy.orm import Session
 
+from service.access.principal import Deleter, Reader, Writer
 from service.settings import Settings
 from service.store.store import Store
 
@@ -23,15 +24,38 @@ def _store(request: Request) -> Store:
 
 
 SettingsDep = Annotated[Settings, Depends(_settings)]
-StoreDep = Annotated[Store, Depends(_store)]
+WholeStore = Annotated[Store, Depends(_store)]
+"""All tenants' data: for the service's own health, never for what a route is asked about."""
 
 
-def _reading(store: StoreDep) -> Iterator[Session]:
+def _for_reading(store: WholeStore, who: Reader) -> Store:
+    return store.of(who.tenant_id)
+
+
+def _for_writing(store: WholeStore, who: Writer) -> Store:
+    return store.of(who.tenant_id)
+
+
+def _for_deleting(store: WholeStore, who: Deleter) -> Store:
+    return store.of(who.tenant_id)
+
+
+ReadStore = Annotated[Store, Depends(_for_reading)]
+WriteStore = Annotated[Store, Depends(_for_writing)]
+DeleteStore = Annotated[Store, Depends(_for_deleting)]
+
+
+def _reading(store: ReadStore) -> Iterator[Session]:
     with store.read() as session:
         yield session
 
 
-def _writing(store: StoreDep) -> Iterator[Session]:
+def _writing(store: WriteStore) -> Iterator[Session]:
+    with store.write() as session:
+        yield session
+
+
+def _deleting(store: DeleteStore) -> Iterator[Session]:
     with store.write() as session:
         yield session
 
@@ -39,6 +63,7 @@ def _writing(store: StoreDep) -> Iterator[Session]:
 ReadSession = Annotated[Session, Depends(_reading, scope="function")]
 # "function": the commit, and the wake-up calls after it, come before the response.
 WriteSession = Annotated[Session, Depends(_writing, scope="function")]
+DeleteSession = Annotated[Session, Depends(_deleting, scope="function")]
 
 Cursor = Annotated[
     str | None, Query(max_length=200, description="`next` of the page before; default: the newest")

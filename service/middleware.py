@@ -23,8 +23,8 @@ log = structlog.get_logger()
 class RequestContext:
     """Gives each request an id (the caller's ``X-Request-Id`` if it is harmless) and logs it.
 
-    A foreign Host header is refused: without keys, a web page that rebinds its name to this
-    machine must not read scans.
+    A foreign Host header is refused: a web page that rebinds its name to this machine must not
+    reach the service with what a browser keeps.
     """
 
     def __init__(self, app: ASGIApp, allowed_hosts: Sequence[str]) -> None:
@@ -73,6 +73,7 @@ class RequestContext:
                     method=request.method,
                     path=request.url.path,
                     status=status,
+                    key=getattr(request.state, "key_id", None),
                     ms=round(1000 * (time.perf_counter() - started), 1),
                 )
             structlog.contextvars.unbind_contextvars("request_id")

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import ipaddress
 import json
 import os
 import tempfile
 from pathlib import Path
 
-from pydantic import Field, field_validator
+from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 # A unix socket's path must fit into sockaddr_un (104 bytes on macOS, 108 on Linux).
@@ -36,6 +35,12 @@ class Settings(BaseSettings):
     host: str = "127.0.0.1"
     port: int = Field(default=8765, ge=0, le=65535)
     allowed_hosts: list[str] = ["127.0.0.1", "localhost"]
+
+    secret_key: SecretStr | None = Field(
+        default=None,
+        min_length=32,
+        description="the same for all API processes; default: one made in data_dir",
+    )
 
     max_upload_bytes: int = Field(default=2 * 1024**3, gt=0)
     upload_ttl: float = Field(default=24 * 3600, gt=0)
@@ -69,12 +74,10 @@ class Settings(BaseSettings):
     def _absolute(cls, value: Path | None) -> Path | None:
         return value.expanduser().resolve() if value else None
 
-    @field_validator("host")
-    @classmethod
-    def _loopback(cls, value: str) -> str:
-        if value != "localhost" and not ipaddress.ip_address(value).is_loopback:
-            raise ValueError(f"{value} is not a loopback address: there are no API keys yet")
-        return value
+    @property
+    def admin_key(self) -> Path:
+        """The file of the key that the first start makes."""
+        return self.data_dir / "admin.key"
 
     @property
     def database(self) -> str:
@@ -114,7 +117,9 @@ class Settings(BaseSettings):
 
     def environment(self) -> dict[str, str]:
         """Return these settings as environment variables for a child process."""
-        values = self.model_dump(mode="json", exclude_none=True)
+        values = self.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+        if self.secret_key:
+            values["secret_key"] = self.secret_key.get_secret_value()
         return {f"MYOFACE_{key.upper()}": _as_text(value) for key, value in values.items()}
 
 

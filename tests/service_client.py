@@ -13,11 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+from fastapi.testclient import TestClient
 
 from myoface.stack import Stack
+from service.app import create_app
 from service.settings import Settings
 from service.store import jobs
-from service.store.models import Artifact
+from service.store.models import DEFAULT_TENANT, Artifact
 
 ROOT = Path(__file__).parents[1]
 OFFSET_STREAM = "application/offset+octet-stream"
@@ -28,8 +30,10 @@ FINAL = {"succeeded", "failed", "canceled"}
 class Studio:
     """The API, spoken directly."""
 
-    def __init__(self, http: httpx.Client) -> None:
+    def __init__(self, http: httpx.Client, key: str) -> None:
         self.http = http
+        self.key = key
+        http.headers["Authorization"] = f"Bearer {key}"
 
     def post(self, path: str, **body: Any) -> Any:
         answer = self.http.post(path, json=body)
@@ -103,9 +107,15 @@ class Studio:
         self, job_id: str, artifacts: dict[str, str], summary: dict[str, Any] | None = None
     ) -> None:
         """Do what a worker does with a job, without one; ``artifacts`` is name -> sha256."""
-        store = self.http.app.state.store  # type: ignore[attr-defined]
+        store = self.http.app.state.store.of(DEFAULT_TENANT)  # type: ignore[attr-defined]
         left = [
-            Artifact(job_id=job_id, name=name, size=1, sha256=sha256, media_type="x")
+            Artifact(
+                job_id=job_id,
+                name=name,
+                size=1,
+                sha256=sha256,
+                media_type="x",
+            )
             for name, sha256 in artifacts.items()
         ]
         with store.write() as session:
@@ -151,6 +161,13 @@ class Studio:
 
 
 @contextmanager
+def served(settings: Settings) -> Iterator[Studio]:
+    """Serve the API in this process, without broker and workers: jobs stay queued."""
+    with TestClient(create_app(settings), base_url="http://127.0.0.1") as http:
+        yield Studio(http, settings.admin_key.read_text())
+
+
+@contextmanager
 def running(data_dir: Path, **settings: Any) -> Iterator[tuple[Stack, Studio]]:
     """Run a stack whose solver processes find the stand-in pipeline."""
     path = os.pathsep.join([str(ROOT / "tests" / "standin"), str(ROOT)])
@@ -161,7 +178,7 @@ def running(data_dir: Path, **settings: Any) -> Iterator[tuple[Stack, Studio]]:
     finally:
         os.environ.pop("PYTHONPATH") if before is None else os.environ.update(PYTHONPATH=before)
     with stack, httpx.Client(base_url=stack.url, timeout=30) as http:
-        yield stack, Studio(http)
+        yield stack, Studio(http, stack.key)
 
 
 def eventually(condition: Callable[[], bool], seconds: float = 10) -> None:

@@ -74,6 +74,7 @@ class AttemptFolder:
             blob = files.put(path)
             artifacts.append(
                 Artifact(
+                    tenant_id=self._claim.tenant_id,
                     job_id=self._claim.job_id,
                     name=path.name,
                     size=blob.size,
@@ -98,6 +99,7 @@ class AttemptFolder:
         if KINDS[self._claim.kind].leaves != "rig":
             return None
         return Rig(
+            tenant_id=self._claim.tenant_id,
             subject_id=self._claim.subject_id,
             job_id=self._claim.job_id,
             model_job_id=self._claim.model_job_id,

@@ -11,13 +11,13 @@ from myoface.cli.client import jobs, rigs, subjects, templates
 from myoface.cli.console import complain
 from myoface.cli.demo import demo
 from myoface.cli.offline import solve
-from myoface.cli.service import doctor, up
+from myoface.cli.service import admin_key, doctor, up
 from myoface.cli.template import template
 from myoface.errors import ApiError, StackError, describe
 from service import logs
 from solver.errors import InputError, SolveError
 
-for command in (up, demo, doctor):
+for command in (up, demo, doctor, admin_key):
     app.command()(command)
 app.command("upload", help="Short for `captures add`.")(add)
 for group, name in (

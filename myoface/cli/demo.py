@@ -123,7 +123,7 @@ def _service(url: str | None) -> Iterator[Client]:
     signal.signal(signal.SIGTERM, lambda number, _frame: sys.exit(128 + number))
     with tempfile.TemporaryDirectory(prefix="myoface-demo-") as data:
         stack = Stack(read_settings(data_dir=Path(data), port=0))
-        with stack, Client(stack.url) as client:
+        with stack, Client(stack.url, stack.key) as client:
             out.print(f"service on {stack.url}")
             yield client
 

@@ -32,8 +32,23 @@ def up(port: Port = None, data: Data = None) -> None:
     logs.configure(settings.log_json)
     logging.getLogger("httpx").setLevel(logging.WARNING)  # the stack asks itself for its health
     with Stack(settings) as stack:
-        out.print(f"Myoface listens on {stack.url} (its API: {stack.url}/docs). Ctrl-C stops it.")
+        out.print(f"Myoface listens on {stack.url}. Ctrl-C stops it.")
+        out.print(f"Its key is in {settings.admin_key}.", markup=False)
         stack.wait()
+
+
+def admin_key(data: Data = None) -> None:
+    """Make a key that may do everything; it is written to the data folder's admin.key."""
+    from service.access import bootstrap
+    from service.access.keys import Keyring
+    from service.secret import secret
+    from service.store.store import Store
+
+    settings = _settings(None, data)
+    store = Store(settings.database, settings.files, settings.broker)
+    store.database.migrate()
+    keyring = Keyring(store, secret(settings))
+    out.print(bootstrap.admin_key(store, keyring, settings, only_first=False), markup=False)
 
 
 def doctor(port: Port = None, data: Data = None) -> None:

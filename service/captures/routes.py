@@ -6,7 +6,7 @@ from fastapi import APIRouter
 
 from service.captures import repository, service
 from service.captures.schemas import CaptureView, Landmarks, NewCapture
-from service.dependencies import Cursor, Limit, ReadSession, WriteSession
+from service.dependencies import Cursor, DeleteSession, Limit, ReadSession, WriteSession
 from service.errors import problems
 from service.schemas import Id, Page
 from service.subjects import repository as subjects
@@ -59,6 +59,6 @@ def set_landmarks(
     summary="Delete a scan",
     responses=problems(404, 409, 422),
 )
-def delete(subject_id: Id, capture_id: Id, session: WriteSession) -> None:
+def delete(subject_id: Id, capture_id: Id, session: DeleteSession) -> None:
     """Delete a capture with its checks and registrations, for example to replace a bad scan."""
     service.delete(session, subject_id, capture_id)

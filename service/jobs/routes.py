@@ -9,13 +9,22 @@ from fastapi import APIRouter, Depends, Header, Query, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from sqlalchemy.exc import IntegrityError
 
-from service.dependencies import Cursor, Limit, ReadSession, SettingsDep, StoreDep, WriteSession
+from service.dependencies import (
+    Cursor,
+    Limit,
+    ReadSession,
+    ReadStore,
+    SettingsDep,
+    WriteSession,
+    WriteStore,
+)
 from service.errors import problems
 from service.jobs import frames, repository, service
 from service.jobs.events import stream
 from service.jobs.schemas import Cancel, FramesView, JobView, LogView, NewJob
 from service.schemas import Id, Name, Page, Position
 from service.store.models import Job
+from service.store.store import Store
 from service.store.transitions import State
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
@@ -38,18 +47,24 @@ def create(new: NewJob, session: WriteSession, settings: SettingsDep) -> JobView
     },
 )
 def put(
-    job_id: Id, new: NewJob, response: Response, store: StoreDep, settings: SettingsDep
+    job_id: Id, new: NewJob, response: Response, store: WriteStore, settings: SettingsDep
 ) -> JobView:
     """Queue a piece of work once, however often it is asked for (a UUID made by the caller)."""
     try:
-        with store.write() as session:
-            _, is_new = service.submit(session, new, settings.max_attempts, job_id)
+        is_new = _submit(store, new, settings.max_attempts, job_id)
     except IntegrityError:  # another request with this id committed first: find its job
-        with store.write() as session:
-            _, is_new = service.submit(session, new, settings.max_attempts, job_id)
+        try:
+            is_new = _submit(store, new, settings.max_attempts, job_id)
+        except IntegrityError as error:  # another tenant's
+            raise service.taken(job_id) from error
     response.status_code = 201 if is_new else 200
     with store.read() as session:
         return _view(session, job_id)
+
+
+def _submit(store: Store, new: NewJob, max_attempts: int, job_id: str) -> bool:
+    with store.write() as session:
+        return service.submit(session, new, max_attempts, job_id)[1]
 
 
 @router.get("", summary="List jobs", responses=problems(422))
@@ -104,7 +119,7 @@ ExistingJob = Annotated[str, Depends(_existing, scope="function")]
 )
 async def events(
     job_id: ExistingJob,
-    store: StoreDep,
+    store: ReadStore,
     last_event_id: Annotated[Position, Header(description="go on after this event")] = 0,
 ) -> AsyncIterator[ServerSentEvent]:
     """Server-sent events: `state` (state, attempt, error) and `progress`, from the beginning.
@@ -129,7 +144,7 @@ def log(job_id: Id, session: ReadSession, after: Position = 0, limit: Limit = 10
     responses=problems(404, 409, 422),
 )
 def read_frames(
-    job_id: Id, session: ReadSession, store: StoreDep, start: Position = 0, limit: Limit = 100
+    job_id: Id, session: ReadSession, store: ReadStore, start: Position = 0, limit: Limit = 100
 ) -> FramesView:
     """Read the frames that are ready, from the `start`-th (0 is the first), also while it runs.
 

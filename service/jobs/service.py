@@ -27,7 +27,7 @@ def submit(
     request = new.model_dump()
     if job_id and (job := session.get(Job, job_id)):
         if job.request != request:
-            raise Problem(409, "job.conflict", "this id has another job already", job_id=job_id)
+            raise taken(job_id)
         return job, False
     kind = _kind(new)
     subjects.lock(session, new.subject_id)
@@ -45,6 +45,11 @@ def submit(
     )
     jobs.create(session, job)
     return job, True
+
+
+def taken(job_id: str) -> Problem:
+    """Return the problem of an id that is in use."""
+    return Problem(409, "job.conflict", "this id has another job already", job_id=job_id)
 
 
 def cancel(session: Session, job_id: str, order: Cancel) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Query, Response
 from fastapi.responses import FileResponse
 
-from service.dependencies import Cursor, Limit, ReadSession, StoreDep
+from service.dependencies import Cursor, Limit, ReadSession, ReadStore
 from service.errors import problems
 from service.rigs import repository
 from service.rigs.download import Download
@@ -64,7 +64,7 @@ def download_by_name(
     rig_id: Id,
     name: FileName,
     session: ReadSession,
-    store: StoreDep,
+    store: ReadStore,
     if_none_match: IfNoneMatch = None,
 ) -> Response:
     """Download for example `rig.glb`; `Range` and `If-None-Match` work."""
@@ -79,7 +79,7 @@ def download_by_name(
     responses=FILE,
 )
 def download(
-    artifact_id: Id, session: ReadSession, store: StoreDep, if_none_match: IfNoneMatch = None
+    artifact_id: Id, session: ReadSession, store: ReadStore, if_none_match: IfNoneMatch = None
 ) -> Response:
     """Download an artifact; it never changes, so a copy can be kept for ever."""
     return _file(repository.artifact(session, artifact_id), store, if_none_match)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import fcntl
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,6 +15,7 @@ from sqlalchemy import Connection, Engine, create_engine, event, func, make_url,
 from sqlalchemy.orm import Session
 
 from service.store.models import now
+from service.store.tenancy import TENANT
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 MIGRATION_LOCK = 0x6D796F  # any constant: PostgreSQL's advisory locks go by number
@@ -40,24 +41,53 @@ class Database:
         return self.url.get_backend_name() == "sqlite"
 
     @contextmanager
-    def read(self) -> Iterator[Session]:
-        """Give a session for reading."""
-        with Session(self.engine, expire_on_commit=False) as session:
+    def read(self, tenant_id: str | None = None) -> Iterator[Session]:
+        """Give a session for reading, a tenant's or the service's own."""
+        info = {TENANT: tenant_id}
+        with Session(self.engine, expire_on_commit=False, info=info) as session:
             yield session
 
     @contextmanager
-    def write(self) -> Iterator[Session]:
+    def write(self, tenant_id: str | None = None) -> Iterator[Session]:
         """Give a session that commits at the end, or rolls back on an exception."""
-        with Session(self._writing, expire_on_commit=False) as session, session.begin():
+        info = {TENANT: tenant_id}
+        with (
+            Session(self._writing, expire_on_commit=False, info=info) as session,
+            session.begin(),
+        ):
             yield session
 
-    def migrate(self) -> None:
-        """Bring the schema up to date; processes that start together wait for one another."""
+    def migrate(
+        self, move: Callable[[Config, str], None] = command.upgrade, revision: str = "head"
+    ) -> None:
+        """Bring the schema up to date; processes that start together wait for one another.
+
+        ``move`` is Alembic's ``upgrade`` or ``downgrade``.
+        """
         config = Config()
         config.set_main_option("script_location", str(MIGRATIONS))
-        with self._one_at_a_time(), self.engine.connect() as connection:
+        with self._one_at_a_time(), self._migrating() as connection:
             config.attributes["connection"] = connection
-            command.upgrade(config, "head")
+            move(config, revision)
+
+    @contextmanager
+    def _migrating(self) -> Iterator[Connection]:
+        """Give a connection that changes tables.
+
+        SQLite changes a column by making the table anew, and dropping the old one would delete
+        what refers to its rows.
+        """
+        with self.engine.connect() as connection:
+            if not self.is_sqlite:
+                yield connection
+                return
+            driver: Any = connection.connection.driver_connection
+            driver.execute("PRAGMA foreign_keys=OFF")
+            try:
+                yield connection
+            finally:
+                connection.rollback()
+                driver.execute("PRAGMA foreign_keys=ON")
 
     @contextmanager
     def _one_at_a_time(self) -> Iterator[None]:

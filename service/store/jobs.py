@@ -35,6 +35,7 @@ class Claim:
     """A job as a worker holds it: ``attempt`` is the fence."""
 
     job_id: str
+    tenant_id: str
     attempt: int
     kind: str
     subject_id: str
@@ -75,6 +76,7 @@ def claim(session: Session, job_id: str, worker: str, lease: float) -> Claim | N
     session.add(Attempt(job_id=job_id, number=job.attempt, worker=worker, started_at=moment))
     return Claim(
         job_id=job_id,
+        tenant_id=job.tenant_id,
         attempt=job.attempt,
         kind=job.kind,
         subject_id=job.subject_id,

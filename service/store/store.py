@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -22,15 +23,22 @@ class Store:
         self.database = Database(database_url)
         self.files = FileStore(files)
         self._wake_ups = WakeUps(broker_url)
+        self._tenant_id: str | None = None
+
+    def of(self, tenant_id: str) -> Store:
+        """Return this store as a tenant sees it: its sessions find no other's rows."""
+        seen = copy.copy(self)
+        seen._tenant_id = tenant_id
+        return seen
 
     def read(self) -> AbstractContextManager[Session]:
         """Give a session for reading."""
-        return self.database.read()
+        return self.database.read(self._tenant_id)
 
     @contextmanager
     def write(self) -> Iterator[Session]:
         """Give a session that commits at the end; then send the wake-up calls asked for in it."""
-        with self.database.write() as session:
+        with self.database.write(self._tenant_id) as session:
             yield session
         for job_id, queue in session.info.pop(WAKE, []):
             if not self._wake_ups.send(job_id, queue):

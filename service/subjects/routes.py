@@ -6,7 +6,7 @@ from typing import Any
 
 from fastapi import APIRouter
 
-from service.dependencies import Cursor, Limit, ReadSession, WriteSession
+from service.dependencies import Cursor, DeleteSession, Limit, ReadSession, WriteSession
 from service.errors import problems
 from service.schemas import Id, Page
 from service.subjects import repository, service
@@ -50,6 +50,6 @@ def show(subject_id: Id, session: ReadSession) -> Any:
     summary="Delete a subject",
     responses=problems(404, 409, 422),
 )
-def delete(subject_id: Id, session: WriteSession) -> None:
+def delete(subject_id: Id, session: DeleteSession) -> None:
     """Delete a subject with its captures, jobs, rigs and their files (files within minutes)."""
     service.delete(session, subject_id)

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 from typing import Any
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Depends, Response
 
+from service.access.principal import Scope, need
 from service.captures.service import FORMATS, LANDMARK_FORMATS, RAW_FORMATS
-from service.dependencies import SettingsDep, StoreDep
+from service.dependencies import SettingsDep, WholeStore
+from service.errors import problems
 from service.kinds import KINDS
 from service.schemas import Page
-from service.system.schemas import KindView, Limits, Readiness
-from service.system.service import readiness
+from service.system.schemas import KindView, Limits, Readiness, WorkerView
+from service.system.service import living_workers, readiness
 
 router = APIRouter(tags=["system"])
 
 
-@router.get("/v1/limits", summary="Limits")
+MAY_READ = [Depends(need(Scope.READ))]
+
+
+@router.get("/v1/limits", summary="Limits", dependencies=MAY_READ)
 def limits(settings: SettingsDep) -> Limits:
     """Tell what this service accepts."""
     return Limits(
@@ -29,10 +34,24 @@ def limits(settings: SettingsDep) -> Limits:
     )
 
 
-@router.get("/v1/solvers", response_model=Page[KindView], summary="Kinds of job")
+@router.get(
+    "/v1/solvers", response_model=Page[KindView], summary="Kinds of job", dependencies=MAY_READ
+)
 def solvers() -> Any:
     """List the kinds of job with their options as JSON Schema."""
     return {"items": list(KINDS.values())}
+
+
+@router.get(
+    "/v1/workers",
+    response_model=Page[WorkerView],
+    summary="The living workers",
+    responses=problems(503),
+    dependencies=[Depends(need(Scope.METRICS))],
+)
+def workers(store: WholeStore, settings: SettingsDep) -> Any:
+    """List the workers seen lately, by name; a key needs the scope `metrics`."""
+    return {"items": living_workers(store, settings)}
 
 
 @router.get("/healthz", summary="Is the process alive?")
@@ -46,8 +65,8 @@ def health() -> dict[str, str]:
     summary="Do its parts answer?",
     responses={503: {"model": Readiness, "description": "A part does not answer"}},
 )
-def ready(store: StoreDep, settings: SettingsDep, response: Response) -> Readiness:
-    """Ask database, broker and files, and list the living workers."""
+def ready(store: WholeStore, settings: SettingsDep, response: Response) -> Readiness:
+    """Ask database, broker and files, and count the living workers of each queue."""
     state = readiness(store, settings)
     response.status_code = 200 if state.ready else 503
     return state

@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Any, Literal
 
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from service.schemas import View
 
@@ -47,4 +47,4 @@ class Readiness(BaseModel):
 
     ready: bool
     checks: dict[str, Literal["ok", "failed"]]
-    workers: list[WorkerView]
+    workers: dict[str, int] = Field(description="how many live, by queue")

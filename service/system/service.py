@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from datetime import timedelta
 
 import redis
@@ -21,10 +22,10 @@ log = structlog.get_logger()
 
 
 def readiness(store: Store, settings: Settings) -> Readiness:
-    """Ask database, broker and files, and list the workers seen lately."""
-    workers: list[WorkerView] | None = None
+    """Ask database, broker and files, and count the workers seen lately."""
+    workers: Counter[str] | None = None
     try:
-        workers = _workers(store, timedelta(seconds=3 * settings.sweep))
+        workers = Counter(worker.queue for worker in living_workers(store, settings))
     except SQLAlchemyError as error:
         log.warning("database.unreachable", error=str(error))
     checks = {
@@ -35,11 +36,13 @@ def readiness(store: Store, settings: Settings) -> Readiness:
     return Readiness(
         ready=all(checks.values()),
         checks={name: "ok" if fine else "failed" for name, fine in checks.items()},
-        workers=workers or [],
+        workers=workers or {},
     )
 
 
-def _workers(store: Store, age: timedelta) -> list[WorkerView]:
+def living_workers(store: Store, settings: Settings) -> list[WorkerView]:
+    """Return the workers seen lately, by name."""
+    age = timedelta(seconds=3 * settings.sweep)
     with store.read() as session:
         seen = select(Worker).where(Worker.seen_at > clock(session) - age).order_by(Worker.name)
         return [WorkerView.model_validate(worker) for worker in session.scalars(seen)]

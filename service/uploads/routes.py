@@ -7,7 +7,8 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Header, Request, Response
 
-from service.dependencies import SettingsDep, StoreDep
+from service.access.principal import Scope, need
+from service.dependencies import SettingsDep, WriteStore
 from service.errors import CHECKSUM_MISMATCH, Problem, problems
 from service.schemas import Id, Position
 from service.store.models import Upload
@@ -28,7 +29,7 @@ def _speaks_tus(response: Response, tus_resumable: Annotated[str | None, Header(
         raise problem
 
 
-def _service(store: StoreDep, settings: SettingsDep) -> UploadService:
+def _service(store: WriteStore, settings: SettingsDep) -> UploadService:
     return UploadService(store, settings)
 
 
@@ -46,7 +47,11 @@ ChunkChecksum = Annotated[
     str | None, Header(alias="Upload-Checksum", description="`sha256 <base64>` of these bytes")
 ]
 
-router = APIRouter(prefix="/v1/uploads", tags=["uploads"], dependencies=[Depends(_speaks_tus)])
+router = APIRouter(
+    prefix="/v1/uploads",
+    tags=["uploads"],
+    dependencies=[Depends(need(Scope.WRITE)), Depends(_speaks_tus)],
+)
 
 
 def _headers(response: Response, upload: Upload) -> None:

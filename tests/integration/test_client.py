@@ -12,6 +12,7 @@ import pytest
 
 from myoface import transfer
 from myoface.client import Client
+from myoface.credentials import VARIABLE
 from myoface.errors import ApiError
 from myoface.resources import Job
 from tests.service_client import running
@@ -35,7 +36,11 @@ class BreakingLine(httpx.HTTPTransport):
 
 @pytest.fixture(scope="module")
 def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    with running(tmp_path_factory.mktemp("stack")) as (stack, _):
+    with (
+        running(tmp_path_factory.mktemp("stack")) as (stack, _),
+        pytest.MonkeyPatch.context() as environment,
+    ):
+        environment.setenv(VARIABLE, stack.key)
         yield stack.url
 
 
@@ -50,7 +55,8 @@ def breaking(url: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Client]:
     """A client on a breaking line that sends small chunks."""
     monkeypatch.setattr(transfer, "CHUNK_BYTES", 64 * 1024)
     with Client(url) as client:
-        client.http = httpx.Client(base_url=url, transport=BreakingLine())
+        line = BreakingLine()
+        client.http = httpx.Client(base_url=url, headers=client.http.headers, transport=line)
         yield client
 
 

@@ -11,6 +11,7 @@ from typer.testing import CliRunner, Result
 
 from myoface.cli import app
 from myoface.client import Client
+from myoface.credentials import VARIABLE
 from tests.service_client import running
 
 Command = Callable[..., Result]
@@ -18,7 +19,11 @@ Command = Callable[..., Result]
 
 @pytest.fixture(scope="module")
 def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    with running(tmp_path_factory.mktemp("stack")) as (stack, _):
+    with (
+        running(tmp_path_factory.mktemp("stack")) as (stack, _),
+        pytest.MonkeyPatch.context() as environment,
+    ):
+        environment.setenv(VARIABLE, stack.key)
         yield stack.url
 
 

@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fastapi.testclient import TestClient
 from sqlalchemy import select
 
-from service.app import create_app
 from service.settings import Settings
 from service.store.models import Job, Upload
-from tests.service_client import Studio, running
+from tests.service_client import Studio, running, served
 
 
 @pytest.fixture(scope="module")
@@ -28,8 +26,8 @@ def working(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
 def studio(tmp_path: Path) -> Iterator[Studio]:
     """An API without broker and workers: jobs stay queued."""
     settings = Settings(data_dir=tmp_path)
-    with TestClient(create_app(settings), base_url="http://127.0.0.1") as http:
-        yield Studio(http)
+    with served(settings) as studio:
+        yield studio
 
 
 def test_raw_scans_become_a_model_and_a_rig(working: Studio) -> None:

@@ -25,7 +25,7 @@ PICTURES = ("check.png", "distance.png", "anatomy.png", "tets.png")
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
     settings = Settings(data_dir=tmp_path_factory.mktemp("stack"), port=0)
-    with Stack(settings) as stack, Client(stack.url) as client:
+    with Stack(settings) as stack, Client(stack.url, stack.key) as client:
         yield client
 
 

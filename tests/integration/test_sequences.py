@@ -15,6 +15,7 @@ from myoface.stack import Stack
 from service.jobs.schemas import FrameView
 from service.store.files import FileStore
 from service.store.jobs import Claim
+from service.store.models import DEFAULT_TENANT
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.result import save_weights
 from solver.rig.sequence import SequenceFrame, write_frames
@@ -71,7 +72,7 @@ def test_a_killed_solver_goes_on_after_its_last_frame(
     stack_and_studio: tuple[Stack, Studio], studio: Studio, rigged: tuple[str, str]
 ) -> None:
     job = submit(studio, rigged, "killed", frames=8, fault="killed")
-    with Client(stack_and_studio[0].url) as client:
+    with Client(stack_and_studio[0].url, studio.key) as client:
         frames = list(client.frames(job, follow=True))
     done = studio.finished(job)
     assert [attempt["outcome"] for attempt in done["attempts"]] == ["lost", "succeeded"]
@@ -128,7 +129,9 @@ def test_the_real_solver_goes_on_in_an_attempt_s_folder(tmp_path: Path) -> None:
     )
     ready = write_frames(tmp_path / "before", 0, [before])
     frames = {ready.name: store.put(ready).sha256}
-    claim = Claim("job", 2, "fit_sequence", "ada", inputs, {"step": 2}, None, None, frames)
+    claim = Claim(
+        "job", DEFAULT_TENANT, 2, "fit_sequence", "ada", inputs, {"step": 2}, None, None, frames
+    )
     folder = AttemptFolder(tmp_path, claim)
     folder.stage(store)
     result = solve(folder.path, lambda _step: None)

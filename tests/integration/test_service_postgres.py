@@ -16,7 +16,7 @@ import pytest
 
 from service.store import jobs, sweep
 from service.store.database import clock
-from service.store.models import Job, Subject
+from service.store.models import DEFAULT_TENANT, Job, Subject
 from service.store.store import Store
 from service.store.transitions import State
 from tests.service_client import running
@@ -137,10 +137,11 @@ def _store(url: str, folder: Path) -> Store:
 
 def _queue(store: Store) -> str:
     with store.write() as session:
-        subject = Subject(name="Alex")
+        subject = Subject(tenant_id=DEFAULT_TENANT, name="Alex")
         session.add(subject)
         session.flush()
         job = Job(
+            tenant_id=DEFAULT_TENANT,
             subject_id=subject.id,
             kind="build_model",
             queue="short",

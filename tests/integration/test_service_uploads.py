@@ -12,11 +12,10 @@ from pathlib import Path
 import httpx
 import pytest
 import uvicorn
-from fastapi.testclient import TestClient
 
 from service.app import create_app
 from service.settings import Settings
-from tests.service_client import OFFSET_STREAM, Studio
+from tests.service_client import OFFSET_STREAM, Studio, served
 
 SCAN = b"".join(f"v {i} 0 0\n".encode() for i in range(50_000))
 SHA256 = hashlib.sha256(SCAN).hexdigest()
@@ -27,20 +26,16 @@ def settings(tmp_path: Path) -> Settings:
     return Settings(data_dir=tmp_path, max_upload_bytes=10_000_000)
 
 
-def _studio(settings: Settings) -> TestClient:
-    return TestClient(create_app(settings), base_url="http://127.0.0.1")
-
-
 def test_an_upload_resumes_where_the_service_died(settings: Settings) -> None:
-    with _studio(settings) as http:
-        studio = Studio(http)
+    with served(settings) as studio:
+        http = studio.http
         location = studio.start_upload("smile.obj", len(SCAN), SHA256)
         assert studio.send(location, 0, SCAN[:1000]).headers["Upload-Offset"] == "1000"
     # Killed in the middle of a request: bytes on disk that were never counted.
     with (settings.uploads / location.rsplit("/", 1)[1]).open("ab") as part:
         part.write(b"half a line")
-    with _studio(settings) as http:
-        studio = Studio(http)
+    with served(settings) as studio:
+        http = studio.http
         assert http.head(location).headers["Upload-Offset"] == "1000"
         assert studio.send(location, 1000, SCAN[1000:]).status_code == 204
         upload = studio.get(location)
@@ -51,8 +46,8 @@ def test_an_upload_resumes_where_the_service_died(settings: Settings) -> None:
 
 
 def test_wrong_requests_change_nothing(settings: Settings) -> None:
-    with _studio(settings) as http:
-        studio = Studio(http)
+    with served(settings) as studio:
+        http = studio.http
         location = studio.start_upload("smile.obj", len(SCAN), SHA256)
         studio.send(location, 0, SCAN[:1000])
         wrong = base64.b64encode(hashlib.sha256(b"other").digest()).decode()
@@ -83,8 +78,8 @@ def test_wrong_requests_change_nothing(settings: Settings) -> None:
 
 
 def test_a_file_that_is_not_the_announced_one_is_dropped(settings: Settings) -> None:
-    with _studio(settings) as http:
-        studio = Studio(http)
+    with served(settings) as studio:
+        http = studio.http
         location = studio.start_upload("smile.obj", len(SCAN), SHA256)
         answer = studio.send(location, 0, SCAN[:-1] + b" ")
         assert (answer.status_code, answer.json()["code"]) == (460, "upload.checksum")
@@ -109,16 +104,16 @@ def test_uploads_that_can_not_be(
     settings: Settings, headers: dict[str, str], status: int, code: str
 ) -> None:
     good = {"Upload-Length": "10", "Upload-Metadata": "filename YS5vYmo="}
-    with _studio(settings) as http:
-        answer = http.post("/v1/uploads", headers=good | headers)
+    with served(settings) as studio:
+        answer = studio.http.post("/v1/uploads", headers=good | headers)
     assert (answer.status_code, answer.json()["code"]) == (status, code)
 
 
 def test_two_writers_never_mix(settings: Settings) -> None:
     """Both send the whole file from offset 0 at once, in many small pieces."""
     answers: list[httpx.Response] = []
-    with _studio(settings) as http:
-        studio = Studio(http)
+    with served(settings) as studio:
+        http = studio.http
         location = studio.start_upload("smile.obj", len(SCAN), SHA256)
         ready = threading.Barrier(2)
 
@@ -148,11 +143,12 @@ def test_a_broken_connection_loses_nothing_that_arrived(settings: Settings) -> N
             time.sleep(0.01)
         port = server.servers[0].sockets[0].getsockname()[1]
         with httpx.Client(base_url=f"http://127.0.0.1:{port}") as http:
-            studio = Studio(http)
+            studio = Studio(http, settings.admin_key.read_text())
             location = studio.start_upload("smile.obj", len(SCAN), SHA256)
             with socket.create_connection(("127.0.0.1", port)) as connection:
                 head = (
                     f"PATCH {location} HTTP/1.1\r\nHost: 127.0.0.1\r\nUpload-Offset: 0\r\n"
+                    f"Authorization: Bearer {studio.key}\r\n"
                     f"Content-Type: {OFFSET_STREAM}\r\nContent-Length: {len(SCAN)}\r\n\r\n"
                 )
                 connection.sendall(head.encode() + SCAN[:12_345])
@@ -170,8 +166,8 @@ def test_a_broken_connection_loses_nothing_that_arrived(settings: Settings) -> N
 
 
 def test_giving_up_removes_the_bytes(settings: Settings) -> None:
-    with _studio(settings) as http:
-        studio = Studio(http)
+    with served(settings) as studio:
+        http = studio.http
         location = studio.start_upload("smile.obj", len(SCAN))
         studio.send(location, 0, SCAN[:1000])
         assert http.delete(location).status_code == 204

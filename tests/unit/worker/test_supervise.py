@@ -11,7 +11,7 @@ from sqlalchemy.exc import OperationalError
 
 from service.settings import Settings
 from service.store import jobs
-from service.store.models import Job, LogLine, Subject
+from service.store.models import DEFAULT_TENANT, Job, LogLine, Subject
 from service.store.store import Store
 from worker.attempt import FRAMES, AttemptFolder
 from worker.supervise import Supervisor
@@ -38,10 +38,11 @@ def test_what_was_said_during_an_outage_is_written_down_after_it(
     store = Store(settings.database, settings.files, settings.broker)
     store.database.migrate()
     with store.write() as session:
-        session.add(subject := Subject(name="Alex"))
+        session.add(subject := Subject(tenant_id=DEFAULT_TENANT, name="Alex"))
         session.flush()
         request = {"options": {}, "rig_id": None}
         job = Job(
+            tenant_id=DEFAULT_TENANT,
             subject_id=subject.id,
             kind="build_model",
             queue="short",

@@ -1,138 +1,25 @@
-"""The tables."""
+"""The tables of the work: jobs with their attempts, events and logs, and what they leave."""
 
 from __future__ import annotations
 
-import uuid
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Any
 
 from sqlalchemy import (
-    JSON,
     BigInteger,
-    DateTime,
-    Dialect,
-    Enum,
     ForeignKey,
     Index,
     Integer,
     String,
     Text,
-    TypeDecorator,
     UniqueConstraint,
     func,
     select,
 )
-from sqlalchemy.orm import DeclarativeBase, Mapped, column_property, mapped_column, relationship
+from sqlalchemy.orm import Mapped, column_property, mapped_column, relationship
 
+from service.store.models.base import Base, Owned, new_id, now
 from service.store.transitions import State
-
-
-class UtcDateTime(TypeDecorator[datetime]):
-    """A moment in UTC; SQLite would forget the zone."""
-
-    impl = DateTime(timezone=True)
-    cache_ok = True
-
-    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:
-        """Store UTC, without the zone where the database has none."""
-        if value is None or dialect.name != "sqlite":
-            return value
-        return value.astimezone(UTC).replace(tzinfo=None)
-
-    def process_result_value(self, value: datetime | None, _dialect: Dialect) -> datetime | None:
-        """Read UTC."""
-        if value is None:
-            return None
-        return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
-
-
-class Base(DeclarativeBase):
-    """What every table shares."""
-
-    type_annotation_map = {  # noqa: RUF012 (SQLAlchemy's own convention)
-        datetime: UtcDateTime,
-        dict[str, Any]: JSON(none_as_null=True),
-        list[Any]: JSON,
-        State: Enum(
-            State,
-            native_enum=False,
-            length=16,
-            values_callable=lambda states: [state.value for state in states],
-        ),
-    }
-
-
-def new_id() -> str:
-    """Return a random id."""
-    return str(uuid.uuid4())
-
-
-def now() -> datetime:
-    """Return the moment, by this machine's clock."""
-    return datetime.now(UTC)
-
-
-class Stored:
-    """A file in the content-addressed store: its user's name for it, size in bytes and sha256."""
-
-    filename: Mapped[str] = mapped_column(String(255))
-    size: Mapped[int] = mapped_column(BigInteger)
-    sha256: Mapped[str] = mapped_column(String(64), index=True)
-
-
-class Upload(Base):
-    """A resumable upload; ``offset`` bytes have been received and counted."""
-
-    __tablename__ = "uploads"
-    id: Mapped[str] = mapped_column(String(36), primary_key=True, default=new_id)
-    filename: Mapped[str] = mapped_column(String(255))
-    size: Mapped[int] = mapped_column(BigInteger)
-    offset: Mapped[int] = mapped_column(BigInteger, default=0)
-    sha256: Mapped[str | None] = mapped_column(String(64), index=True)
-    complete: Mapped[bool] = mapped_column(default=False)
-    created_at: Mapped[datetime] = mapped_column(default=now)
-    expires_at: Mapped[datetime] = mapped_column(index=True)
-
-
-class Template(Stored, Base):
-    """A template anatomy."""
-
-    __tablename__ = "templates"
-    id: Mapped[str] = mapped_column(String(36), primary_key=True, default=new_id)
-    name: Mapped[str] = mapped_column(String(200))
-    created_at: Mapped[datetime] = mapped_column(default=now)
-
-
-class Subject(Base):
-    """A person."""
-
-    __tablename__ = "subjects"
-    id: Mapped[str] = mapped_column(String(36), primary_key=True, default=new_id)
-    name: Mapped[str] = mapped_column(String(200))
-    template_id: Mapped[str | None] = mapped_column(ForeignKey("templates.id"))
-    created_at: Mapped[datetime] = mapped_column(default=now)
-
-
-class Capture(Stored, Base):
-    """A named scan of a subject: registered, or raw as the scanner made it."""
-
-    __tablename__ = "captures"
-    __table_args__ = (UniqueConstraint("subject_id", "name"),)
-    id: Mapped[str] = mapped_column(String(36), primary_key=True, default=new_id)
-    subject_id: Mapped[str] = mapped_column(
-        ForeignKey("subjects.id", ondelete="CASCADE"), index=True
-    )
-    name: Mapped[str] = mapped_column(String(64))
-    role: Mapped[str] = mapped_column(String(16))
-    registered: Mapped[bool] = mapped_column(default=True)
-    landmarks_filename: Mapped[str | None] = mapped_column(String(255))
-    landmarks_sha256: Mapped[str | None] = mapped_column(String(64), index=True)
-    created_at: Mapped[datetime] = mapped_column(default=now)
-
-    @property
-    def uploaded(self) -> list[str]:
-        """The sha256 of the files that were uploaded for it."""
-        return list(filter(None, (self.sha256, self.landmarks_sha256)))
 
 
 class Event(Base):
@@ -148,7 +35,7 @@ class Event(Base):
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 
-class Job(Base):
+class Job(Owned, Base):
     """A piece of work. ``inputs`` fixes at submission which files it reads.
 
     One about a single capture has its ``capture_id`` and is deleted with it.
@@ -213,7 +100,7 @@ class LogLine(Base):
     text: Mapped[str] = mapped_column(Text)
 
 
-class Rig(Base):
+class Rig(Owned, Base):
     """A fitted face: the result of a ``fit_*`` job."""
 
     __tablename__ = "rigs"
@@ -235,7 +122,7 @@ class Rig(Base):
     )
 
 
-class Artifact(Base):
+class Artifact(Owned, Base):
     """A file that a job left."""
 
     __tablename__ = "artifacts"
@@ -263,22 +150,3 @@ class FrameChunk(Base):
     def filename(self) -> str:
         """The name of the solver's file of these frames."""
         return f"{self.first:06d}-{self.last:06d}.json"
-
-
-class Worker(Base):
-    """A living worker process."""
-
-    __tablename__ = "workers"
-    name: Mapped[str] = mapped_column(String(100), primary_key=True)
-    queue: Mapped[str] = mapped_column(String(16))
-    started_at: Mapped[datetime] = mapped_column(default=now)
-    seen_at: Mapped[datetime] = mapped_column(default=now)
-
-
-class Lease(Base):
-    """An office that one process holds at a time (the sweeper)."""
-
-    __tablename__ = "leases"
-    office: Mapped[str] = mapped_column(String(32), primary_key=True)
-    holder: Mapped[str] = mapped_column(String(100))
-    until: Mapped[datetime]

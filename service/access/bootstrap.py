@@ -1,0 +1,73 @@
+"""The first key of an installation, and when the API may listen beyond this machine."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from sqlalchemy import select
+
+from service.access.keys import Keyring
+from service.access.loopback import is_loopback
+from service.access.principal import Scope
+from service.settings import Settings
+from service.store.models import DEFAULT_TENANT, ApiKey, Tenant
+from service.store.store import Store
+
+
+class OpenDoorError(Exception):
+    """The API would listen to other machines while nothing protects it."""
+
+
+def prepare(store: Store, keyring: Keyring, settings: Settings) -> None:
+    """Bring the tables up to date and make sure that somebody, but not everybody, can come in.
+
+    Raises
+    ------
+    OpenDoorError
+        If the API is to listen beyond this machine and is not protected.
+    """
+    store.database.migrate()
+    if is_loopback(settings.host):
+        admin_key(store, keyring, settings, only_first=True)
+    else:
+        _refuse_open_door(store, settings)
+
+
+def admin_key(store: Store, keyring: Keyring, settings: Settings, *, only_first: bool) -> Path:
+    """Make a key that may do everything and write it to ``settings.admin_key``, mode 0600.
+
+    ``only_first`` makes none if there are keys already, of whatever tenant.
+    """
+    path = settings.admin_key
+    with store.write() as session:
+        # two API processes that start together: one makes the key
+        session.get_one(Tenant, DEFAULT_TENANT, with_for_update=True)
+        if only_first and session.scalars(select(ApiKey.id).limit(1)).first():
+            return path
+        _, text = keyring.mint(session, DEFAULT_TENANT, "admin", Scope)
+        write_secret(path, text.encode())
+    return path
+
+
+def write_secret(path: Path, content: bytes) -> None:
+    """Write a file that only its owner can read; it is there as a whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    fresh = path.with_name(f"{path.name}.{os.getpid()}")
+    descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+    with os.fdopen(descriptor, "wb") as file:
+        file.write(content)
+    fresh.replace(path)
+
+
+def _refuse_open_door(store: Store, settings: Settings) -> None:
+    if "allowed_hosts" not in settings.model_fields_set:
+        raise OpenDoorError(
+            f"to listen on {settings.host}, set MYOFACE_ALLOWED_HOSTS to the names by which "
+            'clients reach this service, for example ["myoface.studio.example"]'
+        )
+    with store.read() as session:
+        if session.scalars(select(ApiKey.id).limit(1)).first() is None:
+            raise OpenDoorError(
+                f"to listen on {settings.host}, make a key first: myoface admin-key"
+            )

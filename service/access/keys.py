@@ -1,0 +1,104 @@
+"""API keys: made once, told once, kept as a keyed hash.
+
+``myo_`` + 12 characters that name the key + 32 secret ones (190 bits) + 6 of a checksum, by which
+a mistyped key is known without a look into the table and scanners for leaked secrets can be sure.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import re
+import secrets
+import string
+import zlib
+from collections.abc import Iterable
+from datetime import datetime, timedelta
+
+from sqlalchemy import update
+from sqlalchemy.orm import Session
+
+from service.access.principal import Principal, Scope, unauthorized
+from service.store.database import clock
+from service.store.models import ApiKey
+from service.store.store import Store
+
+LETTERS = string.digits + string.ascii_uppercase + string.ascii_lowercase
+KEY = re.compile(r"(myo_([0-9A-Za-z]{12})[0-9A-Za-z]{32})([0-9A-Za-z]{6})")
+USED_EVERY = timedelta(minutes=1)
+"""How exactly the last use of a key is known."""
+
+
+class Keyring:
+    """The keys of a store, hashed with ``secret`` (bytes, the same in every API process)."""
+
+    def __init__(self, store: Store, secret: bytes) -> None:
+        self._store = store
+        self._pepper = hmac.digest(secret, b"api keys", "sha256")
+
+    def mint(
+        self,
+        session: Session,
+        tenant_id: str,
+        name: str,
+        scopes: Iterable[Scope],
+        expires_at: datetime | None = None,
+    ) -> tuple[ApiKey, str]:
+        """Add a key; returns its row and its text, which can not be had again."""
+        key_id = _letters(12)
+        body = f"myo_{key_id}{_letters(32)}"
+        text = body + _checksum(body)
+        key = ApiKey(
+            id=key_id,
+            tenant_id=tenant_id,
+            name=name,
+            hash=self._hash(text),
+            scopes=sorted(scopes),
+            created_at=clock(session),
+            expires_at=expires_at,
+        )
+        session.add(key)
+        session.flush()
+        return key, text
+
+    def verify(self, text: str) -> Principal:
+        """Return whose key ``text`` is.
+
+        Raises
+        ------
+        Problem
+            401 for what is no key, is not known here, was revoked or has expired.
+        """
+        match = KEY.fullmatch(text)
+        if match is None or not hmac.compare_digest(_checksum(match[1]), match[3]):
+            raise unauthorized("auth.invalid", "that is no API key: it is mistyped or cut off")
+        with self._store.read() as session:
+            key, moment = session.get(ApiKey, match[2]), clock(session)
+        if key is None or not hmac.compare_digest(key.hash, self._hash(text)):
+            raise unauthorized("auth.invalid", "this service does not know the API key")
+        if key.revoked_at is not None and key.revoked_at <= moment:
+            raise unauthorized("auth.expired", "the API key was revoked")
+        if key.expires_at is not None and key.expires_at <= moment:
+            raise unauthorized("auth.expired", "the API key has expired")
+        if key.last_used_at is None or moment - key.last_used_at > USED_EVERY:
+            self._note_use(key.id, moment)
+        return Principal(key.tenant_id, key.id, frozenset(key.scopes))
+
+    def _note_use(self, key_id: str, moment: datetime) -> None:
+        with self._store.write() as session:
+            session.execute(update(ApiKey).where(ApiKey.id == key_id).values(last_used_at=moment))
+
+    def _hash(self, text: str) -> str:
+        return hmac.new(self._pepper, text.encode(), hashlib.sha256).hexdigest()
+
+
+def _letters(count: int) -> str:
+    return "".join(secrets.choice(LETTERS) for _ in range(count))
+
+
+def _checksum(body: str) -> str:
+    rest, digits = zlib.crc32(body.encode()), ""
+    for _ in range(6):
+        rest, digit = divmod(rest, len(LETTERS))
+        digits = LETTERS[digit] + digits
+    return digits

@@ -1,0 +1,72 @@
+"""The caller of a request: the tenant whose data it is about, and what the key may do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Annotated
+
+from fastapi import Depends, Request
+from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
+
+from service.errors import Problem
+
+
+class Scope(StrEnum):
+    """What a key may be used for."""
+
+    READ = "read"
+    WRITE = "write"
+    DELETE = "delete"
+    WEBHOOKS = "webhooks"
+    METRICS = "metrics"
+    ADMIN = "admin"
+
+
+@dataclass(frozen=True)
+class Principal:
+    """The owner of the key that a request came with."""
+
+    tenant_id: str
+    key_id: str
+    scopes: frozenset[str]
+
+
+_bearer = HTTPBearer(
+    auto_error=False, scheme_name="key", description="an API key, `myo_` and 50 characters"
+)
+Credentials = Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]
+
+
+def _principal(request: Request, credentials: Credentials) -> Principal:
+    if credentials is None:
+        raise unauthorized("auth.missing", "send an API key: Authorization: Bearer myo_...")
+    principal: Principal = request.app.state.keyring.verify(credentials.credentials)
+    request.state.key_id = principal.key_id
+    return principal
+
+
+def unauthorized(code: str, detail: str) -> Problem:
+    """Return the problem of a key that opens nothing."""
+    problem = Problem(401, code, detail)
+    problem.headers = {"WWW-Authenticate": "Bearer"}
+    return problem
+
+
+def need(scope: Scope) -> Callable[[Principal], Principal]:
+    """Return a dependency that gives the caller if its key has ``scope``."""
+
+    def allowed(who: Annotated[Principal, Depends(_principal)]) -> Principal:
+        if scope not in who.scopes:
+            detail = f"the key may not do this: it lacks the scope {scope.value}"
+            raise Problem(403, "auth.scope", detail, expected=scope.value, found=sorted(who.scopes))
+        return who
+
+    return allowed
+
+
+Reader = Annotated[Principal, Depends(need(Scope.READ))]
+Writer = Annotated[Principal, Depends(need(Scope.WRITE))]
+Deleter = Annotated[Principal, Depends(need(Scope.DELETE))]
+Admin = Annotated[Principal, Depends(need(Scope.ADMIN))]
