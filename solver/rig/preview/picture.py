@@ -13,7 +13,6 @@ from solver.model import SubjectModel
 from solver.rig.pictures import face_camera
 from solver.rig.preview.error import PreviewError
 from solver.rig.preview.make import Preview
-from solver.surface import Ints
 
 CELL, MARGIN, FOOTER = (330, 420), 110, 64
 COLUMNS = 4
@@ -53,9 +52,9 @@ def preview_picture(model: SubjectModel, preview: Preview, path: Path) -> None:
     page.save(path)
 
 
-def _chosen(unseen: PreviewError) -> Ints:
+def _chosen(unseen: PreviewError) -> list[int]:
     """Return the numbers of the samples to draw, those of a control alone left out."""
     mixed = [row for row, sample in enumerate(unseen.samples) if sample.slid.sort != "alone"]
-    order = np.array(mixed, np.int64)[np.argsort(unseen.off[mixed].mean(axis=1))]
+    order = sorted(mixed, key=lambda row: float(unseen.off[row].mean()))
     places = np.linspace(0.5, 1.0, COLUMNS) * (len(order) - 1)
-    return np.unique(order[places.round().astype(np.int64)]) if len(order) else order
+    return list(dict.fromkeys(order[round(place)] for place in places)) if order else []
