@@ -10,6 +10,7 @@ import uvicorn
 from service import logs
 from service.access.bootstrap import OpenDoorError, prepare
 from service.app import create_app
+from service.http.deadline import protocol
 from service.parent import die_with_parent
 from service.settings import Settings
 
@@ -29,6 +30,7 @@ def main() -> None:
         app,
         host=settings.host,
         port=settings.port,
+        http=protocol(settings.receive_timeout),
         log_config=None,
         access_log=False,
         timeout_graceful_shutdown=3,

@@ -9,12 +9,12 @@ from importlib.metadata import PackageNotFoundError, version
 from anyio import to_thread
 from fastapi import FastAPI
 
-from service import errors
+from service import errors, http
 from service.access import bootstrap
 from service.access.keys import Keyring
 from service.captures.routes import router as captures
 from service.jobs.routes import router as jobs
-from service.middleware import BodyLimit, RequestContext
+from service.page.routes import router as page
 from service.rigs.routes import router as rigs
 from service.secret import secret
 from service.settings import Settings
@@ -31,8 +31,6 @@ Upload a neutral scan and a few expressions, make them captures of a subject, ru
 `fit_geometry` and `fit_activations`, watch the jobs and download the rig. Lengths are millimetres,
 angles radians; the frame is x to the subject's left, y up, z forward.
 """
-
-MAX_BODY_BYTES = 1024**2
 
 TAGS = [
     {"name": "uploads", "description": "Resumable, checksummed (tus 1.0)."},
@@ -71,11 +69,10 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.state.store = store
     app.state.keyring = keyring
     errors.install(app)
-    for router in (uploads, subjects, captures, templates, jobs, rigs, system):
+    for router in (uploads, subjects, captures, templates, jobs, rigs, system, page):
         app.include_router(router)
     _describe_problems(app)
-    app.add_middleware(BodyLimit, limit=MAX_BODY_BYTES)
-    app.add_middleware(RequestContext, allowed_hosts=settings.allowed_hosts)
+    http.install(app, settings)
     return app
 
 
@@ -85,7 +82,7 @@ def _describe_problems(app: FastAPI) -> None:
     schema = errors.ProblemDocument.model_json_schema()
     document["components"]["schemas"]["ProblemDocument"] = schema
     of_keys = {str(status): answer for status, answer in errors.problems(401, 403).items()}
-    of_bodies = {str(status): answer for status, answer in errors.problems(400, 413).items()}
+    of_bodies = {str(status): answer for status, answer in errors.problems(400, 408, 413).items()}
     for operations in document["paths"].values():
         for operation in operations.values():
             if "requestBody" in operation:

@@ -31,7 +31,7 @@ def newest(session: Session, query: Select[Row], limit: int, cursor: str | None)
     """
     table: Any = query.column_descriptions[0]["entity"]
     if cursor is not None:
-        created_at, row_id = _read(cursor)
+        created_at, row_id = read_cursor(cursor)
         later = and_(table.created_at == created_at, table.id < row_id)
         query = query.where(or_(table.created_at < created_at, later))
     query = query.order_by(table.created_at.desc(), table.id.desc()).limit(limit + 1)
@@ -44,7 +44,8 @@ def _write(row: Any) -> str:
     return base64.urlsafe_b64encode(f"{row.created_at.isoformat()} {row.id}".encode()).decode()
 
 
-def _read(cursor: str) -> tuple[datetime, str]:
+def read_cursor(cursor: str) -> tuple[datetime, str]:
+    """Return the moment and the id of the row that a cursor stands for."""
     try:
         created_at, row_id = base64.urlsafe_b64decode(cursor).decode().split(" ")
         return datetime.fromisoformat(created_at).astimezone(UTC), str(UUID(row_id))

@@ -44,6 +44,11 @@ class Settings(BaseSettings):
 
     max_upload_bytes: int = Field(default=2 * 1024**3, gt=0)
     upload_ttl: float = Field(default=24 * 3600, gt=0)
+    max_open_uploads: int = Field(default=64, ge=1, description="unfinished ones, of a tenant")
+    receive_timeout: float = Field(
+        default=30, gt=0, description="for a request's headers, and for any body but an upload's"
+    )
+    min_upload_rate: float = Field(default=1024, gt=0, description="bytes a second")
 
     max_attempts: int = Field(default=3, ge=1)
     lease: float = Field(

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sqlalchemy import delete
+from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
 from service.errors import Problem, unknown
 from service.store.database import clock
-from service.store.models import Upload
+from service.store.models import Tenant, Upload
+from service.store.tenancy import tenant_of
 
 
 def get(session: Session, upload_id: str) -> Upload:
@@ -36,6 +37,15 @@ def get_complete(session: Session, upload_id: str) -> Upload:
             found=upload.offset,
         )
     return upload
+
+
+def count_open(session: Session) -> int:
+    """Count the session's tenant's unfinished uploads; until the commit nobody else counts them."""
+    session.execute(select(Tenant.id).where(Tenant.id == tenant_of(session)).with_for_update())
+    unfinished = select(func.count(Upload.id)).where(
+        ~Upload.complete, Upload.expires_at >= clock(session)
+    )
+    return session.execute(unfinished).scalar_one()
 
 
 def forget(session: Session, sha256s: Sequence[str]) -> None:

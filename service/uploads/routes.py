@@ -18,6 +18,7 @@ from service.uploads.service import UploadService
 VERSION = "1.0.0"
 ALGORITHMS = ("sha256", "sha1")
 CONTENT_TYPE = "application/offset+octet-stream"
+OTHER_EXTENSIONS = ("upload-defer-length", "upload-concat")
 
 
 def _speaks_tus(response: Response, tus_resumable: Annotated[str | None, Header()] = None) -> None:
@@ -27,6 +28,20 @@ def _speaks_tus(response: Response, tus_resumable: Annotated[str | None, Header(
         problem = Problem(412, "upload.version", "unknown tus version", found=tus_resumable)
         problem.headers = {"Tus-Version": VERSION}
         raise problem
+
+
+async def _creation_only(request: Request) -> None:
+    """Refuse what belongs to extensions that this service does not have, instead of ignoring it."""
+    asked = [name for name in OTHER_EXTENSIONS if name in request.headers]
+    if not asked and await request.body():
+        asked = ["creation-with-upload"]
+    if asked:
+        raise Problem(
+            400,
+            "upload.extension",
+            f"{asked[0]} is not supported: announce the whole length, then send bytes by PATCH",
+            found=asked[0],
+        )
 
 
 def _service(store: WriteStore, settings: SettingsDep) -> UploadService:
@@ -74,7 +89,13 @@ def describe(response: Response, settings: SettingsDep) -> None:
     response.headers["Tus-Max-Size"] = str(settings.max_upload_bytes)
 
 
-@router.post("", status_code=201, summary="Start an upload", responses=problems(400, 412, 413, 422))
+@router.post(
+    "",
+    status_code=201,
+    summary="Start an upload",
+    dependencies=[Depends(_creation_only)],
+    responses=problems(400, 408, 412, 413, 422, 429),
+)
 def create(response: Response, service: Service, length: Length, metadata: Metadata) -> UploadView:
     """Announce a file; send its bytes with `PATCH` to the `Location`."""
     filename, sha256 = parse_metadata(metadata)
@@ -105,7 +126,7 @@ def offset(upload_id: Id, service: Service, response: Response) -> None:
     "/{upload_id}",
     status_code=204,
     summary="Send bytes",
-    responses=problems(400, 404, 409, 410, 412, 413, 415, 422, 423, CHECKSUM_MISMATCH, 507),
+    responses=problems(400, 404, 408, 409, 410, 412, 413, 415, 422, 423, CHECKSUM_MISMATCH, 507),
     openapi_extra={
         "requestBody": {
             "required": True,
@@ -132,8 +153,8 @@ async def receive(
     "/{upload_id}",
     status_code=204,
     summary="Give an upload up",
-    responses=problems(404, 410, 412, 422),
+    responses=problems(404, 409, 410, 412, 422, 423),
 )
 def delete(upload_id: Id, service: Service) -> None:
-    """Forget an upload; captures made from it stay."""
+    """Forget an upload; captures made from it stay. 423 while another request is writing."""
     service.delete(upload_id)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import binascii
+import hashlib
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Literal
@@ -62,7 +63,10 @@ def parse_checksum(header: str | None, algorithms: tuple[str, ...]) -> Checksum 
             f"unknown checksum algorithm {algorithm!r}",
             expected=list(algorithms),
         )
-    return Checksum(algorithm, _decode(digest, "Upload-Checksum"))
+    checksum = Checksum(algorithm, _decode(digest, "Upload-Checksum"))
+    if len(checksum.digest) != hashlib.new(algorithm).digest_size:
+        raise Problem(400, "upload.metadata", f"that is no {algorithm}", found=digest)
+    return checksum
 
 
 def parse_metadata(header: str) -> tuple[str, str | None]:
@@ -70,8 +74,10 @@ def parse_metadata(header: str) -> tuple[str, str | None]:
 
     The name is kept for people (errors name it), so it must be a plain one.
     """
-    pairs = dict(pair.strip().partition(" ")[::2] for pair in header.split(",") if pair.strip())
-    values = {key: _decode(value, "Upload-Metadata") for key, value in pairs.items()}
+    pairs = [pair.strip().partition(" ")[::2] for pair in header.split(",") if pair.strip()]
+    values = {key: _decode(value, "Upload-Metadata") for key, value in pairs}
+    if len(values) != len(pairs):
+        raise Problem(400, "upload.metadata", "Upload-Metadata has a key twice")
     try:
         name = values.get("filename", b"").decode()
         sha256 = values["sha256"].decode().lower() if "sha256" in values else None

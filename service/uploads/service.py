@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from anyio import to_thread
+from sqlalchemy.orm import Session
 from starlette.requests import ClientDisconnect
 
 from service.errors import CHECKSUM_MISMATCH, Problem
@@ -51,12 +52,25 @@ class UploadService:
                 found=size,
             )
         with self._store.write() as session:
+            self._refuse_too_many(session)
             until = clock(session) + timedelta(seconds=self._settings.upload_ttl)
             upload = Upload(filename=filename, size=size, sha256=sha256, expires_at=until)
             session.add(upload)
             session.flush()
             self._part(upload.id).touch()
         return upload
+
+    def _refuse_too_many(self, session: Session) -> None:
+        most = self._settings.max_open_uploads
+        if repository.count_open(session) >= most:
+            problem = Problem(
+                429,
+                "upload.too_many",
+                f"there are {most} unfinished uploads; finish or delete some first",
+                expected=most,
+            )
+            problem.headers = {"Retry-After": "60"}
+            raise problem
 
     def get(self, upload_id: str) -> Upload:
         """Return an upload."""
@@ -76,11 +90,17 @@ class UploadService:
             return self._complete(upload) if upload.offset == upload.size else upload
 
     def delete(self, upload_id: str) -> None:
-        """Give an upload up; what was made from it stays."""
-        self.get(upload_id)
+        """Give an upload up; what was made from it stays. 423 while another request writes."""
+        if self.get(upload_id).complete:
+            self._forget(upload_id)
+            return
+        with self._locked(upload_id):
+            self._forget(upload_id)
+            self._part(upload_id).unlink(missing_ok=True)
+
+    def _forget(self, upload_id: str) -> None:
         with self._store.write() as session:
             session.delete(repository.get(session, upload_id))
-        self._part(upload_id).unlink(missing_ok=True)
 
     async def receive(
         self, upload_id: str, offset: int, checksum: Checksum | None, body: AsyncIterator[bytes]
@@ -130,7 +150,12 @@ class UploadService:
 
     def _complete(self, upload: Upload) -> Upload:
         part = self._part(upload.id)
-        blob = self._store.files.put(part)
+        try:
+            blob = self._store.files.put(part)
+        except FileNotFoundError as error:  # the sweeper was here
+            raise Problem(
+                410, "upload.expired", "the upload has expired", upload_id=upload.id
+            ) from error
         with self._store.write() as session:
             upload = repository.get(session, upload.id)
             if upload.sha256 in (None, blob.sha256):

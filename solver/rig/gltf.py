@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
@@ -38,7 +38,7 @@ def write_glb(path: Path, rig: Rig) -> None:
     was measured.
     """
     shapes = {fit.name: fit.skin for fit in rig.expressions}
-    worst = _worst_error(rig.expressions, len(rig.model.skin.vertices))
+    worst = worst_error(rig.expressions, len(rig.model.skin.vertices))
     write_face(path, rig.model.skin, shapes, _in_turn, {ERROR_ATTRIBUTE: worst})
 
 
@@ -74,7 +74,7 @@ def write_face(
         for shape in shapes.values()
     ]
     animation = animate(buffer, len(names))
-    parts = skin_parts(neutral)
+    parts = _parts_in_order(neutral)
     document = gl.GLTF2(
         asset=gl.Asset(version="2.0", generator=GENERATOR),
         scene=0,
@@ -107,7 +107,17 @@ def write_face(
     document.save_binary(str(path))
 
 
-def _worst_error(expressions: tuple[ExpressionFit, ...], vertices: int) -> Floats:
+def _parts_in_order(skin: Surface) -> dict[str, Ints]:
+    """Return part -> face numbers, by their first vertices.
+
+    Blender numbers vertices by primitives, so this keeps their order where parts do not mix.
+    """
+    parts = skin_parts(skin)
+    return dict(sorted(parts.items(), key=lambda part: int(skin.faces[part[1]].min())))
+
+
+def worst_error(expressions: Sequence[ExpressionFit], vertices: int) -> Floats:
+    """Return the greatest distance (v,) to the scans, mm; 0 where nothing was measured."""
     worst = np.zeros(vertices)
     for fit in expressions:
         worst = np.fmax(worst, fit.error_mm)

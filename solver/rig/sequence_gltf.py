@@ -48,19 +48,23 @@ class AnimatedSkin:
     def write(self, path: Path, fps: float) -> None:
         """Write the animation, in metres; a node carries the motion of the head.
 
+        A shape that is needed both ways is two morph targets: animation tools hold weights between
+        0 and 1.
         Without a frame, or if neither face nor head moves, it is the neutral.
         """
         weights = np.zeros((len(self._weights), len(self._shapes)))
         for row, values in zip(weights, self._weights, strict=True):
             row[: len(values)] = values
-        greatest = np.abs(weights).max(axis=0, initial=0.0)
-        shapes = {
-            f"shape_{number}": self._neutral.vertices + (size * shape).reshape(-1, 3)
-            for number, (size, shape) in enumerate(zip(greatest, self._shapes, strict=True))
-        }
+        shapes, tracks = {}, [np.zeros((len(weights), 0))]
+        for number, (track, shape) in enumerate(zip(weights.T, self._shapes, strict=True)):
+            for name, way in ((f"shape_{number}", 1.0), (f"shape_{number}_back", -1.0)):
+                one_way = np.maximum(way * track, 0.0)
+                if (most := one_way.max()) > 0.0:
+                    shapes[name] = self._neutral.vertices + (way * most * shape).reshape(-1, 3)
+                    tracks.append(one_way[:, None] / most)
 
         def animate(buffer: Buffer, _count: int) -> gl.Animation | None:
-            return _animation(buffer, self._frames, weights / greatest, fps)
+            return _animation(buffer, self._frames, np.hstack(tracks), fps)
 
         write_face(path, self._neutral, shapes, animate)
 

@@ -1,0 +1,181 @@
+"""Small valid inputs, one of every kind that a reader knows: mutations start from them."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+from functools import cache
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from solver.scans.live_link import ARKIT_NAMES
+
+
+@cache
+def surface() -> trimesh.Trimesh:
+    """Return a closed surface the size of a face, in mm."""
+    return _ball(90.0)
+
+
+def obj() -> list[bytes]:
+    """Return OBJ files: exported ones, and one with what people write by hand."""
+    by_hand = (
+        b"# a\nmtllib a.mtl\no box\nv 0 0 0 1 0 0\nv 1 0 0 0 1 0\r\nv 1 1 0 0 0 1\n"
+        b"v 0 2 \\\n0 1 1 1\nvt 0 0\nvn 0 0 1\ng quad\nusemtl m\ns off\nf 1/1/1 2/1 3//1 4\n"
+        b"f -1 -2 -3\ng empty\n"
+    )
+    return [_exported("obj"), by_hand]
+
+
+def ply() -> list[bytes]:
+    """Return PLY files: text and both byte orders, with properties and lists of all kinds."""
+    export = trimesh.exchange.ply.export_ply
+    mixed = (
+        b"ply\nformat ascii 1.0\ncomment c\nelement camera 1\nproperty float f\nelement vertex 4\n"
+        b"property float x\nproperty double y\nproperty float z\nproperty float nx\n"
+        b"property float ny\nproperty float nz\nproperty float confidence\nelement face 2\n"
+        b"property uchar flags\nproperty list uchar int vertex_indices\nend_header\n"
+        b"35\n0 0 0 0 0 1 1\n1 0 0 0 0 1 1\n1 1 0 0 0 1 0\n0 1 0 0 0 1 1\n7 4 0 1 2 3\n7 3 0 1 2\n"
+    )
+    head = (
+        b"ply\nformat %s 1.0\nelement vertex 4\nproperty float x\nproperty float y\n"
+        b"property float z\nelement face 2\nproperty list uchar int vertex_index\nend_header\n"
+    )
+    points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    orders = {b"binary_little_endian": "<", b"binary_big_endian": ">"}
+    binary = [
+        head % name
+        + points.astype(f"{order}f4").tobytes()
+        + b"\x03"
+        + np.array([0, 1, 2], f"{order}i4").tobytes()
+        + b"\x04"
+        + np.array([0, 1, 2, 3], f"{order}i4").tobytes()
+        for name, order in orders.items()
+    ]
+    return [export(surface()), export(surface(), encoding="ascii"), mixed, *binary]
+
+
+def stl() -> list[bytes]:
+    """Return STL files, binary and text."""
+    return [_exported("stl"), _exported("stl_ascii")]
+
+
+def glb() -> list[bytes]:
+    """Return GLB files with one mesh and with two that are moved."""
+    metres = _ball(0.09)
+    scene = trimesh.Scene()
+    scene.add_geometry(metres)
+    scene.add_geometry(metres.copy(), transform=np.diag([-1.0, 1.0, 2.0, 1.0]))
+    return [_exported("glb", metres), _exported("glb", scene)]
+
+
+def xyz() -> list[bytes]:
+    """Return point clouds as text."""
+    return [
+        b"1 2 3\n4 5 6\n",
+        b"x,y,z\n1,2,3\n4,5,6\n",
+        b"# cloud\n1;2;3\n4;5;6",
+        b"2\n1 2 3 17 255 0 0\n4 5 6 18 0 0 255\n",
+        b"1 2 3 0 0.6 -0.8 10 20 30\n4 5 6 0 0 1 40 50 60\n",
+    ]
+
+
+def landmarks_json() -> list[bytes]:
+    """Return landmarks by name and the 68 of ``ljson``."""
+    named = {"nose_tip": [0, 0, 100.5], "chin": [0, -60, 80]}
+    groups = {"groups": {"LJSON": {"landmarks": {"points": [[0, 1, 2]] * 68}}}}
+    contents = [named, {"landmarks": named}, groups]
+    return [json.dumps(content).encode() for content in contents]
+
+
+def landmarks_csv() -> list[bytes]:
+    """Return landmarks as a table."""
+    return [b"name,x,y,z\nnose_tip,0,0,100.5\nchin,0,-60,80\n", b"chin,1,2,3"]
+
+
+def live_link() -> list[bytes]:
+    """Return a recording of two frames."""
+    header = ["Timecode", "BlendShapeCount", *(name[0].upper() + name[1:] for name in ARKIT_NAMES)]
+    weights = ["0.5"] * len(ARKIT_NAMES)
+    rows = [header, ["23:59:59:58.0", "52", *weights], ["00:00:00:01.0", "52", *weights]]
+    return ["\r\n".join(",".join(row) for row in rows).encode()]
+
+
+def npy() -> list[bytes]:
+    """Return arrays of frames, of both orders and of other types."""
+    frames = np.zeros((2, len(surface().vertices), 3), np.float32) + np.asarray(surface().vertices)
+    arrays = [frames, frames.astype(">f8"), np.asfortranarray(frames), frames.astype(np.int16)]
+    return [_saved(array) for array in arrays]
+
+
+def npz() -> list[bytes]:
+    """Return archives as the project writes them, packed and not."""
+    header = np.frombuffer(json.dumps({"format": 1, "name": "a"}).encode(), np.uint8)
+    x, names = np.arange(12.0).reshape(4, 3), np.array(["a", "b"])
+    contents = []
+    for save in (np.savez, np.savez_compressed):
+        stream = io.BytesIO()
+        save(stream, header=header, x=x, names=names)
+        contents.append(stream.getvalue())
+    return contents
+
+
+def metadata() -> list[bytes]:
+    """Return what ``Upload-Metadata`` holds."""
+    name, sha256 = (base64.b64encode(text).decode() for text in (b"smile.obj", b"a" * 64))
+    return [
+        f"filename {name}".encode(),
+        f"filename {name},sha256 {sha256}, is_confidential".encode(),
+    ]
+
+
+def checksum() -> list[bytes]:
+    """Return what ``Upload-Checksum`` holds."""
+    return [
+        f"sha256 {base64.b64encode(b'x' * 32).decode()}".encode(),
+        b"sha1 Kq5sNclPz7QV2+lfQIuc6R7oRu0=",
+    ]
+
+
+def cursor() -> list[bytes]:
+    """Return cursors of lists."""
+    text = b"2026-11-21T19:00:00.123456+00:00 8c1d3a52-0f4e-4c5b-9b39-1f3a4f1f6c11"
+    return [base64.urlsafe_b64encode(text), base64.urlsafe_b64encode(text[:19] + text[32:])]
+
+
+def bodies() -> list[bytes]:
+    """Return JSON bodies."""
+    return [
+        b'{"name": "Alex", "template_id": null}',
+        b'{"kind": "fit_geometry", "options": {"a": [1, 2.5e3, {"b": "\\u00e4\\ud83d\\ude00"}]}}',
+    ]
+
+
+def urls() -> list[bytes]:
+    """Return addresses of webhooks."""
+    return [
+        b"https://hooks.studio.example:8443/in?a=1#x",
+        b"http://user:pass@[::ffff:127.0.0.1]:80/%2e%2e/",
+        b"https://2130706433/",
+    ]
+
+
+def _ball(radius: float) -> trimesh.Trimesh:
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=radius)
+    shades = np.linspace(0, 255, len(ball.vertices)).astype(np.uint8)
+    colours = np.column_stack([shades, shades, shades])
+    return trimesh.Trimesh(ball.vertices, ball.faces, vertex_colors=colours, process=False)
+
+
+def _exported(kind: str, shape: trimesh.Trimesh | trimesh.Scene | None = None) -> bytes:
+    content: Any = (shape or surface()).export(file_type=kind)
+    return content.encode() if isinstance(content, str) else bytes(content)
+
+
+def _saved(array: np.ndarray) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, array)
+    return stream.getvalue()

@@ -1,0 +1,131 @@
+"""How requests' bodies are received: bounded in size and time, and JSON only if it is strict.
+
+An upload's bytes are not held in memory. They may take as long as they keep a least rate; every
+other body is small and has one time limit for the whole of it.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+
+from anyio import move_on_after
+from starlette.requests import Request
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.errors import Problem, render
+from service.http import strict_json
+
+UPLOAD = re.compile(r"/v1/uploads/[^/]+")
+JSON = re.compile(r"application/(?:[^;\s]+\+)?json\s*(?:;.*)?", re.IGNORECASE)
+DISCONNECT: Message = {"type": "http.disconnect"}
+
+
+class Bodies:
+    """Receives bodies of at most ``limit`` bytes within ``seconds``.
+
+    An upload's bytes are passed on as they come, as long as the client, given ``seconds`` in
+    advance, sends at least ``min_rate`` bytes a second.
+    """
+
+    def __init__(self, app: ASGIApp, limit: int, seconds: float, min_rate: float) -> None:
+        self._app = app
+        self._limit = limit
+        self._seconds = seconds
+        self._min_rate = min_rate
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+        elif scope["method"] == "PATCH" and UPLOAD.fullmatch(scope["path"]):
+            await self._pass_on(scope, receive, send)
+        else:
+            await self._read_first(scope, receive, send)
+
+    async def _read_first(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Read the whole body first: afterwards FastAPI would call any error a parsing error."""
+        try:
+            body = await self._whole(receive)
+            if body is None:
+                return  # the client has gone: half an order is none
+            if body and JSON.fullmatch(Request(scope).headers.get("content-type", "")):
+                strict_json.check(body)
+        except Problem as problem:
+            await render(Request(scope).state.request_id, problem)(scope, receive, send)
+            return
+        whole: list[Message] = [{"type": "http.request", "body": body, "more_body": False}]
+
+        async def receive_again() -> Message:
+            return whole.pop() if whole else await receive()
+
+        await self._app(scope, receive_again, send)
+
+    async def _whole(self, receive: Receive) -> bytes | None:
+        body = bytearray()
+        more = True
+        with move_on_after(self._seconds) as patience:
+            while more:
+                message = await receive()
+                if message["type"] == "http.disconnect":
+                    return None
+                body += message.get("body", b"")
+                more = message.get("more_body", False)
+                if len(body) > self._limit:
+                    raise _closing(
+                        Problem(
+                            413, "request.too_large", "the body is too large", expected=self._limit
+                        )
+                    )
+        if patience.cancelled_caught:
+            raise _too_slow(f"the body did not arrive within {self._seconds:g} s")
+        return bytes(body)
+
+    async def _pass_on(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Cut off who sends too slowly, as if the connection had broken: what arrived counts."""
+        source = _Source(receive, self._seconds, self._min_rate)
+
+        async def send_unless_too_slow(message: Message) -> None:
+            if not source.too_slow:
+                await send(message)
+
+        await self._app(scope, source.receive, send_unless_too_slow)
+        if source.too_slow:
+            problem = _too_slow(f"bytes must come at {self._min_rate:g} a second or faster")
+            await render(Request(scope).state.request_id, problem)(scope, receive, send)
+
+
+class _Source:
+    """A client that sends a body: it may let us wait for a time that grows with what it sent."""
+
+    def __init__(self, receive: Receive, seconds: float, rate: float) -> None:
+        self._receive = receive
+        self._patience = seconds
+        self._rate = rate
+        self._more = True
+        self.too_slow = False
+
+    async def receive(self) -> Message:
+        if self.too_slow:
+            return DISCONNECT
+        if not self._more:
+            return await self._receive()
+        started = time.monotonic()
+        message = DISCONNECT
+        with move_on_after(max(self._patience, 0)) as patience:
+            message = await self._receive()
+        self.too_slow = patience.cancelled_caught
+        sent = len(message.get("body", b""))
+        self._patience += sent / self._rate - (time.monotonic() - started)
+        self._more = message.get("more_body", False)
+        return message
+
+
+def _too_slow(detail: str) -> Problem:
+    return _closing(Problem(408, "request.timeout", detail))
+
+
+def _closing(problem: Problem) -> Problem:
+    """End the connection with the answer: the rest of the body is not wanted."""
+    problem.headers = {"Connection": "close"}
+    return problem

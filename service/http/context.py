@@ -1,0 +1,68 @@
+"""What surrounds every request: an id, a line in the log, an answer if the service itself fails."""
+
+from __future__ import annotations
+
+import re
+import time
+import uuid
+
+import structlog
+from starlette.requests import Request
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.errors import Problem, render
+
+ACCEPTED_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+QUIET = frozenset({"/healthz", "/readyz"})
+
+log = structlog.get_logger()
+
+
+class RequestContext:
+    """Gives each request an id (the caller's ``X-Request-Id`` if it is harmless) and logs it."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        request = Request(scope)
+        given = request.headers.get("x-request-id", "")
+        request_id = given if ACCEPTED_ID.fullmatch(given) else uuid.uuid4().hex
+        request.state.request_id = request_id
+        status = 0
+        started = time.perf_counter()
+
+        async def send_with_id(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                message["headers"] = [
+                    *message["headers"],
+                    (b"x-request-id", request_id.encode()),
+                ]
+            await send(message)
+
+        structlog.contextvars.bind_contextvars(request_id=request_id)
+        try:
+            await self._app(scope, receive, send_with_id)
+        except Exception:
+            log.exception("request.failed", method=request.method, path=request.url.path)
+            if status:
+                raise  # the response has begun: only cutting it off tells the client
+            problem = Problem(500, "internal", "the service failed; its log has the request id")
+            await render(request_id, problem)(scope, receive, send_with_id)
+        finally:
+            if request.url.path not in QUIET:
+                log.info(
+                    "request",
+                    method=request.method,
+                    path=request.url.path,
+                    status=status,
+                    key=getattr(request.state, "key_id", None),
+                    ms=round(1000 * (time.perf_counter() - started), 1),
+                )
+            structlog.contextvars.unbind_contextvars("request_id")

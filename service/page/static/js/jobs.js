@@ -1,0 +1,38 @@
+// What several views do with jobs.
+
+import { post, put, serverNow } from "./api.js";
+
+/** Submit a job under an id of our own: sent twice, it is still one job. */
+export async function submit(request, signal = undefined) {
+  return put(`/v1/jobs/${newId()}`, request, signal);
+}
+
+/** Ask for a job to stop. */
+export async function cancel(jobId, reason) {
+  return post(`/v1/jobs/${jobId}/cancel`, { reason, by: "page" });
+}
+
+/** Return a job with what an event says; the rest (attempts, result) is asked of the API. */
+export function applied(job, { id, event, data }) {
+  const { attempt, ...rest } = data;
+  const known = { ...job, attempt, last_event_id: id };
+  if (event === "progress") return { ...known, progress: rest, phase: rest.phase };
+  if (event !== "state") return known;
+  const progress = rest.state === job.state ? job.progress : null;
+  return { ...known, progress, state: rest.state, error: rest.error ?? null };
+}
+
+/** Return for how many seconds a job ran or has been running; null before it started. */
+export function seconds({ started_at: started, finished_at: finished }) {
+  if (!started) return null;
+  return ((finished ? Date.parse(finished) : serverNow()) - Date.parse(started)) / 1000;
+}
+
+/** Return a random UUID; `crypto.randomUUID` is only there over https and on this machine. */
+export function newId() {
+  const bytes = crypto.getRandomValues(new Uint8Array(16));
+  bytes[6] = (bytes[6] & 0x0f) | 0x40;
+  bytes[8] = (bytes[8] & 0x3f) | 0x80;
+  const hex = Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
+  return hex.replace(/^(.{8})(.{4})(.{4})(.{4})(.{12})$/, "$1-$2-$3-$4-$5");
+}

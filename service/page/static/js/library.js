@@ -1,0 +1,68 @@
+// What changes rarely and many views need: names of subjects and scans, the kinds of job.
+
+import { all, get } from "./api.js";
+
+let subjects = null; // id -> subject, as a promise
+const captures = new Map(); // subject's id -> promise of id -> capture
+let kinds = null;
+let limits = null;
+
+/** Return the subjects as a Map by id; asked anew if `wanted` is not among those known. */
+export async function subjectsById(wanted = null) {
+  if (!subjects || (wanted && !(await subjects).has(wanted))) {
+    subjects = byId(all("/v1/subjects"));
+    subjects.catch(() => (subjects = null));
+  }
+  return subjects;
+}
+
+/** Return a subject's name; its id while there is none. */
+export async function subjectName(id) {
+  return (await subjectsById(id)).get(id)?.name ?? id;
+}
+
+/** Return a subject's captures as a Map by id; asked anew if one of `wanted` is not known. */
+export async function capturesById(subjectId, wanted = []) {
+  const known = captures.get(subjectId);
+  if (known && !wanted.length) return known;
+  if (known) {
+    const found = await known;
+    if (wanted.every((id) => found.has(id))) return found;
+  }
+  const asked = byId(all(`/v1/subjects/${subjectId}/captures`));
+  captures.set(subjectId, asked);
+  asked.catch(() => captures.delete(subjectId));
+  return asked;
+}
+
+/** Forget names: something was added or deleted. */
+export function changed(subjectId = null) {
+  subjects = null;
+  if (subjectId) captures.delete(subjectId);
+}
+
+/** Return the kinds of job as a Map by their key. */
+export async function kindsByName() {
+  kinds ??= get("/v1/solvers").then(({ items }) => new Map(items.map((kind) => [kind.kind, kind])));
+  kinds.catch(() => (kinds = null));
+  return kinds;
+}
+
+/** Return what the service accepts. */
+export async function serviceLimits() {
+  limits ??= get("/v1/limits");
+  limits.catch(() => (limits = null));
+  return limits;
+}
+
+async function byId(list) {
+  return new Map((await list).map((item) => [item.id, item]));
+}
+
+/** Say which scans a job is about: their names if they are few. */
+export async function scansOf(job, most = 2) {
+  if (!job.captures.length) return "";
+  if (job.captures.length > most) return `${job.captures.length} scans`;
+  const found = await capturesById(job.subject_id, job.captures);
+  return job.captures.map((id) => found.get(id)?.name ?? "a deleted scan").join(", ");
+}

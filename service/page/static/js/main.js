@@ -1,0 +1,32 @@
+// The page's frame: signs in, keeps the bar at the top true, starts the router.
+
+import * as auth from "./auth.js";
+import { h, show } from "./dom.js";
+import { time } from "./words.js";
+import { navigate, start } from "./router.js";
+
+auth.takeFromAddress();
+
+document.addEventListener("connection", ({ detail: isThere }) => {
+  const place = document.getElementById("connection");
+  place.dataset.state = isThere ? "there" : "gone";
+  show(place, isThere ? "" : h("strong", {}, `No answer since ${time(new Date())}; trying again`));
+});
+
+document.addEventListener("keyneeded", ({ detail: problem }) => {
+  if (location.pathname === "/sign-in") return;
+  const next = location.pathname + location.search;
+  navigate(`/sign-in?${new URLSearchParams({ next, why: problem.code })}`, { replace: true });
+});
+
+function showAccount() {
+  document.getElementById("account").textContent = auth.key() ? "Signed in" : "Sign in";
+}
+
+document.addEventListener("uploads", ({ detail: open }) => {
+  document.querySelector("nav a[href='/upload']").textContent = open ? `Upload (${open})` : "Upload";
+});
+
+document.addEventListener("keychange", showAccount);
+showAccount();
+start();

@@ -1,0 +1,51 @@
+// What a solver printed: the last lines, following the end until somebody scrolls up.
+
+import { get } from "../api.js";
+import { h } from "../dom.js";
+
+const MOST_LINES = 2_000;
+const A_TIME = 1_000;
+const NEAR_END_PX = 40;
+
+/** A job's log; `element` shows it, `refresh(signal)` reads what is new. */
+export class Log {
+  constructor(jobId) {
+    this.jobId = jobId;
+    this.next = 0;
+    this.attempt = null;
+    this.dropped = h("p", { class: "fine", hidden: true }, `Only the last ${MOST_LINES} lines are shown.`);
+    this.lines = h("pre", { class: "log", tabindex: 0, role: "log", "aria-live": "off", "aria-label": "Log" });
+    this.none = h("p", { class: "fine" }, "Nothing was printed so far.");
+    this.element = h("section", { class: "panel", "aria-labelledby": "log" },
+      h("h2", { id: "log" }, "Log"), this.none, this.dropped, this.lines);
+    this.lines.hidden = true;
+  }
+
+  /** Read all lines that are new. */
+  async refresh(signal) {
+    let page;
+    do {
+      page = await get(`/v1/jobs/${this.jobId}/log`, { after: this.next, limit: A_TIME }, signal);
+      if (page.next > this.next) this.add(page.lines);
+      this.next = page.next;
+    } while (page.lines.length === A_TIME);
+  }
+
+  add(lines) {
+    this.none.hidden = true;
+    this.lines.hidden = false;
+    const isAtEnd = this.lines.scrollHeight - this.lines.scrollTop - this.lines.clientHeight < NEAR_END_PX;
+    for (const { attempt, text } of lines) {
+      if (attempt !== this.attempt && (this.attempt !== null || attempt > 1)) {
+        this.lines.append(h("b", {}, `— attempt ${attempt} —\n`));
+      }
+      this.attempt = attempt;
+      this.lines.append(h("span", {}, `${text}\n`));
+    }
+    while (this.lines.childElementCount > MOST_LINES) {
+      this.lines.firstChild.remove();
+      this.dropped.hidden = false;
+    }
+    if (isAtEnd) this.lines.scrollTop = this.lines.scrollHeight;
+  }
+}

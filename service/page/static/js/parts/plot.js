@@ -1,0 +1,83 @@
+// A line plot as inline SVG: how an error fell, report by report.
+
+import { h, svg } from "../dom.js";
+import { figure, plain } from "../words.js";
+
+const WIDTH = 720;
+const HEIGHT = 220;
+const EDGE = { left: 64, right: 12, top: 22, bottom: 34 };
+const TICKS = 5;
+
+/**
+ * Return a figure of `points` ({x, y, phase}); null if there are fewer than two.
+ *
+ * The scale is logarithmic where the values span more than a factor of 30.
+ */
+export function plot(points, { title, unit }) {
+  const drawn = points.filter(({ y }) => Number.isFinite(y));
+  if (drawn.length < 2) return null;
+  const ys = drawn.map(({ y }) => y);
+  const [low, high] = [Math.min(...ys), Math.max(...ys)];
+  const isLog = low > 0 && high / low > 30;
+  const x = scale(drawn[0].x, drawn.at(-1).x, EDGE.left, WIDTH - EDGE.right);
+  const y = vertical(low, high, isLog);
+  const path = drawn.map((point, i) => `${i ? "L" : "M"}${x(point.x).toFixed(1)} ${y.at(point.y).toFixed(1)}`).join("");
+  const last = drawn.at(-1);
+  const words = `from ${figure(ys[0])} to ${figure(last.y)}${unit ? ` ${unit}` : ""} in ${drawn.length} reports`;
+  return h("figure", { class: "plot" },
+    h("figcaption", {}, h("strong", {}, title), h("span", { class: "fine" }, words)),
+    svg("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": `${title}: ${words}` },
+      y.ticks.map((value) => [
+        svg("line", { class: "grid", x1: EDGE.left, x2: WIDTH - EDGE.right, y1: y.at(value), y2: y.at(value) }),
+        svg("text", { x: EDGE.left - 8, y: y.at(value) + 4, "text-anchor": "end" }, figure(value)),
+      ]),
+      phases(drawn).map(({ phase, from }) => [
+        svg("line", { class: "phase", x1: x(from), x2: x(from), y1: EDGE.top - 6, y2: HEIGHT - EDGE.bottom }),
+        svg("text", { x: x(from) + 4, y: EDGE.top - 8 }, plain(phase)),
+      ]),
+      svg("text", { x: EDGE.left, y: HEIGHT - 10 }, `report ${drawn[0].x}`),
+      svg("text", { x: WIDTH - EDGE.right, y: HEIGHT - 10, "text-anchor": "end" }, `${last.x}`),
+      svg("path", { class: "curve", d: path }),
+      svg("circle", { class: "end", cx: x(last.x), cy: y.at(last.y), r: 4 })));
+}
+
+function scale(from, to, low, high) {
+  const range = to - from || 1;
+  return (value) => low + ((value - from) / range) * (high - low);
+}
+
+function vertical(low, high, isLog) {
+  const [bottom, top] = [HEIGHT - EDGE.bottom, EDGE.top];
+  if (isLog) {
+    const [from, to] = [Math.floor(Math.log10(low)), Math.ceil(Math.log10(high))];
+    const place = scale(from, to, bottom, top);
+    const every = Math.ceil((to - from) / TICKS);
+    const ticks = [];
+    for (let power = from; power <= to; power += every) ticks.push(10 ** power);
+    return { at: (value) => place(Math.log10(value)), ticks };
+  }
+  const step = nice((high - Math.min(low, 0 <= low && low < high / 2 ? 0 : low)) / TICKS || high / TICKS || 1);
+  const from = Math.floor((low < high / 2 && low >= 0 ? 0 : low) / step) * step;
+  const to = Math.max(Math.ceil(high / step) * step, from + step);
+  const ticks = [];
+  for (let i = 0; from + i * step <= to * (1 + 1e-9); i++) ticks.push(from + i * step);
+  return { at: scale(from, to, bottom, top), ticks };
+}
+
+/** Round a step up to 1, 2 or 5 times a power of ten. */
+function nice(step) {
+  const power = 10 ** Math.floor(Math.log10(step));
+  return power * [1, 2, 5, 10].find((factor) => factor * power >= step * (1 - 1e-9));
+}
+
+/** Return where each phase begins, without those too short to be labelled. */
+function phases(points) {
+  const least = (points.at(-1).x - points[0].x) / 8;
+  const found = [];
+  for (const { x, phase } of points) {
+    const previous = found.at(-1);
+    if (previous && (previous.phase === phase || x - previous.from < least)) continue;
+    found.push({ phase, from: x });
+  }
+  return found;
+}

@@ -1,0 +1,33 @@
+// What a finished job left, for people: a verdict with its findings, a picture, figures, a rig.
+
+import { h } from "../dom.js";
+import { figure, plain } from "../words.js";
+import { picture } from "./files.js";
+import { findingList } from "./findings.js";
+import { state } from "./state.js";
+
+/** What the pictures of each kind show. */
+const PICTURES = {
+  "check.png": "The scan as the check saw it",
+  "distance.png": "How far the registered face lies from the scan",
+  "anatomy.png": "Skull and muscles inside the scan",
+  "certificate.png": "The certificate of the fit",
+};
+
+/** Return a panel for a job that succeeded; null for one that has nothing to show. */
+export function resultPanel(job, signal) {
+  if (!job.result) return null;
+  const { summary, artifacts, rig_id: rigId } = job.result;
+  const pictures = artifacts.filter(({ media_type: type }) => type === "image/png");
+  const figures = Object.entries(summary?.figures ?? summary ?? {}).filter(([, value]) => typeof value === "number" || typeof value === "string");
+  const content = [
+    summary?.verdict && h("p", { class: "verdict" }, state(summary.verdict)),
+    (summary?.verdict || summary?.findings?.length) && findingList(summary.findings ?? []),
+    rigId && h("p", {}, h("a", { class: "button", href: `/rigs/${rigId}` }, "Open the rig")),
+    pictures.map((artifact) => picture(artifact, PICTURES[artifact.name] ?? artifact.name, signal)),
+    figures.length > 0 && h("dl", { class: "facts" }, figures.map(([name, value]) =>
+      [h("dt", {}, plain(name)), h("dd", {}, typeof value === "number" ? figure(value) : value)])),
+  ].flat().filter(Boolean);
+  if (!content.length) return null;
+  return h("section", { class: "panel stack", "aria-labelledby": "result" }, h("h2", { id: "result" }, "Result"), content);
+}

@@ -1,0 +1,205 @@
+// One file on its way: uploading, becoming a scan, being checked, its verdict.
+
+import { ApiProblem, post, remove } from "../api.js";
+import { announce, h, setText, show } from "../dom.js";
+import * as interrupted from "../interrupted.js";
+import { submit } from "../jobs.js";
+import { changed } from "../library.js";
+import { NAME } from "../scan_files.js";
+import { forget, upload } from "../tus.js";
+import { bytes } from "../words.js";
+import { ask } from "./dialog.js";
+import { picture } from "./files.js";
+import { findingList } from "./findings.js";
+import { meter } from "./meter.js";
+import { state, word } from "./state.js";
+import { sentence } from "./trouble.js";
+
+const ROLES = [["neutral", "Neutral"], ["expression", "Expression"], ["performance", "Performance"]];
+
+/** A row; `stage` is ready, waiting, sending, checking, over or failed. */
+export class ScanRow {
+  constructor({ file, name, role, landmarks }, { dropped, changed }) {
+    this.changed = changed;
+    this.file = file;
+    this.landmarks = landmarks;
+    this.dropped = dropped;
+    this.stage = "ready";
+    this.name = h("input", { type: "text", value: name, required: true, pattern: NAME, "aria-label": `Name of ${file.name}`,
+      title: "letters, digits, '_', '.' and '-', with a letter or digit first", autocomplete: "off", spellcheck: "false" });
+    this.role = h("select", { "aria-label": `Role of ${file.name}`, onchange: () => this.mark() },
+      ROLES.map(([value, text]) => h("option", { value }, text)));
+    this.role.value = role;
+    this.badge = state("queued", "Ready");
+    this.how = h("div", { class: "stack" });
+    this.actions = h("div", { class: "row end" });
+    this.element = h("tr", { "data-file": file.name },
+      h("th", { scope: "row" }, h("div", {}, file.name),
+        h("div", { class: "fine" }, bytes(file.size), landmarks && `, landmarks ${landmarks.name}`)),
+      h("td", {}, this.name), h("td", {}, this.role), h("td", { class: "tight" }, this.badge), h("td", {}, this.how), h("td", { class: "tight" }, this.actions));
+    this.mark();
+    this.ready();
+  }
+
+  /** Show at a glance which one is the neutral. */
+  mark() {
+    this.element.dataset.role = this.role.value;
+  }
+
+  ready() {
+    const earlier = interrupted.find(this.file);
+    show(this.how, earlier && h("p", { class: "fine" }, "Goes on where it stopped."));
+    this.offer(["Leave out", () => this.dropped(this)]);
+  }
+
+  offer(...buttons) {
+    show(this.actions, buttons.map(([words, action]) =>
+      h("button", { type: "button", onclick: action }, words, h("span", { class: "unseen" }, ` ${this.file.name}`))));
+  }
+
+  /** Wait to be sent, as a scan of a subject. */
+  wait(subjectId, { registered, options }) {
+    this.order = { subjectId, registered, options };
+    this.stage = "waiting";
+    this.badge.set("queued", "Waiting");
+    this.name.disabled = this.role.disabled = true;
+  }
+
+  /** Send the file, make it a scan of the subject and ask for its check. */
+  async run() {
+    this.ending = new AbortController();
+    this.name.disabled = this.role.disabled = true;
+    this.stage = "sending";
+    try {
+      await this.send();
+      await this.become();
+    } catch (error) {
+      this.fail(error);
+    }
+  }
+
+  async send() {
+    this.badge.set("running", "Uploading");
+    this.offer(["Stop", () => this.stop()]);
+    this.uploadId = await this.sendOne(this.file);
+    if (this.landmarks) this.landmarksId = await this.sendOne(this.landmarks);
+  }
+
+  sendOne(file) {
+    const bar = h("progress", { max: file.size, value: 0, "aria-label": `Upload of ${file.name}` });
+    const words = h("p", { class: "fine" });
+    show(this.how, bar, words);
+    return upload(file, {
+      known: interrupted.find(file)?.uploadId,
+      started: (id) => interrupted.remember(file, id, this.order.subjectId),
+      progress: (arrived) => {
+        bar.value = arrived;
+        this.arrived = `${bytes(arrived)} of ${bytes(file.size)}`;
+        setText(words, this.arrived);
+      },
+      waiting: (problem) => setText(words, problem ? `${sentence(problem)} Trying again.` : (this.arrived ?? "")),
+      signal: this.ending.signal,
+    });
+  }
+
+  async become() {
+    const { subjectId, registered, options } = this.order;
+    const role = this.role.value;
+    const capture = await post(`/v1/subjects/${subjectId}/captures`, {
+      name: this.name.value,
+      role,
+      upload_id: this.uploadId,
+      registered: registered || role === "performance",
+      landmarks_upload_id: this.landmarksId ?? null,
+    });
+    for (const file of [this.file, this.landmarks].filter(Boolean)) interrupted.forget(file);
+    changed(subjectId);
+    if (role === "performance") {
+      this.finish("succeeded", "Uploaded", h("p", { class: "fine" }, "A performance is not checked; fit it with a rig."));
+      return;
+    }
+    const job = await submit({ kind: "check_scan", subject_id: subjectId, captures: [capture.id], options });
+    this.stage = "checking";
+    this.jobId = job.id;
+    this.hear(job);
+  }
+
+  /** Take what the service says about the scan's check. */
+  hear(job) {
+    if (job.state === "queued") {
+      this.badge.set("queued", "Check queued");
+      show(this.how, h("p", { class: "fine" }, job.queue_position === 1 ? "Next in line" : `${job.queue_position - 1} before it`));
+    } else if (job.state === "running" || job.state === "canceling") {
+      this.badge.set("running", "Checking");
+      if (!this.bar?.isConnected) show(this.how, (this.bar = meter(job)));
+      this.bar.set(job);
+    } else if (job.state === "succeeded") {
+      this.judge(job);
+    } else {
+      const why = job.error?.message ?? "The check was canceled.";
+      this.finish(job.state, `Check ${job.state}`, h("p", {}, why));
+    }
+    if (this.stage === "checking") show(this.actions, h("a", { class: "button", href: `/jobs/${job.id}` }, "Details"));
+  }
+
+  judge(job) {
+    const { summary, artifacts } = job.result;
+    const image = artifacts.find(({ name }) => name === "check.png");
+    this.finish(summary.verdict, null, h("div", { class: "judged" },
+      h("div", { class: "grow" }, findingList(summary.findings ?? [])),
+      image && h("a", { href: `/jobs/${job.id}` }, picture(image, `Check of ${this.name.value}`, this.ending.signal))));
+    announce(`${this.name.value}: ${word(summary.verdict)}`);
+  }
+
+  finish(key, words, ...content) {
+    this.stage = "over";
+    this.badge.set(key, words);
+    show(this.how, content);
+    show(this.actions, this.jobId && h("a", { class: "button", href: `/jobs/${this.jobId}` }, "Details"));
+  }
+
+  fail(error) {
+    if (this.ending.signal.aborted) return;
+    if (!(error instanceof ApiProblem)) console.error(error);
+    this.stage = "failed";
+    this.name.disabled = this.role.disabled = false;
+    this.badge.set("failed", "Refused");
+    show(this.how, h("p", {}, sentence(error)));
+    announce(`${this.file.name}: ${sentence(error)}`);
+    const inTheWay = error.document?.capture_id;
+    const replaces = ["capture.name_taken", "capture.neutral_exists"].includes(error.code) && inTheWay;
+    this.offer(
+      ...(replaces ? [["Replace the earlier scan", () => this.replace(inTheWay)]] : []),
+      ["Try again", () => this.again()],
+      ["Leave out", () => this.stop()]);
+  }
+
+  async replace(captureId) {
+    const { subjectId } = this.order;
+    const deleted = await ask({
+      title: "Replace the earlier scan?",
+      body: h("p", {}, "The earlier scan is deleted with its checks and registrations. Models and rigs made from it stay."),
+      agree: "Delete it and go on",
+      danger: true,
+      act: async () => {
+        await remove(`/v1/subjects/${subjectId}/captures/${captureId}`);
+        return true;
+      },
+    });
+    if (deleted) await this.again();
+  }
+
+  async again() {
+    await this.run();
+    this.changed();
+  }
+
+  /** Leave the file out; what has arrived of it is given up. */
+  stop() {
+    this.ending?.abort();
+    const earlier = interrupted.find(this.file);
+    if (earlier) forget(earlier.uploadId).catch(() => {}); // it expires by itself
+    interrupted.forget(this.file);
+    this.dropped(this);
+  }
+}

@@ -1,0 +1,103 @@
+// Shows the view of the address, and follows links and the browser's history without a reload.
+
+import { announce, h, show } from "./dom.js";
+import { match } from "./routes.js";
+import { trouble } from "./parts/trouble.js";
+
+let dispose = null;
+let turn = 0; // a view that finishes mounting after the next navigation is dropped
+
+/** Start: show the view of the address. */
+export function start() {
+  document.addEventListener("click", follow);
+  addEventListener("popstate", () => open());
+  return open();
+}
+
+/** Go to a path of the page; with `replace` the place before is forgotten. */
+export function navigate(path, { replace = false } = {}) {
+  history[replace ? "replaceState" : "pushState"](null, "", path);
+  scrollTo(0, 0);
+  return open({ focus: true });
+}
+
+/** Change the address's query without showing the view anew: a permalink that follows a control. */
+export function replaceQuery(query) {
+  const text = query.toString();
+  history.replaceState(history.state, "", location.pathname + (text ? `?${text}` : ""));
+}
+
+/** Name the page, in the window's title. */
+export function title(text) {
+  document.title = text ? `${text} · Myoface` : "Myoface";
+}
+
+async function open({ focus = false } = {}) {
+  const mine = ++turn;
+  dispose?.();
+  dispose = null;
+  const main = document.getElementById("main");
+  const found = match(location.pathname);
+  markNavigation();
+  const root = h("div", { class: "view" });
+  if (!found) {
+    title("Not found");
+    show(main, h("h1", {}, "Not found"), h("p", {}, "There is nothing at this address."));
+    return;
+  }
+  title(found.route.title);
+  show(main, root);
+  main.setAttribute("aria-busy", "true");
+  try {
+    const [view] = await Promise.all([found.route.load(), withStyle(found.route.style)]);
+    if (mine !== turn) return;
+    const end = await view.mount(root, found.params, new URLSearchParams(location.search));
+    if (mine !== turn) end?.();
+    else dispose = end;
+  } catch (error) {
+    if (mine === turn) show(root, trouble(error, () => open({ focus: true })));
+  }
+  if (mine !== turn) return;
+  main.removeAttribute("aria-busy");
+  if (focus) moveFocus(main);
+}
+
+/** Have a style sheet, before what it is for is shown. */
+function withStyle(href) {
+  if (!href || document.querySelector(`link[href="${href}"]`)) return null;
+  const link = h("link", { rel: "stylesheet", href });
+  const loaded = new Promise((resolve) => {
+    link.onload = link.onerror = resolve; // plain is better than nothing
+  });
+  document.head.append(link);
+  return loaded;
+}
+
+/** Put the focus where reading begins, as a browser does on a new page. */
+function moveFocus(main) {
+  const heading = main.querySelector("h1");
+  if (heading) heading.tabIndex = -1;
+  (heading ?? main).focus({ preventScroll: true });
+  announce(document.title);
+}
+
+function markNavigation() {
+  for (const link of document.querySelectorAll("nav a")) {
+    const path = link.getAttribute("href");
+    const isHere = path === "/" ? /^\/(jobs\/.*)?$/.test(location.pathname)
+      : location.pathname === path || location.pathname.startsWith(`${path}/`);
+    if (isHere) link.setAttribute("aria-current", "page");
+    else link.removeAttribute("aria-current");
+  }
+}
+
+function follow(event) {
+  const link = event.target.closest?.("a[href]");
+  const plain = event.button === 0 && !(event.metaKey || event.ctrlKey || event.shiftKey || event.altKey);
+  if (!link || !plain || event.defaultPrevented || link.target || link.hasAttribute("download")) return;
+  const url = new URL(link.href);
+  if (url.origin !== location.origin || !match(url.pathname)) return;
+  if (url.hash && url.pathname === location.pathname) return; // a place on this page
+  event.preventDefault();
+  navigate(url.pathname + url.search);
+}

@@ -1,0 +1,42 @@
+// Which view shows at which path. `service/page/routes.py` serves the document at the same paths.
+//
+// A view module exports
+//
+//     export async function mount(root, params, query) -> dispose
+//
+// `root` is an empty element in the page, `params` holds what `:name` stands for in the path and
+// `query` is the address's URLSearchParams. `mount` fills `root`; if it throws, the page says why
+// and offers to try again. `dispose()` (or nothing) is called once before the next view mounts: it
+// ends streams, timers and listeners beyond `root`. A change of path or query by a link mounts anew.
+// A route's `style` is a style sheet of its own, there before its view mounts.
+
+const RIG_STYLE = "/static/css/rig.css";
+
+export const ROUTES = [
+  { path: "/", title: "Queue", load: () => import("./views/queue.js") },
+  { path: "/upload", title: "Upload", load: () => import("./views/upload.js") },
+  { path: "/subjects", title: "Subjects", load: () => import("./views/subjects.js") },
+  { path: "/subjects/:id", title: "Subject", load: () => import("./views/subject.js") },
+  { path: "/jobs/:id", title: "Job", load: () => import("./views/job.js") },
+  { path: "/rigs/:id", title: "Rig", style: RIG_STYLE, load: () => import("./views/rig.js") },
+  { path: "/compare", title: "Compare", style: RIG_STYLE, load: () => import("./views/compare.js") },
+  { path: "/health", title: "Health", load: () => import("./views/health.js") },
+  { path: "/sign-in", title: "Sign in", load: () => import("./views/sign_in.js") },
+];
+
+/** Return the route of a path with its parameters, or null. */
+export function match(pathname) {
+  for (const route of ROUTES) {
+    const names = [];
+    const pattern = route.path.replace(/:(\w+)/g, (_, name) => {
+      names.push(name);
+      return "([^/]+)";
+    });
+    const found = new RegExp(`^${pattern}/?$`).exec(pathname);
+    if (found) {
+      const values = found.slice(1).map(decodeURIComponent);
+      return { route, params: Object.fromEntries(names.map((name, i) => [name, values[i]])) };
+    }
+  }
+  return null;
+}

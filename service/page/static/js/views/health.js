@@ -1,0 +1,125 @@
+// Health: whether the parts answer, who works, how much waits, what is accepted.
+
+import { ApiProblem, get } from "../api.js";
+import { h, show } from "../dom.js";
+import { kindsByName, serviceLimits } from "../library.js";
+import { state } from "../parts/state.js";
+import { repeat } from "../repeat.js";
+import { bytes, span, time, when } from "../words.js";
+
+const EVERY_MS = 5_000;
+const PARTS = { database: "Database", broker: "Broker", files: "Files" };
+
+export async function mount(root) {
+  const ending = new AbortController();
+  const { signal } = ending;
+  const [limits, kinds] = await Promise.all([serviceLimits(), kindsByName()]);
+  const overall = h("div", { role: "status" });
+  const parts = h("tbody");
+  const workers = h("tbody");
+  const queues = h("tbody");
+  const asked = h("p", { class: "fine grow" });
+  root.append(
+    h("div", { class: "head" }, h("h1", {}, "Health"), asked),
+    overall,
+    h("div", { class: "even" },
+      panel("parts", "Parts", table(["Part", "State"], parts)),
+      panel("queues", "Queues", table(["Queue", "Running", "Queued"], queues)),
+      panel("workers", "Workers", table(["Worker", "Queue", "Since", "Last seen"], workers)),
+      panel("limits", "Limits", limitList(limits))));
+  let toldReady = null;
+  const refresh = async () => {
+    const [ready, living, lengths] = await Promise.all([readiness(signal), livingWorkers(signal), queueLengths(kinds, signal)]);
+    const serving = byQueue(ready.workers);
+    if (toldReady !== ready.ready) {
+      toldReady = ready.ready;
+      show(overall, h("div", { class: `notice ${ready.ready ? "good" : "bad"}` },
+        h("p", {}, h("strong", {}, ready.ready ? "All parts answer." : "A part does not answer. Jobs and uploads may fail until it does."))));
+    }
+    show(parts, Object.entries(ready.checks).map(([name, found]) =>
+      h("tr", {}, h("th", { scope: "row" }, PARTS[name] ?? name), h("td", {}, state(found, found === "ok" ? "Answers" : "Does not answer")))));
+    show(workers, workerRows(living ?? ready.workers, serving));
+    show(queues, queueRows(lengths, serving));
+    asked.textContent = `as of ${time(new Date())}`;
+  };
+  await repeat(refresh, EVERY_MS, signal);
+  return () => ending.abort();
+}
+
+/** Ask the service how it is; that it is not ready is an answer too. */
+async function readiness(signal) {
+  try {
+    return await get("/readyz", {}, signal);
+  } catch (error) {
+    if (error instanceof ApiProblem && error.document.checks) return { workers: [], ...error.document };
+    throw error;
+  }
+}
+
+/** Return the living workers; null if the key may not see them. */
+async function livingWorkers(signal) {
+  try {
+    return (await get("/v1/workers", {}, signal)).items;
+  } catch (error) {
+    if (error.status === 403 || error.status === 404) return null;
+    throw error;
+  }
+}
+
+/** Return how many workers live, by queue. */
+function byQueue(workers) {
+  if (!Array.isArray(workers)) return workers;
+  return Object.fromEntries(workers.map(({ queue }) => [queue, workers.filter((other) => other.queue === queue).length]));
+}
+
+/** Return running and queued jobs by queue: the newest queued job's place is the queue's length. */
+async function queueLengths(kinds, signal) {
+  const lengths = new Map([...kinds.values()].map(({ queue }) => [queue, { running: 0, queued: 0 }]));
+  const queueOf = (job) => lengths.get(kinds.get(job.kind)?.queue);
+  const [running, ...newest] = await Promise.all([
+    get("/v1/jobs", { state: "running", limit: 1000 }, signal),
+    ...[...kinds.keys()].map((kind) => get("/v1/jobs", { state: "queued", kind, limit: 1 }, signal)),
+  ]);
+  for (const job of running.items) if (queueOf(job)) queueOf(job).running++;
+  for (const job of newest.flatMap(({ items }) => items)) {
+    const queue = queueOf(job);
+    if (queue) queue.queued = Math.max(queue.queued, job.queue_position ?? 0);
+  }
+  return lengths;
+}
+
+function queueRows(lengths, serving) {
+  return [...lengths].sort().map(([name, { running, queued }]) => {
+    return h("tr", {}, h("th", { scope: "row" }, name, !serving[name] && h("div", {}, state("usable", "No worker: its jobs wait"))),
+      h("td", {}, running), h("td", {}, queued));
+  });
+}
+
+function workerRows(workers, serving) {
+  if (!Object.keys(serving).length) return h("tr", {}, h("td", { colspan: 4 }, state("failed", "No worker is alive: jobs wait.")));
+  if (!Array.isArray(workers)) {
+    const words = Object.entries(serving).map(([queue, number]) => `${number} for ${queue}`).join(", ");
+    return h("tr", {}, h("td", { colspan: 4 }, `${words}. This key may not see their names.`));
+  }
+  return workers.map(({ name, queue, started_at: started, seen_at: seen }) => h("tr", {},
+    h("th", { scope: "row", class: "breaks" }, name), h("td", {}, queue), h("td", {}, when(started)), h("td", {}, time(seen))));
+}
+
+function limitList(limits) {
+  return h("dl", { class: "facts" }, [
+    ["Largest file", bytes(limits.max_upload_bytes)],
+    ["An unused upload is kept", span(limits.upload_ttl)],
+    ["Attempts a job may cost", limits.max_attempts],
+    ["Registered scans", limits.scan_formats.join(" ")],
+    ["Raw scans", limits.raw_scan_formats.join(" ")],
+    ["Landmarks", limits.landmark_formats.join(" ")],
+  ].map(([name, value]) => [h("dt", {}, name), h("dd", {}, value)]));
+}
+
+function panel(id, title, ...content) {
+  return h("section", { class: "panel", "aria-labelledby": id }, h("h2", { id }, title), content);
+}
+
+function table(names, body) {
+  return h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {}, names.map((name) => h("th", { scope: "col" }, name)))), body));
+}

@@ -1,0 +1,199 @@
+// One person: scans with their verdicts, the model, rigs; and the work that can be asked for.
+
+import { all, get, remove } from "../api.js";
+import { h, setText, show } from "../dom.js";
+import { keyed } from "../keyed.js";
+import { changed } from "../library.js";
+import { askToDeleteSubject } from "../parts/delete_subject.js";
+import { ask } from "../parts/dialog.js";
+import { askForJob } from "../parts/new_job.js";
+import { state } from "../parts/state.js";
+import { doing, toast } from "../parts/toast.js";
+import { sentence } from "../parts/trouble.js";
+import { repeat } from "../repeat.js";
+import { navigate, title as nameWindow } from "../router.js";
+import { bytes, count, figure, plain, when } from "../words.js";
+
+const EVERY_MS = 3_000;
+
+export async function mount(root, { id }) {
+  const ending = new AbortController();
+  const subject = await get(`/v1/subjects/${id}`, {}, ending.signal);
+  nameWindow(subject.name);
+  const view = new SubjectView(subject, ending.signal);
+  root.append(...view.elements);
+  await repeat(() => view.refresh(), EVERY_MS, ending.signal, (error) => toast(sentence(error), "bad"));
+  return () => ending.abort();
+}
+
+class SubjectView {
+  constructor(subject, signal) {
+    this.subject = subject;
+    this.signal = signal;
+    this.chosen = new Set();
+    this.captureBody = h("tbody");
+    this.showCaptures = keyed(this.captureBody, (capture) => this.captureRow(capture));
+    this.rigBody = h("tbody");
+    this.showRigs = keyed(this.rigBody, (rig) => this.rigRow(rig));
+    this.model = h("p", { class: "grow" });
+    this.build = button("Build the model", () => this.order("build_model"));
+    this.fit = button("Fit the chosen expressions", () => this.order("fit_geometry", { captures: [...this.chosen] }));
+    this.noScans = h("p", { class: "empty", hidden: true }, "No scans yet.");
+    this.noRigs = h("p", { class: "empty", hidden: true }, "No rigs yet. Build the model, choose expressions above and fit them.");
+    this.captureTable = table(["", "Scan", "Role", "Form", "Check", "Registration", "Added", ""], this.captureBody);
+    this.rigTable = table(["Rig", "Expressions", "Mean error", "Made", ""], this.rigBody);
+    this.elements = [
+      h("div", { class: "head" }, h("h1", { class: "grow" }, subject.name),
+        h("a", { class: "button", href: `/?subject_id=${subject.id}` }, "Jobs"),
+        h("a", { class: "button", href: `/upload?subject=${subject.id}` }, "Upload scans"),
+        h("button", { type: "button", class: "danger", onclick: () => this.delete() }, "Delete subject")),
+      panel("scans", "Scans", this.captureTable, this.noScans),
+      panel("model", "Model", h("div", { class: "row" }, this.model, this.build, this.fit)),
+      panel("rigs", "Rigs", this.rigTable, this.noRigs),
+    ];
+  }
+
+  async refresh() {
+    const of = { subject_id: this.subject.id };
+    const [captures, rigs, models, checks] = await Promise.all([
+      all(`/v1/subjects/${this.subject.id}/captures`, {}, this.signal),
+      all("/v1/rigs", of, this.signal),
+      get("/v1/jobs", { ...of, kind: "build_model", limit: 1 }, this.signal),
+      get("/v1/jobs", { ...of, kind: "check_scan", limit: 200 }, this.signal),
+    ]);
+    // newest first, so the last one written is the newest
+    this.checks = new Map(checks.items.reverse().map((job) => [job.captures[0], job]));
+    captures.sort((a, b) => (b.role === "neutral") - (a.role === "neutral") || a.name.localeCompare(b.name));
+    this.rigs = rigs;
+    const ids = new Set(captures.map(({ id }) => id));
+    this.chosen = new Set([...this.chosen].filter((id) => ids.has(id)));
+    this.showCaptures(captures);
+    this.showRigs(rigs);
+    this.captureTable.hidden = !captures.length;
+    this.noScans.hidden = captures.length > 0;
+    this.rigTable.hidden = !rigs.length;
+    this.noRigs.hidden = rigs.length > 0;
+    this.showModel(models.items[0]);
+    this.mark();
+  }
+
+  showModel(job) {
+    const key = job ? `${job.id} ${job.state}` : "none";
+    if (this.shownModel === key) return;
+    this.shownModel = key;
+    show(this.model, job ? [state(job.state), " ", h("a", { href: `/jobs/${job.id}` }, `the newest, ${when(job.created_at)}`)] : "Not built yet.");
+  }
+
+  mark() {
+    this.fit.disabled = !this.chosen.size;
+    setText(this.fit, this.chosen.size ? `Fit ${count(this.chosen.size, "expression")}` : "Fit the chosen expressions");
+    for (const more of this.rigBody.querySelectorAll("button[data-more]")) more.disabled = !this.chosen.size;
+  }
+
+  captureRow(capture) {
+    const { id, name, role, filename, size } = capture;
+    const check = h("td");
+    const registration = h("td");
+    const box = h("input", { type: "checkbox", "aria-label": `Choose ${name} for a fit`, onchange: () => {
+      if (box.checked) this.chosen.add(id);
+      else this.chosen.delete(id);
+      this.mark();
+    } });
+    const act = (words, action, kind = null) => button([words, h("span", { class: "unseen" }, ` ${name}`)], action, kind);
+    const isScan = role !== "performance";
+    const actions = h("div", { class: "row end" },
+      isScan && act("Check", () => this.order("check_scan", { captures: [id] })),
+      isScan && !capture.registered && act("Register", () => this.order("register_scan", { captures: [id] })),
+      act("Delete", () => this.deleteCapture(capture), "danger"));
+    let shown = null;
+    return {
+      element: h("tr", {},
+        h("td", { class: "tight" }, role === "expression" ? box : null),
+        h("th", { scope: "row" }, name, h("div", { class: "fine" }, `${filename}, ${bytes(size)}`)),
+        h("td", {}, plain(role)), h("td", {}, capture.registered ? "Registered" : "Raw"), check, registration,
+        h("td", { class: "tight" }, when(capture.created_at)), h("td", { class: "tight" }, actions)),
+      update: (next) => {
+        const job = this.checks.get(id);
+        const key = JSON.stringify([next.check, next.registration, job?.state]);
+        if (shown === key) return;
+        shown = key;
+        show(check, isScan && checkOf(next, job));
+        show(registration, !capture.registered && registrationOf(next));
+      },
+    };
+  }
+
+  rigRow(rig) {
+    const error = rig.summary.train_mean_mm ?? rig.summary.mean_mm;
+    return {
+      element: h("tr", {},
+        h("th", { scope: "row" }, h("a", { href: `/rigs/${rig.id}` }, "Open the rig")),
+        h("td", {}, rig.expressions.join(", ")),
+        h("td", { class: "tight" }, error === undefined ? "" : `${figure(error)} mm`),
+        h("td", { class: "tight" }, when(rig.created_at)),
+        h("td", { class: "tight" }, h("div", { class: "row end" },
+          h("a", { class: "button", href: `/jobs/${rig.job_id}` }, "Files"),
+          button("Fit more to it", () => this.order("fit_activations", { rig_id: rig.id, captures: [...this.chosen] }), null, { "data-more": true })))),
+      update() {},
+    };
+  }
+
+  /** Ask for a job about this subject and go to it; a check leaves the operator here. */
+  async order(kind, more = {}) {
+    const job = await askForJob({ kind, subject_id: this.subject.id, ...more });
+    if (!job) return;
+    if (kind === "check_scan" || kind === "register_scan") await this.refresh();
+    else navigate(`/jobs/${job.id}`);
+  }
+
+  async deleteCapture({ id, name }) {
+    const done = await ask({
+      title: `Delete the scan ${name}?`,
+      body: h("p", {}, "It goes with its landmarks, checks and registrations. Models and rigs made from it stay."),
+      agree: "Delete the scan",
+      danger: true,
+      act: async () => {
+        await remove(`/v1/subjects/${this.subject.id}/captures/${id}`);
+        return true;
+      },
+    });
+    if (!done) return;
+    changed(this.subject.id);
+    await this.refresh();
+  }
+
+  async delete() {
+    if (!(await askToDeleteSubject(this.subject))) return;
+    changed(this.subject.id);
+    toast(`${this.subject.name} was deleted. Files go within minutes.`);
+    navigate("/subjects");
+  }
+}
+
+/** The verdict of the newest check, or where it stands. */
+function checkOf({ check }, job) {
+  if (job && job.state !== "succeeded") return link(job.id, state(job.state));
+  return check ? link(check.job_id, state(check.verdict)) : "not checked";
+}
+
+function registrationOf({ registration }) {
+  return registration ? link(registration.job_id, state("succeeded", "Done")) : "not yet";
+}
+
+function button(words, action, kind = null, more = {}) {
+  const element = h("button", { type: "button", class: kind, ...more, onclick: () => doing(element, action) }, words);
+  return element;
+}
+
+function link(jobId, ...content) {
+  return h("a", { class: "quiet-link", href: `/jobs/${jobId}` }, content);
+}
+
+function panel(id, title, ...content) {
+  return h("section", { class: "panel", "aria-labelledby": id }, h("h2", { id }, title), content);
+}
+
+function table(names, body) {
+  return h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {},
+    names.map((name, i) => h("th", { scope: "col" }, name || h("span", { class: "unseen" }, i ? "Actions" : "Choose"))))), body));
+}

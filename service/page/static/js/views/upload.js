@@ -1,0 +1,231 @@
+// Upload: a set of scans is dropped, named, sent and judged.
+//
+// Uploads go on while other views are shown, so what is shown here lives as long as the page.
+
+import { get, pause, post } from "../api.js";
+import { announce, h, setText, show } from "../dom.js";
+import * as interrupted from "../interrupted.js";
+import { changed, kindsByName, serviceLimits, subjectsById } from "../library.js";
+import { optionFields, readOptions } from "../parts/options.js";
+import { ScanRow } from "../parts/scan_row.js";
+import { toast } from "../parts/toast.js";
+import { sentence } from "../parts/trouble.js";
+import { dropped, sorted } from "../scan_files.js";
+import { CAN_CHECK } from "../tus.js";
+import { count } from "../words.js";
+
+const AT_A_TIME = 2;
+const EVERY_MS = 1_000;
+const MOST_NAMED = 4;
+const ACTIVE = ["waiting", "sending", "checking"];
+
+let tray = null;
+
+export async function mount(root, _params, query) {
+  const [limits, kinds, subjects] = await Promise.all([serviceLimits(), kindsByName(), subjectsById()]);
+  tray ??= new Tray(limits, kinds.get("check_scan").options);
+  tray.showSubjects(subjects, query.get("subject"));
+  root.append(...tray.elements);
+  const ending = new AbortController();
+  tray.takeDrops(ending.signal);
+  return () => ending.abort();
+}
+
+class Tray {
+  constructor(limits, schema) {
+    this.limits = limits;
+    this.schema = schema;
+    this.rows = [];
+    this.waiting = [];
+    this.sending = 0;
+    this.subject = h("select", { id: "subject", onchange: () => this.mark() });
+    this.newName = h("input", { type: "text", id: "subject-name", maxlength: 200, required: true, autocomplete: "off", placeholder: "Name, session" });
+    this.newField = h("div", { class: "field" }, h("label", { for: "subject-name" }, "Name of the new subject"), this.newName);
+    this.form = h("select", { id: "form" },
+      h("option", { value: "raw" }, "as the scanner made them (raw)"),
+      h("option", { value: "registered" }, "in the template's topology (registered)"));
+    this.options = optionFields(schema);
+    this.body = h("tbody");
+    this.others = h("p", { class: "fine", hidden: true });
+    this.table = h("div", { class: "scroll", hidden: true }, h("table", { class: "scans" },
+      h("thead", {}, h("tr", {}, ["File", "Name", "Role", "State", "Verdict", ""].map((text) =>
+        h("th", { scope: "col" }, text || h("span", { class: "unseen" }, "Actions"))))), this.body));
+    this.start = h("button", { class: "main", disabled: true }, "Upload");
+    this.go = h("a", { class: "button", hidden: true }, "Go to the subject");
+    this.zone = this.dropZone();
+    this.settings = h("form", { class: "panel stack", onsubmit: (event) => this.submit(event) },
+      h("div", { class: "row top" },
+        h("div", { class: "field" }, h("label", { for: "subject" }, "Subject"), this.subject), this.newField,
+        h("div", { class: "field" }, h("label", { for: "form" }, "The scans are"), this.form)),
+      h("details", {}, h("summary", {}, "How the scans lie, if the check can not find it"), this.options),
+      this.table, this.others, h("div", { class: "row" }, this.start, this.go,
+        !CAN_CHECK && h("p", { class: "fine" }, "This address is not https: pieces are not checked on the way, only their number.")));
+    this.resume = h("div", { class: "notice", hidden: true });
+    this.elements = [h("h1", {}, "Upload"), this.resume, this.zone, this.settings];
+    this.tellInterrupted();
+    addEventListener("beforeunload", (event) => this.sending && event.preventDefault());
+  }
+
+  dropZone() {
+    const pick = (attributes) => {
+      const input = h("input", { type: "file", multiple: true, class: "unseen", tabindex: -1, "aria-hidden": "true", ...attributes,
+        onchange: () => {
+          this.take([...input.files]);
+          input.value = "";
+        } });
+      return input;
+    };
+    const files = pick({ id: "files" });
+    const folder = pick({ id: "folder", webkitdirectory: true });
+    return h("div", { class: "zone" },
+      h("p", {}, h("strong", {}, "Drop a scan set here"), ": files or a whole folder"),
+      h("div", { class: "row" },
+        h("button", { type: "button", onclick: () => files.click() }, "Choose files"),
+        h("button", { type: "button", onclick: () => folder.click() }, "Choose a folder"), files, folder),
+      h("p", { class: "fine" }, `${this.limits.raw_scan_formats.join(" ")}; landmarks ${this.limits.landmark_formats.join(" ")} beside a scan of the same name; performances .npy`));
+  }
+
+  /** Take what is dropped anywhere in the window, while this view is shown. */
+  takeDrops(signal) {
+    const over = (isOver) => this.zone.classList.toggle("over", isOver);
+    addEventListener("dragover", (event) => {
+      event.preventDefault();
+      over(true);
+    }, { signal });
+    addEventListener("dragleave", (event) => event.relatedTarget === null && over(false), { signal });
+    addEventListener("drop", async (event) => {
+      event.preventDefault();
+      over(false);
+      this.take(await dropped(event.dataTransfer));
+    }, { signal });
+  }
+
+  showSubjects(subjects, wanted) {
+    const before = this.subject.value;
+    show(this.subject, h("option", { value: "" }, "New subject"),
+      [...subjects.values()].map(({ id, name }) => h("option", { value: id }, name)));
+    const interruptedOne = this.rows.length ? null : interrupted.read().at(-1)?.subjectId;
+    this.subject.value = [wanted, before, interruptedOne].find((id) => id && subjects.has(id)) ?? "";
+    this.mark();
+  }
+
+  mark() {
+    this.newField.hidden = this.subject.value !== "";
+    this.newName.required = !this.newField.hidden;
+  }
+
+  tellInterrupted() {
+    const names = interrupted.read().map(({ filename }) => filename);
+    this.resume.hidden = !names.length;
+    show(this.resume, h("p", {}, `${count(names.length, "file was", "files were")} on the way when this page was closed: `,
+      h("strong", {}, some(names)), ". Drop the same files again, and they go on where they stopped."));
+  }
+
+  take(files) {
+    const { scans, others } = sorted(files, this.limits);
+    for (const scan of scans) this.rows.push(new ScanRow(scan, { dropped: (row) => this.drop(row), changed: () => this.follow() }));
+    this.others.hidden = !others.length;
+    setText(this.others, `${count(others.length, "file is no scan and stays", "files are no scans and stay")} here: ${some(others.map(({ name }) => name))}`);
+    this.resume.hidden = true;
+    this.showRows();
+    announce(`${count(scans.length, "scan")} added`);
+  }
+
+  drop(row) {
+    this.rows = this.rows.filter((other) => other !== row);
+    this.waiting = this.waiting.filter((other) => other !== row);
+    this.showRows();
+  }
+
+  showRows() {
+    show(this.body, this.rows.map(({ element }) => element));
+    this.table.hidden = !this.rows.length;
+    const ready = this.ready();
+    this.start.disabled = !ready.length;
+    setText(this.start, ready.length ? `Upload ${count(ready.length, "scan")}` : "Upload");
+  }
+
+  ready() {
+    return this.rows.filter(({ stage }) => stage === "ready");
+  }
+
+  async submit(event) {
+    event.preventDefault();
+    const rows = this.ready();
+    const twice = repeated(rows.map(({ name }) => name.value));
+    if (twice) {
+      toast(`Two scans are called ${twice}. Give each a name of its own.`, "bad");
+      return;
+    }
+    if (rows.filter(({ role }) => role.value === "neutral").length > 1) {
+      toast("Only one scan can be the neutral.", "bad");
+      return;
+    }
+    this.start.disabled = true;
+    try {
+      const subjectId = this.subject.value || (await this.newSubject());
+      const order = { registered: this.form.value === "registered", options: readOptions(this.schema, this.settings) };
+      // the neutral first: it says soonest whether the set is any good
+      rows.sort((a, b) => (b.role.value === "neutral") - (a.role.value === "neutral"));
+      for (const row of rows) row.wait(subjectId, order);
+      this.waiting.push(...rows);
+      this.go.href = `/subjects/${subjectId}`;
+      this.go.hidden = false;
+      this.sendNext();
+      this.follow();
+    } catch (error) {
+      toast(sentence(error), "bad");
+    }
+    this.showRows();
+  }
+
+  async newSubject() {
+    const { id, name } = await post("/v1/subjects", { name: this.newName.value });
+    changed();
+    this.subject.append(h("option", { value: id }, name));
+    this.subject.value = id;
+    this.newName.value = "";
+    this.mark();
+    return id;
+  }
+
+  sendNext() {
+    while (this.sending < AT_A_TIME && this.waiting.length) {
+      this.sending++;
+      this.waiting.shift().run().finally(() => {
+        this.sending--;
+        this.sendNext();
+      });
+    }
+    document.dispatchEvent(new CustomEvent("uploads", { detail: this.sending + this.waiting.length }));
+  }
+
+  /** Ask for the checks of the rows until all have a verdict: one question a subject. */
+  async follow() {
+    if (this.isFollowing) return;
+    this.isFollowing = true;
+    while (this.rows.some(({ stage }) => ACTIVE.includes(stage))) {
+      await pause(EVERY_MS);
+      const checking = this.rows.filter(({ stage }) => stage === "checking");
+      for (const subjectId of new Set(checking.map(({ order }) => order.subjectId))) {
+        await this.hear(subjectId, checking).catch(() => {}); // the next round asks again
+      }
+    }
+    this.isFollowing = false;
+  }
+
+  async hear(subjectId, rows) {
+    const { items } = await get("/v1/jobs", { subject_id: subjectId, kind: "check_scan", limit: 200 });
+    const jobs = new Map(items.map((job) => [job.id, job]));
+    for (const row of rows) if (jobs.has(row.jobId)) row.hear(jobs.get(row.jobId));
+  }
+}
+
+function repeated(names) {
+  return names.find((name, i) => names.indexOf(name) !== i);
+}
+
+function some(names) {
+  const rest = names.length - MOST_NAMED;
+  return names.slice(0, MOST_NAMED).join(", ") + (rest > 0 ? ` and ${rest} more` : "");
+}

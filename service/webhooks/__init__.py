@@ -1,0 +1,1 @@
+"""Webhooks: telling a customer's systems what happened."""

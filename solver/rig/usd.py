@@ -1,0 +1,218 @@
+"""A rig as USD: a skeleton of head and jaw, and a blend shape for every expression.
+
+Needs the extra ``usd``. From a rig's files, ``model.npz`` among them:
+
+    python -m solver.rig.usd RIG_FOLDER rig.usdc
+
+Lengths are mm (``metersPerUnit`` 0.001), y up. ``/Face`` is a SkelRoot with
+
+- ``Skin``: the skin with its parts as subsets with materials, a BlendShape for each expression, and
+  the greatest distance to the scans as the primvar ``error_mm``;
+- ``cranium`` and ``mandible``: the bones, with the purpose ``guide``;
+- ``Skeleton``: the joints ``head`` and ``head/jaw``. The skin hangs on the head alone, as its
+  shapes hold what the jaw does to it; the jaw is for the mandible and what else is fixed to it;
+- ``Animation``: one expression after the other, as in ``rig.glb``.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+try:
+    from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError("USD is an extra: pip install 'myoface[usd]'") from error
+
+from solver.drawing.parts import skin_parts
+from solver.mechanics import jaw
+from solver.model import SubjectModel
+from solver.normals import vertex_normals
+from solver.rig.gltf import HOLD_SECONDS, MATERIALS, MOVE_SECONDS, STILL_MM, worst_error
+from solver.rig.result import ExpressionFit, load_activations
+from solver.surface import Floats, Surface
+
+FRAMES_PER_SECOND = 30.0
+ROOT = Sdf.Path("/Face")
+HEAD, JAW = "head", "head/jaw"
+JOINTS = [HEAD, JAW]
+
+
+def write_usd(path: Path, model: SubjectModel, expressions: Sequence[ExpressionFit]) -> None:
+    """Write a rig as ``.usdc``, ``.usda`` or ``.usd``; a file that is there is replaced."""
+    path.unlink(missing_ok=True)
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, UsdGeom.LinearUnits.millimeters)
+    root = UsdSkel.Root.Define(stage, ROOT)
+    stage.SetDefaultPrim(root.GetPrim())
+    Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
+    _skeleton(stage, model)
+    _skin(stage, model.skin, expressions)
+    for name, bone in model.bones.items():
+        _bone(stage, name, bone)
+    names = [fit.name for fit in expressions]
+    _animation(stage, model, names, np.array([fit.jaw for fit in expressions]).reshape(-1, 5))
+    root.CreateExtentAttr(_extent(_swept(model, expressions)))
+    stage.GetRootLayer().Save()
+
+
+def _swept(model: SubjectModel, expressions: Sequence[ExpressionFit]) -> Floats:
+    """Return all points (., 3) where skin and bones come in any expression."""
+    points = [model.skin.vertices, *(fit.skin for fit in expressions)]
+    for name, bone in model.bones.items():
+        points.append(bone.vertices)
+        if name == "mandible":
+            points += [jaw.move(model.jaw, bone.vertices, fit.jaw) for fit in expressions]
+    return np.vstack(points)
+
+
+def _skeleton(stage: Usd.Stage, model: SubjectModel) -> None:
+    """Define the joints; the jaw's is half way between the condyles, along the head's axes."""
+    skeleton = UsdSkel.Skeleton.Define(stage, ROOT.AppendChild("Skeleton"))
+    skeleton.CreateJointsAttr(JOINTS)
+    places = [Gf.Matrix4d(1.0), Gf.Matrix4d().SetTranslate(Gf.Vec3d(*model.jaw.origin.tolist()))]
+    skeleton.CreateBindTransformsAttr(places)
+    skeleton.CreateRestTransformsAttr(places)
+    skeleton.CreatePurposeAttr(UsdGeom.Tokens.guide)
+    binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
+    binding.CreateAnimationSourceRel().SetTargets([ROOT.AppendChild("Animation")])
+
+
+def _skin(stage: Usd.Stage, skin: Surface, expressions: Sequence[ExpressionFit]) -> None:
+    mesh = _mesh(stage, "Skin", skin, joint=HEAD)
+    normals = vertex_normals(skin)
+    mesh.CreateNormalsAttr(_vectors(normals))
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    error = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
+        "error_mm", Sdf.ValueTypeNames.FloatArray, UsdGeom.Tokens.vertex
+    )
+    worst = worst_error(expressions, len(skin.vertices))
+    error.Set(Vt.FloatArray.FromNumpy(worst.astype(np.float32)))
+    _materials(stage, mesh, skin)
+    shapes = []
+    for fit in expressions:
+        place = _free(stage, mesh.GetPath(), fit.name)
+        change = fit.skin - skin.vertices
+        moving = np.flatnonzero((np.abs(change) > STILL_MM).any(axis=1))
+        turned = vertex_normals(skin.moved(fit.skin)) - normals
+        shape = UsdSkel.BlendShape.Define(stage, place)
+        shape.CreatePointIndicesAttr(Vt.IntArray.FromNumpy(moving.astype(np.int32)))
+        shape.CreateOffsetsAttr(_vectors(change[moving]))
+        shape.CreateNormalOffsetsAttr(_vectors(turned[moving]))
+        shapes.append(place)
+    binding = UsdSkel.BindingAPI(mesh)
+    binding.CreateBlendShapesAttr([fit.name for fit in expressions])
+    binding.CreateBlendShapeTargetsRel().SetTargets(shapes)
+
+
+def _bone(stage: Usd.Stage, name: str, bone: Surface) -> None:
+    mesh = _mesh(stage, name, bone, joint=JAW if name == "mandible" else HEAD)
+    mesh.CreatePurposeAttr(UsdGeom.Tokens.guide)
+
+
+def _mesh(stage: Usd.Stage, name: str, surface: Surface, joint: str) -> UsdGeom.Mesh:
+    """Define triangles that move rigidly with a joint."""
+    mesh = UsdGeom.Mesh.Define(stage, _free(stage, ROOT, name))
+    mesh.CreatePointsAttr(_vectors(surface.vertices))
+    mesh.CreateFaceVertexCountsAttr([3] * len(surface.faces))
+    mesh.CreateFaceVertexIndicesAttr(_numbers(surface.faces))
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateDoubleSidedAttr(True)
+    mesh.CreateExtentAttr(_extent(surface.vertices))
+    binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
+    binding.CreateSkeletonRel().SetTargets([ROOT.AppendChild("Skeleton")])
+    binding.CreateJointIndicesPrimvar(constant=True, elementSize=1).Set([JOINTS.index(joint)])
+    binding.CreateJointWeightsPrimvar(constant=True, elementSize=1).Set([1.0])
+    return mesh
+
+
+def _materials(stage: Usd.Stage, mesh: UsdGeom.Mesh, skin: Surface) -> None:
+    """Give every part of the skin its material, the same as in ``rig.glb``."""
+    scope = UsdGeom.Scope.Define(stage, ROOT.AppendChild("Materials"))
+    for part, faces in skin_parts(skin).items():
+        colour, roughness = MATERIALS[part]
+        material = UsdShade.Material.Define(stage, scope.GetPath().AppendChild(part))
+        shader = UsdShade.Shader.Define(stage, material.GetPath().AppendChild("Surface"))
+        shader.CreateIdAttr("UsdPreviewSurface")
+        shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(colour[:3])
+        shader.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(colour[3])
+        shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(roughness)
+        material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+        subset = UsdShade.MaterialBindingAPI(mesh).CreateMaterialBindSubset(part, _numbers(faces))
+        UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(material)
+    UsdShade.MaterialBindingAPI(mesh).SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition)
+
+
+def _animation(stage: Usd.Stage, model: SubjectModel, names: list[str], jaws: Floats) -> None:
+    """Move shapes and jaw: from neutral to an expression, hold it, and back, one after the other.
+
+    ``jaws`` (q, 5) are the expressions' b.
+    """
+    animation = UsdSkel.Animation.Define(stage, ROOT.AppendChild("Animation"))
+    animation.CreateJointsAttr(JOINTS)
+    animation.CreateBlendShapesAttr(names)
+    animation.CreateScalesAttr([Gf.Vec3h(1.0)] * len(JOINTS))
+    weights = animation.CreateBlendShapeWeightsAttr()
+    translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
+
+    def key(seconds: float, shown: Floats, b: Floats) -> None:
+        time = Usd.TimeCode(round(seconds * FRAMES_PER_SECOND))
+        x, y, z, w = Rotation.from_matrix(jaw.rotation(model.jaw, b)).as_quat().tolist()
+        place = jaw.move(model.jaw, model.jaw.origin[None], b)[0]
+        weights.Set(Vt.FloatArray.FromNumpy(shown.astype(np.float32)), time)
+        translations.Set([Gf.Vec3f(0.0), Gf.Vec3f(*place.tolist())], time)
+        rotations.Set([Gf.Quatf(1.0), Gf.Quatf(w, x, y, z)], time)
+
+    still, closed = np.zeros(len(names)), np.zeros(jaw.DEGREES_OF_FREEDOM)
+    period = 2 * MOVE_SECONDS + HOLD_SECONDS
+    key(0.0, still, closed)
+    for number, (shown, b) in enumerate(zip(np.eye(len(names)), jaws, strict=True)):
+        start = number * period
+        key(start + MOVE_SECONDS, shown, b)
+        key(start + MOVE_SECONDS + HOLD_SECONDS, shown, b)
+        key(start + period, still, closed)
+    stage.SetTimeCodesPerSecond(FRAMES_PER_SECOND)
+    stage.SetFramesPerSecond(FRAMES_PER_SECOND)
+    stage.SetStartTimeCode(0.0)
+    stage.SetEndTimeCode(round(len(names) * period * FRAMES_PER_SECOND))
+
+
+def _free(stage: Usd.Stage, parent: Sdf.Path, name: str) -> Sdf.Path:
+    """Return a path for a ``name``, changed where USD does not allow it or has it already."""
+    identifier = Tf.MakeValidIdentifier(name)
+    while stage.GetPrimAtPath(parent.AppendChild(identifier)):
+        identifier += "_"
+    return parent.AppendChild(identifier)
+
+
+def _vectors(points: Floats) -> Any:
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(points, np.float32))
+
+
+def _numbers(values: np.ndarray) -> Any:
+    return Vt.IntArray.FromNumpy(np.ascontiguousarray(values.ravel(), np.int32))
+
+
+def _extent(points: Floats) -> Any:
+    return _vectors(np.stack([points.min(axis=0), points.max(axis=0)]))
+
+
+def main() -> None:
+    """Convert a rig's files, given on the command line."""
+    parser = argparse.ArgumentParser(prog="python -m solver.rig.usd", description="A rig as USD.")
+    parser.add_argument("rig", type=Path, help="folder with a rig's activations.npz")
+    parser.add_argument("out", type=Path, help="file to write: .usdc, .usda or .usd")
+    parser.add_argument("--model", type=Path, help="the subject model; model.npz in that folder")
+    given = parser.parse_args()
+    model = SubjectModel.load(given.model or given.rig / "model.npz")
+    write_usd(given.out, model, load_activations(given.rig / "activations.npz", model))
+
+
+if __name__ == "__main__":
+    main()

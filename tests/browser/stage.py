@@ -1,0 +1,43 @@
+"""A stack with a stand-in pipeline, and a browser in front of it."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import httpx
+import pytest
+
+from myoface.stack import Stack
+from service.settings import Settings
+from tests.service_client import QUICK, Studio
+
+ROOT = Path(__file__).parents[2]
+CHROMIUM = Path("/usr/bin/chromium")
+FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-background-networking"]
+
+
+@contextmanager
+def on_stage(data_dir: Path, **settings: Any) -> Iterator[tuple[Stack, Studio]]:
+    """Run a stack whose solver processes find the pipeline in ``standin``."""
+    path = os.pathsep.join([str(Path(__file__).parent / "standin"), str(ROOT)])
+    with mock.patch.dict(os.environ, PYTHONPATH=path):
+        stack = Stack(Settings(data_dir=data_dir, **{**QUICK, **settings}))
+    with stack, httpx.Client(base_url=stack.url, timeout=30) as http:
+        yield stack, Studio(http)
+
+
+@contextmanager
+def browser() -> Iterator[Any]:
+    """Start Chromium; skips, with the reason, where it or playwright is missing."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if not CHROMIUM.exists():
+        pytest.skip(f"there is no {CHROMIUM}")
+    with playwright.sync_playwright() as driver:
+        chromium = driver.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS)
+        try:
+            yield chromium
+        finally:
+            chromium.close()

@@ -1,0 +1,152 @@
+"""A rig as USD passes the library's own validation and moves as the rig does."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from solver.anatomy.builtin import builtin_expression
+from solver.mechanics import jaw
+from solver.normals import vertex_normals
+from solver.rig.result import ExpressionFit, Rig, save_activations
+from solver.surface import Floats, Surface
+from tests.unit.solver.block import block_model
+
+pxr = pytest.importorskip("pxr", reason="USD is not installed: pip install 'myoface[usd]'")
+from pxr import Gf, Usd, UsdGeom, UsdSkel, UsdValidation  # noqa: E402
+
+from solver.rig.usd import write_usd  # noqa: E402
+
+ROOT = Path(__file__).parents[2]
+EXPRESSIONS = {
+    "smile": {"mouthSmileLeft": 1.0, "mouthSmileRight": 1.0},
+    "ah": {"jawOpen": 1.0},
+    "Ah, wide-open": {"jawOpen": 0.5, "browInnerUp": 1.0},
+    "Ah__wide_open": {"browInnerUp": 1.0},
+}
+HELD = {"smile": 24.0, "ah": 72.0, "Ah, wide-open": 120.0, "Ah__wide_open": 168.0}
+"""Frames at which an expression is held."""
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    """Return a rig of the built-in face on the bones of a block."""
+    skin = builtin_expression({})
+    corners = 10.0 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
+    bone = Surface(corners, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
+    model = replace(
+        block_model(),
+        skin=skin,
+        face=np.arange(1000),
+        bones={"cranium": bone, "mandible": bone.moved(corners - 40.0)},
+    )
+    error = np.full(len(skin.vertices), np.nan)
+    error[model.face] = 0.5
+    fits = []
+    for number, (name, weights) in enumerate(EXPRESSIONS.items()):
+        shape = builtin_expression(weights).vertices
+        rest = np.zeros((model.muscle_count, 6))
+        b = number * np.array([0.1, 0.02, 0.5, -1.0, 2.0])
+        fits.append(ExpressionFit(name, "train", rest, b, shape, shape, error, 0, 1, 1.0, 0.1))
+    return Rig(model, model.weights, tuple(fits), {})
+
+
+@pytest.fixture(scope="module")
+def path(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("usd") / "rig.usdc"
+    write_usd(path, rig.model, rig.expressions)
+    return path
+
+
+def faults(stage: Usd.Stage) -> list[str]:
+    """Return what any of the library's validators says, as usdchecker does."""
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    assert len(validators) > 20
+    found = UsdValidation.ValidationContext(validators).Validate(stage)
+    return [f"{each.GetName()}: {each.GetMessage()}" for each in found]
+
+
+def test_the_library_finds_nothing_wrong(path: Path) -> None:
+    assert faults(Usd.Stage.Open(str(path))) == []
+
+
+def test_it_would_find_something(path: Path, tmp_path: Path) -> None:
+    stage = Usd.Stage.Open(str(path))
+    stage.Export(str(tmp_path / "broken.usda"))
+    broken = Usd.Stage.Open(str(tmp_path / "broken.usda"))
+    skin = broken.GetPrimAtPath("/Face/Skin")
+    skin.RemoveAppliedSchema("SkelBindingAPI")
+    broken.ClearMetadata("metersPerUnit")
+    assert len(faults(broken)) >= 2
+
+
+def test_what_a_tool_reads_first(path: Path) -> None:
+    stage = Usd.Stage.Open(str(path))
+    assert stage.GetDefaultPrim().GetPath() == "/Face"
+    assert stage.GetDefaultPrim().IsA(UsdSkel.Root)
+    assert UsdGeom.GetStageUpAxis(stage) == "Y"
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 0.001
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (0.0, 4 * 48.0)
+    assert stage.GetTimeCodesPerSecond() == 30.0
+    mesh = stage.GetPrimAtPath("/Face/Skin")
+    assert list(UsdSkel.BindingAPI(mesh).GetBlendShapesAttr().Get()) == list(EXPRESSIONS)
+    shapes = [each.GetName() for each in mesh.GetChildren() if each.IsA(UsdSkel.BlendShape)]
+    assert shapes == ["smile", "ah", "Ah__wide_open", "Ah__wide_open_"]
+    parts = [each.GetName() for each in mesh.GetChildren() if each.IsA(UsdGeom.Subset)]
+    assert parts == ["skin", "eyes", "teeth"]
+
+
+def test_extents_hold_all_expressions(rig: Rig, path: Path) -> None:
+    stage = Usd.Stage.Open(str(path))
+    low, high = np.array(UsdSkel.Root(stage.GetDefaultPrim()).GetExtentAttr().Get())
+    for fit in rig.expressions:
+        mandible = jaw.move(rig.model.jaw, rig.model.bones["mandible"].vertices, fit.jaw)
+        for points in (fit.skin, mandible):
+            assert (points >= low - 1e-4).all()
+            assert (points <= high + 1e-4).all()
+
+
+def test_played_by_the_library_it_is_the_rig(rig: Rig, path: Path) -> None:
+    """UsdSkel's own skinning, baked, gives every expression and the mandible's place."""
+    stage = Usd.Stage.Open(str(path))
+    UsdSkel.BakeSkinning(UsdSkel.Root(stage.GetDefaultPrim()), Gf.Interval(0.0, 192.0))
+
+    def points(name: str, frame: float) -> Floats:
+        mesh = UsdGeom.Mesh(stage.GetPrimAtPath(f"/Face/{name}"))
+        place = np.array(mesh.ComputeLocalToWorldTransform(frame))
+        return np.array(mesh.GetPointsAttr().Get(frame)) @ place[:3, :3] + place[3, :3]
+
+    neutral = rig.model.skin.vertices
+    np.testing.assert_allclose(points("Skin", 0.0), neutral, atol=1e-4)
+    smile = rig.expressions[0].skin
+    np.testing.assert_allclose(points("Skin", 9.0), (neutral + smile) / 2, atol=2e-3)
+    for fit in rig.expressions:
+        np.testing.assert_allclose(points("Skin", HELD[fit.name]), fit.skin, atol=2e-3)
+        mandible = jaw.move(rig.model.jaw, rig.model.bones["mandible"].vertices, fit.jaw)
+        np.testing.assert_allclose(points("mandible", HELD[fit.name]), mandible, atol=1e-3)
+        cranium = rig.model.bones["cranium"].vertices
+        np.testing.assert_allclose(points("cranium", HELD[fit.name]), cranium, atol=1e-4)
+
+
+def test_shapes_turn_the_normals_too(rig: Rig, path: Path) -> None:
+    stage = Usd.Stage.Open(str(path))
+    shape = UsdSkel.BlendShape(stage.GetPrimAtPath("/Face/Skin/ah"))
+    moving = np.array(shape.GetPointIndicesAttr().Get())
+    normals = np.array(UsdGeom.Mesh(stage.GetPrimAtPath("/Face/Skin")).GetNormalsAttr().Get())
+    found = normals[moving] + np.array(shape.GetNormalOffsetsAttr().Get())
+    expected = vertex_normals(rig.model.skin.moved(rig.expressions[1].skin))[moving]
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    assert len(moving) < len(normals)
+
+
+def test_the_command_converts_a_rig_s_folder(rig: Rig, tmp_path: Path) -> None:
+    rig.model.save(tmp_path / "model.npz")
+    save_activations(tmp_path / "activations.npz", rig.expressions, rig.model)
+    command = [sys.executable, "-m", "solver.rig.usd", str(tmp_path), str(tmp_path / "rig.usda")]
+    subprocess.run(command, cwd=ROOT, check=True, timeout=60)
+    assert faults(Usd.Stage.Open(str(tmp_path / "rig.usda"))) == []

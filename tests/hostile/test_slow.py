@@ -1,0 +1,137 @@
+"""Clients that keep the service waiting, over real connections."""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from service.app import create_app
+from service.settings import Settings
+from tests.hostile.edge import connected, serving, until_closed
+
+PATIENCE = 0.6
+HEAD = b"POST /v1/subjects HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n"
+
+
+@pytest.fixture(scope="module")
+def port(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
+    folder: Path = tmp_path_factory.mktemp("slow")
+    settings = Settings(data_dir=folder, receive_timeout=PATIENCE)
+    with serving(create_app(settings), PATIENCE) as port:
+        yield port
+
+
+def _drip(connection: socket.socket, text: bytes, pause: float = 0.05) -> None:
+    """Send a byte at a time until the server has had enough."""
+    try:
+        for i in range(len(text)):
+            connection.sendall(text[i : i + 1])
+            time.sleep(pause)
+    except OSError:
+        pass
+
+
+def _answer(raw: bytes) -> tuple[int, dict[str, object]]:
+    head, _, body = raw.partition(b"\r\n\r\n")
+    return int(head.split()[1]), json.loads(body)
+
+
+def test_a_connection_that_says_nothing_is_closed(port: int) -> None:
+    with connected(port) as connection:
+        received, seconds = until_closed(connection)
+    assert received == b""
+    assert PATIENCE - 0.1 < seconds < PATIENCE + 0.5
+
+
+def test_headers_must_arrive_in_time_however_busily_they_drip(port: int) -> None:
+    started = time.monotonic()
+    with connected(port) as connection:
+        _drip(connection, b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n" + b"X: y\r\n" * 20)
+        received, _ = until_closed(connection)
+    assert time.monotonic() - started < PATIENCE + 1
+    status, problem = _answer(received)
+    assert (status, problem["code"]) == (408, "request.timeout")
+
+
+def test_the_second_request_of_a_connection_has_a_deadline_too(port: int) -> None:
+    request = b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+    with connected(port) as connection:
+        connection.sendall(request)
+        assert connection.recv(65_536).startswith(b"HTTP/1.1 200")
+        _drip(connection, request[:-2] + b"X: y\r\n" * 20)
+        received, _ = until_closed(connection)
+    assert b" 408 " in received.split(b"\r\n")[0]
+
+
+def test_a_body_has_one_deadline_for_the_whole_of_it(port: int) -> None:
+    started = time.monotonic()
+    with connected(port) as connection:
+        connection.sendall(HEAD + b"Content-Length: 1000\r\n\r\n")
+        _drip(connection, b"{" + b" " * 40)
+        received, _ = until_closed(connection)
+    assert time.monotonic() - started < PATIENCE + 2.5
+    status, problem = _answer(received)
+    assert (status, problem["code"]) == (408, "request.timeout")
+
+
+def test_after_a_refusal_nobody_may_go_on_sending(port: int) -> None:
+    head = HEAD.replace(b"127.0.0.1", b"evil.example") + b"Content-Length: 1000000\r\n\r\n"
+    with connected(port) as connection:
+        connection.sendall(head)
+        started = time.monotonic()
+        _drip(connection, b"x" * 200)
+        until_closed(connection)
+    assert time.monotonic() - started < PATIENCE + 1
+
+
+def test_many_slow_ones_hold_up_nobody(port: int) -> None:
+    slow = [socket.create_connection(("127.0.0.1", port)) for _ in range(200)]
+    try:
+        for connection in slow:
+            connection.sendall(b"GET / HTTP/1.1\r\n")
+        with connected(port) as connection:
+            started = time.monotonic()
+            connection.sendall(b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+            assert connection.recv(65_536).startswith(b"HTTP/1.1 200")
+            assert time.monotonic() - started < PATIENCE
+        assert all(b" 408 " in until_closed(connection)[0] for connection in slow)
+    finally:
+        for connection in slow:
+            connection.close()
+
+
+@pytest.mark.parametrize(
+    "request_line",
+    [
+        b"NONSENSE\r\n\r\n",
+        b"GET /\x00 HTTP/1.1\r\nHost: a\r\n\r\n",
+        b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03\r\n\r\n",
+        b"GET / HTTP/1.1\r\nHost: a\r\nHost: b\r\n\r\n",
+        HEAD + b"Content-Length: -1\r\n\r\n",
+        HEAD + b"Content-Length: 5\r\nContent-Length: 6\r\n\r\nhello!",
+        HEAD + b"Transfer-Encoding: chunked\r\n\r\nzz\r\n",
+        b"GET / HTTP/1.1\r\n" + b"X: " + b"y" * 100_000,
+    ],
+)
+def test_what_is_not_http_is_told_so(port: int, request_line: bytes) -> None:
+    with connected(port) as connection:
+        connection.sendall(request_line)
+        received, _ = until_closed(connection)
+    status, problem = _answer(received)
+    assert (status, problem["code"]) == (400, "request.malformed")
+
+
+def test_two_lengths_never_make_two_requests(port: int) -> None:
+    """Content-Length beside chunks is how requests are smuggled past a proxy."""
+    smuggled = b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+    head = HEAD + b"Content-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\n"
+    with connected(port) as connection:
+        connection.sendall(head + b"0\r\n\r\n" + smuggled)
+        received, _ = until_closed(connection)
+    assert received.startswith(b"HTTP/1.1 400")
+    assert received.count(b"HTTP/1.1 ") == 1
