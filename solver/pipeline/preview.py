@@ -6,7 +6,6 @@ import json
 import time
 from pathlib import Path
 
-from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.fitting.model_checks import check_held
 from solver.mechanics.linear import fastest
@@ -38,8 +37,9 @@ def build_preview(
     the ``seed`` of the poses and ``max_seconds``, after which it is made of those that are ready.
 
     Writes ``preview.bin``, ``preview.json`` (the error, and what could not be simulated) and
-    ``preview.png``. Raises :class:`InputError` for files that do not belong together and for a rig
-    without a fitted expression, :class:`solver.errors.SolveError` if nothing can be simulated.
+    ``preview.png``. Raises :class:`solver.errors.InputError` for files that do not belong together
+    and for a rig without a fitted expression, :class:`solver.errors.SolveError` if too little can
+    be simulated.
     """
     given = take(options, {"seed": 0, "max_seconds": 600.0})
     out.mkdir(parents=True, exist_ok=True)
@@ -48,8 +48,6 @@ def build_preview(
     subject = SubjectModel.load(model)
     S = load_weights(weights, subject)
     fits = [fit for fit in load_activations(rig, subject) if fit.status != "failed"]
-    if not fits:
-        raise InputError("preview.nothing", f"{rig.name} has no fitted expression")
     face = Face(subject, linear=fastest(), tolerance=TOLERANCE)
     check_held(face)
     preview = make_preview(

@@ -51,25 +51,24 @@ class PreviewError:
             self._moved[row] = np.linalg.norm(motion, axis=1)
 
     @property
-    def overall(self) -> Distances | None:
-        """Return the distances of all samples; None without any."""
+    def overall(self) -> Distances:
+        """Return the distances of all samples, of which there has to be one."""
         return self._over(np.arange(len(self.samples)))
 
     def of_sorts(self) -> dict[str, Distances]:
         """Return the distances of every sort of pose."""
         sorts = np.array([sample.slid.sort for sample in self.samples])
-        known = dict.fromkeys(sorts.tolist())
-        found = {sort: self._over(np.flatnonzero(sorts == sort)) for sort in known}
-        return {sort: distances for sort, distances in found.items() if distances}
+        return {
+            sort: self._over(np.flatnonzero(sorts == sort))
+            for sort in dict.fromkeys(sorts.tolist())
+        }
 
     def mean_about(self, name: str) -> float | None:
         """Return the mean distance, mm, of the poses about a control or an expression."""
         rows = [row for row, sample in enumerate(self.samples) if sample.slid.about == name]
         return round(float(self.off[rows].mean()), 4) if rows else None
 
-    def _over(self, rows: Ints) -> Distances | None:
-        if not len(rows):
-            return None
+    def _over(self, rows: Ints) -> Distances:
         off = self.off[rows]
         return Distances(
             len(rows),

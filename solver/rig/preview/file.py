@@ -23,7 +23,7 @@ def _header(preview: Preview) -> dict[str, Any]:
     return {
         "controls": [asdict(control) for control in controls.each],
         "error_mm": {
-            **(figures["error_mm"] or {}),
+            **figures["error_mm"],
             "by_sort": figures["error_by_sort_mm"],
             "per_control": [unseen.mean_about(control.name) for control in controls.each],
         },

@@ -57,7 +57,7 @@ class Preview:
             "controls": len(self.controls),
             "modes": len(self.skin.basis),
             "poses": {"planned": self.planned, "learned": self.learned, "dropped": self.dropped},
-            "error_mm": overall and overall.as_dict(),
+            "error_mm": overall.as_dict(),
             "error_by_sort_mm": {sort: each.as_dict() for sort, each in by_sort.items()},
             "presets_mm": {name: self.fitted.mean_about(name) for name in self.controls.presets},
         }
@@ -76,8 +76,8 @@ def make_preview(
 
     The same ``seed`` gives the same preview unless it takes longer than about ``seconds``: then
     it is made of those poses that were ready. Raises :class:`InputError` (``preview.nothing``) for
-    a rig without a fitted expression, :class:`SolveError` (``preview.unreachable``) if no pose of
-    the sliders can be simulated.
+    a rig without a fitted expression, :class:`SolveError` (``preview.unreachable``) if no pose to
+    learn from or none to measure with can be simulated.
     """
     if not fits:
         raise InputError("preview.nothing", "the rig has no fitted expression to make sliders from")
@@ -93,14 +93,15 @@ def make_preview(
         begin + LEARNING * seconds,
         lambda done: listen("simulate", LEARNING * done / len(learning)),
     )
-    if not samples:
-        raise SolveError("preview.unreachable", "no pose of the sliders could be simulated")
     way = MEASURING - LEARNING
     unseen = simulator.solve(
         measuring,
         begin + MEASURING * seconds,
         lambda done: listen("measure", LEARNING + way * done / len(measuring)),
     )
+    if not samples or not unseen:
+        message = "too few poses of the sliders could be simulated to make and to measure them"
+        raise SolveError("preview.unreachable", message, learned=len(samples), measured=len(unseen))
     skin = _learned(face, S, controls, samples, begin + seconds, listen)
     neutral, shown = face.model.skin.vertices, face.model.face
     presets = [

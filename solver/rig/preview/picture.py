@@ -28,9 +28,7 @@ def preview_picture(model: SubjectModel, preview: Preview, path: Path) -> None:
     page = Page(MARGIN + COLUMNS * CELL[0], HEADER + 3 * CELL[1] + FOOTER)
     page.heading(
         "Sliders on poses they were not made from",
-        "none was measured"
-        if overall is None
-        else f"{overall.poses} poses    mean {overall.mean:.2f} mm    "
+        f"{overall.poses} poses    mean {overall.mean:.2f} mm    "
         f"95 % below {overall.p95:.2f} mm    greatest {overall.max:.2f} mm",
     )
     for row, title in enumerate(("Simulated", "Preview", "Error")):
