@@ -42,6 +42,22 @@ class Settings(BaseSettings):
         description="the same for all API processes; default: one made in data_dir",
     )
 
+    rate_per_minute: int = Field(
+        default=6000, ge=1, description="requests that a key may send; so many at once, too"
+    )
+    signed_url_seconds: int = Field(
+        default=300, ge=1, le=3600, description="how long a signed URL works"
+    )
+    retain_subjects: int | None = Field(
+        default=None, ge=1, description="days after which a subject goes with all that is its own"
+    )
+    retain_scans: int | None = Field(default=None, ge=1, description="days, of captures")
+    retain_jobs: int | None = Field(
+        default=None, ge=1, description="days after its end, of a job that no rig needs"
+    )
+    retain_rigs: int | None = Field(default=None, ge=1, description="days, of a rig and its job")
+    retain_audit: int | None = Field(default=None, ge=1, description="days, of the audit log")
+
     max_upload_bytes: int = Field(default=2 * 1024**3, gt=0)
     upload_ttl: float = Field(default=24 * 3600, gt=0)
     max_open_uploads: int = Field(default=64, ge=1, description="unfinished ones, of a tenant")

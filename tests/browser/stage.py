@@ -26,7 +26,7 @@ def on_stage(data_dir: Path, **settings: Any) -> Iterator[tuple[Stack, Studio]]:
     with mock.patch.dict(os.environ, PYTHONPATH=path):
         stack = Stack(Settings(data_dir=data_dir, **{**QUICK, **settings}))
     with stack, httpx.Client(base_url=stack.url, timeout=30) as http:
-        yield stack, Studio(http)
+        yield stack, Studio(http, stack.key)
 
 
 @contextmanager

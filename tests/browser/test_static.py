@@ -86,7 +86,9 @@ def test_scripts_set_text_never_markup(path: Path) -> None:
 
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.relative_to(STATIC).as_posix())
 def test_imports_lead_somewhere(path: Path) -> None:
-    for name in re.findall(r"""(?:from|import)\s*\(?\s*["']([^"']+)["']""", path.read_text()):
+    imports = r'^(?:import|export)\b[^;]*?from "([^"]+)";|\bimport\("([^"]+)"\)'
+    for static, lazy in re.findall(imports, path.read_text(), flags=re.MULTILINE):
+        name = static or lazy
         assert name.startswith("."), f"{path.name} imports the bare {name}"
         assert (path.parent / name).resolve().is_file(), f"{path.name}: {name}"
 

@@ -37,11 +37,18 @@ export function show(element, ...children) {
   element.replaceChildren(...children.flat(Infinity).filter((child) => child !== null && child !== undefined && child !== false));
 }
 
+const GATHER_MS = 150;
+let sentences = [];
 let spoken = 0;
 
 /** Have a screen reader say something when it is done with what it says now. */
-export function announce(text) {
-  const announcer = document.getElementById("announcer");
-  // the same words twice are only heard twice if the text differs
-  announcer.textContent = text + (spoken++ % 2 ? "\u00a0" : "");
+export function announce(sentence) {
+  sentences.push(sentence);
+  if (sentences.length > 1) return;
+  // what comes at once is said at once: a later text would take an earlier one's place unheard
+  setTimeout(() => {
+    // the same words twice are only heard twice if the text differs
+    document.getElementById("announcer").textContent = sentences.join(". ") + (spoken++ % 2 ? "\u00a0" : "");
+    sentences = [];
+  }, GATHER_MS);
 }

@@ -1,8 +1,10 @@
 // A job's server-sent events. EventSource can not send the key in a header, so the stream is read
-// by hand; it goes on after the last event when the connection breaks.
+// by hand; it goes on after the last event when the connection breaks. Nobody looks at a hidden
+// window: its stream is closed, since a browser has few connections to a service for all windows.
 
 import { chunks, get, pause, request } from "./api.js";
 import { FINAL } from "./parts/state.js";
+import { visible } from "./repeat.js";
 
 const SILENCE_MS = 45_000; // the service sends a comment more often than that
 const PAUSE_MS = 2_000;
@@ -15,6 +17,7 @@ const PAUSE_MS = 2_000;
 export async function watch(jobId, { after = 0, signal, tell }) {
   let last = after;
   for (;;) {
+    await visible(signal);
     try {
       for await (const event of stream(jobId, last, signal)) {
         last = event.id;
@@ -24,7 +27,7 @@ export async function watch(jobId, { after = 0, signal, tell }) {
       // ended without a last word: a proxy cut it, or the job was over before
       if (FINAL.has((await get(`/v1/jobs/${jobId}`, {}, signal)).state)) return;
     } catch (error) {
-      signal?.throwIfAborted();
+      signal.throwIfAborted();
       if (error.status >= 400 && error.status < 500) throw error;
     }
     await pause(PAUSE_MS, signal);
@@ -32,22 +35,25 @@ export async function watch(jobId, { after = 0, signal, tell }) {
 }
 
 async function* stream(jobId, after, signal) {
-  const silence = new AbortController();
+  const closing = new AbortController();
   let timer;
   const heard = () => {
     clearTimeout(timer);
-    timer = setTimeout(() => silence.abort(), SILENCE_MS);
+    timer = setTimeout(() => closing.abort(), SILENCE_MS);
   };
+  const hide = () => document.hidden && closing.abort();
+  document.addEventListener("visibilitychange", hide);
   heard();
   try {
     const response = await request(`/v1/jobs/${jobId}/events`, {
       headers: { "Last-Event-ID": String(after) },
-      signal: signal ? AbortSignal.any([signal, silence.signal]) : silence.signal,
+      signal: AbortSignal.any([signal, closing.signal]),
       patience: null,
     });
     yield* parsed(response.body, heard);
   } finally {
     clearTimeout(timer);
+    document.removeEventListener("visibilitychange", hide);
   }
 }
 

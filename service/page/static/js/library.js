@@ -41,6 +41,12 @@ export function changed(subjectId = null) {
   if (subjectId) captures.delete(subjectId);
 }
 
+document.addEventListener("keychange", () => {
+  // another key may be another studio's
+  subjects = kinds = limits = null;
+  captures.clear();
+});
+
 /** Return the kinds of job as a Map by their key. */
 export async function kindsByName() {
   kinds ??= get("/v1/solvers").then(({ items }) => new Map(items.map((kind) => [kind.kind, kind])));

@@ -36,7 +36,7 @@ export async function repeat(action, ms, signal, failed = () => {}) {
 }
 
 /** Wait until the window is seen. */
-function visible(signal) {
+export function visible(signal) {
   if (!document.hidden) return null;
   return new Promise((resolve) => {
     document.addEventListener("visibilitychange", resolve, { once: true, signal });

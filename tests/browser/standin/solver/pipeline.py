@@ -5,6 +5,7 @@ to have.
 """
 
 import json
+import os
 import time
 from pathlib import Path
 
@@ -78,7 +79,7 @@ def _work(scans, progress, phases):
                 mean_error_mm=0.3 + 2.4 * 0.88**number,
             )
         )
-        print(f"iteration {number + 1:3d}  objective {40 * 0.8**number:.4e}  step 1.00", flush=True)
+        os.write(1, f"iteration {number + 1:3d}  objective {40 * 0.8**number:.4e}\n".encode())
         time.sleep(seconds / reports)
     for scan, order in zip(scans, orders, strict=True):
         if order.get("fault") == "nan":

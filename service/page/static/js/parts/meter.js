@@ -35,5 +35,6 @@ export function remaining(job) {
   if (job.state !== "running" || !started) return "";
   const seconds = (serverNow() - Date.parse(started)) / 1000;
   if (fraction < LEAST_FRACTION || seconds < LEAST_SECONDS) return "";
-  return `about ${span((seconds * (1 - fraction)) / fraction)} left`;
+  const left = (seconds * (1 - fraction)) / fraction;
+  return left < 1 ? "" : `about ${span(left)} left`;
 }

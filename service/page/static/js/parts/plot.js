@@ -3,9 +3,9 @@
 import { h, svg } from "../dom.js";
 import { figure, plain } from "../words.js";
 
-const WIDTH = 720;
-const HEIGHT = 220;
-const EDGE = { left: 64, right: 12, top: 22, bottom: 34 };
+const WIDTH = 480;
+const HEIGHT = 210;
+const EDGE = { left: 58, right: 12, top: 22, bottom: 34 };
 const TICKS = 5;
 
 /**
@@ -70,13 +70,14 @@ function nice(step) {
   return power * [1, 2, 5, 10].find((factor) => factor * power >= step * (1 - 1e-9));
 }
 
-/** Return where each phase begins, without those too short to be labelled. */
+/** Return where each phase begins, without those that have no room for a label. */
 function phases(points) {
-  const least = (points.at(-1).x - points[0].x) / 8;
+  const least = (points.at(-1).x - points[0].x) / 6;
   const found = [];
   for (const { x, phase } of points) {
     const previous = found.at(-1);
-    if (previous && (previous.phase === phase || x - previous.from < least)) continue;
+    const isNear = previous && x - previous.from < least;
+    if (previous?.phase === phase || isNear || points.at(-1).x - x < least) continue;
     found.push({ phase, from: x });
   }
   return found;

@@ -26,8 +26,13 @@ export function resultPanel(job, signal) {
     rigId && h("p", {}, h("a", { class: "button", href: `/rigs/${rigId}` }, "Open the rig")),
     pictures.map((artifact) => picture(artifact, PICTURES[artifact.name] ?? artifact.name, signal)),
     figures.length > 0 && h("dl", { class: "facts" }, figures.map(([name, value]) =>
-      [h("dt", {}, plain(name)), h("dd", {}, typeof value === "number" ? figure(value) : value)])),
+      [h("dt", {}, plain(name.replace(/_mm$/, ""))), h("dd", {}, shown(name, value))])),
   ].flat().filter(Boolean);
   if (!content.length) return null;
   return h("section", { class: "panel stack", "aria-labelledby": "result" }, h("h2", { id: "result" }, "Result"), content);
+}
+
+function shown(name, value) {
+  if (typeof value !== "number") return value;
+  return figure(value) + (name.endsWith("_mm") ? " mm" : "");
 }

@@ -146,7 +146,7 @@ export class ScanRow {
     const { summary, artifacts } = job.result;
     const image = artifacts.find(({ name }) => name === "check.png");
     this.finish(summary.verdict, null, h("div", { class: "judged" },
-      h("div", { class: "grow" }, findingList(summary.findings ?? [])),
+      h("div", { class: "grow" }, findingList(toMend(summary))),
       image && h("a", { href: `/jobs/${job.id}` }, picture(image, `Check of ${this.name.value}`, this.ending.signal))));
     announce(`${this.name.value}: ${word(summary.verdict)}`);
   }
@@ -202,4 +202,9 @@ export class ScanRow {
     interrupted.forget(this.file);
     this.dropped(this);
   }
+}
+
+/** Return what the operator can do something about; the rest is at the check. */
+function toMend({ findings = [] }) {
+  return findings.filter(({ severity }) => severity === "error" || severity === "warning");
 }

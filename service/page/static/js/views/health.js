@@ -29,16 +29,16 @@ export async function mount(root) {
       panel("limits", "Limits", limitList(limits))));
   let toldReady = null;
   const refresh = async () => {
-    const [ready, living, lengths] = await Promise.all([readiness(signal), livingWorkers(signal), queueLengths(kinds, signal)]);
-    const serving = byQueue(ready.workers);
-    if (toldReady !== ready.ready) {
-      toldReady = ready.ready;
-      show(overall, h("div", { class: `notice ${ready.ready ? "good" : "bad"}` },
-        h("p", {}, h("strong", {}, ready.ready ? "All parts answer." : "A part does not answer. Jobs and uploads may fail until it does."))));
+    const [{ ready, checks, workers: serving }, living, lengths] = await Promise.all(
+      [readiness(signal), livingWorkers(signal), queueLengths(kinds, signal)]);
+    if (toldReady !== ready) {
+      toldReady = ready;
+      show(overall, h("div", { class: `notice ${ready ? "good" : "bad"}` },
+        h("p", {}, h("strong", {}, ready ? "All parts answer." : "A part does not answer. Jobs and uploads may fail until it does."))));
     }
-    show(parts, Object.entries(ready.checks).map(([name, found]) =>
+    show(parts, Object.entries(checks).map(([name, found]) =>
       h("tr", {}, h("th", { scope: "row" }, PARTS[name] ?? name), h("td", {}, state(found, found === "ok" ? "Answers" : "Does not answer")))));
-    show(workers, workerRows(living ?? ready.workers, serving));
+    show(workers, workerRows(living, serving));
     show(queues, queueRows(lengths, serving));
     asked.textContent = `as of ${time(new Date())}`;
   };
@@ -51,7 +51,7 @@ async function readiness(signal) {
   try {
     return await get("/readyz", {}, signal);
   } catch (error) {
-    if (error instanceof ApiProblem && error.document.checks) return { workers: [], ...error.document };
+    if (error instanceof ApiProblem && error.document.checks) return error.document;
     throw error;
   }
 }
@@ -61,15 +61,9 @@ async function livingWorkers(signal) {
   try {
     return (await get("/v1/workers", {}, signal)).items;
   } catch (error) {
-    if (error.status === 403 || error.status === 404) return null;
+    if (error.status === 403) return null;
     throw error;
   }
-}
-
-/** Return how many workers live, by queue. */
-function byQueue(workers) {
-  if (!Array.isArray(workers)) return workers;
-  return Object.fromEntries(workers.map(({ queue }) => [queue, workers.filter((other) => other.queue === queue).length]));
 }
 
 /** Return running and queued jobs by queue: the newest queued job's place is the queue's length. */
@@ -97,7 +91,7 @@ function queueRows(lengths, serving) {
 
 function workerRows(workers, serving) {
   if (!Object.keys(serving).length) return h("tr", {}, h("td", { colspan: 4 }, state("failed", "No worker is alive: jobs wait.")));
-  if (!Array.isArray(workers)) {
+  if (!workers) {
     const words = Object.entries(serving).map(([queue, number]) => `${number} for ${queue}`).join(", ");
     return h("tr", {}, h("td", { colspan: 4 }, `${words}. This key may not see their names.`));
   }

@@ -56,6 +56,7 @@ class JobView {
     this.title = this.kind?.title ?? job.kind;
     this.badge = state(job.state);
     this.subject = h("a", { href: `/subjects/${job.subject_id}` }, "…");
+    this.about = h("span", {}, "of ");
     this.cancel = h("button", { type: "button", class: "danger", onclick: () => this.askToCancel() }, "Cancel");
     this.again = h("button", { type: "button", onclick: () => doing(this.again, () => this.runAgain()) }, "Run again");
     this.now = h("div", { class: "stack" });
@@ -66,7 +67,7 @@ class JobView {
     this.facts = h("dl", { class: "facts" });
     this.attempts = h("tbody");
     this.elements = [
-      h("div", { class: "head" }, h("h1", {}, this.title), this.badge, h("p", { class: "grow" }, "of ", this.subject), this.cancel, this.again),
+      h("div", { class: "head" }, h("h1", {}, this.title), this.badge, h("p", { class: "grow" }, this.about, this.subject), this.cancel, this.again),
       h("div", { class: "columns" },
         h("div", { class: "stack" }, this.now, this.result, this.progress.element, this.log.element),
         h("div", { class: "stack" },
@@ -83,7 +84,9 @@ class JobView {
       nameWindow(`${this.title}, ${name}`);
     }, () => {});
     capturesById(this.job.subject_id, this.job.captures).then((found) => {
-      this.scans = this.job.captures.map((id) => found.get(id)?.name ?? "a deleted scan").join(", ");
+      const names = this.job.captures.map((id) => found.get(id)?.name ?? "a deleted scan");
+      this.scans = names.join(", ");
+      if (names.length === 1) setText(this.about, `${names[0]} of `);
       this.showFacts();
     }, () => {});
   }

@@ -5,7 +5,7 @@ import { announce, h, setText } from "../dom.js";
 import { watch } from "../events.js";
 import { applied, seconds } from "../jobs.js";
 import { keyed } from "../keyed.js";
-import { kindsByName, scansOf, subjectName, subjectsById } from "../library.js";
+import { changed, kindsByName, scansOf, subjectName, subjectsById } from "../library.js";
 import { askToCancel } from "../parts/cancel.js";
 import { meter } from "../parts/meter.js";
 import { FINAL, state, word } from "../parts/state.js";
@@ -24,6 +24,7 @@ const STATES = ["queued", "running", "canceling", "succeeded", "failed", "cancel
 
 export async function mount(root, _params, query) {
   const ending = new AbortController();
+  changed(); // others add subjects too
   const queue = new Queue(query, ending.signal, await kindsByName());
   root.append(...queue.elements);
   await repeat(() => queue.refresh(), EVERY_MS, ending.signal, (error) => toast(sentence(error), "bad"));
@@ -124,7 +125,7 @@ class Queue {
 
   /** Stream the events of the first running jobs: their phases show at once. */
   follow() {
-    const wanted = document.hidden ? [] : this.active.slice(0, MOST_STREAMS).map(({ id }) => id);
+    const wanted = this.active.slice(0, MOST_STREAMS).map(({ id }) => id);
     for (const [id, ending] of this.streams) {
       if (!wanted.includes(id)) {
         ending.abort();
@@ -153,12 +154,14 @@ class Queue {
   tellStates(jobs) {
     for (const job of jobs) {
       const before = this.states.get(job.id);
-      if (before && before !== job.state && (job.state === "running" || FINAL.has(job.state))) {
+      const isNews = before ? before !== job.state : this.hasLooked && job.state === "running";
+      if (isNews && (job.state === "running" || FINAL.has(job.state))) {
         const title = this.kinds.get(job.kind)?.title ?? job.kind;
         subjectName(job.subject_id).then((name) => announce(`${title}, ${name}: ${word(job.state)}`), () => {});
       }
       this.states.set(job.id, job.state);
     }
+    this.hasLooked = true;
   }
 }
 
@@ -238,7 +241,7 @@ function outcomeOf(job) {
     return [`${inLine(job.queue_position)}${again}`];
   }
   if (job.state === "running" || job.state === "canceling") return [meter(job)];
-  if (job.state === "failed") return [h("span", { class: "clip", title: job.error.message }, job.error.message)];
+  if (job.state === "failed") return [h("span", { class: "clip", title: job.error?.message }, job.error?.message)];
   if (job.state === "canceled") return [h("span", { class: "clip" }, job.cancel?.reason || "No reason given")];
   if (job.result.summary?.verdict) return [state(job.result.summary.verdict)];
   if (job.result.rig_id) return [h("a", { href: `/rigs/${job.result.rig_id}` }, "Open the rig")];

@@ -3,7 +3,6 @@
 import { get } from "../api.js";
 import * as auth from "../auth.js";
 import { h, show } from "../dom.js";
-import { changed } from "../library.js";
 import { sentence } from "../parts/trouble.js";
 import { navigate } from "../router.js";
 
@@ -36,7 +35,6 @@ export async function mount(root, _params, query) {
     auth.keep(key.value);
     try {
       await get("/v1/jobs", { limit: 1 });
-      changed();
       navigate(next, { replace: true });
     } catch (error) {
       if (before) auth.keep(before);

@@ -104,7 +104,7 @@ class SubjectView {
     const actions = h("div", { class: "row end" },
       isScan && act("Check", () => this.order("check_scan", { captures: [id] })),
       isScan && !capture.registered && act("Register", () => this.order("register_scan", { captures: [id] })),
-      act("Delete", () => this.deleteCapture(capture), "danger"));
+      act("Delete", () => this.deleteCapture(capture), "plain danger"));
     let shown = null;
     return {
       element: h("tr", {},

@@ -14,14 +14,18 @@ import { dropped, sorted } from "../scan_files.js";
 import { CAN_CHECK } from "../tus.js";
 import { count } from "../words.js";
 
-const AT_A_TIME = 2;
 const EVERY_MS = 1_000;
 const MOST_NAMED = 4;
 const ACTIVE = ["waiting", "sending", "checking"];
 
 let tray = null;
 
+document.addEventListener("keychange", () => {
+  tray = null; // another key may be another studio's
+});
+
 export async function mount(root, _params, query) {
+  changed(); // others add subjects too
   const [limits, kinds, subjects] = await Promise.all([serviceLimits(), kindsByName(), subjectsById()]);
   tray ??= new Tray(limits, kinds.get("check_scan").options);
   tray.showSubjects(subjects, query.get("subject"));
@@ -37,7 +41,7 @@ class Tray {
     this.schema = schema;
     this.rows = [];
     this.waiting = [];
-    this.sending = 0;
+    this.isSending = false;
     this.subject = h("select", { id: "subject", onchange: () => this.mark() });
     this.newName = h("input", { type: "text", id: "subject-name", maxlength: 200, required: true, autocomplete: "off", placeholder: "Name, session" });
     this.newField = h("div", { class: "field" }, h("label", { for: "subject-name" }, "Name of the new subject"), this.newName);
@@ -63,7 +67,7 @@ class Tray {
     this.resume = h("div", { class: "notice", hidden: true });
     this.elements = [h("h1", {}, "Upload"), this.resume, this.zone, this.settings];
     this.tellInterrupted();
-    addEventListener("beforeunload", (event) => this.sending && event.preventDefault());
+    addEventListener("beforeunload", (event) => this.isSending && event.preventDefault());
   }
 
   dropZone() {
@@ -171,7 +175,7 @@ class Tray {
       this.waiting.push(...rows);
       this.go.href = `/subjects/${subjectId}`;
       this.go.hidden = false;
-      this.sendNext();
+      this.sendAll();
       this.follow();
     } catch (error) {
       toast(sentence(error), "bad");
@@ -189,15 +193,16 @@ class Tray {
     return id;
   }
 
-  sendNext() {
-    while (this.sending < AT_A_TIME && this.waiting.length) {
-      this.sending++;
-      this.waiting.shift().run().finally(() => {
-        this.sending--;
-        this.sendNext();
-      });
+  /** Send the rows that wait, one after the other: the neutral's verdict comes first. */
+  async sendAll() {
+    if (this.isSending) return;
+    this.isSending = true;
+    while (this.waiting.length) {
+      tellUploads(this.waiting.length);
+      await this.waiting.shift().run();
     }
-    document.dispatchEvent(new CustomEvent("uploads", { detail: this.sending + this.waiting.length }));
+    this.isSending = false;
+    tellUploads(0);
   }
 
   /** Ask for the checks of the rows until all have a verdict: one question a subject. */
@@ -219,6 +224,11 @@ class Tray {
     const jobs = new Map(items.map((job) => [job.id, job]));
     for (const row of rows) if (jobs.has(row.jobId)) row.hear(jobs.get(row.jobId));
   }
+}
+
+/** Let the bar at the top say how many uploads are left. */
+function tellUploads(left) {
+  document.dispatchEvent(new CustomEvent("uploads", { detail: left }));
 }
 
 function repeated(names) {

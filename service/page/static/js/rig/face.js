@@ -1,0 +1,91 @@
+// A fitted face as numbers: its neutral, its expressions and the scans they were fitted to.
+
+import { Container } from "./container.js";
+
+/** What `view.bin` holds. Places are flat arrays of x, y, z in mm. */
+export class Face {
+  #file;
+
+  constructor(buffer) {
+    this.#file = new Container(buffer);
+    const { expressions, muscles } = this.#file.header;
+    this.expressions = expressions;
+    this.muscles = muscles;
+    this.neutral = this.#file.array("neutral");
+    this.faces = this.#file.array("faces");
+    this.count = this.neutral.length / 3;
+    this.names = expressions.map((expression) => expression.name);
+    this.hasScans = expressions.some((_, k) => this.#file.has(`scan/${k}`));
+  }
+
+  /** Return how the fitted skin of expression `k` lies off the neutral. */
+  skin(k) {
+    return this.#file.array(`skin/${k}`);
+  }
+
+  /** Return how the scan of expression `k` lies off the neutral, null without a scan. */
+  scan(k) {
+    return this.#file.has(`scan/${k}`) ? this.#file.array(`scan/${k}`) : null;
+  }
+
+  /** Return the distance of fit and scan per vertex, NaN where nothing was seen. */
+  error(k) {
+    return this.#file.array(`error/${k}`);
+  }
+
+  /** Return the length of each muscle's fibres in expression `k` by that at rest, NaN where unknown. */
+  stretches(k) {
+    const count = this.muscles.length;
+    return this.#file.array("activation").subarray(k * count, (k + 1) * count);
+  }
+
+  /** Return the greatest distance per vertex over all expressions, NaN where nothing was seen. */
+  worst() {
+    const worst = new Float32Array(this.count).fill(NaN);
+    for (let k = 0; k < this.names.length; k++) {
+      const error = this.error(k);
+      for (let i = 0; i < worst.length; i++) if (!(worst[i] >= error[i])) worst[i] = error[i];
+    }
+    return worst;
+  }
+}
+
+/**
+ * Set `out` to `base` and the weighted sum of fields, each `field(k)` of the size of `base`.
+ *
+ * A field that is null adds nothing.
+ */
+export function blend(out, base, weights, field) {
+  out.set(base);
+  for (let k = 0; k < weights.length; k++) {
+    const weight = weights[k];
+    const change = weight === 0 ? null : field(k);
+    if (change) for (let i = 0; i < out.length; i++) out[i] += weight * change[i];
+  }
+  return out;
+}
+
+/** Return the lengths of the differences of places `a` and `b`, per vertex. */
+export function distances(a, b) {
+  const out = new Float32Array(a.length / 3);
+  for (let i = 0, j = 0; i < out.length; i++, j += 3) {
+    out[i] = Math.hypot(a[j] - b[j], a[j + 1] - b[j + 1], a[j + 2] - b[j + 2]);
+  }
+  return out;
+}
+
+/** Return mean, 95th percentile and greatest of the values that are numbers; null without any. */
+export function figures(values) {
+  const known = values.filter(Number.isFinite).sort();
+  if (known.length === 0) return null;
+  return {
+    mean: known.reduce((sum, value) => sum + value, 0) / known.length,
+    p95: known[Math.min(known.length - 1, Math.floor(0.95 * known.length))],
+    max: known[known.length - 1],
+  };
+}
+
+/** Return a distance as text, a dash where there is none. */
+export function millimetres(value) {
+  return Number.isFinite(value) ? value.toFixed(2) : "–";
+}

@@ -1,0 +1,127 @@
+// The scrubber of sequences that were fitted with a rig.
+
+import * as api from "../api.js";
+import { h, setText, show } from "../dom.js";
+import { sentence } from "../parts/trouble.js";
+import { when } from "../words.js";
+import { artifactsOfJobs } from "./read.js";
+import { Take } from "./take.js";
+
+const FILE = "sequence.glb";
+
+/** Sequences of a rig; `change(patch)` takes a part of a state, which names job and frame. */
+export class TakePanel {
+  #change;
+  #count;
+  #signal;
+  #jobs = new Map();
+  #takes = new Map();
+  #shown = null;
+  #playing = 0;
+  #pick = h("select", { "aria-label": "Sequence", onchange: () => this.#go(this.#pick.value, 0) });
+  #play = h("button", { type: "button", onclick: () => this.#toggle() }, "Play");
+  #scrub = h("input", {
+    type: "range", min: 0, max: 0, step: 1, value: 0, "aria-label": "Frame",
+    oninput: () => this.#go(this.#shown, Number(this.#scrub.value)),
+  });
+  #place = h("output", {}, "");
+
+  constructor(count, change, signal) {
+    this.#count = count;
+    this.#change = change;
+    this.#signal = signal;
+    signal.addEventListener("abort", () => this.stop());
+    this.element = h("div", { class: "pose" }, h("p", { class: "fine" }, "Looking for sequences …"));
+  }
+
+  /** Look for the sequences of a rig. */
+  async find(rig) {
+    try {
+      for (const found of await artifactsOfJobs(rig, "fit_sequence", FILE, this.#signal)) this.#jobs.set(found.job.id, found);
+    } catch (error) {
+      if (!this.#signal.aborted) this.#fail(sentence(error));
+      return;
+    }
+    if (this.#jobs.size === 0) {
+      show(this.element, h("p", { class: "fine" }, "No sequence was fitted with this rig."));
+      return;
+    }
+    show(this.#pick, [...this.#jobs.values()].map(({ job }) => (
+      h("option", { value: job.id }, `${job.result.summary?.performance ?? "sequence"}, ${when(job.finished_at)}`)
+    )));
+    show(this.element,
+      h("div", { class: "row" }, this.#pick, this.#play),
+      h("div", { class: "scrubber" }, this.#scrub, this.#place),
+      h("p", { class: "fine" }, "The skin of the fit within 0.2 mm, in the head's own frame. Muscles and bones stay at rest."));
+  }
+
+  /** Return the take of a job, read when it is first asked for; null if there is none. */
+  async load(job) {
+    const known = this.#jobs.get(job);
+    if (!known) return null;
+    if (!this.#takes.has(job)) {
+      this.#takes.set(job, api.bytes(`/v1/artifacts/${known.artifact.id}`, { signal: this.#signal })
+        .then((buffer) => new Take(buffer)));
+    }
+    try {
+      const take = await this.#takes.get(job);
+      if (take.fits(this.#count)) return take;
+      this.#fail("this sequence has another topology than the rig");
+    } catch (error) {
+      this.#takes.delete(job);
+      if (!this.#signal.aborted) this.#fail(sentence(error));
+    }
+    return null;
+  }
+
+  /** Show a state and the take that it names. */
+  show(state, take) {
+    if (!state.take || !take) {
+      this.stop();
+      return;
+    }
+    this.#shown = state.take.job;
+    this.#pick.value = state.take.job;
+    this.#scrub.max = take.frames - 1;
+    if (Number(this.#scrub.value) !== state.take.frame) this.#scrub.value = state.take.frame;
+    setText(this.#place, `${state.take.frame + 1} of ${take.frames}, ${take.times[state.take.frame].toFixed(2)} s`);
+  }
+
+  /** Stop playing. */
+  stop() {
+    cancelAnimationFrame(this.#playing);
+    this.#playing = 0;
+    this.#play.textContent = "Play";
+  }
+
+  #go(job, frame) {
+    const first = job ?? this.#pick.value;
+    this.#change({ take: { job: first, frame }, expressions: new Map(), controls: new Map() });
+  }
+
+  async #toggle() {
+    if (this.#playing) {
+      this.stop();
+      return;
+    }
+    const job = this.#pick.value;
+    const take = await this.load(job);
+    if (!take) return;
+    this.#play.textContent = "Pause";
+    const first = this.#shown === job ? Number(this.#scrub.value) : 0;
+    const from = take.times[first] >= take.times.at(-1) ? take.times[0] : take.times[first];
+    let begun = null;
+    const step = (now) => {
+      begun ??= now;
+      const time = from + (now - begun) / 1000;
+      this.#go(job, Math.round(take.frameAt(time)));
+      if (time >= take.times.at(-1)) this.stop();
+      else this.#playing = requestAnimationFrame(step);
+    };
+    this.#playing = requestAnimationFrame(step);
+  }
+
+  #fail(text) {
+    show(this.element, h("p", { class: "notice bad", role: "alert" }, text));
+  }
+}

@@ -1,0 +1,274 @@
+"""The page in Chromium, with a running stack behind it."""
+
+import hashlib
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.service_client import Studio, eventually
+
+pytestmark = pytest.mark.slow
+
+MB = 1_000_000
+PIECE = 4 * 1024**2
+Show = Callable[..., Any]
+
+
+def _scan(path: Path, size: int = 0, **orders: str) -> Path:
+    lines = [f"# {path.name}", *(f"#! {key} {value}" for key, value in orders.items())]
+    path.write_text("\n".join(lines) + "\n" + "v 0 0 0\n" * (size // 8))
+    return path
+
+
+def _row(page: Any, file: str) -> Any:
+    return page.locator(f'tr[data-file="{file}"]')
+
+
+def _drop(page: Any, paths: list[Path]) -> None:
+    """Drop files or folders as the desktop does."""
+    session = page.context.new_cdp_session(page)
+    box = page.locator(".zone").bounding_box()
+    data = {"items": [], "files": [str(path) for path in paths], "dragOperationsMask": 1}
+    at = {"x": box["x"] + box["width"] / 2, "y": box["y"] + 10, "data": data}
+    for kind in ("dragEnter", "dragOver", "drop"):
+        session.send("Input.dispatchDragEvent", {"type": kind, **at})
+
+
+def test_a_dropped_scan_set_is_uploaded_and_judged(
+    show: Show, studio: Studio, tmp_path: Path
+) -> None:
+    folder = tmp_path / "session"
+    folder.mkdir()
+    neutral = _scan(folder / "Ada_neutral.obj")
+    smile = _scan(folder / "Ada_smile.obj", size=9 * MB)
+    _scan(folder / "Ada_kiss.obj", verdict="bad")
+    (folder / "Ada_smile-landmarks.csv").write_text("sellion,0,0,0\n")
+    (folder / "Ada_smile.mtl").write_text("newmtl skin\n")
+    page = show("/upload")
+
+    _drop(page, [folder])
+
+    row = _row(page, "Ada_neutral.obj")
+    row.wait_for()
+    assert row.get_attribute("data-role") == "neutral"
+    assert page.locator("tr[data-file]").first.get_attribute("data-file") == "Ada_neutral.obj"
+    assert page.get_by_label("Name of Ada_smile.obj").input_value() == "smile"
+    assert "landmarks Ada_smile-landmarks.csv" in _row(page, "Ada_smile.obj").inner_text()
+    assert page.get_by_text("1 file is no scan and stays here: Ada_smile.mtl").is_visible()
+
+    page.get_by_label("Name of the new subject").fill("Ada, Monday")
+    page.get_by_role("button", name="Upload 3 scans").click()
+
+    for file, verdict in (("neutral", "Good"), ("smile", "Good"), ("kiss", "Bad: scan again")):
+        _row(page, f"Ada_{file}.obj").locator(".state").get_by_text(verdict).wait_for()
+    kiss = _row(page, "Ada_kiss.obj")
+    assert kiss.get_by_text("Turn the head towards the lower camera").is_visible()
+    picture = kiss.locator("img")
+    eventually(lambda: picture.evaluate("image => image.naturalWidth") == 480)
+
+    subject = studio.get("/v1/subjects")["items"][0]
+    captures = studio.get(f"/v1/subjects/{subject['id']}/captures")["items"]
+    found = {capture["name"]: capture for capture in captures}
+    assert subject["name"] == "Ada, Monday"
+    assert found["neutral"]["role"] == "neutral"
+    assert not found["smile"]["registered"]
+    assert found["smile"]["landmarks"] == "Ada_smile-landmarks.csv"
+    for name, path in (("neutral", neutral), ("smile", smile)):
+        assert found[name]["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_a_scan_replaces_an_earlier_one_if_the_operator_says_so(
+    show: Show, studio: Studio, tmp_path: Path
+) -> None:
+    subject_id = studio.subject()
+    before = studio.raw(subject_id, "kiss", verdict="bad")
+    page = show(f"/upload?subject={subject_id}", refusals=True)
+    page.set_input_files("#files", str(_scan(tmp_path / "kiss.obj")))
+    page.get_by_role("button", name="Upload 1 scan").click()
+    page.get_by_role("button", name="Replace the earlier scan").click()
+    page.get_by_role("button", name="Delete it and go on").click()
+    _row(page, "kiss.obj").locator(".state").get_by_text("Good").wait_for()
+    captures = studio.get(f"/v1/subjects/{subject_id}/captures")["items"]
+    assert len(captures) == 2
+    assert before not in [capture["id"] for capture in captures]
+
+
+def test_an_upload_goes_on_after_a_lost_connection_and_a_reload(
+    show: Show, studio: Studio, tmp_path: Path
+) -> None:
+    scan = _scan(tmp_path / "neutral.obj", size=12 * MB)
+    page = show("/upload", refusals=True)
+    sent: list[int] = []
+
+    def on_patch(route: Any) -> None:
+        if route.request.method != "PATCH":
+            route.continue_()
+            return
+        sent.append(int(route.request.headers["upload-offset"]))
+        assert route.request.headers["upload-checksum"].startswith("sha256 ")
+        if len(sent) == 2:  # the connection breaks, and stays so
+            page.context.set_offline(True)
+        route.continue_()
+
+    page.route("**/v1/uploads/**", on_patch)
+    page.set_input_files("#files", str(scan))
+    page.get_by_label("Name of the new subject").fill("Jonas")
+    page.get_by_role("button", name="Upload 1 scan").click()
+    _row(page, "neutral.obj").get_by_text("Trying again").wait_for()
+    page.get_by_text(re.compile("No answer since")).wait_for()
+    assert sent[:2] == [0, PIECE]
+
+    page.context.set_offline(False)
+    page.unroute("**/v1/uploads/**")
+    page.once("dialog", lambda dialog: dialog.accept())  # "leave, though uploads are under way?"
+    page.reload()
+    page.get_by_text("Drop the same files again").wait_for()
+    assert page.get_by_label("Subject", exact=True).evaluate(
+        "select => select.selectedOptions[0].text"
+    ) == ("Jonas")
+    offsets: list[int] = []
+    page.on(
+        "request",
+        lambda request: (
+            request.method == "PATCH" and offsets.append(int(request.headers["upload-offset"]))
+        ),
+    )
+    page.set_input_files("#files", str(scan))
+    page.get_by_role("button", name="Upload 1 scan").click()
+    _row(page, "neutral.obj").locator(".state").get_by_text("Good").wait_for()
+    assert offsets
+    assert min(offsets) >= PIECE, "what had arrived is not sent twice"
+    assert page.evaluate("localStorage.getItem('myoface.uploads')") is None
+
+
+def test_a_job_is_watched_canceled_and_run_again(show: Show, studio: Studio) -> None:
+    subject_id = studio.modelled()
+    long = studio.capture(subject_id, "long", seconds="60")
+    page = show("/")
+    page.locator("tr[data-job]").first.wait_for()
+    job_id = studio.submit("fit_geometry", subject_id, captures=[long], options={"rounds": 7})
+
+    row = page.locator(f'tr[data-job="{job_id}"]')  # it comes by itself
+    row.get_by_text("Running").wait_for()
+    row.get_by_text(re.compile("Geometry, iteration")).wait_for()
+    row.get_by_text(re.compile("about .* left")).wait_for()
+    page.locator("#announcer").get_by_text(re.compile("Fit the muscle geometry.*Running")).wait_for(
+        state="attached"
+    )
+
+    row.get_by_role("link", name="Fit the muscle geometry").click()
+    page.locator("h1").get_by_text("Fit the muscle geometry").wait_for()
+    page.get_by_role("img", name=re.compile(r"^Mean error: from 2\.\d+ to .* mm")).wait_for()
+    page.get_by_role("log").get_by_text("iteration   3").wait_for()
+    assert page.locator("dd strong").inner_text() == "7"
+    page.get_by_role("button", name="Cancel").click()
+    page.get_by_label("Reason").fill("wrong take")
+    page.get_by_role("button", name="Cancel the job").click()
+    page.get_by_text(re.compile("wrong take")).wait_for()
+    page.locator(".head .state").get_by_text("Canceled").wait_for()
+    assert studio.job(job_id)["cancel"]["reason"] == "wrong take"
+
+    page.get_by_role("button", name="Run again").click()
+    rounds = page.get_by_role("dialog").get_by_label("Rounds")
+    assert rounds.input_value() == "7"
+    rounds.fill("3")
+    page.get_by_role("dialog").get_by_role("button", name="Run again").click()
+    page.wait_for_url(lambda url: "/jobs/" in url and job_id not in url)
+    again = studio.job(page.url.rsplit("/", 1)[1])
+    assert (again["options"], again["captures"]) == ({"rounds": 3}, [long])
+    studio.post(f"/v1/jobs/{again['id']}/cancel", reason="the test is over")
+    page.locator(".head .state").get_by_text("Canceled").wait_for()
+
+    page.go_back()
+    page.get_by_text(re.compile("wrong take")).wait_for()
+
+
+def test_a_failure_is_told_in_words_and_lists_are_filtered(show: Show, studio: Studio) -> None:
+    subject_id = studio.subject(verdict="usable")
+    bad = studio.raw(subject_id, "brows", fault="nan")
+    (neutral,) = [
+        capture["id"]
+        for capture in studio.get(f"/v1/subjects/{subject_id}/captures")["items"]
+        if capture["role"] == "neutral"
+    ]
+    studio.done("check_scan", subject_id, captures=[neutral])
+    failed = studio.submit("check_scan", subject_id, captures=[bad])
+    studio.finished(failed)
+
+    page = show(f"/?subject_id={subject_id}")
+    page.locator("tr[data-job]").nth(1).wait_for()
+    assert page.locator("tr[data-job]").count() == 2
+    page.get_by_text("Usable").wait_for()
+    page.get_by_label("State").select_option("failed")
+    page.get_by_text("Usable").wait_for(state="detached")
+    assert page.locator("tr[data-job]").count() == 1
+    assert "state=failed" in page.url
+    page.reload()  # the address says what is shown
+    page.locator(f'tr[data-job="{failed}"] a').first.click()
+    notice = page.locator(".notice.bad")
+    notice.get_by_text("has a value that is not a number in line 3").wait_for()
+    assert "scan.nan" in notice.inner_text()
+
+
+def test_a_subject_is_worked_with_and_deleted(show: Show, studio: Studio) -> None:
+    subject_id = studio.modelled()
+    studio.capture(subject_id, "smile")
+    page = show("/subjects")
+    page.get_by_role("link", name="Alex").first.click()
+    page.get_by_label("Choose smile for a fit").check()
+    page.get_by_role("button", name="Fit 1 expression").click()
+    page.get_by_role("dialog").get_by_role("button", name="Submit").click()
+    page.get_by_role("link", name="Open the rig").wait_for()
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Download rig.glb").click()
+    assert Path(download.value.path()).read_bytes().startswith(b"glTF")
+
+    page.goto(f"{studio.http.base_url}".rstrip("/") + f"/subjects/{subject_id}")
+    page.get_by_role("link", name="Open the rig").wait_for()
+    page.get_by_role("button", name="Delete subject").click()
+    page.get_by_label(re.compile("type the name")).fill("Alex")
+    page.get_by_role("button", name="Delete for good").click()
+    page.get_by_text("Alex was deleted").wait_for()
+    assert studio.http.get(f"/v1/subjects/{subject_id}").status_code == 404
+
+
+def test_a_key_is_asked_for_taken_from_the_address_and_forgotten(
+    show: Show, studio: Studio
+) -> None:
+    page = show("/health", key=None, refusals=True)
+    page.get_by_label("API key").fill("myo_nonsense")
+    page.get_by_role("button", name="Sign in").click()
+    page.get_by_text("not one of this service's").wait_for()
+    page.get_by_label("API key").fill(studio.key)
+    page.get_by_role("button", name="Sign in").click()
+    page.get_by_text("All parts answer").wait_for()
+    assert page.url.endswith("/health")
+
+    page = show("/health")
+    page.get_by_text("All parts answer").wait_for()
+    assert studio.key not in page.url
+    page.get_by_role("link", name="Signed in").click()
+    page.get_by_role("button", name="Sign out").click()
+    assert page.evaluate("sessionStorage.length") == 0
+
+
+def test_it_is_used_by_keyboard_and_its_colours_are_chosen(show: Show) -> None:
+    page = show("/health")
+    page.get_by_text("All parts answer").wait_for()
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.className") == "skip"
+    page.keyboard.press("Enter")
+    assert page.evaluate("document.activeElement.id") == "main"
+    ground = "getComputedStyle(document.body).backgroundColor"
+    light = page.evaluate(ground)
+    page.get_by_label("Colours").select_option("dark")
+    dark = page.evaluate(ground)
+    assert light != dark
+    page.reload()
+    assert page.evaluate(ground) == dark
+    page.get_by_role("link", name="Queue").press("Enter")
+    page.locator("h1:focus").wait_for()
+    assert page.title() == "Queue · Myoface"
