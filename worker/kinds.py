@@ -100,6 +100,13 @@ def _fit_sequence(task: Task) -> None:
     )
 
 
+def _build_preview(task: Task) -> None:
+    from solver import pipeline
+
+    files = task.files
+    pipeline.build_preview(files["model"], files["weights"], files["rig"], task.out, **task.how)
+
+
 CALLS: dict[str, Call] = {
     "check_scan": Call(_check_scan, "check.json"),
     "register_scan": Call(_register_scan, "registration.json"),
@@ -107,4 +114,5 @@ CALLS: dict[str, Call] = {
     "fit_geometry": Call(_fit_geometry, "report.json"),
     "fit_activations": Call(_fit_activations, "report.json"),
     "fit_sequence": Call(_fit_sequence, "sequence.json"),
+    "build_preview": Call(_build_preview, "preview.json"),
 }
