@@ -11,7 +11,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from service.settings import Settings
-from service.store import retention, sweep
+from service.store import garbage, retention, sweep
 from service.store.database import clock
 from service.store.models import Worker
 from service.store.store import Store
@@ -69,7 +69,7 @@ class Sweeper(threading.Thread):
             GARBAGE_EVERY, settings.garbage_age
         ):
             self._collected = time.monotonic()
-            if removed := sweep.collect_garbage(self._store, settings.garbage_age):
+            if removed := garbage.collect(self._store, settings.garbage_age):
                 log.info("files.collected", count=removed)
 
     def _show_life(self, session: Session) -> None:
