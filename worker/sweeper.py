@@ -17,7 +17,6 @@ from service.store.models import Worker
 from service.store.store import Store
 from worker.orphans import remove_orphans
 
-OFFICE = "sweeper"
 GARBAGE_EVERY = 60.0
 
 log = structlog.get_logger()
@@ -55,7 +54,7 @@ class Sweeper(threading.Thread):
         settings = self._settings
         with self._store.write() as session:
             self._show_life(session)
-            elected = sweep.hold_office(session, OFFICE, self._worker, 3 * settings.sweep)
+            elected = sweep.hold_office(session, sweep.SWEEPER, self._worker, 3 * settings.sweep)
             if elected:
                 sweep.expire_leases(session)
                 sweep.remove_expired_uploads(session, settings.uploads)
