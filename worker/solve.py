@@ -36,6 +36,9 @@ TELLING = {
 }
 """The file of each kind of job that holds its verdict or figures."""
 
+NICENESS = 10
+"""A fit takes the time that the API and the supervisors leave."""
+
 log = structlog.get_logger()
 
 
@@ -44,6 +47,7 @@ def main(folder: Path) -> int:
     process = json.loads((folder / "process.json").read_text())
     die_with_parent(process["parent"], signal.SIGKILL)
     logs.configure(json=False)
+    os.nice(NICENESS)
     resource.setrlimit(resource.RLIMIT_DATA, (process["memory_bytes"],) * 2)
     from solver.errors import InputError, SolveError
 
