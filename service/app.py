@@ -12,8 +12,14 @@ from fastapi import FastAPI
 from service import errors, http
 from service.access import bootstrap
 from service.access.keys import Keyring
+from service.access.rates import RateHeaders, Rates
+from service.access.signed import Signer
+from service.audit.routes import router as audit
 from service.captures.routes import router as captures
+from service.deletions.routes import router as deletions
 from service.jobs.routes import router as jobs
+from service.keys.routes import router as keys
+from service.outbound.client import Sender
 from service.page.routes import router as page
 from service.rigs.routes import router as rigs
 from service.secret import secret
@@ -22,7 +28,9 @@ from service.store.store import Store
 from service.subjects.routes import router as subjects
 from service.system.routes import router as system
 from service.templates.routes import router as templates
+from service.tenants.routes import router as tenants
 from service.uploads.routes import router as uploads
+from service.webhooks.routes import router as webhooks
 
 DESCRIPTION = """
 Registered 3D scans of one person in, a muscle-driven face out.
@@ -39,6 +47,11 @@ TAGS = [
     {"name": "templates", "description": "Anatomies that a studio brings."},
     {"name": "jobs", "description": "The work: submit, watch, cancel."},
     {"name": "rigs", "description": "The results and their files."},
+    {"name": "keys", "description": "API keys: make, rotate, revoke."},
+    {"name": "tenants", "description": "Who is asking, and what its tenant uses."},
+    {"name": "deletions", "description": "Receipts of what was deleted."},
+    {"name": "audit", "description": "Who did what."},
+    {"name": "webhooks", "description": "Who is told what happens."},
     {"name": "system", "description": "Health, limits and kinds of job."},
 ]
 
@@ -47,12 +60,15 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     """Return the application; without ``settings`` the environment's are used."""
     settings = settings or Settings()
     store = Store(settings.database, settings.files, settings.broker)
-    keyring = Keyring(store, secret(settings))
+    master = secret(settings)
+    keyring = Keyring(store, master)
+    rates = Rates(settings.broker, settings.rate_per_minute)
 
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         await to_thread.run_sync(bootstrap.prepare, store, keyring, settings)
         yield
+        rates.close()
         store.close()
 
     app = FastAPI(
@@ -68,10 +84,29 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.state.settings = settings
     app.state.store = store
     app.state.keyring = keyring
+    app.state.master = master
+    app.state.rates = rates
+    app.state.signer = Signer(master)
+    app.state.sender = Sender(settings.webhook_timeout, settings.webhook_allow)
     errors.install(app)
-    for router in (uploads, subjects, captures, templates, jobs, rigs, system, page):
+    for router in (
+        uploads,
+        subjects,
+        captures,
+        templates,
+        jobs,
+        rigs,
+        webhooks,
+        keys,
+        tenants,
+        audit,
+        deletions,
+        system,
+        page,
+    ):
         app.include_router(router)
     _describe_problems(app)
+    app.add_middleware(RateHeaders)
     http.install(app, settings)
     return app
 
@@ -81,7 +116,7 @@ def _describe_problems(app: FastAPI) -> None:
     document = app.openapi()  # FastAPI keeps it and serves it from now on
     schema = errors.ProblemDocument.model_json_schema()
     document["components"]["schemas"]["ProblemDocument"] = schema
-    of_keys = {str(status): answer for status, answer in errors.problems(401, 403).items()}
+    of_keys = {str(status): answer for status, answer in errors.problems(401, 403, 429).items()}
     of_bodies = {str(status): answer for status, answer in errors.problems(400, 408, 413).items()}
     for operations in document["paths"].values():
         for operation in operations.values():

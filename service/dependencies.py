@@ -8,7 +8,8 @@ from typing import Annotated
 from fastapi import Depends, Query, Request
 from sqlalchemy.orm import Session
 
-from service.access.principal import Deleter, Reader, Writer
+from service.access.principal import Admin, Deleter, Hooks, Reader, Writer
+from service.access.signed import FileReader
 from service.settings import Settings
 from service.store.store import Store
 
@@ -32,6 +33,10 @@ def _for_reading(store: WholeStore, who: Reader) -> Store:
     return store.of(who.tenant_id)
 
 
+def _for_downloading(store: WholeStore, who: FileReader) -> Store:
+    return store.of(who.tenant_id)
+
+
 def _for_writing(store: WholeStore, who: Writer) -> Store:
     return store.of(who.tenant_id)
 
@@ -40,9 +45,21 @@ def _for_deleting(store: WholeStore, who: Deleter) -> Store:
     return store.of(who.tenant_id)
 
 
+def _for_hooks(store: WholeStore, who: Hooks) -> Store:
+    return store.of(who.tenant_id)
+
+
+def _for_administering(store: WholeStore, who: Admin) -> Store:
+    return store.of(who.tenant_id)
+
+
 ReadStore = Annotated[Store, Depends(_for_reading)]
+FileStore = Annotated[Store, Depends(_for_downloading)]
+"""For a file alone: a signed URL is as good as a key."""
 WriteStore = Annotated[Store, Depends(_for_writing)]
 DeleteStore = Annotated[Store, Depends(_for_deleting)]
+AdminStore = Annotated[Store, Depends(_for_administering)]
+HookStore = Annotated[Store, Depends(_for_hooks)]
 
 
 def _reading(store: ReadStore) -> Iterator[Session]:
@@ -60,10 +77,22 @@ def _deleting(store: DeleteStore) -> Iterator[Session]:
         yield session
 
 
+def _of_hooks(store: HookStore) -> Iterator[Session]:
+    with store.write() as session:
+        yield session
+
+
+def _administering(store: AdminStore) -> Iterator[Session]:
+    with store.write() as session:
+        yield session
+
+
 ReadSession = Annotated[Session, Depends(_reading, scope="function")]
 # "function": the commit, and the wake-up calls after it, come before the response.
 WriteSession = Annotated[Session, Depends(_writing, scope="function")]
 DeleteSession = Annotated[Session, Depends(_deleting, scope="function")]
+AdminSession = Annotated[Session, Depends(_administering, scope="function")]
+HookSession = Annotated[Session, Depends(_of_hooks, scope="function")]
 
 Cursor = Annotated[
     str | None, Query(max_length=200, description="`next` of the page before; default: the newest")

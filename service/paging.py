@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import base64
+import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Generic, TypeVar
-from uuid import UUID
 
 from sqlalchemy import Select, and_, or_
 from sqlalchemy.orm import Session
@@ -14,6 +14,7 @@ from sqlalchemy.orm import Session
 from service.errors import Problem
 
 Row = TypeVar("Row")
+ID = re.compile(r"[0-9A-Za-z-]{1,36}")
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,12 @@ def read_cursor(cursor: str) -> tuple[datetime, str]:
     """Return the moment and the id of the row that a cursor stands for."""
     try:
         created_at, row_id = base64.urlsafe_b64decode(cursor).decode().split(" ")
-        return datetime.fromisoformat(created_at).astimezone(UTC), str(UUID(row_id))
-    except (ValueError, OverflowError) as error:  # not base64, not UTF-8, not two words, no date
+        moment = datetime.fromisoformat(created_at).astimezone(UTC)
+        if not ID.fullmatch(row_id):
+            raise ValueError(row_id)
+    except (
+        ValueError,
+        OverflowError,
+    ) as error:  # not base64, not two words, no date, no id
         raise Problem(422, "request.cursor", "the cursor is not one of this service's") from error
+    return moment, row_id

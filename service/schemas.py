@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from typing import Annotated, Generic, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
@@ -44,6 +45,12 @@ FileName = Annotated[str, StringConstraints(pattern=_FILE_NAME)]
 
 Position = Annotated[int, Field(ge=0, lt=2**63)]
 """A number that the database can compare with its own."""
+
+
+RetainUntil = Annotated[
+    datetime | None,
+    Field(description="when it is deleted by itself; null: when somebody deletes it"),
+]
 
 
 class Body(BaseModel):

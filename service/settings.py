@@ -8,7 +8,7 @@ import os
 import tempfile
 from pathlib import Path
 
-from pydantic import Field, SecretStr, field_validator
+from pydantic import Field, IPvAnyNetwork, SecretStr, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 # A unix socket's path must fit into sockaddr_un (104 bytes on macOS, 108 on Linux).
@@ -42,6 +42,22 @@ class Settings(BaseSettings):
         description="the same for all API processes; default: one made in data_dir",
     )
 
+    rate_per_minute: int = Field(
+        default=6000, ge=1, description="requests that a key may send; so many at once, too"
+    )
+    signed_url_seconds: int = Field(
+        default=300, ge=1, le=3600, description="how long a signed URL works"
+    )
+    retain_subjects: int | None = Field(
+        default=None, ge=1, description="days after which a subject goes with all that is its own"
+    )
+    retain_scans: int | None = Field(default=None, ge=1, description="days, of captures")
+    retain_jobs: int | None = Field(
+        default=None, ge=1, description="days after its end, of a job that no rig needs"
+    )
+    retain_rigs: int | None = Field(default=None, ge=1, description="days, of a rig and its job")
+    retain_audit: int | None = Field(default=None, ge=1, description="days, of the audit log")
+
     max_upload_bytes: int = Field(default=2 * 1024**3, gt=0)
     upload_ttl: float = Field(default=24 * 3600, gt=0)
     max_open_uploads: int = Field(default=64, ge=1, description="unfinished ones, of a tenant")
@@ -70,6 +86,18 @@ class Settings(BaseSettings):
     long_workers: int = Field(default=1, ge=1)
     solver_threads: int = Field(default=os.cpu_count() or 1, ge=1)
     solver_memory_mb: int = Field(default=8192, gt=0)
+
+    webhook_workers: int = Field(
+        default=8, ge=0, description="threads that deliver; 0: no worker for webhooks here"
+    )
+    webhook_timeout: float = Field(default=10, gt=0)
+    webhook_schedule: list[float] = Field(
+        default=[5, 300, 1800, 7200, 18000, 36000, 50400, 72000, 86400],
+        description="pauses before the further tries",
+    )
+    webhook_allow: list[IPvAnyNetwork] = Field(
+        default=[], description="networks that are not public but may be told, such as 10.1.2.0/24"
+    )
 
     log_json: bool = False
     stack_pid: int | None = Field(default=None, description="the launcher to end with, if any")

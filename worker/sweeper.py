@@ -11,7 +11,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from service.settings import Settings
-from service.store import sweep
+from service.store import retention, sweep
 from service.store.database import clock
 from service.store.models import Worker
 from service.store.store import Store
@@ -62,6 +62,8 @@ class Sweeper(threading.Thread):
                 sweep.forget_workers(session)
             if elected or at_once:
                 sweep.resend(session, settings.resend_after, at_once=at_once)
+        if elected:
+            retention.enforce(self._store, settings)
         remove_orphans(self._store, settings.work)
         if elected and time.monotonic() - self._collected > min(
             GARBAGE_EVERY, settings.garbage_age

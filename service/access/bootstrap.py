@@ -50,6 +50,16 @@ def admin_key(store: Store, keyring: Keyring, settings: Settings, *, only_first:
     return path
 
 
+def add_tenant(store: Store, keyring: Keyring, name: str, key: Path, **quotas: int | None) -> str:
+    """Add a tenant, and its first key to the file ``key``, mode 0600; returns its id."""
+    with store.write() as session:
+        session.add(tenant := Tenant(name=name, **quotas))
+        session.flush()
+        _, text = keyring.mint(session, tenant.id, "admin", Scope)
+        write_secret(key, text.encode())
+    return tenant.id
+
+
 def write_secret(path: Path, content: bytes) -> None:
     """Write a file that only its owner can read; it is there as a whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)

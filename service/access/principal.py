@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Annotated
 
@@ -31,6 +31,7 @@ class Principal:
     tenant_id: str
     key_id: str
     scopes: frozenset[str]
+    request_id: str = ""
 
 
 _bearer = HTTPBearer(
@@ -39,12 +40,20 @@ _bearer = HTTPBearer(
 Credentials = Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]
 
 
-def _principal(request: Request, credentials: Credentials) -> Principal:
+def principal(request: Request, credentials: Credentials) -> Principal:
+    """Return whose key the request came with, and count it.
+
+    Raises
+    ------
+    Problem
+        401 without a key that is known, 429 if it asks too fast.
+    """
     if credentials is None:
         raise unauthorized("auth.missing", "send an API key: Authorization: Bearer myo_...")
-    principal: Principal = request.app.state.keyring.verify(credentials.credentials)
-    request.state.key_id = principal.key_id
-    return principal
+    who: Principal = request.app.state.keyring.verify(credentials.credentials)
+    request.state.key_id = who.key_id
+    request.state.rate = request.app.state.rates.check(who.key_id)
+    return replace(who, request_id=request.state.request_id)
 
 
 def unauthorized(code: str, detail: str) -> Problem:
@@ -57,7 +66,7 @@ def unauthorized(code: str, detail: str) -> Problem:
 def need(scope: Scope) -> Callable[[Principal], Principal]:
     """Return a dependency that gives the caller if its key has ``scope``."""
 
-    def allowed(who: Annotated[Principal, Depends(_principal)]) -> Principal:
+    def allowed(who: Annotated[Principal, Depends(principal)]) -> Principal:
         if scope not in who.scopes:
             detail = f"the key may not do this: it lacks the scope {scope.value}"
             raise Problem(403, "auth.scope", detail, expected=scope.value, found=sorted(who.scopes))
@@ -69,4 +78,5 @@ def need(scope: Scope) -> Callable[[Principal], Principal]:
 Reader = Annotated[Principal, Depends(need(Scope.READ))]
 Writer = Annotated[Principal, Depends(need(Scope.WRITE))]
 Deleter = Annotated[Principal, Depends(need(Scope.DELETE))]
+Hooks = Annotated[Principal, Depends(need(Scope.WEBHOOKS))]
 Admin = Annotated[Principal, Depends(need(Scope.ADMIN))]

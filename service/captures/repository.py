@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sqlalchemy import delete, select
+from sqlalchemy import select
 from sqlalchemy.orm import Session, selectinload
 
 from service import paging
@@ -48,8 +48,3 @@ def succeeded_jobs(session: Session, kind: str, capture_ids: Sequence[str]) -> S
         .options(selectinload(Job.artifacts))
         .order_by(Job.created_at.desc(), Job.id.desc())
     ).all()
-
-
-def delete_jobs(session: Session, capture_id: str) -> None:
-    """Delete the jobs about a capture, with what they left."""
-    session.execute(delete(Job).where(Job.capture_id == capture_id))

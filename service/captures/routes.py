@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Response
 
+from service.access.principal import Deleter, Writer
+from service.audit.record import record
 from service.captures import repository, service
 from service.captures.schemas import CaptureView, Landmarks, NewCapture
-from service.dependencies import Cursor, DeleteSession, Limit, ReadSession, WriteSession
+from service.deletions.routes import answer
+from service.dependencies import (
+    Cursor,
+    DeleteSession,
+    Limit,
+    ReadSession,
+    SettingsDep,
+    WriteSession,
+)
 from service.errors import problems
+from service.idempotency import Once
 from service.schemas import Id, Page
 from service.subjects import repository as subjects
 
@@ -15,29 +26,48 @@ router = APIRouter(prefix="/v1/subjects/{subject_id}/captures", tags=["captures"
 
 
 @router.post("", status_code=201, summary="Add a scan", responses=problems(404, 409, 410, 422))
-def create(subject_id: Id, new: NewCapture, session: WriteSession) -> CaptureView:
+def create(
+    subject_id: Id,
+    new: NewCapture,
+    session: WriteSession,
+    who: Writer,
+    once: Once,
+    settings: SettingsDep,
+) -> CaptureView:
     """Make a complete upload the subject's neutral, an expression or a performance.
 
     OBJ, PLY, GLB or STL; a raw scan (`registered: false`) may also be an XYZ point cloud. The
     frames of a performance are a NumPy array (frames, vertices, 3) in mm.
     """
-    return service.views(session, [service.create(session, subject_id, new)])[0]
+    if (known := once.known(session, new)) is not None:
+        capture = repository.get(session, subject_id, known)
+    else:
+        capture = service.create(session, subject_id, new)
+        once.keep(session, capture.id)
+        record(session, who, "capture.created", capture.id)
+    return service.views(session, [capture], settings)[0]
 
 
 @router.get("", summary="List a subject's scans", responses=problems(404, 422))
 def index(
-    subject_id: Id, session: ReadSession, limit: Limit = 100, cursor: Cursor = None
+    subject_id: Id,
+    session: ReadSession,
+    settings: SettingsDep,
+    limit: Limit = 100,
+    cursor: Cursor = None,
 ) -> Page[CaptureView]:
     """List a subject's captures, newest first."""
     subjects.get(session, subject_id)
     found = repository.newest(session, subject_id, limit, cursor)
-    return Page(items=service.views(session, found.items), next=found.next)
+    return Page(items=service.views(session, found.items, settings), next=found.next)
 
 
 @router.get("/{capture_id}", summary="Show a scan", responses=problems(404, 422))
-def show(subject_id: Id, capture_id: Id, session: ReadSession) -> CaptureView:
+def show(
+    subject_id: Id, capture_id: Id, session: ReadSession, settings: SettingsDep
+) -> CaptureView:
     """Show a capture with its newest check and registration."""
-    return service.views(session, [repository.get(session, subject_id, capture_id)])[0]
+    return service.views(session, [repository.get(session, subject_id, capture_id)], settings)[0]
 
 
 @router.put(
@@ -46,11 +76,15 @@ def show(subject_id: Id, capture_id: Id, session: ReadSession) -> CaptureView:
     responses=problems(404, 409, 410, 422),
 )
 def set_landmarks(
-    subject_id: Id, capture_id: Id, given: Landmarks, session: WriteSession
+    subject_id: Id,
+    capture_id: Id,
+    given: Landmarks,
+    session: WriteSession,
+    settings: SettingsDep,
 ) -> CaptureView:
     """Make a complete upload (JSON, LJSON or CSV) the scan's landmarks, instead of earlier ones."""
     capture = service.set_landmarks(session, subject_id, capture_id, given)
-    return service.views(session, [capture])[0]
+    return service.views(session, [capture], settings)[0]
 
 
 @router.delete(
@@ -59,6 +93,8 @@ def set_landmarks(
     summary="Delete a scan",
     responses=problems(404, 409, 422),
 )
-def delete(subject_id: Id, capture_id: Id, session: DeleteSession) -> None:
+def delete(subject_id: Id, capture_id: Id, session: DeleteSession, who: Deleter) -> Response:
     """Delete a capture with its checks and registrations, for example to replace a bad scan."""
-    service.delete(session, subject_id, capture_id)
+    receipt = service.delete(session, subject_id, capture_id)
+    record(session, who, "capture.deleted", capture_id)
+    return answer(receipt)

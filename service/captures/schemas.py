@@ -8,7 +8,9 @@ from typing import Literal
 from pydantic import ConfigDict, Field
 
 from service.captures.registered import mesh, neutral_of
-from service.schemas import Body, Id, Name, View
+from service.schemas import Body, Id, Name, RetainUntil, View
+from service.settings import Settings
+from service.store import retention
 from service.store.models import Capture, Job
 
 Role = Literal["neutral", "expression", "performance"]
@@ -88,9 +90,12 @@ class CaptureView(View):
     check: CheckView | None
     registration: RegistrationView | None
     created_at: datetime
+    retain_until: RetainUntil
 
     @classmethod
-    def of(cls, capture: Capture, check: Job | None, registration: Job | None) -> CaptureView:
+    def of(
+        cls, capture: Capture, check: Job | None, registration: Job | None, settings: Settings
+    ) -> CaptureView:
         """Show a capture with the newest jobs about it."""
         return cls.model_validate(
             {
@@ -98,6 +103,7 @@ class CaptureView(View):
                 "landmarks": capture.landmarks_filename,
                 "check": check and _check(check),
                 "registration": registration and _registration(registration),
+                "retain_until": retention.until(settings.retain_scans, capture.created_at),
             }
         )
 

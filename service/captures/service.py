@@ -10,7 +10,9 @@ from sqlalchemy.orm import Session
 from service.captures import registered, repository
 from service.captures.schemas import CaptureView, Landmarks, NewCapture
 from service.errors import Problem
-from service.store.models import Capture, Job, Upload
+from service.settings import Settings
+from service.store.deletion import delete_capture
+from service.store.models import Capture, Deletion, Job, Upload
 from service.subjects import repository as subjects
 from service.subjects.service import refuse_while_busy
 from service.uploads import repository as uploads
@@ -49,13 +51,13 @@ def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
     return capture
 
 
-def views(session: Session, captures: Sequence[Capture]) -> list[CaptureView]:
+def views(session: Session, captures: Sequence[Capture], settings: Settings) -> list[CaptureView]:
     """Show captures with the newest check and registration of each."""
     ids = [capture.id for capture in captures]
     checks = _newest(repository.succeeded_jobs(session, "check_scan", ids))
     registrations = _newest(repository.succeeded_jobs(session, registered.KIND, ids))
     return [
-        CaptureView.of(capture, checks.get(capture.id), registrations.get(capture.id))
+        CaptureView.of(capture, checks.get(capture.id), registrations.get(capture.id), settings)
         for capture in captures
     ]
 
@@ -69,15 +71,13 @@ def set_landmarks(session: Session, subject_id: str, capture_id: str, given: Lan
     return capture
 
 
-def delete(session: Session, subject_id: str, capture_id: str) -> None:
-    """Delete a scan with its checks and registrations; the sweeper removes the files."""
+def delete(session: Session, subject_id: str, capture_id: str) -> Deletion:
+    """Delete a scan with its checks and registrations."""
     # A job submitted meanwhile would outlive the scan it reads.
     subjects.lock(session, subject_id)
     capture = repository.get(session, subject_id, capture_id)
     refuse_while_busy(session, subject_id)
-    uploads.forget(session, capture.uploaded)
-    repository.delete_jobs(session, capture_id)
-    session.delete(capture)
+    return delete_capture(session, capture, "request")
 
 
 def _give_landmarks(session: Session, capture: Capture, upload_id: str) -> None:

@@ -8,7 +8,10 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Header, Query, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from sqlalchemy.exc import IntegrityError
+from sqlalchemy.orm import Session
 
+from service.access.principal import Writer
+from service.audit.record import record
 from service.dependencies import (
     Cursor,
     Limit,
@@ -19,10 +22,12 @@ from service.dependencies import (
     WriteStore,
 )
 from service.errors import problems
+from service.idempotency import Once
 from service.jobs import frames, repository, service
 from service.jobs.events import stream
 from service.jobs.schemas import Cancel, FramesView, JobView, LogView, NewJob
 from service.schemas import Id, Name, Page, Position
+from service.settings import Settings
 from service.store.models import Job
 from service.store.store import Store
 from service.store.transitions import State
@@ -31,10 +36,13 @@ router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
 
 @router.post("", status_code=201, summary="Submit a job", responses=problems(404, 409, 422))
-def create(new: NewJob, session: WriteSession, settings: SettingsDep) -> JobView:
+def create(new: NewJob, session: WriteSession, once: Once, settings: SettingsDep) -> JobView:
     """Queue a piece of work; `PUT` is the same and can be repeated safely."""
+    if (known := once.known(session, new)) is not None:
+        return _view(session, known, settings)
     job, _ = service.submit(session, new, settings.max_attempts)
-    return _view(session, job.id)
+    once.keep(session, job.id)
+    return _view(session, job.id, settings)
 
 
 @router.put(
@@ -59,7 +67,7 @@ def put(
             raise service.taken(job_id) from error
     response.status_code = 201 if is_new else 200
     with store.read() as session:
-        return _view(session, job_id)
+        return _view(session, job_id, settings)
 
 
 def _submit(store: Store, new: NewJob, max_attempts: int, job_id: str) -> bool:
@@ -70,6 +78,7 @@ def _submit(store: Store, new: NewJob, max_attempts: int, job_id: str) -> bool:
 @router.get("", summary="List jobs", responses=problems(422))
 def index(
     session: ReadSession,
+    settings: SettingsDep,
     subject_id: Annotated[Id | None, Query()] = None,
     capture_id: Annotated[Id | None, Query(description="checks and registrations of it")] = None,
     state: State | None = None,
@@ -87,21 +96,28 @@ def index(
         limit=limit,
         cursor=cursor,
     )
-    views = [JobView.of(job, repository.queue_position(session, job)) for job in jobs.items]
+    views = [_shown(session, job, settings) for job in jobs.items]
     return Page(items=views, next=jobs.next)
 
 
 @router.get("/{job_id}", summary="Show a job", responses=problems(404, 422))
-def show(job_id: Id, session: ReadSession) -> JobView:
+def show(job_id: Id, session: ReadSession, settings: SettingsDep) -> JobView:
     """Show a job's state, progress, attempts, error and result."""
-    return _view(session, job_id)
+    return _view(session, job_id, settings)
 
 
 @router.post("/{job_id}/cancel", summary="Stop a job", responses=problems(404, 409, 422))
-def cancel(job_id: Id, session: WriteSession, order: Cancel | None = None) -> JobView:
+def cancel(
+    job_id: Id,
+    session: WriteSession,
+    who: Writer,
+    settings: SettingsDep,
+    order: Cancel | None = None,
+) -> JobView:
     """Stop a job: a running one is `canceling` until its solver is gone, a few seconds at most."""
     service.cancel(session, job_id, order or Cancel())
-    return _view(session, job_id)
+    record(session, who, "job.canceled", job_id)
+    return _view(session, job_id, settings)
 
 
 def _existing(job_id: Id, session: ReadSession) -> str:
@@ -155,7 +171,11 @@ def read_frames(
     return FramesView(frames=views, next=start + len(found), ready=ready)
 
 
-def _view(session: ReadSession, job_id: str) -> JobView:
+def _view(session: Session, job_id: str, settings: Settings) -> JobView:
     session.flush()
     job: Job = repository.get(session, job_id)
-    return JobView.of(job, repository.queue_position(session, job))
+    return _shown(session, job, settings)
+
+
+def _shown(session: Session, job: Job, settings: Settings) -> JobView:
+    return JobView.of(job, repository.queue_position(session, job), settings)

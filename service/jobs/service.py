@@ -6,6 +6,7 @@ import json
 
 from sqlalchemy.orm import Session
 
+from service.access.quotas import check_queued
 from service.errors import Problem
 from service.jobs import repository
 from service.jobs.inputs import resolve
@@ -30,6 +31,7 @@ def submit(
             raise taken(job_id)
         return job, False
     kind = _kind(new)
+    check_queued(session)
     subjects.lock(session, new.subject_id)
     inputs = resolve(session, kind, new)
     job = Job(

@@ -5,7 +5,12 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Any
 
-from service.schemas import View
+from pydantic import BaseModel, Field
+
+from service.schemas import RetainUntil, View
+from service.settings import Settings
+from service.store import retention
+from service.store.models import Rig
 
 
 class ArtifactView(View):
@@ -29,3 +34,18 @@ class RigView(View):
     summary: dict[str, Any]
     artifacts: list[ArtifactView]
     created_at: datetime
+    retain_until: RetainUntil
+
+    @classmethod
+    def of(cls, rig: Rig, settings: Settings) -> RigView:
+        """Show a rig."""
+        columns = {name: getattr(rig, name) for name in cls.model_fields if hasattr(rig, name)}
+        kept = retention.until(settings.retain_rigs, rig.created_at)
+        return cls.model_validate({**columns, "retain_until": kept})
+
+
+class SignedUrl(BaseModel):
+    """A URL that works without a key, relative to the service's, until ``expires_at``."""
+
+    url: str = Field(examples=["/v1/artifacts/4d8e0f9a-...?signed=default.1764000000.Qk3..."])
+    expires_at: datetime

@@ -18,6 +18,8 @@ from service.store.models import now
 from service.store.tenancy import TENANT
 
 MIGRATIONS = Path(__file__).parent / "migrations"
+# secure_delete: what is deleted is overwritten, and does not stay in a free page
+PRAGMAS = ("journal_mode=WAL", "synchronous=NORMAL", "foreign_keys=ON", "secure_delete=ON")
 MIGRATION_LOCK = 0x6D796F  # any constant: PostgreSQL's advisory locks go by number
 
 
@@ -124,7 +126,7 @@ def _engine(url: str, sqlite: bool) -> Engine:
     @event.listens_for(engine, "connect")
     def connect(connection: Any, _record: Any) -> None:
         connection.isolation_level = None  # the driver must not begin transactions by itself
-        for pragma in ("journal_mode=WAL", "synchronous=NORMAL", "foreign_keys=ON"):
+        for pragma in PRAGMAS:
             connection.execute(f"PRAGMA {pragma}")
 
     @event.listens_for(engine, "begin")

@@ -36,6 +36,10 @@ class FileStore:
         """Return where the file with this sha256 is."""
         return self.root / sha256[:2] / sha256
 
+    def exists(self, sha256: str) -> bool:
+        """Whether there is a file with this sha256."""
+        return self.path(sha256).exists()
+
     def put(self, source: Path) -> Blob:
         """Store a copy of ``source``; it is there as a whole or not at all."""
         descriptor, name = tempfile.mkstemp(dir=self.incoming)

@@ -10,7 +10,7 @@ from typing import Any
 from sqlalchemy import event
 from sqlalchemy.orm import ORMExecuteState, Session, with_loader_criteria
 
-from service.store.models import Owned
+from service.store.models import Owned, Tenant
 
 TENANT = "tenant"
 
@@ -19,6 +19,15 @@ def tenant_of(session: Session) -> str | None:
     """Return the tenant whose session this is; None: the service's own."""
     tenant: str | None = session.info.get(TENANT)
     return tenant
+
+
+def own_tenant(session: Session, *, lock: bool = False) -> Tenant:
+    """Return the tenant whose session this is; with ``lock``, others with it wait.
+
+    The lock is the one that does not keep rows which refer to the tenant from being added.
+    """
+    locking = {"key_share": True} if lock else None
+    return session.get_one(Tenant, tenant_of(session), with_for_update=locking)
 
 
 @event.listens_for(Session, "do_orm_execute")

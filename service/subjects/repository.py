@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from service import paging
 from service.errors import unknown
 from service.paging import Slice
-from service.store.models import Job, Subject
-from service.store.transitions import FINAL
+from service.store.models import Subject
 
 
 def get(session: Session, subject_id: str) -> Subject:
@@ -33,10 +30,3 @@ def lock(session: Session, subject_id: str) -> Subject:
 def newest(session: Session, limit: int, cursor: str | None) -> Slice[Subject]:
     """Return subjects, newest first."""
     return paging.newest(session, select(Subject), limit, cursor)
-
-
-def active_jobs(session: Session, subject_id: str) -> Sequence[str]:
-    """Return the ids of a subject's jobs that are not over."""
-    return session.scalars(
-        select(Job.id).where(Job.subject_id == subject_id, Job.state.not_in(FINAL))
-    ).all()

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Query, Response
 
-from service.dependencies import Cursor, DeleteSession, Limit, ReadSession, WriteSession
+from service.access.principal import Deleter, Writer
+from service.audit.record import record
+from service.deletions.routes import answer
+from service.dependencies import (
+    Cursor,
+    DeleteSession,
+    Limit,
+    ReadSession,
+    SettingsDep,
+    WriteSession,
+)
 from service.errors import problems
+from service.idempotency import Once
 from service.schemas import Id, Page
 from service.subjects import repository, service
 from service.subjects.schemas import NewSubject, SubjectView
@@ -15,41 +26,51 @@ from service.subjects.schemas import NewSubject, SubjectView
 router = APIRouter(prefix="/v1/subjects", tags=["subjects"])
 
 
-@router.post(
-    "",
-    status_code=201,
-    response_model=SubjectView,
-    summary="Add a subject",
-    responses=problems(404, 422),
-)
-def create(new: NewSubject, session: WriteSession) -> Any:
+@router.post("", status_code=201, summary="Add a subject", responses=problems(404, 409, 422))
+def create(
+    new: NewSubject, session: WriteSession, who: Writer, once: Once, settings: SettingsDep
+) -> SubjectView:
     """Add a person to be scanned."""
-    return service.create(session, new)
+    if (known := once.known(session, new)) is not None:
+        return SubjectView.of(repository.get(session, known), settings)
+    subject = service.create(session, new)
+    once.keep(session, subject.id)
+    record(session, who, "subject.created", subject.id)
+    return SubjectView.of(subject, settings)
 
 
-@router.get("", response_model=Page[SubjectView], summary="List subjects", responses=problems(422))
-def index(session: ReadSession, limit: Limit = 100, cursor: Cursor = None) -> Any:
+@router.get("", summary="List subjects", responses=problems(422))
+def index(
+    session: ReadSession, settings: SettingsDep, limit: Limit = 100, cursor: Cursor = None
+) -> Page[SubjectView]:
     """List subjects, newest first."""
-    return repository.newest(session, limit, cursor)
+    found = repository.newest(session, limit, cursor)
+    items = [SubjectView.of(subject, settings) for subject in found.items]
+    return Page(items=items, next=found.next)
 
 
-@router.get(
-    "/{subject_id}",
-    response_model=SubjectView,
-    summary="Show a subject",
-    responses=problems(404, 422),
-)
-def show(subject_id: Id, session: ReadSession) -> Any:
+@router.get("/{subject_id}", summary="Show a subject", responses=problems(404, 422))
+def show(subject_id: Id, session: ReadSession, settings: SettingsDep) -> SubjectView:
     """Show a subject."""
-    return repository.get(session, subject_id)
+    return SubjectView.of(repository.get(session, subject_id), settings)
 
 
 @router.delete(
     "/{subject_id}",
     status_code=204,
     summary="Delete a subject",
-    responses=problems(404, 409, 422),
+    responses={202: {"description": "Its jobs are being stopped"}, **problems(404, 409, 422)},
 )
-def delete(subject_id: Id, session: DeleteSession) -> None:
-    """Delete a subject with its captures, jobs, rigs and their files (files within minutes)."""
-    service.delete(session, subject_id)
+def delete(
+    subject_id: Id,
+    session: DeleteSession,
+    who: Deleter,
+    cancel: Annotated[bool, Query(description="stop its jobs first")] = False,
+) -> Response:
+    """Delete a subject with its captures, jobs, rigs and their files (files within minutes).
+
+    `Location` names the receipt, which says when all was gone.
+    """
+    receipt = service.delete(session, subject_id, cancel=cancel)
+    record(session, who, "subject.deleted", subject_id)
+    return answer(receipt)

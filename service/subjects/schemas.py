@@ -6,7 +6,10 @@ from datetime import datetime
 
 from pydantic import Field
 
-from service.schemas import Body, Id, Title, View
+from service.schemas import Body, Id, RetainUntil, Title, View
+from service.settings import Settings
+from service.store import retention
+from service.store.models import Subject
 
 
 class NewSubject(Body):
@@ -23,3 +26,16 @@ class SubjectView(View):
     name: str
     template_id: str | None
     created_at: datetime
+    retain_until: RetainUntil
+
+    @classmethod
+    def of(cls, subject: Subject, settings: Settings) -> SubjectView:
+        """Show a subject."""
+        kept = retention.until(settings.retain_subjects, subject.created_at)
+        return cls(
+            id=subject.id,
+            name=subject.name,
+            template_id=subject.template_id,
+            created_at=subject.created_at,
+            retain_until=kept,
+        )

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from sqlalchemy.orm import Session
 
-from service.captures import repository as captures
 from service.errors import Problem
-from service.store.models import Subject
+from service.store.deletion import active_jobs, delete_subject, delete_subject_later
+from service.store.models import Deletion, Subject
 from service.subjects import repository
 from service.subjects.schemas import NewSubject
 from service.templates import repository as templates
-from service.uploads import repository as uploads
 
 
 def create(session: Session, new: NewSubject) -> Subject:
@@ -25,7 +24,7 @@ def create(session: Session, new: NewSubject) -> Subject:
 
 def refuse_while_busy(session: Session, subject_id: str) -> None:
     """Raise a problem while jobs read the subject's files."""
-    if jobs := repository.active_jobs(session, subject_id):
+    if jobs := active_jobs(session, subject_id):
         raise Problem(
             409,
             "subject.busy",
@@ -35,10 +34,10 @@ def refuse_while_busy(session: Session, subject_id: str) -> None:
         )
 
 
-def delete(session: Session, subject_id: str) -> None:
-    """Delete a subject with all that is its own; the sweeper removes the files."""
+def delete(session: Session, subject_id: str, *, cancel: bool) -> Deletion:
+    """Delete a subject with all that is its own; ``cancel`` stops its jobs first."""
     subject = repository.lock(session, subject_id)
+    if cancel:
+        return delete_subject_later(session, subject)
     refuse_while_busy(session, subject_id)
-    for capture in captures.of_subject(session, subject_id):
-        uploads.forget(session, capture.uploaded)
-    session.delete(subject)
+    return delete_subject(session, subject, "request")

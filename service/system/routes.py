@@ -12,7 +12,7 @@ from service.dependencies import SettingsDep, WholeStore
 from service.errors import problems
 from service.kinds import KINDS
 from service.schemas import Page
-from service.system.schemas import KindView, Limits, Readiness, WorkerView
+from service.system.schemas import KindView, Limits, Readiness, Retention, WorkerView
 from service.system.service import living_workers, readiness
 
 router = APIRouter(tags=["system"])
@@ -27,6 +27,14 @@ def limits(settings: SettingsDep) -> Limits:
     return Limits(
         max_upload_bytes=settings.max_upload_bytes,
         upload_ttl=settings.upload_ttl,
+        rate_per_minute=settings.rate_per_minute,
+        retention=Retention(
+            subjects=settings.retain_subjects,
+            scans=settings.retain_scans,
+            jobs=settings.retain_jobs,
+            rigs=settings.retain_rigs,
+            audit=settings.retain_audit,
+        ),
         scan_formats=list(FORMATS),
         raw_scan_formats=list(RAW_FORMATS),
         landmark_formats=list(LANDMARK_FORMATS),

@@ -10,11 +10,23 @@ from pydantic import BaseModel, Field
 from service.schemas import View
 
 
+class Retention(BaseModel):
+    """Days that things are kept; null: until somebody deletes them."""
+
+    subjects: int | None
+    scans: int | None
+    jobs: int | None
+    rigs: int | None
+    audit: int | None
+
+
 class Limits(BaseModel):
     """What this service accepts and how long it keeps things (bytes, seconds)."""
 
     max_upload_bytes: int
     upload_ttl: float
+    rate_per_minute: int = Field(description="requests of a key")
+    retention: Retention
     scan_formats: list[str]
     raw_scan_formats: list[str]
     landmark_formats: list[str]

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Response
 
-from service.dependencies import Cursor, Limit, ReadSession, WriteSession
+from service.access.principal import Deleter, Writer
+from service.audit.record import record
+from service.deletions.routes import answer
+from service.dependencies import Cursor, DeleteSession, Limit, ReadSession, WriteSession
 from service.errors import problems
+from service.idempotency import Once
 from service.schemas import Id, Page
 from service.templates import repository, service
 from service.templates.schemas import NewTemplate, TemplateView
@@ -22,9 +26,14 @@ router = APIRouter(prefix="/v1/templates", tags=["templates"])
     summary="Bring a template anatomy",
     responses=problems(404, 409, 410, 422),
 )
-def create(new: NewTemplate, session: WriteSession) -> Any:
+def create(new: NewTemplate, session: WriteSession, who: Writer, once: Once) -> Any:
     """Make a template anatomy of a complete upload (`.npz`)."""
-    return service.create(session, new)
+    if (known := once.known(session, new)) is not None:
+        return repository.get(session, known)
+    template = service.create(session, new)
+    once.keep(session, template.id)
+    record(session, who, "template.created", template.id)
+    return template
 
 
 @router.get(
@@ -44,3 +53,16 @@ def index(session: ReadSession, limit: Limit = 100, cursor: Cursor = None) -> An
 def show(template_id: Id, session: ReadSession) -> Any:
     """Show a template."""
     return repository.get(session, template_id)
+
+
+@router.delete(
+    "/{template_id}",
+    status_code=204,
+    summary="Delete a template",
+    responses=problems(404, 409, 422),
+)
+def delete(template_id: Id, session: DeleteSession, who: Deleter) -> Response:
+    """Delete a template that no subject has; models built of it stay."""
+    receipt = service.delete(session, template_id)
+    record(session, who, "template.deleted", template_id)
+    return answer(receipt)

@@ -5,7 +5,9 @@ from __future__ import annotations
 from sqlalchemy.orm import Session
 
 from service.errors import Problem
-from service.store.models import Template
+from service.store.deletion import delete_template
+from service.store.models import Deletion, Template
+from service.templates import repository
 from service.templates.schemas import NewTemplate
 from service.uploads import repository as uploads
 
@@ -30,3 +32,17 @@ def create(session: Session, new: NewTemplate) -> Template:
     session.add(template)
     session.flush()
     return template
+
+
+def delete(session: Session, template_id: str) -> Deletion:
+    """Delete a template that no subject has."""
+    template = repository.lock(session, template_id)
+    if subjects := repository.subjects_of(session, template_id):
+        raise Problem(
+            409,
+            "template.in_use",
+            "subjects have this template",
+            template_id=template_id,
+            subject_ids=list(subjects),
+        )
+    return delete_template(session, template, "request")

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from sqlalchemy import delete, func, select
+from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from service.errors import Problem, unknown
@@ -46,8 +44,3 @@ def count_open(session: Session) -> int:
         ~Upload.complete, Upload.expires_at >= clock(session)
     )
     return session.execute(unfinished).scalar_one()
-
-
-def forget(session: Session, sha256s: Sequence[str]) -> None:
-    """Delete the uploads of what was deleted, which would keep the files until they expire."""
-    session.execute(delete(Upload).where(Upload.complete, Upload.sha256.in_(sha256s)))

@@ -19,6 +19,7 @@ from anyio import to_thread
 from sqlalchemy.orm import Session
 from starlette.requests import ClientDisconnect
 
+from service.access.quotas import check_bytes
 from service.errors import CHECKSUM_MISMATCH, Problem
 from service.settings import Settings
 from service.store.database import clock
@@ -53,6 +54,7 @@ class UploadService:
             )
         with self._store.write() as session:
             self._refuse_too_many(session)
+            check_bytes(session, size)
             until = clock(session) + timedelta(seconds=self._settings.upload_ttl)
             upload = Upload(filename=filename, size=size, sha256=sha256, expires_at=until)
             session.add(upload)

@@ -30,6 +30,7 @@ except ModuleNotFoundError as error:
     raise ModuleNotFoundError("USD is an extra: pip install 'myoface[usd]'") from error
 
 from solver.drawing.parts import skin_parts
+from solver.errors import InputError
 from solver.mechanics import jaw
 from solver.model import SubjectModel
 from solver.normals import vertex_normals
@@ -37,6 +38,7 @@ from solver.rig.gltf import HOLD_SECONDS, MATERIALS, MOVE_SECONDS, STILL_MM, wor
 from solver.rig.result import ExpressionFit, load_activations
 from solver.surface import Floats, Surface
 
+FORMATS = [".usdc", ".usda", ".usd"]
 FRAMES_PER_SECOND = 30.0
 ROOT = Sdf.Path("/Face")
 HEAD, JAW = "head", "head/jaw"
@@ -44,9 +46,18 @@ JOINTS = [HEAD, JAW]
 
 
 def write_usd(path: Path, model: SubjectModel, expressions: Sequence[ExpressionFit]) -> None:
-    """Write a rig as ``.usdc``, ``.usda`` or ``.usd``; a file that is there is replaced."""
-    path.unlink(missing_ok=True)
-    stage = Usd.Stage.CreateNew(str(path))
+    """Write a rig as ``.usdc``, ``.usda`` or ``.usd``; a file that is there is replaced.
+
+    Raises :class:`InputError` (``usd.format``) for another ending.
+    """
+    if path.suffix not in FORMATS:
+        raise InputError(
+            "usd.format",
+            f"{path.name} does not end in {', '.join(FORMATS)}",
+            file=path.name,
+            expected=FORMATS,
+        )
+    stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, UsdGeom.LinearUnits.millimeters)
     root = UsdSkel.Root.Define(stage, ROOT)
@@ -59,7 +70,7 @@ def write_usd(path: Path, model: SubjectModel, expressions: Sequence[ExpressionF
     names = [fit.name for fit in expressions]
     _animation(stage, model, names, np.array([fit.jaw for fit in expressions]).reshape(-1, 5))
     root.CreateExtentAttr(_extent(_swept(model, expressions)))
-    stage.GetRootLayer().Save()
+    stage.GetRootLayer().Export(str(path))
 
 
 def _swept(model: SubjectModel, expressions: Sequence[ExpressionFit]) -> Floats:
@@ -210,8 +221,11 @@ def main() -> None:
     parser.add_argument("out", type=Path, help="file to write: .usdc, .usda or .usd")
     parser.add_argument("--model", type=Path, help="the subject model; model.npz in that folder")
     given = parser.parse_args()
-    model = SubjectModel.load(given.model or given.rig / "model.npz")
-    write_usd(given.out, model, load_activations(given.rig / "activations.npz", model))
+    try:
+        model = SubjectModel.load(given.model or given.rig / "model.npz")
+        write_usd(given.out, model, load_activations(given.rig / "activations.npz", model))
+    except InputError as error:
+        parser.error(error.message)
 
 
 if __name__ == "__main__":

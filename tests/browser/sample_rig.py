@@ -1,17 +1,15 @@
 """A rig to look at in seconds: the three files that the page reads, of a face with expressions.
 
-The face is the shared data's morphable head where that is there, else the built-in one. Nothing is
-solved: fits are the scans a little smoothed, the flesh follows the skin, and the muscle sliders push
-the skin beside each muscle. It shows every part of the page at true sizes, not a fit.
+The face is the shared data's morphable head where that is there, else the built-in one. Nothing
+is solved: fits are the scans a little smoothed, the flesh follows the skin, and the muscle sliders
+push the skin beside each muscle. It shows every part of the page at true sizes, not a fit.
 
     python tests/browser/sample_rig.py FOLDER [--whole]
 """
 
 from __future__ import annotations
 
-import json
 import os
-import struct
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,22 +23,24 @@ from solver.anatomy.builtin import builtin_capture_set, builtin_template
 from solver.anatomy.capture_set import CaptureSet
 from solver.anatomy.ict_captures import ict_capture_set
 from solver.normals import vertex_normals
+from solver.rig.view.format import write_container
 from solver.surface import Floats, Ints, Surface
 from solver.triangles import adjacency
 
-MAGIC = b"MYOV"
 ICT_FACE = 9409  # ICT-FaceKit: the vertices below are face, ears and neck without eyes and mouth
 CELL_MM = 8.0
 FLESH_MM = 34.0
 REACH_MM = 16.0
 SHAPES = 32
 NO_MUSCLE = 255
-CUBE = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
+CUBE = np.array(
+    [[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]]
+)
 
 
 @dataclass(frozen=True)
 class Sample:
-    """What was written; see ``format5``: displacements in mm from ``neutral`` (n, 3)."""
+    """What was written; ``skin`` (k, n, 3) is off ``neutral`` in mm, as are ``basis``' shapes."""
 
     neutral: Surface
     names: tuple[str, ...]
@@ -59,14 +59,12 @@ class Sample:
 
     def summary(self) -> dict[str, Any]:
         """Return what a rig's ``summary`` says that the page shows."""
-        means = {name: float(np.nanmean(each)) for name, each in zip(self.names, self.error)}
+        means = [float(np.nanmean(each)) for each in self.error]
         return {
-            "train_mean_mm": float(np.mean(list(means.values()))),
+            "train_mean_mm": float(np.mean(means)),
             "test_mean_mm": None,
             "inverted": 0,
-            "vertices": len(self.neutral.vertices),
             "muscles": len(self.muscles),
-            "expressions": {name: {"mean_mm": mean} for name, mean in means.items()},
         }
 
 
@@ -93,27 +91,6 @@ def write_sample(folder: Path, *, whole: bool = False, subject: str = "A") -> Sa
     _write_inside(folder / "inside.bin", sample, muscles, bones)
     _write_preview(folder / "preview.bin", sample)
     return sample
-
-
-def write_container(path: Path, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
-    """Write named arrays, each at a multiple of 8 bytes, after a header in JSON."""
-    kinds = {name: str(array.dtype) for name, array in arrays.items()}
-    places: dict[str, dict[str, Any]] = {}
-    size = 0
-    while True:  # the offsets are in the header, whose length they depend on
-        text = json.dumps({**header, "format": 1, "unit": "mm", "arrays": places}).encode()
-        start = offset = 8 + len(text) + -(8 + len(text)) % 8
-        if size == start:
-            break
-        size = start
-        for name, array in arrays.items():
-            places[name] = {"dtype": kinds[name], "shape": list(array.shape), "offset": offset}
-            offset += array.nbytes + -array.nbytes % 8
-    with path.open("wb") as file:
-        file.write(MAGIC + struct.pack("<I", len(text)) + text)
-        for name, array in arrays.items():
-            file.seek(places[name]["offset"])
-            file.write(np.ascontiguousarray(array).tobytes())
 
 
 def _captures(subject: str) -> CaptureSet:
@@ -177,7 +154,8 @@ def _write_view(path: Path, sample: Sample, target: Floats) -> None:
         arrays[f"skin/{k}"] = sample.skin[k].astype(np.float16)
         arrays[f"scan/{k}"] = target[k].astype(np.float16)
         arrays[f"error/{k}"] = sample.error[k].astype(np.float16)
-    write_container(path, {"expressions": figures, "muscles": sample.muscles}, arrays)
+    header = {"expressions": figures, "muscles": list(sample.muscles)}
+    write_container(path, header, arrays)
 
 
 def _write_inside(
@@ -190,7 +168,10 @@ def _write_inside(
     at = np.einsum("vk,evkd->evd", share / 4, sample.skin[:, nearest])
     centres = rest[tets].mean(axis=1)
     away, owner = np.full(len(tets), 6.0), np.full(len(tets), NO_MUSCLE, np.uint8)
-    arrays: dict[str, np.ndarray] = {"rest": rest.astype(np.float32), "tets": tets.astype(np.uint32)}
+    arrays: dict[str, np.ndarray] = {
+        "rest": rest.astype(np.float32),
+        "tets": tets.astype(np.uint32),
+    }
     for k, field in enumerate(at):
         arrays[f"at/{k}"] = field.astype(np.float16)
     for number, surface in enumerate(muscles.values()):
@@ -231,7 +212,9 @@ def _flesh(skin: Surface) -> tuple[Floats, Ints]:
     kept = behind & (distance < FLESH_MM)
     corners = np.array([[(c >> 2) & 1, (c >> 1) & 1, c & 1] for c in range(8)])
     cells = grid[(grid < shape - 1).all(axis=1)]
-    numbers = np.ravel_multi_index((cells[:, None] + corners).reshape(-1, 3).T, shape).reshape(-1, 8)
+    numbers = np.ravel_multi_index((cells[:, None] + corners).reshape(-1, 3).T, shape).reshape(
+        -1, 8
+    )
     numbers = numbers[kept[numbers].all(axis=1)]
     used, tets = np.unique(numbers[:, CUBE].reshape(-1, 4), return_inverse=True)
     return points[used], tets.reshape(-1, 4)

@@ -150,3 +150,7 @@ def test_the_command_converts_a_rig_s_folder(rig: Rig, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "solver.rig.usd", str(tmp_path), str(tmp_path / "rig.usda")]
     subprocess.run(command, cwd=ROOT, check=True, timeout=60)
     assert faults(Usd.Stage.Open(str(tmp_path / "rig.usda"))) == []
+    command[-1] = str(tmp_path / "rig.fbx")
+    child = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert child.returncode == 2
+    assert "rig.fbx does not end in .usdc, .usda, .usd" in child.stderr

@@ -14,12 +14,16 @@ from pathlib import Path
 
 import pytest
 
-from service.store import jobs, sweep
+from service.access import bootstrap
+from service.access.keys import Keyring
+from service.secret import secret
+from service.settings import Settings
+from service.store import jobs, retention, sweep
 from service.store.database import clock
-from service.store.models import DEFAULT_TENANT, Job, Subject
+from service.store.models import DEFAULT_TENANT, Job, Subject, Tenant
 from service.store.store import Store
 from service.store.transitions import State
-from tests.service_client import running
+from tests.service_client import running, served
 
 
 @pytest.fixture(scope="module")
@@ -118,6 +122,42 @@ def test_the_whole_service_runs_on_it(url: str, tmp_path: Path) -> None:
         assert studio.http.delete(f"/v1/subjects/{subject}/captures/{smile}").status_code == 204
         assert studio.http.delete(f"/v1/subjects/{subject}").status_code == 204
         assert studio.get(f"/v1/jobs?subject_id={subject}")["items"] == []
+
+
+def test_requests_that_cross_wait_for_one_another(url: str, tmp_path: Path) -> None:
+    settings = Settings(data_dir=tmp_path, database_url=url)
+    store = _store(url, tmp_path / "files")
+    bootstrap.admin_key(store, Keyring(store, secret(settings)), settings, only_first=False)
+    with store.write() as session:
+        session.get_one(Tenant, DEFAULT_TENANT).max_queued = 2
+    with served(settings) as studio:
+        subject = studio.subject()
+        body = {"kind": "build_model", "subject_id": subject}
+        answers: list[tuple[int, str]] = []
+        ready = threading.Barrier(8)
+
+        def submit(number: int) -> None:
+            ready.wait()
+            headers = {"Idempotency-Key": f"job {number % 4}".replace(" ", "-")}
+            answer = studio.http.post("/v1/jobs", json=body, headers=headers)
+            answers.append((answer.status_code, answer.json().get("code", "")))
+
+        threads = [threading.Thread(target=submit, args=(number,)) for number in range(8)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        refused = {(409, "idempotency.in_flight"), (429, "quota.queued")}
+        assert set(answers) <= {(201, ""), *refused}, answers
+        assert len(studio.get(f"/v1/jobs?subject_id={subject}")["items"]) == 2
+        assert studio.get("/v1/usage")["queued"] == {"used": 2, "limit": 2}
+        receipt = studio.http.delete(f"/v1/subjects/{subject}?cancel=true").headers["Location"]
+        retention.enforce(store, settings.model_copy(update={"retain_jobs": 1, "retain_rigs": 1}))
+        assert studio.get(receipt)["rows_at"] is not None
+        assert studio.get("/v1/audit")["items"][0]["action"] == "subject.deleted"
+    with store.write() as session:
+        session.get_one(Tenant, DEFAULT_TENANT).max_queued = None
+    store.close()
 
 
 def _programs() -> Path | None:

@@ -35,6 +35,8 @@ def _one_of_everything(studio: Studio) -> dict[str, str]:
     template_upload = studio.upload("anatomy.npz", b"PK")
     template = studio.post("/v1/templates", name="mine", upload_id=template_upload)["id"]
     upload = studio.upload("frown.obj", b"v 0 0 0\n")
+    gone = studio.post("/v1/subjects", name="gone")["id"]
+    receipt = studio.http.delete(f"/v1/subjects/{gone}").headers["Location"]
     job = studio.submit("build_model", subject)
     store = studio.http.app.state.store  # type: ignore[attr-defined]
     with store.write() as session:
@@ -45,6 +47,8 @@ def _one_of_everything(studio: Studio) -> dict[str, str]:
         left = Artifact(name="rig.glb", size=1, sha256=sha256, media_type="model/gltf", **mine)
         rig = Rig(subject_id=subject, model_job_id=job, expressions=[], summary={}, **mine)
         assert jobs.succeed(session, job, claim.attempt, [left], rig=rig)
+    webhook = studio.post("/v1/webhooks", url="https://8.8.8.8/")["id"]
+    delivery = studio.post(f"/v1/webhooks/{webhook}/test")["id"]
     return {
         "subject_id": subject,
         "capture_id": capture,
@@ -53,6 +57,10 @@ def _one_of_everything(studio: Studio) -> dict[str, str]:
         "job_id": job,
         "rig_id": rig.id,
         "artifact_id": left.id,
+        "key_id": studio.post("/v1/keys", name="x", scopes=["read"])["id"],
+        "deletion_id": receipt.rsplit("/", 1)[1],
+        "webhook_id": webhook,
+        "delivery_id": delivery,
         "name": "rig.glb",
     }
 
@@ -60,6 +68,10 @@ def _one_of_everything(studio: Studio) -> dict[str, str]:
 BODIES: dict[tuple[str, str], dict[str, Any]] = {
     ("post", "/v1/subjects/{subject_id}/captures"): {"json": {"name": "x", "role": "expression"}},
     ("put", "/v1/subjects/{subject_id}/captures/{capture_id}/landmarks"): {"json": {}},
+    ("patch", "/v1/webhooks/{webhook_id}"): {
+        "headers": {"Content-Type": "application/json"},
+        "content": b"{}",
+    },
     ("patch", "/v1/uploads/{upload_id}"): {
         "headers": {"Upload-Offset": "0", "Content-Type": OFFSET_STREAM},
         "content": b"v",
@@ -72,7 +84,8 @@ CHOSEN_BY_THE_CALLER = {("put", "/v1/jobs/{job_id}")}
 def test_foreign_ids_answer_as_unknown_ones_on_every_verb(tenants: tuple[Studio, Studio]) -> None:
     ours, theirs = tenants
     foreign = _one_of_everything(ours)
-    unknown = {name: str(uuid.uuid4()) for name in foreign} | {"name": "rig.glb"}
+    unknown = {name: str(uuid.uuid4()) for name in foreign}
+    unknown |= {"name": "rig.glb", "key_id": "0" * 12}
     tried = 0
     for path, operations in ours.get("/openapi.json")["paths"].items():
         if "{" not in path:

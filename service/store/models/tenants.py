@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import String
+from sqlalchemy import BigInteger, String
 from sqlalchemy.orm import Mapped, mapped_column
 
 from service.store.models.base import Base, Owned, new_id, now
@@ -15,11 +15,14 @@ DEFAULT_TENANT = "default"
 
 
 class Tenant(Base):
-    """A customer, who sees nothing of the others."""
+    """A customer, who sees nothing of the others; a quota that is null sets no limit."""
 
     __tablename__ = "tenants"
     id: Mapped[str] = mapped_column(String(36), primary_key=True, default=new_id)
     name: Mapped[str] = mapped_column(String(200))
+    max_bytes: Mapped[int | None] = mapped_column(BigInteger)
+    max_queued: Mapped[int | None]
+    max_running: Mapped[int | None]
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 

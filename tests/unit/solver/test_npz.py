@@ -204,3 +204,10 @@ def test_callers_name_the_file(tmp_path: Path) -> None:
         assert caught.value.context["file"] == ("take.npy" if "perf" in code else "a.npz")
     with pytest.raises(InputError, match=r"a\.npz"):
         load_weights(plain, model)
+
+
+def test_nothing_else_in_the_solver_reads_arrays() -> None:
+    """The mesher's child and its parent write to each other; all other files may be anybody's."""
+    solver = Path(__file__).parents[3] / "solver"
+    readers = [path.name for path in solver.rglob("*.py") if "np.load(" in path.read_text()]
+    assert readers == ["tetrahedra.py"]

@@ -67,7 +67,7 @@ export class ComparePage extends EventTarget {
   /** Show the faces, in the document now. */
   start() {
     const { stage } = this.#box;
-    this.#box.start(this.#figures[0].box, this.state.view);
+    this.#box.start(around(this.#figures.map((side) => side.box)), this.state.view);
     stage.addEventListener("draw", () => this.#isStale && this.#pose());
     stage.addEventListener("look", () => {
       this.state.view = stage.view;
@@ -145,11 +145,17 @@ export class ComparePage extends EventTarget {
   #settleSoon() {
     clearTimeout(this.#settling);
     this.#settling = setTimeout(() => {
-      const sides = this.#heat ? this.#heat.values.map((values, i) => ({ title: `${this.#heat.title}, ${"AB"[i]}`, values })) : [];
-      const shown = this.state.heat?.of === "distance" ? sides : sides.slice(0, 1);
-      this.#box.describe(summary(this.state, { heats: shown, take: null }));
+      this.#box.describe(summary(this.state, { heats: this.#heats(), take: null }));
       this.dispatchEvent(new Event("change"));
     }, SETTLED_MS);
+  }
+
+  /** Return title and values of the heat maps that are shown: one of each face, or one of both. */
+  #heats() {
+    if (!this.#heat) return [];
+    const { title, values } = this.#heat;
+    if (this.state.heat.of !== "distance") return [{ title, values: values[0] }];
+    return values.map((each, i) => ({ title: `${title}, ${"AB"[i]}`, values: each }));
   }
 
   #table() {
@@ -170,6 +176,12 @@ export class ComparePage extends EventTarget {
           [a, b, known ? b - a : null].map((value) => h("td", { class: "number" }, figure(value))));
       }))));
   }
+}
+
+/** Return the box around boxes. */
+function around(boxes) {
+  const end = (corner, least) => [0, 1, 2].map((d) => least(...boxes.map((box) => box[corner][d])));
+  return [end(0, Math.min), end(1, Math.max)];
 }
 
 function meansOf(name, a, b) {

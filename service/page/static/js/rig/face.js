@@ -33,6 +33,12 @@ export class Face {
     return this.#file.array(`error/${k}`);
   }
 
+  /** Return the length of each muscle's fibres in expression `k` by that at rest, NaN where unknown. */
+  stretches(k) {
+    const count = this.muscles.length;
+    return this.#file.array("activation").subarray(k * count, (k + 1) * count);
+  }
+
   /** Return the greatest distance per vertex over all expressions, NaN where nothing was seen. */
   worst() {
     const worst = new Float32Array(this.count).fill(NaN);

@@ -32,9 +32,14 @@ export class Inside {
     this.setWeights([]);
   }
 
+  /** Whether the flesh of expression `k` is known; if not, it stays at rest. */
+  knows(k) {
+    return this.#file.has(`at/${k}`);
+  }
+
   /** Take the pose of expressions by their weights. Places and the jaw's motion are blended alike. */
   setWeights(weights) {
-    blend(this.x, this.rest, weights, (k) => this.#file.array(`at/${k}`));
+    blend(this.x, this.rest, weights, (k) => (this.knows(k) ? this.#file.array(`at/${k}`) : null));
     const jaw = jawMotion(weights, this.#file.array("jaw"));
     for (const muscle of this.muscles) this.#carry(muscle);
     for (const bone of this.bones) {
@@ -73,12 +78,15 @@ export class Inside {
 
   #muscle(name, number) {
     const place = `muscle/${number}`;
-    const surface = new MovingSurface(this.#file.array(`${place}/vertices`), this.#file.array(`${place}/faces`));
+    const rest = this.#file.array(`${place}/vertices`);
+    const surface = new MovingSurface(rest, this.#file.array(`${place}/faces`));
     const material = new MeshPhongMaterial({ specular: "#1c1c1c", shininess: 18 });
     material.color.setRGB(...this.colours.get(name));
     const mesh = new Mesh(surface.geometry, material);
     mesh.name = name;
-    return { name, surface, mesh, tet: this.#file.array(`${place}/tet`), weights: this.#file.array(`${place}/weights`) };
+    return {
+      name, rest, surface, mesh, tet: this.#file.array(`${place}/tet`), weights: this.#file.array(`${place}/weights`),
+    };
   }
 
   #bone({ name, moves_with: movesWith }, number) {
@@ -93,24 +101,19 @@ export class Inside {
     return { name, movesWith, surface, faces, mesh };
   }
 
-  /** Move a muscle's surface with the tets that it lies in. */
-  #carry({ surface, tet, weights }) {
+  /** Move a muscle's surface as the tets that it lies in have moved. */
+  #carry({ surface, rest, tet, weights }) {
     const { places } = surface;
-    const { x, tets } = this;
+    const { tets } = this;
     for (let i = 0; i < tet.length; i++) {
-      let px = 0;
-      let py = 0;
-      let pz = 0;
-      for (let corner = 0; corner < 4; corner++) {
-        const weight = weights[4 * i + corner];
-        const at = 3 * tets[4 * tet[i] + corner];
-        px += weight * x[at];
-        py += weight * x[at + 1];
-        pz += weight * x[at + 2];
+      for (let d = 0; d < 3; d++) {
+        let way = 0;
+        for (let corner = 0; corner < 4; corner++) {
+          const at = 3 * tets[4 * tet[i] + corner] + d;
+          way += weights[4 * i + corner] * (this.x[at] - this.rest[at]);
+        }
+        places[3 * i + d] = rest[3 * i + d] + way;
       }
-      places[3 * i] = px;
-      places[3 * i + 1] = py;
-      places[3 * i + 2] = pz;
     }
     surface.moved();
   }

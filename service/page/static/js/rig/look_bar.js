@@ -82,5 +82,6 @@ export class LookBar {
 }
 
 function field(title, control, more = null) {
-  return h("div", { class: "look-field" }, h("label", {}, h("span", {}, title), control), more);
+  control.id = `look-${title.toLowerCase().replace(" ", "-")}`;
+  return h("div", { class: "look-field" }, h("label", { for: control.id }, title), h("div", { class: "row" }, control, more));
 }

@@ -11,8 +11,10 @@ import { onClick, onKeys } from "./hands.js";
 import { Legend } from "./heat.js";
 import { Inside } from "./inside.js";
 import { LookBar } from "./look_bar.js";
-import { ExpressionPanel, MusclePanel, pose } from "./pose_panel.js";
+import { MusclePanel } from "./muscle_panel.js";
+import { ExpressionPanel, pose } from "./pose_panel.js";
 import { Preview } from "./preview.js";
+import { artifactsOfJobs } from "./read.js";
 import { StageBox } from "./stage_box.js";
 import { summary } from "./summary.js";
 import { tabs } from "./tabs.js";
@@ -20,6 +22,8 @@ import { TakePanel } from "./take_panel.js";
 
 const SETTLED_MS = 250;
 const SAID_MS = 4000;
+const INSIDE = "inside.bin";
+const PREVIEW = "preview.bin";
 const DISTANCE = ["distance", "Distance to the scan", 2];
 const MOTION = ["motion", "Way from the neutral", 10];
 
@@ -53,7 +57,7 @@ export class RigPage extends EventTarget {
     const look = new LookBar({
       heats: face.hasScans ? [DISTANCE, MOTION] : [MOTION],
       hasScans: face.hasScans,
-      hasInside: this.#has("inside.bin"),
+      hasInside: this.#has(INSIDE),
       box: this.#figure.box,
       change,
     });
@@ -101,9 +105,8 @@ export class RigPage extends EventTarget {
     this.#update();
     stage.finish();
     this.#figure.shade(this.#signal).catch((error) => this.#fail(error));
-    if (this.#has("preview.bin")) this.#read("preview.bin", (buffer) => this.#takePreview(buffer));
-    else this.#muscles.setMissing(whyNoPreview(this.#rig));
-    this.#takes.find(this.#rig).then(() => this.#update(), (error) => this.#fail(error));
+    this.#findPreview().catch((error) => this.#fail(error));
+    this.#takes.find(this.#rig).then(() => this.#update());
   }
 
   /** Take a part of a state, or what a function makes of the state. */
@@ -122,8 +125,8 @@ export class RigPage extends EventTarget {
   /** Show the state; what it needs and is not there yet is read, and then shown. */
   #update() {
     const { state } = this;
-    if (state.inside || state.section) {
-      this.#read("inside.bin", (buffer) => { this.#inside = new Inside(buffer); });
+    if ((state.inside || state.section) && this.#has(INSIDE)) {
+      this.#read(INSIDE, (buffer) => { this.#inside = new Inside(buffer); });
     }
     if (state.take && state.take.job !== this.#take?.job) this.#readTake(state.take.job);
     for (const panel of this.#panels) panel.show(state, this.#take?.take);
@@ -153,6 +156,8 @@ export class RigPage extends EventTarget {
     this.#showHeat(weights);
     this.#figure.moved();
     this.#box.name(state.inside && state.muscle ? plain(state.muscle) : "");
+    // for scripts of the person's own, and for tests
+    this.element.dispatchEvent(new CustomEvent("posed", { detail: { places } }));
   }
 
   /** Show the scan of the same blend of expressions; there is none of muscles and frames. */
@@ -219,9 +224,16 @@ export class RigPage extends EventTarget {
     else this.#box.name(plain(found.name));
   }
 
-  #takePreview(buffer) {
-    this.#preview = new Preview(buffer);
-    this.#muscles.setPreview(this.#preview);
+  /** Read the sliders' file: the rig's own, or that of a later job about the rig. */
+  async #findPreview() {
+    const ready = (buffer) => {
+      this.#preview = new Preview(buffer);
+      this.#muscles.setPreview(this.#preview);
+    };
+    if (this.#has(PREVIEW)) return this.#read(PREVIEW, ready);
+    const [found] = await artifactsOfJobs(this.#rig, "build_preview", PREVIEW, this.#signal);
+    if (found) return this.#read(PREVIEW, ready, `/v1/artifacts/${found.artifact.id}`);
+    return this.#muscles.setMissing(whyNoPreview(this.#rig));
   }
 
   async #readTake(job) {
@@ -236,14 +248,13 @@ export class RigPage extends EventTarget {
   }
 
   /** Read a file of the rig, once; `ready` gets it, and the state is shown anew. */
-  async #read(name, ready) {
-    if (this.#asked.has(name) || !this.#has(name)) return;
+  async #read(name, ready, path = `/v1/rigs/${this.#rig.id}/artifacts/${name}`) {
+    if (this.#asked.has(name)) return;
     this.#asked.add(name);
     const progress = (received, total) => (
       this.#box.say(total ? `Loading … ${Math.round((100 * received) / total)} %` : "Loading …")
     );
     try {
-      const path = `/v1/rigs/${this.#rig.id}/artifacts/${name}`;
       ready(await api.bytes(path, { signal: this.#signal, progress }));
       this.#box.say("");
       this.#update();

@@ -1,6 +1,7 @@
 // What muscles do to the skin, by the reduced basis that the solver made and measured.
 
 import { Container } from "./container.js";
+import { millimetres } from "./face.js";
 
 /** What `preview.bin` holds: sliders in [0, 1], and the skin as a quadratic map of them. */
 export class Preview {
@@ -50,7 +51,7 @@ export class Preview {
   /** Return the approximation's error in words. */
   get errorInWords() {
     const { mean, max, poses } = this.error;
-    return `approximation: mean ${mean.toFixed(2)} mm, at most ${max.toFixed(2)} mm on ${poses} unseen poses`;
+    return `approximation: mean ${millimetres(mean)} mm, at most ${millimetres(max)} mm on ${poses} unseen poses`;
   }
 
   /** Return the number of the slider of the same muscle on the other side of the face, or -1. */

@@ -17,3 +17,12 @@ export async function viewOf(id, signal) {
     throw problem;
   }
 }
+
+/** Return the files called `name` of the jobs of a kind that have a rig as parent, newest first. */
+export async function artifactsOfJobs(rig, kind, name, signal) {
+  const jobs = await api.all("/v1/jobs", { subject_id: rig.subject_id, kind, state: "succeeded" }, signal);
+  return jobs.filter((job) => job.rig_id === rig.id).flatMap((job) => {
+    const artifact = job.result?.artifacts.find((each) => each.name === name);
+    return artifact ? [{ job, artifact }] : [];
+  });
+}

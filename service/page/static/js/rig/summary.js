@@ -24,6 +24,9 @@ export function summary(state, { heats, take }) {
       ? `Muscles and bones show through the skin; ${plain(state.muscle)} stands out.`
       : "Muscles and bones show through the skin.");
   }
+  if ((state.inside || state.section) && (take || state.controls.size)) {
+    sentences.push("What is inside stays at rest: only the skin follows.");
+  }
   if (state.section) sentences.push(`Cut at ${state.section.axis} = ${state.section.at} mm.`);
   sentences.push(Array.isArray(state.view) ? "The camera was moved by hand." : `Seen from: ${state.view.replace("-", " ")}.`);
   return sentences.join(" ");

@@ -4,6 +4,7 @@ import * as api from "../api.js";
 import { h, setText, show } from "../dom.js";
 import { sentence } from "../parts/trouble.js";
 import { when } from "../words.js";
+import { artifactsOfJobs } from "./read.js";
 import { Take } from "./take.js";
 
 const FILE = "sequence.glb";
@@ -35,11 +36,11 @@ export class TakePanel {
 
   /** Look for the sequences of a rig. */
   async find(rig) {
-    const query = { subject_id: rig.subject_id, kind: "fit_sequence", state: "succeeded" };
-    const jobs = await api.all("/v1/jobs", query, this.#signal);
-    for (const job of jobs) {
-      const artifact = job.result?.artifacts.find(({ name }) => name === FILE);
-      if (artifact && job.rig_id === rig.id) this.#jobs.set(job.id, { job, artifact });
+    try {
+      for (const found of await artifactsOfJobs(rig, "fit_sequence", FILE, this.#signal)) this.#jobs.set(found.job.id, found);
+    } catch (error) {
+      if (!this.#signal.aborted) this.#fail(sentence(error));
+      return;
     }
     if (this.#jobs.size === 0) {
       show(this.element, h("p", { class: "fine" }, "No sequence was fitted with this rig."));

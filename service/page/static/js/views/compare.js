@@ -48,12 +48,13 @@ async function pickers(ids, signal) {
   const names = new Map(subjects.map(({ id, name }) => [id, name]));
   return ids.map((chosen, i) => {
     const select = h("select", {
+      id: `compare-${"ab"[i]}`,
       onchange: () => {
         const next = ids.map((id, k) => (k === i ? select.value : id));
         navigate(`/compare?${["a", "b"].flatMap((name, k) => (next[k] ? [`${name}=${next[k]}`] : [])).join("&")}`);
       },
     }, h("option", { value: "" }, "Choose a rig"), rigs.map((rig) => h("option", { value: rig.id, selected: rig.id === chosen },
       `${names.get(rig.subject_id) ?? "a subject"}, ${when(rig.created_at)}`)));
-    return h("label", { class: "row" }, "AB"[i], select);
+    return h("div", { class: "row" }, h("label", { for: select.id }, "AB"[i]), select);
   });
 }

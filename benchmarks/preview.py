@@ -1,0 +1,114 @@
+"""How far a rig's sliders are off the simulation they stand for, and how long they take to make.
+
+A face is fitted to its training expressions, then its preview is made as the job does. ``mean_mm``,
+``p95_mm`` and ``max_mm`` are over random plausible poses that it was not made from, on the face's
+vertices; ``sorts`` has every sort of unseen poses, ``presets`` the mean at the fitted
+expressions.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import time
+
+import numpy as np
+
+from benchmarks import report, subject_fits, subjects
+from benchmarks.documents import Figures, Section, Table
+from benchmarks.subject_fits import Fits
+from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
+from solver.fitting.face import Face
+from solver.fitting.geometry import GeometryOptions
+from solver.mechanics.linear import fastest
+from solver.pipeline.preview import TOLERANCE
+from solver.rig.preview.make import make_preview
+from solver.rig.result import ExpressionFit
+
+SEED = 0
+QUICK_ROUNDS = 4
+
+
+def main() -> None:
+    """Run from the command line."""
+    parser = report.parser(__doc__ or "")
+    subjects.add_options(parser)
+    options = parser.parse_args()
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
+    report.finish(run(options), options, section)
+
+
+def run(options: argparse.Namespace) -> Figures:
+    """Fit, make the preview and return the figures."""
+    quick = options.quick
+    model, captures = subjects.load(options, COARSE_EDGE_MM if quick else EDGE_MM)
+    schedule = GeometryOptions(rounds=QUICK_ROUNDS) if quick else GeometryOptions()
+    S, fits = subject_fits.by_geometry(Face(model), captures.train, schedule)
+    fitted = [_fitted(fits, name) for name in fits.states]
+    face = Face(model, linear=fastest(), tolerance=TOLERANCE)
+    start = time.perf_counter()
+    preview = make_preview(face, S, fitted, seed=SEED, seconds=np.inf, listen=lambda *_: None)
+    seconds = time.perf_counter() - start
+    told = preview.figures()
+    sorts = told["error_by_sort_mm"]
+    return {
+        "vertices": len(model.rest),
+        "tets": len(model.tets),
+        "expressions": len(fitted),
+        "controls": told["controls"],
+        "modes": told["modes"],
+        "poses": told["poses"],
+        "seconds": seconds,
+        **{f"{name}_mm": sorts["plausible"][name] for name in ("moved", "mean", "p95", "max")},
+        "sorts": sorts,
+        "presets": told["presets_mm"],
+    }
+
+
+def section(figures: Figures) -> Section:
+    """Return the section of docs/benchmarks.md."""
+    columns = {
+        "poses": "poses",
+        "moved": "skin moves, mm",
+        "mean": "mean, mm",
+        "p95": "95 % below, mm",
+        "max": "greatest, mm",
+    }
+    rows = [[sort, *(each[key] for key in columns)] for sort, each in figures["sorts"].items()]
+    presets = [[name, mean] for name, mean in figures["presets"].items()]
+    return Section(
+        title="Sliders",
+        compared="The page's sliders move a reduced skin; it is compared with the simulated "
+        f"equilibria of poses that it was not made from ({figures['vertices']:,} vertices, "
+        f"{figures['tets']:,} tets). {figures['controls']} sliders and {figures['modes']} modes "
+        f"were made from {figures['poses']['learned']} poses in {figures['seconds']:.0f} s.",
+        parts=[
+            Table(["unseen poses", *columns.values()], rows),
+            Table(["fitted expression", "mean, mm"], presets),
+        ],
+    )
+
+
+def _fitted(fits: Fits, name: str) -> ExpressionFit:
+    """Return what a rig holds of a fit."""
+    state = fits.states[name]
+    error = np.full(len(fits.scans[name].vertices), np.nan)
+    error[fits.face.model.face] = fits.distances(name)
+    return ExpressionFit(
+        name=name,
+        role="train",
+        activations=state.pose.a,
+        jaw=state.pose.b,
+        skin=fits.skin(name),
+        target=fits.scans[name].vertices,
+        error_mm=error,
+        inverted=fits.face.flesh.inverted(state.x),
+        iterations=0,
+        seconds=0.0,
+        objective=float(np.nanmean(error**2)),
+        x=state.x,
+    )
+
+
+if __name__ == "__main__":
+    main()

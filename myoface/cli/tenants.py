@@ -1,0 +1,86 @@
+"""Commands on the data itself, where the service runs: its tenants and their quotas."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from myoface.cli.app import read_settings
+from myoface.cli.console import out, show_table
+from service.settings import Settings
+from service.store.store import Store
+
+tenants = typer.Typer(help="Tenants: customers who see nothing of one another.")
+
+Data = Annotated[Path | None, typer.Option(help="folder for everything the service keeps")]
+MaxBytes = Annotated[int | None, typer.Option(min=0, help="bytes that may be stored")]
+MaxQueued = Annotated[int | None, typer.Option(min=0, help="jobs that may wait")]
+MaxRunning = Annotated[int | None, typer.Option(min=0, help="jobs that may run at a time")]
+
+
+@tenants.command("list")
+def list_tenants(data: Data = None) -> None:
+    """List the tenants with their quotas."""
+    from service.tenants import repository
+
+    with _store(data) as (store, _), store.read() as session:
+        rows = [
+            (each.id, each.name, each.max_bytes, each.max_queued, each.max_running)
+            for each in repository.all_of_them(session)
+        ]
+    show_table(("id", "name", "bytes", "queued", "running"), rows)
+
+
+@tenants.command("add")
+def add_tenant(
+    name: str,
+    key: Annotated[Path, typer.Option(dir_okay=False, help="file for its first key")],
+    max_bytes: MaxBytes = None,
+    max_queued: MaxQueued = None,
+    max_running: MaxRunning = None,
+    data: Data = None,
+) -> None:
+    """Add a tenant and write its first key, which may do everything, to a file (mode 0600)."""
+    from service.access import bootstrap
+    from service.access.keys import Keyring
+    from service.secret import secret
+
+    if key.exists():
+        raise typer.BadParameter(f"{key} is there already", param_hint="--key")
+    quotas = {"max_bytes": max_bytes, "max_queued": max_queued, "max_running": max_running}
+    with _store(data) as (store, settings):
+        keyring = Keyring(store, secret(settings))
+        out.print(bootstrap.add_tenant(store, keyring, name, key, **quotas))
+
+
+@tenants.command("limit")
+def limit_tenant(
+    tenant: Annotated[str, typer.Argument(help="tenant id")],
+    max_bytes: MaxBytes = None,
+    max_queued: MaxQueued = None,
+    max_running: MaxRunning = None,
+    data: Data = None,
+) -> None:
+    """Set a tenant's quotas; those that are not given have no limit."""
+    from service.tenants import repository
+
+    quotas = {"max_bytes": max_bytes, "max_queued": max_queued, "max_running": max_running}
+    with _store(data) as (store, _), store.write() as session:
+        if not repository.limit(session, tenant, **quotas):
+            raise typer.BadParameter(f"there is no tenant {tenant}")
+
+
+@contextmanager
+def _store(data: Path | None) -> Iterator[tuple[Store, Settings]]:
+    given: dict[str, Any] = {} if data is None else {"data_dir": data}
+    settings = read_settings(**given)
+    store = Store(settings.database, settings.files, settings.broker)
+    store.database.migrate()
+    try:
+        yield store, settings
+    finally:
+        store.close()

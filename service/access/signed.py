@@ -1,0 +1,76 @@
+"""Signed URLs: a path that opens for a few minutes to whoever has it, without a key.
+
+The signature binds the path, the tenant and the end; there is nothing to look up.
+"""
+
+from __future__ import annotations
+
+import base64
+import hmac
+import re
+import time
+from typing import Annotated
+
+from fastapi import Depends, Query, Request
+
+from service.access.principal import Credentials, Principal, Scope, need, principal
+from service.errors import Problem
+
+TOKEN = re.compile(r"([0-9a-z-]{1,36})\.([0-9]{1,12})\.([0-9A-Za-z_-]{43})")
+BEARER = "signed-url"
+"""What stands in the place of a key's id."""
+
+
+class Signer:
+    """Signs paths with a key made of the service's ``secret``."""
+
+    def __init__(self, secret: bytes) -> None:
+        self._key = hmac.digest(secret, b"signed urls", "sha256")
+
+    def sign(self, path: str, tenant_id: str, until: int) -> str:
+        """Return ``path`` with what lets anybody read it until a moment (Unix time)."""
+        return f"{path}?signed={tenant_id}.{until}.{self._signature(path, tenant_id, until)}"
+
+    def verify(self, path: str, token: str) -> str:
+        """Return the tenant in whose name ``path`` may be read.
+
+        Raises
+        ------
+        Problem
+            403 for a token that was not made for this path, or whose time is over.
+        """
+        match = TOKEN.fullmatch(token)
+        if match is None:
+            raise Problem(403, "url.invalid", "the URL is not as it was signed")
+        tenant_id, until, signature = match[1], int(match[2]), match[3]
+        if not hmac.compare_digest(signature, self._signature(path, tenant_id, until)):
+            raise Problem(403, "url.invalid", "the URL is not as it was signed")
+        if until <= time.time():
+            raise Problem(403, "url.expired", "the URL's time is over: ask for another")
+        return tenant_id
+
+    def _signature(self, path: str, tenant_id: str, until: int) -> str:
+        text = f"{path}\n{tenant_id}\n{until}".encode()
+        digest = hmac.digest(self._key, text, "sha256")
+        return base64.urlsafe_b64encode(digest).decode().rstrip("=")
+
+
+_may_read = need(Scope.READ)
+
+
+def _file_reader(
+    request: Request,
+    credentials: Credentials,
+    signed: Annotated[
+        str | None, Query(max_length=100, description="of a signed URL, in place of a key")
+    ] = None,
+) -> Principal:
+    if signed is None:
+        return _may_read(principal(request, credentials))
+    tenant_id = request.app.state.signer.verify(request.url.path, signed)
+    request.state.rate = request.app.state.rates.check(f"{BEARER}:{tenant_id}")
+    return Principal(tenant_id, BEARER, frozenset({Scope.READ}), request.state.request_id)
+
+
+FileReader = Annotated[Principal, Depends(_file_reader)]
+"""Who may read the file at the request's path, by a key or a signature."""

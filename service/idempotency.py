@@ -1,0 +1,93 @@
+"""``Idempotency-Key``: a POST that is sent again makes nothing a second time.
+
+What is kept is the id of what the first request made, in its transaction: a request that failed
+left nothing, and what was deleted meanwhile is not shown from a copy.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Annotated
+
+from fastapi import Depends, Header, Request
+from pydantic import BaseModel
+from sqlalchemy.exc import IntegrityError
+from sqlalchemy.orm import Session
+
+from service.errors import Problem
+from service.store.database import clock
+from service.store.models import AnsweredRequest
+from service.store.tenancy import tenant_of
+
+
+class Attempt:
+    """One sending of a request, which has the caller's ``key`` or none."""
+
+    def __init__(self, key: str | None, line: str) -> None:
+        self._key = key
+        self._line = line
+        self._kept: AnsweredRequest | None = None
+
+    def known(self, session: Session, body: BaseModel) -> str | None:
+        """Return the id that an earlier sending made; None: this is the first.
+
+        Raises
+        ------
+        Problem
+            422 if the key came with another request, 409 if that one is being served.
+        """
+        if self._key is None:
+            return None
+        content = f"{self._line}\n{body.model_dump_json()}".encode()
+        fingerprint = hashlib.sha256(content).hexdigest()
+        found = session.get(AnsweredRequest, (tenant_of(session), self._key))
+        if found is None:
+            self._reserve(session, fingerprint)
+            return None
+        if found.fingerprint != fingerprint:
+            raise Problem(
+                422, "idempotency.conflict", "this Idempotency-Key came with another request"
+            )
+        return found.object_id
+
+    def keep(self, session: Session, object_id: str) -> None:
+        """Note what this sending made."""
+        if self._kept is not None:
+            self._kept.object_id = object_id
+            session.flush()
+
+    def _reserve(self, session: Session, fingerprint: str) -> None:
+        """Take the key; on PostgreSQL that waits for the request that has it to end."""
+        self._kept = AnsweredRequest(
+            tenant_id=tenant_of(session),
+            key=self._key,
+            fingerprint=fingerprint,
+            object_id="",
+            created_at=clock(session),
+        )
+        session.add(self._kept)
+        try:
+            session.flush()
+        except IntegrityError as error:
+            problem = Problem(
+                409, "idempotency.in_flight", "the same request was being served; send it again"
+            )
+            problem.headers = {"Retry-After": "1"}
+            raise problem from error
+
+
+def _attempt(
+    request: Request,
+    key: Annotated[
+        str | None,
+        Header(
+            alias="Idempotency-Key",
+            pattern=r"^[\x21-\x7e]{1,255}$",
+            description="made by the caller, kept for a day: the request can be repeated safely",
+        ),
+    ] = None,
+) -> Attempt:
+    return Attempt(key, f"{request.method} {request.url.path}")
+
+
+Once = Annotated[Attempt, Depends(_attempt)]

@@ -1,0 +1,76 @@
+"""How long things are kept: stated on each by ``retain_until``, enforced by the sweeper.
+
+What jobs are still reading waits for them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from datetime import datetime, timedelta
+from typing import Any, TypeVar
+
+from sqlalchemy import ColumnElement, Select, delete, exists, select
+from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
+
+from service.settings import Settings
+from service.store import deletion
+from service.store.database import clock
+from service.store.models import AnsweredRequest, AuditEntry, Capture, Deletion, Job, Rig, Subject
+from service.store.store import Store
+from service.store.transitions import FINAL
+
+ANSWERED = timedelta(days=1)
+"""How long an ``Idempotency-Key`` is known."""
+BATCH = 200
+
+Row = TypeVar("Row")
+
+
+def until(days: int | None, since: datetime | None) -> datetime | None:
+    """Return when something is to go that is kept for ``days``; None: when somebody deletes it."""
+    return None if days is None or since is None else since + timedelta(days=days)
+
+
+def enforce(store: Store, settings: Settings) -> None:
+    """Delete what has been kept for long enough, and what was waiting for its jobs to end."""
+    with store.write() as session:
+        deletion.go_on(session)
+        moment = clock(session)
+        session.execute(
+            delete(AnsweredRequest).where(AnsweredRequest.created_at < moment - ANSWERED)
+        )
+        if settings.retain_audit is not None:
+            age = moment - timedelta(days=settings.retain_audit)
+            session.execute(delete(AuditEntry).where(AuditEntry.created_at < age))
+            session.execute(delete(Deletion).where(Deletion.files_at < age))
+        for days, since, query, remove in _rules(settings):
+            if days is not None:
+                due = query.where(since < moment - timedelta(days=days)).limit(BATCH)
+                for row in session.scalars(due).all():
+                    remove(session, row, "retention")
+    deletion.close_receipts(store)
+
+
+Remove = Callable[[Session, Any, deletion.Reason], Deletion]
+Rule = tuple[int | None, InstrumentedAttribute[Any], Select[Any], Remove]
+
+
+def _rules(settings: Settings) -> Iterable[Rule]:
+    """Return what is kept for how many days, since when, which rows, and how they go."""
+    needed = select(Rig.id).where((Rig.job_id == Job.id) | (Rig.model_job_id == Job.id)).exists()
+    ended = select(Job).where(Job.state.in_(FINAL), ~needed, _idle(Job.subject_id))
+    of_rigs = select(Job).join(Rig, Rig.job_id == Job.id).where(_idle(Job.subject_id))
+    scans = select(Capture).where(_idle(Capture.subject_id))
+    people = select(Subject).where(_idle(Subject.id))
+    return (
+        (settings.retain_subjects, Subject.created_at, people, deletion.delete_subject),
+        (settings.retain_scans, Capture.created_at, scans, deletion.delete_capture),
+        (settings.retain_rigs, Rig.created_at, of_rigs, deletion.delete_job),
+        (settings.retain_jobs, Job.finished_at, ended, deletion.delete_job),
+    )
+
+
+def _idle(subject_id: InstrumentedAttribute[Any]) -> ColumnElement[bool]:
+    """Tell whether no job of a subject is waiting or running."""
+    other = aliased(Job)
+    return ~exists().where(other.subject_id == subject_id, other.state.not_in(FINAL))

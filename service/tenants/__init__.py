@@ -1,0 +1,1 @@
+"""Tenants: who is asking, what they use and what they may use."""

@@ -1,0 +1,68 @@
+"""The job that makes the sliders of a rig's page."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+from solver.fitting.face import Face
+from solver.fitting.model_checks import check_held
+from solver.mechanics.linear import fastest
+from solver.model import SubjectModel
+from solver.pipeline.common import Options, take
+from solver.progress import Progress, Step, silent
+from solver.rig.preview.file import write_preview
+from solver.rig.preview.make import make_preview
+from solver.rig.preview.picture import preview_picture
+from solver.rig.result import load_activations, load_weights
+
+TOLERANCE = 1e-5
+"""Residual of an equilibrium: within a thousandth of a millimetre, and far below the error."""
+
+
+def build_preview(
+    model: Path,
+    weights: Path,
+    rig: Path,
+    out: Path,
+    *,
+    options: Options = None,
+    progress: Progress = silent,
+) -> list[Path]:
+    """Make the sliders of a rig: muscles and jaw, and the skin's motion they stand for.
+
+    ``weights`` is the rig's ``muscle_weights.npz`` and ``rig`` its ``activations.npz``. Poses of
+    the sliders are simulated; a reduced skin is fitted to some and measured on others. Options:
+    the ``seed`` of the poses and ``max_seconds``, after which it is made of those that are ready.
+
+    Writes ``preview.bin``, ``preview.json`` (the error, and what could not be simulated) and
+    ``preview.png``. Raises :class:`solver.errors.InputError` for files that do not belong together
+    and for a rig without a fitted expression, :class:`solver.errors.SolveError` if too little can
+    be simulated.
+    """
+    given = take(options, {"seed": 0, "max_seconds": 600.0})
+    out.mkdir(parents=True, exist_ok=True)
+    progress(Step("read", 0.0, message=rig.name))
+    begin = time.perf_counter()
+    subject = SubjectModel.load(model)
+    S = load_weights(weights, subject)
+    fits = [fit for fit in load_activations(rig, subject) if fit.status != "failed"]
+    face = Face(subject, linear=fastest(), tolerance=TOLERANCE)
+    check_held(face)
+    preview = make_preview(
+        face,
+        S,
+        fits,
+        seed=given["seed"],
+        seconds=given["max_seconds"],
+        listen=lambda phase, done: progress(Step(phase, 0.02 + 0.93 * done)),
+    )
+    files = [out / "preview.bin", out / "preview.json", out / "preview.png"]
+    write_preview(files[0], preview)
+    progress(Step("pictures", 0.96))
+    preview_picture(subject, preview, files[2])
+    figures = {**preview.figures(), "seconds": round(time.perf_counter() - begin, 1)}
+    files[1].write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    progress(Step("done", 1.0))
+    return files

@@ -1,0 +1,1 @@
+"""Sliders in a browser: a reduced basis of simulated equilibria, with its error."""

@@ -1,0 +1,194 @@
+"""What is deleted is gone: by request, after its time, and with files that others have kept."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from collections.abc import Iterator
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import update
+
+from service.settings import Settings
+from service.store import jobs, retention, sweep
+from service.store.models import AuditEntry, Capture, Job, Rig, Subject, now
+from service.store.store import Store
+from tests.service_client import Studio, eventually, running, served
+
+OLD = now() - timedelta(days=40)
+
+
+@pytest.fixture
+def studio(tmp_path: Path) -> Iterator[Studio]:
+    with served(Settings(data_dir=tmp_path)) as studio:
+        yield studio
+
+
+def _store(studio: Studio) -> Store:
+    store: Store = studio.http.app.state.store  # type: ignore[attr-defined]
+    return store
+
+
+def _settings(studio: Studio, **days: int) -> Settings:
+    settings: Settings = studio.http.app.state.settings  # type: ignore[attr-defined]
+    return settings.model_copy(update=days)
+
+
+def _stored(studio: Studio) -> set[str]:
+    return {path.name for path in _store(studio).files.root.glob("??/*")}
+
+
+def test_a_receipt_says_when_the_last_file_was_gone(studio: Studio) -> None:
+    subject = studio.subject()
+    studio.capture(subject, "smile")
+    other = studio.post("/v1/subjects", name="Bo")["id"]
+    studio.capture(other, "smile")  # the same bytes
+    answer = studio.http.delete(f"/v1/subjects/{subject}")
+    assert answer.status_code == 204
+    receipt = studio.get(answer.headers["Location"])
+    assert receipt["rows_at"] is not None
+    assert receipt["files_at"] is None
+    retention.enforce(_store(studio), _settings(studio))
+    assert studio.get(answer.headers["Location"])["files_at"] is None
+    sweep.collect_garbage(_store(studio), age=-1)
+    retention.enforce(_store(studio), _settings(studio))
+    receipt = studio.get(answer.headers["Location"])
+    assert receipt["files_at"] is not None
+    assert "Alex" not in str(receipt)
+    assert studio.get("/v1/deletions")["items"] == [receipt]
+    kept = studio.get(f"/v1/subjects/{other}/captures")["items"][0]
+    assert _stored(studio) == {kept["sha256"]}
+    actions = studio.get(f"/v1/audit?object_id={subject}")["items"]
+    assert [each["action"] for each in actions] == ["subject.deleted", "subject.created"]
+
+
+def test_a_busy_subject_is_deleted_when_its_jobs_have_stopped(studio: Studio) -> None:
+    subject = studio.subject()
+    waiting, running_job = (studio.submit("build_model", subject) for _ in range(2))
+    with _store(studio).write() as session:
+        claim = jobs.claim(session, running_job, "worker", 30)
+        assert claim
+    assert studio.http.delete(f"/v1/subjects/{subject}").status_code == 409
+    answer = studio.http.delete(f"/v1/subjects/{subject}?cancel=true")
+    assert answer.status_code == 202
+    assert studio.job(waiting)["state"] == "canceled"
+    assert studio.job(running_job)["state"] == "canceling"
+    retention.enforce(_store(studio), _settings(studio))
+    assert studio.get(answer.headers["Location"])["rows_at"] is None
+    with _store(studio).write() as session:
+        assert jobs.confirm_cancel(session, running_job, claim.attempt)
+    retention.enforce(_store(studio), _settings(studio))
+    assert studio.get(answer.headers["Location"])["rows_at"] is not None
+    for path in (f"/v1/subjects/{subject}", f"/v1/jobs/{waiting}"):
+        assert studio.http.get(path).status_code == 404
+
+    idle = studio.subject()
+    studio.submit("build_model", idle)
+    assert studio.http.delete(f"/v1/subjects/{idle}?cancel=true").status_code == 204
+
+
+def test_a_template_goes_when_no_subject_has_it(studio: Studio) -> None:
+    upload = studio.upload("anatomy.npz", b"PK")
+    template = studio.post("/v1/templates", name="mine", upload_id=upload)["id"]
+    subject = studio.post("/v1/subjects", name="Alex", template_id=template)["id"]
+    refused = studio.http.delete(f"/v1/templates/{template}")
+    assert (refused.status_code, refused.json()["subject_ids"]) == (409, [subject])
+    studio.http.delete(f"/v1/subjects/{subject}")
+    assert studio.http.delete(f"/v1/templates/{template}").status_code == 204
+    assert studio.http.get(f"/v1/uploads/{upload}").status_code == 404
+
+
+def test_what_has_been_kept_for_long_enough_goes(studio: Studio) -> None:
+    subject, young = studio.subject(), studio.subject()
+    smile = studio.capture(subject, "smile")
+    model, rig_job, check = (studio.submit("build_model", subject) for _ in range(3))
+    _end(studio, model, check)
+    with _store(studio).write() as session:
+        claim = jobs.claim(session, rig_job, "worker", 30)
+        assert claim
+        mine = {"tenant_id": claim.tenant_id, "job_id": rig_job, "model_job_id": model}
+        rig = Rig(subject_id=subject, expressions=[], summary={}, **mine)
+        assert jobs.succeed(session, rig_job, claim.attempt, [], rig=rig)
+    _age(studio, Job, "finished_at")
+    settings = _settings(studio, retain_jobs=30)
+    retention.enforce(_store(studio), settings)
+    assert {job["id"] for job in studio.get("/v1/jobs")["items"]} == {model, rig_job}
+    assert [each["kind"] for each in studio.get("/v1/deletions")["items"]] == ["job"]
+
+    busy = studio.submit("build_model", subject)
+    _age(studio, Rig, "created_at")
+    with _store(studio).write() as session:
+        session.execute(update(Capture).where(Capture.id == smile).values(created_at=OLD))
+    settings = _settings(studio, retain_rigs=30, retain_scans=30)
+    retention.enforce(_store(studio), settings)
+    assert [each["id"] for each in studio.get("/v1/rigs")["items"]] == [rig.id]
+    studio.post(f"/v1/jobs/{busy}/cancel")
+    retention.enforce(_store(studio), settings)
+    assert studio.get("/v1/rigs")["items"] == []
+    names = [each["name"] for each in studio.get(f"/v1/subjects/{subject}/captures")["items"]]
+    assert names == ["neutral"]
+
+    with _store(studio).write() as session:
+        session.execute(update(Subject).where(Subject.id == subject).values(created_at=OLD))
+        session.execute(update(AuditEntry).values(created_at=OLD))
+    retention.enforce(_store(studio), _settings(studio, retain_subjects=30, retain_audit=30))
+    assert [each["id"] for each in studio.get("/v1/subjects")["items"]] == [young]
+    assert studio.get("/v1/audit")["items"] == []
+    assert {each["reason"] for each in studio.get("/v1/deletions")["items"]} == {"retention"}
+
+
+def _end(studio: Studio, *job_ids: str) -> None:
+    for job_id in job_ids:
+        with _store(studio).write() as session:
+            claim = jobs.claim(session, job_id, "worker", 30)
+            assert claim
+            assert jobs.succeed(session, job_id, claim.attempt, [])
+
+
+def _age(studio: Studio, table: Any, column: str) -> None:
+    with _store(studio).write() as session:
+        session.execute(update(table).values({column: OLD}))
+
+
+def test_every_object_says_until_when_it_is_kept(tmp_path: Path) -> None:
+    days = {"retain_subjects": 900, "retain_scans": 30, "retain_jobs": 7}
+    with served(Settings(data_dir=tmp_path, **days)) as studio:
+        subject = studio.subject()
+        shown = studio.get(f"/v1/subjects/{subject}")
+        capture = studio.get(f"/v1/subjects/{subject}/captures")["items"][0]
+        job = studio.submit("build_model", subject)
+        assert studio.job(job)["retain_until"] is None  # it is not over
+        _end(studio, job)
+        ended = studio.job(job)
+        assert ended["retain_until"][:10] == str((now() + timedelta(days=7)).date())
+        assert capture["retain_until"][:10] == str((now() + timedelta(days=30)).date())
+        assert shown["retain_until"][:10] == str((now() + timedelta(days=900)).date())
+        told = studio.get("/v1/limits")["retention"]
+        assert told == {"subjects": 900, "scans": 30, "jobs": 7, "rigs": None, "audit": None}
+
+
+def test_the_database_forgets_a_name(tmp_path: Path) -> None:
+    with served(Settings(data_dir=tmp_path)) as studio:
+        name = "Somebody" + os.urandom(8).hex()
+        subject = studio.post("/v1/subjects", name=name)["id"]
+        studio.http.delete(f"/v1/subjects/{subject}")
+        database = Path(str(_store(studio).database.url.database))
+    with sqlite3.connect(database) as connection:
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    assert name.encode() not in database.read_bytes()
+
+
+@pytest.mark.slow
+def test_a_running_service_deletes_a_busy_subject(tmp_path: Path) -> None:
+    with running(tmp_path, garbage_age=0.5) as (_, studio):
+        subject = studio.subject(seconds=60)
+        job = studio.submit("build_model", subject)
+        studio.until_working(job)
+        answer = studio.http.delete(f"/v1/subjects/{subject}?cancel=true")
+        assert answer.status_code == 202
+        receipt = answer.headers["Location"]
+        eventually(lambda: studio.get(receipt)["files_at"] is not None, seconds=30)
+        assert studio.http.get(f"/v1/subjects/{subject}").status_code == 404

@@ -1,0 +1,83 @@
+"""POSTs that are sent again with their `Idempotency-Key`."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from service.settings import Settings
+from tests.service_client import Studio, served
+
+
+def _post(studio: Studio, path: str, key: str, **body: Any) -> httpx.Response:
+    return studio.http.post(path, json=body, headers={"Idempotency-Key": key})
+
+
+def test_a_repetition_makes_nothing(tmp_path: Path) -> None:
+    with served(Settings(data_dir=tmp_path)) as studio:
+        subject = studio.subject()
+        scan = studio.upload("smile.obj", b"v 0 0 0\n")
+        anatomy = studio.upload("anatomy.npz", b"PK")
+        cases: list[tuple[str, dict[str, Any]]] = [
+            ("/v1/subjects", {"name": "Bo"}),
+            ("/v1/templates", {"name": "mine", "upload_id": anatomy}),
+            (
+                f"/v1/subjects/{subject}/captures",
+                {"name": "smile", "role": "expression", "upload_id": scan},
+            ),
+            ("/v1/jobs", {"kind": "build_model", "subject_id": subject}),
+            ("/v1/keys", {"name": "x", "scopes": ["read"]}),
+        ]
+        for number, (path, body) in enumerate(cases):
+            first, again = (_post(studio, path, f"k{number}", **body) for _ in range(2))
+            assert (first.status_code, again.status_code) == (201, 201), again.text
+            assert first.json()["id"] == again.json()["id"]
+            told = {**first.json(), "key": None} if path == "/v1/keys" else first.json()
+            assert again.json() == told
+            other = _post(studio, path, f"k{number}", **{**body, **_changed(body)})
+            assert (other.status_code, other.json()["code"]) == (422, "idempotency.conflict")
+        assert len(studio.get("/v1/jobs")["items"]) == 1
+        entries = studio.get("/v1/audit")["items"]
+        assert [each["action"] for each in entries].count("key.created") == 1
+
+
+def _changed(body: dict[str, Any]) -> dict[str, Any]:
+    return {"options": {"edge_mm": 5}} if "kind" in body else {"name": "another"}
+
+
+def test_a_request_that_failed_left_nothing(tmp_path: Path) -> None:
+    with served(Settings(data_dir=tmp_path)) as studio:
+        subject = studio.post("/v1/subjects", name="Alex")["id"]
+        body = {"kind": "build_model", "subject_id": subject}
+        assert _post(studio, "/v1/jobs", "k", **body).status_code == 409  # no neutral yet
+        studio.capture(subject, "neutral", "neutral")
+        assert _post(studio, "/v1/jobs", "k", **body).status_code == 201
+        bad = studio.http.post("/v1/subjects", json={"name": "x"}, headers={"Idempotency-Key": " "})
+        assert bad.status_code == 422
+
+
+def test_many_at_a_time_make_one(tmp_path: Path) -> None:
+    with served(Settings(data_dir=tmp_path)) as studio:
+        studio.post("/v1/subjects", name="before")
+        answers: list[httpx.Response] = []
+        ready = threading.Barrier(6)
+
+        def ask() -> None:
+            ready.wait()
+            answers.append(_post(studio, "/v1/subjects", "storm", name="Ada"))
+
+        threads = [threading.Thread(target=ask) for _ in range(6)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert {answer.status_code for answer in answers} <= {201, 409}
+        made = {answer.json()["id"] for answer in answers if answer.status_code == 201}
+        assert len(made) == 1
+        codes = {answer.json()["code"] for answer in answers if answer.status_code == 409}
+        assert codes <= {"idempotency.in_flight"}
+        names = [each["name"] for each in studio.get("/v1/subjects")["items"]]
+        assert names.count("Ada") == 1

@@ -1,0 +1,97 @@
+"""Keys over HTTP: made, rotated, revoked; and what a tenant learns of itself."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from service.settings import Settings
+from service.store.models import now
+from tests.service_client import Studio, served
+
+
+@pytest.fixture
+def studio(tmp_path: Path) -> Iterator[Studio]:
+    with served(Settings(data_dir=tmp_path)) as studio:
+        yield studio
+
+
+def _status(studio: Studio, key: str, path: str = "/v1/subjects") -> int:
+    headers = {"Authorization": f"Bearer {key}"}
+    return studio.http.get(path, headers=headers).status_code
+
+
+def test_a_key_is_told_once_and_lives_until_it_is_revoked(studio: Studio) -> None:
+    made = studio.post("/v1/keys", name="station 2", scopes=["read", "write"])
+    assert _status(studio, made["key"]) == 200
+    assert _status(studio, made["key"], "/v1/keys") == 403
+    listed = studio.get("/v1/keys")["items"]
+    assert [each["name"] for each in listed] == ["station 2", "admin"]
+    assert all("key" not in each for each in listed)
+    assert listed[0]["last_used_at"] is not None
+    for _ in range(2):
+        assert studio.http.delete(f"/v1/keys/{made['id']}").status_code == 204
+    assert _status(studio, made["key"]) == 401
+    over = studio.http.post(f"/v1/keys/{made['id']}/rotate")
+    assert (over.status_code, over.json()["code"]) == (409, "key.over")
+
+
+def test_a_rotated_key_goes_on_for_a_grace(studio: Studio) -> None:
+    until = (now() + timedelta(days=90)).isoformat()
+    old = studio.post("/v1/keys", name="renderer", scopes=["read"], expires_at=until)
+    kept = studio.post(f"/v1/keys/{old['id']}/rotate")
+    assert [_status(studio, each["key"]) for each in (old, kept)] == [200, 200]
+    assert (kept["scopes"], kept["expires_at"]) == (["read"], old["expires_at"])
+    fresh = studio.post(f"/v1/keys/{kept['id']}/rotate", grace=0)
+    assert [_status(studio, each["key"]) for each in (kept, fresh)] == [401, 200]
+
+
+def test_the_last_admin_key_stays(studio: Studio) -> None:
+    mine = studio.get("/v1/me")["key_id"]
+    studio.post(
+        "/v1/keys",
+        name="short",
+        scopes=["admin"],
+        expires_at=(now() + timedelta(seconds=0.5)).isoformat(),
+    )
+    other = studio.post("/v1/keys", name="deputy", scopes=["admin", "read"])
+    assert studio.http.delete(f"/v1/keys/{mine}").status_code == 204
+    deputy = Studio(studio.http, other["key"])
+    assert deputy.get("/v1/me") == {
+        "tenant": "default",
+        "key_id": other["id"],
+        "scopes": ["admin", "read"],
+    }
+    time.sleep(0.6)
+    refused = deputy.http.delete(f"/v1/keys/{other['id']}")
+    assert (refused.status_code, refused.json()["code"]) == (409, "key.last_admin")
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        {"name": "x", "scopes": []},
+        {"name": "x", "scopes": ["root"]},
+        {"name": "x", "scopes": ["read"], "expires_at": "2020-01-01T00:00:00Z"},
+        {"name": "x", "scopes": ["read"], "expires_at": "2040-01-01T00:00:00"},
+    ],
+)
+def test_keys_that_can_not_be(studio: Studio, body: dict[str, Any]) -> None:
+    assert studio.http.post("/v1/keys", json=body).status_code == 422
+
+
+def test_who_did_what_is_written_down(studio: Studio) -> None:
+    key = studio.post("/v1/keys", name="Ada's laptop", scopes=["read"])
+    studio.http.delete(f"/v1/keys/{key['id']}", headers={"X-Request-Id": "mine"})
+    entries = studio.get(f"/v1/audit?object_id={key['id']}")["items"]
+    assert [each["action"] for each in entries] == ["key.revoked", "key.created"]
+    assert entries[0]["request_id"] == "mine"
+    assert entries[0]["key_id"] == studio.get("/v1/me")["key_id"]
+    assert "Ada" not in str(entries)
+    first = studio.get("/v1/audit?limit=1")
+    assert studio.get(f"/v1/audit?limit=1&cursor={first['next']}")["items"] == entries[1:]

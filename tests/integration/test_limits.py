@@ -1,0 +1,81 @@
+"""How fast and how much: rates of keys and quotas of tenants."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from sqlalchemy import update
+
+from service.access.rates import Rates
+from service.settings import Settings
+from service.store.broker import EmbeddedBroker
+from service.store.models import DEFAULT_TENANT, Tenant
+from tests.service_client import Studio, served
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[str]:
+    folder = tmp_path / "broker"
+    embedded = EmbeddedBroker(folder, folder / "valkey.sock")
+    embedded.start()
+    yield f"redis+socket://{folder / 'valkey.sock'}"
+    embedded.stop()
+
+
+def _limit(studio: Studio, **quotas: int) -> None:
+    store = studio.http.app.state.store  # type: ignore[attr-defined]
+    with store.write() as session:
+        session.execute(update(Tenant).where(Tenant.id == DEFAULT_TENANT).values(**quotas))
+
+
+def test_a_key_that_asks_too_fast_is_told_when_to_come_back(tmp_path: Path) -> None:
+    with served(Settings(data_dir=tmp_path, rate_per_minute=30)) as studio:
+        answers = [studio.http.get("/v1/me") for _ in range(31)]
+        assert {answer.status_code for answer in answers[:30]} == {200}
+        assert answers[0].headers["RateLimit-Remaining"] == "29"
+        refused = answers[30]
+        assert (refused.status_code, refused.json()["code"]) == (429, "request.rate")
+        assert 1 <= int(refused.headers["Retry-After"]) <= 2
+        assert refused.headers["RateLimit-Limit"] == "30"
+        assert studio.http.get("/healthz").status_code == 200
+
+
+def test_processes_share_a_bucket_and_go_on_without_the_broker(broker: str) -> None:
+    first, second = Rates(broker, 4), Rates(broker, 4)
+    taken = [rates.take("key") for rates in (first, second, first, second, first)]
+    assert [each.allowed for each in taken] == [True] * 4 + [False]
+    assert first.take("another").allowed
+    alone = Rates("redis+socket:///nobody", 2)
+    assert [alone.take("key").allowed for _ in range(3)] == [True, True, False]
+    for rates in (first, second, alone):
+        rates.close()
+
+
+def test_a_tenant_has_room_for_so_many_bytes_and_jobs(tmp_path: Path) -> None:
+    with served(Settings(data_dir=tmp_path)) as studio:
+        subject = studio.subject()
+        used = studio.get("/v1/usage")["bytes"]
+        assert used["used"] > 0  # the upload and the capture made from it count once
+        assert used["limit"] is None
+        _limit(studio, max_bytes=used["used"] + 10, max_queued=1, max_running=3)
+        start = {"Upload-Metadata": "filename YS5vYmo="}
+        too_large, no_room, fits = (
+            studio.http.post("/v1/uploads", headers=start | {"Upload-Length": str(size)})
+            for size in (used["used"] + 11, 11, 10)
+        )
+        assert (too_large.status_code, too_large.json()["code"]) == (413, "quota.bytes")
+        assert (no_room.status_code, no_room.json()["code"]) == (429, "quota.bytes")
+        assert fits.status_code == 201
+        job = studio.submit("build_model", subject)
+        body = {"kind": "build_model", "subject_id": subject}
+        refused = studio.http.post("/v1/jobs", json=body)
+        assert (refused.status_code, refused.json()["code"]) == (429, "quota.queued")
+        assert "Retry-After" in refused.headers
+        usage = studio.get("/v1/usage")
+        assert usage["bytes"]["used"] == usage["bytes"]["limit"]
+        assert usage["queued"] == {"used": 1, "limit": 1}
+        assert usage["running"] == {"used": 0, "limit": 3}
+        studio.post(f"/v1/jobs/{job}/cancel")
+        assert studio.http.post("/v1/jobs", json=body).status_code == 201

@@ -1,0 +1,139 @@
+"""The sliders: every fit can be reached, and the reduced skin is near the simulated one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from solver.fitting.face import Face, Pose
+from solver.fitting.resting import Resting
+from solver.mechanics.flesh import IDENTITY
+from solver.rig.preview.basis import feature_slopes, features
+from solver.rig.preview.controls import Controls, controls_of
+from solver.rig.preview.directions import used_directions
+from solver.rig.preview.poses import learned_from, measured_on
+from solver.rig.preview.response import Responses
+from solver.rig.preview.samples import Simulator
+from solver.rig.result import ExpressionFit
+from tests.unit.solver.block import head_block
+
+MODEL = head_block((7, 5, 1))
+S = MODEL.weights
+EXPRESSIONS = {
+    "wide": ([[0.8, 0.02, 0, 1.1, 0, 1.1], [0.95, 0, 0, 1, 0.01, 1]], [0.06, 0, 0, 0, 0.5]),
+    "narrow": ([[0.95, 0, 0.03, 1, 0, 1], [0.75, 0.02, 0, 1.1, 0, 1.2]], [-0.02, 0, 0, 0, 0]),
+}
+
+
+@pytest.fixture(scope="module")
+def face() -> Face:
+    return Face(MODEL)
+
+
+@pytest.fixture(scope="module")
+def rest(face: Face) -> Resting:
+    return Resting(face, S)
+
+
+@pytest.fixture(scope="module")
+def fits(face: Face, rest: Resting) -> list[ExpressionFit]:
+    return [
+        fitted(face, rest, name, np.array(a, float), np.array(b, float))
+        for name, (a, b) in EXPRESSIONS.items()
+    ]
+
+
+def fitted(face: Face, rest: Resting, name: str, a: np.ndarray, b: np.ndarray) -> ExpressionFit:
+    x = face.move(S, rest.state, Pose(a, b)).x
+    skin = face.whole_skin(x, b)
+    zero = np.zeros(len(skin))
+    return ExpressionFit(name, "train", a, b, skin, skin, zero, 0, 1, 0.0, 0.0, x)
+
+
+@pytest.fixture(scope="module")
+def controls(face: Face, rest: Resting, fits: list[ExpressionFit]) -> Controls:
+    return controls_of(face, S, rest, fits)
+
+
+def test_a_preset_is_the_pose_of_its_fit(controls: Controls, fits: list[ExpressionFit]) -> None:
+    for fit in fits:
+        values = controls.presets[fit.name]
+        pose = controls.pose(values)
+        assert np.allclose(pose.a, fit.activations)
+        assert np.allclose(pose.b, fit.jaw)
+        assert (values >= 0.0).all()
+        assert (values <= 1.0).all()
+    ways = [controls.each[number].name for number in controls.of_kind("jaw")]
+    assert ways == ["jaw_opens", "jaw_closes", "jaw_moves_forward", "jaw_moves_back"]
+
+
+def test_a_muscle_at_the_end_of_its_slider_is_no_mirror_image(controls: Controls) -> None:
+    for number in controls.of_kind("muscle"):
+        a = controls.pose(np.eye(len(controls))[number]).a
+        xx, xy, xz, yy, yz, zz = a.T
+        stretches = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).transpose(2, 0, 1)
+        assert np.linalg.eigvalsh(stretches).min() > 0.0
+
+
+def test_an_unused_muscle_shortens_and_keeps_its_volume(face: Face, rest: Resting) -> None:
+    at_rest = fitted(face, rest, "rest", np.tile(IDENTITY, (MODEL.muscle_count, 1)), np.zeros(5))
+    assert not controls_of(face, S, rest, [at_rest]).of_kind("muscle")
+    along_x = np.where(S.indices[:, None] > 0, [1.0, 0.0, 0.0], 0.0)
+    with_fibres = Face(replace(MODEL, fibres=along_x))
+    controls = controls_of(with_fibres, S, rest, [at_rest])
+    assert len(controls.of_kind("muscle")) == MODEL.muscle_count
+    xx, xy, xz, yy, yz, zz = controls.pose(np.eye(len(controls))[0]).a[0]
+    matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    assert np.linalg.det(matrix) == pytest.approx(1.0)
+    assert np.linalg.eigvalsh(matrix)[0] == pytest.approx(0.8, abs=0.01)
+
+
+def test_directions_of_muscles_that_each_have_one_are_found() -> None:
+    rng = np.random.default_rng(1)
+    true, amounts = rng.normal(size=(3, 6)), rng.uniform(0.2, 1.0, (4, 3))
+    response = rng.normal(size=(40, 18))
+    found, used = used_directions(amounts[:, :, None] * true, response.T @ response)
+    assert np.allclose(used[:, :, None] * found, amounts[:, :, None] * true, atol=1e-5)
+
+
+def test_slopes_of_the_skin_are_its_differences(
+    face: Face, rest: Resting, controls: Controls
+) -> None:
+    rng = np.random.default_rng(2)
+    modes = rng.normal(size=(3, *MODEL.skin.vertices.shape))
+    simulator = Simulator(face, S, controls, rest.state, {})
+    slid = next(pose for pose in learned_from(controls, 0) if pose.sort == "plausible")
+    (sample,) = simulator.solve([slid], np.inf, lambda _: None)
+    slopes = Responses(face, S, controls, modes).at(sample)
+    assert slopes is not None
+    step, start = 1e-2, face.move(S, rest.state, controls.pose(slid.values))
+    for number, unit in enumerate(np.eye(len(controls))):
+        ahead, behind = (
+            face.move(S, start, controls.pose(slid.values + way * unit)) for way in (step, -step)
+        )
+        skins = [face.whole_skin(state.x, state.pose.b) for state in (ahead, behind)]
+        rate = np.tensordot(modes, (skins[0] - skins[1]) / (2 * step), 2)
+        assert np.allclose(rate, slopes[:, number], rtol=1e-2, atol=0.02)
+
+
+def test_slopes_of_the_features_are_their_differences() -> None:
+    values, pairs = np.array([0.2, 0.5, 0.9]), np.triu_indices(3)
+    assert list(zip(*pairs, strict=True)) == [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
+    slopes = feature_slopes(values, pairs).toarray()
+    for number, unit in enumerate(np.eye(3)):
+        ahead, behind = (features((values + step * unit)[None], pairs) for step in (1e-6, -1e-6))
+        assert np.allclose((ahead - behind)[0] / 2e-6, slopes[number])
+
+
+def test_nothing_is_measured_on_what_was_learned_from(controls: Controls) -> None:
+    learned = {pose.values.tobytes() for pose in learned_from(controls, 3)}
+    measured = measured_on(controls, 3)
+    assert learned.isdisjoint(pose.values.tobytes() for pose in measured)
+    assert {pose.about for pose in measured if pose.sort == "alone"} == {
+        control.name for control in controls.each
+    }
+    values = np.array([pose.values for pose in measured])
+    assert values.min() >= 0.0
+    assert values.max() <= 1.0
