@@ -231,7 +231,7 @@ def test_a_subject_is_worked_with_and_deleted(show: Show, studio: Studio) -> Non
     page.get_by_role("button", name="Delete subject").click()
     page.get_by_label(re.compile("type the name")).fill("Alex")
     page.get_by_role("button", name="Delete for good").click()
-    page.get_by_text("Alex was deleted").wait_for()
+    page.get_by_text("Alex is deleted").wait_for()
     assert studio.http.get(f"/v1/subjects/{subject_id}").status_code == 404
 
 
@@ -251,6 +251,18 @@ def test_a_key_is_asked_for_taken_from_the_address_and_forgotten(
     page.get_by_text("All parts answer").wait_for()
     assert studio.key not in page.url
     page.get_by_role("link", name="Signed in").click()
+    page.get_by_role("button", name="Make a key").click()
+    dialog = page.get_by_role("dialog")
+    dialog.get_by_label("For whom").fill("station 2")
+    dialog.get_by_role("button", name="Make it").click()
+    made = page.get_by_role("textbox", name="The key station 2").input_value()
+    page.get_by_role("button", name="I have it").click()
+    assert studio.http.get("/v1/me", headers={"Authorization": f"Bearer {made}"}).json()[
+        "scopes"
+    ] == ["read", "write"]
+    page.get_by_role("button", name="Revoke station 2").click()
+    page.get_by_role("dialog").get_by_role("button", name="Revoke").click()
+    page.get_by_text("Revoked").wait_for()
     page.get_by_role("button", name="Sign out").click()
     assert page.evaluate("sessionStorage.length") == 0
 

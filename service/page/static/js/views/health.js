@@ -7,7 +7,7 @@ import { state } from "../parts/state.js";
 import { repeat } from "../repeat.js";
 import { bytes, span, time, when } from "../words.js";
 
-const EVERY_MS = 5_000;
+const EVERY_MS = 10_000;
 const PARTS = { database: "Database", broker: "Broker", files: "Files" };
 
 export async function mount(root) {
@@ -18,6 +18,7 @@ export async function mount(root) {
   const parts = h("tbody");
   const workers = h("tbody");
   const queues = h("tbody");
+  const usage = h("tbody");
   const asked = h("p", { class: "fine grow" });
   root.append(
     h("div", { class: "head" }, h("h1", {}, "Health"), asked),
@@ -26,11 +27,12 @@ export async function mount(root) {
       panel("parts", "Parts", table(["Part", "State"], parts)),
       panel("queues", "Queues", table(["Queue", "Running", "Queued"], queues)),
       panel("workers", "Workers", table(["Worker", "Queue", "Since", "Last seen"], workers)),
+      panel("usage", "What this studio uses", table(["", "Used", "At most"], usage)),
       panel("limits", "Limits", limitList(limits))));
   let toldReady = null;
   const refresh = async () => {
-    const [{ ready, checks, workers: serving }, living, lengths] = await Promise.all(
-      [readiness(signal), livingWorkers(signal), queueLengths(kinds, signal)]);
+    const [{ ready, checks, workers: serving }, living, lengths, used] = await Promise.all(
+      [readiness(signal), livingWorkers(signal), queueLengths(kinds, signal), get("/v1/usage", {}, signal)]);
     if (toldReady !== ready) {
       toldReady = ready;
       show(overall, h("div", { class: `notice ${ready ? "good" : "bad"}` },
@@ -39,6 +41,7 @@ export async function mount(root) {
     show(parts, Object.entries(checks).map(([name, found]) =>
       h("tr", {}, h("th", { scope: "row" }, PARTS[name] ?? name), h("td", {}, state(found, found === "ok" ? "Answers" : "Does not answer")))));
     show(workers, workerRows(living, serving));
+    show(usage, usageRows(used));
     show(queues, queueRows(lengths, serving));
     asked.textContent = `as of ${time(new Date())}`;
   };
@@ -89,6 +92,12 @@ function queueRows(lengths, serving) {
   });
 }
 
+function usageRows(used) {
+  return [["bytes", "Stored", bytes], ["running", "Running jobs", String], ["queued", "Queued jobs", String]].map(([key, name, text]) =>
+    h("tr", {}, h("th", { scope: "row" }, name), h("td", {}, text(used[key].used)),
+      h("td", {}, used[key].limit === null ? "no limit" : text(used[key].limit))));
+}
+
 function workerRows(workers, serving) {
   if (!Object.keys(serving).length) return h("tr", {}, h("td", { colspan: 4 }, state("failed", "No worker is alive: jobs wait.")));
   if (!workers) {
@@ -115,5 +124,5 @@ function panel(id, title, ...content) {
 }
 
 function table(names, body) {
-  return h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {}, names.map((name) => h("th", { scope: "col" }, name)))), body));
+  return h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {}, names.map((name) => h("th", { scope: "col" }, name || h("span", { class: "unseen" }, "What"))))), body));
 }

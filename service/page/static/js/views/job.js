@@ -147,6 +147,7 @@ class JobView {
       Started: job.started_at && when(job.started_at),
       Finished: job.finished_at && when(job.finished_at),
       Took: lasted === null ? null : span(lasted),
+      "Kept until": job.retain_until && when(job.retain_until),
       Rig: job.rig_id && h("a", { href: `/rigs/${job.rig_id}` }, "the one it was made from"),
       Id: h("code", {}, job.id),
     });

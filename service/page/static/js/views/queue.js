@@ -15,7 +15,7 @@ import { repeat } from "../repeat.js";
 import { replaceQuery } from "../router.js";
 import { count, span, time, when } from "../words.js";
 
-const EVERY_MS = 2_000;
+const EVERY_MS = 3_000;
 const PAGE = 50;
 // A browser has six connections to a service for all its windows; streams must leave some.
 const MOST_STREAMS = 2;
@@ -94,7 +94,8 @@ class Queue {
   async refresh() {
     const asked = (this.asked = {});
     const { state: wanted, ...rest } = this.filters;
-    const lists = await Promise.all([
+    const [usage, ...lists] = await Promise.all([
+      get("/v1/usage", {}, this.signal),
       get("/v1/jobs", { ...this.filters, limit: PAGE, cursor: this.cursors.at(-1) }, this.signal),
       ...(wanted ? [] : ACTIVE.map((key) => get("/v1/jobs", { ...rest, state: key, limit: 200 }, this.signal))),
     ]);
@@ -107,11 +108,12 @@ class Queue {
     this.showRunning(this.active);
     this.showOthers(others);
     this.tellStates([...this.active, ...others]);
-    this.frame(others, wanted);
+    setText(this.count, `${usage.running.used} running, ${usage.queued.used} queued`);
+    this.frame(others);
     this.follow();
   }
 
-  frame(others, wanted) {
+  frame(others) {
     this.running.hidden = !this.active.length;
     this.table.hidden = !others.length;
     this.empty.hidden = others.length > 0 || this.active.length > 0;
@@ -119,8 +121,6 @@ class Queue {
       ? "No job is like that." : "No jobs yet. Upload scans, and their checks show up here.");
     this.newer.hidden = this.cursors.length === 1;
     this.older.hidden = !this.next;
-    const queued = others.filter((job) => job.state === "queued").length;
-    setText(this.count, wanted ? "" : `${this.active.length} running, ${queued}${this.next ? " or more" : ""} queued`);
   }
 
   /** Stream the events of the first running jobs: their phases show at once. */

@@ -14,7 +14,7 @@ import { repeat } from "../repeat.js";
 import { navigate, title as nameWindow } from "../router.js";
 import { bytes, count, figure, plain, when } from "../words.js";
 
-const EVERY_MS = 3_000;
+const EVERY_MS = 5_000;
 
 export async function mount(root, { id }) {
   const ending = new AbortController();
@@ -165,7 +165,7 @@ class SubjectView {
   async delete() {
     if (!(await askToDeleteSubject(this.subject))) return;
     changed(this.subject.id);
-    toast(`${this.subject.name} was deleted. Files go within minutes.`);
+    toast(`${this.subject.name} is deleted. Files go within minutes.`);
     navigate("/subjects");
   }
 }
