@@ -211,7 +211,7 @@ def test_the_heat_map_takes_its_range(place: Place, rig: Callable[..., Page]) ->
     page = rig("?e=surprise:1")
     before = _picture(page)
     page.get_by_label("Heat map").select_option("distance")
-    page.locator("figcaption", has_text="Distance to the scan, Surprise").first.wait_for()
+    page.locator(".heat-legend", has_text="Distance to the scan, Surprise").wait_for()
     _settled(page)
     assert _query(page) == "e=surprise:1&heat=0-2"
     as_is = _picture(page)
@@ -295,7 +295,7 @@ def test_a_permalink_shows_the_same_again(rig: Callable[..., Page]) -> None:
     for page in (first, again):
         assert page.get_by_role("slider", name="Smile").input_value() == "0.4"
         assert page.get_by_label("Scan", exact=True).input_value() == "wire"
-        page.locator("figcaption", has_text="Way from the neutral").wait_for()
+        page.locator(".heat-legend", has_text="Way from the neutral").wait_for()
     assert (
         first.locator("#stage-caption").inner_text() == again.locator("#stage-caption").inner_text()
     )
