@@ -15,6 +15,7 @@ Kind = Literal[
     "fit_geometry",
     "fit_activations",
     "fit_sequence",
+    "build_preview",
 ]
 State = Literal["queued", "running", "canceling", "succeeded", "failed", "canceled"]
 

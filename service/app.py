@@ -17,6 +17,7 @@ from service.access.signed import Signer
 from service.audit.routes import router as audit
 from service.captures.routes import router as captures
 from service.deletions.routes import router as deletions
+from service.jobs.following import Feed
 from service.jobs.routes import router as jobs
 from service.keys.routes import router as keys
 from service.outbound.client import Sender
@@ -83,6 +84,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     )
     app.state.settings = settings
     app.state.store = store
+    app.state.feed = Feed(store)
     app.state.keyring = keyring
     app.state.master = master
     app.state.rates = rates

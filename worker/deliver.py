@@ -20,6 +20,7 @@ from service.outbound.client import Answer, Refused, Sender, Unreachable
 from service.secret import secret
 from service.settings import Settings
 from service.store import outbox
+from service.store.claims import Abilities
 from service.store.outbox import Outcome, Parcel
 from service.store.queue import WEBHOOKS
 from service.store.store import Store
@@ -36,13 +37,13 @@ FORGET_EVERY = 3600.0
 log = structlog.get_logger()
 
 
-def main(store: Store, settings: Settings, name: str) -> None:
+def main(store: Store, settings: Settings, can: Abilities) -> None:
     """Deliver until told to stop."""
     stopping = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stopping.set())
     store.database.migrate()
-    Sweeper(store, settings, name, WEBHOOKS, stopping).start()
+    Sweeper(store, settings, WEBHOOKS, can, settings.webhook_workers, stopping).start()
     sender = Sender(settings.webhook_timeout, settings.webhook_allow)
     Deliverer(store, settings, secret(settings), sender, stopping).run()
 

@@ -109,7 +109,7 @@ def submit_job(
         list[str] | None, typer.Option(help="name or id of a capture; repeat")
     ] = None,
     rig: Annotated[
-        str | None, typer.Option(help="rig id, for fit_activations and fit_sequence")
+        str | None, typer.Option(help="rig id, for fit_activations, fit_sequence, build_preview")
     ] = None,
     options: Annotated[str, typer.Option(help="JSON, see /v1/solvers")] = "{}",
     wait: Annotated[bool, typer.Option(help="follow the job until it ends")] = True,

@@ -231,6 +231,26 @@ def fit_sequence(
     out.print(f"{output / 'sequence.npz'}", markup=False)
 
 
+@solve.command("build-preview")
+def build_preview(
+    model: Model,
+    rig: Rig,
+    output: NewFolder = Path("preview"),
+    seed: Annotated[int, typer.Option(min=0, help="of the poses that are simulated")] = 0,
+    max_seconds: Annotated[
+        float, typer.Option(min=10, help="then it is made of the poses that are ready")
+    ] = 600.0,
+) -> None:
+    """Make the sliders of a rig: the skin that muscles and jaw move, and its error."""
+    from solver.pipeline import build_preview as build
+
+    options = {"seed": seed, "max_seconds": max_seconds}
+    weights, activations = rig / "muscle_weights.npz", rig / "activations.npz"
+    with JobView("build-preview") as view, _made(output):
+        build(model, weights, activations, output, options=options, progress=view)
+    out.print(f"{output / 'preview.bin'}", markup=False)
+
+
 @solve.command("live-link")
 def live_link(
     recording: Annotated[

@@ -131,20 +131,20 @@ def _template(session: Session, subject_id: str) -> list[Input]:
 
 
 def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
-    """Return a model, the parent rig if ``kind`` reads one, and what to fit."""
+    """Return a model, the rig if ``kind`` reads one, and what to fit."""
     files = []
     if "rig" in kind.reads:
         rig = _parent(session, new)
         model = repository.get(session, rig.model_job_id)
         files.append(_artifact(session, rig.job_id, "weights", "muscle_weights.npz"))
-        if "captures" in kind.reads:
+        if "performance" not in kind.reads:
             files.append(_artifact(session, rig.job_id, "rig", "activations.npz"))
     else:
         model = _newest_model(session, new)
     files.append(_artifact(session, model.id, "model", "model.npz"))
     if "performance" in kind.reads:
         files.append(_performance(session, new))
-    else:
+    elif "captures" in kind.reads:
         files += _expressions(session, new, model)
     return Inputs(files, model_job_id=model.id)
 

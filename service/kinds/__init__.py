@@ -27,7 +27,7 @@ class Kind:
     description: str
     queue: str
     reads: list[Read]
-    leaves: Literal["check", "registration", "model", "rig", "sequence"]
+    leaves: Literal["check", "registration", "model", "rig", "sequence", "preview"]
     options: dict[str, Any]
 
     def faults(self, options: dict[str, Any]) -> list[dict[str, str]]:

@@ -8,7 +8,11 @@ from sqlalchemy.orm import Session, selectinload
 from service import paging
 from service.errors import Problem, unknown
 from service.paging import Slice
-from service.store.models import Artifact, Rig
+from service.store.models import Artifact, Job, Rig
+from service.store.transitions import State
+
+PREVIEW = "preview.bin"
+"""The file of a rig that a job of its own makes."""
 
 
 def get(session: Session, rig_id: str) -> Rig:
@@ -25,6 +29,30 @@ def newest(session: Session, subject_id: str | None, limit: int, cursor: str | N
     if subject_id is not None:
         query = query.where(Rig.subject_id == subject_id)
     return paging.newest(session, query, limit, cursor)
+
+
+def preview(session: Session, rig: Rig) -> Artifact | None:
+    """Return the preview of a rig by the newest job that made one."""
+    return session.scalars(
+        select(Artifact)
+        .join(Job, Job.id == Artifact.job_id)
+        .where(
+            Job.subject_id == rig.subject_id,
+            Job.kind == "build_preview",
+            Job.state == State.SUCCEEDED,
+            Job.request["rig_id"].as_string() == rig.id,
+            Artifact.name == PREVIEW,
+        )
+        .order_by(Job.created_at.desc())
+        .limit(1)
+    ).one_or_none()
+
+
+def artifact_of_rig(session: Session, rig: Rig, name: str) -> Artifact:
+    """Return a rig's artifact by its name."""
+    if name == PREVIEW and (found := preview(session, rig)):
+        return found
+    return artifact_of_job(session, rig.job_id, name)
 
 
 def artifact(session: Session, artifact_id: str) -> Artifact:

@@ -16,7 +16,7 @@ from service.dependencies import Cursor, FileStore, Limit, ReadSession, ReadStor
 from service.errors import problems
 from service.rigs import repository
 from service.rigs.download import Download
-from service.rigs.schemas import RigView, SignedUrl
+from service.rigs.schemas import ArtifactView, RigView, SignedUrl
 from service.schemas import FileName, Id, Page
 from service.store.models import Artifact
 from service.store.store import Store
@@ -58,8 +58,12 @@ def index(
 
 @router.get("/rigs/{rig_id}", summary="Show a rig", responses=problems(404, 422))
 def show(rig_id: Id, session: ReadSession, settings: SettingsDep) -> RigView:
-    """Show a rig's expressions, figures and files."""
-    return RigView.of(repository.get(session, rig_id), settings)
+    """Show a rig's expressions, figures and files, `preview.bin` among them once it is made."""
+    rig = repository.get(session, rig_id)
+    view = RigView.of(rig, settings)
+    if preview := repository.preview(session, rig):
+        view.artifacts.append(ArtifactView.model_validate(preview))
+    return view
 
 
 @router.get(
@@ -77,7 +81,7 @@ def download_by_name(
 ) -> Response:
     """Download for example `rig.glb`; `Range` and `If-None-Match` work."""
     rig = repository.get(session, rig_id)
-    return _file(repository.artifact_of_job(session, rig.job_id, name), store, if_none_match)
+    return _file(repository.artifact_of_rig(session, rig, name), store, if_none_match)
 
 
 @router.head(

@@ -41,11 +41,11 @@ class Store:
         with self.database.write(self._tenant_id) as session:
             yield session
         for job_id, queue in session.info.pop(WAKE, []):
-            if not self._wake_ups.send(job_id, queue):
-                break  # the broker is away: the sweeper sends these when it is back
+            self._wake_ups.send(job_id, queue)
 
     def close(self) -> None:
-        """Close the database's connections."""
+        """Close the connections to broker and database."""
+        self._wake_ups.close()
         self.database.close()
 
 

@@ -7,11 +7,13 @@ process of its own, the offline command line directly.
 from solver.pipeline.checks import check_scan
 from solver.pipeline.fits import fit_activations, fit_geometry
 from solver.pipeline.models import build_model
+from solver.pipeline.preview import build_preview
 from solver.pipeline.registration import register_scan
 from solver.pipeline.sequence import fit_sequence
 
 __all__ = [
     "build_model",
+    "build_preview",
     "check_scan",
     "fit_activations",
     "fit_geometry",

@@ -21,7 +21,9 @@ from worker import attempt
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_options_are_those_of_the_pipeline(kind: str, tmp_path: Path) -> None:
-    files = {"fit_activations": 2, "fit_sequence": 3}.get(kind, 1) * [tmp_path / "x"]
+    files = {"fit_activations": 2, "fit_sequence": 3, "build_preview": 3}.get(kind, 1) * [
+        tmp_path / "x"
+    ]
     scans = [{"smile": tmp_path / "smile.obj"}] if "captures" in KINDS[kind].reads else []
     with pytest.raises(InputError) as caught:
         getattr(pipeline, kind)(*files, *scans, tmp_path, options={"no such option": 1})

@@ -1,6 +1,7 @@
 """The tables."""
 
 from service.store.models.base import Base, Owned, UtcDateTime, new_id, now
+from service.store.models.batches import Batch
 from service.store.models.jobs import Artifact, Attempt, Event, FrameChunk, Job, LogLine, Rig
 from service.store.models.people import Capture, Subject, Template, Upload
 from service.store.models.records import AnsweredRequest, AuditEntry, Deletion
@@ -16,6 +17,7 @@ __all__ = [
     "Attempt",
     "AuditEntry",
     "Base",
+    "Batch",
     "Capture",
     "Deletion",
     "Delivery",

@@ -85,6 +85,14 @@ def fit_sequence(model, weights, performance, out, *, resume=False, options=None
     (out / "sequence.json").write_text(json.dumps({"frames": int(orders["frames"])}))
 
 
+def build_preview(model, weights, rig, out, *, options=None, progress):
+    assert (model.name, weights.name) == ("model.npz", "muscle_weights.npz")
+    presets = json.loads(rig.read_text())
+    progress(Step("simulate", 0.5))
+    (out / "preview.bin").write_bytes(b"MYOV" + json.dumps([presets, options]).encode())
+    (out / "preview.json").write_text(json.dumps({"controls": 3}))
+
+
 FRAME = {
     "status": "fitted",
     "activations": [[1, 0, 0, 1, 0, 1]],
