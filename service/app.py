@@ -9,7 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from anyio import to_thread
 from fastapi import FastAPI
 
-from service import errors, http
+from service import errors, http, metrics
 from service.access import bootstrap
 from service.access.keys import Keyring
 from service.access.rates import RateHeaders, Rates
@@ -17,8 +17,11 @@ from service.access.signed import Signer
 from service.audit.routes import router as audit
 from service.captures.routes import router as captures
 from service.deletions.routes import router as deletions
+from service.jobs.following import Feed
 from service.jobs.routes import router as jobs
 from service.keys.routes import router as keys
+from service.metrics.routes import router as metrics_router
+from service.outbound.client import Sender
 from service.page.routes import router as page
 from service.rigs.routes import router as rigs
 from service.secret import secret
@@ -29,6 +32,7 @@ from service.system.routes import router as system
 from service.templates.routes import router as templates
 from service.tenants.routes import router as tenants
 from service.uploads.routes import router as uploads
+from service.webhooks.routes import router as webhooks
 
 DESCRIPTION = """
 Registered 3D scans of one person in, a muscle-driven face out.
@@ -49,6 +53,7 @@ TAGS = [
     {"name": "tenants", "description": "Who is asking, and what its tenant uses."},
     {"name": "deletions", "description": "Receipts of what was deleted."},
     {"name": "audit", "description": "Who did what."},
+    {"name": "webhooks", "description": "Who is told what happens."},
     {"name": "system", "description": "Health, limits and kinds of job."},
 ]
 
@@ -80,10 +85,12 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     )
     app.state.settings = settings
     app.state.store = store
+    app.state.feed = Feed(store)
     app.state.keyring = keyring
     app.state.master = master
     app.state.rates = rates
     app.state.signer = Signer(master)
+    app.state.sender = Sender(settings.webhook_timeout, settings.webhook_allow)
     errors.install(app)
     for router in (
         uploads,
@@ -92,17 +99,20 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         templates,
         jobs,
         rigs,
+        webhooks,
         keys,
         tenants,
         audit,
         deletions,
         system,
+        metrics_router,
         page,
     ):
         app.include_router(router)
     _describe_problems(app)
     app.add_middleware(RateHeaders)
     http.install(app, settings)
+    metrics.install(app, store, settings)
     return app
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 from fastapi import Depends, Query, Request
 from sqlalchemy.orm import Session
 
-from service.access.principal import Admin, Deleter, Reader, Writer
+from service.access.principal import Admin, Deleter, Hooks, Reader, Writer
 from service.access.signed import FileReader
 from service.settings import Settings
 from service.store.store import Store
@@ -45,6 +45,10 @@ def _for_deleting(store: WholeStore, who: Deleter) -> Store:
     return store.of(who.tenant_id)
 
 
+def _for_hooks(store: WholeStore, who: Hooks) -> Store:
+    return store.of(who.tenant_id)
+
+
 def _for_administering(store: WholeStore, who: Admin) -> Store:
     return store.of(who.tenant_id)
 
@@ -55,6 +59,7 @@ FileStore = Annotated[Store, Depends(_for_downloading)]
 WriteStore = Annotated[Store, Depends(_for_writing)]
 DeleteStore = Annotated[Store, Depends(_for_deleting)]
 AdminStore = Annotated[Store, Depends(_for_administering)]
+HookStore = Annotated[Store, Depends(_for_hooks)]
 
 
 def _reading(store: ReadStore) -> Iterator[Session]:
@@ -72,6 +77,11 @@ def _deleting(store: DeleteStore) -> Iterator[Session]:
         yield session
 
 
+def _of_hooks(store: HookStore) -> Iterator[Session]:
+    with store.write() as session:
+        yield session
+
+
 def _administering(store: AdminStore) -> Iterator[Session]:
     with store.write() as session:
         yield session
@@ -82,6 +92,7 @@ ReadSession = Annotated[Session, Depends(_reading, scope="function")]
 WriteSession = Annotated[Session, Depends(_writing, scope="function")]
 DeleteSession = Annotated[Session, Depends(_deleting, scope="function")]
 AdminSession = Annotated[Session, Depends(_administering, scope="function")]
+HookSession = Annotated[Session, Depends(_of_hooks, scope="function")]
 
 Cursor = Annotated[
     str | None, Query(max_length=200, description="`next` of the page before; default: the newest")

@@ -8,7 +8,7 @@ import os
 import tempfile
 from pathlib import Path
 
-from pydantic import Field, SecretStr, field_validator
+from pydantic import Field, IPvAnyNetwork, SecretStr, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 # A unix socket's path must fit into sockaddr_un (104 bytes on macOS, 108 on Linux).
@@ -28,6 +28,14 @@ class Settings(BaseSettings):
         default=None, description="default: an embedded Valkey in data_dir"
     )
     files_dir: Path | None = Field(default=None, description="default: data_dir/files")
+    files_url: str | None = Field(
+        default=None,
+        pattern=r"^s3://[^/?]+",
+        description="s3://bucket/prefix?endpoint=...&region=..., in place of files_dir",
+    )
+    uploads_dir: Path | None = Field(
+        default=None, description="unfinished uploads; default: files_dir/uploads"
+    )
     work_dir: Path | None = Field(
         default=None, description="folders of attempts; default: data_dir/work"
     )
@@ -87,10 +95,22 @@ class Settings(BaseSettings):
     solver_threads: int = Field(default=os.cpu_count() or 1, ge=1)
     solver_memory_mb: int = Field(default=8192, gt=0)
 
+    webhook_workers: int = Field(
+        default=8, ge=0, description="threads that deliver; 0: no worker for webhooks here"
+    )
+    webhook_timeout: float = Field(default=10, gt=0)
+    webhook_schedule: list[float] = Field(
+        default=[5, 300, 1800, 7200, 18000, 36000, 50400, 72000, 86400],
+        description="pauses before the further tries",
+    )
+    webhook_allow: list[IPvAnyNetwork] = Field(
+        default=[], description="networks that are not public but may be told, such as 10.1.2.0/24"
+    )
+
     log_json: bool = False
     stack_pid: int | None = Field(default=None, description="the launcher to end with, if any")
 
-    @field_validator("data_dir", "files_dir", "work_dir")
+    @field_validator("data_dir", "files_dir", "uploads_dir", "work_dir")
     @classmethod
     def _absolute(cls, value: Path | None) -> Path | None:
         return value.expanduser().resolve() if value else None
@@ -122,19 +142,23 @@ class Settings(BaseSettings):
         return Path(tempfile.gettempdir()) / f"myoface-{key}.sock"
 
     @property
-    def files(self) -> Path:
-        """The folder of content-addressed files."""
-        return self.files_dir or self.data_dir / "files"
+    def files(self) -> Path | str:
+        """Where the content-addressed files are: a folder, or the URL of a bucket."""
+        return self.files_url or self._folder
 
     @property
     def uploads(self) -> Path:
-        """The folder of unfinished uploads."""
-        return self.files / "uploads"
+        """The folder of unfinished uploads, which API processes that take turns must share."""
+        return self.uploads_dir or self._folder / "uploads"
 
     @property
     def work(self) -> Path:
         """The folder of the workers' attempts."""
         return self.work_dir or self.data_dir / "work"
+
+    @property
+    def _folder(self) -> Path:
+        return self.files_dir or self.data_dir / "files"
 
     def environment(self) -> dict[str, str]:
         """Return these settings as environment variables for a child process."""

@@ -1,4 +1,4 @@
-"""``python -m worker ingest|short|long``: a worker for one queue."""
+"""``python -m worker ingest|short|long|webhooks``: a worker for one queue."""
 
 from __future__ import annotations
 
@@ -7,32 +7,35 @@ import signal
 
 from service import logs
 from service.parent import die_with_parent
-from service.store.queue import QUEUES
-from worker.app import app, settings
+from service.settings import Settings
+from service.store.queue import QUEUES, WEBHOOKS
+from service.store.store import Store
+from worker import deliver
+from worker.abilities import abilities
+from worker.app import work
 
 
 def main() -> None:
     """Work until told to stop."""
     parser = argparse.ArgumentParser(prog="python -m worker", description=__doc__)
-    parser.add_argument("queue", choices=QUEUES)
-    queue = parser.parse_args().queue
+    parser.add_argument("queue", choices=(*QUEUES, WEBHOOKS))
+    parser.add_argument(
+        "--kinds", default="", help="the only kinds of job to do, with commas; default: all"
+    )
+    given = parser.parse_args()
+    settings = Settings()
+    try:
+        can = abilities(settings, filter(None, given.kinds.split(",")))
+    except ValueError as error:
+        parser.error(str(error))
     logs.configure(settings.log_json)
     if settings.stack_pid:
         die_with_parent(settings.stack_pid, signal.SIGTERM)
-    concurrency = getattr(settings, f"{queue}_workers")
-    # Threads: each only watches a solver process, and all end with this process.
-    app.worker_main(
-        [
-            "--quiet",
-            "worker",
-            "--pool=threads",
-            f"--concurrency={concurrency}",
-            f"--queues={queue}",
-            f"--hostname={queue}@%h",
-            "--without-gossip",
-            "--without-mingle",
-        ]
-    )
+    store = Store(settings.database, settings.files, settings.broker)
+    if given.queue == WEBHOOKS:
+        deliver.main(store, settings, can)
+        return
+    work(store, settings, given.queue, can)
 
 
 if __name__ == "__main__":

@@ -2,51 +2,60 @@
 
 from __future__ import annotations
 
-import os
-import socket
 import threading
 from typing import Any
 
 from celery import signals
 
 from service.settings import Settings
+from service.store.claims import Abilities
 from service.store.queue import RUN_JOB, celery_app
 from service.store.store import Store
 from worker.supervise import Supervisor
 from worker.sweeper import Sweeper
 
-NAME = f"{socket.gethostname()}:{os.getpid()}"
 
-settings = Settings()
-app = celery_app(settings.broker)
-store = Store(settings.database, settings.files, settings.broker)
-stopping = threading.Event()
+def work(store: Store, settings: Settings, queue: str, can: Abilities) -> None:
+    """Do the jobs of ``queue`` that this worker can do, until told to stop."""
+    app = celery_app(settings.broker)
+    stopping = threading.Event()
+    slots = getattr(settings, f"{queue}_workers")
 
+    def run_jobs(_job_id: str) -> None:
+        """Do the queue's jobs, the best first, until there is none to be had."""
+        while not stopping.is_set() and Supervisor(store, settings, can, stopping).run_next(queue):
+            pass
 
-def run_job(job_id: str) -> None:
-    """Do a job, if it is still to be had."""
-    Supervisor(store, settings, NAME, stopping).run(job_id)
+    def migrate(**_: Any) -> None:
+        store.database.migrate()
 
+    def sweep(**_: Any) -> None:
+        Sweeper(store, settings, queue, can, slots, stopping).start()
 
-def _migrate(**_: Any) -> None:
-    store.database.migrate()
+    def stop(**_: Any) -> None:
+        stopping.set()
 
+    def leave_logging_alone(**_: Any) -> None:
+        """Celery sets up logging unless somebody listens here; `service.logs` has done it."""
 
-def _sweep(sender: Any, **_: Any) -> None:
-    queue = ",".join(sender.app.amqp.queues.consume_from)
-    Sweeper(store, settings, NAME, queue, stopping).start()
-
-
-def _stop(**_: Any) -> None:
-    stopping.set()
-
-
-def _leave_logging_alone(**_: Any) -> None:
-    """Celery sets up logging unless somebody listens here; `service.logs` has done it."""
-
-
-app.task(name=RUN_JOB)(run_job)
-signals.worker_init.connect(_migrate)
-signals.worker_ready.connect(_sweep)
-signals.worker_shutting_down.connect(_stop)
-signals.setup_logging.connect(_leave_logging_alone)
+    app.task(name=RUN_JOB)(run_jobs)
+    for signal, listener in (
+        (signals.worker_init, migrate),
+        (signals.worker_ready, sweep),
+        (signals.worker_shutting_down, stop),
+        (signals.setup_logging, leave_logging_alone),
+    ):
+        signal.connect(listener, weak=False)
+    # Threads: each only watches a solver process, and all end with this process.
+    app.worker_main(
+        [
+            "--quiet",
+            "worker",
+            "--pool=threads",
+            f"--concurrency={slots}",
+            f"--queues={queue}",
+            f"--hostname={queue}@%h",
+            "--without-gossip",
+            "--without-mingle",
+        ]
+    )

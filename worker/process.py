@@ -18,6 +18,7 @@ from worker.orphans import FOLDER_VARIABLE
 GRACE = 1.0
 LONGEST_LINE = 4000
 MOST_LINES = 500
+MOST_LINES_KEPT = 20_000
 
 
 class SolverProcess:
@@ -55,6 +56,7 @@ class SolverProcess:
         assert self._process.stdout is not None
         self._steps = _Lines(os.fdopen(reading, "rb"))
         self._log = _Lines(self._process.stdout)
+        self._room = MOST_LINES_KEPT
 
     @property
     def pid(self) -> int:
@@ -78,11 +80,19 @@ class SolverProcess:
         return list(newest.values())
 
     def lines(self) -> list[str]:
-        """Return the lines printed since the last call; of a flood only the beginning."""
-        lines = self._log.take()
+        """Return the lines printed since the last call; of a flood only the beginning.
+
+        Of all that an attempt says, the first `MOST_LINES_KEPT` lines are kept.
+        """
+        lines, room = self._log.take(), self._room
         left_out = len(lines) - MOST_LINES
         if left_out > 0:
             lines[MOST_LINES:] = [f"... {left_out} lines left out"]
+        self._room = max(room - len(lines), 0)
+        if room and not self._room:
+            lines[room:] = ["... this is all that is kept of the log"]
+        else:
+            lines = lines[:room]
         return [line.replace("\0", "")[:LONGEST_LINE] for line in lines]
 
     def finish(self) -> None:

@@ -22,20 +22,14 @@ import structlog
 
 from service import logs
 from service.parent import die_with_parent
+from worker.errors import NO_ROOM, is_full
+from worker.kinds import CALLS, Task
 
 if TYPE_CHECKING:
     from solver.progress import Progress, Step
 
-TELLING = {
-    "check_scan": "check.json",
-    "register_scan": "registration.json",
-    "build_model": "model.json",
-    "fit_geometry": "report.json",
-    "fit_activations": "report.json",
-    "fit_sequence": "sequence.json",
-    "build_preview": "preview.json",
-}
-"""The file of each kind of job that holds its verdict or figures."""
+NICENESS = 10
+"""A fit takes the time that the API and the supervisors leave."""
 
 log = structlog.get_logger()
 
@@ -45,37 +39,44 @@ def main(folder: Path) -> int:
     process = json.loads((folder / "process.json").read_text())
     die_with_parent(process["parent"], signal.SIGKILL)
     logs.configure(json=False)
+    os.nice(NICENESS)
     resource.setrlimit(resource.RLIMIT_DATA, (process["memory_bytes"],) * 2)
+    try:
+        try:
+            with os.fdopen(process["progress_fd"], "w", buffering=1) as pipe:
+                verdict, result = "result.json", solve(folder, to_pipe(pipe.write))
+        except Exception as error:
+            if is_full(error):
+                raise
+            verdict, result = "error.json", _told(error, process["memory_bytes"])
+        _write(folder, verdict, result)
+    except Exception as error:
+        if not is_full(error):
+            raise
+        log.exception("solver.no_room")
+        return NO_ROOM
+    return 0 if verdict == "result.json" else 1
+
+
+def _told(error: Exception, memory_bytes: int) -> dict[str, Any]:
+    """Log an error with its traceback; returns what the job tells of it."""
     from solver.errors import InputError, SolveError
 
-    try:
-        with os.fdopen(process["progress_fd"], "w", buffering=1) as pipe:
-            result = solve(folder, to_pipe(pipe.write))
-    except (InputError, SolveError) as error:
+    if isinstance(error, (InputError, SolveError)):
         log.exception("solver.refused")
-        _write(folder, "error.json", error.as_dict())
-        return 1
-    except MemoryError:
+        return error.as_dict()
+    if isinstance(error, MemoryError):
         log.exception("solver.out_of_memory")
-        limit = process["memory_bytes"] // 1024**2
-        message = f"the solver needs more memory than its {limit} MB"
-        _write(folder, "error.json", {"code": "solver.memory", "message": message})
-        return 1
-    except Exception as error:
-        log.exception("solver.crashed")
-        message = f"the solver failed: {type(error).__name__}: {error}"
-        _write(folder, "error.json", {"code": "solver.crash", "message": message})
-        return 1
-    _write(folder, "result.json", result)
-    return 0
+        message = f"the solver needs more memory than its {memory_bytes // 1024**2} MB"
+        return {"code": "solver.memory", "message": message}
+    log.exception("solver.crashed")
+    message = f"the solver failed: {type(error).__name__}: {error}"
+    return {"code": "solver.crash", "message": message}
 
 
 def solve(folder: Path, progress: Progress) -> dict[str, Any]:
     """Call the pipeline; returns ``{summary, expressions}``, what the job tells of its results."""
-    from solver import pipeline
-
     job = json.loads((folder / "job.json").read_text())
-    out, kind = folder / "out", job["kind"]
     captures: dict[str, Path] = {}
     files: dict[str, Path] = {}
     capture_role = "unknown"
@@ -85,32 +86,10 @@ def solve(folder: Path, progress: Progress) -> dict[str, Any]:
             captures[item["name"]] = Path(item["path"])
         else:
             files[item["role"]] = Path(item["path"])
-    template, landmarks = files.get("template"), files.get("landmarks")
-    how: dict[str, Any] = {"options": job["options"], "progress": progress}
-
-    if kind == "check_scan":
-        how["options"] = {**job["options"], "role": capture_role}
-        pipeline.check_scan(files["scan"], out, template=template, landmarks=landmarks, **how)
-    elif kind == "register_scan":
-        neutral = files.get("neutral")
-        pipeline.register_scan(
-            files["scan"], out, template=template, neutral=neutral, landmarks=landmarks, **how
-        )
-    elif kind == "build_model":
-        pipeline.build_model(files["neutral"], out, template=template, **how)
-    elif kind == "fit_geometry":
-        pipeline.fit_geometry(files["model"], captures, out, **how)
-    elif kind == "fit_sequence":
-        performance, resume = files["performance"], job["resume"]
-        pipeline.fit_sequence(
-            files["model"], files["weights"], performance, out, resume=resume, **how
-        )
-    elif kind == "build_preview":
-        pipeline.build_preview(files["model"], files["weights"], files["rig"], out, **how)
-    else:
-        rig = files["rig"]
-        pipeline.fit_activations(files["model"], files["weights"], captures, out, rig=rig, **how)
-    return _describe(out / TELLING[kind])
+    how = {"options": job["options"], "progress": progress}
+    out, call = folder / "out", CALLS[job["kind"]]
+    call.run(Task(files, captures, capture_role, job["resume"], out, how))
+    return _describe(out / call.tells)
 
 
 def _describe(file: Path) -> dict[str, Any]:

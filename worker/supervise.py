@@ -2,36 +2,37 @@
 
 from __future__ import annotations
 
-import errno
-import signal
 import threading
 import time
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Session
 
 from service.settings import Settings
 from service.store import jobs
+from service.store.claims import Abilities, claim_next
 from service.store.jobs import Claim
 from service.store.store import Store
 from service.store.transitions import State
 from worker.attempt import AttemptFolder
+from worker.errors import (
+    NO_ROOM,
+    STORAGE_FULL,
+    CanceledError,
+    LeaseLostError,
+    ShutdownError,
+    exit_error,
+    is_full,
+    storage_error,
+)
 from worker.process import SolverProcess
 
+Done = TypeVar("Done")
+
 log = structlog.get_logger()
-
-
-class LeaseLostError(Exception):
-    """The job is no longer this worker's."""
-
-
-class CanceledError(Exception):
-    """Somebody asked for the job to stop."""
-
-
-class ShutdownError(Exception):
-    """The worker is to stop."""
 
 
 class _News(NamedTuple):
@@ -43,36 +44,39 @@ class _News(NamedTuple):
 
 
 class Supervisor:
-    """Runs one job at a time for the worker ``name``; ``stopping`` ends the work early."""
+    """Runs one job at a time as a worker that can do ``can``; ``stopping`` ends the work early."""
 
     def __init__(
-        self, store: Store, settings: Settings, name: str, stopping: threading.Event
+        self, store: Store, settings: Settings, can: Abilities, stopping: threading.Event
     ) -> None:
         self._store = store
         self._settings = settings
-        self._name = name
+        self._can = can
         self._stopping = stopping
         self._renewed = 0.0
         self._unwritten = _News([], [], [])
 
-    def run(self, job_id: str) -> None:
-        """Claim the job, do it and commit. Not to be had (done, taken, canceled): do nothing."""
+    def run_next(self, queue: str) -> bool:
+        """Claim the best job of a queue, do it and commit; False: there is none to be had."""
         with self._store.write() as session:
-            claim = jobs.claim(session, job_id, self._name, self._settings.lease)
+            claim = claim_next(session, queue, self._can, self._settings.lease)
         if claim is None:
-            log.info("job.not_mine", job_id=job_id)
-            return
+            return False
         self._renewed = time.monotonic()
         self._unwritten = _News([], [], [])
-        with structlog.contextvars.bound_contextvars(job_id=job_id, attempt=claim.attempt):
+        with structlog.contextvars.bound_contextvars(job_id=claim.job_id, attempt=claim.attempt):
             log.info("job.claimed", kind=claim.kind)
             folder = AttemptFolder(self._settings.work, claim)
             try:
                 self._attempt(claim, folder)
             except OSError as error:
-                self._lose(claim, _storage_error(error))
+                if is_full(error):
+                    self._postpone(claim)
+                else:
+                    self._lose(claim, storage_error(error))
             finally:
                 folder.remove()
+        return True
 
     def _attempt(self, claim: Claim, folder: AttemptFolder) -> None:
         folder.stage(self._store.files)
@@ -84,13 +88,11 @@ class Supervisor:
             self._beat(claim, process, folder)
         except CanceledError:
             process.stop()
-            with self._store.write() as session:
-                jobs.confirm_cancel(session, claim.job_id, claim.attempt)
+            self._confirm_cancel(claim)
             log.info("job.canceled")
         except ShutdownError:
             process.stop()
-            with self._store.write() as session:
-                jobs.release(session, claim.job_id, claim.attempt)
+            self._commit(lambda session: jobs.release(session, claim.job_id, claim.attempt))
             log.info("job.released")
         except LeaseLostError:
             process.stop()
@@ -144,53 +146,53 @@ class Supervisor:
     def _settle(self, claim: Claim, folder: AttemptFolder, code: int) -> None:
         """Commit what the solver left: a result, an error, or nothing."""
         result, error = folder.result(), folder.error()
+        job = (claim.job_id, claim.attempt)
         if code == 0 and result is not None:
             artifacts = folder.store(self._store.files)
-            with self._store.write() as session:
-                done = jobs.succeed(
-                    session,
-                    claim.job_id,
-                    claim.attempt,
-                    artifacts,
-                    summary=result["summary"],
-                    rig=folder.rig(result),
-                )
+            left: dict[str, Any] = {"summary": result["summary"], "rig": folder.rig(result)}
+            done = self._commit(lambda session: jobs.succeed(session, *job, artifacts, **left))
             log.info("job.succeeded" if done else "job.fenced")
         elif error is not None:
-            with self._store.write() as session:
-                done = jobs.fail(session, claim.job_id, claim.attempt, error)
+            done = self._commit(lambda session: jobs.fail(session, *job, error))
             log.info("job.failed" if done else "job.fenced", code=error["code"])
+        elif code == NO_ROOM:
+            self._postpone(claim)
+            return
         else:
-            self._lose(claim, _exit_error(code))
+            self._lose(claim, exit_error(code))
             return
         if not done:
-            with self._store.write() as session:
-                jobs.confirm_cancel(session, claim.job_id, claim.attempt)
+            self._confirm_cancel(claim)
+
+    def _confirm_cancel(self, claim: Claim) -> None:
+        self._commit(lambda session: jobs.confirm_cancel(session, claim.job_id, claim.attempt))
 
     def _lose(self, claim: Claim, error: dict[str, Any]) -> None:
-        with self._store.write() as session:
-            jobs.lose(session, claim.job_id, claim.attempt, error)
+        self._commit(lambda session: jobs.lose(session, claim.job_id, claim.attempt, error))
         log.warning("job.attempt_lost", error=error)
 
+    def _postpone(self, claim: Claim) -> None:
+        self._commit(
+            lambda session: jobs.postpone(session, claim.job_id, claim.attempt, STORAGE_FULL)
+        )
+        log.warning("job.postponed", error=STORAGE_FULL)
 
-def _exit_error(code: int) -> dict[str, Any]:
-    if code < 0:
-        name = signal.Signals(-code).name
-        return {
-            "code": "solver.killed",
-            "message": f"the solver process was ended by {name}",
-            "signal": name,
-        }
-    return {
-        "code": "solver.killed",
-        "message": f"the solver process exited with {code} and said nothing",
-        "exit_code": code,
-    }
+    def _commit(self, change: Callable[[Session], Done]) -> Done:
+        """Write down how an attempt ended; tries again until the lease has run out.
 
+        The work is done: it would be a pity to lose it because the database is away for a moment.
 
-def _storage_error(error: OSError) -> dict[str, Any]:
-    full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-    return {
-        "code": "storage.full" if full else "storage.failed",
-        "message": "there is no room left for files" if full else error.strerror or str(error),
-    }
+        Raises
+        ------
+        SQLAlchemyError
+            If the database did not answer in time: somebody else does the job again.
+        """
+        while True:
+            try:
+                with self._store.write() as session:
+                    return change(session)
+            except SQLAlchemyError as error:
+                if time.monotonic() - self._renewed > self._settings.lease:
+                    raise
+                log.warning("database.unreachable", error=str(error))
+                time.sleep(self._settings.beat)

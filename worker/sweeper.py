@@ -8,32 +8,41 @@ import time
 import structlog
 from sqlalchemy import delete
 from sqlalchemy.exc import SQLAlchemyError
-from sqlalchemy.orm import Session
 
 from service.settings import Settings
-from service.store import retention, sweep
-from service.store.database import clock
+from service.store import garbage, retention, sweep
+from service.store.claims import Abilities
 from service.store.models import Worker
 from service.store.store import Store
+from worker.abilities import show_life
 from worker.orphans import remove_orphans
 
-OFFICE = "sweeper"
 GARBAGE_EVERY = 60.0
 
 log = structlog.get_logger()
 
 
 class Sweeper(threading.Thread):
-    """A thread of the worker process ``name`` that does a round every ``settings.sweep`` s."""
+    """A thread of a worker that does a round every ``settings.sweep`` s.
+
+    The worker does ``slots`` jobs of ``queue`` at a time, those that it can do.
+    """
 
     def __init__(
-        self, store: Store, settings: Settings, name: str, queue: str, stopping: threading.Event
+        self,
+        store: Store,
+        settings: Settings,
+        queue: str,
+        can: Abilities,
+        slots: int,
+        stopping: threading.Event,
     ) -> None:
         super().__init__(name="sweeper", daemon=True)
         self._store = store
         self._settings = settings
-        self._worker = name
         self._queue = queue
+        self._can = can
+        self._slots = slots
         self._stopping = stopping
         self._collected = time.monotonic()
 
@@ -49,13 +58,15 @@ class Sweeper(threading.Thread):
             if self._stopping.wait(self._settings.sweep):
                 break
         with self._store.write() as session:
-            session.execute(delete(Worker).where(Worker.name == self._worker))
+            session.execute(delete(Worker).where(Worker.name == self._can.worker))
 
     def _round(self, at_once: bool) -> None:
         settings = self._settings
         with self._store.write() as session:
-            self._show_life(session)
-            elected = sweep.hold_office(session, OFFICE, self._worker, 3 * settings.sweep)
+            show_life(session, self._queue, self._can, self._slots)
+            elected = sweep.hold_office(
+                session, sweep.SWEEPER, self._can.worker, 3 * settings.sweep
+            )
             if elected:
                 sweep.expire_leases(session)
                 sweep.remove_expired_uploads(session, settings.uploads)
@@ -69,12 +80,5 @@ class Sweeper(threading.Thread):
             GARBAGE_EVERY, settings.garbage_age
         ):
             self._collected = time.monotonic()
-            if removed := sweep.collect_garbage(self._store, settings.garbage_age):
+            if removed := garbage.collect(self._store, settings.garbage_age):
                 log.info("files.collected", count=removed)
-
-    def _show_life(self, session: Session) -> None:
-        worker = session.get(Worker, self._worker)
-        if worker is None:
-            session.add(Worker(name=self._worker, queue=self._queue))
-        else:
-            worker.seen_at = clock(session)

@@ -50,9 +50,7 @@ def admin_key(store: Store, keyring: Keyring, settings: Settings, *, only_first:
     return path
 
 
-def add_tenant(
-    store: Store, keyring: Keyring, name: str, key: Path, **quotas: int | None
-) -> str:
+def add_tenant(store: Store, keyring: Keyring, name: str, key: Path, **quotas: int | None) -> str:
     """Add a tenant, and its first key to the file ``key``, mode 0600; returns its id."""
     with store.write() as session:
         session.add(tenant := Tenant(name=name, **quotas))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sqlalchemy import func, select
+from sqlalchemy import ColumnElement, select
 from sqlalchemy.orm import Session, selectinload, undefer
 
 from service import paging
 from service.errors import unknown
 from service.paging import Slice
-from service.store.models import Event, Job, LogLine
+from service.store.models import Job, LogLine
 from service.store.transitions import State
 
 PARTS = (
@@ -30,24 +30,10 @@ def get(session: Session, job_id: str) -> Job:
 
 
 def newest(
-    session: Session,
-    *,
-    subject_id: str | None,
-    capture_id: str | None,
-    state: State | None,
-    kind: str | None,
-    limit: int,
-    cursor: str | None,
+    session: Session, wanted: Sequence[ColumnElement[bool]], limit: int, cursor: str | None
 ) -> Slice[Job]:
-    """Return jobs, newest first."""
-    wanted = {
-        Job.subject_id: subject_id,
-        Job.capture_id: capture_id,
-        Job.state: state,
-        Job.kind: kind,
-    }
-    conditions = [column == value for column, value in wanted.items() if value is not None]
-    query = select(Job).where(*conditions).options(*PARTS)
+    """Return the jobs that fulfil what is wanted, newest first."""
+    query = select(Job).where(*wanted).options(*PARTS)
     return paging.newest(session, query, limit, cursor)
 
 
@@ -65,23 +51,6 @@ def newest_model(session: Session, subject_id: str) -> Job | None:
     ).one_or_none()
 
 
-def queue_position(session: Session, job: Job) -> int | None:
-    """Return a queued job's place, 1 for the next."""
-    if job.state is not State.QUEUED:
-        return None
-    ahead = select(func.count()).where(
-        Job.state == State.QUEUED, Job.queue == job.queue, Job.created_at < job.created_at
-    )
-    return 1 + (session.scalar(ahead) or 0)
-
-
-def events(session: Session, job_id: str, after: int) -> Sequence[Event]:
-    """Return a job's events after an event's id."""
-    return session.scalars(
-        select(Event).where(Event.job_id == job_id, Event.id > after).order_by(Event.id).limit(500)
-    ).all()
-
-
 def log(session: Session, job_id: str, after: int, limit: int) -> Sequence[LogLine]:
     """Return lines of a job's log after a line's number."""
     return session.scalars(
@@ -90,3 +59,14 @@ def log(session: Session, job_id: str, after: int, limit: int) -> Sequence[LogLi
         .order_by(LogLine.number)
         .limit(limit)
     ).all()
+
+
+def log_tail(session: Session, job_id: str, after: int, count: int) -> Sequence[LogLine]:
+    """Return the last lines of a job's log, none of them before line ``after``."""
+    last = session.scalars(
+        select(LogLine)
+        .where(LogLine.job_id == job_id, LogLine.number > after)
+        .order_by(LogLine.number.desc())
+        .limit(count)
+    ).all()
+    return last[::-1]

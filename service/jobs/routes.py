@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Header, Query, Response
+from fastapi import APIRouter, Depends, Header, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
@@ -24,13 +24,14 @@ from service.dependencies import (
 from service.errors import problems
 from service.idempotency import Once
 from service.jobs import frames, repository, service
-from service.jobs.events import stream
-from service.jobs.schemas import Cancel, FramesView, JobView, LogView, NewJob
-from service.schemas import Id, Name, Page, Position
+from service.jobs.filters import Filters
+from service.jobs.following import Feed
+from service.jobs.schemas import Cancel, FramesView, JobView, LogView, NewJob, Retry
+from service.schemas import Id, Page, Position
 from service.settings import Settings
 from service.store.models import Job
+from service.store.positions import positions
 from service.store.store import Store
-from service.store.transitions import State
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
@@ -79,24 +80,14 @@ def _submit(store: Store, new: NewJob, max_attempts: int, job_id: str) -> bool:
 def index(
     session: ReadSession,
     settings: SettingsDep,
-    subject_id: Annotated[Id | None, Query()] = None,
-    capture_id: Annotated[Id | None, Query(description="checks and registrations of it")] = None,
-    state: State | None = None,
-    kind: Name | None = None,
+    wanted: Filters,
     limit: Limit = 100,
     cursor: Cursor = None,
 ) -> Page[JobView]:
     """List jobs, newest first."""
-    jobs = repository.newest(
-        session,
-        subject_id=subject_id,
-        capture_id=capture_id,
-        state=state,
-        kind=kind,
-        limit=limit,
-        cursor=cursor,
-    )
-    views = [_shown(session, job, settings) for job in jobs.items]
+    jobs = repository.newest(session, wanted, limit, cursor)
+    places = positions(session, jobs.items)
+    views = [JobView.of(job, places.get(job.id), settings) for job in jobs.items]
     return Page(items=views, next=jobs.next)
 
 
@@ -104,6 +95,23 @@ def index(
 def show(job_id: Id, session: ReadSession, settings: SettingsDep) -> JobView:
     """Show a job's state, progress, attempts, error and result."""
     return _view(session, job_id, settings)
+
+
+@router.post(
+    "/{job_id}/retry",
+    status_code=201,
+    summary="Make a job again",
+    responses=problems(404, 409, 422),
+)
+def retry(
+    job_id: Id, session: WriteSession, settings: SettingsDep, wanted: Retry | None = None
+) -> JobView:
+    """Queue a job that is over once more, as it was or with other captures, options, priority.
+
+    It is a new job with this one as its `parent_id`; it reads the subject's files as they are now.
+    """
+    job = service.retry(session, job_id, wanted or Retry(), settings.max_attempts)
+    return _view(session, job.id, settings)
 
 
 @router.post("/{job_id}/cancel", summary="Stop a job", responses=problems(404, 409, 422))
@@ -127,6 +135,14 @@ def _existing(job_id: Id, session: ReadSession) -> str:
 ExistingJob = Annotated[str, Depends(_existing, scope="function")]
 
 
+def _feed(request: Request) -> Feed:
+    feed: Feed = request.app.state.feed
+    return feed
+
+
+FeedDep = Annotated[Feed, Depends(_feed)]
+
+
 @router.get(
     "/{job_id}/events",
     response_class=EventSourceResponse,
@@ -135,22 +151,34 @@ ExistingJob = Annotated[str, Depends(_existing, scope="function")]
 )
 async def events(
     job_id: ExistingJob,
-    store: ReadStore,
+    feed: FeedDep,
     last_event_id: Annotated[Position, Header(description="go on after this event")] = 0,
 ) -> AsyncIterator[ServerSentEvent]:
     """Server-sent events: `state` (state, attempt, error) and `progress`, from the beginning.
 
     The stream ends after a final state.
     """
-    async for event in stream(store, job_id, last_event_id):
-        yield event
+    async for event in feed.follow(job_id, last_event_id):
+        yield ServerSentEvent(id=str(event.id), event=event.kind, data=event.data)
 
 
 @router.get("/{job_id}/log", summary="Read a job's log", responses=problems(404, 422))
-def log(job_id: Id, session: ReadSession, after: Position = 0, limit: Limit = 1000) -> LogView:
+def log(
+    job_id: Id,
+    session: ReadSession,
+    after: Position = 0,
+    limit: Limit = 1000,
+    tail: Annotated[
+        int | None, Query(ge=1, le=1000, description="only so many, the last ones")
+    ] = None,
+) -> LogView:
     """Read what the solver printed, by line, after line `after`."""
     repository.get(session, job_id)
-    lines: Any = repository.log(session, job_id, after, limit)
+    lines: Any = (
+        repository.log(session, job_id, after, limit)
+        if tail is None
+        else repository.log_tail(session, job_id, after, tail)
+    )
     return LogView(lines=lines, next=lines[-1].number if lines else after)
 
 
@@ -174,8 +202,4 @@ def read_frames(
 def _view(session: Session, job_id: str, settings: Settings) -> JobView:
     session.flush()
     job: Job = repository.get(session, job_id)
-    return _shown(session, job, settings)
-
-
-def _shown(session: Session, job: Job, settings: Settings) -> JobView:
-    return JobView.of(job, repository.queue_position(session, job), settings)
+    return JobView.of(job, positions(session, [job]).get(job.id), settings)

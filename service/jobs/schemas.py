@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -13,6 +13,14 @@ from service.settings import Settings
 from service.store import retention
 from service.store.models import Job
 from service.store.transitions import State
+
+Priority = Annotated[
+    int, Field(ge=-9, le=9, description="order among your own jobs of a queue: 9 first, -9 last")
+]
+Memory = Annotated[
+    int | None,
+    Field(ge=1, le=2**31 - 1, description="only workers that give a job so much memory take it"),
+]
 
 
 class NewJob(Body):
@@ -42,6 +50,20 @@ class NewJob(Body):
     )
     rig_id: Id | None = Field(default=None, description="the parent rig")
     options: dict[str, Any] = Field(default={}, description="the kind's options")
+    priority: Priority = 0
+    memory_mb: Memory = None
+
+
+class Retry(Body):
+    """What is to be different when a job is made again; what is not given stays as it was."""
+
+    captures: list[Id] | None = Field(default=None, max_length=1000)
+    rig_id: Id | None = None
+    options: dict[str, Any] = Field(
+        default={}, description="options that differ; the others are the job's own"
+    )
+    priority: Priority | None = None
+    memory_mb: Memory = None
 
 
 class Cancel(Body):
@@ -67,7 +89,7 @@ class AttemptView(View):
     worker: str
     started_at: datetime
     finished_at: datetime | None
-    outcome: Literal["succeeded", "failed", "canceled", "lost", "released"] | None
+    outcome: Literal["succeeded", "failed", "canceled", "lost", "released", "postponed"] | None
 
 
 class CancelView(View):
@@ -106,10 +128,17 @@ class JobView(View):
     captures: list[str]
     rig_id: str | None
     options: dict[str, Any]
+    priority: int
+    memory_mb: int | None
+    parent_id: str | None = Field(description="the job that this one is made again from")
+    batch_id: str | None
     state: State
     attempt: int
-    max_attempts: int
-    queue_position: int | None = Field(description="1 is next; null when not queued")
+    max_attempts: int = Field(description="attempts that may be lost before it fails")
+    not_before: datetime | None = Field(description="put off until then: a disk was full")
+    queue_position: int | None = Field(
+        description="1 is next, by the order in which tenants take turns; null when not waiting"
+    )
     phase: str | None
     progress: Progress | None
     error: JobError | None
@@ -150,9 +179,14 @@ def _retain_until(job: Job, settings: Settings) -> datetime | None:
 
 _COLUMNS = (
     "id",
+    "priority",
+    "memory_mb",
+    "parent_id",
+    "batch_id",
     "state",
     "attempt",
     "max_attempts",
+    "not_before",
     "progress",
     "error",
     "attempts",

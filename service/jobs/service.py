@@ -10,7 +10,7 @@ from service.access.quotas import check_queued
 from service.errors import Problem
 from service.jobs import repository
 from service.jobs.inputs import resolve
-from service.jobs.schemas import Cancel, NewJob
+from service.jobs.schemas import Cancel, NewJob, Retry
 from service.kinds import KINDS, Kind
 from service.store import jobs
 from service.store.models import Job, new_id
@@ -19,15 +19,19 @@ from service.subjects import repository as subjects
 
 
 def submit(
-    session: Session, new: NewJob, max_attempts: int, job_id: str | None = None
+    session: Session,
+    new: NewJob,
+    max_attempts: int,
+    job_id: str | None = None,
+    **origin: str,
 ) -> tuple[Job, bool]:
     """Queue a job; returns it, and whether it is new.
 
-    With ``job_id`` the call can be repeated: the same request finds the same job.
+    With ``job_id`` the call can be repeated: the same request finds the same job. ``origin`` is the
+    ``parent_id`` or ``batch_id`` that the job comes from.
     """
-    request = new.model_dump()
     if job_id and (job := session.get(Job, job_id)):
-        if job.request != request:
+        if NewJob.model_validate(job.request) != new:
             raise taken(job_id)
         return job, False
     kind = _kind(new)
@@ -39,11 +43,14 @@ def submit(
         subject_id=new.subject_id,
         kind=kind.kind,
         queue=kind.queue,
-        request=request,
+        request=new.model_dump(),
         inputs=inputs.files,
         capture_id=inputs.capture_id,
         model_job_id=inputs.model_job_id,
         max_attempts=max_attempts,
+        priority=new.priority,
+        memory_mb=new.memory_mb,
+        **origin,
     )
     jobs.create(session, job)
     return job, True
@@ -52,6 +59,23 @@ def submit(
 def taken(job_id: str) -> Problem:
     """Return the problem of an id that is in use."""
     return Problem(409, "job.conflict", "this id has another job already", job_id=job_id)
+
+
+def retry(session: Session, job_id: str, wanted: Retry, max_attempts: int) -> Job:
+    """Queue a job that is over once more, with other options and the inputs as they are now."""
+    parent = repository.get(session, job_id)
+    if parent.state not in FINAL:
+        raise Problem(
+            409,
+            "job.not_over",
+            f"the job is {parent.state.value}: it can be made again when it is over",
+            job_id=job_id,
+            state=parent.state,
+        )
+    changed = wanted.model_dump(exclude_none=True, exclude={"options"})
+    options = {**parent.request["options"], **wanted.options}
+    new = NewJob.model_validate({**parent.request, **changed, "options": options})
+    return submit(session, new, max_attempts, parent_id=parent.id)[0]
 
 
 def cancel(session: Session, job_id: str, order: Cancel) -> None:

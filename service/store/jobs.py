@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
 
-from sqlalchemy import ColumnElement, func, literal, select, update
+from sqlalchemy import ColumnElement, delete, func, literal, select, update
 from sqlalchemy.orm import Session
 
+from service.store import outbox
 from service.store.database import clock
 from service.store.models import (
     Artifact,
@@ -25,9 +26,14 @@ from service.store.models import (
     UtcDateTime,
 )
 from service.store.store import wake
-from service.store.transitions import HELD, State, before
+from service.store.transitions import FINAL, HELD, State, before
 
 WORKER_LOST = "worker_lost"
+MOST_STEPS_KEPT = 200
+"""Reports of progress that are kept of a job that is over."""
+SHORTEST_WAIT, LONGEST_WAIT = timedelta(seconds=5), timedelta(minutes=5)
+WAIT_FOR_ROOM = timedelta(hours=1)
+"""How long a job waits for room on a full disk before it is given up."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +65,13 @@ def create(session: Session, job: Job) -> None:
 
 def claim(session: Session, job_id: str, worker: str, lease: float) -> Claim | None:
     """Take a queued job, or one whose worker has lost its lease; None: it is not to be had."""
+    expire(session, job_id, clock(session))
+    return take(session, job_id, worker, lease)
+
+
+def take(session: Session, job_id: str, worker: str, lease: float) -> Claim | None:
+    """Take a queued job; None: it is not queued any more."""
     moment = clock(session)
-    expire(session, job_id, moment)
     job = _step(
         session,
         job_id,
@@ -167,8 +178,23 @@ def confirm_cancel(session: Session, job_id: str, attempt: int) -> bool:
 def release(session: Session, job_id: str, attempt: int) -> bool:
     """Give a job back because the worker shuts down; that does not count as a try."""
     held = (Job.attempt == attempt, Job.state == State.RUNNING)
-    more: dict[str, Any] = {"max_attempts": Job.max_attempts + 1}
-    return _step(session, job_id, State.QUEUED, *held, outcome="released", **more) is not None
+    return _step(session, job_id, State.QUEUED, *held, outcome="released") is not None
+
+
+def postpone(session: Session, job_id: str, attempt: int, error: dict[str, Any]) -> None:
+    """Put a job off because a disk is full; that does not count as a try.
+
+    It waits as long again as it has waited, and fails with ``error`` after an hour.
+    """
+    moment = clock(session)
+    held = (Job.attempt == attempt, Job.state == State.RUNNING)
+    since = session.scalar(select(Job.no_room_since).where(Job.id == job_id)) or moment
+    if moment - since > WAIT_FOR_ROOM:
+        _step(session, job_id, State.FAILED, *held, error=error)
+        return
+    pause = min(max(moment - since, SHORTEST_WAIT), LONGEST_WAIT)
+    waiting = {"not_before": moment + pause, "no_room_since": since}
+    _step(session, job_id, State.QUEUED, *held, outcome="postponed", **waiting)
 
 
 def lose(session: Session, job_id: str, attempt: int, error: dict[str, Any]) -> None:
@@ -196,9 +222,10 @@ def expire(session: Session, job_id: str, moment: datetime) -> None:
 def _lose(
     session: Session, job_id: str, error: dict[str, Any], *conditions: ColumnElement[bool]
 ) -> None:
-    more_tries = Job.attempt < Job.max_attempts
-    if not _step(session, job_id, State.QUEUED, *conditions, more_tries, outcome="lost"):
-        _step(session, job_id, State.FAILED, *conditions, outcome="lost", error=error)
+    more_tries = Job.lost + 1 < Job.max_attempts
+    once_more: dict[str, Any] = {"outcome": "lost", "lost": Job.lost + 1, "no_room_since": None}
+    if not _step(session, job_id, State.QUEUED, *conditions, more_tries, **once_more):
+        _step(session, job_id, State.FAILED, *conditions, **once_more, error=error)
 
 
 def _step(
@@ -215,8 +242,9 @@ def _step(
     """
     if to not in HELD:
         values |= {"lease_owner": None, "lease_until": None}
-        values |= {"sent_at": None, "sends": 0} if to is State.QUEUED else {}
-        values |= {"finished_at": clock(session)} if to is not State.QUEUED else {}
+        queued = {"sent_at": None, "sends": 0, "not_before": None}
+        ended = {"finished_at": clock(session)}
+        values = (queued if to is State.QUEUED else ended) | values
     job = session.scalars(
         update(Job)
         .where(Job.id == job_id, Job.state.in_(before(to)), *conditions)
@@ -232,8 +260,26 @@ def _step(
             .where(Attempt.job_id == job_id, Attempt.outcome.is_(None))
             .values(outcome=outcome or to.value, finished_at=clock(session))
         )
+    if to in FINAL:
+        _thin(session, job_id)
     _tell(session, job)
     return job
+
+
+def _thin(session: Session, job_id: str) -> None:
+    """Keep every n-th report of progress of a job that is over."""
+    reports = (Event.job_id == job_id, Event.kind == "progress")
+    count = session.scalar(select(func.count()).select_from(Event).where(*reports)) or 0
+    every = -(-count // MOST_STEPS_KEPT)
+    if every > 1:
+        number = func.row_number().over(order_by=Event.id).label("number")
+        numbered = select(Event.id, number).where(*reports).subquery()
+        superfluous = select(numbered.c.id).where(numbered.c.number % every != 0)
+        session.execute(
+            delete(Event)
+            .where(Event.id.in_(superfluous))
+            .execution_options(synchronize_session=False)
+        )
 
 
 def _tell(session: Session, job: Job) -> None:
@@ -241,3 +287,4 @@ def _tell(session: Session, job: Job) -> None:
     if job.error:
         data["error"] = job.error
     session.add(Event(job_id=job.id, kind="state", data=data))
+    outbox.tell_of_job(session, job)

@@ -1,7 +1,14 @@
-"""Celery as the project uses it: a message only wakes a worker up, the job table is the truth."""
+"""Celery as the project uses it: the job table is the truth.
+
+A message says that there is work in its queue; it names a job only for workers of earlier releases.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import queue
+import threading
+import time
 from typing import Any
 
 import redis
@@ -15,17 +22,23 @@ from redis.retry import Retry
 RUN_JOB = "myoface.run_job"
 QUEUES = ("ingest", "short", "long")
 """Checks wait for no fit: their verdict is wanted while the person is in the chair."""
+WEBHOOKS = "webhooks"
+"""The worker of `service.store.outbox`: its queue is the table of deliveries, not the broker's."""
 
+IMPATIENT = {"socket_timeout": 1, "socket_connect_timeout": 1, "max_retries": 0}
+REST = 5.0
+FAREWELL = 2.0
+MOST_CALLS = 1000
 ONCE: dict[str, Any] = {
-    "socket_timeout": 2,
-    "socket_connect_timeout": 2,
+    "socket_timeout": 1,
+    "socket_connect_timeout": 1,
     "retry": Retry(NoBackoff(), 0),
 }
 
 log = structlog.get_logger()
 
 
-def celery_app(broker_url: str) -> Celery:
+def celery_app(broker_url: str, **transport_options: Any) -> Celery:
     """Return a Celery application with the settings that survived the kill tests.
 
     ``acks_late`` and the restore intervals bring a dead worker's message back within seconds;
@@ -52,31 +65,59 @@ def celery_app(broker_url: str) -> Celery:
             "socket_connect_timeout": 2,
             "health_check_interval": 25,
             "socket_timeout": 30,
+            **transport_options,
         },
     )
     return app
 
 
 class WakeUps:
-    """Sends the messages that wake workers up."""
+    """Sends the messages that wake workers up, from a thread of its own.
+
+    Nobody waits for the broker: one that is frozen, away or slow costs wake-up calls, which the
+    sweeper repeats, and after a failure it is left alone for `REST` seconds.
+    """
 
     def __init__(self, broker_url: str) -> None:
-        self._app = celery_app(broker_url)
+        self._app = celery_app(broker_url, **IMPATIENT)
+        self._client = connect(broker_url)
+        self._calls: queue.Queue[tuple[str, str] | None] = queue.Queue(MOST_CALLS)
+        self._lock = threading.Lock()
+        self._thread: threading.Thread | None = None
+        self._rests_until = 0.0
 
-    def send(self, job_id: str, queue: str) -> bool:
-        """Tell the workers of ``queue`` about a job; best effort, the sweeper repeats it."""
-        try:
-            self._app.send_task(
-                RUN_JOB,
-                args=[job_id],
-                queue=queue,
-                retry=True,
-                retry_policy={"max_retries": 1, "interval_start": 0},
-            )
-        except (OperationalError, RedisError, OSError) as error:
-            log.warning("queue.unreachable", job_id=job_id, error=str(error))
-            return False
-        return True
+    def send(self, job_id: str, queue_name: str) -> None:
+        """Tell the workers of a queue about a job, best effort and without waiting."""
+        with self._lock:
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._work, name="wake-ups", daemon=True)
+                self._thread.start()
+        with contextlib.suppress(queue.Full):
+            self._calls.put_nowait((job_id, queue_name))
+
+    def close(self) -> None:
+        """Give what was asked for a moment to be sent."""
+        with self._lock:
+            thread = self._thread
+        if thread is not None:
+            with contextlib.suppress(queue.Full):
+                self._calls.put_nowait(None)
+            thread.join(FAREWELL)
+        self._client.close()
+
+    def _work(self) -> None:
+        while (call := self._calls.get()) is not None:
+            if time.monotonic() < self._rests_until:
+                continue
+            try:
+                self._send(*call)
+            except (OperationalError, RedisError, OSError) as error:
+                self._rests_until = time.monotonic() + REST
+                log.warning("queue.unreachable", error=str(error))
+
+    def _send(self, job_id: str, queue_name: str) -> None:
+        if int(self._client.llen(queue_name)) < MOST_CALLS:  # else all are awake already
+            self._app.send_task(RUN_JOB, args=[job_id], queue=queue_name, retry=False)
 
 
 def connect(broker_url: str) -> redis.Redis:

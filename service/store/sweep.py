@@ -1,23 +1,26 @@
-"""What the sweeper repairs: lost messages, lost workers, abandoned uploads and files."""
+"""What the sweeper repairs: lost messages, lost workers, abandoned uploads."""
 
 from __future__ import annotations
 
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from sqlalchemy import delete, insert, select, update
+from sqlalchemy import delete, insert, or_, select, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
+from service.store.claims import free_expired
 from service.store.database import clock
-from service.store.jobs import expire
-from service.store.models import Artifact, Capture, FrameChunk, Job, Lease, Template, Upload, Worker
-from service.store.store import Store, wake
-from service.store.transitions import FINAL, HELD, State
+from service.store.models import Job, Lease, Upload, Worker
+from service.store.queue import QUEUES
+from service.store.store import wake
+from service.store.transitions import State
 
-LONGEST_PAUSE = timedelta(minutes=10)
+LONGEST_PAUSE = timedelta(minutes=1)
 FORGET_WORKERS = timedelta(minutes=10)
 BATCH = 1000
+SWEEPER = "sweeper"
+"""The office of the one who does the rounds."""
 
 
 def hold_office(session: Session, office: str, holder: str, seconds: float) -> bool:
@@ -42,11 +45,8 @@ def hold_office(session: Session, office: str, holder: str, seconds: float) -> b
 
 
 def expire_leases(session: Session) -> None:
-    """Take jobs back from workers that have been silent for longer than their lease."""
-    moment = clock(session)
-    held = select(Job.id).where(Job.state.in_(HELD), Job.lease_until < moment).limit(BATCH)
-    for job_id in session.scalars(held).all():
-        expire(session, job_id, moment)
+    """Take jobs of every queue back from workers that have been silent for too long."""
+    free_expired(session, clock(session), *QUEUES)
 
 
 def resend(session: Session, after: float, *, at_once: bool = False) -> None:
@@ -55,8 +55,9 @@ def resend(session: Session, after: float, *, at_once: bool = False) -> None:
     ``at_once`` ignores the pauses: a worker that starts may have missed everything.
     """
     moment = clock(session)
-    queued = select(Job).where(Job.state == State.QUEUED).order_by(Job.created_at).limit(BATCH)
-    for job in session.scalars(queued):
+    due = or_(Job.not_before.is_(None), Job.not_before <= moment)
+    queued = select(Job).where(Job.queue.in_(QUEUES), Job.state == State.QUEUED, due)
+    for job in session.scalars(queued.order_by(Job.created_at).limit(BATCH)):
         if at_once or _is_due(job, moment, after):
             job.sends, job.sent_at = job.sends + 1, moment
             wake(session, job.id, job.queue)
@@ -82,23 +83,3 @@ def remove_expired_uploads(session: Session, folder: Path) -> None:
 def forget_workers(session: Session) -> None:
     """Forget workers that have not been seen for a while."""
     session.execute(delete(Worker).where(Worker.seen_at < clock(session) - FORGET_WORKERS))
-
-
-def collect_garbage(store: Store, age: float) -> int:
-    """Remove files that no row refers to; returns how many."""
-    referenced: set[str] = set()
-    with store.read() as session:
-        files = (
-            Artifact.sha256,
-            Capture.sha256,
-            Capture.landmarks_sha256,
-            FrameChunk.sha256,
-            Template.sha256,
-            Upload.sha256,
-        )
-        for column in files:
-            referenced.update(filter(None, session.scalars(select(column).distinct())))
-        active = select(Job.inputs).where(Job.state.not_in(FINAL))
-        for inputs in session.scalars(active):
-            referenced.update(item["sha256"] for item in inputs)
-    return store.files.collect_garbage(referenced, age)

@@ -50,6 +50,12 @@ class WorkerView(View):
 
     name: str
     queue: str
+    host: str
+    version: str
+    kinds: list[str] = Field(description="the kinds of job that it does")
+    memory_mb: int = Field(description="memory that each of its jobs may take")
+    threads: int = Field(description="threads of each of its jobs")
+    slots: int = Field(description="jobs at a time")
     started_at: datetime
     seen_at: datetime
 

@@ -1,10 +1,12 @@
 """The tables."""
 
 from service.store.models.base import Base, Owned, UtcDateTime, new_id, now
+from service.store.models.batches import Batch
 from service.store.models.jobs import Artifact, Attempt, Event, FrameChunk, Job, LogLine, Rig
 from service.store.models.people import Capture, Subject, Template, Upload
 from service.store.models.records import AnsweredRequest, AuditEntry, Deletion
 from service.store.models.tenants import DEFAULT_TENANT, ApiKey, Tenant
+from service.store.models.webhooks import Delivery, Webhook, WebhookEvent
 from service.store.models.work import Lease, Worker
 
 __all__ = [
@@ -15,8 +17,10 @@ __all__ = [
     "Attempt",
     "AuditEntry",
     "Base",
+    "Batch",
     "Capture",
     "Deletion",
+    "Delivery",
     "Event",
     "FrameChunk",
     "Job",
@@ -29,6 +33,8 @@ __all__ = [
     "Tenant",
     "Upload",
     "UtcDateTime",
+    "Webhook",
+    "WebhookEvent",
     "Worker",
     "new_id",
     "now",

@@ -10,6 +10,7 @@ from sqlalchemy import (
     ForeignKey,
     Index,
     Integer,
+    SmallInteger,
     String,
     Text,
     UniqueConstraint,
@@ -26,10 +27,11 @@ class Event(Base):
     """What a watcher of a job is told; the id is the server-sent event's id."""
 
     __tablename__ = "job_events"
+    __table_args__ = (Index("ix_job_events_job_id", "job_id", "id"),)
     id: Mapped[int] = mapped_column(
         BigInteger().with_variant(Integer, "sqlite"), primary_key=True, autoincrement=True
     )
-    job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), index=True)
+    job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"))
     kind: Mapped[str] = mapped_column(String(16))
     data: Mapped[dict[str, Any]]
     created_at: Mapped[datetime] = mapped_column(default=now)
@@ -38,11 +40,16 @@ class Event(Base):
 class Job(Owned, Base):
     """A piece of work. ``inputs`` fixes at submission which files it reads.
 
-    One about a single capture has its ``capture_id`` and is deleted with it.
+    One about a single capture has its ``capture_id`` and is deleted with it. ``attempt`` is the
+    fence of the present holder; ``lost`` counts the attempts that came to nothing, of which
+    ``max_attempts`` are too many.
     """
 
     __tablename__ = "jobs"
-    __table_args__ = (Index("ix_jobs_state_queue", "state", "queue", "created_at"),)
+    __table_args__ = (
+        # a claim reads a tenant's first jobs of a queue
+        Index("ix_jobs_claim", "queue", "state", "tenant_id", "priority", "created_at"),
+    )
     id: Mapped[str] = mapped_column(String(36), primary_key=True, default=new_id)
     subject_id: Mapped[str] = mapped_column(
         ForeignKey("subjects.id", ondelete="CASCADE"), index=True
@@ -53,10 +60,17 @@ class Job(Owned, Base):
     inputs: Mapped[list[Any]]
     model_job_id: Mapped[str | None] = mapped_column(String(36))
     capture_id: Mapped[str | None] = mapped_column(String(36), index=True)
+    parent_id: Mapped[str | None] = mapped_column(String(36), index=True)
+    batch_id: Mapped[str | None] = mapped_column(String(36), index=True)
+    priority: Mapped[int] = mapped_column(SmallInteger, default=0)
+    memory_mb: Mapped[int | None]
 
     state: Mapped[State] = mapped_column(default=State.QUEUED)
     attempt: Mapped[int] = mapped_column(default=0)
+    lost: Mapped[int] = mapped_column(default=0)
     max_attempts: Mapped[int]
+    not_before: Mapped[datetime | None]
+    no_room_since: Mapped[datetime | None]
     lease_owner: Mapped[str | None] = mapped_column(String(100))
     lease_until: Mapped[datetime | None]
     sends: Mapped[int] = mapped_column(default=0)

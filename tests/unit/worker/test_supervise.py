@@ -13,6 +13,7 @@ from service.settings import Settings
 from service.store import jobs
 from service.store.models import DEFAULT_TENANT, Job, LogLine, Subject
 from service.store.store import Store
+from worker.abilities import abilities
 from worker.attempt import FRAMES, AttemptFolder
 from worker.supervise import Supervisor
 
@@ -53,7 +54,7 @@ def test_what_was_said_during_an_outage_is_written_down_after_it(
         jobs.create(session, job)
         claim = jobs.claim(session, job.id, "me", 30)
     assert claim is not None
-    supervisor = Supervisor(store, settings, "me", threading.Event())
+    supervisor = Supervisor(store, settings, abilities(settings), threading.Event())
     supervisor._renewed = float("inf")
     process, folder = Talking(), AttemptFolder(settings.work, claim)
     frames = folder.path / "out" / FRAMES

@@ -1,0 +1,152 @@
+"""What goes wrong in a machine room. Each blow tells whether it hit something."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+
+import redis
+from sqlalchemy import select
+
+from chaos.stage import SETTINGS, Stage
+from service.store.models import Attempt, Job, Lease
+from service.store.transitions import HELD
+
+LEASE = SETTINGS["lease"]
+PAUSE = 6.0
+
+
+def kill_worker(stage: Stage) -> bool:
+    """Kill a worker, whatever it is at."""
+    names = stage.workers()
+    return stage.nobody_is_on_the_last_try() and _signal(stage.dice.choice(names), signal.SIGKILL)
+
+
+def kill_solver(stage: Stage) -> bool:
+    """Kill the processes of a solver at work."""
+    if not stage.nobody_is_on_the_last_try() or not stage.until(stage.running):
+        return False
+    job = stage.dice.choice(stage.running() or [None])
+    if job is None:
+        return False
+    marked = f"{job.id}.{job.attempt}"
+    solvers = [pid for pid in stage.studio.solvers(stage.stack) if marked in _environment(pid)]
+    for pid in solvers:
+        _kill(pid, signal.SIGKILL)
+    return bool(solvers)
+
+
+def kill_broker(stage: Stage) -> bool:
+    """Kill the broker; the stack starts it again."""
+    return _kill(stage.stack.pid("broker"), signal.SIGKILL)
+
+
+def empty_broker(stage: Stage) -> bool:
+    """Forget every message."""
+    path = str(stage.stack.settings.broker_socket)
+    with redis.Redis(unix_socket_path=path) as client:
+        return bool(client.flushall())
+
+
+def pause_broker(stage: Stage) -> bool:
+    """Freeze the broker while jobs are submitted: it takes connections and never answers."""
+    pid = stage.stack.pid("broker")
+    _kill(pid, signal.SIGSTOP)
+    try:
+        stage.submit(len(stage.good) + 2)
+        time.sleep(PAUSE)
+    finally:
+        _kill(pid, signal.SIGCONT)
+    return True
+
+
+def freeze_worker(stage: Stage) -> bool:
+    """Stop a worker until its job is somebody else's, then let it go on."""
+    if not stage.nobody_is_on_the_last_try() or not stage.until(stage.running):
+        return False
+    job = stage.dice.choice(stage.running() or [None])
+    if job is None or job.lease_owner is None:
+        return False
+    _signal(job.lease_owner, signal.SIGSTOP)
+    try:
+        lost = stage.until(lambda: not _is_held(stage, job), seconds=3 * LEASE)
+        time.sleep(1)
+    finally:
+        _signal(job.lease_owner, signal.SIGCONT)
+    return lost
+
+
+def fill_disk(stage: Stage) -> bool:
+    """Leave no room for results until a job was put off for it."""
+    if stage.disk is None:
+        stage.disk_not_here = True
+        return False
+    before = _put_off(stage)
+    stage.disk.fill()
+    try:
+        return stage.until(lambda: _put_off(stage) > before, seconds=10)
+    finally:
+        stage.disk.clear()
+
+
+def two_sweepers(stage: Stage) -> bool:
+    """Stop the sweeper until another has its office, then let it go on beside that one."""
+    if not stage.nobody_is_on_the_last_try():
+        return False
+    holder = _sweeper(stage)
+    if holder is None or not _signal(holder, signal.SIGSTOP):
+        return False
+    try:
+        return stage.until(lambda: _sweeper(stage) != holder, seconds=10)
+    finally:
+        _signal(holder, signal.SIGCONT)
+
+
+BLOWS: dict[str, Callable[[Stage], bool]] = {
+    "kill-worker": kill_worker,
+    "kill-solver": kill_solver,
+    "kill-broker": kill_broker,
+    "empty-broker": empty_broker,
+    "pause-broker": pause_broker,
+    "freeze-worker": freeze_worker,
+    "fill-disk": fill_disk,
+    "two-sweepers": two_sweepers,
+}
+
+
+def _is_held(stage: Stage, job: Job) -> bool:
+    with stage.store.read() as session:
+        now = session.get(Job, job.id)
+        return now is not None and now.state in HELD and now.attempt == job.attempt
+
+
+def _put_off(stage: Stage) -> int:
+    with stage.store.read() as session:
+        return len(session.scalars(select(Attempt).where(Attempt.outcome == "postponed")).all())
+
+
+def _sweeper(stage: Stage) -> str | None:
+    with stage.store.read() as session:
+        return session.scalar(select(Lease.holder).where(Lease.office == "sweeper"))
+
+
+def _signal(worker: str, number: int) -> bool:
+    return _kill(int(worker.rpartition(":")[2]), number)
+
+
+def _kill(pid: int, number: int) -> bool:
+    try:
+        os.kill(pid, number)
+    except ProcessLookupError:
+        return False  # an earlier blow has hit it
+    return True
+
+
+def _environment(pid: int) -> str:
+    try:
+        with open(f"/proc/{pid}/environ", errors="replace") as file:
+            return file.read()
+    except OSError:
+        return ""

@@ -1,0 +1,58 @@
+"""What this worker can do: it claims no other jobs, and says so in the table of workers."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Iterable
+from importlib.metadata import PackageNotFoundError, version
+
+from sqlalchemy.orm import Session
+
+from service.kinds import KINDS
+from service.settings import Settings
+from service.store.claims import Abilities
+from service.store.database import clock
+from service.store.models import Worker
+from worker.kinds import CALLS
+
+HOST = socket.gethostname()
+NAME = f"{HOST}:{os.getpid()}"
+
+
+def abilities(settings: Settings, kinds: Iterable[str] = ()) -> Abilities:
+    """Return what this process can do; ``kinds`` are the only ones it shall do, none: all.
+
+    Raises
+    ------
+    ValueError
+        If this release does not know one of them.
+    """
+    known, only = CALLS.keys() & KINDS.keys(), frozenset(kinds)
+    if strangers := only - known:
+        raise ValueError(f"unknown kinds of job: {', '.join(sorted(strangers))}")
+    return Abilities(
+        worker=NAME,
+        kinds=only or frozenset(known),
+        memory_mb=settings.solver_memory_mb,
+        threads=settings.solver_threads,
+    )
+
+
+def show_life(session: Session, queue: str, can: Abilities, slots: int) -> None:
+    """Say in the table of workers that this one lives, and what it does."""
+    worker = session.get(Worker, can.worker)
+    if worker is None:
+        worker = Worker(name=can.worker, queue=queue)
+        session.add(worker)
+    worker.host, worker.version = HOST, _version()
+    worker.kinds = sorted(kind for kind in can.kinds if KINDS[kind].queue == queue)
+    worker.memory_mb, worker.threads, worker.slots = can.memory_mb, can.threads, slots
+    worker.seen_at = clock(session)
+
+
+def _version() -> str:
+    try:
+        return version("myoface")
+    except PackageNotFoundError:
+        return "0"

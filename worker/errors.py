@@ -1,0 +1,54 @@
+"""What ends an attempt early, and what a job's error says of it."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+from typing import Any
+
+NO_ROOM = os.EX_TEMPFAIL
+"""The exit code of a solver process that found the disk full."""
+STORAGE_FULL = {"code": "storage.full", "message": "there is no room left for files"}
+
+
+class LeaseLostError(Exception):
+    """The job is no longer this worker's."""
+
+
+class CanceledError(Exception):
+    """Somebody asked for the job to stop."""
+
+
+class ShutdownError(Exception):
+    """The worker is to stop."""
+
+
+def is_full(error: BaseException | None) -> bool:
+    """Whether an error, or what it was raised from, is that of a full disk."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def exit_error(code: int) -> dict[str, Any]:
+    """Return the error of a solver process that ended with ``code`` and left no verdict."""
+    if code < 0:
+        name = signal.Signals(-code).name
+        return {
+            "code": "solver.killed",
+            "message": f"the solver process was ended by {name}",
+            "signal": name,
+        }
+    return {
+        "code": "solver.killed",
+        "message": f"the solver process exited with {code} and said nothing",
+        "exit_code": code,
+    }
+
+
+def storage_error(error: OSError) -> dict[str, Any]:
+    """Return the error of files that could not be read or written."""
+    return {"code": "storage.failed", "message": error.strerror or str(error)}
