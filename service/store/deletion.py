@@ -11,6 +11,7 @@ from typing import Literal
 from sqlalchemy import ColumnElement, delete, select, union
 from sqlalchemy.orm import Session
 
+from service.store import previews
 from service.store.database import clock
 from service.store.garbage import REFERRING
 from service.store.jobs import cancel
@@ -68,12 +69,13 @@ def delete_capture(session: Session, capture: Capture, reason: Reason) -> Deleti
 
 
 def delete_job(session: Session, job: Job, reason: Reason) -> Deletion:
-    """Delete a job with what it left, its rig too."""
+    """Delete a job with what it left, its rig too, and that one's preview."""
     rig = session.scalars(select(Rig.id).where(Rig.job_id == job.id)).one_or_none()
     receipt = _receipt(session, job, "rig" if rig else "job", reason)
     receipt.object_id = rig or job.id
-    files = _left_by(session, Job.id == job.id)
-    session.execute(delete(Job).where(Job.id == job.id))
+    gone = (Job.id == job.id) if rig is None else (Job.id == job.id) | previews.of_rig(rig)
+    files = _left_by(session, gone)
+    session.execute(delete(Job).where(gone))
     _sign(session, receipt, files)
     return receipt
 
