@@ -10,7 +10,7 @@ from sqlalchemy import delete
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.settings import Settings
-from service.store import retention, sweep
+from service.store import garbage, retention, sweep
 from service.store.claims import Abilities
 from service.store.models import Worker
 from service.store.store import Store
@@ -79,5 +79,5 @@ class Sweeper(threading.Thread):
             GARBAGE_EVERY, settings.garbage_age
         ):
             self._collected = time.monotonic()
-            if removed := sweep.collect_garbage(self._store, settings.garbage_age):
+            if removed := garbage.collect(self._store, settings.garbage_age):
                 log.info("files.collected", count=removed)
