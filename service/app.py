@@ -9,7 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from anyio import to_thread
 from fastapi import FastAPI
 
-from service import errors, http
+from service import errors, http, metrics
 from service.access import bootstrap
 from service.access.keys import Keyring
 from service.access.rates import RateHeaders, Rates
@@ -20,6 +20,7 @@ from service.deletions.routes import router as deletions
 from service.jobs.following import Feed
 from service.jobs.routes import router as jobs
 from service.keys.routes import router as keys
+from service.metrics.routes import router as metrics_router
 from service.outbound.client import Sender
 from service.page.routes import router as page
 from service.rigs.routes import router as rigs
@@ -104,12 +105,14 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         audit,
         deletions,
         system,
+        metrics_router,
         page,
     ):
         app.include_router(router)
     _describe_problems(app)
     app.add_middleware(RateHeaders)
     http.install(app, settings)
+    metrics.install(app, store, settings)
     return app
 
 

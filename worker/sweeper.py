@@ -17,7 +17,6 @@ from service.store.store import Store
 from worker.abilities import show_life
 from worker.orphans import remove_orphans
 
-OFFICE = "sweeper"
 GARBAGE_EVERY = 60.0
 
 log = structlog.get_logger()
@@ -65,7 +64,7 @@ class Sweeper(threading.Thread):
         settings = self._settings
         with self._store.write() as session:
             show_life(session, self._queue, self._can, self._slots)
-            elected = sweep.hold_office(session, OFFICE, self._can.worker, 3 * settings.sweep)
+            elected = sweep.hold_office(session, sweep.SWEEPER, self._can.worker, 3 * settings.sweep)
             if elected:
                 sweep.expire_leases(session)
                 sweep.remove_expired_uploads(session, settings.uploads)

@@ -19,6 +19,8 @@ from service.store.transitions import State
 LONGEST_PAUSE = timedelta(minutes=1)
 FORGET_WORKERS = timedelta(minutes=10)
 BATCH = 1000
+SWEEPER = "sweeper"
+"""The office of the one who does the rounds."""
 
 
 def hold_office(session: Session, office: str, holder: str, seconds: float) -> bool:
