@@ -25,9 +25,9 @@ class UnavailableError(RuntimeError):
 
 @contextmanager
 def listening(
-    command: Sequence[str | Path], log: Path, host: str, port: int, **more: Any
+    command: Sequence[str | Path], log: Path, host: str, port: int | None, **more: Any
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a server until the end of the block; begin when its port answers."""
+    """Run a server until the end of the block; begin when its port, if it has one, answers."""
     with log.open("ab") as output:
         process = subprocess.Popen(
             [str(word) for word in command],
@@ -38,7 +38,8 @@ def listening(
             **more,
         )
     try:
-        _wait(lambda: _answers(host, port), process, log)
+        if port is not None:
+            _wait(lambda: _answers(host, port), process, log)
         yield process
     finally:
         process.terminate()
