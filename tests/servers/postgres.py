@@ -42,12 +42,19 @@ def postgres(host: str = "127.0.0.1") -> Iterator[str]:
             command = [*as_user, *map(str, words)]
             subprocess.run(command, check=True, stdout=subprocess.DEVNULL, cwd="/", timeout=60)
 
-        control(
-            *(programs / "initdb", "-D", data, "-U", user, "-A", "scram-sha-256"),
-            *("--pwfile", password, "--no-sync"),
-        )
+        access = ["-U", user, "-A", "scram-sha-256", "--pwfile", str(password)]
+        control(programs / "initdb", "-D", data, *access, "--no-sync")
         options = f"-c listen_addresses={host} -c port={port} -c unix_socket_directories={folder}"
-        start = ["-D", data, "-l", log, "-o", f"{options} -c fsync=off", "-w", "start"]
+        start: list[str | Path] = [
+            "-D",
+            data,
+            "-l",
+            log,
+            "-o",
+            f"{options} -c fsync=off",
+            "-w",
+            "start",
+        ]
         control(programs / "pg_ctl", *start)
         try:
             secret = PASSWORD.replace(" ", "%20")
