@@ -12,6 +12,7 @@ from sqlalchemy import ColumnElement, delete, select, union
 from sqlalchemy.orm import Session
 
 from service.store.database import clock
+from service.store.garbage import REFERRING
 from service.store.jobs import cancel
 from service.store.models import (
     Artifact,
@@ -113,15 +114,7 @@ def files_in_use(session: Session, sha256s: Collection[str]) -> set[str]:
     """Return those of these files that some row refers to, or a job that is not over reads."""
     if not sha256s:
         return set()
-    columns = (
-        Artifact.sha256,
-        Capture.sha256,
-        Capture.landmarks_sha256,
-        FrameChunk.sha256,
-        Template.sha256,
-        Upload.sha256,
-    )
-    queries = (select(column).where(column.in_(sha256s)) for column in columns)
+    queries = (select(column).where(column.in_(sha256s)) for column in REFERRING)
     found = {sha256 for sha256 in session.scalars(union(*queries)) if sha256}
     for inputs in session.scalars(select(Job.inputs).where(Job.state.not_in(FINAL))):
         found |= {item["sha256"] for item in inputs} & set(sha256s)

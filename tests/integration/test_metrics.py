@@ -28,7 +28,8 @@ def _read(studio: Studio) -> dict[str, Samples]:
     for family in parse(answer.text):
         assert family.documentation
         for sample in family.samples:
-            found.setdefault(sample.name, {})[tuple(sample.labels[label] for label in sorted(sample.labels))] = sample.value
+            key = tuple(sample.labels[label] for label in sorted(sample.labels))
+            found.setdefault(sample.name, {})[key] = sample.value
     return found
 
 
