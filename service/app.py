@@ -12,14 +12,11 @@ from fastapi import FastAPI
 from service import errors, http, metrics
 from service.access import bootstrap
 from service.access.keys import Keyring
-<<<<<<< HEAD
 from service.access.rates import RateHeaders, Rates
 from service.access.signed import Signer
 from service.audit.routes import router as audit
-=======
 from service.batches.advance import Advancer
 from service.batches.routes import router as batches
->>>>>>> 1cd53f9 (INTEGRATOR'S: batches in the application)
 from service.captures.routes import router as captures
 from service.deletions.routes import router as deletions
 from service.jobs.following import Feed
