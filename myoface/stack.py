@@ -21,7 +21,7 @@ from myoface.errors import StackError
 from myoface.ports import check_port, free_port
 from service.settings import Settings
 from service.store.broker import BrokerNotFoundError, EmbeddedBroker
-from service.store.queue import QUEUES
+from service.store.queue import QUEUES, WEBHOOKS
 
 START_TIMEOUT = 60.0
 STOP_TIMEOUT = 8.0
@@ -50,9 +50,10 @@ class Stack:
         )
         environment = os.environ | self.settings.environment()
         logs = settings.data_dir / "logs"
+        self._queues = (*QUEUES, WEBHOOKS) if settings.webhook_workers else QUEUES
         self._children = [
             _Child("api", ["-m", "service"], logs, environment),
-            *(_Child(queue, ["-m", "worker", queue], logs, environment) for queue in QUEUES),
+            *(_Child(queue, ["-m", "worker", queue], logs, environment) for queue in self._queues),
         ]
         self._stopping = threading.Event()
         self._keeper = threading.Thread(target=self._keep, name="keeper", daemon=True)
@@ -167,7 +168,7 @@ class Stack:
             queues = set(answer.json()["workers"])
         except (httpx.HTTPError, ValueError, KeyError):
             return False
-        return answer.status_code == 200 and queues >= set(QUEUES)
+        return answer.status_code == 200 and queues >= set(self._queues)
 
 
 @dataclass

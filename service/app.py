@@ -19,6 +19,7 @@ from service.captures.routes import router as captures
 from service.deletions.routes import router as deletions
 from service.jobs.routes import router as jobs
 from service.keys.routes import router as keys
+from service.outbound.client import Sender
 from service.page.routes import router as page
 from service.rigs.routes import router as rigs
 from service.secret import secret
@@ -29,6 +30,7 @@ from service.system.routes import router as system
 from service.templates.routes import router as templates
 from service.tenants.routes import router as tenants
 from service.uploads.routes import router as uploads
+from service.webhooks.routes import router as webhooks
 
 DESCRIPTION = """
 Registered 3D scans of one person in, a muscle-driven face out.
@@ -49,6 +51,7 @@ TAGS = [
     {"name": "tenants", "description": "Who is asking, and what its tenant uses."},
     {"name": "deletions", "description": "Receipts of what was deleted."},
     {"name": "audit", "description": "Who did what."},
+    {"name": "webhooks", "description": "Who is told what happens."},
     {"name": "system", "description": "Health, limits and kinds of job."},
 ]
 
@@ -84,6 +87,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.state.master = master
     app.state.rates = rates
     app.state.signer = Signer(master)
+    app.state.sender = Sender(settings.webhook_timeout, settings.webhook_allow)
     errors.install(app)
     for router in (
         uploads,
@@ -92,6 +96,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         templates,
         jobs,
         rigs,
+        webhooks,
         keys,
         tenants,
         audit,

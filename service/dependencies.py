@@ -8,7 +8,7 @@ from typing import Annotated
 from fastapi import Depends, Query, Request
 from sqlalchemy.orm import Session
 
-from service.access.principal import Admin, Deleter, Reader, Writer
+from service.access.principal import Admin, Deleter, Hooks, Reader, Writer
 from service.access.signed import FileReader
 from service.settings import Settings
 from service.store.store import Store
@@ -49,12 +49,17 @@ def _for_administering(store: WholeStore, who: Admin) -> Store:
     return store.of(who.tenant_id)
 
 
+def _for_hooks(store: WholeStore, who: Hooks) -> Store:
+    return store.of(who.tenant_id)
+
+
 ReadStore = Annotated[Store, Depends(_for_reading)]
 FileStore = Annotated[Store, Depends(_for_downloading)]
 """For a file alone: a signed URL is as good as a key."""
 WriteStore = Annotated[Store, Depends(_for_writing)]
 DeleteStore = Annotated[Store, Depends(_for_deleting)]
 AdminStore = Annotated[Store, Depends(_for_administering)]
+HookStore = Annotated[Store, Depends(_for_hooks)]
 
 
 def _reading(store: ReadStore) -> Iterator[Session]:
@@ -77,11 +82,17 @@ def _administering(store: AdminStore) -> Iterator[Session]:
         yield session
 
 
+def _of_hooks(store: HookStore) -> Iterator[Session]:
+    with store.write() as session:
+        yield session
+
+
 ReadSession = Annotated[Session, Depends(_reading, scope="function")]
 # "function": the commit, and the wake-up calls after it, come before the response.
 WriteSession = Annotated[Session, Depends(_writing, scope="function")]
 DeleteSession = Annotated[Session, Depends(_deleting, scope="function")]
 AdminSession = Annotated[Session, Depends(_administering, scope="function")]
+HookSession = Annotated[Session, Depends(_of_hooks, scope="function")]
 
 Cursor = Annotated[
     str | None, Query(max_length=200, description="`next` of the page before; default: the newest")

@@ -8,7 +8,7 @@ import os
 import tempfile
 from pathlib import Path
 
-from pydantic import Field, SecretStr, field_validator
+from pydantic import Field, IPvAnyNetwork, SecretStr, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 # A unix socket's path must fit into sockaddr_un (104 bytes on macOS, 108 on Linux).
@@ -86,6 +86,18 @@ class Settings(BaseSettings):
     long_workers: int = Field(default=1, ge=1)
     solver_threads: int = Field(default=os.cpu_count() or 1, ge=1)
     solver_memory_mb: int = Field(default=8192, gt=0)
+
+    webhook_workers: int = Field(
+        default=8, ge=0, description="threads that deliver; 0: no worker for webhooks here"
+    )
+    webhook_timeout: float = Field(default=10, gt=0)
+    webhook_schedule: list[float] = Field(
+        default=[5, 300, 1800, 7200, 18000, 36000, 50400, 72000, 86400],
+        description="pauses before the further tries",
+    )
+    webhook_allow: list[IPvAnyNetwork] = Field(
+        default=[], description="networks that are not public but may be told, such as 10.1.2.0/24"
+    )
 
     log_json: bool = False
     stack_pid: int | None = Field(default=None, description="the launcher to end with, if any")

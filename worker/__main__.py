@@ -1,4 +1,4 @@
-"""``python -m worker ingest|short|long``: a worker for one queue."""
+"""``python -m worker ingest|short|long|webhooks``: a worker for one queue."""
 
 from __future__ import annotations
 
@@ -7,18 +7,22 @@ import signal
 
 from service import logs
 from service.parent import die_with_parent
-from service.store.queue import QUEUES
-from worker.app import app, settings
+from service.store.queue import QUEUES, WEBHOOKS
+from worker import deliver
+from worker.app import NAME, app, settings, store
 
 
 def main() -> None:
     """Work until told to stop."""
     parser = argparse.ArgumentParser(prog="python -m worker", description=__doc__)
-    parser.add_argument("queue", choices=QUEUES)
+    parser.add_argument("queue", choices=(*QUEUES, WEBHOOKS))
     queue = parser.parse_args().queue
     logs.configure(settings.log_json)
     if settings.stack_pid:
         die_with_parent(settings.stack_pid, signal.SIGTERM)
+    if queue == WEBHOOKS:
+        deliver.main(store, settings, NAME)
+        return
     concurrency = getattr(settings, f"{queue}_workers")
     # Threads: each only watches a solver process, and all end with this process.
     app.worker_main(

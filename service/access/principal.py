@@ -78,4 +78,5 @@ def need(scope: Scope) -> Callable[[Principal], Principal]:
 Reader = Annotated[Principal, Depends(need(Scope.READ))]
 Writer = Annotated[Principal, Depends(need(Scope.WRITE))]
 Deleter = Annotated[Principal, Depends(need(Scope.DELETE))]
+Hooks = Annotated[Principal, Depends(need(Scope.WEBHOOKS))]
 Admin = Annotated[Principal, Depends(need(Scope.ADMIN))]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ipaddress
 import queue
 import re
@@ -22,6 +23,7 @@ MOST_TRIED = 4
 MOST_ANSWER = 64 * 1024
 WRITE_SIZE = 16 * 1024
 LONGEST_URL = 2000
+CHECK_SECONDS = 2.0
 _PRINTABLE = re.compile(r"[!-~]+")
 
 Resolve = Callable[[str, int], Sequence[str]]
@@ -108,6 +110,21 @@ class Sender:
         self._resolver = resolver
         self._tls = tls or httpcore.default_ssl_context()
 
+    def check(self, url: str) -> None:
+        """Refuse a URL that could never be sent to; a name without an address may get one later.
+
+        Raises
+        ------
+        Refused
+            As by :meth:`post`.
+        """
+        target = parse(url)
+        deadline = _Deadline(min(self._timeout, CHECK_SECONDS))
+        backend = _CheckedBackend(self._allow, self._resolver, deadline)
+        origin = target.origin
+        with contextlib.suppress(Unreachable, httpcore.TimeoutException):
+            backend.checked(origin.host.decode(), origin.port)
+
     def post(self, url: str, body: bytes, headers: Mapping[str, str]) -> Answer:
         """Send ``body``; any status is an answer.
 
@@ -174,7 +191,7 @@ class _CheckedBackend(httpcore.NetworkBackend):
         socket_options: Iterable[Any] | None = None,
     ) -> httpcore.NetworkStream:
         """Resolve, check and connect."""
-        addresses = self._checked(host, port)
+        addresses = self.checked(host, port)
         for address in addresses:
             try:
                 stream = self._plain.connect_tcp(
@@ -190,7 +207,8 @@ class _CheckedBackend(httpcore.NetworkBackend):
             return _TimedStream(stream, self._deadline)
         raise AssertionError("a name without addresses is refused before")
 
-    def _checked(self, host: str, port: int) -> list[Address]:
+    def checked(self, host: str, port: int) -> list[Address]:
+        """Return the addresses of ``host``, which are all allowed."""
         found = _in_time(lambda: self._resolver(host, port), self._deadline.left())
         addresses = [_address(text) for text in found]
         if not addresses:

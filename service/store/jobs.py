@@ -13,6 +13,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, func, literal, select, update
 from sqlalchemy.orm import Session
 
+from service.store import outbox
 from service.store.database import clock
 from service.store.models import (
     Artifact,
@@ -241,3 +242,4 @@ def _tell(session: Session, job: Job) -> None:
     if job.error:
         data["error"] = job.error
     session.add(Event(job_id=job.id, kind="state", data=data))
+    outbox.tell_of_job(session, job)

@@ -15,6 +15,8 @@ from redis.retry import Retry
 RUN_JOB = "myoface.run_job"
 QUEUES = ("ingest", "short", "long")
 """Checks wait for no fit: their verdict is wanted while the person is in the chair."""
+WEBHOOKS = "webhooks"
+"""The worker of `service.store.outbox`: its queue is the table of deliveries, not the broker's."""
 
 ONCE: dict[str, Any] = {
     "socket_timeout": 2,

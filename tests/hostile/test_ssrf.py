@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import http.server
 import ipaddress
 import socket
 import ssl
 import subprocess
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from service.outbound.addresses import is_allowed
 from service.outbound.client import MOST_ANSWER, Refused, Sender, Unreachable
+from tests.receiver import LOOPBACK, Receiver, receiving
 
-LOOPBACK = [ipaddress.ip_network("127.0.0.0/8")]
 PUBLIC = "93.184.216.34"  # is only ever judged, never called
 
 
@@ -84,47 +80,6 @@ def test_every_private_ipv4_block_is_refused_to_its_edges() -> None:
         for edge in (block[0], block[-1]):
             for shape in (f"{edge}", f"::ffff:{edge}", f"64:ff9b::{edge}"):
                 assert not is_allowed(ipaddress.ip_address(shape)), shape
-
-
-class Receiver(http.server.BaseHTTPRequestHandler):
-    """Answers with what the test asks for, and keeps what it was sent."""
-
-    got: list[tuple[str, dict[str, str], bytes]]
-    script: Callable[[Receiver], None]
-
-    def do_POST(self) -> None:
-        body = self.rfile.read(int(self.headers["Content-Length"]))
-        self.got.append((self.path, {k.lower(): v for k, v in self.headers.items()}, body))
-        self.script()
-
-    def log_message(self, *_: Any) -> None:
-        pass
-
-
-def _ok(receiver: Receiver) -> None:
-    receiver.send_response(204)
-    receiver.end_headers()
-
-
-@contextmanager
-def receiving(
-    script: Callable[[Receiver], None] = _ok, tls: ssl.SSLContext | None = None
-) -> Iterator[tuple[int, list[tuple[str, dict[str, str], bytes]]]]:
-    """Run a receiver on this machine; gives its port and what it got."""
-    got: list[tuple[str, dict[str, str], bytes]] = []
-    handler = type("Handler", (Receiver,), {"got": got, "script": script})
-    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
-    server.daemon_threads = True
-    if tls:
-        server.socket = tls.wrap_socket(server.socket, server_side=True)
-    thread = threading.Thread(target=server.serve_forever, args=(0.02,))
-    thread.start()
-    try:
-        yield server.server_address[1], got
-    finally:
-        server.shutdown()
-        thread.join()
-        server.server_close()
 
 
 def _names(**hosts: Sequence[str]) -> Callable[[str, int], Sequence[str]]:

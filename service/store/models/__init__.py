@@ -5,6 +5,7 @@ from service.store.models.jobs import Artifact, Attempt, Event, FrameChunk, Job,
 from service.store.models.people import Capture, Subject, Template, Upload
 from service.store.models.records import AnsweredRequest, AuditEntry, Deletion
 from service.store.models.tenants import DEFAULT_TENANT, ApiKey, Tenant
+from service.store.models.webhooks import Delivery, Webhook, WebhookEvent
 from service.store.models.work import Lease, Worker
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "Base",
     "Capture",
     "Deletion",
+    "Delivery",
     "Event",
     "FrameChunk",
     "Job",
@@ -29,6 +31,8 @@ __all__ = [
     "Tenant",
     "Upload",
     "UtcDateTime",
+    "Webhook",
+    "WebhookEvent",
     "Worker",
     "new_id",
     "now",

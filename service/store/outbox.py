@@ -1,0 +1,283 @@
+"""The outbox: what webhooks are to be told is written in the transaction of what happened.
+
+So nothing is told that did not happen, and nothing that happened is forgotten. Deliveries are a
+queue of their own: a worker takes some for the time of a lease, and one that died loses them.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import Any
+
+from sqlalchemy import ColumnElement, delete, func, or_, select, update
+from sqlalchemy.orm import Session
+
+from service.store.database import clock
+from service.store.models import Delivery, Job, Webhook, WebhookEvent
+from service.store.transitions import FINAL, State
+
+EVENTS = (
+    "job.started",
+    "job.succeeded",
+    "job.failed",
+    "job.canceled",
+    "scan.checked",
+    "batch.finished",
+)
+TEST = "webhook.test"
+CHECK = "check_scan"
+
+PENDING, DELIVERED, FAILED = "pending", "delivered", "failed"
+OLD_SECRET_COUNTS = timedelta(days=1)
+GIVE_UP_AFTER = timedelta(days=5)
+FORGET_AFTER = timedelta(days=30)
+AT_ONCE_PER_WEBHOOK = 2
+GONE = 410
+
+
+@dataclass(frozen=True)
+class Parcel:
+    """A delivery as a worker holds it; ``attempt`` is the fence."""
+
+    delivery_id: str
+    attempt: int
+    webhook_id: str
+    url: str
+    generations: Sequence[int]
+    """Whose secrets sign: the present one, and the one before while receivers change over."""
+    failing: bool
+    event_id: str
+    type: str
+    data: dict[str, Any]
+    created_at: datetime
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a try: the answer's status, or the code of an error."""
+
+    status: int | None = None
+    ms: int | None = None
+    error: str | None = None
+    excerpt: str | None = None
+
+    @property
+    def delivered(self) -> bool:
+        """Whether the receiver took it."""
+        return self.status is not None and 200 <= self.status < 300
+
+
+def tell(
+    session: Session, tenant_id: str, type: str, data: dict[str, Any], kind: str | None = None
+) -> None:
+    """Write down that the tenant's webhooks that ask for this are to be told.
+
+    ``data`` holds ids and states, never names; ``kind`` is the kind of the job it is about.
+    """
+    hooks = session.scalars(
+        select(Webhook).where(Webhook.tenant_id == tenant_id, Webhook.active)
+    ).all()
+    asking = [hook for hook in hooks if _asks(hook, type, kind)]
+    if asking:
+        send(session, asking, type, data)
+
+
+def tell_of_job(session: Session, job: Job) -> None:
+    """Tell that a job has begun or is over, and that a scan has been checked."""
+    if job.state not in (State.RUNNING, *FINAL):
+        return
+    data: dict[str, Any] = {
+        "job_id": job.id,
+        "kind": job.kind,
+        "subject_id": job.subject_id,
+        "capture_id": job.capture_id,
+        "state": job.state.value,
+        "attempt": job.attempt,
+    }
+    if job.error:
+        data["error"] = job.error["code"]
+    event = "started" if job.state is State.RUNNING else job.state.value
+    tell(session, job.tenant_id, f"job.{event}", data, job.kind)
+    if job.kind == CHECK and job.state is State.SUCCEEDED:
+        checked = {key: data[key] for key in ("job_id", "subject_id", "capture_id")}
+        verdict = (job.summary or {}).get("verdict")
+        tell(session, job.tenant_id, "scan.checked", {**checked, "verdict": verdict}, job.kind)
+
+
+def send(
+    session: Session, hooks: Sequence[Webhook], type: str, data: dict[str, Any]
+) -> list[Delivery]:
+    """Put an event for ``hooks``, all of one tenant, into the outbox."""
+    moment = clock(session)
+    event = WebhookEvent(
+        id=f"msg_{uuid.uuid4().hex}",
+        tenant_id=hooks[0].tenant_id,
+        type=type,
+        data=data,
+        created_at=moment,
+    )
+    session.add(event)
+    session.flush()
+    return [send_again(session, hook.id, event, moment) for hook in hooks]
+
+
+def send_again(
+    session: Session, webhook_id: str, event: WebhookEvent, moment: datetime
+) -> Delivery:
+    """Put an event into the outbox for one webhook, whoever has had it before."""
+    delivery = Delivery(
+        tenant_id=event.tenant_id,
+        webhook_id=webhook_id,
+        event_id=event.id,
+        created_at=moment,
+        next_at=moment,
+    )
+    session.add(delivery)
+    session.flush()
+    return delivery
+
+
+def is_due(session: Session) -> bool:
+    """Whether there is something to send."""
+    return session.execute(_due(clock(session)).limit(1)).first() is not None
+
+
+def take(session: Session, most: int, failing: int, lease: float) -> list[Parcel]:
+    """Take at most so many deliveries that are due, and of those to webhooks that fail.
+
+    A webhook gets few at once, one that fails gets one: a receiver that does not answer holds up
+    nobody else's news.
+    """
+    moment = clock(session)
+    rows = session.execute(_due(moment)).all()
+    working = [row for row in rows if row.failing_since is None]
+    others = [row for row in rows if row.failing_since is not None and row.place == 1]
+    chosen = [*working, *others[:failing]][:most]
+    until = moment + timedelta(seconds=lease)
+    return [parcel for row in chosen if (parcel := _claim(session, row, moment, until))]
+
+
+def settle(session: Session, parcel: Parcel, outcome: Outcome, pauses: Sequence[float]) -> None:
+    """Write down what became of a try; ``pauses`` are the seconds before each further one."""
+    moment = clock(session)
+    values: dict[str, Any] = {
+        "status": outcome.status,
+        "ms": outcome.ms,
+        "error": outcome.error,
+        "excerpt": outcome.excerpt,
+        "lease_until": None,
+    }
+    if outcome.delivered:
+        values |= {"state": DELIVERED, "finished_at": moment, "next_at": None}
+    elif parcel.attempt <= len(pauses):
+        values["next_at"] = moment + timedelta(seconds=pauses[parcel.attempt - 1])
+    else:
+        values |= {"state": FAILED, "finished_at": moment, "next_at": None}
+    mine = session.execute(
+        update(Delivery)
+        .where(
+            Delivery.id == parcel.delivery_id,
+            Delivery.attempt == parcel.attempt,
+            Delivery.state == PENDING,
+        )
+        .values(**values)
+        .returning(Delivery.id)
+    ).scalar_one_or_none()
+    if mine is not None:
+        _judge(session, parcel.webhook_id, outcome, moment)
+
+
+def switch_off(session: Session, webhook_id: str, reason: str, moment: datetime) -> None:
+    """Tell a webhook nothing more; what was on its way has failed."""
+    session.execute(
+        update(Webhook).where(Webhook.id == webhook_id).values(active=False, disabled_reason=reason)
+    )
+    session.execute(
+        update(Delivery)
+        .where(Delivery.webhook_id == webhook_id, Delivery.state == PENDING)
+        .values(state=FAILED, finished_at=moment, next_at=None, lease_until=None)
+    )
+
+
+def forget(session: Session) -> None:
+    """Forget what was told long ago, with its log."""
+    session.execute(
+        delete(WebhookEvent).where(WebhookEvent.created_at < clock(session) - FORGET_AFTER)
+    )
+
+
+def _asks(hook: Webhook, type: str, kind: str | None) -> bool:
+    of_events = not hook.events or type in hook.events
+    return of_events and (not hook.kinds or kind is None or kind in hook.kinds)
+
+
+def _due(moment: datetime) -> Any:
+    """Return a query for what may be sent now, the oldest first, with its place at its webhook."""
+    under_way = (
+        select(Delivery.webhook_id, func.count().label("count"))
+        .where(Delivery.state == PENDING, Delivery.lease_until > moment)
+        .group_by(Delivery.webhook_id)
+        .subquery()
+    )
+    waiting = func.row_number().over(partition_by=Delivery.webhook_id, order_by=Delivery.next_at)
+    place = (waiting + func.coalesce(under_way.c.count, 0)).label("place")
+    due = (
+        select(Delivery.id, Delivery.attempt, Delivery.next_at, Webhook.failing_since, place)
+        .join(Webhook, Webhook.id == Delivery.webhook_id)
+        .outerjoin(under_way, under_way.c.webhook_id == Delivery.webhook_id)
+        .where(*_free(moment))
+        .subquery()
+    )
+    return select(due).where(due.c.place <= AT_ONCE_PER_WEBHOOK).order_by(due.c.next_at)
+
+
+def _free(moment: datetime) -> Iterable[ColumnElement[bool]]:
+    return (
+        Delivery.state == PENDING,
+        Delivery.next_at <= moment,
+        or_(Delivery.lease_until.is_(None), Delivery.lease_until <= moment),
+    )
+
+
+def _claim(session: Session, row: Any, moment: datetime, until: datetime) -> Parcel | None:
+    attempt: int | None = session.execute(
+        update(Delivery)
+        .where(Delivery.id == row.id, Delivery.attempt == row.attempt, *_free(moment))
+        .values(attempt=Delivery.attempt + 1, lease_until=until)
+        .returning(Delivery.attempt)
+    ).scalar_one_or_none()
+    if attempt is None:
+        return None  # another worker was faster
+    delivery = session.get_one(Delivery, row.id)
+    hook, event = session.get_one(Webhook, delivery.webhook_id), delivery.event
+    generations = [hook.generation]
+    if hook.rotated_at is not None and moment < hook.rotated_at + OLD_SECRET_COUNTS:
+        generations.append(hook.generation - 1)
+    return Parcel(
+        delivery_id=row.id,
+        attempt=attempt,
+        webhook_id=hook.id,
+        url=hook.url,
+        generations=generations,
+        failing=hook.failing_since is not None,
+        event_id=event.id,
+        type=event.type,
+        data=event.data,
+        created_at=event.created_at,
+    )
+
+
+def _judge(session: Session, webhook_id: str, outcome: Outcome, moment: datetime) -> None:
+    """Note whether a webhook works; switch off one that is gone, or has failed for days."""
+    hook = session.get_one(Webhook, webhook_id, with_for_update=True)
+    if outcome.delivered:
+        hook.failing_since = None
+    elif outcome.status == GONE:
+        switch_off(session, webhook_id, "gone", moment)
+    elif hook.failing_since is None:
+        hook.failing_since = moment
+    elif moment - hook.failing_since > GIVE_UP_AFTER:
+        switch_off(session, webhook_id, "failing", moment)

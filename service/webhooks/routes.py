@@ -1,0 +1,167 @@
+"""Routes of webhooks and their deliveries; all need the scope `webhooks`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Depends, Query, Request, Response
+
+from service.dependencies import Cursor, HookSession, HookStore, Limit
+from service.errors import Problem, problems
+from service.outbound.client import Refused, Sender
+from service.schemas import Id, Page
+from service.store.database import clock
+from service.store.models import Webhook
+from service.webhooks import repository, service, signing
+from service.webhooks.schemas import (
+    DeliveryView,
+    NewWebhook,
+    WebhookChange,
+    WebhookView,
+    WebhookWithSecret,
+)
+
+router = APIRouter(prefix="/v1", tags=["webhooks"])
+
+
+def _master(request: Request) -> bytes:
+    master: bytes = request.app.state.master
+    return master
+
+
+def _sender(request: Request) -> Sender:
+    sender: Sender = request.app.state.sender
+    return sender
+
+
+Master = Annotated[bytes, Depends(_master)]
+SenderDep = Annotated[Sender, Depends(_sender)]
+
+
+def _refuse_inner(url: str, sender: Sender) -> None:
+    """Raise a problem for an address inside the network; outside of a transaction: it may wait."""
+    try:
+        sender.check(url)
+    except Refused as refusal:
+        raise Problem(422, "webhook.url", str(refusal), reason=refusal.code) from refusal
+
+
+@router.post("/webhooks", status_code=201, summary="Add a webhook", responses=problems(409, 422))
+def create(
+    new: NewWebhook, store: HookStore, sender: SenderDep, master: Master, response: Response
+) -> WebhookWithSecret:
+    """Have an address told what happens. The answer holds the secret, which is not told again."""
+    _refuse_inner(new.url, sender)
+    with store.write() as session:
+        webhook = service.create(session, new)
+    response.headers["Location"] = f"/v1/webhooks/{webhook.id}"
+    return _with_secret(webhook, master)
+
+
+@router.get(
+    "/webhooks",
+    response_model=Page[WebhookView],
+    summary="List webhooks",
+    responses=problems(422),
+)
+def index(session: HookSession, limit: Limit = 100, cursor: Cursor = None) -> Any:
+    """List webhooks, newest first."""
+    return repository.newest(session, limit, cursor)
+
+
+@router.get(
+    "/webhooks/{webhook_id}",
+    response_model=WebhookView,
+    summary="Show a webhook",
+    responses=problems(404, 422),
+)
+def show(webhook_id: Id, session: HookSession) -> Any:
+    """Show a webhook, and whether it works."""
+    return repository.get(session, webhook_id)
+
+
+@router.patch(
+    "/webhooks/{webhook_id}",
+    response_model=WebhookView,
+    summary="Change a webhook",
+    responses=problems(404, 422),
+)
+def change(webhook_id: Id, order: WebhookChange, store: HookStore, sender: SenderDep) -> Any:
+    """Change address or filter, or switch it off and on."""
+    if order.url is not None:
+        _refuse_inner(order.url, sender)
+    with store.write() as session:
+        return service.change(session, webhook_id, order)
+
+
+@router.delete(
+    "/webhooks/{webhook_id}",
+    status_code=204,
+    summary="Delete a webhook",
+    responses=problems(404, 422),
+)
+def delete(webhook_id: Id, session: HookSession) -> None:
+    """Tell it nothing more; its log goes with it."""
+    session.delete(repository.get(session, webhook_id))
+
+
+@router.post(
+    "/webhooks/{webhook_id}/rotate",
+    summary="Give a webhook a new secret",
+    responses=problems(404, 422),
+)
+def rotate(webhook_id: Id, session: HookSession, master: Master) -> WebhookWithSecret:
+    """Make a new secret; for a day the old one signs too, so that receivers can change over."""
+    return _with_secret(service.rotate(session, webhook_id, clock(session)), master)
+
+
+@router.post(
+    "/webhooks/{webhook_id}/test",
+    status_code=202,
+    summary="Try a webhook",
+    responses=problems(404, 409, 422),
+)
+def test(webhook_id: Id, session: HookSession) -> DeliveryView:
+    """Send a `webhook.test`; the delivery tells how it went."""
+    return DeliveryView.of(service.test(session, webhook_id))
+
+
+@router.get(
+    "/webhooks/{webhook_id}/deliveries",
+    summary="Read a webhook's log",
+    responses=problems(404, 422),
+)
+def deliveries(
+    webhook_id: Id,
+    session: HookSession,
+    state: Annotated[Literal["pending", "delivered", "failed"] | None, Query()] = None,
+    limit: Limit = 100,
+    cursor: Cursor = None,
+) -> Page[DeliveryView]:
+    """Read what was sent in the last 30 days and what became of it, newest first."""
+    repository.get(session, webhook_id)
+    found = repository.deliveries(session, webhook_id, state, limit, cursor)
+    return Page(items=[DeliveryView.of(each) for each in found.items], next=found.next)
+
+
+@router.get("/deliveries/{delivery_id}", summary="Show a delivery", responses=problems(404, 422))
+def delivery(delivery_id: Id, session: HookSession) -> DeliveryView:
+    """Show an event on its way, or what became of it."""
+    return DeliveryView.of(repository.delivery(session, delivery_id))
+
+
+@router.post(
+    "/deliveries/{delivery_id}/redeliver",
+    status_code=202,
+    summary="Send an event again",
+    responses=problems(404, 409, 422),
+)
+def redeliver(delivery_id: Id, session: HookSession) -> DeliveryView:
+    """Send an event to its webhook once more, with the same id."""
+    return DeliveryView.of(service.redeliver(session, delivery_id))
+
+
+def _with_secret(webhook: Webhook, master: bytes) -> WebhookWithSecret:
+    shown = WebhookView.model_validate(webhook).model_dump()
+    secret = signing.secret(master, webhook.id, webhook.generation)
+    return WebhookWithSecret(**shown, secret=secret)

@@ -1,0 +1,83 @@
+"""What can be done with webhooks."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+from sqlalchemy.orm import Session
+
+from service.errors import Problem
+from service.store import outbox
+from service.store.database import clock
+from service.store.models import Delivery, Webhook
+from service.webhooks import repository
+from service.webhooks.schemas import NewWebhook, WebhookChange
+
+MOST = 20
+"""Webhooks of a tenant: each is asked at every step of every job."""
+
+BY_USER = "by_user"
+
+
+def create(session: Session, new: NewWebhook) -> Webhook:
+    """Add a webhook."""
+    if repository.count(session) >= MOST:
+        raise Problem(409, "webhook.too_many", f"there are {MOST} webhooks already", expected=MOST)
+    webhook = Webhook(url=new.url, events=new.events, kinds=new.kinds, created_at=clock(session))
+    session.add(webhook)
+    session.flush()
+    return webhook
+
+
+def change(session: Session, webhook_id: str, order: WebhookChange) -> Webhook:
+    """Change a webhook; switching it on, or to another address, forgets that it failed."""
+    webhook = repository.get(session, webhook_id, lock=True)
+    changes = order.model_dump(exclude_unset=True)
+    active = changes.pop("active", None)
+    for name, value in changes.items():
+        setattr(webhook, name, value)
+    if active or "url" in changes:
+        webhook.failing_since = None
+    if active:
+        webhook.active, webhook.disabled_reason = True, None
+    elif active is False and webhook.active:
+        session.flush()
+        outbox.switch_off(session, webhook.id, BY_USER, clock(session))
+        session.refresh(webhook)
+    session.flush()
+    return webhook
+
+
+def rotate(session: Session, webhook_id: str, moment: datetime) -> Webhook:
+    """Give a webhook a new secret; the one before signs beside it for a day."""
+    webhook = repository.get(session, webhook_id, lock=True)
+    webhook.generation += 1
+    webhook.rotated_at = moment
+    session.flush()
+    return webhook
+
+
+def test(session: Session, webhook_id: str) -> Delivery:
+    """Send an event that means nothing, whatever the webhook asks for."""
+    webhook = _active(repository.get(session, webhook_id))
+    [delivery] = outbox.send(session, [webhook], outbox.TEST, {"webhook_id": webhook.id})
+    return delivery
+
+
+def redeliver(session: Session, delivery_id: str) -> Delivery:
+    """Send what was sent before once more, with the same event id."""
+    delivery = repository.delivery(session, delivery_id)
+    webhook = _active(repository.get(session, delivery.webhook_id))
+    return outbox.send_again(session, webhook.id, delivery.event, clock(session))
+
+
+def _active(webhook: Webhook) -> Webhook:
+    if not webhook.active:
+        raise Problem(
+            409,
+            "webhook.inactive",
+            "the webhook is switched off; switch it on first",
+            webhook_id=webhook.id,
+            reason=webhook.disabled_reason,
+        )
+    return webhook

@@ -1,0 +1,348 @@
+"""Webhooks: told exactly what happened, signed, tried again, and never holding up anybody."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from sqlalchemy import update
+from standardwebhooks.webhooks import Webhook as Verifier
+from standardwebhooks.webhooks import WebhookVerificationError
+
+from service.outbound.client import Sender
+from service.secret import secret
+from service.settings import Settings
+from service.store import jobs, outbox
+from service.store.database import clock
+from service.store.models import Webhook
+from service.store.store import Store
+from tests.receiver import LOOPBACK, Receiver, receiving
+from tests.service_client import Studio, eventually, served
+from worker.deliver import Deliverer
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> Settings:
+    return Settings(
+        data_dir=tmp_path,
+        webhook_allow=LOOPBACK,
+        webhook_timeout=1,
+        webhook_schedule=[0.1, 0.1, 0.1],
+        webhook_workers=4,
+    )
+
+
+@pytest.fixture
+def studio(settings: Settings) -> Iterator[Studio]:
+    with served(settings) as studio:
+        yield studio
+
+
+def _store(studio: Studio) -> Store:
+    store: Store = studio.http.app.state.store  # type: ignore[attr-defined]
+    return store
+
+
+@contextmanager
+def delivering(studio: Studio, settings: Settings) -> Iterator[None]:
+    stopping = threading.Event()
+    sender = Sender(settings.webhook_timeout, settings.webhook_allow)
+    deliverer = Deliverer(_store(studio), settings, secret(settings), sender, stopping)
+    thread = threading.Thread(target=deliverer.run)
+    thread.start()
+    try:
+        yield
+    finally:
+        stopping.set()
+        thread.join()
+
+
+def _hook(studio: Studio, port: int, **more: Any) -> Any:
+    return studio.post("/v1/webhooks", url=f"http://127.0.0.1:{port}/in", **more)
+
+
+def _log(studio: Studio, hook: Any) -> list[Any]:
+    log: list[Any] = studio.get(f"/v1/webhooks/{hook['id']}/deliveries")["items"]
+    return log
+
+
+def _until(studio: Studio, hook: Any, state: str) -> Any:
+    eventually(lambda: [each["state"] for each in _log(studio, hook)] == [state])
+    return _log(studio, hook)[0]
+
+
+def _refused(answer: httpx.Response, status: int, code: str) -> None:
+    assert (answer.status_code, answer.json()["code"]) == (status, code), answer.text
+
+
+def test_a_job_is_told_step_by_step_in_ids_and_signed(studio: Studio, settings: Settings) -> None:
+    with receiving() as (port, got), delivering(studio, settings):
+        hook = _hook(studio, port)
+        subject = studio.subject()
+        job = studio.submit("build_model", subject)
+        studio.pretend(job, {})
+        eventually(lambda: len(got) == 2)
+        eventually(lambda: {each["state"] for each in _log(studio, hook)} == {"delivered"})
+    told = [Verifier(hook["secret"]).verify(body, headers) for _, headers, body in got]
+    assert {each["type"] for each in told} == {"job.started", "job.succeeded"}
+    for each in told:
+        data = each["data"]
+        assert (data["job_id"], data["subject_id"], data["attempt"]) == (job, subject, 1)
+        assert "Alex" not in json.dumps(each)
+    ids = [headers["webhook-id"] for _, headers, _ in got]
+    assert len(set(ids)) == 2
+    log = _log(studio, hook)
+    assert {each["event_id"] for each in log} == set(ids)
+    assert all(each["status"] == 204 and each["attempt"] == 1 for each in log)
+
+
+def test_a_change_that_is_rolled_back_is_not_told(studio: Studio, settings: Settings) -> None:
+    with receiving() as (port, _):
+        hook = _hook(studio, port)
+        job = studio.submit("build_model", studio.subject())
+
+        def claim_and_fail() -> None:
+            with _store(studio).write() as session:
+                assert jobs.claim(session, job, "test", 10)
+                raise RuntimeError("the transaction is lost")
+
+        with pytest.raises(RuntimeError):
+            claim_and_fail()
+        assert _log(studio, hook) == []
+
+
+def test_a_filter_by_event_and_kind(studio: Studio) -> None:
+    with receiving() as (port, _):
+        over = _hook(studio, port, events=["job.succeeded", "job.canceled"])
+        fits = _hook(studio, port, kinds=["fit_geometry"])
+        checks = _hook(studio, port, events=["scan.checked"])
+        subject = studio.subject()
+        job = studio.submit("build_model", subject)
+        studio.pretend(job, {})
+        studio.http.post(f"/v1/jobs/{studio.submit('build_model', subject)}/cancel")
+        check = studio.submit("check_scan", subject, captures=[studio.raw(subject, "smile")])
+        studio.pretend(check, {}, {"verdict": "usable"})
+        assert [each["type"] for each in _log(studio, over)] == [
+            "job.succeeded",
+            "job.canceled",
+            "job.succeeded",
+        ]
+        assert _log(studio, fits) == []
+        [checked] = _log(studio, checks)
+        assert checked["data"]["verdict"] == "usable"
+
+
+def test_a_receiver_that_fails_is_tried_again_with_the_same_event(
+    studio: Studio, settings: Settings
+) -> None:
+    answers = iter([500, 429, 204])
+
+    def moody(receiver: Receiver) -> None:
+        receiver.send_response(next(answers))
+        receiver.end_headers()
+        receiver.wfile.write(b"an explanation")
+
+    with receiving(moody) as (port, got), delivering(studio, settings):
+        hook = _hook(studio, port)
+        studio.post(f"/v1/webhooks/{hook['id']}/test")
+        delivery = _until(studio, hook, "delivered")
+        assert studio.get(f"/v1/webhooks/{hook['id']}")["failing_since"] is None
+    assert (delivery["attempt"], delivery["error"]) == (3, None)
+    assert len({headers["webhook-id"] for _, headers, _ in got}) == 1
+    assert len({body for _, _, body in got}) == 1
+
+
+def test_after_the_last_try_it_has_failed_and_can_be_sent_again(
+    studio: Studio, settings: Settings
+) -> None:
+    works = threading.Event()
+
+    def script(receiver: Receiver) -> None:
+        receiver.send_response(204 if works.is_set() else 500)
+        receiver.end_headers()
+
+    with receiving(script) as (port, got), delivering(studio, settings):
+        hook = _hook(studio, port)
+        studio.post(f"/v1/webhooks/{hook['id']}/test")
+        failed = _until(studio, hook, "failed")
+        assert (failed["attempt"], failed["status"], failed["error"]) == (4, 500, "answer.status")
+        assert studio.get(f"/v1/webhooks/{hook['id']}")["failing_since"]
+        works.set()
+        again = studio.http.post(f"/v1/deliveries/{failed['id']}/redeliver")
+        assert again.status_code == 202
+        path = f"/v1/deliveries/{again.json()['id']}"
+        eventually(lambda: studio.get(path)["state"] == "delivered")
+        assert studio.get(path)["event_id"] == failed["event_id"]
+    assert len({headers["webhook-id"] for _, headers, _ in got}) == 1
+
+
+def test_a_receiver_that_is_gone_is_told_nothing_more(studio: Studio, settings: Settings) -> None:
+    def gone(receiver: Receiver) -> None:
+        receiver.send_response(410)
+        receiver.end_headers()
+
+    with receiving(gone) as (port, got), delivering(studio, settings):
+        hook = _hook(studio, port)
+        path = f"/v1/webhooks/{hook['id']}"
+        studio.post(f"{path}/test")
+        _until(studio, hook, "failed")
+        shown = studio.get(path)
+        assert (shown["active"], shown["disabled_reason"]) == (False, "gone")
+        _refused(studio.http.post(f"{path}/test"), 409, "webhook.inactive")
+        assert len(got) == 1
+        assert studio.http.patch(path, json={"active": True}).json()["active"]
+
+
+def test_a_receiver_that_fails_for_days_is_switched_off(studio: Studio, settings: Settings) -> None:
+    def fails(receiver: Receiver) -> None:
+        receiver.send_response(503)
+        receiver.end_headers()
+
+    with receiving(fails) as (port, _):
+        hook = _hook(studio, port)
+        with _store(studio).write() as session:
+            since = clock(session) - timedelta(days=5, hours=1)
+            session.execute(update(Webhook).values(failing_since=since))
+        studio.post(f"/v1/webhooks/{hook['id']}/test")
+        with delivering(studio, settings):
+            _until(studio, hook, "failed")
+        shown = studio.get(f"/v1/webhooks/{hook['id']}")
+        assert (shown["active"], shown["disabled_reason"]) == (False, "failing")
+
+
+def test_dead_receivers_hold_up_nobody(studio: Studio, settings: Settings) -> None:
+    def silent(_receiver: Receiver) -> None:
+        time.sleep(3)
+
+    with receiving(silent) as (dead, _), receiving() as (port, got):
+        for _ in range(3):
+            hook = _hook(studio, dead, events=["batch.finished"])
+            for _ in range(20):
+                studio.post(f"/v1/webhooks/{hook['id']}/test")
+        with delivering(studio, settings):
+            time.sleep(1.5)  # the dead ones have shown what they are
+            good = _hook(studio, port)
+            started = time.monotonic()
+            for _ in range(5):
+                studio.post(f"/v1/webhooks/{good['id']}/test")
+            eventually(lambda: len(got) == 5, seconds=6)
+            assert time.monotonic() - started < 5
+
+
+def test_several_workers_send_everything_once(studio: Studio, settings: Settings) -> None:
+    with receiving() as (port, got):
+        hook = _hook(studio, port)
+        for _ in range(30):
+            studio.post(f"/v1/webhooks/{hook['id']}/test")
+        with delivering(studio, settings), delivering(studio, settings):
+            eventually(lambda: len(got) >= 30, seconds=30)
+            time.sleep(0.6)
+    ids = [headers["webhook-id"] for _, headers, _ in got]
+    assert (len(ids), len(set(ids))) == (30, 30)
+
+
+def test_a_worker_that_died_has_lost_its_delivery_and_is_fenced(studio: Studio) -> None:
+    with receiving() as (port, _):
+        hook = _hook(studio, port)
+        studio.post(f"/v1/webhooks/{hook['id']}/test")
+    store = _store(studio)
+
+    def take(lease: float) -> list[outbox.Parcel]:
+        with store.write() as session:
+            return outbox.take(session, most=5, failing=5, lease=lease)
+
+    [first] = take(0.2)
+    assert take(10) == []
+    time.sleep(0.3)
+    [second] = take(10)
+    assert (second.delivery_id, second.attempt) == (first.delivery_id, 2)
+    with store.write() as session:
+        outbox.settle(session, first, outbox.Outcome(status=204, ms=1), [])
+    assert _log(studio, hook)[0]["state"] == "pending"
+    with store.write() as session:
+        outbox.settle(session, second, outbox.Outcome(status=204, ms=1), [])
+    assert _log(studio, hook)[0]["state"] == "delivered"
+
+
+def test_a_new_secret_and_the_old_one_sign_for_a_day(studio: Studio, settings: Settings) -> None:
+    with receiving() as (port, got), delivering(studio, settings):
+        hook = _hook(studio, port)
+        path = f"/v1/webhooks/{hook['id']}"
+        rotated = studio.post(f"{path}/rotate")
+        assert rotated["secret"] != hook["secret"]
+        studio.post(f"{path}/test")
+        eventually(lambda: len(got) == 1)
+        for each in (hook["secret"], rotated["secret"]):
+            Verifier(each).verify(got[0][2], got[0][1])
+        with _store(studio).write() as session:
+            before = clock(session) - timedelta(days=1, seconds=1)
+            session.execute(update(Webhook).values(rotated_at=before))
+        studio.post(f"{path}/test")
+        eventually(lambda: len(got) == 2)
+        Verifier(rotated["secret"]).verify(got[1][2], got[1][1])
+        with pytest.raises(WebhookVerificationError):
+            Verifier(hook["secret"]).verify(got[1][2], got[1][1])
+    assert "secret" not in studio.get(path)
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "http://10.0.0.1/",
+        "https://169.254.169.254/latest/meta-data",
+        "http://[::ffff:10.0.0.1]/",
+        "http://192.168.0.1:6379/",
+        "http://8.8.8.8:22/",
+    ],
+)
+def test_addresses_inside_the_network_are_refused_at_once(studio: Studio, url: str) -> None:
+    answer = studio.http.post("/v1/webhooks", json={"url": url})
+    _refused(answer, 422, "webhook.url")
+    with receiving() as (port, _):
+        hook = _hook(studio, port)
+    _refused(studio.http.patch(f"/v1/webhooks/{hook['id']}", json={"url": url}), 422, "webhook.url")
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        {"url": "ftp://a/"},
+        {"url": "https://user:secret@a/"},
+        {"url": "https://a/", "events": ["job.eaten"]},
+        {"url": "https://a/", "kinds": ["no_such_kind"]},
+        {"url": "https://a/", "secret": "mine"},
+    ],
+)
+def test_webhooks_that_can_not_be(studio: Studio, body: dict[str, Any]) -> None:
+    _refused(studio.http.post("/v1/webhooks", json=body), 422, "request.invalid")
+
+
+def test_switched_off_by_its_owner_it_is_told_nothing(studio: Studio) -> None:
+    with receiving() as (port, _):
+        hook = _hook(studio, port)
+        path = f"/v1/webhooks/{hook['id']}"
+        studio.post(f"{path}/test")
+        shown = studio.http.patch(path, json={"active": False}).json()
+        assert (shown["active"], shown["disabled_reason"]) == (False, "by_user")
+        assert [each["state"] for each in _log(studio, hook)] == ["failed"]
+        studio.pretend(studio.submit("build_model", studio.subject()), {})
+        assert len(_log(studio, hook)) == 1
+        _refused(studio.http.patch(path, json={"url": None}), 422, "request.invalid")
+        assert studio.http.delete(path).status_code == 204
+        assert studio.http.get(path).status_code == 404
+
+
+def test_nothing_but_so_many(studio: Studio) -> None:
+    with receiving() as (port, _):
+        for _ in range(20):
+            _hook(studio, port)
+        answer = studio.http.post("/v1/webhooks", json={"url": f"http://127.0.0.1:{port}/"})
+        _refused(answer, 409, "webhook.too_many")

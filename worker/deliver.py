@@ -1,0 +1,153 @@
+"""Delivering webhooks: a worker of its own, so that no receiver ever holds up a job.
+
+It needs no broker, for the deliveries in the table are its queue, and it is the only part of the
+service that calls other hosts. Several can run, on one host or on several.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import signal
+import threading
+import time
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import structlog
+from sqlalchemy.exc import SQLAlchemyError
+
+from service.outbound.client import Answer, Refused, Sender, Unreachable
+from service.secret import secret
+from service.settings import Settings
+from service.store import outbox
+from service.store.outbox import Outcome, Parcel
+from service.store.queue import WEBHOOKS
+from service.store.store import Store
+from service.webhooks import signing
+from worker.sweeper import Sweeper
+
+POLL, BUSY = 0.5, 0.02
+"""Seconds between two looks into the table: when there was nothing, and when there was."""
+MARGIN = 20.0
+"""Seconds of a lease beyond the time limit of a request."""
+EXCERPT = 500
+FORGET_EVERY = 3600.0
+
+log = structlog.get_logger()
+
+
+def main(store: Store, settings: Settings, name: str) -> None:
+    """Deliver until told to stop."""
+    stopping = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stopping.set())
+    store.database.migrate()
+    Sweeper(store, settings, name, WEBHOOKS, stopping).start()
+    sender = Sender(settings.webhook_timeout, settings.webhook_allow)
+    Deliverer(store, settings, secret(settings), sender, stopping).run()
+
+
+class Deliverer:
+    """Sends what is due, by ``settings.webhook_workers`` threads, until ``stopping`` is set.
+
+    At most half of the threads wait for receivers that did not answer the last time.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        settings: Settings,
+        master: bytes,
+        sender: Sender,
+        stopping: threading.Event,
+    ) -> None:
+        self._store = store
+        self._settings = settings
+        self._master = master
+        self._sender = sender
+        self._stopping = stopping
+        self._under_way: dict[Future[None], Parcel] = {}
+
+    def run(self) -> None:
+        """Deliver; what is under way at the end is finished."""
+        forgotten, pause = 0.0, POLL
+        with ThreadPoolExecutor(self._settings.webhook_workers) as pool:
+            while not self._stopping.wait(pause):
+                pause = POLL
+                try:
+                    for parcel in self._take():
+                        pause = BUSY
+                        self._under_way[pool.submit(self._deliver, parcel)] = parcel
+                    if not forgotten or time.monotonic() - forgotten > FORGET_EVERY:
+                        forgotten = time.monotonic()
+                        with self._store.write() as session:
+                            outbox.forget(session)
+                except SQLAlchemyError as error:
+                    log.warning("webhooks.failed", error=str(error))
+
+    def _take(self) -> list[Parcel]:
+        self._under_way = {
+            future: parcel for future, parcel in self._under_way.items() if not future.done()
+        }
+        workers = self._settings.webhook_workers
+        free = workers - len(self._under_way)
+        failing = sum(parcel.failing for parcel in self._under_way.values())
+        with self._store.read() as session:
+            if not free or not outbox.is_due(session):
+                return []
+        spare = max(max(workers // 2, 1) - failing, 0)
+        lease = self._settings.webhook_timeout + MARGIN
+        with self._store.write() as session:
+            return outbox.take(session, most=free, failing=spare, lease=lease)
+
+    def _deliver(self, parcel: Parcel) -> None:
+        outcome = self._send(parcel)
+        log.info(
+            "webhook.delivered" if outcome.delivered else "webhook.not_delivered",
+            delivery_id=parcel.delivery_id,
+            webhook_id=parcel.webhook_id,
+            attempt=parcel.attempt,
+            status=outcome.status,
+            error=outcome.error,
+        )
+        pauses = [pause * random.uniform(1, 1.1) for pause in self._settings.webhook_schedule]
+        try:
+            with self._store.write() as session:
+                outbox.settle(session, parcel, outcome, pauses)
+        except SQLAlchemyError as error:  # the lease runs out, and it is sent once more
+            log.warning("webhooks.failed", error=str(error))
+
+    def _send(self, parcel: Parcel) -> Outcome:
+        body = _body(parcel)
+        secrets = [
+            signing.secret(self._master, parcel.webhook_id, generation)
+            for generation in parcel.generations
+        ]
+        headers = {
+            **signing.headers(parcel.event_id, int(time.time()), body, secrets),
+            "content-type": "application/json",
+            "user-agent": "Myoface",
+        }
+        try:
+            answer = self._sender.post(parcel.url, body, headers)
+        except (Refused, Unreachable) as error:
+            return Outcome(error=error.code)
+        return _judged(answer)
+
+
+def _body(parcel: Parcel) -> bytes:
+    """Return the same bytes at every try."""
+    told = {
+        "type": parcel.type,
+        "timestamp": parcel.created_at.isoformat(),
+        "data": parcel.data,
+    }
+    return json.dumps(told, separators=(",", ":")).encode()
+
+
+def _judged(answer: Answer) -> Outcome:
+    text = answer.body[: 4 * EXCERPT].decode("utf-8", "replace").replace("\0", "\ufffd")
+    outcome = Outcome(answer.status, answer.ms, None, text[:EXCERPT])
+    if outcome.delivered:
+        return outcome
+    return Outcome(answer.status, answer.ms, "answer.status", text[:EXCERPT])
