@@ -47,6 +47,8 @@ def _one_of_everything(studio: Studio) -> dict[str, str]:
         left = Artifact(name="rig.glb", size=1, sha256=sha256, media_type="model/gltf", **mine)
         rig = Rig(subject_id=subject, model_job_id=job, expressions=[], summary={}, **mine)
         assert jobs.succeed(session, job, claim.attempt, [left], rig=rig)
+    webhook = studio.post("/v1/webhooks", url="https://8.8.8.8/")["id"]
+    delivery = studio.post(f"/v1/webhooks/{webhook}/test")["id"]
     return {
         "subject_id": subject,
         "capture_id": capture,
@@ -57,6 +59,8 @@ def _one_of_everything(studio: Studio) -> dict[str, str]:
         "artifact_id": left.id,
         "key_id": studio.post("/v1/keys", name="x", scopes=["read"])["id"],
         "deletion_id": receipt.rsplit("/", 1)[1],
+        "webhook_id": webhook,
+        "delivery_id": delivery,
         "name": "rig.glb",
     }
 
@@ -64,6 +68,10 @@ def _one_of_everything(studio: Studio) -> dict[str, str]:
 BODIES: dict[tuple[str, str], dict[str, Any]] = {
     ("post", "/v1/subjects/{subject_id}/captures"): {"json": {"name": "x", "role": "expression"}},
     ("put", "/v1/subjects/{subject_id}/captures/{capture_id}/landmarks"): {"json": {}},
+    ("patch", "/v1/webhooks/{webhook_id}"): {
+        "headers": {"Content-Type": "application/json"},
+        "content": b"{}",
+    },
     ("patch", "/v1/uploads/{upload_id}"): {
         "headers": {"Upload-Offset": "0", "Content-Type": OFFSET_STREAM},
         "content": b"v",
