@@ -23,7 +23,7 @@ from service.store.models import DEFAULT_TENANT, Artifact
 
 ROOT = Path(__file__).parents[1]
 OFFSET_STREAM = "application/offset+octet-stream"
-QUICK = {"lease": 3.0, "beat": 0.2, "sweep": 0.5, "resend_after": 1.0, "port": 0}
+QUICK = {"lease": 3.0, "beat": 0.2, "sweep": 0.5, "resend_after": 1.0, "port": 0, "webhook_workers": 0}
 FINAL = {"succeeded", "failed", "canceled"}
 
 

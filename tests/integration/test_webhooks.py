@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import threading
 import time
 from collections.abc import Iterator
@@ -25,7 +27,7 @@ from service.store.database import clock
 from service.store.models import Webhook
 from service.store.store import Store
 from tests.receiver import LOOPBACK, Receiver, receiving
-from tests.service_client import Studio, eventually, served
+from tests.service_client import Studio, eventually, running, served
 from worker.deliver import Deliverer
 
 
@@ -338,6 +340,22 @@ def test_switched_off_by_its_owner_it_is_told_nothing(studio: Studio) -> None:
         _refused(studio.http.patch(path, json={"url": None}), 422, "request.invalid")
         assert studio.http.delete(path).status_code == 204
         assert studio.http.get(path).status_code == 404
+
+
+@pytest.mark.slow
+def test_a_worker_of_the_stack_delivers_and_takes_its_place_again(tmp_path: Path) -> None:
+    more = {"webhook_allow": LOOPBACK, "webhook_workers": 2}
+    with receiving() as (port, got), running(tmp_path, **more) as (stack, studio):
+        hook = _hook(studio, port, events=["job.succeeded"])
+        subject = studio.subject()
+        studio.done("build_model", subject)
+        eventually(lambda: len(got) == 1)
+        assert (
+            Verifier(hook["secret"]).verify(got[0][2], got[0][1])["data"]["subject_id"] == subject
+        )
+        os.kill(stack.pid("webhooks"), signal.SIGKILL)
+        studio.done("build_model", subject)
+        eventually(lambda: len(got) == 2, seconds=30)
 
 
 def test_nothing_but_so_many(studio: Studio) -> None:
