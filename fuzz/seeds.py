@@ -7,6 +7,7 @@ import io
 import json
 from functools import cache
 from typing import Any
+from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 
 import numpy as np
 import trimesh
@@ -119,6 +120,24 @@ def npz() -> list[bytes]:
     for save in (np.savez, np.savez_compressed):
         stream = io.BytesIO()
         save(stream, header=header, x=x, names=names)
+        contents.append(stream.getvalue())
+    return contents
+
+
+def template() -> list[bytes]:
+    """Return a ZIP of the beginnings of a template, packed and not."""
+    files = {
+        "template.toml": 'format = 1\nunit = "mm"\nup = "y"\nforward = "z"\n',
+        "skin.obj": _exported("obj").decode(),
+        "parts.json": json.dumps({"flesh": [0, 1, 2], "face": [0]}),
+        "folder/landmarks.csv": "name,vertex\nnose_tip,3\n",
+    }
+    contents = []
+    for method in (ZIP_STORED, ZIP_DEFLATED):
+        stream = io.BytesIO()
+        with ZipFile(stream, "w", method) as archive:
+            for name, text in files.items():
+                archive.writestr(name, text)
         contents.append(stream.getvalue())
     return contents
 

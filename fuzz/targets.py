@@ -14,6 +14,7 @@ from service.errors import Problem
 from service.http import strict_json
 from service.outbound import client as outbound
 from service.uploads.schemas import parse_checksum, parse_metadata
+from solver.anatomy.template_folder import read_template
 from solver.archive import Archive
 from solver.errors import InputError
 from solver.scans.landmarks import read_landmarks
@@ -96,6 +97,7 @@ def targets() -> list[Target]:
         _file("live link", seeds.live_link(), "csv", read_live_link),
         _file("npy", seeds.npy() + seeds.npz(), "npy", _performance),
         _file("npz", seeds.npz() + seeds.npy(), "npz", _archive),
+        _file("template", seeds.template(), "zip", read_template),
         _text("upload metadata", seeds.metadata(), parse_metadata),
         _text(
             "upload checksum",

@@ -11,6 +11,7 @@ import math
 import struct
 import zlib
 from pathlib import Path
+from tokenize import TokenError
 from typing import IO
 from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile, ZipInfo
 
@@ -41,7 +42,7 @@ def read_arrays(path: Path, most_bytes: int = MOST_BYTES) -> dict[str, np.ndarra
     """
     try:
         with path.open("rb") as stream:
-            _check_directory(stream)
+            check_directory(stream)
             with ZipFile(stream) as archive:
                 members = archive.infolist()
                 _check_members(members, most_bytes)
@@ -66,21 +67,22 @@ def map_array(path: Path) -> np.ndarray:
         raise ValueError(str(error)) from error
 
 
-def _check_directory(stream: IO[bytes]) -> None:
-    """Raise if the list of members is long: it is read at once, and each entry becomes an object.
+def check_directory(stream: IO[bytes]) -> None:
+    """Raise :class:`BadZipFile` if a ZIP's list of members is long, and go back to its beginning.
 
-    A second end of the directory, for archives of many gigabytes, would overrule the first.
+    The list is read at once, and each entry becomes an object, and a file where it is unpacked. A
+    second end of the directory, for archives of many gigabytes, would overrule the first.
     """
     length = stream.seek(0, 2)
     stream.seek(max(0, length - END_OF_DIRECTORY.size - LONGEST_COMMENT - LARGE_SIZE))
     tail = stream.read()
     place = tail.rfind(END_MAGIC)
     if place < 0 or place + END_OF_DIRECTORY.size > len(tail):
-        raise ValueError("it is not a ZIP of arrays")
+        raise BadZipFile("it is not a ZIP")
     size = END_OF_DIRECTORY.unpack_from(tail, place)[5]
     large = tail[max(0, place - LARGE_SIZE) : place].startswith(LARGE_MAGIC)
     if large or size > MOST_DIRECTORY_BYTES:
-        raise ValueError("it lists too many members")
+        raise BadZipFile("it lists too many members")
     stream.seek(0)
 
 
@@ -134,6 +136,6 @@ def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
     read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
     try:
         shape, _, dtype = read(stream)
-    except (MemoryError, RecursionError, SyntaxError, TypeError) as error:
+    except (MemoryError, RecursionError, SyntaxError, TokenError, TypeError) as error:
         raise ValueError("its header is not one of NumPy's") from error
     return shape, dtype

@@ -10,7 +10,7 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 from zipfile import ZipFile
 
 import numpy as np
@@ -29,7 +29,7 @@ from solver.anatomy.shapes import ShapeBasis
 from solver.anatomy.template import Muscle, Template
 from solver.anatomy.template_arrays import check_arrays
 from solver.errors import InputError
-from solver.npz import NOT_READABLE
+from solver.npz import NOT_READABLE, check_directory
 from solver.scans.raw import read_raw
 from solver.scans.units import AXES, UNITS
 from solver.surface import Floats, Surface
@@ -87,17 +87,9 @@ def read_template(path: Path) -> Template:
         return _read(path)
     with tempfile.TemporaryDirectory() as unpacked:
         try:
-            with ZipFile(path) as archive:
-                size = sum(entry.file_size for entry in archive.infolist())
-                if size > MAX_UNPACKED_BYTES:
-                    raise InputError(
-                        "template.too_large",
-                        f"{path.name} unpacks to {size} bytes; at most {MAX_UNPACKED_BYTES} can be",
-                        file=path.name,
-                        expected=MAX_UNPACKED_BYTES,
-                        found=size,
-                    )
-                archive.extractall(unpacked)
+            with path.open("rb") as stream:
+                check_directory(stream)
+                _unpack(path.name, stream, unpacked)
         except NOT_READABLE as error:
             raise InputError(
                 "template.unreadable",
@@ -106,6 +98,20 @@ def read_template(path: Path) -> Template:
             ) from error
         inside = sorted(Path(unpacked).rglob(DESCRIPTION), key=lambda found: len(found.parts))
         return _read(inside[0].parent if inside else Path(unpacked))
+
+
+def _unpack(file: str, stream: IO[bytes], folder: str) -> None:
+    with ZipFile(stream) as archive:
+        size = sum(entry.file_size for entry in archive.infolist())
+        if size > MAX_UNPACKED_BYTES:
+            raise InputError(
+                "template.too_large",
+                f"{file} unpacks to {size} bytes; at most {MAX_UNPACKED_BYTES} can be",
+                file=file,
+                expected=MAX_UNPACKED_BYTES,
+                found=size,
+            )
+        archive.extractall(folder)
 
 
 def _read(folder: Path) -> Template:
