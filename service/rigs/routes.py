@@ -36,7 +36,7 @@ POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; sandbox 
 """What a stored page may do in a browser: show itself, and nothing with this origin's name."""
 
 FILE: dict[int | str, dict[str, Any]] = {
-    200: {"description": "The file", "content": {"application/octet-stream": {}}},
+    200: {"description": "The file", "content": {"*/*": {}}},
     206: {"description": "A range of the file"},
     304: {"description": "The caller's copy is the file"},
     **problems(400, 404, 416, 422),
