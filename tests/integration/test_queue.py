@@ -13,7 +13,6 @@ from typing import Any
 
 import pytest
 from sqlalchemy import insert, select, update
-from tests.integration.test_service_postgres import url as postgres  # noqa: F401 (a fixture)
 
 from service.store import jobs, sweep
 from service.store.claims import Abilities, claim_next
@@ -22,8 +21,21 @@ from service.store.models import Attempt, Event, Job, Subject, Tenant, now
 from service.store.positions import positions
 from service.store.store import WAKE, Store
 from service.store.transitions import State
+from tests.servers import UnavailableError, required
+from tests.servers import postgres as server
 
 ANYTHING = Abilities("w", frozenset({"build_model", "register_scan"}), memory_mb=8192, threads=1)
+
+
+@pytest.fixture(scope="module")
+def postgres() -> Iterator[str]:
+    try:
+        with server.postgres() as url:
+            yield url
+    except UnavailableError as error:
+        if required():
+            raise
+        pytest.skip(str(error))
 
 
 @pytest.fixture(params=["sqlite", "postgres"])
