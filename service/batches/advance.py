@@ -10,6 +10,7 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.batches import repository, service
+from service.errors import Problem
 from service.settings import Settings
 from service.store.store import Store
 from service.store.sweep import hold_office
@@ -51,5 +52,10 @@ class Advancer(threading.Thread):
             if not hold_office(session, OFFICE, self._name, 10 * self._settings.beat):
                 return
         for tenant_id, batch_id in running:
-            with self._store.of(tenant_id).write() as session:
-                service.advance(session, batch_id, self._settings.max_attempts)
+            try:
+                with self._store.of(tenant_id).write() as session:
+                    service.advance(session, batch_id, self._settings.max_attempts)
+            except Problem:
+                log.info("batch.gone", batch_id=batch_id)  # deleted with its subject
+            except Exception:  # one that can not go on keeps no other from it
+                log.exception("batch.stuck", batch_id=batch_id)

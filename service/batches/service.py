@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from http import HTTPStatus
 from typing import Any
 
 from sqlalchemy.orm import Session
@@ -15,7 +16,7 @@ from service.captures.registered import registered_form
 from service.errors import Problem
 from service.jobs import service as work
 from service.jobs.schemas import Cancel, NewJob
-from service.store import jobs
+from service.store import jobs, outbox
 from service.store.database import clock
 from service.store.models import Batch, Capture, Job
 from service.store.transitions import FINAL, State
@@ -83,6 +84,8 @@ def advance(session: Session, batch_id: str, max_attempts: int) -> None:
     try:
         error, is_over = _advance(session, progress(session, batch), max_attempts)
     except Problem as problem:  # a step that can not be, whatever has changed meanwhile
+        if problem.status == HTTPStatus.TOO_MANY_REQUESTS:
+            return  # the tenant's queue is full: later
         error, is_over = {"code": problem.code, "message": problem.detail}, True
     if is_over:
         batch.error = error
@@ -191,3 +194,5 @@ def _submit(
 
 def _finish(session: Session, batch: Batch, state: str) -> None:
     batch.state, batch.finished_at = state, clock(session)
+    data = {"batch_id": batch.id, "subject_id": batch.subject_id, "state": state}
+    outbox.tell(session, batch.tenant_id, "batch.finished", data)

@@ -114,7 +114,10 @@ def test_a_batch_is_all_or_nothing_and_can_be_stopped(idle: Studio) -> None:
     for path in ("/v1/subjects", "/v1/jobs", "/v1/batches"):
         assert idle.get(path)["items"] == []
     body = {**alex, "captures": [{**neutral, "registered": True}, registered], "then": ["model"]}
-    batch = idle.post("/v1/batches", **body)
+    key = {"Idempotency-Key": "session-7"}
+    answers = [idle.http.post("/v1/batches", json=body, headers=key).json() for _ in range(2)]
+    batch = answers[0]
+    assert answers[1]["id"] == batch["id"]
     for _ in range(2):
         stopped = idle.post(f"/v1/batches/{batch['id']}/cancel", reason="lunch")
         assert (stopped["state"], stopped["cancel"]["reason"]) == ("canceled", "lunch")

@@ -155,6 +155,16 @@ def test_a_worker_takes_only_what_it_can_do(store: Store) -> None:
     assert woken == ["a0"]
 
 
+def test_a_tenant_at_its_quota_is_passed_over(store: Store) -> None:
+    shop = Shop(store)
+    shop.queue("a", 0, 1, 2)
+    shop.queue("b", 10)
+    with store.write() as session:
+        owner, _ = shop.subjects["a"]
+        session.execute(update(Tenant).where(Tenant.id == owner).values(max_running=1))
+    assert shop.take_all() == ["a0", "b10"]
+
+
 def test_a_job_whose_worker_is_silent_is_taken_again(store: Store) -> None:
     shop = Shop(store)
     shop.queue("a", 0)
@@ -259,7 +269,8 @@ def test_of_a_finished_job_some_reports_are_kept(store: Store) -> None:
         with store.write() as session:
             assert jobs.succeed(session, claim.job_id, claim.attempt, [])
         with store.read() as session:
-            events = session.scalars(select(Event).where(Event.job_id == claim.job_id)).all()
+            mine = select(Event).where(Event.job_id == claim.job_id).order_by(Event.id)
+            events = session.scalars(mine).all()
         reports = [event.data["iteration"] for event in events if event.kind == "progress"]
         assert len(reports) == min(count, 187)
         assert max(reports) > 0.98 * count
