@@ -14,10 +14,22 @@ export class Log {
     this.next = 0;
     this.attempt = null;
     this.dropped = h("p", { class: "fine", hidden: true }, `Only the last ${MOST_LINES} lines are shown.`);
-    this.lines = h("pre", { class: "log", tabindex: 0, role: "log", "aria-live": "off", "aria-label": "Log" });
+    this.lines = h("pre", {
+      class: "log",
+      tabindex: 0,
+      role: "log",
+      "aria-live": "off",
+      "aria-label": "Log",
+    });
     this.none = h("p", { class: "fine" }, "Nothing was printed so far.");
-    this.element = h("section", { class: "panel", "aria-labelledby": "log" },
-      h("h2", { id: "log" }, "Log"), this.none, this.dropped, this.lines);
+    this.element = h(
+      "section",
+      { class: "panel", "aria-labelledby": "log" },
+      h("h2", { id: "log" }, "Log"),
+      this.none,
+      this.dropped,
+      this.lines,
+    );
     this.lines.hidden = true;
   }
 

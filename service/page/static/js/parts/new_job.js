@@ -15,7 +15,11 @@ export async function askForJob(request, { title, note = null, agree = "Submit" 
   const kind = (await kindsByName()).get(request.kind);
   return ask({
     title: title ?? kind.title,
-    body: [h("p", {}, kind.description), note && h("p", { class: "fine" }, note), optionFields(kind.options, request.options)],
+    body: [
+      h("p", {}, kind.description),
+      note && h("p", { class: "fine" }, note),
+      optionFields(kind.options, request.options),
+    ],
     agree,
     act: (form) => submit({ ...request, options: readOptions(kind.options, form) }),
   });
