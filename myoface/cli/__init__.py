@@ -10,9 +10,11 @@ from myoface.cli.captures import add, captures
 from myoface.cli.client import jobs, rigs, subjects, templates
 from myoface.cli.console import complain
 from myoface.cli.demo import demo
+from myoface.cli.keys import keys
 from myoface.cli.offline import solve
 from myoface.cli.service import admin_key, doctor, up
 from myoface.cli.template import template
+from myoface.cli.tenants import tenants
 from myoface.errors import ApiError, StackError, describe
 from service import logs
 from solver.errors import InputError, SolveError
@@ -26,6 +28,8 @@ for group, name in (
     (jobs, "jobs"),
     (rigs, "rigs"),
     (templates, "templates"),
+    (keys, "keys"),
+    (tenants, "tenants"),
     (template, "template"),
     (assets, "assets"),
     (solve, "solve"),

@@ -40,6 +40,7 @@ SECONDS = 30.0
 FIRST_VIEW_MS = 2000.0
 CLOSE_MM = 0.01  # half floats are a few micrometres off at these lengths
 PARTS = ("view.bin", "inside.bin", "preview.bin")
+SOLVED = ("model.npz", "muscle_weights.npz", "activations.npz")
 Page = Any
 
 
@@ -71,10 +72,10 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
     files = [folder / "a" / name for name in PARTS]
     subject, first = _put_rig(store, "Ada", files, sample.summary())
     other = write_sample(folder / "b", subject="B")
-    why = {"preview": "the time for it was up"}
-    _, second = _put_rig(
-        store, "Berta", [folder / "b" / name for name in PARTS[:2]], other.summary() | why
-    )
+    files = [folder / "b" / name for name in (*PARTS[:2], *SOLVED)]
+    for name in SOLVED:
+        (folder / "b" / name).write_bytes(b"x")
+    _, second = _put_rig(store, "Berta", files, other.summary())
     _, old = _put_rig(store, "Cleo", [], {})
     glb, frames = _sequence(folder, sample)
     take = _put_job(store, subject, "fit_sequence", [glb], {"performance": "take 7"}, first)
@@ -194,11 +195,19 @@ def test_muscle_sliders_move_the_skin_by_the_basis(place: Place, rig: Callable[.
     assert page.url.count("m=") > 3
 
 
-def test_a_rig_without_sliders_says_why(place: Place, rig: Callable[..., Page]) -> None:
+def test_sliders_that_are_missing_can_be_made(place: Place, rig: Callable[..., Page]) -> None:
     page = rig(identifier=place.second)
     page.get_by_role("tab", name="Muscles").click()
-    page.get_by_text("No muscle sliders: the time for it was up.").wait_for()
+    page.get_by_text("This rig has no muscle sliders yet.").wait_for()
     assert page.get_by_role("button", name="Procerus").is_visible()
+    page.get_by_role("button", name="Make the sliders").click()
+    link = page.get_by_role("link", name="their job")
+    link.wait_for()
+    again = rig(identifier=place.second)
+    again.get_by_role("tab", name="Muscles").click()
+    known = again.get_by_role("link", name="their job")
+    known.wait_for()
+    assert known.get_attribute("href") == link.get_attribute("href")
 
 
 def test_an_old_rig_is_told_of_and_leads_on(place: Place, look: Callable[..., Page]) -> None:
@@ -211,7 +220,7 @@ def test_the_heat_map_takes_its_range(place: Place, rig: Callable[..., Page]) ->
     page = rig("?e=surprise:1")
     before = _picture(page)
     page.get_by_label("Heat map").select_option("distance")
-    page.locator("figcaption", has_text="Distance to the scan, Surprise").first.wait_for()
+    page.locator(".heat-legend", has_text="Distance to the scan, Surprise").wait_for()
     _settled(page)
     assert _query(page) == "e=surprise:1&heat=0-2"
     as_is = _picture(page)
@@ -295,7 +304,7 @@ def test_a_permalink_shows_the_same_again(rig: Callable[..., Page]) -> None:
     for page in (first, again):
         assert page.get_by_role("slider", name="Smile").input_value() == "0.4"
         assert page.get_by_label("Scan", exact=True).input_value() == "wire"
-        page.locator("figcaption", has_text="Way from the neutral").wait_for()
+        page.locator(".heat-legend", has_text="Way from the neutral").wait_for()
     assert (
         first.locator("#stage-caption").inner_text() == again.locator("#stage-caption").inner_text()
     )

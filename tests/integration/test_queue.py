@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from sqlalchemy import insert, select, update
+from tests.integration.test_service_postgres import url as postgres  # noqa: F401 (a fixture)
 
 from service.store import jobs, sweep
 from service.store.claims import Abilities, claim_next
@@ -21,7 +22,6 @@ from service.store.models import Attempt, Event, Job, Subject, Tenant, now
 from service.store.positions import positions
 from service.store.store import WAKE, Store
 from service.store.transitions import State
-from tests.integration.test_service_postgres import url as postgres  # noqa: F401 (a fixture)
 
 ANYTHING = Abilities("w", frozenset({"build_model", "register_scan"}), memory_mb=8192, threads=1)
 

@@ -11,10 +11,10 @@ import { onClick, onKeys } from "./hands.js";
 import { Legend } from "./heat.js";
 import { Inside } from "./inside.js";
 import { LookBar } from "./look_bar.js";
+import { missingPreview } from "./missing_preview.js";
 import { MusclePanel } from "./muscle_panel.js";
 import { ExpressionPanel, pose } from "./pose_panel.js";
 import { Preview } from "./preview.js";
-import { artifactsOfJobs } from "./read.js";
 import { StageBox } from "./stage_box.js";
 import { summary } from "./summary.js";
 import { tabs } from "./tabs.js";
@@ -224,16 +224,15 @@ export class RigPage extends EventTarget {
     else this.#box.name(plain(found.name));
   }
 
-  /** Read the sliders' file: the rig's own, or that of a later job about the rig. */
+  /** Read the sliders' file; without one, say how there can be one. */
   async #findPreview() {
-    const ready = (buffer) => {
-      this.#preview = new Preview(buffer);
-      this.#muscles.setPreview(this.#preview);
-    };
-    if (this.#has(PREVIEW)) return this.#read(PREVIEW, ready);
-    const [found] = await artifactsOfJobs(this.#rig, "build_preview", PREVIEW, this.#signal);
-    if (found) return this.#read(PREVIEW, ready, `/v1/artifacts/${found.artifact.id}`);
-    return this.#muscles.setMissing(whyNoPreview(this.#rig));
+    if (this.#has(PREVIEW)) {
+      await this.#read(PREVIEW, (buffer) => {
+        this.#preview = new Preview(buffer);
+        this.#muscles.setPreview(this.#preview);
+      });
+    } else this.#muscles.setMissing(await missingPreview(this.#rig, this.#signal));
+    this.#update();
   }
 
   async #readTake(job) {
@@ -248,9 +247,10 @@ export class RigPage extends EventTarget {
   }
 
   /** Read a file of the rig, once; `ready` gets it, and the state is shown anew. */
-  async #read(name, ready, path = `/v1/rigs/${this.#rig.id}/artifacts/${name}`) {
+  async #read(name, ready) {
     if (this.#asked.has(name)) return;
     this.#asked.add(name);
+    const path = `/v1/rigs/${this.#rig.id}/artifacts/${name}`;
     const progress = (received, total) => (
       this.#box.say(total ? `Loading … ${Math.round((100 * received) / total)} %` : "Loading …")
     );
@@ -279,10 +279,4 @@ export class RigPage extends EventTarget {
   #fail(error) {
     if (!this.#signal.aborted) this.#box.say(sentence(error));
   }
-}
-
-function whyNoPreview(rig) {
-  const { preview } = rig.summary;
-  const why = typeof preview === "string" ? preview : preview?.reason ?? preview?.message;
-  return `No muscle sliders: ${why ?? "no approximation was made with this rig"}.`;
 }
