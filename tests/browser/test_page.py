@@ -179,6 +179,7 @@ def test_a_job_is_watched_canceled_and_run_again(show: Show, studio: Studio) -> 
     page.wait_for_url(lambda url: "/jobs/" in url and job_id not in url)
     again = studio.job(page.url.rsplit("/", 1)[1])
     assert (again["options"], again["captures"]) == ({"rounds": 3}, [long])
+    assert again["parent_id"] == job_id
     studio.post(f"/v1/jobs/{again['id']}/cancel", reason="the test is over")
     page.locator(".head .state").get_by_text("Canceled").wait_for()
 

@@ -14,12 +14,12 @@ export function optionFields(schema, given = {}) {
   );
 }
 
-/** Return the options that a form says, without those left at their default. */
-export function readOptions(schema, form) {
+/** Return the options that a form says, without those left as they were in `given` or by default. */
+export function readOptions(schema, form, given = {}) {
   const options = {};
   for (const [name, rules] of Object.entries(schema.properties)) {
     const value = read(form.elements[`option-${name}`], rules);
-    if (value !== undefined && value !== (rules.default ?? null)) options[name] = value;
+    if (value !== (given[name] ?? rules.default ?? null)) options[name] = value;
   }
   return options;
 }

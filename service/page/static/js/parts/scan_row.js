@@ -3,7 +3,7 @@
 import { ApiProblem, post, remove } from "../api.js";
 import { announce, h, setText, show } from "../dom.js";
 import * as interrupted from "../interrupted.js";
-import { submit } from "../jobs.js";
+import { inLine, submit } from "../jobs.js";
 import { changed } from "../library.js";
 import { NAME } from "../scan_files.js";
 import { forget, upload } from "../tus.js";
@@ -168,14 +168,7 @@ export class ScanRow {
   hear(job) {
     if (job.state === "queued") {
       this.badge.set("queued", "Check queued");
-      show(
-        this.how,
-        h(
-          "p",
-          { class: "fine" },
-          job.queue_position === 1 ? "Next in line" : `${job.queue_position - 1} before it`,
-        ),
-      );
+      show(this.how, h("p", { class: "fine" }, inLine(job)));
     } else if (job.state === "running" || job.state === "canceling") {
       this.badge.set("running", "Checking");
       if (!this.bar?.isConnected) show(this.how, (this.bar = meter(job)));

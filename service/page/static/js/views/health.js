@@ -28,7 +28,7 @@ export async function mount(root) {
       "div",
       { class: "even" },
       panel("parts", "Parts", table(["Part", "State"], parts)),
-      panel("queues", "Queues", table(["Queue", "Running", "Queued"], queues)),
+      panel("queues", "Queues", table(["Queue", "Running", "Place of the newest job"], queues)),
       panel("workers", "Workers", table(["Worker", "Queue", "Since", "Last seen"], workers)),
       panel("usage", "What this studio uses", table(["(What)", "Used", "At most"], usage)),
       panel("limits", "Limits", limitList(limits)),
@@ -103,9 +103,9 @@ async function livingWorkers(signal) {
   }
 }
 
-/** Return running and queued jobs by queue: the newest queued job's place is the queue's length. */
+/** Return by queue how many jobs run, and the place of the newest that waits: how long the queue is. */
 async function queueLengths(kinds, signal) {
-  const lengths = new Map([...kinds.values()].map(({ queue }) => [queue, { running: 0, queued: 0 }]));
+  const lengths = new Map([...kinds.values()].map(({ queue }) => [queue, { running: 0, place: 0 }]));
   const queueOf = (job) => lengths.get(kinds.get(job.kind)?.queue);
   const [running, ...newest] = await Promise.all([
     get("/v1/jobs", { state: "running", limit: 1000 }, signal),
@@ -114,13 +114,13 @@ async function queueLengths(kinds, signal) {
   for (const job of running.items) if (queueOf(job)) queueOf(job).running++;
   for (const job of newest.flatMap(({ items }) => items)) {
     const queue = queueOf(job);
-    if (queue) queue.queued = Math.max(queue.queued, job.queue_position ?? 0);
+    if (queue) queue.place = Math.max(queue.place, job.queue_position ?? 0);
   }
   return lengths;
 }
 
 function queueRows(lengths, serving) {
-  return [...lengths].sort().map(([name, { running, queued }]) => {
+  return [...lengths].sort().map(([name, { running, place }]) => {
     return h(
       "tr",
       {},
@@ -131,7 +131,7 @@ function queueRows(lengths, serving) {
         !serving[name] && h("div", {}, state("usable", "No worker: its jobs wait")),
       ),
       h("td", {}, running),
-      h("td", {}, queued),
+      h("td", {}, place || "none waits"),
     );
   });
 }

@@ -3,14 +3,14 @@
 import { get } from "../api.js";
 import { announce, h, setText, show } from "../dom.js";
 import { watch } from "../events.js";
-import { applied, seconds } from "../jobs.js";
+import { applied, inLine, seconds } from "../jobs.js";
 import { capturesById, kindsByName, subjectName } from "../library.js";
 import { askToCancel } from "../parts/cancel.js";
 import { fileTable } from "../parts/files.js";
 import { panel, table } from "../parts/frame.js";
 import { Log } from "../parts/log.js";
 import { meter } from "../parts/meter.js";
-import { askForJob } from "../parts/new_job.js";
+import { askToRunAgain } from "../parts/new_job.js";
 import { Progress } from "../parts/progress.js";
 import { resultPanel } from "../parts/result.js";
 import { FINAL, state, word } from "../parts/state.js";
@@ -189,6 +189,8 @@ class JobView {
       Started: job.started_at && when(job.started_at),
       Finished: job.finished_at && when(job.finished_at),
       Took: lasted === null ? null : span(lasted),
+      Priority: job.priority ? String(job.priority) : null,
+      "Made again from": job.parent_id && h("a", { href: `/jobs/${job.parent_id}` }, "an earlier job"),
       "Kept until": job.retain_until && when(job.retain_until),
       Rig: job.rig_id && h("a", { href: `/rigs/${job.rig_id}` }, "the one it was made from"),
       Id: h("code", {}, job.id),
@@ -209,13 +211,7 @@ class JobView {
   }
 
   async runAgain() {
-    const { kind, subject_id: subjectId, captures, rig_id: rigId, options } = this.job;
-    const request = { kind, subject_id: subjectId, captures, rig_id: rigId, options };
-    const job = await askForJob(request, {
-      title: `${this.title}: run again`,
-      note: "Reads the same scans as before, as they are now; nothing is uploaded again. This job stays as it is.",
-      agree: "Run again",
-    });
+    const job = await askToRunAgain(this.job);
     if (job) navigate(`/jobs/${job.id}`);
   }
 
@@ -235,11 +231,7 @@ class JobView {
 /** What matters most now: how far it is, or why it ended. */
 function nowOf(job, bar) {
   if (job.state === "queued") {
-    const place =
-      job.queue_position === 1
-        ? "It is next in its queue."
-        : `${job.queue_position - 1} before it in its queue.`;
-    return h("div", { class: "notice" }, h("p", {}, place));
+    return h("div", { class: "notice" }, h("p", {}, `${inLine(job)}.`));
   }
   if (job.state === "running") return h("section", { class: "panel", "aria-label": "Progress" }, bar);
   if (job.state === "canceling")

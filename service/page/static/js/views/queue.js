@@ -3,7 +3,7 @@
 import { get } from "../api.js";
 import { announce, h, setText } from "../dom.js";
 import { watch } from "../events.js";
-import { applied, seconds } from "../jobs.js";
+import { applied, inLine, seconds } from "../jobs.js";
 import { keyed } from "../keyed.js";
 import { changed, kindsByName, scansOf, subjectName, subjectsById } from "../library.js";
 import { askToCancel } from "../parts/cancel.js";
@@ -14,7 +14,7 @@ import { toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
 import { repeat } from "../repeat.js";
 import { replaceQuery } from "../router.js";
-import { count, span, time, when } from "../words.js";
+import { span, time, when } from "../words.js";
 
 const EVERY_MS = 3_000;
 const PAGE = 50;
@@ -231,11 +231,12 @@ function cells(job, kinds) {
     () => {},
   );
   const link = h("a", { href: `/jobs/${job.id}` }, kinds.get(job.kind)?.title ?? job.kind);
+  const priority = job.priority !== 0 && h("span", { class: "fine" }, `priority ${job.priority}`);
   return {
     badge,
     row: [
       h("td", { class: "tight" }, badge),
-      h("th", { scope: "row" }, h("div", { class: "what" }, link, scans)),
+      h("th", { scope: "row" }, h("div", { class: "what" }, link, scans, priority)),
       h("td", {}, subject),
     ],
   };
@@ -296,17 +297,11 @@ function otherRow(job, kinds) {
   };
 }
 
-/** A queued job's place, in words. */
-function inLine(position) {
-  if (position === 1) return "Next in line";
-  return `${count(position - 1, "job")} before it`;
-}
-
 /** What came of a job, or when it will begin, in a few words. */
 function outcomeOf(job) {
   if (job.state === "queued") {
     const again = job.attempt ? `, after ${job.attempt} of ${job.max_attempts} attempts` : "";
-    return [`${inLine(job.queue_position)}${again}`];
+    return [inLine(job) + again];
   }
   if (job.state === "failed")
     return [h("span", { class: "clip", title: job.error?.message }, job.error?.message)];
