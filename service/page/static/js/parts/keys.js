@@ -4,6 +4,7 @@ import { all, post, remove } from "../api.js";
 import { h, show } from "../dom.js";
 import { when } from "../words.js";
 import { ask } from "./dialog.js";
+import { table } from "./frame.js";
 import { state } from "./state.js";
 import { doing, toast } from "./toast.js";
 
@@ -22,34 +23,74 @@ export async function keyPanel(mine, signal) {
   const body = h("tbody");
   const refresh = async () => {
     const keys = await all("/v1/keys", {}, signal);
-    show(body, keys.map((key) => row(key, mine, refresh)));
+    show(
+      body,
+      keys.map((key) => row(key, mine, refresh)),
+    );
   };
-  const make = h("button", { type: "button", onclick: () => doing(make, async () => (await askForKey()) && refresh()) }, "Make a key");
+  const make = h(
+    "button",
+    { type: "button", onclick: () => doing(make, async () => (await askForKey()) && refresh()) },
+    "Make a key",
+  );
   await refresh();
-  return h("section", { class: "panel", "aria-labelledby": "keys" },
+  return h(
+    "section",
+    { class: "panel", "aria-labelledby": "keys" },
     h("div", { class: "head" }, h("h2", { id: "keys", class: "grow" }, "Keys of this studio"), make),
-    h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {},
-      ["Name", "May", "State", "Last used", "Ends", ""].map((text) => h("th", { scope: "col" }, text || h("span", { class: "unseen" }, "Actions"))))), body)));
+    table(["Name", "May", "State", "Last used", "Ends", "(Actions)"], body),
+  );
 }
 
 function row(key, mine, refresh) {
   const hasEnded = key.revoked_at || (key.expires_at && Date.parse(key.expires_at) < Date.now());
   const act = (words, kind, action) => {
-    const button = h("button", { type: "button", class: kind, onclick: () => doing(button, async () => (await action(key)) && refresh()) },
-      words, h("span", { class: "unseen" }, ` ${key.name}`));
+    const button = h(
+      "button",
+      {
+        type: "button",
+        class: kind,
+        onclick: () => doing(button, async () => (await action(key)) && refresh()),
+      },
+      words,
+      h("span", { class: "unseen" }, ` ${key.name}`),
+    );
     return button;
   };
-  return h("tr", {},
-    h("th", { scope: "row" }, key.name, h("div", { class: "fine" }, key.id, key.id === mine ? ", this tab's" : "")),
+  return h(
+    "tr",
+    {},
+    h(
+      "th",
+      { scope: "row" },
+      key.name,
+      h("div", { class: "fine" }, key.id, key.id === mine ? ", this tab's" : ""),
+    ),
     h("td", {}, key.scopes.join(", ")),
-    h("td", { class: "tight" }, hasEnded ? state("canceled", key.revoked_at ? "Revoked" : "Expired") : state("ok", "Works")),
+    h(
+      "td",
+      { class: "tight" },
+      hasEnded ? state("canceled", key.revoked_at ? "Revoked" : "Expired") : state("ok", "Works"),
+    ),
     h("td", { class: "tight" }, key.last_used_at ? when(key.last_used_at) : "never"),
     h("td", { class: "tight" }, key.expires_at ? when(key.expires_at) : "never"),
-    h("td", { class: "tight" }, !hasEnded && h("div", { class: "row end" }, act("Replace", null, replace), act("Revoke", "plain danger", revoke))));
+    h(
+      "td",
+      { class: "tight" },
+      !hasEnded &&
+        h("div", { class: "row end" }, act("Replace", null, replace), act("Revoke", "plain danger", revoke)),
+    ),
+  );
 }
 
 async function askForKey() {
-  const name = h("input", { type: "text", required: true, maxlength: 200, autocomplete: "off", placeholder: "capture station 2" });
+  const name = h("input", {
+    type: "text",
+    required: true,
+    maxlength: 200,
+    autocomplete: "off",
+    placeholder: "capture station 2",
+  });
   const ends = h("input", { type: "date", min: new Date().toISOString().slice(0, 10) });
   const boxes = Object.entries(SCOPES).map(([scope, words]) => {
     const box = h("input", { type: "checkbox", value: scope });
@@ -64,11 +105,15 @@ async function askForKey() {
       h("label", { class: "field" }, h("span", {}, "Ends after (empty: never)"), ends),
     ],
     agree: "Make it",
-    act: () => post("/v1/keys", {
-      name: name.value,
-      scopes: boxes.map((label) => label.querySelector("input")).filter(({ checked }) => checked).map(({ value }) => value),
-      expires_at: ends.value ? new Date(`${ends.value}T23:59:59`).toISOString() : null,
-    }),
+    act: () =>
+      post("/v1/keys", {
+        name: name.value,
+        scopes: boxes
+          .map((label) => label.querySelector("input"))
+          .filter(({ checked }) => checked)
+          .map(({ value }) => value),
+        expires_at: ends.value ? new Date(`${ends.value}T23:59:59`).toISOString() : null,
+      }),
   });
   return made && tell(made);
 }
@@ -98,7 +143,14 @@ function revoke(key) {
 
 /** Show a new key's text, the only time that it is told. */
 async function tell({ name, key }) {
-  const text = h("input", { type: "text", readonly: true, value: key, "aria-label": `The key ${name}`, class: "mono", onfocus: () => text.select() });
+  const text = h("input", {
+    type: "text",
+    readonly: true,
+    value: key,
+    "aria-label": `The key ${name}`,
+    class: "mono",
+    onfocus: () => text.select(),
+  });
   await ask({
     title: `The key ${name}`,
     body: [h("p", {}, "Copy it now: it is not shown again."), text],

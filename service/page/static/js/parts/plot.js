@@ -18,16 +18,26 @@ export function plot(points, { title, unit, width }) {
   const ys = drawn.map(({ y }) => y);
   const x = scale(drawn[0].x, drawn.at(-1).x, box.left, box.right);
   const y = vertical(Math.min(...ys), Math.max(...ys), box);
-  const path = drawn.map((point, i) => `${i ? "L" : "M"}${x(point.x).toFixed(1)} ${y.at(point.y).toFixed(1)}`).join("");
+  const path = drawn
+    .map((point, i) => `${i ? "L" : "M"}${x(point.x).toFixed(1)} ${y.at(point.y).toFixed(1)}`)
+    .join("");
   const last = drawn.at(-1);
   const words = `from ${figure(ys[0])} to ${figure(last.y)}${unit ? ` ${unit}` : ""} in ${drawn.length} reports`;
   const { rem } = box;
-  return h("figure", { class: "plot" },
+  return h(
+    "figure",
+    { class: "plot" },
     h("figcaption", {}, h("strong", {}, title), h("span", { class: "fine" }, words)),
-    svg("svg", { width, height: box.height, role: "img", "aria-label": `${title}: ${words}` },
+    svg(
+      "svg",
+      { width, height: box.height, role: "img", "aria-label": `${title}: ${words}` },
       y.ticks.map((value) => [
         svg("line", { class: "grid", x1: box.left, x2: box.right, y1: y.at(value), y2: y.at(value) }),
-        svg("text", { x: box.left - 0.5 * rem, y: y.at(value) + 0.3 * rem, "text-anchor": "end" }, figure(value)),
+        svg(
+          "text",
+          { x: box.left - 0.5 * rem, y: y.at(value) + 0.3 * rem, "text-anchor": "end" },
+          figure(value),
+        ),
       ]),
       phases(drawn).map(({ phase, from }) => [
         svg("line", { class: "phase", x1: x(from), x2: x(from), y1: box.top - 0.4 * rem, y2: box.bottom }),
@@ -36,14 +46,23 @@ export function plot(points, { title, unit, width }) {
       svg("text", { x: box.left, y: box.height - 0.5 * rem }, `report ${drawn[0].x}`),
       svg("text", { x: box.right, y: box.height - 0.5 * rem, "text-anchor": "end" }, `${last.x}`),
       svg("path", { class: "curve", d: path }),
-      svg("circle", { class: "end", cx: x(last.x), cy: y.at(last.y), r: 0.28 * rem })));
+      svg("circle", { class: "end", cx: x(last.x), cy: y.at(last.y), r: 0.28 * rem }),
+    ),
+  );
 }
 
 /** Return where the curve goes in a figure of a width, with room for labels in the text's size. */
 function room(width) {
   const rem = parseFloat(getComputedStyle(document.documentElement).fontSize);
   const height = 14 * rem;
-  return { rem, height, left: 3.7 * rem, right: width - 0.6 * rem, top: 1.5 * rem, bottom: height - 2.1 * rem };
+  return {
+    rem,
+    height,
+    left: 3.7 * rem,
+    right: width - 0.6 * rem,
+    top: 1.5 * rem,
+    bottom: height - 2.1 * rem,
+  };
 }
 
 function scale(from, to, low, high) {

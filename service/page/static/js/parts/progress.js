@@ -15,11 +15,17 @@ export class Progress {
   constructor() {
     this.attempts = new Map();
     this.curves = h("div", { class: "curves" });
-    new ResizeObserver(() => this.curves.clientWidth !== this.drawnFor && this.drawSoon()).observe(this.curves);
+    new ResizeObserver(() => this.curves.clientWidth !== this.drawnFor && this.drawSoon()).observe(
+      this.curves,
+    );
     this.choice = h("select", { onchange: () => this.draw() });
     this.choose = h("label", { class: "row", hidden: true }, "Attempt", this.choice);
-    this.element = h("section", { class: "panel", "aria-labelledby": "convergence", hidden: true },
-      h("div", { class: "head" }, h("h2", { id: "convergence", class: "grow" }, "Convergence"), this.choose), this.curves);
+    this.element = h(
+      "section",
+      { class: "panel", "aria-labelledby": "convergence", hidden: true },
+      h("div", { class: "head" }, h("h2", { id: "convergence", class: "grow" }, "Convergence"), this.choose),
+      this.curves,
+    );
   }
 
   /** Take a report. */
@@ -43,13 +49,22 @@ export class Progress {
   draw() {
     this.timer = null;
     const reports = this.attempts.get(Number(this.choice.value)) ?? [];
-    const curves = CURVES.filter(({ key }) => reports.filter((report) => Number.isFinite(report[key])).length > 1);
+    const curves = CURVES.filter(
+      ({ key }) => reports.filter((report) => Number.isFinite(report[key])).length > 1,
+    );
     this.element.hidden = !curves.length;
     this.drawnFor = this.curves.clientWidth;
     const width = this.widthOf(curves.length);
     if (!width) return; // not in the page: its size will be told when it is
-    show(this.curves, curves.map(({ key, ...words }) =>
-      plot(reports.map((report) => ({ x: report.x, y: report[key], phase: report.phase })), { ...words, width })));
+    show(
+      this.curves,
+      curves.map(({ key, ...words }) =>
+        plot(
+          reports.map((report) => ({ x: report.x, y: report[key], phase: report.phase })),
+          { ...words, width },
+        ),
+      ),
+    );
   }
 
   /** Return how wide a curve can be in pixels: side by side where there is room. */

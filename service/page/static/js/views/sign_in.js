@@ -24,12 +24,27 @@ export async function mount(root, _params, query) {
 async function showAccount(root, signal) {
   const me = await get("/v1/me", {}, signal);
   root.append(
-    h("div", { class: "head" }, h("h1", { class: "grow" }, "Key"),
-      h("button", { type: "button", onclick: leave }, "Sign out")),
-    h("section", { class: "panel", "aria-label": "This key" }, h("dl", { class: "facts" },
-      h("dt", {}, "Studio"), h("dd", {}, me.tenant),
-      h("dt", {}, "Key"), h("dd", {}, h("code", {}, me.key_id)),
-      h("dt", {}, "It may"), h("dd", {}, me.scopes.join(", ")))));
+    h(
+      "div",
+      { class: "head" },
+      h("h1", { class: "grow" }, "Key"),
+      h("button", { type: "button", onclick: leave }, "Sign out"),
+    ),
+    h(
+      "section",
+      { class: "panel", "aria-label": "This key" },
+      h(
+        "dl",
+        { class: "facts" },
+        h("dt", {}, "Studio"),
+        h("dd", {}, me.tenant),
+        h("dt", {}, "Key"),
+        h("dd", {}, h("code", {}, me.key_id)),
+        h("dt", {}, "It may"),
+        h("dd", {}, me.scopes.join(", ")),
+      ),
+    ),
+  );
   if (me.scopes.includes("admin")) root.append(await keyPanel(me.key_id, signal));
 }
 
@@ -40,13 +55,31 @@ function leave() {
 
 function showForm(root, next, why) {
   const fault = h("div", { class: "notice bad", role: "alert", hidden: !why }, h("p", {}, why ?? ""));
-  const key = h("input", { type: "password", id: "key", required: true, autocomplete: "off", spellcheck: "false" });
+  const key = h("input", {
+    type: "password",
+    id: "key",
+    required: true,
+    autocomplete: "off",
+    spellcheck: "false",
+  });
   const enter = h("button", { class: "main" }, "Sign in");
-  const form = h("form", { class: "panel stack narrow", onsubmit: submit },
-    h("div", { class: "field" }, h("label", { for: "key" }, "API key"), key,
-      h("span", { class: "fine" }, "It stays in this tab and is forgotten when the tab is closed. "
-        + "The service's first start leaves one in the file admin.key in its data folder.")),
-    h("div", { class: "row" }, enter));
+  const form = h(
+    "form",
+    { class: "panel stack narrow", onsubmit: submit },
+    h(
+      "div",
+      { class: "field" },
+      h("label", { for: "key" }, "API key"),
+      key,
+      h(
+        "span",
+        { class: "fine" },
+        "It stays in this tab and is forgotten when the tab is closed. " +
+          "The service's first start leaves one in the file admin.key in its data folder.",
+      ),
+    ),
+    h("div", { class: "row" }, enter),
+  );
   show(root, h("h1", {}, "Sign in"), fault, form);
   key.focus();
 
