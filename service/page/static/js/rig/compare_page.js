@@ -145,6 +145,7 @@ export class ComparePage extends EventTarget {
   #settleSoon() {
     clearTimeout(this.#settling);
     this.#settling = setTimeout(() => {
+      if (this.#isStale) this.#box.stage.draw(); // what is said is what is drawn
       this.#box.describe(summary(this.state, { heats: this.#heats(), take: null }));
       this.dispatchEvent(new Event("change"));
     }, SETTLED_MS);

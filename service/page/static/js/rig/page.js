@@ -204,6 +204,7 @@ export class RigPage extends EventTarget {
 
   /** Say and keep what is shown, once the controls rest. */
   #settle() {
+    if (this.#isStale) this.#box.stage.draw(); // what is said is what is drawn
     this.#box.describe(summary(this.state, { heats: this.#heat ? [this.#heat] : [], take: this.#shownTake }));
     this.dispatchEvent(new Event("change"));
   }
