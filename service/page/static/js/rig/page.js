@@ -51,11 +51,11 @@ export class RigPage extends EventTarget {
     this.#rig = rig;
     this.#face = face;
     this.#signal = signal;
-    this.state = { ...state, expressions: new Map([...state.expressions].filter(([name]) => face.names.includes(name))) };
+    this.state = possible(state, face, this.#has(INSIDE));
     this.#figure = new Figure(this.#box.stage, face);
     const change = (patch) => this.change(patch);
     const look = new LookBar({
-      heats: face.hasScans ? [DISTANCE, MOTION] : [MOTION],
+      heats: heatsOf(face),
       hasScans: face.hasScans,
       hasInside: this.#has(INSIDE),
       box: this.#figure.box,
@@ -77,8 +77,8 @@ export class RigPage extends EventTarget {
       { name: "muscles", title: "Muscles", element: this.#muscles.element },
       { name: "takes", title: "Sequences", element: this.#takes.element },
     ]);
-    if (state.controls.size) poses.open("muscles");
-    if (state.take) poses.open("takes");
+    if (this.state.controls.size) poses.open("muscles");
+    if (this.state.take) poses.open("takes");
     this.#box.overlay(this.#legend.element);
     this.element = h("div", { class: "rig" },
       look.element,
@@ -204,6 +204,7 @@ export class RigPage extends EventTarget {
 
   /** Say and keep what is shown, once the controls rest. */
   #settle() {
+    if (this.#isStale) this.#box.stage.draw(); // what is said is what is drawn
     this.#box.describe(summary(this.state, { heats: this.#heat ? [this.#heat] : [], take: this.#shownTake }));
     this.dispatchEvent(new Event("change"));
   }
@@ -230,6 +231,8 @@ export class RigPage extends EventTarget {
       await this.#read(PREVIEW, (buffer) => {
         this.#preview = new Preview(buffer);
         this.#muscles.setPreview(this.#preview);
+        const names = this.#preview.controls.map(({ name }) => name);
+        this.state = { ...this.state, controls: among(this.state.controls, names) };
       });
     } else this.#muscles.setMissing(await missingPreview(this.#rig, this.#signal));
     this.#update();
@@ -237,9 +240,10 @@ export class RigPage extends EventTarget {
 
   async #readTake(job) {
     const take = await this.#takes.load(job);
-    if (!take || this.#take?.job === job) return;
+    if (!take || this.#take?.job === job || this.state.take?.job !== job) return;
     this.#take = { job, take };
-    this.#update();
+    const frame = Math.min(this.state.take.frame, take.frames - 1);
+    this.change({ take: { job, frame } });
   }
 
   #has(name) {
@@ -279,4 +283,25 @@ export class RigPage extends EventTarget {
   #fail(error) {
     if (!this.#signal.aborted) this.#box.say(sentence(error));
   }
+}
+
+function heatsOf(face) {
+  return face.hasScans ? [DISTANCE, MOTION] : [MOTION];
+}
+
+/** Return what of a state, as an address may ask for it, this rig can show. */
+function possible(state, face, hasInside) {
+  return {
+    ...state,
+    expressions: among(state.expressions, face.names),
+    heat: heatsOf(face).some(([of]) => of === state.heat?.of) ? state.heat : null,
+    scan: face.hasScans ? state.scan : null,
+    inside: hasInside && state.inside,
+    muscle: face.muscles.includes(state.muscle) ? state.muscle : null,
+    section: hasInside ? state.section : null,
+  };
+}
+
+function among(values, names) {
+  return new Map([...values].filter(([name]) => names.includes(name)));
 }
