@@ -15,6 +15,7 @@ import pytest
 from sqlalchemy import insert, select, update
 from tests.integration.test_service_postgres import url as postgres  # noqa: F401 (a fixture)
 
+from service.settings import Settings
 from service.store import jobs, sweep
 from service.store.claims import Abilities, claim_next
 from service.store.database import clock
@@ -26,14 +27,11 @@ from service.store.transitions import State
 ANYTHING = Abilities("w", frozenset({"build_model", "register_scan"}), memory_mb=8192, threads=1)
 
 
-@pytest.fixture(params=["sqlite", "postgres"])
-def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
     """A store whose tables have no job yet."""
-    if request.param == "sqlite":
-        url = f"sqlite:///{tmp_path / 'db'}"
-    else:
-        url = request.getfixturevalue("postgres").replace("postgresql://", "postgresql+psycopg://")
-    store = Store(url, tmp_path / "files", f"redis+socket://{tmp_path}/nobody")
+    settings = Settings(data_dir=tmp_path)
+    store = Store(settings.database, settings.files, f"redis+socket://{tmp_path}/nobody")
     store.database.migrate()
     with store.write() as session:
         session.execute(Subject.__table__.delete())
