@@ -7,6 +7,7 @@ from contextlib import suppress
 from datetime import datetime, timedelta
 
 from sqlalchemy import select
+from sqlalchemy.orm import Session
 
 from service.store.files import Files, Stored
 from service.store.models import (
@@ -54,13 +55,18 @@ def collect(store: Store, age: float) -> int:
 
 def referenced_files(store: Store) -> set[str]:
     """Return the sha256 of the files that rows refer to, and that jobs still read."""
-    found: set[str] = set()
     with store.read() as session:
-        for column in REFERRING:
-            found.update(filter(None, session.scalars(select(column).distinct())))
-        active = select(Job.inputs).where(Job.state.not_in(FINAL))
-        for inputs in session.scalars(active):
-            found.update(item["sha256"] for item in inputs)
+        return references(session)
+
+
+def references(session: Session) -> set[str]:
+    """Return the sha256 of the files that the rows of a session refer to."""
+    found: set[str] = set()
+    for column in REFERRING:
+        found.update(filter(None, session.scalars(select(column).distinct())))
+    active = select(Job.inputs).where(Job.state.not_in(FINAL))
+    for inputs in session.scalars(active):
+        found.update(item["sha256"] for item in inputs)
     return found
 
 

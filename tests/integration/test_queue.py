@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from sqlalchemy import insert, select, update
 
+from service.settings import Settings
 from service.store import jobs, sweep
 from service.store.claims import Abilities, claim_next
 from service.store.database import clock
@@ -21,31 +22,15 @@ from service.store.models import Attempt, Event, Job, Subject, Tenant, now
 from service.store.positions import positions
 from service.store.store import WAKE, Store
 from service.store.transitions import State
-from tests.servers import UnavailableError, required
-from tests.servers import postgres as server
 
 ANYTHING = Abilities("w", frozenset({"build_model", "register_scan"}), memory_mb=8192, threads=1)
 
 
-@pytest.fixture(scope="module")
-def postgres() -> Iterator[str]:
-    try:
-        with server.postgres() as url:
-            yield url
-    except UnavailableError as error:
-        if required():
-            raise
-        pytest.skip(str(error))
-
-
-@pytest.fixture(params=["sqlite", "postgres"])
-def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
     """A store whose tables have no job yet."""
-    if request.param == "sqlite":
-        url = f"sqlite:///{tmp_path / 'db'}"
-    else:
-        url = request.getfixturevalue("postgres").replace("postgresql://", "postgresql+psycopg://")
-    store = Store(url, tmp_path / "files", f"redis+socket://{tmp_path}/nobody")
+    settings = Settings(data_dir=tmp_path)
+    store = Store(settings.database, settings.files, f"redis+socket://{tmp_path}/nobody")
     store.database.migrate()
     with store.write() as session:
         session.execute(Subject.__table__.delete())
