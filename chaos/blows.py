@@ -19,16 +19,17 @@ PAUSE = 6.0
 
 
 def kill_worker(stage: Stage) -> bool:
-    """Kill a worker, whatever it is at."""
-    names = stage.workers()
-    return stage.nobody_is_on_the_last_try() and _signal(stage.dice.choice(names), signal.SIGKILL)
+    """Kill a worker, one that is at a job if there is one."""
+    if not stage.nobody_is_on_the_last_try():
+        return False
+    stage.until(stage.running, seconds=5)
+    busy = [job.lease_owner for job in stage.running() if job.lease_owner]
+    return _signal(stage.dice.choice(busy or stage.workers()), signal.SIGKILL)
 
 
 def kill_solver(stage: Stage) -> bool:
     """Kill the processes of a solver at work."""
-    if not stage.nobody_is_on_the_last_try() or not stage.until(stage.running):
-        return False
-    job = stage.dice.choice(stage.running() or [None])
+    job = _target(stage)
     if job is None:
         return False
     marked = f"{job.id}.{job.attempt}"
@@ -64,9 +65,7 @@ def pause_broker(stage: Stage) -> bool:
 
 def freeze_worker(stage: Stage) -> bool:
     """Stop a worker until its job is somebody else's, then let it go on."""
-    if not stage.nobody_is_on_the_last_try() or not stage.until(stage.running):
-        return False
-    job = stage.dice.choice(stage.running() or [None])
+    job = _target(stage)
     if job is None or job.lease_owner is None:
         return False
     _signal(job.lease_owner, signal.SIGSTOP)
@@ -83,10 +82,11 @@ def fill_disk(stage: Stage) -> bool:
     if stage.disk is None:
         stage.disk_not_here = True
         return False
+    stage.submit(len(stage.good) + 2)
     before = _put_off(stage)
     stage.disk.fill()
     try:
-        return stage.until(lambda: _put_off(stage) > before, seconds=10)
+        return stage.until(lambda: _put_off(stage) > before, seconds=15)
     finally:
         stage.disk.clear()
 
@@ -95,6 +95,7 @@ def two_sweepers(stage: Stage) -> bool:
     """Stop the sweeper until another has its office, then let it go on beside that one."""
     if not stage.nobody_is_on_the_last_try():
         return False
+    stage.until(lambda: _lives(_sweeper(stage)), seconds=10)
     holder = _sweeper(stage)
     if holder is None or not _signal(holder, signal.SIGSTOP):
         return False
@@ -116,6 +117,13 @@ BLOWS: dict[str, Callable[[Stage], bool]] = {
 }
 
 
+def _target(stage: Stage) -> Job | None:
+    """Return a good job at work that can afford to lose an attempt."""
+    if not stage.nobody_is_on_the_last_try() or not stage.until(stage.running, seconds=10):
+        return None
+    return stage.dice.choice(stage.running() or [None])
+
+
 def _is_held(stage: Stage, job: Job) -> bool:
     with stage.store.read() as session:
         now = session.get(Job, job.id)
@@ -130,6 +138,10 @@ def _put_off(stage: Stage) -> int:
 def _sweeper(stage: Stage) -> str | None:
     with stage.store.read() as session:
         return session.scalar(select(Lease.holder).where(Lease.office == "sweeper"))
+
+
+def _lives(worker: str | None) -> bool:
+    return worker is not None and _signal(worker, 0)
 
 
 def _signal(worker: str, number: int) -> bool:

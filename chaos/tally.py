@@ -106,7 +106,7 @@ class Tally:
         # a file is put aside first and removed by the next round
         collected = sum(garbage.collect(stage.store, 0) for _ in range(2))
         wanted = garbage.referenced_files(stage.store)
-        there = {path.name for path in stage.stack.settings.files.glob("??/*")}
+        there = {path.name for path in (stage.stack.settings.data_dir / "files").glob("??/*")}
         self._check("files of lost attempts collected", collected, fine=True)
         self._check("orphan files", len(there - wanted), there <= wanted)
         self._check("files missing", len(wanted - there), wanted <= there)

@@ -6,7 +6,8 @@ It is asked again and again, so any API process can answer, whichever worker wro
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Sequence
+import time
+from collections.abc import AsyncIterator, Sequence, Set
 from dataclasses import dataclass, field
 
 import structlog
@@ -14,11 +15,14 @@ from anyio import to_thread
 from sqlalchemy import and_, or_, select
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.store.models import Event, Job
+from service.store.database import clock
+from service.store.models import ApiKey, Event, Job
 from service.store.store import Store
 from service.store.transitions import FINAL, State
 
 PAUSE = 0.3
+LOOK_AT_KEYS_EVERY = 10.0
+"""Seconds after which a revoked key no longer sees anything."""
 MOST_AT_ONCE = 1000
 """So many events are read ahead for one who takes them slowly."""
 MOST_WATCHERS_AT_ONCE = 200
@@ -33,6 +37,7 @@ class _Watcher:
 
     job_id: str
     after: int
+    key_id: str
     news: asyncio.Queue[Event | None] = field(default_factory=asyncio.Queue)
 
 
@@ -42,11 +47,15 @@ class Feed:
     def __init__(self, store: Store) -> None:
         self._store = store
         self._watchers: set[_Watcher] = set()
+        self._keys_seen = time.monotonic()
         self._task: asyncio.Task[None] | None = None
 
-    async def follow(self, job_id: str, after: int) -> AsyncIterator[Event]:
-        """Give a job's events after the event ``after``, until it is over or deleted."""
-        watcher = _Watcher(job_id, after)
+    async def follow(self, job_id: str, after: int, key_id: str) -> AsyncIterator[Event]:
+        """Give a job's events after the event ``after``, until it is over or deleted.
+
+        It also ends when the key with which it is followed is revoked or has expired.
+        """
+        watcher = _Watcher(job_id, after, key_id)
         self._watchers.add(watcher)
         if self._task is None or self._task.done():
             self._task = asyncio.create_task(self._serve())
@@ -72,7 +81,29 @@ class Feed:
                     continue
                 is_behind |= len(events) == MOST_AT_ONCE
                 _tell(some, over, events)
+            await self._look_at_keys()
             await asyncio.sleep(0 if is_behind else PAUSE)
+
+    async def _look_at_keys(self) -> None:
+        if time.monotonic() - self._keys_seen < LOOK_AT_KEYS_EVERY:
+            return
+        self._keys_seen = time.monotonic()
+        watchers = list(self._watchers)
+        try:
+            valid = await to_thread.run_sync(self._valid, {each.key_id for each in watchers})
+        except SQLAlchemyError as error:
+            log.warning("database.unreachable", error=str(error))
+            return
+        for watcher in watchers:
+            if watcher.key_id not in valid:
+                watcher.news.put_nowait(None)
+
+    def _valid(self, key_ids: Set[str]) -> Set[str]:
+        with self._store.read() as session:
+            moment = clock(session)
+            ends = (ApiKey.revoked_at, ApiKey.expires_at)
+            holds = [or_(end.is_(None), end > moment) for end in ends]
+            return set(session.scalars(select(ApiKey.id).where(ApiKey.id.in_(key_ids), *holds)))
 
     def _read(self, watchers: Sequence[_Watcher]) -> tuple[set[str], Sequence[Event]]:
         """Return which jobs are over or deleted, and the next events.

@@ -10,7 +10,7 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
-from service.access.principal import Writer
+from service.access.principal import Reader, Writer
 from service.audit.record import record
 from service.dependencies import (
     Cursor,
@@ -160,13 +160,14 @@ FeedDep = Annotated[Feed, Depends(_feed)]
 async def events(
     job_id: ExistingJob,
     feed: FeedDep,
+    who: Reader,
     last_event_id: Annotated[Position, Header(description="go on after this event")] = 0,
 ) -> AsyncIterator[ServerSentEvent]:
     """Server-sent events: `state` (state, attempt, error) and `progress`, from the beginning.
 
     The stream ends after a final state.
     """
-    async for event in feed.follow(job_id, last_event_id):
+    async for event in feed.follow(job_id, last_event_id, who.key_id):
         yield ServerSentEvent(id=str(event.id), event=event.kind, data=event.data)
 
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
 
 import pytest
+from sqlalchemy import update
 
+from service.jobs import following
 from service.settings import Settings
 from service.store import jobs
-from service.store.models import Event, LogLine, now
+from service.store.models import ApiKey, Event, LogLine, now
 from tests.service_client import Studio, served
 from worker.abilities import abilities, show_life
 from worker.process import MOST_LINES_KEPT, SolverProcess
@@ -99,6 +102,21 @@ def test_watchers_of_many_jobs_are_all_told(studio: Studio) -> None:
         states = [data["state"] for _, kind, data in story if kind == "state"]
         assert states == ["queued", "canceled"]
         assert studio.events(job, after=story[-1][0]) == []
+
+
+def test_a_revoked_key_sees_no_more(studio: Studio, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(following, "LOOK_AT_KEYS_EVERY", 0.0)
+    job = studio.submit("build_model", studio.subject())
+    store = studio.http.app.state.store  # type: ignore[attr-defined]
+
+    def revoke() -> None:
+        with store.write() as session:
+            session.execute(update(ApiKey).values(revoked_at=now()))
+
+    later = threading.Timer(1, revoke)
+    later.start()
+    assert [data["state"] for _, _, data in studio.events(job)] == ["queued"]
+    later.join()
 
 
 def test_workers_say_what_they_can_do(studio: Studio) -> None:
