@@ -1,12 +1,12 @@
 # Every target sets up what it needs by itself; `make help` lists them.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all check up lock servers setup setup-dev clean
+.PHONY: help demo test test-all check chaos load two-hosts compose-check up lock servers setup setup-dev clean
 
 BIN := .venv/bin
 TESTS := $(BIN)/python -m pytest
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 demo: setup ## the whole product on the built-in face: scans in over HTTP, a fitted rig and a report out
 	@$(BIN)/myoface demo
@@ -17,6 +17,18 @@ test: check servers ## the checks, the fast tests and one end-to-end run (under 
 test-all: check servers ## every test there is, the slow ones too
 	@scripts/blender-venv || echo "no Blender here: its tests skip"
 	@$(TESTS)
+
+chaos: setup-dev ## 60 jobs while workers, solvers and broker are killed, frozen and starved; prints the tally
+	@$(BIN)/python -m chaos
+
+load: setup-dev ## eight stations upload and look on while two workers fit; prints how long the API takes
+	@$(BIN)/python -m load
+
+two-hosts: setup-dev servers ## workers on another host, and a link that breaks (network namespaces)
+	@$(BIN)/python -m two_hosts
+
+compose-check: setup-dev servers ## docker-compose.yml: valid, and every command in it run by hand
+	@$(BIN)/python -m deploy.check
 
 check: setup-dev ## style, types and the rooms' import rules
 	@$(BIN)/ruff check

@@ -14,6 +14,10 @@ from service.http.deadline import protocol
 from service.parent import die_with_parent
 from service.settings import Settings
 
+KEEP_ALIVE = 130
+"""Seconds for which an idle connection stays open: longer than a proxy in front keeps it (Caddy: two
+minutes), else a request meets with a connection that is being closed."""
+
 
 def main() -> None:
     """Serve until interrupted."""
@@ -33,6 +37,7 @@ def main() -> None:
         http=protocol(settings.receive_timeout),
         log_config=None,
         access_log=False,
+        timeout_keep_alive=KEEP_ALIVE,
         timeout_graceful_shutdown=3,
     )
 

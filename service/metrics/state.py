@@ -22,8 +22,9 @@ from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from service.settings import Settings
 from service.store.database import clock
-from service.store.models import Artifact, Attempt, Capture, Job, Lease
-from service.store.queue import QUEUES
+from service.store.models import Artifact, Attempt, Capture, Delivery, Job, Lease
+from service.store.outbox import PENDING
+from service.store.queue import QUEUES, WEBHOOKS
 from service.store.store import Store
 from service.store.sweep import SWEEPER
 from service.store.transitions import FINAL, HELD, State
@@ -66,7 +67,7 @@ class StateCollector(Collector):
         yield GaugeMetricFamily("myoface_up", "Whether all parts answer", value=state.ready)
         parts = {name: verdict == "ok" for name, verdict in state.checks.items()}
         yield _gauge("myoface_part_ready", "Whether a part answers", "part", parts)
-        workers = dict.fromkeys(QUEUES, 0) | state.workers
+        workers = dict.fromkeys((*QUEUES, WEBHOOKS), 0) | state.workers
         yield _gauge("myoface_workers", "Living workers", "queue", workers)
 
     def _tables(self) -> Iterator[Metric]:
@@ -133,6 +134,9 @@ def _stuck(session: Session, moment: datetime, settings: Settings) -> Iterator[M
     longest = max(((moment - at).total_seconds() for at in asked), default=0.0)
     text = "How long the oldest cancel has waited for its solver to stop"
     yield GaugeMetricFamily("myoface_canceling_oldest_seconds", text, value=longest)
+    pending = session.scalar(select(func.count()).where(Delivery.state == PENDING))
+    text = "Webhook deliveries that no receiver has taken yet"
+    yield GaugeMetricFamily("myoface_deliveries_pending", text, value=pending or 0)
     until = session.scalar(select(Lease.until).where(Lease.office == SWEEPER))
     if until is not None:
         last = until - timedelta(seconds=3 * settings.sweep)

@@ -39,6 +39,7 @@ def test_queues_and_what_is_stuck(tmp_path: Path) -> None:
         assert empty["myoface_jobs"]["short", "queued"] == 0
         assert empty["myoface_part_ready"]["database",] == 1
         assert empty["myoface_workers"]["long",] == 0
+        assert empty["myoface_deliveries_pending"][()] == 0
         subject = studio.subject()
         job_id = studio.submit("build_model", subject)
         busy = _read(studio)
