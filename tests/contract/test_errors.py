@@ -16,7 +16,7 @@ RAISED = {"Problem": 1, "InputError": 0, "SolveError": 0, "Refused": 0, "Unreach
 HELPERS = {"unauthorized": 0, "_check_format": 1}
 MADE_OF_PARTS = ("http.", "live_link.", "options.", "template.", "model.", "capture.format")
 """Codes that the source puts together, or passes on."""
-STATUS = {"CHECKSUM_MISMATCH": "460", "refusal": "400, 416"}
+STATUS = {"CHECKSUM_MISMATCH": "460"}
 
 
 def _calls() -> Iterator[tuple[str, ast.Call]]:

@@ -36,7 +36,7 @@ def settings(tmp_path_factory: pytest.TempPathFactory) -> Settings:
     return Settings(
         data_dir=tmp_path_factory.mktemp("webhooks"),
         webhook_allow=LOOPBACK,
-        webhook_timeout=1,
+        webhook_timeout=2,
         webhook_schedule=[0.1, 0.1, 0.1],
         webhook_workers=4,
     )
@@ -149,6 +149,28 @@ def test_a_filter_by_event_and_kind(studio: Studio) -> None:
         assert checked["data"]["verdict"] == "usable"
 
 
+def test_the_end_of_a_batch_is_told(studio: Studio) -> None:
+    with receiving() as (port, _):
+        hook = _hook(studio, port, events=["batch.finished"])
+        scans = [
+            {
+                "name": name,
+                "role": "neutral" if name == "neutral" else "expression",
+                "registered": False,
+                "upload_id": studio.upload(f"{name}.obj", f"# {name}".encode()),
+            }
+            for name in ("neutral", "smile")
+        ]
+        batch = studio.post("/v1/batches", subject={"name": "Alex"}, captures=scans)
+        studio.post(f"/v1/batches/{batch['id']}/cancel")
+        [told] = _log(studio, hook)
+        assert told["data"] == {
+            "batch_id": batch["id"],
+            "subject_id": batch["subject_id"],
+            "state": "canceled",
+        }
+
+
 def test_a_receiver_that_fails_is_tried_again_with_the_same_event(
     studio: Studio, settings: Settings
 ) -> None:
@@ -229,7 +251,7 @@ def test_a_receiver_that_fails_for_days_is_switched_off(studio: Studio, settings
 
 def test_dead_receivers_hold_up_nobody(studio: Studio, settings: Settings) -> None:
     def silent(_receiver: Receiver) -> None:
-        time.sleep(3)
+        time.sleep(6)
 
     with receiving(silent) as (dead, _), receiving() as (port, got):
         for _ in range(3):
@@ -252,10 +274,13 @@ def test_several_workers_send_everything_once(studio: Studio, settings: Settings
         for _ in range(30):
             studio.post(f"/v1/webhooks/{hook['id']}/test")
         with delivering(studio, settings), delivering(studio, settings):
-            eventually(lambda: len(got) >= 30, seconds=30)
-            time.sleep(0.6)
+            eventually(
+                lambda: {each["state"] for each in _log(studio, hook)} == {"delivered"}, seconds=60
+            )
+        tries = sum(each["attempt"] for each in _log(studio, hook))
     ids = [headers["webhook-id"] for _, headers, _ in got]
-    assert (len(ids), len(set(ids))) == (30, 30)
+    assert len(set(ids)) == 30
+    assert len(ids) <= tries  # one whose answer came too late is sent again, by one of them
 
 
 def test_a_worker_that_died_has_lost_its_delivery_and_is_fenced(studio: Studio) -> None:
