@@ -16,7 +16,13 @@ from tests.service_client import QUICK, Studio
 
 ROOT = Path(__file__).parents[2]
 CHROMIUM = Path("/usr/bin/chromium")
-FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-background-networking"]
+FLAGS = [
+    "--no-sandbox",
+    "--disable-quic",
+    "--disable-background-networking",
+    "--use-angle=swiftshader",  # the rig view draws with WebGL, here by the processor
+    "--enable-unsafe-swiftshader",
+]
 
 
 @contextmanager

@@ -236,6 +236,47 @@ def test_a_subject_is_worked_with_and_deleted(show: Show, studio: Studio) -> Non
     assert studio.http.get(f"/v1/subjects/{subject_id}").status_code == 404
 
 
+def test_from_a_dropped_scan_set_to_the_rig_and_a_comparison(
+    show: Show, studio: Studio, tmp_path: Path
+) -> None:
+    folder = tmp_path / "session"
+    folder.mkdir()
+    _scan(folder / "neutral.obj")
+    _scan(folder / "smile.obj", seconds="4", view="yes")
+    page = show("/upload")
+    _drop(page, [folder])
+    page.get_by_label("Name of the new subject").fill("Mei, Tuesday")
+    page.get_by_label("The scans are").select_option("registered")
+    page.get_by_role("button", name="Upload 2 scans").click()
+    for name in ("neutral", "smile"):
+        _row(page, f"{name}.obj").locator(".state").get_by_text("Good").wait_for()
+
+    page.get_by_role("link", name="Go to the subject").click()
+    page.get_by_role("button", name="Build the model").click()
+    page.get_by_role("dialog").get_by_role("button", name="Submit").click()
+    page.locator(".head .state").get_by_text("Succeeded").wait_for()
+    rigs = []
+    for _ in range(2):
+        page.get_by_role("link", name="Mei, Tuesday").click()
+        page.get_by_label("Choose smile for a fit").check()
+        page.get_by_role("button", name="Fit 1 expression").click()
+        page.get_by_role("dialog").get_by_role("button", name="Submit").click()
+        page.get_by_role("progressbar", name="Progress").wait_for()
+        page.get_by_role("link", name="Open the rig").click()
+        page.locator("canvas.stage").wait_for()
+        rigs.append(page.url.rsplit("/", 1)[1])
+
+    smile = page.get_by_role("slider", name="Smile")
+    smile.fill("0.5")
+    page.get_by_label("Heat map").select_option("distance")
+    page.locator(".heat-legend").wait_for()
+    eventually(lambda: "e=smile:0.5" in page.url and "heat=" in page.url)
+    page.get_by_role("tab", name="Muscles").click()
+    page.get_by_text(re.compile("approximation: mean .* mm")).wait_for()
+    page.goto(f"{studio.http.base_url}".rstrip("/") + f"/compare?a={rigs[0]}&b={rigs[1]}")
+    page.locator("canvas.stage").wait_for()
+
+
 def test_a_key_is_asked_for_taken_from_the_address_and_forgotten(
     show: Show, studio: Studio
 ) -> None:

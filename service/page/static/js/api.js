@@ -147,7 +147,7 @@ export async function* chunks(stream) {
 }
 
 /** Return a path with a query, without the members that are empty. */
-export function withQuery(path, query) {
+function withQuery(path, query) {
   const given = Object.entries(query).filter(
     ([, value]) => value !== null && value !== undefined && value !== "",
   );

@@ -58,7 +58,7 @@ async function* stream(jobId, after, signal) {
 }
 
 /** Read the text format of server-sent events from a stream of bytes. */
-export async function* parsed(body, heard = () => {}) {
+async function* parsed(body, heard) {
   const decoder = new TextDecoder();
   let text = "";
   for await (const part of chunks(body)) {

@@ -12,7 +12,7 @@
 
 const RIG_STYLE = "/static/css/rig.css";
 
-export const ROUTES = [
+const ROUTES = [
   { path: "/", title: "Queue", load: () => import("./views/queue.js") },
   { path: "/upload", title: "Upload", load: () => import("./views/upload.js") },
   { path: "/subjects", title: "Subjects", load: () => import("./views/subjects.js") },

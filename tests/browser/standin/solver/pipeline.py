@@ -1,7 +1,7 @@
 """A pipeline that solves nothing, but tells its progress and leaves pictures as the real one does.
 
 A scan's lines ``#! key value`` say what happens: ``seconds`` to take, ``verdict`` to get, ``fault``
-to have.
+to have, ``view`` for a rig that can be looked at.
 """
 
 import json
@@ -59,6 +59,10 @@ def fit_geometry(model, captures, out, *, options=None, progress):
     (out / "activations.npz").write_text("{}")
     (out / "muscle_weights.npz").write_bytes(b"S")
     report = {"expressions": {name: {} for name in captures}, "train_mean_mm": 0.42}
+    if any("view" in _orders(scan) for scan in captures.values()):
+        from tests.browser.sample_rig import write_sample  # needs seconds, so only here
+
+        report |= write_sample(out).summary()
     (out / "report.json").write_text(json.dumps(report))
     (out / "report.html").write_text("<!doctype html><title>Report</title><h1>Report</h1>")
 

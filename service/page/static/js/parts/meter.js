@@ -29,7 +29,7 @@ export function step(progress) {
 }
 
 /** Say how long a running job will take, going by how long the part behind it took. */
-export function remaining(job) {
+function remaining(job) {
   const fraction = job.progress?.fraction ?? 0;
   const started = job.attempts.at(-1)?.started_at;
   if (job.state !== "running" || !started) return "";
