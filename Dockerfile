@@ -25,4 +25,8 @@ ENV PATH=/opt/myoface/bin:$PATH \
     MYOFACE_LOG_JSON=true
 USER myoface
 VOLUME /data
+EXPOSE 8765
+# Of the API; a worker shows its life in the table of workers (GET /v1/workers, /metrics).
+HEALTHCHECK --interval=10s --timeout=5s --start-period=30s CMD \
+    ["python", "-c", "import httpx; httpx.get('http://127.0.0.1:8765/readyz').raise_for_status()"]
 CMD ["python", "-m", "service"]

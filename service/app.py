@@ -9,17 +9,20 @@ from importlib.metadata import PackageNotFoundError, version
 from anyio import to_thread
 from fastapi import FastAPI
 
-from service import errors, http
+from service import errors, http, metrics
 from service.access import bootstrap
 from service.access.keys import Keyring
 from service.access.rates import RateHeaders, Rates
 from service.access.signed import Signer
 from service.audit.routes import router as audit
+from service.batches.advance import Advancer
+from service.batches.routes import router as batches
 from service.captures.routes import router as captures
 from service.deletions.routes import router as deletions
 from service.jobs.following import Feed
 from service.jobs.routes import router as jobs
 from service.keys.routes import router as keys
+from service.metrics.routes import router as metrics_router
 from service.outbound.client import Sender
 from service.page.routes import router as page
 from service.rigs.routes import router as rigs
@@ -45,6 +48,7 @@ TAGS = [
     {"name": "uploads", "description": "Resumable, checksummed (tus 1.0)."},
     {"name": "subjects", "description": "The people."},
     {"name": "captures", "description": "A subject's named scans."},
+    {"name": "batches", "description": "All scans of a session in one call."},
     {"name": "templates", "description": "Anatomies that a studio brings."},
     {"name": "jobs", "description": "The work: submit, watch, cancel."},
     {"name": "rigs", "description": "The results and their files."},
@@ -68,7 +72,10 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         await to_thread.run_sync(bootstrap.prepare, store, keyring, settings)
+        advancer = Advancer(store, settings)
+        advancer.start()
         yield
+        await to_thread.run_sync(advancer.stop)
         rates.close()
         store.close()
 
@@ -95,6 +102,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         uploads,
         subjects,
         captures,
+        batches,
         templates,
         jobs,
         rigs,
@@ -104,12 +112,14 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         audit,
         deletions,
         system,
+        metrics_router,
         page,
     ):
         app.include_router(router)
     _describe_problems(app)
     app.add_middleware(RateHeaders)
     http.install(app, settings)
+    metrics.install(app, store, settings)
     return app
 
 

@@ -15,6 +15,7 @@ from sqlalchemy.exc import OperationalError
 from starlette.exceptions import HTTPException
 
 from service.schemas import IN_WORDS
+from service.store.files import UnreachableError
 
 CHECKSUM_MISMATCH = 460  # tus 1.0, checksum extension
 LONGEST_QUOTE = 64
@@ -131,6 +132,11 @@ def _message(fault: dict[str, Any]) -> str:
 async def _on_os_error(request: Request, error: Exception) -> Response:
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
         problem = Problem(507, "storage.full", "there is no room left for files")
+        return render(request.state.request_id, problem)
+    if isinstance(error, UnreachableError):
+        log.warning("files.unreachable", error=str(error))
+        problem = Problem(503, "files.unreachable", "the file store does not answer; try again")
+        problem.headers = {"Retry-After": "5"}
         return render(request.state.request_id, problem)
     raise error
 

@@ -28,6 +28,14 @@ class Settings(BaseSettings):
         default=None, description="default: an embedded Valkey in data_dir"
     )
     files_dir: Path | None = Field(default=None, description="default: data_dir/files")
+    files_url: str | None = Field(
+        default=None,
+        pattern=r"^s3://[^/?]+",
+        description="s3://bucket/prefix?endpoint=...&region=..., in place of files_dir",
+    )
+    uploads_dir: Path | None = Field(
+        default=None, description="unfinished uploads; default: files_dir/uploads"
+    )
     work_dir: Path | None = Field(
         default=None, description="folders of attempts; default: data_dir/work"
     )
@@ -102,7 +110,7 @@ class Settings(BaseSettings):
     log_json: bool = False
     stack_pid: int | None = Field(default=None, description="the launcher to end with, if any")
 
-    @field_validator("data_dir", "files_dir", "work_dir")
+    @field_validator("data_dir", "files_dir", "uploads_dir", "work_dir")
     @classmethod
     def _absolute(cls, value: Path | None) -> Path | None:
         return value.expanduser().resolve() if value else None
@@ -134,19 +142,23 @@ class Settings(BaseSettings):
         return Path(tempfile.gettempdir()) / f"myoface-{key}.sock"
 
     @property
-    def files(self) -> Path:
-        """The folder of content-addressed files."""
-        return self.files_dir or self.data_dir / "files"
+    def files(self) -> Path | str:
+        """Where the content-addressed files are: a folder, or the URL of a bucket."""
+        return self.files_url or self._folder
 
     @property
     def uploads(self) -> Path:
-        """The folder of unfinished uploads."""
-        return self.files / "uploads"
+        """The folder of unfinished uploads, which API processes that take turns must share."""
+        return self.uploads_dir or self._folder / "uploads"
 
     @property
     def work(self) -> Path:
         """The folder of the workers' attempts."""
         return self.work_dir or self.data_dir / "work"
+
+    @property
+    def _folder(self) -> Path:
+        return self.files_dir or self.data_dir / "files"
 
     def environment(self) -> dict[str, str]:
         """Return these settings as environment variables for a child process."""

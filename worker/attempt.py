@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from service.kinds import KINDS
-from service.store.files import FileStore
+from service.store.files import Files
 from service.store.jobs import Claim
 from service.store.models import Artifact, Rig
 
@@ -38,7 +38,7 @@ class AttemptFolder:
         self._claim = claim
         self._kept = set(claim.frames)
 
-    def stage(self, files: FileStore) -> None:
+    def stage(self, files: Files) -> None:
         """Fetch the inputs, and the frames that earlier attempts left.
 
         Each input has a folder of its own: two may have the same file name.
@@ -67,7 +67,7 @@ class AttemptFolder:
         """Return the solver's result, if it finished."""
         return self._read("result.json")
 
-    def store(self, files: FileStore) -> list[Artifact]:
+    def store(self, files: Files) -> list[Artifact]:
         """Put the outputs into the file store."""
         artifacts = []
         for path in sorted(filter(Path.is_file, (self.path / "out").iterdir())):
@@ -84,7 +84,7 @@ class AttemptFolder:
             )
         return artifacts
 
-    def new_frames(self, files: FileStore) -> list[dict[str, Any]]:
+    def new_frames(self, files: Files) -> list[dict[str, Any]]:
         """Put the frames that are ready since the last call into the file store; returns rows."""
         rows = []
         for path in sorted((self.path / "out" / FRAMES).glob("*.json")):

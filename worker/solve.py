@@ -28,6 +28,9 @@ from worker.kinds import CALLS, Task
 if TYPE_CHECKING:
     from solver.progress import Progress, Step
 
+NICENESS = 10
+"""A fit takes the time that the API and the supervisors leave."""
+
 log = structlog.get_logger()
 
 
@@ -36,6 +39,7 @@ def main(folder: Path) -> int:
     process = json.loads((folder / "process.json").read_text())
     die_with_parent(process["parent"], signal.SIGKILL)
     logs.configure(json=False)
+    os.nice(NICENESS)
     resource.setrlimit(resource.RLIMIT_DATA, (process["memory_bytes"],) * 2)
     try:
         try:

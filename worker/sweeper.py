@@ -10,14 +10,13 @@ from sqlalchemy import delete
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.settings import Settings
-from service.store import retention, sweep
+from service.store import garbage, retention, sweep
 from service.store.claims import Abilities
 from service.store.models import Worker
 from service.store.store import Store
 from worker.abilities import show_life
 from worker.orphans import remove_orphans
 
-OFFICE = "sweeper"
 GARBAGE_EVERY = 60.0
 
 log = structlog.get_logger()
@@ -65,7 +64,9 @@ class Sweeper(threading.Thread):
         settings = self._settings
         with self._store.write() as session:
             show_life(session, self._queue, self._can, self._slots)
-            elected = sweep.hold_office(session, OFFICE, self._can.worker, 3 * settings.sweep)
+            elected = sweep.hold_office(
+                session, sweep.SWEEPER, self._can.worker, 3 * settings.sweep
+            )
             if elected:
                 sweep.expire_leases(session)
                 sweep.remove_expired_uploads(session, settings.uploads)
@@ -79,5 +80,5 @@ class Sweeper(threading.Thread):
             GARBAGE_EVERY, settings.garbage_age
         ):
             self._collected = time.monotonic()
-            if removed := sweep.collect_garbage(self._store, settings.garbage_age):
+            if removed := garbage.collect(self._store, settings.garbage_age):
                 log.info("files.collected", count=removed)

@@ -37,7 +37,10 @@ def up(port: Port = None, data: Data = None) -> None:
         stack.wait()
 
 
-def admin_key(data: Data = None) -> None:
+def admin_key(
+    data: Data = None,
+    first: Annotated[bool, typer.Option("--first", help="only if there is no key yet")] = False,
+) -> None:
     """Make a key that may do everything; it is written to the data folder's admin.key."""
     from service.access import bootstrap
     from service.access.keys import Keyring
@@ -48,7 +51,7 @@ def admin_key(data: Data = None) -> None:
     store = Store(settings.database, settings.files, settings.broker)
     store.database.migrate()
     keyring = Keyring(store, secret(settings))
-    out.print(bootstrap.admin_key(store, keyring, settings, only_first=False), markup=False)
+    out.print(bootstrap.admin_key(store, keyring, settings, only_first=first), markup=False)
 
 
 def doctor(port: Port = None, data: Data = None) -> None:

@@ -11,11 +11,11 @@ from service.errors import Problem
 from service.jobs.repository import get
 from service.kinds import KINDS
 from service.store import jobs
-from service.store.files import FileStore
+from service.store.files import Files
 
 
 def read(
-    session: Session, files: FileStore, job_id: str, start: int, limit: int
+    session: Session, files: Files, job_id: str, start: int, limit: int
 ) -> tuple[list[dict[str, Any]], int]:
     """Return the frames from the ``start``-th on, at most ``limit``, and how many are ready."""
     job = get(session, job_id)
@@ -25,6 +25,6 @@ def read(
     found: list[dict[str, Any]] = []
     for chunk in chunks:
         if chunk.first < start + limit and chunk.last >= start:
-            frames = json.loads(files.path(chunk.sha256).read_bytes())["frames"]
+            frames = json.loads(files.read(chunk.sha256))["frames"]
             found += frames[max(start - chunk.first, 0) : start + limit - chunk.first]
     return found, chunks[-1].last + 1 if chunks else 0

@@ -8,11 +8,9 @@ from sqlalchemy.orm import Session, selectinload
 from service import paging
 from service.errors import Problem, unknown
 from service.paging import Slice
+from service.store import previews
 from service.store.models import Artifact, Job, Rig
 from service.store.transitions import State
-
-PREVIEW = "preview.bin"
-"""The file of a rig that a job of its own makes."""
 
 
 def get(session: Session, rig_id: str) -> Rig:
@@ -38,10 +36,9 @@ def preview(session: Session, rig: Rig) -> Artifact | None:
         .join(Job, Job.id == Artifact.job_id)
         .where(
             Job.subject_id == rig.subject_id,
-            Job.kind == "build_preview",
             Job.state == State.SUCCEEDED,
-            Job.request["rig_id"].as_string() == rig.id,
-            Artifact.name == PREVIEW,
+            previews.of_rig(rig.id),
+            Artifact.name == previews.FILE,
         )
         .order_by(Job.created_at.desc())
         .limit(1)
@@ -50,7 +47,7 @@ def preview(session: Session, rig: Rig) -> Artifact | None:
 
 def artifact_of_rig(session: Session, rig: Rig, name: str) -> Artifact:
     """Return a rig's artifact by its name."""
-    if name == PREVIEW and (found := preview(session, rig)):
+    if name == previews.FILE and (found := preview(session, rig)):
         return found
     return artifact_of_job(session, rig.job_id, name)
 

@@ -6,8 +6,7 @@ import time
 from datetime import UTC, datetime
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Header, Query, Request, Response
-from fastapi.responses import FileResponse
+from fastapi import APIRouter, Depends, Query, Request, Response
 
 from service.access.principal import Reader
 from service.access.signed import Signer
@@ -15,11 +14,9 @@ from service.audit.record import record
 from service.dependencies import Cursor, FileStore, Limit, ReadSession, ReadStore, SettingsDep
 from service.errors import problems
 from service.rigs import repository
-from service.rigs.download import Download
+from service.rigs.download import send
 from service.rigs.schemas import ArtifactView, RigView, SignedUrl
 from service.schemas import FileName, Id, Page
-from service.store.models import Artifact
-from service.store.store import Store
 
 router = APIRouter(prefix="/v1", tags=["rigs"])
 
@@ -30,16 +27,12 @@ def _signer(request: Request) -> Signer:
 
 
 Signing = Annotated[Signer, Depends(_signer)]
-IfNoneMatch = Annotated[str | None, Header()]
-PAGE = "text/html"
-POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; sandbox allow-downloads"
-"""What a stored page may do in a browser: show itself, and nothing with this origin's name."""
 
 FILE: dict[int | str, dict[str, Any]] = {
-    200: {"description": "The file", "content": {"application/octet-stream": {}}},
+    200: {"description": "The file", "content": {"*/*": {}}},
     206: {"description": "A range of the file"},
     304: {"description": "The caller's copy is the file"},
-    **problems(400, 404, 416, 422),
+    **problems(404, 416, 422),
 }
 
 
@@ -66,22 +59,24 @@ def show(rig_id: Id, session: ReadSession, settings: SettingsDep) -> RigView:
     return view
 
 
+@router.head(
+    "/rigs/{rig_id}/artifacts/{name}",
+    response_class=Response,
+    summary="Ask about a rig's file by name",
+    responses=FILE,
+)
 @router.get(
     "/rigs/{rig_id}/artifacts/{name}",
-    response_class=FileResponse,
+    response_class=Response,
     summary="Download a rig's file by name",
     responses=FILE,
 )
 def download_by_name(
-    rig_id: Id,
-    name: FileName,
-    session: ReadSession,
-    store: ReadStore,
-    if_none_match: IfNoneMatch = None,
+    rig_id: Id, name: FileName, session: ReadSession, store: ReadStore, request: Request
 ) -> Response:
-    """Download for example `rig.glb`; `Range` and `If-None-Match` work."""
+    """Download for example `rig.glb`; `Range`, `If-Range` and `If-None-Match` work."""
     rig = repository.get(session, rig_id)
-    return _file(repository.artifact_of_rig(session, rig, name), store, if_none_match)
+    return send(repository.artifact_of_rig(session, rig, name), store.files, request)
 
 
 @router.head(
@@ -92,18 +87,18 @@ def download_by_name(
 )
 @router.get(
     "/artifacts/{artifact_id}",
-    response_class=FileResponse,
+    response_class=Response,
     summary="Download a file",
     responses=FILE,
 )
-def download(artifact_id: Id, store: FileStore, if_none_match: IfNoneMatch = None) -> Response:
+def download(artifact_id: Id, store: FileStore, request: Request) -> Response:
     """Download an artifact, with a key or by a signed URL.
 
     It never changes: `If-None-Match` spares who has it the bytes.
     """
     with store.read() as session:
         artifact = repository.artifact(session, artifact_id)
-    return _file(artifact, store, if_none_match)
+    return send(artifact, store.files, request)
 
 
 @router.post(
@@ -122,22 +117,3 @@ def sign(
     until = int(time.time()) + settings.signed_url_seconds
     url = signer.sign(f"/v1/artifacts/{artifact.id}", who.tenant_id, until)
     return SignedUrl(url=url, expires_at=datetime.fromtimestamp(until, UTC))
-
-
-def _file(artifact: Artifact, store: Store, if_none_match: str | None) -> Response:
-    headers = {
-        "ETag": f'"{artifact.sha256}"',
-        "Cache-Control": "private, no-cache",  # what is deleted must not live on there
-        "X-Content-Type-Options": "nosniff",
-        "Content-Security-Policy": POLICY,
-    }
-    known = {tag.strip().removeprefix("W/") for tag in (if_none_match or "").split(",")}
-    if known & {headers["ETag"], "*"}:
-        return Response(status_code=304, headers=headers)
-    return Download(
-        store.files.path(artifact.sha256),
-        headers=headers,
-        media_type=artifact.media_type,
-        filename=artifact.name,
-        content_disposition_type="inline" if artifact.media_type == PAGE else "attachment",
-    )

@@ -11,7 +11,9 @@ from typing import Literal
 from sqlalchemy import ColumnElement, delete, select, union
 from sqlalchemy.orm import Session
 
+from service.store import previews
 from service.store.database import clock
+from service.store.garbage import REFERRING
 from service.store.jobs import cancel
 from service.store.models import (
     Artifact,
@@ -67,12 +69,13 @@ def delete_capture(session: Session, capture: Capture, reason: Reason) -> Deleti
 
 
 def delete_job(session: Session, job: Job, reason: Reason) -> Deletion:
-    """Delete a job with what it left, its rig too."""
+    """Delete a job with what it left, its rig too, and that one's preview."""
     rig = session.scalars(select(Rig.id).where(Rig.job_id == job.id)).one_or_none()
     receipt = _receipt(session, job, "rig" if rig else "job", reason)
     receipt.object_id = rig or job.id
-    files = _left_by(session, Job.id == job.id)
-    session.execute(delete(Job).where(Job.id == job.id))
+    gone = (Job.id == job.id) if rig is None else (Job.id == job.id) | previews.of_rig(rig)
+    files = _left_by(session, gone)
+    session.execute(delete(Job).where(gone))
     _sign(session, receipt, files)
     return receipt
 
@@ -113,15 +116,7 @@ def files_in_use(session: Session, sha256s: Collection[str]) -> set[str]:
     """Return those of these files that some row refers to, or a job that is not over reads."""
     if not sha256s:
         return set()
-    columns = (
-        Artifact.sha256,
-        Capture.sha256,
-        Capture.landmarks_sha256,
-        FrameChunk.sha256,
-        Template.sha256,
-        Upload.sha256,
-    )
-    queries = (select(column).where(column.in_(sha256s)) for column in columns)
+    queries = (select(column).where(column.in_(sha256s)) for column in REFERRING)
     found = {sha256 for sha256 in session.scalars(union(*queries)) if sha256}
     for inputs in session.scalars(select(Job.inputs).where(Job.state.not_in(FINAL))):
         found |= {item["sha256"] for item in inputs} & set(sha256s)

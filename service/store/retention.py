@@ -13,7 +13,7 @@ from sqlalchemy import ColumnElement, Select, delete, exists, select
 from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
 
 from service.settings import Settings
-from service.store import deletion
+from service.store import deletion, previews
 from service.store.database import clock
 from service.store.models import AnsweredRequest, AuditEntry, Capture, Deletion, Job, Rig, Subject
 from service.store.store import Store
@@ -57,7 +57,8 @@ Rule = tuple[int | None, InstrumentedAttribute[Any], Select[Any], Remove]
 
 def _rules(settings: Settings) -> Iterable[Rule]:
     """Return what is kept for how many days, since when, which rows, and how they go."""
-    needed = select(Rig.id).where((Rig.job_id == Job.id) | (Rig.model_job_id == Job.id)).exists()
+    is_of_it = (Rig.job_id == Job.id) | (Rig.model_job_id == Job.id) | previews.of_rig(Rig.id)
+    needed = select(Rig.id).where(is_of_it).exists()
     ended = select(Job).where(Job.state.in_(FINAL), ~needed, _idle(Job.subject_id))
     of_rigs = select(Job).join(Rig, Rig.job_id == Job.id).where(_idle(Job.subject_id))
     scans = select(Capture).where(_idle(Capture.subject_id))

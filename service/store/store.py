@@ -10,7 +10,7 @@ from pathlib import Path
 from sqlalchemy.orm import Session
 
 from service.store.database import Database
-from service.store.files import FileStore
+from service.store.files import files_at
 from service.store.queue import WakeUps
 
 WAKE = "wake"
@@ -19,9 +19,9 @@ WAKE = "wake"
 class Store:
     """The data side: what a transaction wakes up is sent after its commit."""
 
-    def __init__(self, database_url: str, files: Path, broker_url: str) -> None:
+    def __init__(self, database_url: str, files: Path | str, broker_url: str) -> None:
         self.database = Database(database_url)
-        self.files = FileStore(files)
+        self.files = files_at(files)
         self._wake_ups = WakeUps(broker_url)
         self._tenant_id: str | None = None
 

@@ -1,4 +1,4 @@
-"""What the sweeper repairs: lost messages, lost workers, abandoned uploads and files."""
+"""What the sweeper repairs: lost messages, lost workers, abandoned uploads."""
 
 from __future__ import annotations
 
@@ -11,14 +11,16 @@ from sqlalchemy.orm import Session
 
 from service.store.claims import free_expired
 from service.store.database import clock
-from service.store.models import Artifact, Capture, FrameChunk, Job, Lease, Template, Upload, Worker
+from service.store.models import Job, Lease, Upload, Worker
 from service.store.queue import QUEUES
-from service.store.store import Store, wake
-from service.store.transitions import FINAL, State
+from service.store.store import wake
+from service.store.transitions import State
 
 LONGEST_PAUSE = timedelta(minutes=1)
 FORGET_WORKERS = timedelta(minutes=10)
 BATCH = 1000
+SWEEPER = "sweeper"
+"""The office of the one who does the rounds."""
 
 
 def hold_office(session: Session, office: str, holder: str, seconds: float) -> bool:
@@ -81,28 +83,3 @@ def remove_expired_uploads(session: Session, folder: Path) -> None:
 def forget_workers(session: Session) -> None:
     """Forget workers that have not been seen for a while."""
     session.execute(delete(Worker).where(Worker.seen_at < clock(session) - FORGET_WORKERS))
-
-
-def collect_garbage(store: Store, age: float) -> int:
-    """Remove files that no row refers to; returns how many."""
-    return store.files.collect_garbage(referenced_files(store), age)
-
-
-def referenced_files(store: Store) -> set[str]:
-    """Return the sha256 of the files that rows refer to, and that jobs still read."""
-    referenced: set[str] = set()
-    with store.read() as session:
-        files = (
-            Artifact.sha256,
-            Capture.sha256,
-            Capture.landmarks_sha256,
-            FrameChunk.sha256,
-            Template.sha256,
-            Upload.sha256,
-        )
-        for column in files:
-            referenced.update(filter(None, session.scalars(select(column).distinct())))
-        active = select(Job.inputs).where(Job.state.not_in(FINAL))
-        for inputs in session.scalars(active):
-            referenced.update(item["sha256"] for item in inputs)
-    return referenced

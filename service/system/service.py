@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from datetime import timedelta
 
@@ -31,7 +30,7 @@ def readiness(store: Store, settings: Settings) -> Readiness:
     checks = {
         "database": workers is not None,
         "broker": _broker_answers(settings.broker),
-        "files": os.access(settings.files, os.W_OK),
+        "files": store.files.ready(),
     }
     return Readiness(
         ready=all(checks.values()),

@@ -4,10 +4,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
-from tests.service_client import Studio, running
+from service.settings import Settings
+from service.store import retention
+from service.store.models import Job, Rig
+from service.store.store import Store
+from tests.service_client import Studio, running, served
+
+RIG = "8c1d3a52-0f4e-4c5b-9b39-1f3a4f1f6c11"
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +41,31 @@ def test_the_newest_preview_is_the_rig_s(studio: Studio) -> None:
     grin = studio.capture(subject, "grin")
     other = studio.done("fit_activations", subject, captures=[grin], rig_id=rig)
     assert "preview.bin" not in names(studio, other["result"]["rig_id"])
+
+
+def test_a_preview_stays_and_goes_with_its_rig(tmp_path: Path) -> None:
+    with served(Settings(data_dir=tmp_path)) as studio:
+        subject, left = (
+            studio.subject(),
+            {"muscle_weights.npz": "a" * 64, "activations.npz": "b" * 64},
+        )
+        model, made = (studio.submit("build_model", subject) for _ in range(2))
+        studio.pretend(model, {"model.npz": "c" * 64})
+        studio.pretend(made, left)
+        store: Store = studio.http.app.state.store  # type: ignore[attr-defined]
+        with store.write() as session:
+            job = session.get(Job, made)
+            assert job
+            mine = {"tenant_id": job.tenant_id, "subject_id": subject, "job_id": made}
+            session.add(Rig(id=RIG, model_job_id=model, expressions=[], summary={}, **mine))
+        preview = studio.submit("build_preview", subject, rig_id=RIG)
+        studio.pretend(preview, {"preview.bin": "d" * 64})
+        settings: Settings = studio.http.app.state.settings  # type: ignore[attr-defined]
+        retention.enforce(store, settings.model_copy(update={"retain_jobs": 0}))
+        assert "preview.bin" in names(studio, RIG)
+        retention.enforce(store, settings.model_copy(update={"retain_rigs": 0}))
+        assert studio.http.get(f"/v1/rigs/{RIG}").status_code == 404
+        assert studio.http.get(f"/v1/jobs/{preview}").status_code == 404
 
 
 def test_a_preview_is_of_a_rig_and_nothing_else(studio: Studio) -> None:

@@ -13,7 +13,7 @@ import pytest
 from myoface.client import Client
 from myoface.stack import Stack
 from service.jobs.schemas import FrameView
-from service.store.files import FileStore
+from service.store.files import FolderFiles
 from service.store.jobs import Claim
 from service.store.models import DEFAULT_TENANT
 from solver.mechanics.flesh import IDENTITY
@@ -100,7 +100,7 @@ def test_a_scan_is_no_performance(studio: Studio, rigged: tuple[str, str]) -> No
 
 def test_the_real_solver_goes_on_in_an_attempt_s_folder(tmp_path: Path) -> None:
     """What the worker hands over is what the pipeline takes, and its frames what the API shows."""
-    model, store = block_model(), FileStore(tmp_path / "files")
+    model, store = block_model(), FolderFiles(tmp_path / "files")
     model.save(tmp_path / "model.npz")
     save_weights(tmp_path / "weights.npz", model.weights, model)
     still = model.skin.vertices[model.face]

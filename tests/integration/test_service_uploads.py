@@ -15,6 +15,7 @@ import uvicorn
 
 from service.app import create_app
 from service.settings import Settings
+from service.store.files import files_at
 from tests.service_client import OFFSET_STREAM, Studio, served
 
 SCAN = b"".join(f"v {i} 0 0\n".encode() for i in range(50_000))
@@ -40,8 +41,7 @@ def test_an_upload_resumes_where_the_service_died(settings: Settings) -> None:
         assert studio.send(location, 1000, SCAN[1000:]).status_code == 204
         upload = studio.get(location)
         assert (upload["state"], upload["sha256"]) == ("complete", SHA256)
-    stored = settings.files / SHA256[:2] / SHA256
-    assert stored.read_bytes() == SCAN
+    assert files_at(settings.files).read(SHA256) == SCAN
     assert not list(settings.uploads.iterdir())
 
 

@@ -59,10 +59,16 @@ def test_artifacts_have_etags_and_ranges(studio: Studio) -> None:
     assert (part.status_code, part.content) == (206, whole.content[4:10])
     again = studio.http.get(path, headers={"If-None-Match": whole.headers["etag"]})
     assert again.status_code == 304
-    for wanted, status in (("bytes=9999999-", 416), ("lines=1-2", 400)):
-        refused = studio.http.get(path, headers={"Range": wanted})
-        assert (refused.status_code, refused.json()["code"]) == (status, "artifact.range")
-        assert refused.headers["content-range"] == f"bytes */{glb['size']}"
+    refused = studio.http.get(path, headers={"Range": "bytes=9999999-"})
+    assert (refused.status_code, refused.json()["code"]) == (416, "artifact.range")
+    assert refused.headers["content-range"] == f"bytes */{glb['size']}"
+    for wanted, start, end in (("bytes=-5", -5, None), ("bytes=4000-99999", 4000, None)):
+        part = studio.http.get(path, headers={"Range": wanted})
+        assert (part.status_code, part.content) == (206, whole.content[start:end])
+    for given in ({"Range": "lines=1-2"}, {"Range": "bytes=4-9", "If-Range": '"another"'}):
+        assert studio.http.get(path, headers=given).content == whole.content
+    asked = studio.http.head(path)
+    assert (asked.content, asked.headers["content-length"]) == (b"", str(glb["size"]))
 
 
 def test_a_rigs_page_is_shown_but_may_do_nothing(studio: Studio) -> None:

@@ -129,7 +129,10 @@ def _learned(
     deadline: float,
     listen: Listener,
 ) -> ReducedSkin:
-    """Return the reduced skin of samples; slopes are left out after the ``deadline``."""
+    """Return the reduced skin of samples; slopes are left out after the ``deadline``.
+
+    Those of a control alone say nothing that mixed poses do not.
+    """
     motions = np.array([sample.skin for sample in samples]) - face.model.skin.vertices
     weights = vertex_weights(face.model)
     modes = modes_of(motions, weights)
@@ -138,7 +141,8 @@ def _learned(
     slopes: list[Floats | None] = []
     for number, sample in enumerate(samples):
         listen("slopes", MEASURING + (1.0 - MEASURING) * number / len(samples))
-        slopes.append(responses.at(sample) if time.monotonic() < deadline else None)
+        is_wanted = sample.slid.sort != "alone" and time.monotonic() < deadline
+        slopes.append(responses.at(sample) if is_wanted else None)
     values = np.array([sample.slid.values for sample in samples])
     amounts = np.einsum("rnc,snc->sr", measure, motions, optimize=True)
     return reduced(modes, quadratic_map(values, amounts, slopes))

@@ -14,7 +14,7 @@ from solver.surface import Floats
 
 
 class Responses:
-    """The derivatives of the skin's coordinates in ``modes`` (r, n, 3), its inner products."""
+    """Derivatives by the sliders of the skin's inner products with ``modes`` (r, n, 3)."""
 
     def __init__(self, face: Face, S: sp.csr_array, controls: Controls, modes: Floats) -> None:
         self._face, self._S, self._controls = face, S, controls
@@ -26,7 +26,7 @@ class Responses:
         self._of_mandible = modes[:, model.attached_mandible].reshape(count, -1)
 
     def at(self, sample: Sample) -> Floats | None:
-        """Return d(coordinates)/d(values), (r, k); None where the flesh is about to buckle."""
+        """Return the derivatives (r, k) at a sample; None where the flesh is about to buckle."""
         face, controls, model = self._face, self._controls, self._face.model
         state = state_at(face, self._S, controls, sample.slid.values, sample.x)
         if not state.equilibrium.minimum:

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from service.store import garbage
 from service.store.store import Store
-from service.store.sweep import collect_garbage
 from worker.orphans import remove_orphans
 
 
@@ -34,11 +34,15 @@ def test_only_folders_of_attempts_are_removed(store: Store, tmp_path: Path) -> N
 def test_only_stored_files_are_collected(store: Store, tmp_path: Path) -> None:
     source = tmp_path / "scan.obj"
     source.write_text("v 0 0 0")
-    stored = store.files.path(store.files.put(source).sha256)
+    sha256 = store.files.put(source).sha256
     other = store.files.root / "my" / "thesis.txt"
     other.parent.mkdir()
     other.write_text("not ours")
-    for path in (stored, other):
+    for path in (store.files.path(sha256), other):
         os.utime(path, (0, 0))
-    assert collect_garbage(store, 60) == 1
-    assert (stored.exists(), other.exists()) == (False, True)
+    assert garbage.collect(store, 60) == 0
+    assert store.files.read(sha256) == b"v 0 0 0"  # put aside, for the next look into the tables
+    assert garbage.collect(store, 60) == 0
+    os.utime(store.files.root / "aside" / sha256, (0, 0))
+    assert garbage.collect(store, 60) == 1
+    assert (store.files.exists(sha256), other.exists()) == (False, True)

@@ -1,22 +1,14 @@
-"""The job table's rules on PostgreSQL, with a server of the test's own."""
+"""The job table's rules on a database, where several workers are at it at once."""
 
 from __future__ import annotations
 
-import getpass
-import os
-import shutil
-import subprocess
 import threading
 import time
-from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
 
 import pytest
 
-from service.access import bootstrap
-from service.access.keys import Keyring
-from service.secret import secret
 from service.settings import Settings
 from service.store import jobs, retention, sweep
 from service.store.database import clock
@@ -26,42 +18,15 @@ from service.store.transitions import State
 from tests.service_client import running, served
 
 
-@pytest.fixture(scope="module")
-def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    if "MYOFACE_TEST_POSTGRES" in os.environ:
-        yield os.environ["MYOFACE_TEST_POSTGRES"]
-        return
-    programs = _programs()
-    if programs is None:
-        pytest.skip("no PostgreSQL server here (initdb); set MYOFACE_TEST_POSTGRES to use another")
-    folder = tmp_path_factory.mktemp("postgres")
-    as_user: list[str] = []
-    if os.geteuid() == 0:  # initdb refuses to run as root
-        if shutil.which("runuser") is None:
-            pytest.skip("PostgreSQL does not run as root, and there is no runuser")
-        for parent in (folder, folder.parent, folder.parent.parent):
-            parent.chmod(0o755)
-        shutil.chown(folder, "postgres")
-        as_user = ["runuser", "-u", "postgres", "--"]
-    user = "postgres" if as_user else getpass.getuser()
-    data, log = folder / "data", folder / "log"
-    options = f"-c listen_addresses='' -c unix_socket_directories='{folder}' -c fsync=off"
-
-    def control(*words: str) -> None:
-        command = [*as_user, *words]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, cwd=folder, timeout=60)
-
-    control(str(programs / "initdb"), "-D", str(data), "-A", "trust", "-U", user)
-    start = ["-D", str(data), "-l", str(log), "-o", options, "-w", "start"]
-    control(str(programs / "pg_ctl"), *start)
-    try:
-        yield f"postgresql://{user}@/postgres?host={folder}"
-    finally:
-        control(str(programs / "pg_ctl"), "-D", str(data), "-m", "immediate", "stop")
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    settings = Settings(data_dir=tmp_path)
+    store = Store(settings.database, settings.files, settings.broker)
+    store.database.migrate()
+    return store
 
 
-def test_a_job_is_claimed_by_one_of_many(url: str, tmp_path: Path) -> None:
-    store = _store(url, tmp_path)
+def test_a_job_is_claimed_by_one_of_many(store: Store) -> None:
     job_id = _queue(store)
     claims: list[jobs.Claim | None] = []
     ready = threading.Barrier(8)
@@ -77,11 +42,9 @@ def test_a_job_is_claimed_by_one_of_many(url: str, tmp_path: Path) -> None:
     for thread in threads:
         thread.join()
     assert [one.attempt for one in claims if one] == [1]
-    store.close()
 
 
-def test_a_lost_attempt_is_fenced_off(url: str, tmp_path: Path) -> None:
-    store = _store(url, tmp_path)
+def test_a_lost_attempt_is_fenced_off(store: Store) -> None:
     job_id = _queue(store)
     with store.write() as session:
         first = jobs.claim(session, job_id, "slow", 0.01)
@@ -101,12 +64,11 @@ def test_a_lost_attempt_is_fenced_off(url: str, tmp_path: Path) -> None:
         assert job
         assert job.state is State.SUCCEEDED
         assert abs(clock(session) - job.created_at) < timedelta(minutes=1)
-    store.close()
 
 
 @pytest.mark.slow
-def test_the_whole_service_runs_on_it(url: str, tmp_path: Path) -> None:
-    with running(tmp_path, database_url=url) as (_, studio):
+def test_a_session_from_scans_to_deletion(tmp_path: Path) -> None:
+    with running(tmp_path) as (_, studio):
         subject = studio.post("/v1/subjects", name="Alex")["id"]
         neutral, smile = studio.raw(subject, "neutral", "neutral"), studio.raw(subject, "smile")
         for capture in (neutral, smile):
@@ -124,10 +86,8 @@ def test_the_whole_service_runs_on_it(url: str, tmp_path: Path) -> None:
         assert studio.get(f"/v1/jobs?subject_id={subject}")["items"] == []
 
 
-def test_requests_that_cross_wait_for_one_another(url: str, tmp_path: Path) -> None:
-    settings = Settings(data_dir=tmp_path, database_url=url)
-    store = _store(url, tmp_path / "files")
-    bootstrap.admin_key(store, Keyring(store, secret(settings)), settings, only_first=False)
+def test_requests_that_cross_wait_for_one_another(store: Store, tmp_path: Path) -> None:
+    settings = Settings(data_dir=tmp_path)
     with store.write() as session:
         session.get_one(Tenant, DEFAULT_TENANT).max_queued = 2
     with served(settings) as studio:
@@ -155,24 +115,6 @@ def test_requests_that_cross_wait_for_one_another(url: str, tmp_path: Path) -> N
         retention.enforce(store, settings.model_copy(update={"retain_jobs": 1, "retain_rigs": 1}))
         assert studio.get(receipt)["rows_at"] is not None
         assert studio.get("/v1/audit")["items"][0]["action"] == "subject.deleted"
-    with store.write() as session:
-        session.get_one(Tenant, DEFAULT_TENANT).max_queued = None
-    store.close()
-
-
-def _programs() -> Path | None:
-    """Return the folder of the server's programs, which Debian keeps off PATH."""
-    on_path = shutil.which("initdb")
-    if on_path:
-        return Path(on_path).resolve().parent
-    return next(iter(sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)), None)
-
-
-def _store(url: str, folder: Path) -> Store:
-    url = url.replace("postgresql://", "postgresql+psycopg://")
-    store = Store(url, folder, f"redis+socket://{folder}/nobody")
-    store.database.migrate()
-    return store
 
 
 def _queue(store: Store) -> str:

@@ -1,0 +1,1 @@
+"""A shoot day: stations that upload and look on while workers fit, and what it costs the API."""

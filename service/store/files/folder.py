@@ -1,0 +1,127 @@
+"""Files in a folder, which several hosts may share."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import BinaryIO
+
+from service.store.files.base import CHUNK, Blob, Files, Stored
+
+SHA256 = re.compile(r"[0-9a-f]{64}")
+
+
+class FolderFiles(Files):
+    """A folder of files ``ab/abcdef...`` named by their sha256."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.incoming = root / "incoming"
+        self._aside = root / "aside"
+        for folder in (self.incoming, self._aside):
+            folder.mkdir(parents=True, exist_ok=True)
+
+    def path(self, sha256: str) -> Path:
+        """Return where the file with this sha256 is."""
+        return self.root / sha256[:2] / sha256
+
+    def put(self, source: Path) -> Blob:
+        """Store a copy of ``source``; it is there as a whole or not at all."""
+        descriptor, name = tempfile.mkstemp(dir=self.incoming)
+        copy = Path(name)
+        try:
+            with source.open("rb") as original, os.fdopen(descriptor, "r+b") as file:
+                shutil.copyfileobj(original, file, CHUNK)
+                file.flush()
+                os.fsync(file.fileno())
+                size = file.tell()
+                file.seek(0)
+                sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+            target = self.path(sha256)
+            target.parent.mkdir(exist_ok=True)
+            copy.chmod(0o444)
+            # Also if it is there already: the new date keeps it from the garbage collection.
+            copy.replace(target)
+        finally:
+            copy.unlink(missing_ok=True)
+        return Blob(sha256, size)
+
+    def open(self, sha256: str, start: int = 0, end: int | None = None) -> Iterator[bytes]:
+        """Give the bytes from ``start`` to before ``end``; a missing file is known at once."""
+        file = self._open(sha256)
+        file.seek(start)
+        return _blocks(file, None if end is None else end - start)
+
+    def size(self, sha256: str) -> int:
+        """Return the size in bytes."""
+        with self._open(sha256) as file:
+            return os.fstat(file.fileno()).st_size
+
+    def stored(self) -> Iterator[Stored]:
+        """List what is stored and not put aside."""
+        return _listed(self.root.glob("??/*"))
+
+    def put_aside(self, sha256: str) -> None:
+        """Take a file out of the list; it can still be read."""
+        path = self._aside / sha256
+        self.path(sha256).rename(path)
+        os.utime(path)
+
+    def aside(self) -> Iterator[Stored]:
+        """List what was put aside, and when."""
+        return _listed(self._aside.iterdir())
+
+    def take_back(self, sha256: str) -> None:
+        """Put a file that was put aside where it was."""
+        path = self._aside / sha256
+        with suppress(FileExistsError):  # stored again meanwhile
+            os.link(path, self.path(sha256))
+        path.unlink()
+
+    def remove(self, sha256: str) -> None:
+        """Remove a file that was put aside, for good."""
+        (self._aside / sha256).unlink()
+
+    def remove_unfinished(self, before: datetime) -> None:
+        """Remove what interrupted `put` calls left before a moment."""
+        for path in self.incoming.iterdir():
+            with suppress(FileNotFoundError):  # it has just become a stored one
+                if path.stat().st_mtime < before.timestamp():
+                    path.unlink()
+
+    def ready(self) -> bool:
+        """Tell whether files can be stored."""
+        return os.access(self.incoming, os.W_OK)
+
+    def _open(self, sha256: str) -> BinaryIO:
+        try:
+            return self.path(sha256).open("rb")
+        except FileNotFoundError:
+            with suppress(FileNotFoundError):
+                return (self._aside / sha256).open("rb")
+            return self.path(sha256).open("rb")  # taken back between the two looks, or missing
+
+
+def _blocks(file: BinaryIO, length: int | None) -> Iterator[bytes]:
+    with file:
+        while length is None or length > 0:
+            block = file.read(CHUNK if length is None else min(CHUNK, length))
+            if not block:
+                return
+            if length is not None:
+                length -= len(block)
+            yield block
+
+
+def _listed(paths: Iterator[Path]) -> Iterator[Stored]:
+    for path in paths:
+        if SHA256.fullmatch(path.name):
+            with suppress(FileNotFoundError):
+                yield Stored(path.name, datetime.fromtimestamp(path.stat().st_mtime, UTC))

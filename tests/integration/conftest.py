@@ -1,0 +1,59 @@
+"""Every integration test runs twice: on SQLite, an embedded Valkey and a folder, and (`servers`)
+on PostgreSQL, Redis and S3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from tests.servers import UnavailableError, required
+from tests.servers.production import Production, production
+
+EMBEDDED = "embedded"
+PARTS = [EMBEDDED, pytest.param("production", marks=pytest.mark.servers)]
+
+
+@pytest.fixture(scope="session")
+def servers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Production | str]:
+    """Give the servers, or the reason why there are none."""
+    try:
+        with production(tmp_path_factory.mktemp("servers")) as found:
+            yield found
+    except UnavailableError as error:
+        if required():
+            raise
+        yield str(error)
+
+
+@pytest.fixture(scope="module", autouse=True, params=PARTS)
+def parts(request: pytest.FixtureRequest) -> Iterator[Production | None]:
+    """Make the settings of this module's stack those of the parts."""
+    if request.param == EMBEDDED:
+        yield None
+        return
+    found = request.getfixturevalue("servers")
+    if isinstance(found, str):
+        pytest.skip(found)
+    with _environment(found):
+        yield found
+
+
+@pytest.fixture(autouse=True)
+def own_parts(parts: Production | None) -> Iterator[None]:
+    """Make the settings of a test's own service those of parts that are empty."""
+    if parts is None:
+        yield
+        return
+    with _environment(parts):
+        yield
+
+
+@contextmanager
+def _environment(parts: Production) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in parts.fresh().items():
+            patch.setenv(name, value)
+        yield
