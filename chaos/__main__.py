@@ -32,7 +32,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=60)
     parser.add_argument("--poison", type=int, default=2)
-    parser.add_argument("--rounds", type=int, default=2, help="so many times each kind of blow")
+    parser.add_argument("--rounds", type=int, default=3, help="so many times each kind of blow")
     parser.add_argument(
         "--blows", nargs="+", choices=sorted(BLOWS), default=sorted(BLOWS), help="default: all"
     )

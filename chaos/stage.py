@@ -50,10 +50,6 @@ class Stage:
 
     def prepare(self, jobs: int, poison: int) -> None:
         """Upload the scans of all jobs, and submit the poison."""
-        self.poison = [
-            self.studio.submit("build_model", self.studio.subject(fault="poison"))
-            for _ in range(poison)
-        ]
         subject = self.studio.modelled()
         for number in range(jobs):
             seconds = round(self.dice.uniform(0.1, 1.5), 2)
@@ -64,6 +60,10 @@ class Stage:
                 name = f"expression{number}"
                 capture = self.studio.capture(subject, name, seconds=seconds, child=30)
                 self.waiting.append((kind, subject, [capture]))
+        self.poison = [
+            self.studio.submit("build_model", self.studio.subject(fault="poison"))
+            for _ in range(poison)
+        ]
 
     def submit(self, until: int) -> None:
         """Submit jobs until there are so many."""

@@ -105,8 +105,7 @@ class Tally:
         """Compare the stored files with the rows that refer to files."""
         # a file is put aside first and removed by the next round
         collected = sum(garbage.collect(stage.store, 0) for _ in range(2))
-        with stage.store.read() as session:
-            wanted = garbage.referenced(session)
+        wanted = garbage.referenced_files(stage.store)
         there = {path.name for path in stage.stack.settings.files.glob("??/*")}
         self._check("files of lost attempts collected", collected, fine=True)
         self._check("orphan files", len(there - wanted), there <= wanted)

@@ -24,3 +24,9 @@ def key_for(url: str) -> str | None:
         return Settings().admin_key.read_text()
     except OSError:
         return None
+
+
+def headers_for(url: str, key: str | None) -> dict[str, str]:
+    """Return the headers of a client of ``url``, with ``key`` or the one there is for it."""
+    found = key or key_for(url)
+    return {"Authorization": f"Bearer {found}"} if found else {}

@@ -17,6 +17,7 @@ Kind = Literal[
     "fit_sequence",
     "build_preview",
 ]
+Scope = Literal["read", "write", "delete", "webhooks", "metrics", "admin"]
 State = Literal["queued", "running", "canceling", "succeeded", "failed", "canceled"]
 
 FINAL_STATES: frozenset[State] = frozenset({"succeeded", "failed", "canceled"})
@@ -55,6 +56,7 @@ class Subject(Resource):
     name: str
     template_id: str | None = None
     created_at: datetime | None = None
+    retain_until: datetime | None = None
 
 
 class Check(Resource):
@@ -89,6 +91,7 @@ class Capture(Resource):
     filename: str | None = None
     sha256: str | None = None
     created_at: datetime | None = None
+    retain_until: datetime | None = None
 
     @property
     def registered_sha256(self) -> str | None:
@@ -148,6 +151,7 @@ class Job(Resource):
     result: Result | None = None
     cancel: Cancel | None = None
     created_at: datetime | None = None
+    retain_until: datetime | None = None
     started_at: datetime | None = None
     finished_at: datetime | None = None
 
@@ -187,3 +191,71 @@ class Rig(Resource):
     summary: dict[str, Any] = {}
     artifacts: list[Artifact] = []
     created_at: datetime | None = None
+    retain_until: datetime | None = None
+
+
+class Me(Resource):
+    """Whose key a client has, and what it may be used for."""
+
+    tenant: str
+    key_id: str
+    scopes: list[Scope]
+
+
+class Use(Resource):
+    """How much of something is in use; a ``limit`` of None is none."""
+
+    used: int
+    limit: int | None
+
+
+class Usage(Resource):
+    """What the tenant stores (bytes), and how many of its jobs wait and run."""
+
+    bytes: Use
+    queued: Use
+    running: Use
+
+
+class Key(Resource):
+    """An API key, without its text."""
+
+    id: str
+    name: str
+    scopes: list[Scope]
+    created_at: datetime
+    expires_at: datetime | None = None
+    last_used_at: datetime | None = None
+    revoked_at: datetime | None = None
+
+
+class NewKey(Key):
+    """A key that was just made; its text is told once.
+
+    It is None if the answer that told it was lost on the line: rotate the key then.
+    """
+
+    key: str | None = None
+
+
+class Deletion(Resource):
+    """The receipt of a deletion: when nothing showed the object, and when its files were gone."""
+
+    id: str
+    kind: str
+    object_id: str
+    reason: Literal["request", "retention"]
+    created_at: datetime
+    rows_at: datetime | None = None
+    files_at: datetime | None = None
+
+
+class AuditEntry(Resource):
+    """What was done with a key, to which object."""
+
+    id: str
+    created_at: datetime
+    key_id: str
+    request_id: str
+    action: str
+    object_id: str

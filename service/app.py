@@ -15,6 +15,8 @@ from service.access.keys import Keyring
 from service.access.rates import RateHeaders, Rates
 from service.access.signed import Signer
 from service.audit.routes import router as audit
+from service.batches.advance import Advancer
+from service.batches.routes import router as batches
 from service.captures.routes import router as captures
 from service.deletions.routes import router as deletions
 from service.jobs.following import Feed
@@ -46,6 +48,7 @@ TAGS = [
     {"name": "uploads", "description": "Resumable, checksummed (tus 1.0)."},
     {"name": "subjects", "description": "The people."},
     {"name": "captures", "description": "A subject's named scans."},
+    {"name": "batches", "description": "All scans of a session in one call."},
     {"name": "templates", "description": "Anatomies that a studio brings."},
     {"name": "jobs", "description": "The work: submit, watch, cancel."},
     {"name": "rigs", "description": "The results and their files."},
@@ -69,7 +72,10 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         await to_thread.run_sync(bootstrap.prepare, store, keyring, settings)
+        advancer = Advancer(store, settings)
+        advancer.start()
         yield
+        await to_thread.run_sync(advancer.stop)
         rates.close()
         store.close()
 
@@ -96,6 +102,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         uploads,
         subjects,
         captures,
+        batches,
         templates,
         jobs,
         rigs,

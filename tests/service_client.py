@@ -84,7 +84,8 @@ class Studio:
         suffix = "npy" if role == "performance" else "obj"
         upload_id = self.upload(f"{name} of Alex.{suffix}", "\n".join(lines).encode())
         path = f"/v1/subjects/{subject_id}/captures"
-        return self.post(path, name=name, role=role, upload_id=upload_id, **more)["id"]
+        added = self.post(path, name=name, role=role, upload_id=upload_id, **more)
+        return str(added["id"])
 
     def subject(self, **orders: Any) -> str:
         subject_id: str = self.post("/v1/subjects", name="Alex")["id"]
@@ -131,7 +132,7 @@ class Studio:
             assert jobs.succeed(session, job_id, claim.attempt, left, summary=summary)
 
     def submit(self, kind: str, subject_id: str, **more: Any) -> str:
-        return self.post("/v1/jobs", kind=kind, subject_id=subject_id, **more)["id"]
+        return str(self.post("/v1/jobs", kind=kind, subject_id=subject_id, **more)["id"])
 
     def job(self, job_id: str) -> Any:
         return self.get(f"/v1/jobs/{job_id}")

@@ -10,14 +10,17 @@ from myoface.cli.captures import add, captures
 from myoface.cli.client import jobs, rigs, subjects, templates
 from myoface.cli.console import complain
 from myoface.cli.demo import demo
+from myoface.cli.keys import keys
 from myoface.cli.offline import solve
+from myoface.cli.operations import backup, restore
 from myoface.cli.service import admin_key, doctor, up
 from myoface.cli.template import template
+from myoface.cli.tenants import tenants
 from myoface.errors import ApiError, StackError, describe
 from service import logs
 from solver.errors import InputError, SolveError
 
-for command in (up, demo, doctor, admin_key):
+for command in (up, demo, doctor, admin_key, backup, restore):
     app.command()(command)
 app.command("upload", help="Short for `captures add`.")(add)
 for group, name in (
@@ -26,6 +29,8 @@ for group, name in (
     (jobs, "jobs"),
     (rigs, "rigs"),
     (templates, "templates"),
+    (keys, "keys"),
+    (tenants, "tenants"),
     (template, "template"),
     (assets, "assets"),
     (solve, "solve"),

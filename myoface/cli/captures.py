@@ -65,15 +65,14 @@ def add(
     unit: Unit = "auto",
     up: Up = "auto",
     forward: Forward = "auto",
-    resume: Annotated[str | None, typer.Option(help="upload id of an interrupted upload")] = None,
     url: Url = DEFAULT_URL,
 ) -> None:
     """Upload scans, each named like its file, and print the capture ids.
 
     With --check the command ends with 3 if a scan is bad.
     """
-    if len(files) > 1 and (neutral or resume or landmarks):
-        raise typer.BadParameter("--neutral, --landmarks and --resume take one file")
+    if len(files) > 1 and (neutral or landmarks):
+        raise typer.BadParameter("--neutral and --landmarks take one file")
     if performance and (neutral or raw or check):
         raise typer.BadParameter("--performance takes neither --neutral, --raw nor --check")
     for file in files:
@@ -82,7 +81,7 @@ def add(
     role: Role = "neutral" if neutral else "performance" if performance else "expression"
     with Client(url) as client:
         added = [
-            _upload(client, subject, file, role, registered=not raw, marks=landmarks, resume=resume)
+            _upload(client, subject, file, role, registered=not raw, marks=landmarks)
             for file in files
         ]
         if check:
@@ -230,9 +229,7 @@ def _upload(
     *,
     registered: bool,
     marks: Path | None,
-    resume: str | None,
 ) -> Capture:
-    begun = [resume] if resume else []
     try:
         with transfer_bar(file.name) as progress:
             capture = client.add_capture(
@@ -241,16 +238,11 @@ def _upload(
                 role=role,
                 registered=registered,
                 landmarks=marks,
-                resume=resume,
-                started=begun.append,
                 progress=progress,
             )
     except (ApiError, KeyboardInterrupt) as error:
-        if begun and getattr(error, "code", UNREACHABLE) == UNREACHABLE:
-            err.print(
-                f"{file.name}: go on with `myoface captures add ... --resume {begun[-1]}`",
-                markup=False,
-            )
+        if getattr(error, "code", UNREACHABLE) == UNREACHABLE:
+            err.print(f"{file.name}: the same command goes on where it stopped", markup=False)
         raise
     out.print(f"{capture.id}  {capture.name}", markup=False)
     return capture

@@ -59,13 +59,14 @@ def show_subject(subject: SubjectId, url: Url = DEFAULT_URL) -> None:
 def delete_subject(
     subject: SubjectId,
     yes: Annotated[bool, typer.Option("--yes", help="do not ask")] = False,
+    cancel: Annotated[bool, typer.Option("--cancel", help="stop its jobs first")] = False,
     url: Url = DEFAULT_URL,
 ) -> None:
     """Delete a subject with all its scans, jobs and rigs."""
     if not yes:
         typer.confirm(f"Delete subject {subject} and everything of it?", abort=True)
     with Client(url) as client:
-        client.delete_subject(subject)
+        client.delete_subject(subject, cancel=cancel)
 
 
 @templates.command("list")

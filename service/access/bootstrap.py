@@ -37,13 +37,14 @@ def prepare(store: Store, keyring: Keyring, settings: Settings) -> None:
 def admin_key(store: Store, keyring: Keyring, settings: Settings, *, only_first: bool) -> Path:
     """Make a key that may do everything and write it to ``settings.admin_key``, mode 0600.
 
-    ``only_first`` makes none if there are keys already, of whatever tenant.
+    ``only_first`` makes none if the default tenant has keys already.
     """
     path = settings.admin_key
     with store.write() as session:
         # two API processes that start together: one makes the key
         session.get_one(Tenant, DEFAULT_TENANT, with_for_update=True)
-        if only_first and session.scalars(select(ApiKey.id).limit(1)).first():
+        known = select(ApiKey.id).where(ApiKey.tenant_id == DEFAULT_TENANT)
+        if only_first and session.scalars(known.limit(1)).first():
             return path
         _, text = keyring.mint(session, DEFAULT_TENANT, "admin", Scope)
         write_secret(path, text.encode())

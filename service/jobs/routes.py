@@ -104,13 +104,21 @@ def show(job_id: Id, session: ReadSession, settings: SettingsDep) -> JobView:
     responses=problems(404, 409, 422),
 )
 def retry(
-    job_id: Id, session: WriteSession, settings: SettingsDep, wanted: Retry | None = None
+    job_id: Id,
+    session: WriteSession,
+    once: Once,
+    settings: SettingsDep,
+    wanted: Retry | None = None,
 ) -> JobView:
     """Queue a job that is over once more, as it was or with other captures, options, priority.
 
     It is a new job with this one as its `parent_id`; it reads the subject's files as they are now.
     """
-    job = service.retry(session, job_id, wanted or Retry(), settings.max_attempts)
+    changes = wanted or Retry()
+    if (known := once.known(session, changes)) is not None:
+        return _view(session, known, settings)
+    job = service.retry(session, job_id, changes, settings.max_attempts)
+    once.keep(session, job.id)
     return _view(session, job.id, settings)
 
 

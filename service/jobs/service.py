@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 from sqlalchemy.orm import Session
 
@@ -34,7 +35,7 @@ def submit(
         if NewJob.model_validate(job.request) != new:
             raise taken(job_id)
         return job, False
-    kind = _kind(new)
+    kind = check_options(new.kind, new.options)
     check_queued(session)
     subjects.lock(session, new.subject_id)
     inputs = resolve(session, kind, new)
@@ -88,21 +89,22 @@ def cancel(session: Session, job_id: str, order: Cancel) -> None:
     jobs.cancel(session, job_id, order.by, order.reason)
 
 
-def _kind(new: NewJob) -> Kind:
-    kind = KINDS.get(new.kind)
+def check_options(name: str, options: dict[str, Any]) -> Kind:
+    """Return the kind of job of a name; raises a problem if it does not take these options."""
+    kind = KINDS.get(name)
     if kind is None:
         raise Problem(
             422,
             "job.kind",
-            f"there is no kind of job {new.kind!r}",
+            f"there is no kind of job {name!r}",
             expected=sorted(KINDS),
-            found=new.kind,
+            found=name,
         )
     try:
-        json.dumps(new.options, allow_nan=False, ensure_ascii=False).encode()
+        json.dumps(options, allow_nan=False, ensure_ascii=False).encode()
     except ValueError as error:  # NaN, an infinity, half a surrogate pair
         raise Problem(422, "job.options", f"options are not strict JSON: {error}") from error
-    if faults := kind.faults(new.options):
+    if faults := kind.faults(options):
         detail = f"{faults[0]['where']}: {faults[0]['message']}"
         raise Problem(422, "job.options", detail, errors=faults)
     return kind

@@ -66,18 +66,18 @@ def parse(url: str) -> httpcore.URL:
     Raises
     ------
     Refused
-        ``url.invalid`` if it is none: only http and https, in ASCII, without user and password.
+        ``address.invalid`` if it is none: only http and https, in ASCII, without user and password.
     """
     if not _PRINTABLE.fullmatch(url) or len(url) > LONGEST_URL:
-        raise Refused("url.invalid", "the URL is too long, or not plain ASCII")
+        raise Refused("address.invalid", "the URL is too long, or not plain ASCII")
     try:
         parsed = httpcore.URL(url)
     except (ValueError, UnicodeError) as error:
-        raise Refused("url.invalid", "this is not a URL") from error
+        raise Refused("address.invalid", "this is not a URL") from error
     if parsed.scheme not in (b"http", b"https") or not parsed.host:
-        raise Refused("url.invalid", "the URL must begin with https:// or http://")
+        raise Refused("address.invalid", "the URL must begin with https:// or http://")
     if "@" in url.split("/", 3)[2]:
-        raise Refused("url.invalid", "the URL must not hold a user or a password")
+        raise Refused("address.invalid", "the URL must not hold a user or a password")
     return parsed
 
 
@@ -131,7 +131,7 @@ class Sender:
         Raises
         ------
         Refused
-            ``url.invalid``, ``url.port`` or ``address.private``: nothing was sent.
+            ``address.invalid``, ``address.port`` or ``address.private``: nothing was sent.
         Unreachable
             ``address.unknown``, ``connection.failed``, ``connection.tls`` or ``timeout``.
         """
@@ -216,7 +216,7 @@ class _CheckedBackend(httpcore.NetworkBackend):
         if not all(is_allowed(address, self._allow) for address in addresses):
             raise Refused("address.private", f"{host} is not a public address")
         if port not in PORTS and not all(is_named(address, self._allow) for address in addresses):
-            raise Refused("url.port", f"port {port} is not one of 80, 443 and 8443")
+            raise Refused("address.port", f"port {port} is not one of 80, 443 and 8443")
         return addresses[:MOST_TRIED]
 
 

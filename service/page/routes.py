@@ -56,10 +56,7 @@ TYPES = {
 HEADERS = {
     "Cache-Control": "no-cache",  # kept, but asked for again: a 304 unless the release changed
     "Content-Security-Policy": POLICY,
-    "Cross-Origin-Opener-Policy": "same-origin",
-    "Referrer-Policy": "no-referrer",
     "Vary": "Accept-Encoding",
-    "X-Content-Type-Options": "nosniff",
 }
 
 

@@ -29,7 +29,7 @@ def _signer(request: Request) -> Signer:
 Signing = Annotated[Signer, Depends(_signer)]
 
 FILE: dict[int | str, dict[str, Any]] = {
-    200: {"description": "The file", "content": {"application/octet-stream": {}}},
+    200: {"description": "The file", "content": {"*/*": {}}},
     206: {"description": "A range of the file"},
     304: {"description": "The caller's copy is the file"},
     **problems(404, 416, 422),

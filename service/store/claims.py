@@ -13,6 +13,7 @@ from sqlalchemy.orm import Session, aliased
 from service.store.database import clock
 from service.store.jobs import Claim, expire, take
 from service.store.models import Job, Tenant
+from service.store.running import may_run_more
 from service.store.transitions import HELD, State
 
 MOST_EXPIRED = 100
@@ -32,13 +33,16 @@ def claim_next(session: Session, queue: str, who: Abilities, lease: float) -> Cl
     """Take the best job of ``queue`` that a worker can do; None: there is none.
 
     First comes the tenant with the fewest running jobs in the queue, of several the one whose next
-    job has waited longest; then the tenant's highest priority; then the oldest. Workers that ask in
+    job has waited longest; then the tenant's highest priority; then the oldest. One whose quota of
+    running jobs is used up is passed over. Workers that ask in
     the same moment do not wait for one another: each takes what no other is about to.
     """
     moment = clock(session)
     free_expired(session, moment, queue)
     fits = (_waits(queue, moment), Job.kind.in_(who.kinds), _fits(who))
     for tenant_id in _tenants(session, queue, fits):
+        if not may_run_more(session, tenant_id):
+            continue
         job_id = session.scalar(
             select(Job.id)
             .where(Job.tenant_id == tenant_id, *fits)

@@ -44,8 +44,7 @@ def collect(store: Store, age: float) -> int:
     store.files.remove_unfinished(limit)
     # Listed before the tables are read: what is stored in between is not in the lists.
     aside, stored = _older(store.files.aside(), limit), _older(store.files.stored(), limit)
-    with store.read() as session:
-        wanted = referenced(session)
+    wanted = referenced_files(store)
     removed = sum(_decide(store.files, sha256, sha256 in wanted) for sha256 in aside)
     for sha256 in stored:
         if sha256 not in wanted:
@@ -54,8 +53,14 @@ def collect(store: Store, age: float) -> int:
     return removed
 
 
-def referenced(session: Session) -> set[str]:
-    """Return the sha256 of every file that a row refers to."""
+def referenced_files(store: Store) -> set[str]:
+    """Return the sha256 of the files that rows refer to, and that jobs still read."""
+    with store.read() as session:
+        return references(session)
+
+
+def references(session: Session) -> set[str]:
+    """Return the sha256 of the files that the rows of a session refer to."""
     found: set[str] = set()
     for column in REFERRING:
         found.update(filter(None, session.scalars(select(column).distinct())))

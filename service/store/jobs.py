@@ -25,6 +25,7 @@ from service.store.models import (
     Rig,
     UtcDateTime,
 )
+from service.store.running import call_waiting
 from service.store.store import wake
 from service.store.transitions import FINAL, HELD, State, before
 
@@ -260,6 +261,7 @@ def _step(
             .where(Attempt.job_id == job_id, Attempt.outcome.is_(None))
             .values(outcome=outcome or to.value, finished_at=clock(session))
         )
+        call_waiting(session, job.tenant_id)
     if to in FINAL:
         _thin(session, job_id)
     _tell(session, job)

@@ -7,8 +7,8 @@ from sqlalchemy.orm import Session
 
 from service.errors import Problem, unknown
 from service.store.database import clock
-from service.store.models import Tenant, Upload
-from service.store.tenancy import tenant_of
+from service.store.models import Upload
+from service.store.tenancy import own_tenant
 
 
 def get(session: Session, upload_id: str) -> Upload:
@@ -39,7 +39,7 @@ def get_complete(session: Session, upload_id: str) -> Upload:
 
 def count_open(session: Session) -> int:
     """Count the session's tenant's unfinished uploads; until the commit nobody else counts them."""
-    session.execute(select(Tenant.id).where(Tenant.id == tenant_of(session)).with_for_update())
+    own_tenant(session, lock=True)
     unfinished = select(func.count(Upload.id)).where(
         ~Upload.complete, Upload.expires_at >= clock(session)
     )

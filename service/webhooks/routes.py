@@ -6,6 +6,8 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
+from service.access.principal import Hooks
+from service.audit.record import record
 from service.dependencies import Cursor, HookSession, HookStore, Limit
 from service.errors import Problem, problems
 from service.outbound.client import Refused, Sender
@@ -48,12 +50,18 @@ def _refuse_inner(url: str, sender: Sender) -> None:
 
 @router.post("/webhooks", status_code=201, summary="Add a webhook", responses=problems(409, 422))
 def create(
-    new: NewWebhook, store: HookStore, sender: SenderDep, master: Master, response: Response
+    new: NewWebhook,
+    store: HookStore,
+    who: Hooks,
+    sender: SenderDep,
+    master: Master,
+    response: Response,
 ) -> WebhookWithSecret:
     """Have an address told what happens. The answer holds the secret, which is not told again."""
     _refuse_inner(new.url, sender)
     with store.write() as session:
         webhook = service.create(session, new)
+        record(session, who, "webhook.created", webhook.id)
     response.headers["Location"] = f"/v1/webhooks/{webhook.id}"
     return _with_secret(webhook, master)
 
@@ -86,12 +94,16 @@ def show(webhook_id: Id, session: HookSession) -> Any:
     summary="Change a webhook",
     responses=problems(404, 422),
 )
-def change(webhook_id: Id, order: WebhookChange, store: HookStore, sender: SenderDep) -> Any:
+def change(
+    webhook_id: Id, order: WebhookChange, store: HookStore, who: Hooks, sender: SenderDep
+) -> Any:
     """Change address or filter, or switch it off and on."""
     if order.url is not None:
         _refuse_inner(order.url, sender)
     with store.write() as session:
-        return service.change(session, webhook_id, order)
+        webhook = service.change(session, webhook_id, order)
+        record(session, who, "webhook.changed", webhook_id)
+    return webhook
 
 
 @router.delete(
@@ -100,9 +112,10 @@ def change(webhook_id: Id, order: WebhookChange, store: HookStore, sender: Sende
     summary="Delete a webhook",
     responses=problems(404, 422),
 )
-def delete(webhook_id: Id, session: HookSession) -> None:
+def delete(webhook_id: Id, session: HookSession, who: Hooks) -> None:
     """Tell it nothing more; its log goes with it."""
     session.delete(repository.get(session, webhook_id))
+    record(session, who, "webhook.deleted", webhook_id)
 
 
 @router.post(
@@ -110,9 +123,11 @@ def delete(webhook_id: Id, session: HookSession) -> None:
     summary="Give a webhook a new secret",
     responses=problems(404, 422),
 )
-def rotate(webhook_id: Id, session: HookSession, master: Master) -> WebhookWithSecret:
+def rotate(webhook_id: Id, session: HookSession, who: Hooks, master: Master) -> WebhookWithSecret:
     """Make a new secret; for a day the old one signs too, so that receivers can change over."""
-    return _with_secret(service.rotate(session, webhook_id, clock(session)), master)
+    webhook = service.rotate(session, webhook_id, clock(session))
+    record(session, who, "webhook.rotated", webhook_id)
+    return _with_secret(webhook, master)
 
 
 @router.post(

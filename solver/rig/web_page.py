@@ -18,6 +18,7 @@ MEANS = {"train_mean_mm": "mean of training scans", "test_mean_mm": "mean of uns
 FILES = {
     "rig.glb": "the skin with one named morph target per expression",
     "activations.npz": "muscle activations, jaw and flesh of every expression",
+    "activations.csv": "the same activations as a table",
     "muscle_weights.npz": "the matrix S, tetrahedra × muscles",
     "report.json": "the figures of this page",
 }

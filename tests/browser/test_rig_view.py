@@ -4,97 +4,34 @@ from __future__ import annotations
 
 import io
 import re
-import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
-import uvicorn
 from PIL import Image
 
-from service.app import create_app
-from service.settings import Settings
-from service.store import jobs
-from service.store.models import DEFAULT_TENANT, Artifact, Job, Rig, Subject
-from service.store.store import Store
-from solver.rig.sequence import SequenceFrame
-from solver.rig.sequence_gltf import AnimatedSkin
 from solver.surface import Floats
-from tests.browser.sample_rig import Sample, write_sample
-from tests.browser.stage import CHROMIUM
+from tests.browser.rig_place import SECONDS, Place, drawing_browser, served_rigs, until
 
 pytestmark = pytest.mark.slow
 
-FLAGS = (
-    "--no-sandbox",
-    "--disable-quic",
-    "--disable-background-networking",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-)
-SECONDS = 30.0
 FIRST_VIEW_MS = 2000.0
 CLOSE_MM = 0.01  # half floats are a few micrometres off at these lengths
-PARTS = ("view.bin", "inside.bin", "preview.bin")
 Page = Any
-
-
-@dataclass(frozen=True)
-class Place:
-    """A running service with two rigs; ``first`` has all files, ``second`` no sliders."""
-
-    url: str
-    key: str
-    sample: Sample
-    first: str
-    second: str
-    old: str
-    take: str
-    frames: Floats
 
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
-    folder = tmp_path_factory.mktemp("rigs")
-    settings = Settings(data_dir=folder / "data", port=0)
-    app = create_app(settings)
-    server = uvicorn.Server(uvicorn.Config(app, port=0, log_config=None))
-    thread = threading.Thread(target=server.run, daemon=True)
-    thread.start()
-    _until(lambda: server.started)
-    store = app.state.store.of(DEFAULT_TENANT)
-    sample = write_sample(folder / "a")
-    files = [folder / "a" / name for name in PARTS]
-    subject, first = _put_rig(store, "Ada", files, sample.summary())
-    other = write_sample(folder / "b", subject="B")
-    why = {"preview": "the time for it was up"}
-    _, second = _put_rig(
-        store, "Berta", [folder / "b" / name for name in PARTS[:2]], other.summary() | why
-    )
-    _, old = _put_rig(store, "Cleo", [], {})
-    glb, frames = _sequence(folder, sample)
-    take = _put_job(store, subject, "fit_sequence", [glb], {"performance": "take 7"}, first)
-    port = server.servers[0].sockets[0].getsockname()[1]
-    url = f"http://127.0.0.1:{port}"
-    yield Place(url, settings.admin_key.read_text(), sample, first, second, old, take, frames)
-    server.should_exit = True
-    thread.join(10)
+    with served_rigs(tmp_path_factory.mktemp("rigs")) as place:
+        yield place
 
 
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[Any]:
-    """Start Chromium with WebGL by the processor."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if not CHROMIUM.exists():
-        pytest.skip(f"there is no {CHROMIUM}")
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=str(CHROMIUM), args=list(FLAGS))
+    with drawing_browser() as browser:
         yield browser
-        browser.close()
 
 
 @pytest.fixture
@@ -194,11 +131,19 @@ def test_muscle_sliders_move_the_skin_by_the_basis(place: Place, rig: Callable[.
     assert page.url.count("m=") > 3
 
 
-def test_a_rig_without_sliders_says_why(place: Place, rig: Callable[..., Page]) -> None:
+def test_sliders_that_are_missing_can_be_made(place: Place, rig: Callable[..., Page]) -> None:
     page = rig(identifier=place.second)
     page.get_by_role("tab", name="Muscles").click()
-    page.get_by_text("No muscle sliders: the time for it was up.").wait_for()
+    page.get_by_text("This rig has no muscle sliders yet.").wait_for()
     assert page.get_by_role("button", name="Procerus").is_visible()
+    page.get_by_role("button", name="Make the sliders").click()
+    link = page.get_by_role("link", name="their job")
+    link.wait_for()
+    again = rig(identifier=place.second)
+    again.get_by_role("tab", name="Muscles").click()
+    known = again.get_by_role("link", name="their job")
+    known.wait_for()
+    assert known.get_attribute("href") == link.get_attribute("href")
 
 
 def test_an_old_rig_is_told_of_and_leads_on(place: Place, look: Callable[..., Page]) -> None:
@@ -211,7 +156,7 @@ def test_the_heat_map_takes_its_range(place: Place, rig: Callable[..., Page]) ->
     page = rig("?e=surprise:1")
     before = _picture(page)
     page.get_by_label("Heat map").select_option("distance")
-    page.locator("figcaption", has_text="Distance to the scan, Surprise").first.wait_for()
+    page.locator(".heat-legend", has_text="Distance to the scan, Surprise").wait_for()
     _settled(page)
     assert _query(page) == "e=surprise:1&heat=0-2"
     as_is = _picture(page)
@@ -247,7 +192,7 @@ def test_muscles_bones_and_a_section_show_what_is_inside(rig: Callable[..., Page
     page = rig()
     plain = _picture(page)
     page.get_by_label("Muscles and bones").check()
-    _until(lambda: np.abs(_picture(page) - plain).mean() > 3)
+    until(lambda: np.abs(_picture(page) - plain).mean() > 3)
     page.get_by_role("tab", name="Muscles").click()
     page.get_by_role("button", name="Zygomaticus major l").click()
     page.locator(".stage-picked", has_text="Zygomaticus major l").wait_for()
@@ -265,7 +210,7 @@ def test_muscles_bones_and_a_section_show_what_is_inside(rig: Callable[..., Page
     assert np.abs(_picture(page) - cut).mean() > 1
     page.get_by_label("Section", exact=True).select_option("")
     page.locator("canvas.stage").click(position={"x": 405, "y": 230})
-    _until(lambda: page.locator(".stage-picked").inner_text() not in ("", "Zygomaticus major l"))
+    until(lambda: page.locator(".stage-picked").inner_text() not in ("", "Zygomaticus major l"))
 
 
 def test_the_keyboard_turns_zooms_and_chooses(rig: Callable[..., Page]) -> None:
@@ -295,11 +240,27 @@ def test_a_permalink_shows_the_same_again(rig: Callable[..., Page]) -> None:
     for page in (first, again):
         assert page.get_by_role("slider", name="Smile").input_value() == "0.4"
         assert page.get_by_label("Scan", exact=True).input_value() == "wire"
-        page.locator("figcaption", has_text="Way from the neutral").wait_for()
+        page.locator(".heat-legend", has_text="Way from the neutral").wait_for()
     assert (
         first.locator("#stage-caption").inner_text() == again.locator("#stage-caption").inner_text()
     )
-    _until(lambda: np.abs(_picture(first) - _picture(again)).max() <= 2)
+    until(lambda: np.abs(_picture(first) - _picture(again)).max() <= 2)
+
+
+def test_an_address_that_asks_for_what_is_not_there_shows_what_is(
+    place: Place, rig: Callable[..., Page]
+) -> None:
+    page = rig(
+        "?e=grimace:1&e=smile:7&e=kiss:x&heat=movement:0-1&scan=none&muscle=bicep&inside=2"
+        "&section=w:1&view=1,2&m=none:1"
+    )
+    page.get_by_role("tab", name="Muscles").click()
+    page.get_by_role("button", name="Relax all").wait_for()
+    _settled(page)
+    assert _query(page) == "e=smile:1"
+    beyond = rig(f"?take={place.take}:5000")
+    until(lambda: _query(beyond) == f"take={place.take}:{len(place.frames) - 1}")
+    _settled(rig("?take=nothing:3"))
 
 
 def test_a_sequence_plays_by_its_frames(place: Place, rig: Callable[..., Page]) -> None:
@@ -309,7 +270,7 @@ def test_a_sequence_plays_by_its_frames(place: Place, rig: Callable[..., Page]) 
     page.get_by_role("button", name="Play").wait_for()
     page.evaluate("window.posed = null")
     page.get_by_role("button", name="Play").click()
-    _until(lambda: page.evaluate("window.posed !== null"))
+    until(lambda: page.evaluate("window.posed !== null"))
     page.get_by_text(f"{len(place.frames)} of {len(place.frames)}").wait_for()
     page.get_by_label("Frame", exact=True).fill("4")
     found = _posed(page)
@@ -352,7 +313,7 @@ def test_two_rigs_are_compared(place: Place, look: Callable[..., Page]) -> None:
 def _shown(page: Page) -> float:
     """Return after how many ms the face was shown."""
     mark = "performance.getEntriesByName('rig-shown')[0]?.startTime ?? 0"
-    _until(lambda: page.evaluate(mark) > 0)
+    until(lambda: page.evaluate(mark) > 0)
     return float(page.evaluate(mark))
 
 
@@ -364,13 +325,13 @@ def _slide(page: Page, name: str, value: float) -> None:
 def _posed(page: Page) -> Floats:
     """Return the places (n, 3) that were drawn last."""
     time.sleep(0.3)  # drawn before the next frame of the screen
-    _until(lambda: page.evaluate("Boolean(window.posed)"))
+    until(lambda: page.evaluate("Boolean(window.posed)"))
     return np.array(page.evaluate("window.posed")).reshape(-1, 3)
 
 
 def _settled(page: Page) -> None:
     time.sleep(0.6)
-    _until(lambda: page.locator(".stage-message").inner_text() == "")
+    until(lambda: page.locator(".stage-message").inner_text() == "")
     time.sleep(0.4)
 
 
@@ -386,99 +347,3 @@ def _query(page: Page) -> str:
 def _assert_close(found: Floats, expected: Floats) -> None:
     assert found.shape == expected.shape
     assert np.abs(found - expected).max() < CLOSE_MM
-
-
-def _until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + SECONDS
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-
-
-def _sequence(folder: Path, sample: Sample) -> tuple[Path, Floats]:
-    """Write a sequence from neutral through two expressions, and return its skins (f, n, 3)."""
-    still = SequenceFrame(
-        0, "fitted", np.zeros((1, 6)), np.zeros(5), np.zeros(6), 0.1, 0.2, 0.3, 1.0, 0, 1, 0.1
-    )
-    skin = AnimatedSkin(sample.neutral)
-    shares = np.linspace(0, 1, 9)
-    frames = np.array(
-        [
-            sample.neutral.vertices + share * sample.skin[0] + share**2 * sample.skin[1]
-            for share in shares
-        ]
-    )
-    for number, places in enumerate(frames):
-        skin.add(replace(still, frame=number), places)
-    path = folder / "sequence.glb"
-    skin.write(path, fps=30)
-    return path, frames
-
-
-def _put_rig(
-    store: Store, subject: str, files: Iterable[Path], summary: dict[str, Any]
-) -> tuple[str, str]:
-    """Put a rig with its files into the store as a worker does; returns subject's and rig's id."""
-    with store.write() as session:
-        person = Subject(name=subject)
-        session.add(person)
-        session.flush()
-        subject_id = person.id
-    job_id = _put_job(store, subject_id, "fit_geometry", files, summary)
-    with store.write() as session:
-        rig = Rig(
-            subject_id=subject_id,
-            job_id=job_id,
-            model_job_id=job_id,
-            expressions=[],
-            summary=summary,
-        )
-        session.add(rig)
-        session.flush()
-        return subject_id, rig.id
-
-
-def _put_job(
-    store: Store,
-    subject_id: str,
-    kind: str,
-    files: Iterable[Path],
-    summary: dict[str, Any],
-    rig_id: str | None = None,
-) -> str:
-    """Put a job that succeeded and left ``files``; returns its id."""
-    request = {
-        "kind": kind,
-        "subject_id": subject_id,
-        "captures": [],
-        "rig_id": rig_id,
-        "options": {},
-    }
-    with store.write() as session:
-        job = Job(
-            subject_id=subject_id,
-            kind=kind,
-            queue="long",
-            request=request,
-            inputs=[],
-            max_attempts=3,
-        )
-        jobs.create(session, job)
-        job_id = job.id
-    with store.write() as session:
-        claim = jobs.claim(session, job_id, "test", 10)
-        assert claim
-        left = [_artifact(store, job_id, path) for path in files]
-        assert jobs.succeed(session, job_id, claim.attempt, left, summary=summary)
-    return job_id
-
-
-def _artifact(store: Store, job_id: str, path: Path) -> Artifact:
-    blob = store.files.put(path)
-    return Artifact(
-        job_id=job_id,
-        name=path.name,
-        size=blob.size,
-        sha256=blob.sha256,
-        media_type="application/octet-stream",
-    )

@@ -7,6 +7,7 @@ from typing import Any, get_args
 import pytest
 
 from myoface import resources
+from service.access.principal import Scope
 from service.app import create_app
 from service.kinds import KINDS
 from service.settings import Settings
@@ -24,6 +25,13 @@ SHAPES = {
     resources.LogLine: "LogLineView",
     resources.Frame: "FrameView",
     resources.Rig: "RigView",
+    resources.Me: "Me",
+    resources.Use: "Use",
+    resources.Usage: "Usage",
+    resources.Key: "KeyView",
+    resources.NewKey: "KeyWithText",
+    resources.Deletion: "DeletionView",
+    resources.AuditEntry: "AuditEntryView",
 }
 
 
@@ -40,6 +48,7 @@ def test_every_field_is_shown(resource: type[resources.Resource], schemas: dict[
 
 
 def test_kinds_and_states_are_the_service_s() -> None:
+    assert set(get_args(resources.Scope)) == {str(scope) for scope in Scope}
     assert set(get_args(resources.Kind)) == set(KINDS)
     assert set(get_args(resources.State)) == {str(state) for state in State}
     assert {str(state) for state in FINAL} == resources.FINAL_STATES

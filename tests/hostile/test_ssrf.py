@@ -152,7 +152,7 @@ def test_ports_of_other_services_are_refused() -> None:
     for port in (22, 25, 6379, 5432, 8765):
         with pytest.raises(Refused) as caught:
             sender.post(f"http://a:{port}/", b"{}", {})
-        assert caught.value.code == "url.port"
+        assert caught.value.code == "address.port"
 
 
 @pytest.mark.parametrize(
@@ -180,7 +180,7 @@ def test_ports_of_other_services_are_refused() -> None:
 def test_what_is_no_url_to_send_to(url: str) -> None:
     with pytest.raises(Refused) as caught:
         Sender(5, LOOPBACK, _names(a=["127.0.0.1"])).post(url, b"{}", {})
-    assert caught.value.code == "url.invalid"
+    assert caught.value.code == "address.invalid"
 
 
 def test_a_redirect_is_an_answer_and_is_not_followed() -> None:
@@ -219,7 +219,7 @@ def test_an_endless_answer_is_cut_off() -> None:
         started = time.monotonic()
         answer = Sender(5, LOOPBACK).post(f"http://127.0.0.1:{port}/", b"{}", {})
     assert len(answer.body) == MOST_ANSWER
-    assert time.monotonic() - started < 2
+    assert time.monotonic() - started < 4
 
 
 def _drip_head(receiver: Receiver) -> None:
@@ -243,7 +243,7 @@ def _drip(receiver: Receiver, text: bytes) -> None:
 
 
 def _silence(_receiver: Receiver) -> None:
-    time.sleep(2)
+    time.sleep(5)
 
 
 @pytest.mark.parametrize("script", [_drip_head, _drip_body, _silence])
@@ -253,18 +253,18 @@ def test_the_time_limit_is_for_everything_together(script: Callable[[Receiver], 
         with pytest.raises(Unreachable) as caught:
             Sender(0.5, LOOPBACK).post(f"http://127.0.0.1:{port}/", b"{}", {})
         assert caught.value.code == "timeout"
-        assert 0.4 < time.monotonic() - started < 1
+        assert 0.4 < time.monotonic() - started < 3
 
 
 def test_a_slow_resolver_counts_too() -> None:
     def slow(_host: str, _port: int) -> Sequence[str]:
-        time.sleep(2)
+        time.sleep(5)
         return [PUBLIC]
 
     started = time.monotonic()
     with pytest.raises(Unreachable) as caught:
         Sender(0.3, (), slow).post("https://a/", b"{}", {})
-    assert (caught.value.code, time.monotonic() - started < 1) == ("timeout", True)
+    assert (caught.value.code, time.monotonic() - started < 3) == ("timeout", True)
 
 
 def test_nobody_listens_or_no_such_name() -> None:

@@ -6,7 +6,6 @@ import base64
 import socket
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import httpx
 import pytest
@@ -20,20 +19,27 @@ SCAN = b"v 0 0 0\n" * 10_000
 PATIENCE = 0.6
 
 
-@pytest.fixture
-def settings(tmp_path: Path) -> Settings:
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory: pytest.TempPathFactory) -> Settings:
     return Settings(
-        data_dir=tmp_path,
+        data_dir=tmp_path_factory.mktemp("uploads"),
         max_open_uploads=3,
         receive_timeout=PATIENCE,
         min_upload_rate=100_000,
     )
 
 
-@pytest.fixture
-def studio(settings: Settings) -> Iterator[Studio]:
+@pytest.fixture(scope="module")
+def api(settings: Settings) -> Iterator[Studio]:
     with served(settings) as studio:
         yield studio
+
+
+@pytest.fixture
+def studio(api: Studio, settings: Settings) -> Iterator[Studio]:
+    yield api
+    for part in settings.uploads.glob("*"):
+        assert api.http.delete(f"/v1/uploads/{part.name}").status_code == 204
 
 
 def _refused(answer: httpx.Response, status: int, code: str) -> None:

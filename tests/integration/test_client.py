@@ -7,11 +7,12 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import anyio
 import httpx
 import pytest
 
-from myoface import transfer
-from myoface.client import Client
+from myoface import transfer, unfinished
+from myoface.client import AsyncClient, Client
 from myoface.credentials import VARIABLE
 from myoface.errors import ApiError
 from myoface.resources import Job
@@ -44,6 +45,12 @@ def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         yield stack.url
 
 
+@pytest.fixture(autouse=True)
+def _notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MYOFACE_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(transfer, "CHUNK_BYTES", 64 * 1024)
+
+
 @pytest.fixture
 def client(url: str) -> Iterator[Client]:
     with Client(url) as client:
@@ -51,9 +58,8 @@ def client(url: str) -> Iterator[Client]:
 
 
 @pytest.fixture
-def breaking(url: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Client]:
-    """A client on a breaking line that sends small chunks."""
-    monkeypatch.setattr(transfer, "CHUNK_BYTES", 64 * 1024)
+def breaking(url: str) -> Iterator[Client]:
+    """A client on a breaking line."""
     with Client(url) as client:
         line = BreakingLine()
         client.http = httpx.Client(base_url=url, headers=client.http.headers, transport=line)
@@ -73,30 +79,37 @@ def subject_with_model(client: Client, folder: Path) -> str:
     return subject.id
 
 
-def test_upload_survives_a_breaking_line(breaking: Client, client: Client, tmp_path: Path) -> None:
+def test_an_upload_goes_on_in_another_run(
+    breaking: Client, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "big.obj"
     path.write_bytes(os.urandom(1_000_001))
+
+    def give_up(done: int, _total: int) -> None:
+        if done > 300_000:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        client.upload(path, progress=give_up)
+    (note,) = unfinished.folder().iterdir()
+    begun = note.read_text()
     offsets: list[int] = []
-    # Starting an upload is not repeated by itself: it would leave a second one behind.
-    begun = client.http.post(
-        "/v1/uploads", headers={"Upload-Length": "1000001", "Upload-Metadata": metadata(path)}
+    sent = breaking.upload(path, progress=lambda done, _: offsets.append(done))
+    assert (sent.id, sent.state) == (begun, "complete")
+    assert sent.sha256 == transfer.sha256_of(path)
+    assert (offsets[0] > 300_000, offsets[-1]) == (True, 1_000_001)
+    assert list(unfinished.folder().iterdir()) == []
+    again = client.upload(path)
+    assert again.id != sent.id  # that one was complete: this is another
+
+
+def test_what_the_service_forgot_is_sent_anew(client: Client, tmp_path: Path) -> None:
+    path = scan(tmp_path, "smile")
+    note = unfinished.Note(
+        str(client.http.base_url).rstrip("/"), path.name, transfer.sha256_of(path)
     )
-    upload_id = begun.headers["Location"].rsplit("/", 1)[-1]
-    sent = breaking.upload(path, resume=upload_id, progress=lambda done, _: offsets.append(done))
-    assert (sent.id, sent.state, sent.sha256) == (upload_id, "complete", transfer.sha256_of(path))
-    assert offsets[-1] == 1_000_001
-
-
-def metadata(path: Path) -> str:
-    return transfer.metadata(path.name, transfer.sha256_of(path))
-
-
-def test_resume_refuses_another_file(client: Client, tmp_path: Path) -> None:
-    started: list[str] = []
-    client.upload(scan(tmp_path, "smile"), started=started.append)
-    with pytest.raises(ApiError) as caught:
-        client.upload(scan(tmp_path, "frown"), resume=started[0])
-    assert caught.value.code == "client.changed"
+    note.write("8c1d3a52-0f4e-4c5b-9b39-1f3a4f1f6c11")
+    assert client.upload(path).state == "complete"
 
 
 def test_a_job_is_followed_over_a_breaking_line(
@@ -124,7 +137,7 @@ def test_who_comes_late_is_not_told_the_old_news(client: Client, tmp_path: Path)
 
 
 def test_lists_are_read_to_their_end(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("myoface.client.LONGEST_PAGE", 2)
+    monkeypatch.setattr("myoface.client._operations.LONGEST_PAGE", 2)
     made = [client.create_subject(f"number {number}").id for number in range(5)]
     assert [each.id for each in client.subjects()][:5] == made[::-1]
 
@@ -170,3 +183,55 @@ def test_nobody_there_is_said_plainly(tmp_path: Path) -> None:
     with Client("http://127.0.0.1:9") as client, pytest.raises(ApiError) as caught:
         client.subjects()
     assert caught.value.code == "client.unreachable"
+
+
+def test_the_awaited_client_does_the_same(url: str, tmp_path: Path) -> None:
+    async def session() -> None:
+        async with AsyncClient(url) as client:
+            subject = await client.create_subject("Ada")
+            await client.add_capture(subject.id, scan(tmp_path, "neutral"), role="neutral")
+            names = ("smile", "frown", "kiss")
+            added: list[str] = []
+
+            async def add(name: str) -> None:
+                added.append((await client.add_capture(subject.id, scan(tmp_path, name))).id)
+
+            async with anyio.create_task_group() as stations:
+                for name in names:
+                    stations.start_soon(add, name)
+            seen: list[Job] = []
+            await client.run("build_model", subject.id, watch=seen.append)
+            assert seen[-1].state == "succeeded"
+            fit = await client.run("fit_geometry", subject.id, captures=added)
+            assert fit.result is not None
+            assert fit.result.rig_id is not None
+            for artifact in (await client.rig(fit.result.rig_id)).artifacts:
+                await client.download(artifact, tmp_path / artifact.name)
+                signed = await client.signed_url(artifact.id)
+                assert httpx.get(signed).content == (tmp_path / artifact.name).read_bytes()
+            lines = [line.text async for line in client.log(fit.id)]
+            assert lines
+            with pytest.raises(ApiError, match=r"job\.finished"):
+                await client.cancel(fit.id, "too late")
+            receipt = await client.delete_subject(subject.id)
+            assert (await client.deletion(receipt)).rows_at is not None
+            assert await client.jobs(subject_id=subject.id) == []
+
+    anyio.run(session)
+
+
+def test_keys_from_python(client: Client, url: str) -> None:
+    made = client.create_key("station", ["read"])
+    with Client(url, made.key) as station:
+        assert station.me().scopes == ["read"]
+        assert station.usage().queued.limit is None
+        with pytest.raises(ApiError) as caught:
+            station.create_subject("Ada")
+        assert (caught.value.status, caught.value.code) == (403, "auth.scope")
+        fresh = client.rotate_key(made.id, grace=0)
+        with pytest.raises(ApiError, match=r"auth\.expired"):
+            station.me()
+    client.revoke_key(fresh.id)
+    known = client.keys()
+    assert {each.id for each in known} >= {made.id, fresh.id}
+    assert [each.action for each in client.audit(fresh.id)] == ["key.revoked"]

@@ -12,7 +12,8 @@ from typer.testing import CliRunner, Result
 from myoface.cli import app
 from myoface.client import Client
 from myoface.credentials import VARIABLE
-from tests.service_client import running
+from service.settings import Settings
+from tests.service_client import Studio, running, served
 
 Command = Callable[..., Result]
 
@@ -120,3 +121,34 @@ def test_an_unknown_name_is_refused_with_those_there_are(myoface: Command, tmp_p
     myoface("upload", subject, scan(tmp_path, "smile"))
     refused = myoface("captures", "delete", subject, "smiel", code=2)
     assert "choose from are smile" in " ".join(refused.output.replace("│", " ").split())
+
+
+def test_keys_at_the_command_line(myoface: Command, url: str) -> None:
+    text = myoface("keys", "add", "station 2", "--scope", "read", "--scope", "write").output.strip()
+    assert text.startswith("myo_")
+    listed = myoface("keys", "list").output
+    assert "station 2  read,write" in listed
+    key_id = text[4:16]
+    fresh = myoface("keys", "rotate", key_id, "--grace", "0").output.strip()
+    myoface("keys", "revoke", fresh[4:16])
+    assert "key.revoked" in myoface("keys", "audit", "--about", fresh[4:16]).output
+    assert "stored bytes" in myoface("keys", "whoami").output
+
+
+def test_a_tenant_is_added_with_its_first_key(tmp_path: Path) -> None:
+    def run(*words: str, code: int = 0) -> str:
+        done = CliRunner().invoke(app, [*words, "--data", str(tmp_path)])
+        assert done.exit_code == code, done.output
+        return done.output
+
+    key = tmp_path / "first.key"
+    tenant = run("tenants", "add", "North", "--key", str(key), "--max-queued", "5").strip()
+    assert key.stat().st_mode & 0o777 == 0o600
+    run("tenants", "add", "South", "--key", str(key), code=2)
+    assert f"{tenant}  North           5" in run("tenants", "list")
+    run("tenants", "limit", tenant, "--max-bytes", "1000")
+    assert f"{tenant}  North    1000" in run("tenants", "list")
+    with served(Settings(data_dir=tmp_path, host="127.0.0.1")) as studio:
+        north = Studio(studio.http, key.read_text())
+        assert north.get("/v1/me")["tenant"] == "North"
+        assert north.get("/v1/usage")["bytes"]["limit"] == 1000

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from sqlalchemy import insert, select, update
 
+from service.settings import Settings
 from service.store import jobs, sweep
 from service.store.claims import Abilities, claim_next
 from service.store.database import clock
@@ -21,19 +22,15 @@ from service.store.models import Attempt, Event, Job, Subject, Tenant, now
 from service.store.positions import positions
 from service.store.store import WAKE, Store
 from service.store.transitions import State
-from tests.integration.test_service_postgres import url as postgres  # noqa: F401 (a fixture)
 
 ANYTHING = Abilities("w", frozenset({"build_model", "register_scan"}), memory_mb=8192, threads=1)
 
 
-@pytest.fixture(params=["sqlite", "postgres"])
-def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
     """A store whose tables have no job yet."""
-    if request.param == "sqlite":
-        url = f"sqlite:///{tmp_path / 'db'}"
-    else:
-        url = request.getfixturevalue("postgres").replace("postgresql://", "postgresql+psycopg://")
-    store = Store(url, tmp_path / "files", f"redis+socket://{tmp_path}/nobody")
+    settings = Settings(data_dir=tmp_path)
+    store = Store(settings.database, settings.files, f"redis+socket://{tmp_path}/nobody")
     store.database.migrate()
     with store.write() as session:
         session.execute(Subject.__table__.delete())
@@ -143,6 +140,16 @@ def test_a_worker_takes_only_what_it_can_do(store: Store) -> None:
     assert woken == ["a0"]
 
 
+def test_a_tenant_at_its_quota_is_passed_over(store: Store) -> None:
+    shop = Shop(store)
+    shop.queue("a", 0, 1, 2)
+    shop.queue("b", 10)
+    with store.write() as session:
+        owner, _ = shop.subjects["a"]
+        session.execute(update(Tenant).where(Tenant.id == owner).values(max_running=1))
+    assert shop.take_all() == ["a0", "b10"]
+
+
 def test_a_job_whose_worker_is_silent_is_taken_again(store: Store) -> None:
     shop = Shop(store)
     shop.queue("a", 0)
@@ -247,7 +254,8 @@ def test_of_a_finished_job_some_reports_are_kept(store: Store) -> None:
         with store.write() as session:
             assert jobs.succeed(session, claim.job_id, claim.attempt, [])
         with store.read() as session:
-            events = session.scalars(select(Event).where(Event.job_id == claim.job_id)).all()
+            mine = select(Event).where(Event.job_id == claim.job_id).order_by(Event.id)
+            events = session.scalars(mine).all()
         reports = [event.data["iteration"] for event in events if event.kind == "progress"]
         assert len(reports) == min(count, 187)
         assert max(reports) > 0.98 * count

@@ -32,6 +32,9 @@ def tenants(tmp_path: Path) -> Iterator[tuple[Studio, Studio]]:
 def _one_of_everything(studio: Studio) -> dict[str, str]:
     subject = studio.subject()
     capture = studio.capture(subject, "smile")
+    batch_upload = studio.upload("pucker.obj", b"v 0 0 0\n")
+    scan = {"name": "pucker", "role": "expression", "upload_id": batch_upload}
+    batch = studio.post("/v1/batches", subject_id=subject, captures=[scan], then=[])
     template_upload = studio.upload("anatomy.npz", b"PK")
     template = studio.post("/v1/templates", name="mine", upload_id=template_upload)["id"]
     upload = studio.upload("frown.obj", b"v 0 0 0\n")
@@ -56,6 +59,7 @@ def _one_of_everything(studio: Studio) -> dict[str, str]:
         "upload_id": upload,
         "job_id": job,
         "rig_id": rig.id,
+        "batch_id": batch["id"],
         "artifact_id": left.id,
         "key_id": studio.post("/v1/keys", name="x", scopes=["read"])["id"],
         "deletion_id": receipt.rsplit("/", 1)[1],
@@ -98,7 +102,7 @@ def test_foreign_ids_answer_as_unknown_ones_on_every_verb(tenants: tuple[Studio,
             assert answers[0] == answers[1], (method, path)
             tried += 1
     assert tried >= 15
-    for path in ("/v1/jobs", "/v1/rigs", "/v1/subjects", "/v1/templates"):
+    for path in ("/v1/jobs", "/v1/rigs", "/v1/subjects", "/v1/templates", "/v1/batches"):
         assert theirs.get(path)["items"] == []
         assert ours.get(path)["items"] != []
     for path in ("/v1/jobs", "/v1/rigs"):
@@ -125,6 +129,7 @@ def test_foreign_ids_in_bodies_are_unknown(tenants: tuple[Studio, Studio]) -> No
     foreign, mine = _one_of_everything(ours), _one_of_everything(theirs)
     captures = f"/v1/subjects/{mine['subject_id']}/captures"
     fit = {"kind": "fit_activations", "subject_id": mine["subject_id"]}
+    scan = {"name": "x", "role": "expression", "upload_id": foreign["upload_id"]}
     cases: list[tuple[str, dict[str, Any], str]] = [
         ("/v1/subjects", {"name": "x", "template_id": foreign["template_id"]}, "template"),
         ("/v1/templates", {"name": "x", "upload_id": foreign["upload_id"]}, "upload"),
@@ -134,6 +139,8 @@ def test_foreign_ids_in_bodies_are_unknown(tenants: tuple[Studio, Studio]) -> No
             "upload",
         ),
         ("/v1/jobs", {"kind": "build_model", "subject_id": foreign["subject_id"]}, "subject"),
+        ("/v1/batches", {"subject_id": foreign["subject_id"], "captures": [scan]}, "subject"),
+        ("/v1/batches", {"subject": {"name": "x"}, "captures": [scan]}, "upload"),
         ("/v1/jobs", {**fit, "rig_id": foreign["rig_id"], "captures": [mine["capture_id"]]}, "rig"),
         (
             "/v1/jobs",

@@ -31,10 +31,10 @@ from tests.service_client import Studio, eventually, running, served
 from worker.deliver import Deliverer
 
 
-@pytest.fixture
-def settings(tmp_path: Path) -> Settings:
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory: pytest.TempPathFactory) -> Settings:
     return Settings(
-        data_dir=tmp_path,
+        data_dir=tmp_path_factory.mktemp("webhooks"),
         webhook_allow=LOOPBACK,
         webhook_timeout=1,
         webhook_schedule=[0.1, 0.1, 0.1],
@@ -42,10 +42,17 @@ def settings(tmp_path: Path) -> Settings:
     )
 
 
-@pytest.fixture
-def studio(settings: Settings) -> Iterator[Studio]:
+@pytest.fixture(scope="module")
+def api(settings: Settings) -> Iterator[Studio]:
     with served(settings) as studio:
         yield studio
+
+
+@pytest.fixture
+def studio(api: Studio) -> Iterator[Studio]:
+    yield api
+    for hook in api.get("/v1/webhooks")["items"]:
+        assert api.http.delete(f"/v1/webhooks/{hook['id']}").status_code == 204
 
 
 def _store(studio: Studio) -> Store:

@@ -44,6 +44,8 @@ def postgres(host: str = "127.0.0.1") -> Iterator[str]:
 
         access = ["-U", user, "-A", "scram-sha-256", "--pwfile", str(password)]
         control(programs / "initdb", "-D", data, *access, "--no-sync")
+        with (data / "pg_hba.conf").open("a") as rules:
+            rules.write("host all all samenet scram-sha-256\n")
         options = f"-c listen_addresses={host} -c port={port} -c unix_socket_directories={folder}"
         start: list[str | Path] = [
             "-D",

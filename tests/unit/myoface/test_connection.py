@@ -1,30 +1,102 @@
-"""What the client does about a service that asks it to come back later."""
+"""What the client does about a line that breaks and a service that asks to come back later."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import httpx
 import pytest
 
-from myoface.connection import patiently
+from myoface import connection
+from myoface.client import Client
 from myoface.errors import ApiError
 
+SUBJECT = {"id": "1", "name": "Ada"}
+RATE = {"code": "request.rate"}
+QUOTA = {"code": "quota.queued"}
 
-def service(*statuses: int) -> httpx.Client:
-    """Return a client of a service that answers with these statuses, one after the other."""
-    waiting = list(statuses)
+Answer = httpx.Response | Exception
 
-    def answer(_request: httpx.Request) -> httpx.Response:
-        status = waiting.pop(0)
-        return httpx.Response(status, json={"code": f"test.{status}"})
 
-    return httpx.Client(base_url="http://service", transport=httpx.MockTransport(answer))
+@pytest.fixture(autouse=True)
+def _hurry(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection, "FIRST_PAUSE_S", 0.001)
+
+
+@pytest.fixture
+def pauses(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    waited: list[float] = []
+    monkeypatch.setattr("time.sleep", waited.append)
+    return waited
+
+
+def service(
+    *answers: Answer | Callable[[httpx.Request], Answer],
+) -> tuple[Client, list[httpx.Request]]:
+    """Return a client of a service that answers so, one after the other, and what it was asked."""
+    waiting, asked = list(answers), []
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        asked.append(request)
+        given = waiting.pop(0)
+        if isinstance(given, Exception):
+            if isinstance(given, httpx.TransportError):
+                given.request = request
+            raise given
+        assert isinstance(given, httpx.Response)
+        return given
+
+    client = Client("http://service", "myo_key")
+    client.http = httpx.Client(base_url="http://service", transport=httpx.MockTransport(answer))
+    return client, asked
+
+
+def refusal(status: int, body: dict[str, str], **headers: str) -> httpx.Response:
+    return httpx.Response(status, json=body, headers=headers)
 
 
 def test_a_service_that_is_not_ready_is_asked_again() -> None:
-    assert patiently(service(503, 200), "GET", "/v1/jobs").status_code == 200
+    client, asked = service(refusal(503, {"code": "x"}), httpx.Response(200, json=SUBJECT))
+    assert client.subject("1").name == "Ada"
+    assert len(asked) == 2
 
 
 def test_a_refusal_is_final() -> None:
+    client, _ = service(refusal(404, {"code": "test.404"}))
     with pytest.raises(ApiError) as caught:
-        patiently(service(404, 200), "GET", "/v1/jobs")
+        client.subject("1")
     assert caught.value.code == "test.404"
+
+
+def test_who_asks_too_fast_waits_as_long_as_the_service_says(pauses: list[float]) -> None:
+    too_fast = refusal(429, RATE, **{"Retry-After": "7"})
+    client, asked = service(too_fast, httpx.Response(200, json={"state": "canceled"}))
+    with pytest.raises(ValueError, match="subject_id"):  # not a whole job: the request went through
+        client.cancel("1", "why")
+    assert pauses == [7.0]
+    assert len(asked) == 2
+
+
+def test_a_quota_is_not_waited_for(pauses: list[float]) -> None:
+    client, _ = service(refusal(429, QUOTA, **{"Retry-After": "60"}))
+    with pytest.raises(ApiError, match=r"quota\.queued"):
+        client.submit("build_model", "1")
+    assert pauses == []
+
+
+def test_what_is_made_over_a_breaking_line_is_made_under_one_key() -> None:
+    lost = httpx.ReadError("the line broke")
+    client, asked = service(
+        lost, refusal(409, {"code": connection.IN_FLIGHT}), httpx.Response(201, json=SUBJECT)
+    )
+    client.create_subject("Ada")
+    keys = {request.headers["Idempotency-Key"] for request in asked}
+    assert (len(asked), len(keys)) == (3, 1)
+
+
+def test_nobody_there_is_said_at_once() -> None:
+    client, asked = service(httpx.ConnectError("refused"))
+    with pytest.raises(ApiError) as caught:
+        client.subjects()
+    assert caught.value.code == "client.unreachable"
+    assert len(asked) == 1

@@ -1,9 +1,15 @@
-"""What a supervisor does when the database does not answer."""
+"""What a supervisor does when the database does not answer, or the disk is full."""
 
 from __future__ import annotations
 
+import errno
+import json
+import os
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from sqlalchemy import select
@@ -11,10 +17,14 @@ from sqlalchemy.exc import OperationalError
 
 from service.settings import Settings
 from service.store import jobs
+from service.store.jobs import Claim
 from service.store.models import DEFAULT_TENANT, Job, LogLine, Subject
 from service.store.store import Store
+from service.store.transitions import State
+from worker import solve
 from worker.abilities import abilities
 from worker.attempt import FRAMES, AttemptFolder
+from worker.kinds import Call
 from worker.supervise import Supervisor
 
 
@@ -32,12 +42,20 @@ class Talking:
         return [f"line {self.said}"]
 
 
-def test_what_was_said_during_an_outage_is_written_down_after_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    settings = Settings(data_dir=tmp_path)
+@pytest.fixture
+def settings(tmp_path: Path) -> Settings:
+    return Settings(data_dir=tmp_path, beat=0.01)
+
+
+@pytest.fixture
+def store(settings: Settings) -> Iterator[Store]:
     store = Store(settings.database, settings.files, settings.broker)
     store.database.migrate()
+    yield store
+    store.close()
+
+
+def _claimed(store: Store) -> Claim:
     with store.write() as session:
         session.add(subject := Subject(tenant_id=DEFAULT_TENANT, name="Alex"))
         session.flush()
@@ -54,6 +72,13 @@ def test_what_was_said_during_an_outage_is_written_down_after_it(
         jobs.create(session, job)
         claim = jobs.claim(session, job.id, "me", 30)
     assert claim is not None
+    return claim
+
+
+def test_what_was_said_during_an_outage_is_written_down_after_it(
+    settings: Settings, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    claim = _claimed(store)
     supervisor = Supervisor(store, settings, abilities(settings), threading.Event())
     supervisor._renewed = float("inf")
     process, folder = Talking(), AttemptFolder(settings.work, claim)
@@ -71,12 +96,70 @@ def test_what_was_said_during_an_outage_is_written_down_after_it(
     supervisor._beat(claim, process, folder)
     supervisor._beat(claim, process, folder)
     with store.write() as session:  # told once more, as after a commit whose answer was lost
-        (kept,) = jobs.frames(session, job.id)
+        (kept,) = jobs.frames(session, claim.job_id)
         chunk = {"first": kept.first, "last": kept.last, "sha256": kept.sha256}
-        jobs.beat(session, job.id, claim.attempt, 30, chunks=[chunk])
+        jobs.beat(session, claim.job_id, claim.attempt, 30, chunks=[chunk])
     with store.read() as session:
         said = session.scalars(select(LogLine.text).order_by(LogLine.number)).all()
         assert said == ["line 1", "line 2", "line 3", "line 4"]
-        assert [(chunk.first, chunk.last) for chunk in jobs.frames(session, job.id)] == [(0, 29)]
-        assert session.get(Job, job.id).progress["phase"] == "phase 4"
-    store.close()
+        assert [(chunk.first, chunk.last) for chunk in jobs.frames(session, claim.job_id)] == [
+            (0, 29)
+        ]
+        assert session.get_one(Job, claim.job_id).progress["phase"] == "phase 4"
+
+
+def test_a_result_is_written_down_when_the_database_is_back(
+    settings: Settings, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    claim = _claimed(store)
+    supervisor = Supervisor(store, settings, abilities(settings), threading.Event())
+    supervisor._renewed = float("inf")
+    folder = AttemptFolder(settings.work, claim)
+    (folder.path / "out").mkdir(parents=True)
+    (folder.path / "out" / "model.npz").write_bytes(b"PK")
+    (folder.path / "result.json").write_text(json.dumps({"summary": {}, "expressions": []}))
+    write, failures = store.write, [1, 2]
+
+    @contextmanager
+    def failing() -> Iterator[Any]:
+        with write() as session:
+            yield session
+            if failures:
+                raise OperationalError("COMMIT", None, Exception(f"gone {failures.pop()}"))
+
+    monkeypatch.setattr(store, "write", failing)
+    supervisor._settle(claim, folder, 0)
+    with store.read() as session:
+        job = session.get_one(Job, claim.job_id)
+        assert job.state is State.SUCCEEDED
+        assert [artifact.name for artifact in job.artifacts] == ["model.npz"]
+
+
+def test_a_solver_without_room_puts_its_job_off(
+    settings: Settings, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    claim = _claimed(store)
+    folder = AttemptFolder(settings.work, claim)
+    folder.stage(store.files)
+    reading, writing = os.pipe()
+    process = {"parent": os.getppid(), "memory_bytes": 1 << 40, "progress_fd": writing}
+    (folder.path / "process.json").write_text(json.dumps(process))
+
+    def full(_task: object) -> None:
+        try:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        except OSError as error:
+            raise RuntimeError("could not save the model") from error
+
+    monkeypatch.setattr(solve, "die_with_parent", lambda *_: None)
+    monkeypatch.setattr(solve.resource, "setrlimit", lambda *_: None)
+    monkeypatch.setitem(solve.CALLS, "build_model", Call(full, "model.json"))
+    code = solve.main(folder.path)
+    os.close(reading)
+    supervisor = Supervisor(store, settings, abilities(settings), threading.Event())
+    supervisor._renewed = float("inf")
+    supervisor._settle(claim, folder, code)
+    with store.read() as session:
+        job = session.get_one(Job, claim.job_id)
+        assert (job.state, job.lost, job.attempts[0].outcome) == (State.QUEUED, 0, "postponed")
+        assert job.not_before is not None

@@ -26,18 +26,22 @@ export async function request(path, options = {}) {
   const { method = "GET", json, body = json && JSON.stringify(json), headers = {} } = options;
   const { signal, patience = PATIENCE_MS } = options;
   for (let waits = 0; ; waits++) {
-    const response = await send(path, {
-      method,
-      body,
-      headers: {
-        ...(json ? { "Content-Type": "application/json" } : {}),
-        ...headers,
-        ...auth.headers(),
+    const response = await send(
+      path,
+      {
+        method,
+        body,
+        headers: {
+          ...(json ? { "Content-Type": "application/json" } : {}),
+          ...headers,
+          ...auth.headers(),
+        },
+        signal: anyOf(signal, patience),
+        cache: "no-cache",
+        redirect: "error",
       },
-      signal: anyOf(signal, patience),
-      cache: "no-cache",
-      redirect: "error",
-    }, signal);
+      signal,
+    );
     if (response.ok) return response;
     if (response.status === 429 && waits < MOST_WAITS) {
       await pause(1000 * (Number(response.headers.get("Retry-After")) || 1), signal);
@@ -74,7 +78,8 @@ async function asProblem(response) {
     detail: `the service answered ${response.status} ${response.statusText}`,
     ...document,
   });
-  if (response.status === 401) globalThis.document.dispatchEvent(new CustomEvent("keyneeded", { detail: problem }));
+  if (response.status === 401)
+    globalThis.document.dispatchEvent(new CustomEvent("keyneeded", { detail: problem }));
   return problem;
 }
 
@@ -143,7 +148,9 @@ export async function* chunks(stream) {
 
 /** Return a path with a query, without the members that are empty. */
 export function withQuery(path, query) {
-  const given = Object.entries(query).filter(([, value]) => value !== null && value !== undefined && value !== "");
+  const given = Object.entries(query).filter(
+    ([, value]) => value !== null && value !== undefined && value !== "",
+  );
   return given.length ? `${path}?${new URLSearchParams(given)}` : path;
 }
 

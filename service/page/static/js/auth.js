@@ -3,12 +3,16 @@
 
 const KEY = "myoface.key";
 
-/** Take a key out of the address (`#key=...`), so that it does not stay in the history. */
+/**
+ * Take a key out of the address (`#key=...`), so that it does not stay in the history. Returns
+ * whether there was one.
+ */
 export function takeFromAddress() {
   const match = /^#key=([^&]+)/.exec(location.hash);
-  if (!match) return;
-  keep(decodeURIComponent(match[1]));
+  if (!match) return false;
   history.replaceState(history.state, "", location.pathname + location.search);
+  keep(decodeURIComponent(match[1]));
+  return true;
 }
 
 /** Return the key, or null. */

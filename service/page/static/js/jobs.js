@@ -1,10 +1,16 @@
 // What several views do with jobs.
 
 import { post, put, serverNow } from "./api.js";
+import { count } from "./words.js";
 
 /** Submit a job under an id of our own: sent twice, it is still one job. */
 export async function submit(request, signal = undefined) {
   return put(`/v1/jobs/${newId()}`, request, signal);
+}
+
+/** Make a job that is over again, with options that differ from its own. */
+export async function retry(jobId, changes) {
+  return post(`/v1/jobs/${jobId}/retry`, changes);
 }
 
 /** Ask for a job to stop. */
@@ -20,6 +26,12 @@ export function applied(job, { id, event, data }) {
   if (event !== "state") return known;
   const progress = rest.state === job.state ? job.progress : null;
   return { ...known, progress, state: rest.state, error: rest.error ?? null };
+}
+
+/** Return a queued job's place in words. */
+export function inLine({ queue_position: position }) {
+  if (position === null) return "Put off: it is tried again in a while";
+  return position === 1 ? "Next in line" : `${count(position - 1, "job")} before it`;
 }
 
 /** Return for how many seconds a job ran or has been running; null before it started. */

@@ -6,6 +6,9 @@ import { time } from "./words.js";
 import { navigate, start } from "./router.js";
 
 auth.takeFromAddress();
+addEventListener("hashchange", () => {
+  if (auth.takeFromAddress()) navigate(location.pathname + location.search, { replace: true });
+});
 
 document.addEventListener("connection", ({ detail: isThere }) => {
   const place = document.getElementById("connection");

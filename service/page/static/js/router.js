@@ -55,7 +55,11 @@ async function open({ focus = false } = {}) {
     if (mine !== turn) end?.();
     else dispose = end;
   } catch (error) {
-    if (mine === turn) show(root, trouble(error, () => open({ focus: true })));
+    if (mine === turn)
+      show(
+        root,
+        trouble(error, () => open({ focus: true })),
+      );
   }
   if (mine !== turn) return;
   main.removeAttribute("aria-busy");
@@ -84,8 +88,10 @@ function moveFocus(main) {
 function markNavigation() {
   for (const link of document.querySelectorAll("nav a")) {
     const path = link.getAttribute("href");
-    const isHere = path === "/" ? /^\/(jobs\/.*)?$/.test(location.pathname)
-      : location.pathname === path || location.pathname.startsWith(`${path}/`);
+    const isHere =
+      path === "/"
+        ? /^\/(jobs\/.*)?$/.test(location.pathname)
+        : location.pathname === path || location.pathname.startsWith(`${path}/`);
     if (isHere) link.setAttribute("aria-current", "page");
     else link.removeAttribute("aria-current");
   }

@@ -40,12 +40,18 @@ export function sorted(files, limits) {
   const meshes = files.filter((file) => isScan(file) && !isLandmarks(file));
   const stems = new Set(meshes.map(stem));
   // a .csv may hold either: landmarks if a scan has its name or it says so itself
-  const landmarks = files.filter((file) => isLandmarks(file)
-    && (!isScan(file) || LANDMARKS.test(stem(file)) || stems.has(stem(file))));
+  const landmarks = files.filter(
+    (file) => isLandmarks(file) && (!isScan(file) || LANDMARKS.test(stem(file)) || stems.has(stem(file))),
+  );
   const scans = files.filter((file) => isScan(file) && !landmarks.includes(file));
   const names = withoutCommonPart(scans.map(stem));
   const of = (file) => landmarks.find((other) => stem(other).replace(LANDMARKS, "") === stem(file)) ?? null;
-  const found = scans.map((file, i) => ({ file, name: asName(names[i]), role: roleOf(file), landmarks: of(file) }));
+  const found = scans.map((file, i) => ({
+    file,
+    name: asName(names[i]),
+    role: roleOf(file),
+    landmarks: of(file),
+  }));
   const taken = new Set(found.flatMap(({ file, landmarks: its }) => [file, its]));
   found.sort((a, b) => (b.role === "neutral") - (a.role === "neutral") || a.name.localeCompare(b.name));
   return { scans: found, others: files.filter((file) => !taken.has(file)) };

@@ -3,7 +3,7 @@
 
 import { ApiProblem, pause, request } from "./api.js";
 
-const PIECE = 4 * 1024 * 1024;
+const PIECE = 8 * 1024 * 1024;
 const PIECE_PATIENCE_MS = 120_000;
 const LONGEST_PAUSE_MS = 15_000;
 const MOST_DAMAGED = 3;
@@ -52,7 +52,11 @@ export async function forget(id) {
 async function create(file, signal) {
   const response = await request("/v1/uploads", {
     method: "POST",
-    headers: { ...VERSION, "Upload-Length": String(file.size), "Upload-Metadata": `filename ${base64(new TextEncoder().encode(file.name))}` },
+    headers: {
+      ...VERSION,
+      "Upload-Length": String(file.size),
+      "Upload-Metadata": `filename ${base64(new TextEncoder().encode(file.name))}`,
+    },
     signal,
   });
   return response.headers.get("Location").split("/").pop();
@@ -77,7 +81,9 @@ async function send(id, file, offset, signal) {
       ...VERSION,
       "Content-Type": "application/offset+octet-stream",
       "Upload-Offset": String(offset),
-      ...(CAN_CHECK ? { "Upload-Checksum": `sha256 ${base64(await crypto.subtle.digest("SHA-256", piece))}` } : {}),
+      ...(CAN_CHECK
+        ? { "Upload-Checksum": `sha256 ${base64(await crypto.subtle.digest("SHA-256", piece))}` }
+        : {}),
     },
     body: piece,
     signal,
@@ -90,7 +96,11 @@ async function read(blob) {
   try {
     return await blob.arrayBuffer();
   } catch {
-    throw new ApiProblem({ status: 0, code: "page.unreadable", detail: "the file can not be read any more: it was moved or changed" });
+    throw new ApiProblem({
+      status: 0,
+      code: "page.unreadable",
+      detail: "the file can not be read any more: it was moved or changed",
+    });
   }
 }
 
@@ -102,12 +112,16 @@ async function patiently(action, waiting, signal) {
       waiting(null);
       return result;
     } catch (error) {
-      const passes = error.code === "page.no_answer" || error.status === 423 || (error.status >= 500 && error.status !== 507);
-      if (!passes) throw error;
+      if (!passes(error)) throw error;
       waiting(error);
     }
     await pause(ms, signal);
   }
+}
+
+/** Whether time mends an error: no answer in time, too many requests, another still writing. */
+function passes({ code, status }) {
+  return code === "page.no_answer" || [408, 423, 429].includes(status) || (status >= 500 && status !== 507);
 }
 
 function base64(bytes) {

@@ -11,8 +11,13 @@ export function askToCancel(jobId, title) {
     title: `Cancel ${title}?`,
     body: [
       h("p", {}, "What it has done so far is thrown away. It can be run again later."),
-      h("label", { class: "field" }, h("span", {}, "Reason"), reason,
-        h("span", { class: "fine" }, "Kept with the job, so that others know why.")),
+      h(
+        "label",
+        { class: "field" },
+        h("span", {}, "Reason"),
+        reason,
+        h("span", { class: "fine" }, "Kept with the job, so that others know why."),
+      ),
     ],
     agree: "Cancel the job",
     danger: true,

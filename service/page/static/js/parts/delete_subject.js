@@ -10,14 +10,22 @@ export function askToDeleteSubject(subject) {
   return ask({
     title: `Delete ${subject.name}?`,
     body: [
-      h("p", {}, "All of this person's scans, jobs, rigs and files are removed, for good."),
-      h("label", { class: "field" }, h("span", {}, `To be sure, type the name: ${subject.name}`),
-        h("input", { type: "text", required: true, pattern, autocomplete: "off", title: subject.name })),
+      h(
+        "p",
+        {},
+        "All of this person's scans, jobs, rigs and files are removed, for good. Jobs that run are stopped first.",
+      ),
+      h(
+        "label",
+        { class: "field" },
+        h("span", {}, `To be sure, type the name: ${subject.name}`),
+        h("input", { type: "text", required: true, pattern, autocomplete: "off", title: subject.name }),
+      ),
     ],
     agree: "Delete for good",
     danger: true,
     act: async () => {
-      await remove(`/v1/subjects/${subject.id}`);
+      await remove(`/v1/subjects/${subject.id}?cancel=true`);
       return true;
     },
   });

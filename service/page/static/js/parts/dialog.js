@@ -13,8 +13,14 @@ export function ask({ title, body, agree, act, danger = false }) {
     const fault = h("div", { class: "notice bad", role: "alert", hidden: true });
     const yes = h("button", { class: danger ? "main danger" : "main" }, agree);
     const no = h("button", { type: "button", onclick: () => dialog.close() }, "Back");
-    const form = h("form", { onsubmit: submit }, h("h2", { id: "dialog-title" }, title), body, fault,
-      h("div", { class: "row end" }, no, yes));
+    const form = h(
+      "form",
+      { onsubmit: submit },
+      h("h2", { id: "dialog-title" }, title),
+      body,
+      fault,
+      h("div", { class: "row end" }, no, yes),
+    );
     const dialog = h("dialog", { "aria-labelledby": "dialog-title", onclose: end }, form);
     let answer = null;
     document.body.append(dialog);

@@ -1,28 +1,49 @@
 // Files that a job left: to look at, to open, to keep.
 
 import { bytes, post, request } from "../api.js";
-import * as auth from "../auth.js";
 import { h } from "../dom.js";
 import { bytes as size } from "../words.js";
+import { table } from "./frame.js";
 import { doing } from "./toast.js";
 
 const PAGE = "text/html";
 
 /** Return a table of artifacts with a button to keep each. */
 export function fileTable(artifacts) {
-  return h("table", {},
-    h("thead", {}, h("tr", {}, h("th", { scope: "col" }, "File"), h("th", { scope: "col", class: "number" }, "Size"),
-      h("th", { scope: "col" }, h("span", { class: "unseen" }, "Actions")))),
-    h("tbody", {}, artifacts.map((artifact) => h("tr", {},
-      h("th", { scope: "row" }, artifact.name),
-      h("td", { class: "number" }, size(artifact.size)),
-      h("td", { class: "number tight" }, h("span", { class: "row end" },
-        artifact.media_type === PAGE && act("Open", artifact, openPage), act("Download", artifact, download)))))));
+  return table(
+    ["File", "Size", "(Actions)"],
+    h(
+      "tbody",
+      {},
+      artifacts.map((artifact) =>
+        h(
+          "tr",
+          {},
+          h("th", { scope: "row" }, artifact.name),
+          h("td", {}, size(artifact.size)),
+          h(
+            "td",
+            { class: "tight" },
+            h(
+              "div",
+              { class: "row end" },
+              artifact.media_type === PAGE && act("Open", artifact, openPage),
+              act("Download", artifact, download),
+            ),
+          ),
+        ),
+      ),
+    ),
+  );
 }
 
 function act(words, artifact, action) {
-  const button = h("button", { type: "button", onclick: () => doing(button, () => action(artifact)) },
-    words, h("span", { class: "unseen" }, ` ${artifact.name}`));
+  const button = h(
+    "button",
+    { type: "button", onclick: () => doing(button, () => action(artifact)) },
+    words,
+    h("span", { class: "unseen" }, ` ${artifact.name}`),
+  );
   return button;
 }
 
@@ -34,25 +55,17 @@ async function download({ id, name, media_type: type }) {
 }
 
 /** Open a stored page in a window of its own, where it keeps its own strict rules. */
-async function openPage(artifact) {
-  const plain = `/v1/artifacts/${artifact.id}`;
-  if (!auth.key()) {
-    open(plain, "_blank", "noopener");
-    return;
-  }
-  try {
-    open((await post(`${plain}/url`)).url, "_blank", "noopener");
-  } catch (error) {
-    if (error.status !== 404 && error.status !== 405) throw error;
-    await download(artifact); // a service that hands out no addresses
-  }
+async function openPage({ id }) {
+  const { url } = await post(`/v1/artifacts/${id}/url`); // a window can not send the key
+  open(url, "_blank", "noopener");
 }
 
 /** Return an image of an artifact; its place is taken by a sentence if it can not be shown. */
 export function picture(artifact, alt, signal) {
   const image = h("img", { alt, class: "picture" });
   const place = h("div", { class: "picture-place" }, image);
-  const fail = () => place.replaceChildren(h("p", { class: "fine" }, `The picture ${artifact.name} can not be shown.`));
+  const fail = () =>
+    place.replaceChildren(h("p", { class: "fine" }, `The picture ${artifact.name} can not be shown.`));
   request(`/v1/artifacts/${artifact.id}`, { signal })
     .then((response) => response.blob())
     .then((blob) => {

@@ -13,11 +13,23 @@ export class Log {
     this.jobId = jobId;
     this.next = 0;
     this.attempt = null;
-    this.dropped = h("p", { class: "fine", hidden: true }, `Only the last ${MOST_LINES} lines are shown.`);
-    this.lines = h("pre", { class: "log", tabindex: 0, role: "log", "aria-live": "off", "aria-label": "Log" });
+    this.dropped = h("p", { class: "fine", hidden: true }, "Earlier lines are not shown.");
+    this.lines = h("pre", {
+      class: "log",
+      tabindex: 0,
+      role: "log",
+      "aria-live": "off",
+      "aria-label": "Log",
+    });
     this.none = h("p", { class: "fine" }, "Nothing was printed so far.");
-    this.element = h("section", { class: "panel", "aria-labelledby": "log" },
-      h("h2", { id: "log" }, "Log"), this.none, this.dropped, this.lines);
+    this.element = h(
+      "section",
+      { class: "panel", "aria-labelledby": "log" },
+      h("h2", { id: "log" }, "Log"),
+      this.none,
+      this.dropped,
+      this.lines,
+    );
     this.lines.hidden = true;
   }
 
@@ -25,7 +37,8 @@ export class Log {
   async refresh(signal) {
     let page;
     do {
-      page = await get(`/v1/jobs/${this.jobId}/log`, { after: this.next, limit: A_TIME }, signal);
+      const part = this.next ? { after: this.next, limit: A_TIME } : { tail: A_TIME };
+      page = await get(`/v1/jobs/${this.jobId}/log`, part, signal);
       if (page.next > this.next) this.add(page.lines);
       this.next = page.next;
     } while (page.lines.length === A_TIME);
@@ -35,6 +48,7 @@ export class Log {
     this.none.hidden = true;
     this.lines.hidden = false;
     const isAtEnd = this.lines.scrollHeight - this.lines.scrollTop - this.lines.clientHeight < NEAR_END_PX;
+    if (this.attempt === null && lines[0].number > 1) this.dropped.hidden = false;
     for (const { attempt, text } of lines) {
       if (attempt !== this.attempt && (this.attempt !== null || attempt > 1)) {
         this.lines.append(h("b", {}, `— attempt ${attempt} —\n`));

@@ -1,7 +1,7 @@
-// Asking for a job: its kind is given, its options can be chosen.
+// Asking for a job: its kind is given, its options and its priority can be chosen.
 
 import { h } from "../dom.js";
-import { submit } from "../jobs.js";
+import { retry, submit } from "../jobs.js";
 import { kindsByName } from "../library.js";
 import { ask } from "./dialog.js";
 import { optionFields, readOptions } from "./options.js";
@@ -9,14 +9,52 @@ import { optionFields, readOptions } from "./options.js";
 /**
  * Show a job's options and submit it; resolves to the new job, or null.
  *
- * `request` is what the API takes: kind, subject_id, captures, rig_id, options.
+ * `request` is what the API takes: kind, subject_id, captures, rig_id.
  */
-export async function askForJob(request, { title, note = null, agree = "Submit" } = {}) {
+export async function askForJob(request) {
   const kind = (await kindsByName()).get(request.kind);
+  const priority = priorityField(0);
   return ask({
-    title: title ?? kind.title,
-    body: [h("p", {}, kind.description), note && h("p", { class: "fine" }, note), optionFields(kind.options, request.options)],
-    agree,
-    act: (form) => submit({ ...request, options: readOptions(kind.options, form) }),
+    title: kind.title,
+    body: [h("p", {}, kind.description), optionFields(kind.options), priority],
+    agree: "Submit",
+    act: (form) =>
+      submit({ ...request, options: readOptions(kind.options, form), priority: valueOf(priority) }),
   });
+}
+
+/** Show the options of a job that is over and make it again; resolves to the new job, or null. */
+export async function askToRunAgain(job) {
+  const kind = (await kindsByName()).get(job.kind);
+  const priority = priorityField(job.priority);
+  const note = "It reads the same scans, as they are now; nothing is uploaded again. The first job stays.";
+  return ask({
+    title: `${kind.title}: run again`,
+    body: [
+      h("p", {}, kind.description),
+      h("p", { class: "fine" }, note),
+      optionFields(kind.options, job.options),
+      priority,
+    ],
+    agree: "Run again",
+    act: (form) =>
+      retry(job.id, {
+        options: readOptions(kind.options, form, job.options),
+        priority: valueOf(priority),
+      }),
+  });
+}
+
+function priorityField(value) {
+  return h(
+    "label",
+    { class: "field" },
+    h("span", {}, "Priority"),
+    h("input", { type: "number", min: -9, max: 9, step: 1, required: true, value }),
+    h("span", { class: "fine" }, "9: before this studio's other jobs, -9: after them"),
+  );
+}
+
+function valueOf(field) {
+  return Number(field.querySelector("input").value);
 }

@@ -6,17 +6,20 @@ import { plain } from "../words.js";
 /** Return a fieldset of `schema`'s options; those in `given` are filled in. */
 export function optionFields(schema, given = {}) {
   const fields = Object.entries(schema.properties).map(([name, rules]) => field(name, rules, given[name]));
-  return h("fieldset", { class: "options" },
+  return h(
+    "fieldset",
+    { class: "options" },
     h("legend", { class: "unseen" }, "Options"),
-    fields.length ? fields : h("p", { class: "fine" }, "This kind of job has no options."));
+    fields.length ? fields : h("p", { class: "fine" }, "This kind of job has no options."),
+  );
 }
 
-/** Return the options that a form says, without those left at their default. */
-export function readOptions(schema, form) {
+/** Return the options that a form says, without those left as they were in `given` or by default. */
+export function readOptions(schema, form, given = {}) {
   const options = {};
   for (const [name, rules] of Object.entries(schema.properties)) {
     const value = read(form.elements[`option-${name}`], rules);
-    if (value !== undefined && value !== (rules.default ?? null)) options[name] = value;
+    if (value !== (given[name] ?? rules.default ?? null)) options[name] = value;
   }
   return options;
 }
@@ -31,13 +34,24 @@ function field(name, rules, given) {
     box.checked = value === true;
     return h("div", { class: "field" }, h("label", { class: "check-field" }, box, plain(name)), help);
   }
-  return h("div", { class: "field" }, h("label", { for: id }, plain(name)), control(shared, rules, value), help);
+  return h(
+    "div",
+    { class: "field" },
+    h("label", { for: id }, plain(name)),
+    control(shared, rules, value),
+    help,
+  );
 }
 
 function control(shared, rules, value) {
   if (rules.enum) {
-    const select = h("select", shared, rules.enum.map((choice) =>
-      h("option", { value: JSON.stringify(choice) }, choice === null ? "automatic" : String(choice))));
+    const select = h(
+      "select",
+      shared,
+      rules.enum.map((choice) =>
+        h("option", { value: JSON.stringify(choice) }, choice === null ? "automatic" : String(choice)),
+      ),
+    );
     select.value = JSON.stringify(value);
     return select;
   }

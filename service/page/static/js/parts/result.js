@@ -19,17 +19,39 @@ export function resultPanel(job, signal) {
   if (!job.result) return null;
   const { summary, artifacts, rig_id: rigId } = job.result;
   const pictures = artifacts.filter(({ media_type: type }) => type === "image/png");
-  const figures = Object.entries(summary?.figures ?? summary ?? {}).filter(([, value]) => typeof value === "number" || typeof value === "string");
+  const figures = Object.entries(summary?.figures ?? summary ?? {}).filter(
+    ([, value]) => typeof value === "number" || typeof value === "string",
+  );
   const content = [
     summary?.verdict && h("p", { class: "verdict" }, state(summary.verdict)),
     (summary?.verdict || summary?.findings?.length) && findingList(summary.findings ?? []),
     rigId && h("p", {}, h("a", { class: "button", href: `/rigs/${rigId}` }, "Open the rig")),
+    job.kind === "fit_sequence" &&
+      h(
+        "p",
+        {},
+        h("a", { class: "button", href: `/rigs/${job.rig_id}?take=${job.id}:0` }, "Play it on the rig"),
+      ),
     pictures.map((artifact) => picture(artifact, PICTURES[artifact.name] ?? artifact.name, signal)),
-    figures.length > 0 && h("dl", { class: "facts" }, figures.map(([name, value]) =>
-      [h("dt", {}, plain(name.replace(/_mm$/, ""))), h("dd", {}, shown(name, value))])),
-  ].flat().filter(Boolean);
+    figures.length > 0 &&
+      h(
+        "dl",
+        { class: "facts" },
+        figures.map(([name, value]) => [
+          h("dt", {}, plain(name.replace(/_mm$/, ""))),
+          h("dd", {}, shown(name, value)),
+        ]),
+      ),
+  ]
+    .flat()
+    .filter(Boolean);
   if (!content.length) return null;
-  return h("section", { class: "panel stack", "aria-labelledby": "result" }, h("h2", { id: "result" }, "Result"), content);
+  return h(
+    "section",
+    { class: "panel stack", "aria-labelledby": "result" },
+    h("h2", { id: "result" }, "Result"),
+    content,
+  );
 }
 
 function shown(name, value) {

@@ -3,7 +3,7 @@
 import { ApiProblem, post, remove } from "../api.js";
 import { announce, h, setText, show } from "../dom.js";
 import * as interrupted from "../interrupted.js";
-import { submit } from "../jobs.js";
+import { inLine, submit } from "../jobs.js";
 import { changed } from "../library.js";
 import { NAME } from "../scan_files.js";
 import { forget, upload } from "../tus.js";
@@ -15,7 +15,11 @@ import { meter } from "./meter.js";
 import { state, word } from "./state.js";
 import { sentence } from "./trouble.js";
 
-const ROLES = [["neutral", "Neutral"], ["expression", "Expression"], ["performance", "Performance"]];
+const ROLES = [
+  ["neutral", "Neutral"],
+  ["expression", "Expression"],
+  ["performance", "Performance"],
+];
 
 /** A row; `stage` is ready, waiting, sending, checking, over or failed. */
 export class ScanRow {
@@ -25,18 +29,40 @@ export class ScanRow {
     this.landmarks = landmarks;
     this.dropped = dropped;
     this.stage = "ready";
-    this.name = h("input", { type: "text", value: name, required: true, pattern: NAME, "aria-label": `Name of ${file.name}`,
-      title: "letters, digits, '_', '.' and '-', with a letter or digit first", autocomplete: "off", spellcheck: "false" });
-    this.role = h("select", { "aria-label": `Role of ${file.name}`, onchange: () => this.mark() },
-      ROLES.map(([value, text]) => h("option", { value }, text)));
+    this.name = h("input", {
+      type: "text",
+      value: name,
+      required: true,
+      pattern: NAME,
+      "aria-label": `Name of ${file.name}`,
+      title: "letters, digits, '_', '.' and '-', with a letter or digit first",
+      autocomplete: "off",
+      spellcheck: "false",
+    });
+    this.role = h(
+      "select",
+      { "aria-label": `Role of ${file.name}`, onchange: () => this.mark() },
+      ROLES.map(([value, text]) => h("option", { value }, text)),
+    );
     this.role.value = role;
     this.badge = state("queued", "Ready");
     this.how = h("div", { class: "stack" });
     this.actions = h("div", { class: "row end" });
-    this.element = h("tr", { "data-file": file.name },
-      h("th", { scope: "row" }, h("div", {}, file.name),
-        h("div", { class: "fine" }, bytes(file.size), landmarks && `, landmarks ${landmarks.name}`)),
-      h("td", {}, this.name), h("td", {}, this.role), h("td", { class: "tight" }, this.badge), h("td", {}, this.how), h("td", { class: "tight" }, this.actions));
+    this.element = h(
+      "tr",
+      { "data-file": file.name },
+      h(
+        "th",
+        { scope: "row" },
+        h("div", {}, file.name),
+        h("div", { class: "fine" }, bytes(file.size), landmarks && `, landmarks ${landmarks.name}`),
+      ),
+      h("td", {}, this.name),
+      h("td", {}, this.role),
+      h("td", { class: "tight" }, this.badge),
+      h("td", {}, this.how),
+      h("td", { class: "tight" }, this.actions),
+    );
     this.mark();
     this.ready();
   }
@@ -53,8 +79,17 @@ export class ScanRow {
   }
 
   offer(...buttons) {
-    show(this.actions, buttons.map(([words, action]) =>
-      h("button", { type: "button", onclick: action }, words, h("span", { class: "unseen" }, ` ${this.file.name}`))));
+    show(
+      this.actions,
+      buttons.map(([words, action]) =>
+        h(
+          "button",
+          { type: "button", onclick: action },
+          words,
+          h("span", { class: "unseen" }, ` ${this.file.name}`),
+        ),
+      ),
+    );
   }
 
   /** Wait to be sent, as a scan of a subject. */
@@ -97,7 +132,8 @@ export class ScanRow {
         this.arrived = `${bytes(arrived)} of ${bytes(file.size)}`;
         setText(words, this.arrived);
       },
-      waiting: (problem) => setText(words, problem ? `${sentence(problem)} Trying again.` : (this.arrived ?? "")),
+      waiting: (problem) =>
+        setText(words, problem ? `${sentence(problem)} Trying again.` : (this.arrived ?? "")),
       signal: this.ending.signal,
     });
   }
@@ -115,7 +151,11 @@ export class ScanRow {
     for (const file of [this.file, this.landmarks].filter(Boolean)) interrupted.forget(file);
     changed(subjectId);
     if (role === "performance") {
-      this.finish("succeeded", "Uploaded", h("p", { class: "fine" }, "A performance is not checked; fit it with a rig."));
+      this.finish(
+        "succeeded",
+        "Uploaded",
+        h("p", { class: "fine" }, "A performance is not checked; fit it with a rig."),
+      );
       return;
     }
     const job = await submit({ kind: "check_scan", subject_id: subjectId, captures: [capture.id], options });
@@ -128,7 +168,7 @@ export class ScanRow {
   hear(job) {
     if (job.state === "queued") {
       this.badge.set("queued", "Check queued");
-      show(this.how, h("p", { class: "fine" }, job.queue_position === 1 ? "Next in line" : `${job.queue_position - 1} before it`));
+      show(this.how, h("p", { class: "fine" }, inLine(job)));
     } else if (job.state === "running" || job.state === "canceling") {
       this.badge.set("running", "Checking");
       if (!this.bar?.isConnected) show(this.how, (this.bar = meter(job)));
@@ -139,15 +179,28 @@ export class ScanRow {
       const why = job.error?.message ?? "The check was canceled.";
       this.finish(job.state, `Check ${job.state}`, h("p", {}, why));
     }
-    if (this.stage === "checking") show(this.actions, h("a", { class: "button", href: `/jobs/${job.id}` }, "Details"));
+    if (this.stage === "checking")
+      show(this.actions, h("a", { class: "button", href: `/jobs/${job.id}` }, "Details"));
   }
 
   judge(job) {
     const { summary, artifacts } = job.result;
     const image = artifacts.find(({ name }) => name === "check.png");
-    this.finish(summary.verdict, null, h("div", { class: "judged" },
-      h("div", { class: "grow" }, findingList(toMend(summary))),
-      image && h("a", { href: `/jobs/${job.id}` }, picture(image, `Check of ${this.name.value}`, this.ending.signal))));
+    this.finish(
+      summary.verdict,
+      null,
+      h(
+        "div",
+        { class: "judged" },
+        h("div", { class: "grow" }, findingList(toMend(summary))),
+        image &&
+          h(
+            "a",
+            { href: `/jobs/${job.id}` },
+            picture(image, `Check of ${this.name.value}`, this.ending.signal),
+          ),
+      ),
+    );
     announce(`${this.name.value}: ${word(summary.verdict)}`);
   }
 
@@ -171,14 +224,19 @@ export class ScanRow {
     this.offer(
       ...(replaces ? [["Replace the earlier scan", () => this.replace(inTheWay)]] : []),
       ["Try again", () => this.again()],
-      ["Leave out", () => this.stop()]);
+      ["Leave out", () => this.stop()],
+    );
   }
 
   async replace(captureId) {
     const { subjectId } = this.order;
     const deleted = await ask({
       title: "Replace the earlier scan?",
-      body: h("p", {}, "The earlier scan is deleted with its checks and registrations. Models and rigs made from it stay."),
+      body: h(
+        "p",
+        {},
+        "The earlier scan is deleted with its checks and registrations. Models and rigs made from it stay.",
+      ),
       agree: "Delete it and go on",
       danger: true,
       act: async () => {

@@ -61,14 +61,18 @@ export function word(key) {
 }
 
 function icon(sign) {
-  return svg("svg", {
-    viewBox: "0 0 16 16",
-    fill: "none",
-    stroke: "currentColor",
-    "stroke-width": 2,
-    "stroke-linecap": "round",
-    "stroke-linejoin": "round",
-    "aria-hidden": "true",
-    class: sign === "arc" ? "turns" : null,
-  }, SIGNS[sign]());
+  return svg(
+    "svg",
+    {
+      viewBox: "0 0 16 16",
+      fill: "none",
+      stroke: "currentColor",
+      "stroke-width": 2,
+      "stroke-linecap": "round",
+      "stroke-linejoin": "round",
+      "aria-hidden": "true",
+      class: sign === "arc" ? "turns" : null,
+    },
+    SIGNS[sign](),
+  );
 }

@@ -7,9 +7,20 @@ const SECONDS = 8;
 
 /** Show a sentence for a while; `tone` is `good` or `bad`. */
 export function toast(text, tone = "good") {
-  const box = h("div", { class: `notice ${tone}`, role: tone === "bad" ? "alert" : "status" },
-    h("div", { class: "row" }, h("p", { class: "grow" }, text),
-      h("button", { type: "button", class: "plain", "aria-label": "Close", onclick: () => box.remove() }, "✕")));
+  const box = h(
+    "div",
+    { class: `notice ${tone}`, role: tone === "bad" ? "alert" : "status" },
+    h(
+      "div",
+      { class: "row" },
+      h("p", { class: "grow" }, text),
+      h(
+        "button",
+        { type: "button", class: "plain", "aria-label": "Close", onclick: () => box.remove() },
+        "✕",
+      ),
+    ),
+  );
   document.getElementById("toasts").append(box);
   if (tone !== "bad") setTimeout(() => box.remove(), 1000 * SECONDS);
 }

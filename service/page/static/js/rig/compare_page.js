@@ -145,6 +145,7 @@ export class ComparePage extends EventTarget {
   #settleSoon() {
     clearTimeout(this.#settling);
     this.#settling = setTimeout(() => {
+      if (this.#isStale) this.#box.stage.draw(); // what is said is what is drawn
       this.#box.describe(summary(this.state, { heats: this.#heats(), take: null }));
       this.dispatchEvent(new Event("change"));
     }, SETTLED_MS);
@@ -168,7 +169,7 @@ export class ComparePage extends EventTarget {
       ["Vertices", ({ face }) => face.count],
     ];
     return h("div", { class: "scroll" }, h("table", {},
-      h("thead", {}, h("tr", {}, h("th", {}, ""), this.#sides.map(({ subject }, i) => h("th", { class: "number", scope: "col" }, `${"AB"[i]}: ${subject.name}`)), h("th", { class: "number", scope: "col" }, "B − A"))),
+      h("thead", {}, h("tr", {}, h("td"), this.#sides.map(({ subject }, i) => h("th", { class: "number", scope: "col" }, `${"AB"[i]}: ${subject.name}`)), h("th", { class: "number", scope: "col" }, "B − A"))),
       h("tbody", {}, rows.map(([title, of]) => {
         const [a, b] = this.#sides.map(of);
         const known = Number.isFinite(a) && Number.isFinite(b);

@@ -25,12 +25,12 @@ export class MusclePanel {
       oninput: () => this.#filter(search.value.trim().toLowerCase()),
     });
     this.element = h("div", { class: "pose" }, this.#head, search, this.#list);
-    this.setMissing("Loading the approximation …");
+    this.setMissing(h("p", { class: "fine" }, "Loading the sliders …"));
   }
 
-  /** Have no sliders, for a reason. */
-  setMissing(why) {
-    show(this.#head, h("p", { class: "fine" }, why));
+  /** Have no sliders; `instead` are elements or texts. */
+  setMissing(...instead) {
+    show(this.#head, instead);
     this.#fill(this.#face.muscles.map((name) => [name, this.#plainRow(name)]));
   }
 
@@ -80,7 +80,7 @@ export class MusclePanel {
     const slider = new Slider({
       name: plain(title),
       hint: muscle ? "Show this muscle" : "",
-      figures: [Number.isFinite(error) ? `± ${millimetres(error)}` : ""],
+      figures: [Number.isFinite(error) ? millimetres(error) : ""],
       moved: (value) => this.#move(number, value),
       chosen: () => muscle && this.#choose(muscle),
     });
@@ -106,7 +106,7 @@ export class MusclePanel {
 
   #fill(rows) {
     this.#rows = new Map(rows);
-    const heads = ["error, mm", "fibres"].map((text) => h("span", { class: "figure" }, text));
+    const heads = ["± mm", "fibres"].map((text) => h("span", { class: "figure" }, text));
     show(this.#list,
       h("li", { class: "slider heads", "aria-hidden": "true" }, h("span"), h("span"), h("span"), heads),
       rows.map(([, row]) => row.element));

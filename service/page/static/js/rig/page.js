@@ -11,10 +11,10 @@ import { onClick, onKeys } from "./hands.js";
 import { Legend } from "./heat.js";
 import { Inside } from "./inside.js";
 import { LookBar } from "./look_bar.js";
+import { missingPreview } from "./missing_preview.js";
 import { MusclePanel } from "./muscle_panel.js";
 import { ExpressionPanel, pose } from "./pose_panel.js";
 import { Preview } from "./preview.js";
-import { artifactsOfJobs } from "./read.js";
 import { StageBox } from "./stage_box.js";
 import { summary } from "./summary.js";
 import { tabs } from "./tabs.js";
@@ -51,11 +51,11 @@ export class RigPage extends EventTarget {
     this.#rig = rig;
     this.#face = face;
     this.#signal = signal;
-    this.state = { ...state, expressions: new Map([...state.expressions].filter(([name]) => face.names.includes(name))) };
+    this.state = possible(state, face, this.#has(INSIDE));
     this.#figure = new Figure(this.#box.stage, face);
     const change = (patch) => this.change(patch);
     const look = new LookBar({
-      heats: face.hasScans ? [DISTANCE, MOTION] : [MOTION],
+      heats: heatsOf(face),
       hasScans: face.hasScans,
       hasInside: this.#has(INSIDE),
       box: this.#figure.box,
@@ -77,8 +77,8 @@ export class RigPage extends EventTarget {
       { name: "muscles", title: "Muscles", element: this.#muscles.element },
       { name: "takes", title: "Sequences", element: this.#takes.element },
     ]);
-    if (state.controls.size) poses.open("muscles");
-    if (state.take) poses.open("takes");
+    if (this.state.controls.size) poses.open("muscles");
+    if (this.state.take) poses.open("takes");
     this.#box.overlay(this.#legend.element);
     this.element = h("div", { class: "rig" },
       look.element,
@@ -204,6 +204,7 @@ export class RigPage extends EventTarget {
 
   /** Say and keep what is shown, once the controls rest. */
   #settle() {
+    if (this.#isStale) this.#box.stage.draw(); // what is said is what is drawn
     this.#box.describe(summary(this.state, { heats: this.#heat ? [this.#heat] : [], take: this.#shownTake }));
     this.dispatchEvent(new Event("change"));
   }
@@ -224,23 +225,25 @@ export class RigPage extends EventTarget {
     else this.#box.name(plain(found.name));
   }
 
-  /** Read the sliders' file: the rig's own, or that of a later job about the rig. */
+  /** Read the sliders' file; without one, say how there can be one. */
   async #findPreview() {
-    const ready = (buffer) => {
-      this.#preview = new Preview(buffer);
-      this.#muscles.setPreview(this.#preview);
-    };
-    if (this.#has(PREVIEW)) return this.#read(PREVIEW, ready);
-    const [found] = await artifactsOfJobs(this.#rig, "build_preview", PREVIEW, this.#signal);
-    if (found) return this.#read(PREVIEW, ready, `/v1/artifacts/${found.artifact.id}`);
-    return this.#muscles.setMissing(whyNoPreview(this.#rig));
+    if (this.#has(PREVIEW)) {
+      await this.#read(PREVIEW, (buffer) => {
+        this.#preview = new Preview(buffer);
+        this.#muscles.setPreview(this.#preview);
+        const names = this.#preview.controls.map(({ name }) => name);
+        this.state = { ...this.state, controls: among(this.state.controls, names) };
+      });
+    } else this.#muscles.setMissing(await missingPreview(this.#rig, this.#signal));
+    this.#update();
   }
 
   async #readTake(job) {
     const take = await this.#takes.load(job);
-    if (!take || this.#take?.job === job) return;
+    if (!take || this.#take?.job === job || this.state.take?.job !== job) return;
     this.#take = { job, take };
-    this.#update();
+    const frame = Math.min(this.state.take.frame, take.frames - 1);
+    this.change({ take: { job, frame } });
   }
 
   #has(name) {
@@ -248,9 +251,10 @@ export class RigPage extends EventTarget {
   }
 
   /** Read a file of the rig, once; `ready` gets it, and the state is shown anew. */
-  async #read(name, ready, path = `/v1/rigs/${this.#rig.id}/artifacts/${name}`) {
+  async #read(name, ready) {
     if (this.#asked.has(name)) return;
     this.#asked.add(name);
+    const path = `/v1/rigs/${this.#rig.id}/artifacts/${name}`;
     const progress = (received, total) => (
       this.#box.say(total ? `Loading … ${Math.round((100 * received) / total)} %` : "Loading …")
     );
@@ -281,8 +285,23 @@ export class RigPage extends EventTarget {
   }
 }
 
-function whyNoPreview(rig) {
-  const { preview } = rig.summary;
-  const why = typeof preview === "string" ? preview : preview?.reason ?? preview?.message;
-  return `No muscle sliders: ${why ?? "no approximation was made with this rig"}.`;
+function heatsOf(face) {
+  return face.hasScans ? [DISTANCE, MOTION] : [MOTION];
+}
+
+/** Return what of a state, as an address may ask for it, this rig can show. */
+function possible(state, face, hasInside) {
+  return {
+    ...state,
+    expressions: among(state.expressions, face.names),
+    heat: heatsOf(face).some(([of]) => of === state.heat?.of) ? state.heat : null,
+    scan: face.hasScans ? state.scan : null,
+    inside: hasInside && state.inside,
+    muscle: face.muscles.includes(state.muscle) ? state.muscle : null,
+    section: hasInside ? state.section : null,
+  };
+}
+
+function among(values, names) {
+  return new Map([...values].filter(([name]) => names.includes(name)));
 }

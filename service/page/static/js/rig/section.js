@@ -27,7 +27,9 @@ export class Section {
    * closed surfaces whose outline is drawn, the matrix null where they stand as they are.
    */
   cut(axis, at, inside, outlines) {
-    const colours = [...inside.names.map((name) => inside.colours.get(name)), FLESH];
+    const { chosen } = inside; // if a muscle is, it alone has its colour
+    const colours = inside.names.map((name) => (chosen && name !== chosen ? FLESH : inside.colours.get(name)));
+    colours.push(FLESH);
     const face = cutTets(inside.x, inside.tets, AXES[axis], at, (tet) => {
       const number = inside.mainMuscle[tet];
       return colours[number === NO_MUSCLE ? colours.length - 1 : number];

@@ -3,11 +3,12 @@
 import { ApiProblem, get } from "../api.js";
 import { h, show } from "../dom.js";
 import { kindsByName, serviceLimits } from "../library.js";
+import { panel, table } from "../parts/frame.js";
 import { state } from "../parts/state.js";
 import { repeat } from "../repeat.js";
 import { bytes, span, time, when } from "../words.js";
 
-const EVERY_MS = 5_000;
+const EVERY_MS = 10_000;
 const PARTS = { database: "Database", broker: "Broker", files: "Files" };
 
 export async function mount(root) {
@@ -18,27 +19,63 @@ export async function mount(root) {
   const parts = h("tbody");
   const workers = h("tbody");
   const queues = h("tbody");
+  const usage = h("tbody");
   const asked = h("p", { class: "fine grow" });
   root.append(
     h("div", { class: "head" }, h("h1", {}, "Health"), asked),
     overall,
-    h("div", { class: "even" },
+    h(
+      "div",
+      { class: "even" },
       panel("parts", "Parts", table(["Part", "State"], parts)),
-      panel("queues", "Queues", table(["Queue", "Running", "Queued"], queues)),
+      panel("queues", "Queues", table(["Queue", "Running", "Place of the newest job"], queues)),
       panel("workers", "Workers", table(["Worker", "Queue", "Since", "Last seen"], workers)),
-      panel("limits", "Limits", limitList(limits))));
+      panel("usage", "What this studio uses", table(["(What)", "Used", "At most"], usage)),
+      panel("limits", "Limits", limitList(limits)),
+    ),
+  );
   let toldReady = null;
   const refresh = async () => {
-    const [{ ready, checks, workers: serving }, living, lengths] = await Promise.all(
-      [readiness(signal), livingWorkers(signal), queueLengths(kinds, signal)]);
+    const [{ ready, checks, workers: serving }, living, lengths, used] = await Promise.all([
+      readiness(signal),
+      livingWorkers(signal),
+      queueLengths(kinds, signal),
+      get("/v1/usage", {}, signal),
+    ]);
     if (toldReady !== ready) {
       toldReady = ready;
-      show(overall, h("div", { class: `notice ${ready ? "good" : "bad"}` },
-        h("p", {}, h("strong", {}, ready ? "All parts answer." : "A part does not answer. Jobs and uploads may fail until it does."))));
+      show(
+        overall,
+        h(
+          "div",
+          { class: `notice ${ready ? "good" : "bad"}` },
+          h(
+            "p",
+            {},
+            h(
+              "strong",
+              {},
+              ready
+                ? "All parts answer."
+                : "A part does not answer. Jobs and uploads may fail until it does.",
+            ),
+          ),
+        ),
+      );
     }
-    show(parts, Object.entries(checks).map(([name, found]) =>
-      h("tr", {}, h("th", { scope: "row" }, PARTS[name] ?? name), h("td", {}, state(found, found === "ok" ? "Answers" : "Does not answer")))));
+    show(
+      parts,
+      Object.entries(checks).map(([name, found]) =>
+        h(
+          "tr",
+          {},
+          h("th", { scope: "row" }, PARTS[name] ?? name),
+          h("td", {}, state(found, found === "ok" ? "Answers" : "Does not answer")),
+        ),
+      ),
+    );
     show(workers, workerRows(living, serving));
+    show(usage, usageRows(used));
     show(queues, queueRows(lengths, serving));
     asked.textContent = `as of ${time(new Date())}`;
   };
@@ -66,9 +103,9 @@ async function livingWorkers(signal) {
   }
 }
 
-/** Return running and queued jobs by queue: the newest queued job's place is the queue's length. */
+/** Return by queue how many jobs run, and the place of the newest that waits: how long the queue is. */
 async function queueLengths(kinds, signal) {
-  const lengths = new Map([...kinds.values()].map(({ queue }) => [queue, { running: 0, queued: 0 }]));
+  const lengths = new Map([...kinds.values()].map(({ queue }) => [queue, { running: 0, place: 0 }]));
   const queueOf = (job) => lengths.get(kinds.get(job.kind)?.queue);
   const [running, ...newest] = await Promise.all([
     get("/v1/jobs", { state: "running", limit: 1000 }, signal),
@@ -77,43 +114,76 @@ async function queueLengths(kinds, signal) {
   for (const job of running.items) if (queueOf(job)) queueOf(job).running++;
   for (const job of newest.flatMap(({ items }) => items)) {
     const queue = queueOf(job);
-    if (queue) queue.queued = Math.max(queue.queued, job.queue_position ?? 0);
+    if (queue) queue.place = Math.max(queue.place, job.queue_position ?? 0);
   }
   return lengths;
 }
 
 function queueRows(lengths, serving) {
-  return [...lengths].sort().map(([name, { running, queued }]) => {
-    return h("tr", {}, h("th", { scope: "row" }, name, !serving[name] && h("div", {}, state("usable", "No worker: its jobs wait"))),
-      h("td", {}, running), h("td", {}, queued));
+  return [...lengths].sort().map(([name, { running, place }]) => {
+    return h(
+      "tr",
+      {},
+      h(
+        "th",
+        { scope: "row" },
+        name,
+        !serving[name] && h("div", {}, state("usable", "No worker: its jobs wait")),
+      ),
+      h("td", {}, running),
+      h("td", {}, place || "none waits"),
+    );
   });
 }
 
+function usageRows(used) {
+  return [
+    ["bytes", "Stored", bytes],
+    ["running", "Running jobs", String],
+    ["queued", "Queued jobs", String],
+  ].map(([key, name, text]) =>
+    h(
+      "tr",
+      {},
+      h("th", { scope: "row" }, name),
+      h("td", {}, text(used[key].used)),
+      h("td", {}, used[key].limit === null ? "no limit" : text(used[key].limit)),
+    ),
+  );
+}
+
 function workerRows(workers, serving) {
-  if (!Object.keys(serving).length) return h("tr", {}, h("td", { colspan: 4 }, state("failed", "No worker is alive: jobs wait.")));
+  if (!Object.keys(serving).length)
+    return h("tr", {}, h("td", { colspan: 4 }, state("failed", "No worker is alive: jobs wait.")));
   if (!workers) {
-    const words = Object.entries(serving).map(([queue, number]) => `${number} for ${queue}`).join(", ");
+    const words = Object.entries(serving)
+      .map(([queue, number]) => `${number} for ${queue}`)
+      .join(", ");
     return h("tr", {}, h("td", { colspan: 4 }, `${words}. This key may not see their names.`));
   }
-  return workers.map(({ name, queue, started_at: started, seen_at: seen }) => h("tr", {},
-    h("th", { scope: "row", class: "breaks" }, name), h("td", {}, queue), h("td", {}, when(started)), h("td", {}, time(seen))));
+  return workers.map(({ name, queue, started_at: started, seen_at: seen }) =>
+    h(
+      "tr",
+      {},
+      h("th", { scope: "row", class: "breaks" }, name),
+      h("td", {}, queue),
+      h("td", {}, when(started)),
+      h("td", {}, time(seen)),
+    ),
+  );
 }
 
 function limitList(limits) {
-  return h("dl", { class: "facts" }, [
-    ["Largest file", bytes(limits.max_upload_bytes)],
-    ["An unused upload is kept", span(limits.upload_ttl)],
-    ["Attempts a job may cost", limits.max_attempts],
-    ["Registered scans", limits.scan_formats.join(" ")],
-    ["Raw scans", limits.raw_scan_formats.join(" ")],
-    ["Landmarks", limits.landmark_formats.join(" ")],
-  ].map(([name, value]) => [h("dt", {}, name), h("dd", {}, value)]));
-}
-
-function panel(id, title, ...content) {
-  return h("section", { class: "panel", "aria-labelledby": id }, h("h2", { id }, title), content);
-}
-
-function table(names, body) {
-  return h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {}, names.map((name) => h("th", { scope: "col" }, name)))), body));
+  return h(
+    "dl",
+    { class: "facts" },
+    [
+      ["Largest file", bytes(limits.max_upload_bytes)],
+      ["An unused upload is kept", span(limits.upload_ttl)],
+      ["Attempts a job may cost", limits.max_attempts],
+      ["Registered scans", limits.scan_formats.join(" ")],
+      ["Raw scans", limits.raw_scan_formats.join(" ")],
+      ["Landmarks", limits.landmark_formats.join(" ")],
+    ].map(([name, value]) => [h("dt", {}, name), h("dd", {}, value)]),
+  );
 }

@@ -3,13 +3,14 @@
 import { get } from "../api.js";
 import { announce, h, setText, show } from "../dom.js";
 import { watch } from "../events.js";
-import { applied, seconds } from "../jobs.js";
+import { applied, inLine, seconds } from "../jobs.js";
 import { capturesById, kindsByName, subjectName } from "../library.js";
 import { askToCancel } from "../parts/cancel.js";
 import { fileTable } from "../parts/files.js";
+import { panel, table } from "../parts/frame.js";
 import { Log } from "../parts/log.js";
 import { meter } from "../parts/meter.js";
-import { askForJob } from "../parts/new_job.js";
+import { askToRunAgain } from "../parts/new_job.js";
 import { Progress } from "../parts/progress.js";
 import { resultPanel } from "../parts/result.js";
 import { FINAL, state, word } from "../parts/state.js";
@@ -22,9 +23,11 @@ const EVERY_MS = 3_000; // what events do not tell: attempts, place in the queue
 
 /** What the operator can do about errors that are not about the input. */
 const ADVICE = {
-  worker_lost: "The workers that took this job died. Run it again; if that happens again, tell whoever runs the service.",
+  worker_lost:
+    "The workers that took this job died. Run it again; if that happens again, tell whoever runs the service.",
   "solver.crash": "This is a fault of the solver, not of the scans. Report it with the job's id and its log.",
-  "solver.killed": "The solver process was killed, most likely for want of memory. Run it again when less is running.",
+  "solver.killed":
+    "The solver process was killed, most likely for want of memory. Run it again when less is running.",
   "solver.memory": "The job needs more memory than a solver may take (MYOFACE_SOLVER_MEMORY_MB).",
   "storage.full": "There is no room left for files. Make room, then run it again.",
 };
@@ -37,15 +40,19 @@ export async function mount(root, { id }) {
   show(root, view.elements);
   view.set(job);
   view.describe();
+  await repeat(
+    () => view.refresh(),
+    EVERY_MS,
+    signal,
+    () => view.isGone(),
+  );
   listen(view, signal);
-  await repeat(() => view.refresh(), EVERY_MS, signal, () => view.isGone());
   return () => ending.abort();
 }
 
 /** Hear all events from the first: they are the curve. */
 function listen(view, signal) {
-  watch(view.job.id, { signal, tell: (event) => view.hear(event) })
-    .catch(() => {}); // asking again and again goes on, and says what is wrong
+  watch(view.job.id, { signal, tell: (event) => view.hear(event) }).catch(() => {}); // asking again and again goes on, and says what is wrong
 }
 
 class JobView {
@@ -57,8 +64,16 @@ class JobView {
     this.badge = state(job.state);
     this.subject = h("a", { href: `/subjects/${job.subject_id}` }, "…");
     this.about = h("span", {}, "of ");
-    this.cancel = h("button", { type: "button", class: "danger", onclick: () => this.askToCancel() }, "Cancel");
-    this.again = h("button", { type: "button", onclick: () => doing(this.again, () => this.runAgain()) }, "Run again");
+    this.cancel = h(
+      "button",
+      { type: "button", class: "danger", onclick: () => this.askToCancel() },
+      "Cancel",
+    );
+    this.again = h(
+      "button",
+      { type: "button", onclick: () => doing(this.again, () => this.runAgain()) },
+      "Run again",
+    );
     this.now = h("div", { class: "stack" });
     this.meter = meter(job);
     this.progress = new Progress();
@@ -67,34 +82,57 @@ class JobView {
     this.facts = h("dl", { class: "facts" });
     this.attempts = h("tbody");
     this.elements = [
-      h("div", { class: "head" }, h("h1", {}, this.title), this.badge, h("p", { class: "grow" }, this.about, this.subject), this.cancel, this.again),
-      h("div", { class: "columns" },
+      h(
+        "div",
+        { class: "head" },
+        h("h1", {}, this.title),
+        this.badge,
+        h("p", { class: "grow" }, this.about, this.subject),
+        this.cancel,
+        this.again,
+      ),
+      h(
+        "div",
+        { class: "columns" },
         h("div", { class: "stack" }, this.now, this.result, this.progress.element, this.log.element),
-        h("div", { class: "stack" },
+        h(
+          "div",
+          { class: "stack" },
           panel("facts", "Job", this.facts),
           panel("parameters", "Parameters", parameters(this.kind, job.options)),
-          panel("attempts", "Attempts", attemptTable(this.attempts)))),
+          panel("attempts", "Attempts", table(["(Number)", "Worker", "Took", "Outcome"], this.attempts)),
+        ),
+      ),
     ];
   }
 
   /** Put in names that have to be asked for. */
   describe() {
-    subjectName(this.job.subject_id).then((name) => {
-      setText(this.subject, name);
-      nameWindow(`${this.title}, ${name}`);
-    }, () => {});
-    capturesById(this.job.subject_id, this.job.captures).then((found) => {
-      const names = this.job.captures.map((id) => found.get(id)?.name ?? "a deleted scan");
-      this.scans = names.join(", ");
-      if (names.length === 1) setText(this.about, `${names[0]} of `);
-      this.showFacts();
-    }, () => {});
+    subjectName(this.job.subject_id).then(
+      (name) => {
+        setText(this.subject, name);
+        nameWindow(`${this.title}, ${name}`);
+      },
+      () => {},
+    );
+    capturesById(this.job.subject_id, this.job.captures).then(
+      (found) => {
+        const names = this.job.captures.map((id) => found.get(id)?.name ?? "a deleted scan");
+        this.scans = names.join(", ");
+        if (names.length === 1) setText(this.about, `${names[0]} of `);
+        this.showFacts();
+      },
+      () => {},
+    );
   }
 
   async refresh() {
     const wasOver = FINAL.has(this.job.state) && this.hasAll;
     if (wasOver) return;
-    const [job] = await Promise.all([get(`/v1/jobs/${this.job.id}`, {}, this.signal), this.log.refresh(this.signal)]);
+    const [job] = await Promise.all([
+      get(`/v1/jobs/${this.job.id}`, {}, this.signal),
+      this.log.refresh(this.signal),
+    ]);
     this.set(job);
     this.hasAll = FINAL.has(job.state);
   }
@@ -126,7 +164,11 @@ class JobView {
     this.showAttempts();
     if (isOver && !this.shownResult && job.finished_at) {
       this.shownResult = true;
-      show(this.result, resultPanel(job, this.signal), job.result?.artifacts.length && panel("files", "Files", fileTable(job.result.artifacts)));
+      show(
+        this.result,
+        resultPanel(job, this.signal),
+        job.result?.artifacts.length && panel("files", "Files", fileTable(job.result.artifacts)),
+      );
     }
   }
 
@@ -147,14 +189,21 @@ class JobView {
       Started: job.started_at && when(job.started_at),
       Finished: job.finished_at && when(job.finished_at),
       Took: lasted === null ? null : span(lasted),
+      Priority: job.priority ? String(job.priority) : null,
+      "Made again from": job.parent_id && h("a", { href: `/jobs/${job.parent_id}` }, "an earlier job"),
+      "Kept until": job.retain_until && when(job.retain_until),
       Rig: job.rig_id && h("a", { href: `/rigs/${job.rig_id}` }, "the one it was made from"),
       Id: h("code", {}, job.id),
     });
   }
 
   showAttempts() {
-    show(this.attempts, this.job.attempts.length ? this.job.attempts.map(attemptRow)
-      : h("tr", {}, h("td", { colspan: 4, class: "fine" }, "No worker has taken it yet.")));
+    show(
+      this.attempts,
+      this.job.attempts.length
+        ? this.job.attempts.map(attemptRow)
+        : h("tr", {}, h("td", { colspan: 4, class: "fine" }, "No worker has taken it yet.")),
+    );
   }
 
   askToCancel() {
@@ -162,18 +211,19 @@ class JobView {
   }
 
   async runAgain() {
-    const { kind, subject_id: subjectId, captures, rig_id: rigId, options } = this.job;
-    const request = { kind, subject_id: subjectId, captures, rig_id: rigId, options };
-    const job = await askForJob(request, {
-      title: `${this.title}: run again`,
-      note: "Reads the same scans as before, as they are now; nothing is uploaded again. This job stays as it is.",
-      agree: "Run again",
-    });
+    const job = await askToRunAgain(this.job);
     if (job) navigate(`/jobs/${job.id}`);
   }
 
   isGone() {
-    show(this.now, h("div", { class: "notice warn", role: "alert" }, h("p", {}, "This job was deleted with its subject or scan.")));
+    show(
+      this.now,
+      h(
+        "div",
+        { class: "notice warn", role: "alert" },
+        h("p", {}, "This job was deleted with its subject or scan."),
+      ),
+    );
     this.cancel.hidden = this.again.hidden = true;
   }
 }
@@ -181,11 +231,11 @@ class JobView {
 /** What matters most now: how far it is, or why it ended. */
 function nowOf(job, bar) {
   if (job.state === "queued") {
-    const place = job.queue_position === 1 ? "It is next in its queue." : `${job.queue_position - 1} before it in its queue.`;
-    return h("div", { class: "notice" }, h("p", {}, place));
+    return h("div", { class: "notice" }, h("p", {}, `${inLine(job)}.`));
   }
   if (job.state === "running") return h("section", { class: "panel", "aria-label": "Progress" }, bar);
-  if (job.state === "canceling") return h("div", { class: "notice warn" }, h("p", {}, "It is being stopped."), reason(job));
+  if (job.state === "canceling")
+    return h("div", { class: "notice warn" }, h("p", {}, "It is being stopped."), reason(job));
   if (job.state === "canceled") return h("div", { class: "notice" }, h("h2", {}, "Canceled"), reason(job));
   if (job.state === "failed" && job.error) return failure(job);
   return null;
@@ -199,16 +249,25 @@ function reason({ cancel }) {
 function failure({ error, attempt, max_attempts: most }) {
   const { code, message, ...context } = error;
   const places = Object.entries(context).filter(([, value]) => value !== null && typeof value !== "object");
-  return h("div", { class: "notice bad" },
+  return h(
+    "div",
+    { class: "notice bad" },
     h("h2", {}, "Failed"),
     h("p", {}, message),
     ADVICE[code] && h("p", {}, ADVICE[code]),
-    h("p", { class: "fine" }, [h("code", {}, code), ...places.map(([name, value]) => `${name} ${value}`),
-      code === "worker_lost" ? `${attempt} of ${most} attempts` : null].filter(Boolean).flatMap((part) => [part, " · "]).slice(0, -1)));
-}
-
-function panel(id, title, ...content) {
-  return h("section", { class: "panel", "aria-labelledby": id }, h("h2", { id }, title), content);
+    h(
+      "p",
+      { class: "fine" },
+      [
+        h("code", {}, code),
+        ...places.map(([name, value]) => `${name} ${value}`),
+        code === "worker_lost" ? `${attempt} of ${most} attempts` : null,
+      ]
+        .filter(Boolean)
+        .flatMap((part) => [part, " · "])
+        .slice(0, -1),
+    ),
+  );
 }
 
 /** Show facts in a list; texts change in place, so that a link among them keeps the focus. */
@@ -217,7 +276,10 @@ function facts(list, entries) {
   const names = given.map(([name]) => name).join();
   if (list.dataset.names !== names) {
     list.dataset.names = names;
-    show(list, given.map(([name, value]) => [h("dt", {}, name), h("dd", {}, value)]));
+    show(
+      list,
+      given.map(([name, value]) => [h("dt", {}, name), h("dd", {}, value)]),
+    );
     return;
   }
   const places = list.querySelectorAll("dd");
@@ -228,23 +290,24 @@ function facts(list, entries) {
 function parameters(kind, given) {
   const known = Object.entries(kind?.options.properties ?? {});
   if (!known.length) return h("p", { class: "fine" }, "This kind of job has none.");
-  return h("dl", { class: "facts" }, known.map(([name, rules]) => {
-    const value = given[name] ?? rules.default ?? null;
-    const text = value === null ? "automatic" : String(value);
-    return [h("dt", {}, plain(name)), h("dd", {}, name in given ? h("strong", {}, text) : text)];
-  }));
-}
-
-function attemptTable(body) {
-  const names = ["", "Worker", "Took", "Outcome"];
-  return h("div", { class: "scroll" }, h("table", {},
-    h("thead", {}, h("tr", {}, names.map((name) => h("th", { scope: "col" }, name || h("span", { class: "unseen" }, "Number"))))), body));
+  return h(
+    "dl",
+    { class: "facts" },
+    known.map(([name, rules]) => {
+      const value = given[name] ?? rules.default ?? null;
+      const text = value === null ? "automatic" : String(value);
+      return [h("dt", {}, plain(name)), h("dd", {}, name in given ? h("strong", {}, text) : text)];
+    }),
+  );
 }
 
 function attemptRow(attempt) {
-  return h("tr", {},
+  return h(
+    "tr",
+    {},
     h("th", { scope: "row", class: "tight" }, attempt.number),
     h("td", { class: "breaks" }, attempt.worker),
     h("td", { class: "tight" }, span(seconds(attempt))),
-    h("td", { class: "tight" }, state(attempt.outcome ?? "running")));
+    h("td", { class: "tight" }, state(attempt.outcome ?? "running")),
+  );
 }

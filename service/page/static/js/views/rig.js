@@ -2,17 +2,18 @@
 
 import { h, show } from "../dom.js";
 import { replaceQuery, title } from "../router.js";
-import { Face } from "../rig/face.js";
 import { heading } from "../rig/heading.js";
-import { fromQuery, toQuery } from "../rig/link.js";
-import { RigPage } from "../rig/page.js";
 import { rigAndSubject, viewOf } from "../rig/read.js";
 
 export async function mount(root, { id }, query) {
   const ending = new AbortController();
   const { signal } = ending;
   show(root, h("p", { class: "empty", role: "status" }, "Loading the face …"));
-  const [[rig, subject], buffer] = await Promise.all([rigAndSubject(id, signal), viewOf(id, signal)]);
+  // the rig comes while the code to show it does
+  const [[rig, subject], buffer, { RigPage }, { Face }, { fromQuery, toQuery }] = await Promise.all([
+    rigAndSubject(id, signal), viewOf(id, signal),
+    import("../rig/page.js"), import("../rig/face.js"), import("../rig/link.js"), import("../../vendor/three.js"),
+  ]);
   title(`Rig of ${subject.name}`);
   if (!buffer) {
     show(root, heading(rig, subject), h("div", { class: "notice" },

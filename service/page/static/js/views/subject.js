@@ -6,6 +6,7 @@ import { keyed } from "../keyed.js";
 import { changed } from "../library.js";
 import { askToDeleteSubject } from "../parts/delete_subject.js";
 import { ask } from "../parts/dialog.js";
+import { panel, table } from "../parts/frame.js";
 import { askForJob } from "../parts/new_job.js";
 import { state } from "../parts/state.js";
 import { doing, toast } from "../parts/toast.js";
@@ -14,7 +15,7 @@ import { repeat } from "../repeat.js";
 import { navigate, title as nameWindow } from "../router.js";
 import { bytes, count, figure, plain, when } from "../words.js";
 
-const EVERY_MS = 3_000;
+const EVERY_MS = 5_000;
 
 export async function mount(root, { id }) {
   const ending = new AbortController();
@@ -22,7 +23,12 @@ export async function mount(root, { id }) {
   nameWindow(subject.name);
   const view = new SubjectView(subject, ending.signal);
   root.append(...view.elements);
-  await repeat(() => view.refresh(), EVERY_MS, ending.signal, (error) => toast(sentence(error), "bad"));
+  await repeat(
+    () => view.refresh(),
+    EVERY_MS,
+    ending.signal,
+    (error) => toast(sentence(error), "bad"),
+  );
   return () => ending.abort();
 }
 
@@ -37,16 +43,29 @@ class SubjectView {
     this.showRigs = keyed(this.rigBody, (rig) => this.rigRow(rig));
     this.model = h("p", { class: "grow" });
     this.build = button("Build the model", () => this.order("build_model"));
-    this.fit = button("Fit the chosen expressions", () => this.order("fit_geometry", { captures: [...this.chosen] }));
+    this.fit = button("Fit the chosen expressions", () =>
+      this.order("fit_geometry", { captures: [...this.chosen] }),
+    );
     this.noScans = h("p", { class: "empty", hidden: true }, "No scans yet.");
-    this.noRigs = h("p", { class: "empty", hidden: true }, "No rigs yet. Build the model, choose expressions above and fit them.");
-    this.captureTable = table(["", "Scan", "Role", "Form", "Check", "Registration", "Added", ""], this.captureBody);
-    this.rigTable = table(["Rig", "Expressions", "Mean error", "Made", ""], this.rigBody);
+    this.noRigs = h(
+      "p",
+      { class: "empty", hidden: true },
+      "No rigs yet. Build the model, choose expressions above and fit them.",
+    );
+    this.captureTable = table(
+      ["(Choose)", "Scan", "Role", "Form", "Check", "Registration", "Added", "(Actions)"],
+      this.captureBody,
+    );
+    this.rigTable = table(["Rig", "Expressions", "Mean error", "Made", "(Actions)"], this.rigBody);
     this.elements = [
-      h("div", { class: "head" }, h("h1", { class: "grow" }, subject.name),
+      h(
+        "div",
+        { class: "head" },
+        h("h1", { class: "grow" }, subject.name),
         h("a", { class: "button", href: `/?subject_id=${subject.id}` }, "Jobs"),
         h("a", { class: "button", href: `/upload?subject=${subject.id}` }, "Upload scans"),
-        h("button", { type: "button", class: "danger", onclick: () => this.delete() }, "Delete subject")),
+        h("button", { type: "button", class: "danger", onclick: () => this.delete() }, "Delete subject"),
+      ),
       panel("scans", "Scans", this.captureTable, this.noScans),
       panel("model", "Model", h("div", { class: "row" }, this.model, this.build, this.fit)),
       panel("rigs", "Rigs", this.rigTable, this.noRigs),
@@ -81,12 +100,20 @@ class SubjectView {
     const key = job ? `${job.id} ${job.state}` : "none";
     if (this.shownModel === key) return;
     this.shownModel = key;
-    show(this.model, job ? [state(job.state), " ", h("a", { href: `/jobs/${job.id}` }, `the newest, ${when(job.created_at)}`)] : "Not built yet.");
+    show(
+      this.model,
+      job
+        ? [state(job.state), " ", h("a", { href: `/jobs/${job.id}` }, `the newest, ${when(job.created_at)}`)]
+        : "Not built yet.",
+    );
   }
 
   mark() {
     this.fit.disabled = !this.chosen.size;
-    setText(this.fit, this.chosen.size ? `Fit ${count(this.chosen.size, "expression")}` : "Fit the chosen expressions");
+    setText(
+      this.fit,
+      this.chosen.size ? `Fit ${count(this.chosen.size, "expression")}` : "Fit the chosen expressions",
+    );
     for (const more of this.rigBody.querySelectorAll("button[data-more]")) more.disabled = !this.chosen.size;
   }
 
@@ -94,24 +121,40 @@ class SubjectView {
     const { id, name, role, filename, size } = capture;
     const check = h("td");
     const registration = h("td");
-    const box = h("input", { type: "checkbox", "aria-label": `Choose ${name} for a fit`, onchange: () => {
-      if (box.checked) this.chosen.add(id);
-      else this.chosen.delete(id);
-      this.mark();
-    } });
-    const act = (words, action, kind = null) => button([words, h("span", { class: "unseen" }, ` ${name}`)], action, kind);
+    const box = h("input", {
+      type: "checkbox",
+      "aria-label": `Choose ${name} for a fit`,
+      onchange: () => {
+        if (box.checked) this.chosen.add(id);
+        else this.chosen.delete(id);
+        this.mark();
+      },
+    });
+    const act = (words, action, kind = null) =>
+      button([words, h("span", { class: "unseen" }, ` ${name}`)], action, kind);
     const isScan = role !== "performance";
-    const actions = h("div", { class: "row end" },
+    const actions = h(
+      "div",
+      { class: "row end" },
       isScan && act("Check", () => this.order("check_scan", { captures: [id] })),
       isScan && !capture.registered && act("Register", () => this.order("register_scan", { captures: [id] })),
-      act("Delete", () => this.deleteCapture(capture), "plain danger"));
+      !isScan && act("Fit", () => this.fitPerformance(id)),
+      act("Delete", () => this.deleteCapture(capture), "plain danger"),
+    );
     let shown = null;
     return {
-      element: h("tr", {},
+      element: h(
+        "tr",
+        {},
         h("td", { class: "tight" }, role === "expression" ? box : null),
         h("th", { scope: "row" }, name, h("div", { class: "fine" }, `${filename}, ${bytes(size)}`)),
-        h("td", {}, plain(role)), h("td", {}, capture.registered ? "Registered" : "Raw"), check, registration,
-        h("td", { class: "tight" }, when(capture.created_at)), h("td", { class: "tight" }, actions)),
+        h("td", {}, plain(role)),
+        h("td", {}, capture.registered ? "Registered" : "Raw"),
+        check,
+        registration,
+        h("td", { class: "tight" }, when(capture.created_at)),
+        h("td", { class: "tight" }, actions),
+      ),
       update: (next) => {
         const job = this.checks.get(id);
         const key = JSON.stringify([next.check, next.registration, job?.state]);
@@ -126,14 +169,29 @@ class SubjectView {
   rigRow(rig) {
     const error = rig.summary.train_mean_mm ?? rig.summary.mean_mm;
     return {
-      element: h("tr", {},
+      element: h(
+        "tr",
+        {},
         h("th", { scope: "row" }, h("a", { href: `/rigs/${rig.id}` }, "Open the rig")),
         h("td", {}, rig.expressions.join(", ")),
         h("td", { class: "tight" }, error === undefined ? "" : `${figure(error)} mm`),
         h("td", { class: "tight" }, when(rig.created_at)),
-        h("td", { class: "tight" }, h("div", { class: "row end" },
-          h("a", { class: "button", href: `/jobs/${rig.job_id}` }, "Files"),
-          button("Fit more to it", () => this.order("fit_activations", { rig_id: rig.id, captures: [...this.chosen] }), null, { "data-more": true })))),
+        h(
+          "td",
+          { class: "tight" },
+          h(
+            "div",
+            { class: "row end" },
+            h("a", { class: "button", href: `/jobs/${rig.job_id}` }, "Files"),
+            button(
+              "Fit more to it",
+              () => this.order("fit_activations", { rig_id: rig.id, captures: [...this.chosen] }),
+              null,
+              { "data-more": true },
+            ),
+          ),
+        ),
+      ),
       update() {},
     };
   }
@@ -146,10 +204,22 @@ class SubjectView {
     else navigate(`/jobs/${job.id}`);
   }
 
+  async fitPerformance(captureId) {
+    if (!this.rigs.length) {
+      toast("There is no rig yet to fit it with: build the model and fit expressions first.", "bad");
+      return;
+    }
+    await this.order("fit_sequence", { rig_id: this.rigs[0].id, captures: [captureId] });
+  }
+
   async deleteCapture({ id, name }) {
     const done = await ask({
       title: `Delete the scan ${name}?`,
-      body: h("p", {}, "It goes with its landmarks, checks and registrations. Models and rigs made from it stay."),
+      body: h(
+        "p",
+        {},
+        "It goes with its landmarks, checks and registrations. Models and rigs made from it stay.",
+      ),
       agree: "Delete the scan",
       danger: true,
       act: async () => {
@@ -165,7 +235,7 @@ class SubjectView {
   async delete() {
     if (!(await askToDeleteSubject(this.subject))) return;
     changed(this.subject.id);
-    toast(`${this.subject.name} was deleted. Files go within minutes.`);
+    toast(`${this.subject.name} is deleted. Files go within minutes.`);
     navigate("/subjects");
   }
 }
@@ -181,19 +251,14 @@ function registrationOf({ registration }) {
 }
 
 function button(words, action, kind = null, more = {}) {
-  const element = h("button", { type: "button", class: kind, ...more, onclick: () => doing(element, action) }, words);
+  const element = h(
+    "button",
+    { type: "button", class: kind, ...more, onclick: () => doing(element, action) },
+    words,
+  );
   return element;
 }
 
 function link(jobId, ...content) {
   return h("a", { class: "quiet-link", href: `/jobs/${jobId}` }, content);
-}
-
-function panel(id, title, ...content) {
-  return h("section", { class: "panel", "aria-labelledby": id }, h("h2", { id }, title), content);
-}
-
-function table(names, body) {
-  return h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {},
-    names.map((name, i) => h("th", { scope: "col" }, name || h("span", { class: "unseen" }, i ? "Actions" : "Choose"))))), body));
 }

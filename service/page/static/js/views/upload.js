@@ -6,6 +6,7 @@ import { get, pause, post } from "../api.js";
 import { announce, h, setText, show } from "../dom.js";
 import * as interrupted from "../interrupted.js";
 import { changed, kindsByName, serviceLimits, subjectsById } from "../library.js";
+import { table } from "../parts/frame.js";
 import { optionFields, readOptions } from "../parts/options.js";
 import { ScanRow } from "../parts/scan_row.js";
 import { toast } from "../parts/toast.js";
@@ -43,27 +44,61 @@ class Tray {
     this.waiting = [];
     this.isSending = false;
     this.subject = h("select", { id: "subject", onchange: () => this.mark() });
-    this.newName = h("input", { type: "text", id: "subject-name", maxlength: 200, required: true, autocomplete: "off", placeholder: "Name, session" });
-    this.newField = h("div", { class: "field" }, h("label", { for: "subject-name" }, "Name of the new subject"), this.newName);
-    this.form = h("select", { id: "form" },
+    this.newName = h("input", {
+      type: "text",
+      id: "subject-name",
+      maxlength: 200,
+      required: true,
+      autocomplete: "off",
+      placeholder: "Name, session",
+    });
+    this.newField = h(
+      "div",
+      { class: "field" },
+      h("label", { for: "subject-name" }, "Name of the new subject"),
+      this.newName,
+    );
+    this.form = h(
+      "select",
+      { id: "form" },
       h("option", { value: "raw" }, "as the scanner made them (raw)"),
-      h("option", { value: "registered" }, "in the template's topology (registered)"));
+      h("option", { value: "registered" }, "in the template's topology (registered)"),
+    );
     this.options = optionFields(schema);
     this.body = h("tbody");
     this.others = h("p", { class: "fine", hidden: true });
-    this.table = h("div", { class: "scroll", hidden: true }, h("table", { class: "scans" },
-      h("thead", {}, h("tr", {}, ["File", "Name", "Role", "State", "Verdict", ""].map((text) =>
-        h("th", { scope: "col" }, text || h("span", { class: "unseen" }, "Actions"))))), this.body));
+    const columns = ["File", "Name", "Role", "State", "Verdict", "(Actions)"];
+    this.table = table(columns, this.body, { class: "scans" });
+    this.table.hidden = true;
     this.start = h("button", { class: "main", disabled: true }, "Upload");
     this.go = h("a", { class: "button", hidden: true }, "Go to the subject");
     this.zone = this.dropZone();
-    this.settings = h("form", { class: "panel stack", onsubmit: (event) => this.submit(event) },
-      h("div", { class: "row top" },
-        h("div", { class: "field" }, h("label", { for: "subject" }, "Subject"), this.subject), this.newField,
-        h("div", { class: "field" }, h("label", { for: "form" }, "The scans are"), this.form)),
+    this.settings = h(
+      "form",
+      { class: "panel stack", onsubmit: (event) => this.submit(event) },
+      h(
+        "div",
+        { class: "row top" },
+        h("div", { class: "field" }, h("label", { for: "subject" }, "Subject"), this.subject),
+        this.newField,
+        h("div", { class: "field" }, h("label", { for: "form" }, "The scans are"), this.form),
+      ),
       h("details", {}, h("summary", {}, "How the scans lie, if the check can not find it"), this.options),
-      this.table, this.others, h("div", { class: "row" }, this.start, this.go,
-        !CAN_CHECK && h("p", { class: "fine" }, "This address is not https: pieces are not checked on the way, only their number.")));
+      this.table,
+      this.others,
+      h(
+        "div",
+        { class: "row" },
+        this.start,
+        this.go,
+        !CAN_CHECK &&
+          h(
+            "p",
+            { class: "fine" },
+            "This address is not https: pieces are not checked on the way, only their number.",
+          ),
+      ),
+    );
     this.resume = h("div", { class: "notice", hidden: true });
     this.elements = [h("h1", {}, "Upload"), this.resume, this.zone, this.settings];
     this.tellInterrupted();
@@ -72,42 +107,72 @@ class Tray {
 
   dropZone() {
     const pick = (attributes) => {
-      const input = h("input", { type: "file", multiple: true, class: "unseen", tabindex: -1, "aria-hidden": "true", ...attributes,
+      const input = h("input", {
+        type: "file",
+        multiple: true,
+        class: "unseen",
+        tabindex: -1,
+        "aria-hidden": "true",
+        ...attributes,
         onchange: () => {
           this.take([...input.files]);
           input.value = "";
-        } });
+        },
+      });
       return input;
     };
     const files = pick({ id: "files" });
     const folder = pick({ id: "folder", webkitdirectory: true });
-    return h("div", { class: "zone" },
+    return h(
+      "div",
+      { class: "zone" },
       h("p", {}, h("strong", {}, "Drop a scan set here"), ": files or a whole folder"),
-      h("div", { class: "row" },
+      h(
+        "div",
+        { class: "row" },
         h("button", { type: "button", onclick: () => files.click() }, "Choose files"),
-        h("button", { type: "button", onclick: () => folder.click() }, "Choose a folder"), files, folder),
-      h("p", { class: "fine" }, `${this.limits.raw_scan_formats.join(" ")}; landmarks ${this.limits.landmark_formats.join(" ")} beside a scan of the same name; performances .npy`));
+        h("button", { type: "button", onclick: () => folder.click() }, "Choose a folder"),
+        files,
+        folder,
+      ),
+      h(
+        "p",
+        { class: "fine" },
+        `${this.limits.raw_scan_formats.join(" ")}; landmarks ${this.limits.landmark_formats.join(" ")} beside a scan of the same name; performances .npy`,
+      ),
+    );
   }
 
   /** Take what is dropped anywhere in the window, while this view is shown. */
   takeDrops(signal) {
     const over = (isOver) => this.zone.classList.toggle("over", isOver);
-    addEventListener("dragover", (event) => {
-      event.preventDefault();
-      over(true);
-    }, { signal });
+    addEventListener(
+      "dragover",
+      (event) => {
+        event.preventDefault();
+        over(true);
+      },
+      { signal },
+    );
     addEventListener("dragleave", (event) => event.relatedTarget === null && over(false), { signal });
-    addEventListener("drop", async (event) => {
-      event.preventDefault();
-      over(false);
-      this.take(await dropped(event.dataTransfer));
-    }, { signal });
+    addEventListener(
+      "drop",
+      async (event) => {
+        event.preventDefault();
+        over(false);
+        this.take(await dropped(event.dataTransfer));
+      },
+      { signal },
+    );
   }
 
   showSubjects(subjects, wanted) {
     const before = this.subject.value;
-    show(this.subject, h("option", { value: "" }, "New subject"),
-      [...subjects.values()].map(({ id, name }) => h("option", { value: id }, name)));
+    show(
+      this.subject,
+      h("option", { value: "" }, "New subject"),
+      [...subjects.values()].map(({ id, name }) => h("option", { value: id }, name)),
+    );
     const interruptedOne = this.rows.length ? null : interrupted.read().at(-1)?.subjectId;
     this.subject.value = [wanted, before, interruptedOne].find((id) => id && subjects.has(id)) ?? "";
     this.mark();
@@ -121,15 +186,27 @@ class Tray {
   tellInterrupted() {
     const names = interrupted.read().map(({ filename }) => filename);
     this.resume.hidden = !names.length;
-    show(this.resume, h("p", {}, `${count(names.length, "file was", "files were")} on the way when this page was closed: `,
-      h("strong", {}, some(names)), ". Drop the same files again, and they go on where they stopped."));
+    show(
+      this.resume,
+      h(
+        "p",
+        {},
+        `${count(names.length, "file was", "files were")} on the way when this page was closed: `,
+        h("strong", {}, some(names)),
+        ". Drop the same files again, and they go on where they stopped.",
+      ),
+    );
   }
 
   take(files) {
     const { scans, others } = sorted(files, this.limits);
-    for (const scan of scans) this.rows.push(new ScanRow(scan, { dropped: (row) => this.drop(row), changed: () => this.follow() }));
+    for (const scan of scans)
+      this.rows.push(new ScanRow(scan, { dropped: (row) => this.drop(row), changed: () => this.follow() }));
     this.others.hidden = !others.length;
-    setText(this.others, `${count(others.length, "file is no scan and stays", "files are no scans and stay")} here: ${some(others.map(({ name }) => name))}`);
+    setText(
+      this.others,
+      `${count(others.length, "file is no scan and stays", "files are no scans and stay")} here: ${some(others.map(({ name }) => name))}`,
+    );
     this.resume.hidden = true;
     this.showRows();
     announce(`${count(scans.length, "scan")} added`);
@@ -142,7 +219,10 @@ class Tray {
   }
 
   showRows() {
-    show(this.body, this.rows.map(({ element }) => element));
+    show(
+      this.body,
+      this.rows.map(({ element }) => element),
+    );
     this.table.hidden = !this.rows.length;
     const ready = this.ready();
     this.start.disabled = !ready.length;
@@ -168,7 +248,10 @@ class Tray {
     this.start.disabled = true;
     try {
       const subjectId = this.subject.value || (await this.newSubject());
-      const order = { registered: this.form.value === "registered", options: readOptions(this.schema, this.settings) };
+      const order = {
+        registered: this.form.value === "registered",
+        options: readOptions(this.schema, this.settings),
+      };
       // the neutral first: it says soonest whether the set is any good
       rows.sort((a, b) => (b.role.value === "neutral") - (a.role.value === "neutral"));
       for (const row of rows) row.wait(subjectId, order);

@@ -1,4 +1,4 @@
-"""Checks of this machine: can the service run here, and if not, what is to be done."""
+"""Checks of this machine, whether the service can run here."""
 
 from __future__ import annotations
 
@@ -8,18 +8,14 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import trimesh
 from packaging.requirements import Requirement
 
+from myoface.doctor.finding import Finding
 from myoface.ports import check_port
-from service.settings import Settings
-from service.store.broker import BrokerNotFoundError, find_server
 from solver.anatomy.tetrahedra import EdgeLengths, background_grid, tetrahedralize
 from solver.errors import SolveError
 from solver.surface import Surface
@@ -31,31 +27,6 @@ CHILD_TIMEOUT_S = 120.0
 
 REINSTALL = "reinstall: rm -rf .venv && make setup"
 COMPILE = "import numba; print(numba.njit(lambda x: x + 1)(41))"
-Verdict = Literal["ok", "warning", "fault"]
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One check's outcome; ``advice`` says what to do where it is not ok."""
-
-    subject: str
-    verdict: Verdict
-    found: str
-    advice: str = ""
-
-
-def examine(settings: Settings) -> Iterator[Finding]:
-    """Run the checks one by one, the quick ones first."""
-    yield python()
-    yield packages()
-    yield data_folder(settings.data_dir)
-    yield disk(settings.data_dir)
-    yield memory()
-    yield port(settings.host, settings.port)
-    yield broker(settings)
-    yield compiler()
-    yield mesher()
-    yield node()
 
 
 def python() -> Finding:
@@ -125,16 +96,6 @@ def port(host: str, number: int) -> Finding:
         advice = "is the service running already? else `myoface up --port 0` takes a free one"
         return Finding("port", "warning", f"{host}:{number}: {error.strerror}", advice)
     return Finding("port", "ok", f"{host}:{number} is free")
-
-
-def broker(settings: Settings) -> Finding:
-    """Check that there is a broker."""
-    if settings.broker_url is not None:
-        return Finding("broker", "ok", "an own one, by MYOFACE_BROKER_URL")
-    try:
-        return Finding("broker", "ok", find_server())
-    except BrokerNotFoundError as error:
-        return Finding("broker", "fault", "none", str(error))
 
 
 def compiler() -> Finding:

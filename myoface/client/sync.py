@@ -1,0 +1,324 @@
+"""The client whose calls block."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator
+from datetime import datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+import httpx
+
+from myoface.client._operations import DEFAULT_URL, Operations, Watcher, unwatched
+from myoface.connection import Flow, Open, Pause, Read, Send, Step, Work, unreachable
+from myoface.credentials import headers_for
+from myoface.errors import ApiError
+from myoface.resources import (
+    Artifact,
+    AuditEntry,
+    Capture,
+    Deletion,
+    Frame,
+    Job,
+    Key,
+    Kind,
+    LogLine,
+    Me,
+    NewKey,
+    Rig,
+    Role,
+    Scope,
+    Subject,
+    Template,
+    Upload,
+    Usage,
+)
+from myoface.transfer import Transferred, unheard
+
+TIMEOUT = httpx.Timeout(30.0)
+
+R = TypeVar("R")
+
+
+class Client:
+    """One service. Every method raises :class:`ApiError` with the service's problem document.
+
+    Requests are repeated where that does no harm: over a broken line, while the service is not
+    ready, and as late as it asks for when it is asked too fast.
+    """
+
+    def __init__(self, url: str = DEFAULT_URL, key: str | None = None) -> None:
+        """Speak to the service at ``url``; ``key`` is by default what `myoface.credentials` has."""
+        self.http = httpx.Client(
+            base_url=url, headers=headers_for(url, key), timeout=TIMEOUT, trust_env=False
+        )
+        self._ask = Operations(url)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        _kind: type[BaseException] | None,
+        _error: BaseException | None,
+        _trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the connections."""
+        self.http.close()
+
+    # Whose key, and what it may use
+
+    def me(self) -> Me:
+        """Return whose key this client has."""
+        return self._run(self._ask.me())
+
+    def usage(self) -> Usage:
+        """Return what the tenant uses, and its quotas."""
+        return self._run(self._ask.usage())
+
+    def keys(self) -> list[Key]:
+        """Return the tenant's API keys, newest first."""
+        return self._run(self._ask.keys())
+
+    def create_key(
+        self, name: str, scopes: Iterable[Scope], *, expires_at: datetime | None = None
+    ) -> NewKey:
+        """Make an API key; its text is told this once. ``expires_at`` has a time zone."""
+        return self._run(self._ask.create_key(name, scopes, expires_at))
+
+    def rotate_key(self, key_id: str, *, grace: int = 24 * 3600) -> NewKey:
+        """Replace an API key; the old one goes on for ``grace`` seconds."""
+        return self._run(self._ask.rotate_key(key_id, grace))
+
+    def revoke_key(self, key_id: str) -> None:
+        """Take an API key back at once."""
+        self._run(self._ask.revoke_key(key_id))
+
+    def audit(self, object_id: str | None = None) -> list[AuditEntry]:
+        """Return what was done with the tenant's keys, newest first."""
+        return self._run(self._ask.audit(object_id))
+
+    # Templates and subjects
+
+    def create_template(
+        self, name: str, path: Path, *, progress: Transferred = unheard
+    ) -> Template:
+        """Upload a template anatomy (NPZ) and register it."""
+        return self._run(self._ask.create_template(name, path, progress))
+
+    def templates(self) -> list[Template]:
+        """Return the template anatomies, newest first."""
+        return self._run(self._ask.templates())
+
+    def delete_template(self, template_id: str) -> str:
+        """Delete a template that no subject has; returns the id of the receipt."""
+        return self._run(self._ask.delete_template(template_id))
+
+    def create_subject(self, name: str, *, template_id: str | None = None) -> Subject:
+        """Register a person; without a template the built-in anatomy is used."""
+        return self._run(self._ask.create_subject(name, template_id))
+
+    def subjects(self) -> list[Subject]:
+        """Return the subjects, newest first."""
+        return self._run(self._ask.subjects())
+
+    def subject(self, subject_id: str) -> Subject:
+        """Return one subject."""
+        return self._run(self._ask.subject(subject_id))
+
+    def delete_subject(self, subject_id: str, *, cancel: bool = False) -> str:
+        """Delete a subject with all its scans, jobs and rigs; returns the id of the receipt.
+
+        ``cancel`` stops its jobs first; without it a subject with jobs is refused.
+        """
+        return self._run(self._ask.delete_subject(subject_id, cancel))
+
+    def deletion(self, deletion_id: str) -> Deletion:
+        """Return the receipt of a deletion."""
+        return self._run(self._ask.deletion(deletion_id))
+
+    # Files
+
+    def upload(self, path: Path, *, progress: Transferred = unheard) -> Upload:
+        """Send a file, going on with what was interrupted; see :func:`myoface.transfer.upload`."""
+        return self._run(self._ask.upload(path, progress))
+
+    def download(self, artifact: Artifact, path: Path, *, progress: Transferred = unheard) -> None:
+        """Fetch an artifact, resumed and checked; see :func:`myoface.transfer.download`."""
+        self._run(self._ask.download(artifact, path, progress))
+
+    def signed_url(self, artifact_id: str) -> str:
+        """Return a URL of a file that works without a key for a few minutes."""
+        return self._run(self._ask.signed_url(artifact_id))
+
+    def add_capture(
+        self,
+        subject_id: str,
+        path: Path,
+        *,
+        role: Role = "expression",
+        name: str | None = None,
+        registered: bool = True,
+        landmarks: Path | None = None,
+        progress: Transferred = unheard,
+    ) -> Capture:
+        """Upload a scan and add it to a subject, named like the file unless ``name`` is given.
+
+        ``registered`` is false for what comes from the scanner; ``landmarks`` is a file.
+        """
+        return self._run(
+            self._ask.add_capture(
+                subject_id,
+                path,
+                role=role,
+                name=name,
+                registered=registered,
+                landmarks=landmarks,
+                progress=progress,
+            )
+        )
+
+    def captures(self, subject_id: str) -> list[Capture]:
+        """Return a subject's scans, newest first."""
+        return self._run(self._ask.captures(subject_id))
+
+    def capture(self, subject_id: str, capture_id: str) -> Capture:
+        """Return one scan, with its newest check and registration."""
+        return self._run(self._ask.capture(subject_id, capture_id))
+
+    def set_landmarks(self, subject_id: str, capture_id: str, path: Path) -> Capture:
+        """Upload landmarks on a scan, in place of those it had."""
+        return self._run(self._ask.set_landmarks(subject_id, capture_id, path))
+
+    def delete_capture(self, subject_id: str, capture_id: str) -> str:
+        """Delete a scan with its checks and registrations; returns the id of the receipt."""
+        return self._run(self._ask.delete_capture(subject_id, capture_id))
+
+    # Jobs
+
+    def submit(
+        self,
+        kind: Kind,
+        subject_id: str,
+        *,
+        captures: Iterable[str] = (),
+        rig_id: str | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> Job:
+        """Queue a job, once, however often the line breaks."""
+        return self._run(self._ask.submit(kind, subject_id, captures, rig_id, options))
+
+    def run(
+        self, kind: Kind, subject_id: str, *, watch: Watcher = unwatched, **request: Any
+    ) -> Job:
+        """Submit a job and wait for it; see :meth:`submit` and :meth:`wait`."""
+        return self.wait(self.submit(kind, subject_id, **request).id, watch)
+
+    def job(self, job_id: str) -> Job:
+        """Return a job as it stands."""
+        return self._run(self._ask.job(job_id))
+
+    def jobs(self, **filters: str | None) -> list[Job]:
+        """Return jobs, newest first, filtered by subject_id, capture_id, state or kind."""
+        return self._run(self._ask.jobs(**filters))
+
+    def log(self, job_id: str, *, after: int = 0) -> Iterator[LogLine]:
+        """Yield what the solver printed so far, the lines numbered higher than ``after``."""
+        while lines := self._run(self._ask.log(job_id, after)):
+            yield from lines
+            after = lines[-1].number
+
+    def frames(self, job_id: str, *, start: int = 0, follow: bool = False) -> Iterator[Frame]:
+        """Yield the frames of a sequence that are ready, from the ``start``-th on.
+
+        With ``follow``, wait for more until the job has ended, however it ends.
+        """
+        while found := self._run(self._ask.frames(job_id, start, follow)):
+            yield from found
+            start += len(found)
+
+    def cancel(self, job_id: str, reason: str) -> Job:
+        """Ask for a job to be stopped."""
+        return self._run(self._ask.cancel(job_id, reason))
+
+    def wait(self, job_id: str, watch: Watcher = unwatched) -> Job:
+        """Follow a job by its events until it has ended, through broken connections.
+
+        Returns the succeeded job; raises :class:`ApiError` with the job's own error document
+        if it failed or was canceled.
+        """
+        return self._run(self._ask.wait(job_id, watch))
+
+    # Rigs
+
+    def rigs(self, *, subject_id: str | None = None) -> list[Rig]:
+        """Return rigs, newest first, those of one subject if it is given."""
+        return self._run(self._ask.rigs(subject_id))
+
+    def rig(self, rig_id: str) -> Rig:
+        """Return one rig."""
+        return self._run(self._ask.rig(rig_id))
+
+    def _run(self, flow: Flow[R]) -> R:
+        """Take a flow's steps until it returns."""
+        line = _Line(self.http)
+        answer: Any = None
+        broken: ApiError | None = None
+        try:
+            while True:
+                try:
+                    step = flow.send(answer) if broken is None else flow.throw(broken)
+                except StopIteration as end:
+                    result: R = end.value
+                    return result
+                answer = broken = None
+                try:
+                    answer = line.take(step)
+                except httpx.TransportError as error:
+                    broken = unreachable(error)
+        finally:
+            line.close()
+            flow.close()
+
+
+class _Line:
+    """Takes steps; what was opened is closed by the next step that does not read it."""
+
+    def __init__(self, http: httpx.Client) -> None:
+        self._http = http
+        self._opened: httpx.Response | None = None
+        self._blocks: Iterator[bytes] | None = None
+
+    def take(self, step: Step) -> Any:
+        if isinstance(step, Read):
+            assert self._blocks is not None, "nothing was opened"
+            return next(self._blocks, None)
+        self.close()
+        match step:
+            case Open():
+                return self._open(step)
+            case Send():
+                return self._http.request(step.method, step.url, **step.options)
+            case Pause():
+                time.sleep(step.seconds)
+            case Work():
+                return step.function()
+        return None
+
+    def close(self) -> None:
+        if self._opened is not None:
+            self._opened.close()
+            self._opened = None
+
+    def _open(self, step: Open) -> httpx.Response:
+        request = self._http.build_request(step.method, step.url, **step.options)
+        self._opened = response = self._http.send(request, stream=True)
+        if response.is_error:
+            response.read()
+        self._blocks = response.iter_bytes()
+        return response

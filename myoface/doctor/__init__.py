@@ -1,0 +1,27 @@
+"""What is wrong with this machine or the service, and what is to be done about it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from myoface.doctor import machine, service
+from myoface.doctor.finding import Finding
+from service.settings import Settings
+
+__all__ = ["Finding", "examine"]
+
+
+def examine(settings: Settings) -> Iterator[Finding]:
+    """Run the checks one by one, the quick ones first."""
+    yield machine.python()
+    yield machine.packages()
+    yield machine.data_folder(settings.data_dir)
+    yield machine.disk(settings.data_dir)
+    yield machine.memory()
+    yield machine.port(settings.host, settings.port)
+    yield service.broker(settings)
+    yield service.secret(settings)
+    yield from service.stores(settings)
+    yield machine.compiler()
+    yield machine.mesher()
+    yield machine.node()

@@ -1,0 +1,177 @@
+"""Checks of the service as it is configured here: its stores, its workers, what is stuck."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from datetime import timedelta
+from pathlib import Path
+
+import redis
+from alembic.config import Config
+from alembic.migration import MigrationContext
+from alembic.script import ScriptDirectory
+from sqlalchemy import func, select
+from sqlalchemy.exc import SQLAlchemyError
+
+from myoface.doctor.finding import Finding
+from service.access.keys import Keyring
+from service.errors import Problem
+from service.secret import secret as secret_of
+from service.settings import Settings
+from service.store.broker import BrokerNotFoundError, find_server
+from service.store.database import MIGRATIONS, Database, clock
+from service.store.files import Files
+from service.store.models import ApiKey, Job, now
+from service.store.queue import QUEUES, connect
+from service.store.store import Store
+from service.store.transitions import HELD, State
+from service.system.service import living_workers
+
+MOST_SKEW = timedelta(seconds=2)
+LONG_QUEUED = timedelta(minutes=10)
+LONG_LOST = timedelta(minutes=1)
+OWNER_ONLY = 0o077
+
+
+def broker(settings: Settings) -> Finding:
+    """Check that the broker answers, or that there is one to start."""
+    if settings.broker_url is None:
+        try:
+            return Finding("broker", "ok", find_server())
+        except BrokerNotFoundError as error:
+            return Finding("broker", "fault", "none", str(error))
+    try:
+        with connect(settings.broker) as client:
+            client.ping()
+    except (redis.RedisError, OSError) as error:
+        advice = "is the server at MYOFACE_BROKER_URL up, and the password right?"
+        return Finding("broker", "fault", str(error), advice)
+    return Finding("broker", "ok", "it answers")
+
+
+def secret(settings: Settings) -> Finding:
+    """Check that the secret is there and nobody else can read it."""
+    if settings.secret_key is not None:
+        return Finding("secret", "ok", "in MYOFACE_SECRET_KEY")
+    path = settings.data_dir / "secret"
+    if not path.exists():
+        return Finding("secret", "ok", "the first start makes one")
+    if path.stat().st_mode & OWNER_ONLY:
+        return Finding("secret", "fault", f"others can read {path}", f"chmod 600 {path}")
+    return Finding("secret", "ok", str(path))
+
+
+def stores(settings: Settings) -> Iterator[Finding]:
+    """Check files and database, and if there is one, what is in it."""
+    try:
+        store = Store(settings.database, settings.files, settings.broker)
+    except (OSError, ImportError, ValueError) as error:
+        yield Finding("files", "fault", str(error), "see MYOFACE_FILES_URL in docs/service.md")
+        return
+    yield files(store.files)
+    database = store.database
+    if database.is_sqlite and not Path(str(database.url.database)).exists():
+        yield Finding("database", "ok", "the first start makes one")
+        return
+    try:
+        yield tables(database)
+        with store.read() as session:
+            skew = abs(clock(session) - now())
+        yield _clock(skew)
+        yield keys(store, settings)
+        yield workers(store, settings)
+        yield stuck(store)
+    except SQLAlchemyError as error:
+        line = str(error).partition("\n")[0]
+        yield Finding("database", "fault", line, "is MYOFACE_DATABASE_URL right and the server up?")
+    finally:
+        store.close()
+
+
+def files(place: Files) -> Finding:
+    """Check that a file can be stored, read and removed."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "file"
+        path.write_bytes(os.urandom(1000))
+        try:
+            sha256 = place.put(path).sha256
+            place.fetch(sha256, path)
+            place.put_aside(sha256)
+            place.remove(sha256)
+        except OSError as error:
+            advice = "see MYOFACE_FILES_DIR and MYOFACE_FILES_URL in docs/service.md"
+            return Finding("files", "fault", str(error), advice)
+    return Finding("files", "ok", "stored, read and removed one")
+
+
+def tables(database: Database) -> Finding:
+    """Check that the tables are those of this version."""
+    config = Config()
+    config.set_main_option("script_location", str(MIGRATIONS))
+    wanted = ScriptDirectory.from_config(config).get_current_head()
+    with database.engine.connect() as connection:
+        found = MigrationContext.configure(connection).get_current_revision()
+    if found == wanted:
+        return Finding("database", "ok", f"at revision {found}")
+    advice = "the next start brings older tables up to date; newer ones need the newer version"
+    return Finding("database", "warning", f"at revision {found}, not {wanted}", advice)
+
+
+def _clock(skew: timedelta) -> Finding:
+    """Check that this machine's clock is the database's: leases and expiry go by that."""
+    seconds = f"{skew.total_seconds():.1f} s from the database's"
+    if skew <= MOST_SKEW:
+        return Finding("clock", "ok", seconds)
+    return Finding("clock", "fault", seconds, "run an NTP client on every host")
+
+
+def keys(store: Store, settings: Settings) -> Finding:
+    """Check that there is a key, and that this machine's secret is the one it was made with."""
+    with store.read() as session:
+        count = session.scalar(select(func.count()).select_from(ApiKey)) or 0
+    if not count:
+        return Finding("keys", "warning", "none yet", "myoface admin-key makes one")
+    try:
+        text = settings.admin_key.read_text()
+    except OSError:
+        return Finding("keys", "ok", f"{count} in the table; the first is not kept here")
+    try:
+        Keyring(store, secret_of(settings)).verify(text)
+    except Problem as problem:
+        advice = "every API host needs the same MYOFACE_SECRET_KEY; else: myoface admin-key"
+        return Finding("keys", "fault", f"{settings.admin_key}: {problem.detail}", advice)
+    return Finding("keys", "ok", f"{count}; the one in {settings.admin_key} opens")
+
+
+def workers(store: Store, settings: Settings) -> Finding:
+    """Check that every queue has a worker."""
+    living = Counter(worker.queue for worker in living_workers(store, settings))
+    found = ", ".join(f"{queue} {living[queue]}" for queue in QUEUES)
+    if all(living[queue] for queue in QUEUES):
+        return Finding("workers", "ok", found)
+    advice = "jobs of a queue without one wait; start it: python -m worker QUEUE"
+    return Finding("workers", "warning", found, advice)
+
+
+def stuck(store: Store) -> Finding:
+    """Look for jobs that should have moved on."""
+    with store.read() as session:
+        moment = clock(session)
+        jobs = select(func.count()).select_from(Job)
+        counts = {
+            "without their worker": jobs.where(
+                Job.state.in_(HELD), Job.lease_until < moment - LONG_LOST
+            ),
+            f"queued for more than {LONG_QUEUED.seconds // 60} minutes": jobs.where(
+                Job.state == State.QUEUED, Job.created_at < moment - LONG_QUEUED
+            ),
+        }
+        found = {what: session.scalar(query) or 0 for what, query in counts.items()}
+    told = ", ".join(f"{count} {what}" for what, count in found.items() if count)
+    if not told:
+        return Finding("jobs", "ok", "none is stuck")
+    advice = "is a worker up for each queue? its log, and myoface_* in /metrics, say more"
+    return Finding("jobs", "warning", told, advice)

@@ -1,0 +1,61 @@
+"""Batches go on: one API process of all looks after them, since only the API resolves inputs."""
+
+from __future__ import annotations
+
+import os
+import socket
+import threading
+
+import structlog
+from sqlalchemy.exc import SQLAlchemyError
+
+from service.batches import repository, service
+from service.errors import Problem
+from service.settings import Settings
+from service.store.store import Store
+from service.store.sweep import hold_office
+
+OFFICE = "batches"
+
+log = structlog.get_logger()
+
+
+class Advancer(threading.Thread):
+    """A thread that queues what running batches need next, every ``settings.beat`` s."""
+
+    def __init__(self, store: Store, settings: Settings) -> None:
+        super().__init__(name="batches", daemon=True)
+        self._store = store
+        self._settings = settings
+        self._name = f"{socket.gethostname()}:{os.getpid()}"
+        self._stopping = threading.Event()
+
+    def run(self) -> None:
+        """Look after the batches until told to stop."""
+        while not self._stopping.wait(self._settings.beat):
+            try:
+                self._round()
+            except SQLAlchemyError as error:
+                log.warning("batches.failed", error=str(error))
+
+    def stop(self) -> None:
+        """Stop after the present round."""
+        self._stopping.set()
+        self.join()
+
+    def _round(self) -> None:
+        with self._store.read() as session:
+            running = repository.running(session)
+        if not running:
+            return
+        with self._store.write() as session:
+            if not hold_office(session, OFFICE, self._name, 10 * self._settings.beat):
+                return
+        for tenant_id, batch_id in running:
+            try:
+                with self._store.of(tenant_id).write() as session:
+                    service.advance(session, batch_id, self._settings.max_attempts)
+            except Problem:
+                log.info("batch.gone", batch_id=batch_id)  # deleted with its subject
+            except Exception:  # one that can not go on keeps no other from it
+                log.exception("batch.stuck", batch_id=batch_id)

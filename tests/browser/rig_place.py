@@ -1,0 +1,192 @@
+"""A service with rigs in it, and a browser that can draw them."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import uvicorn
+
+from service.app import create_app
+from service.settings import Settings
+from service.store import jobs
+from service.store.models import DEFAULT_TENANT, Artifact, Job, Rig, Subject
+from service.store.store import Store
+from solver.rig.sequence import SequenceFrame
+from solver.rig.sequence_gltf import AnimatedSkin
+from solver.surface import Floats
+from tests.browser.sample_rig import Sample, write_sample
+from tests.browser.stage import CHROMIUM
+
+FLAGS = (
+    "--no-sandbox",
+    "--disable-quic",
+    "--disable-background-networking",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+)
+PARTS = ("view.bin", "inside.bin", "preview.bin")
+SOLVED = ("model.npz", "muscle_weights.npz", "activations.npz")
+SECONDS = 30.0
+
+
+@dataclass(frozen=True)
+class Place:
+    """A running service with two rigs; ``first`` has all files, ``second`` no sliders."""
+
+    url: str
+    key: str
+    sample: Sample
+    first: str
+    second: str
+    old: str
+    take: str
+    frames: Floats
+
+
+@contextmanager
+def served_rigs(folder: Path) -> Iterator[Place]:
+    """Serve the API with rigs of two people, one that is too old to be shown, and a sequence."""
+    settings = Settings(data_dir=folder / "data", port=0)
+    app = create_app(settings)
+    server = uvicorn.Server(uvicorn.Config(app, port=0, log_config=None))
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    until(lambda: server.started)
+    store = app.state.store.of(DEFAULT_TENANT)
+    sample = write_sample(folder / "a")
+    files = [folder / "a" / name for name in PARTS]
+    subject, first = put_rig(store, "Ada", files, sample.summary())
+    other = write_sample(folder / "b", subject="B")
+    files = [folder / "b" / name for name in (*PARTS[:2], *SOLVED)]
+    for name in SOLVED:
+        (folder / "b" / name).write_bytes(b"x")
+    _, second = put_rig(store, "Berta", files, other.summary())
+    _, old = put_rig(store, "Cleo", [], {})
+    glb, frames = _sequence(folder, sample)
+    take = put_job(store, subject, "fit_sequence", [glb], {"performance": "take 7"}, first)
+    port = server.servers[0].sockets[0].getsockname()[1]
+    url = f"http://127.0.0.1:{port}"
+    try:
+        yield Place(url, settings.admin_key.read_text(), sample, first, second, old, take, frames)
+    finally:
+        server.should_exit = True
+        thread.join(10)
+
+
+@contextmanager
+def drawing_browser() -> Iterator[Any]:
+    """Start Chromium with WebGL by the processor; skips where it or playwright is missing."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if not CHROMIUM.exists():
+        pytest.skip(f"there is no {CHROMIUM}")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=str(CHROMIUM), args=list(FLAGS))
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+def until(condition: Callable[[], bool]) -> None:
+    """Wait until ``condition`` holds; fails after :data:`SECONDS`."""
+    deadline = time.monotonic() + SECONDS
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def _sequence(folder: Path, sample: Sample) -> tuple[Path, Floats]:
+    """Write a sequence from neutral through two expressions, and return its skins (f, n, 3)."""
+    still = SequenceFrame(
+        0, "fitted", np.zeros((1, 6)), np.zeros(5), np.zeros(6), 0.1, 0.2, 0.3, 1.0, 0, 1, 0.1
+    )
+    skin = AnimatedSkin(sample.neutral)
+    shares = np.linspace(0, 1, 9)
+    frames = np.array(
+        [
+            sample.neutral.vertices + share * sample.skin[0] + share**2 * sample.skin[1]
+            for share in shares
+        ]
+    )
+    for number, places in enumerate(frames):
+        skin.add(replace(still, frame=number), places)
+    path = folder / "sequence.glb"
+    skin.write(path, fps=30)
+    return path, frames
+
+
+def put_rig(
+    store: Store, subject: str, files: Iterable[Path], summary: dict[str, Any]
+) -> tuple[str, str]:
+    """Put a rig with its files into the store as a worker does; returns subject's and rig's id."""
+    with store.write() as session:
+        person = Subject(name=subject)
+        session.add(person)
+        session.flush()
+        subject_id = person.id
+    job_id = put_job(store, subject_id, "fit_geometry", files, summary)
+    with store.write() as session:
+        rig = Rig(
+            subject_id=subject_id,
+            job_id=job_id,
+            model_job_id=job_id,
+            expressions=[],
+            summary=summary,
+        )
+        session.add(rig)
+        session.flush()
+        return subject_id, rig.id
+
+
+def put_job(
+    store: Store,
+    subject_id: str,
+    kind: str,
+    files: Iterable[Path],
+    summary: dict[str, Any],
+    rig_id: str | None = None,
+) -> str:
+    """Put a job that succeeded and left ``files``; returns its id."""
+    request = {
+        "kind": kind,
+        "subject_id": subject_id,
+        "captures": [],
+        "rig_id": rig_id,
+        "options": {},
+    }
+    with store.write() as session:
+        job = Job(
+            subject_id=subject_id,
+            kind=kind,
+            queue="long",
+            request=request,
+            inputs=[],
+            max_attempts=3,
+        )
+        jobs.create(session, job)
+        job_id = job.id
+    with store.write() as session:
+        claim = jobs.claim(session, job_id, "test", 10)
+        assert claim
+        left = [_artifact(store, job_id, path) for path in files]
+        assert jobs.succeed(session, job_id, claim.attempt, left, summary=summary)
+    return job_id
+
+
+def _artifact(store: Store, job_id: str, path: Path) -> Artifact:
+    blob = store.files.put(path)
+    return Artifact(
+        job_id=job_id,
+        name=path.name,
+        size=blob.size,
+        sha256=blob.sha256,
+        media_type="application/octet-stream",
+    )

@@ -1,0 +1,91 @@
+"""The handbook of errors knows every code that the source can say, and no other."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+HANDBOOK = (ROOT / "docs" / "errors.md").read_text(encoding="utf-8")
+CODE = re.compile(r"[a-z][a-z0-9_]*(?:\.[a-z0-9_]+)+|internal|timeout|worker_lost")
+RAISED = {"Problem": 1, "InputError": 0, "SolveError": 0, "Refused": 0, "Unreachable": 0}
+"""Which argument of an error is its code."""
+HELPERS = {"unauthorized": 0, "_check_format": 1}
+MADE_OF_PARTS = ("http.", "live_link.", "options.", "template.", "model.", "capture.format")
+"""Codes that the source puts together, or passes on."""
+STATUS = {"CHECKSUM_MISMATCH": "460", "refusal": "400, 416"}
+
+
+def _calls() -> Iterator[tuple[str, ast.Call]]:
+    for room in ("service", "worker", "solver"):
+        for path in (ROOT / room).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                    yield node.func.id, node
+
+
+def _texts() -> set[str]:
+    """Return every text in the source: a code may be chosen or passed on as one."""
+    texts = set()
+    for room in ("service", "worker", "solver"):
+        for path in (ROOT / room).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                    texts.add(node.value)
+    return texts
+
+
+def _said() -> dict[str, set[str]]:
+    """Return the codes that errors are raised with, each with its statuses."""
+    found: dict[str, set[str]] = defaultdict(set)
+    for name, call in _calls():
+        place = RAISED.get(name, HELPERS.get(name))
+        if name == "unknown" and isinstance(call.args[0], ast.Constant):
+            found[f"{call.args[0].value}.unknown"].add("404")
+        elif place is not None and len(call.args) > place:
+            code = call.args[place]
+            if isinstance(code, ast.Constant) and CODE.fullmatch(str(code.value)):
+                found[str(code.value)].update(_status(call) if name == "Problem" else ())
+    return found
+
+
+def _status(call: ast.Call) -> set[str]:
+    text = ast.unparse(call.args[0])
+    return set(STATUS.get(text, text).split(", "))
+
+
+def _explained() -> dict[str, list[str]]:
+    """Return the handbook's codes with the cells of their rows."""
+    rows = {}
+    for line in HANDBOOK.splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        for code in re.findall(r"`([^`]+)`", cells[0]) if line.startswith("| `") else ():
+            assert code not in rows, f"{code} is explained twice"
+            rows[code] = cells
+    return rows
+
+
+def test_every_code_is_explained() -> None:
+    missing = sorted(set(_said()) - set(_explained()))
+    assert not missing, f"docs/errors.md does not say what to do about {missing}"
+
+
+def test_the_handbook_explains_no_code_that_nobody_says() -> None:
+    texts = _texts() | set(_said())
+    stale = [
+        code
+        for code in _explained()
+        if code not in texts and not code.startswith(MADE_OF_PARTS) and not code.endswith("*")
+    ]
+    assert not stale
+
+
+def test_every_row_says_what_to_do_and_the_right_status() -> None:
+    said = _said()
+    for code, cells in _explained().items():
+        assert all(cells), code
+        if said.get(code):
+            assert set(cells[1].split(", ")) == said[code], (code, cells[1], said[code])
