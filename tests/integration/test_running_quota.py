@@ -11,7 +11,7 @@ from service.store.claims import claim_next
 from service.store.models import Job, Tenant
 from service.store.store import WAKE, Store
 from service.store.transitions import HELD, State
-from tests.integration.test_queue import ANYTHING, Shop, postgres, store  # noqa: F401 (fixtures)
+from tests.integration.test_queue import ANYTHING, Shop, store  # noqa: F401 (a fixture)
 
 
 def test_workers_at_a_time_keep_to_a_quota(store: Store) -> None:  # noqa: F811
