@@ -8,11 +8,14 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from sqlalchemy.orm import Session
 
+from service.access.principal import Writer
+from service.audit.record import record
 from service.batches import repository, service
 from service.batches.progress import CHECK, FIT, MODEL, REGISTER, Progress
 from service.batches.schemas import BatchState, BatchView, NewBatch
 from service.dependencies import Cursor, Limit, ReadSession, SettingsDep, WriteSession
 from service.errors import problems
+from service.idempotency import Once
 from service.jobs.schemas import Cancel
 from service.schemas import Id, Page
 from service.store.models import Batch, Capture, Job
@@ -26,13 +29,20 @@ router = APIRouter(prefix="/v1/batches", tags=["batches"])
     summary="Add a session's scans",
     responses=problems(404, 409, 410, 422),
 )
-def create(new: NewBatch, session: WriteSession, settings: SettingsDep) -> BatchView:
+def create(
+    new: NewBatch, session: WriteSession, who: Writer, once: Once, settings: SettingsDep
+) -> BatchView:
     """Make complete uploads the scans of a subject, check them and make of them what is asked.
 
     All of it or nothing. A scan that its check calls bad, or that can not be registered, is left
     out; the batch goes on with the others, but not without the neutral.
     """
-    return _views(session, [service.create(session, new, settings.max_attempts)])[0]
+    if (known := once.known(session, new)) is not None:
+        return _views(session, [repository.get(session, known)])[0]
+    batch = service.create(session, new, settings.max_attempts)
+    once.keep(session, batch.id)
+    record(session, who, "batch.created", batch.id)
+    return _views(session, [batch])[0]
 
 
 @router.get("", summary="List batches", responses=problems(422))

@@ -22,6 +22,8 @@ from service.store.transitions import FINAL, State
 from service.subjects import repository as subjects
 from service.subjects import service as people
 
+TOO_MANY = 429
+
 
 def create(session: Session, new: NewBatch, max_attempts: int) -> Batch:
     """Add a session's scans and queue their checks, all of it or nothing."""
@@ -83,6 +85,8 @@ def advance(session: Session, batch_id: str, max_attempts: int) -> None:
     try:
         error, is_over = _advance(session, progress(session, batch), max_attempts)
     except Problem as problem:  # a step that can not be, whatever has changed meanwhile
+        if problem.status == TOO_MANY:
+            return  # the tenant's quota of waiting jobs is used up: it is tried again
         error, is_over = {"code": problem.code, "message": problem.detail}, True
     if is_over:
         batch.error = error
