@@ -20,6 +20,8 @@ Kind = Literal[
 Scope = Literal["read", "write", "delete", "webhooks", "metrics", "admin"]
 State = Literal["queued", "running", "canceling", "succeeded", "failed", "canceled"]
 
+Then = Literal["register", "model", "geometry"]
+
 FINAL_STATES: frozenset[State] = frozenset({"succeeded", "failed", "canceled"})
 
 
@@ -144,6 +146,10 @@ class Job(Resource):
     subject_id: str
     kind: Kind
     state: State
+    priority: int = 0
+    parent_id: str | None = None
+    batch_id: str | None = None
+    queue_position: int | None = None
     attempt: int
     last_event_id: int = 0
     progress: Progress | None = None
@@ -192,6 +198,53 @@ class Rig(Resource):
     artifacts: list[Artifact] = []
     created_at: datetime | None = None
     retain_until: datetime | None = None
+
+
+class BatchStep(Resource):
+    """A job of a batch."""
+
+    job_id: str
+    state: State
+
+
+class BatchCheck(BatchStep):
+    """The check of a scan; ``verdict`` is ``good``, ``usable`` or ``bad`` when it is over."""
+
+    verdict: str | None = None
+
+
+class BatchFit(BatchStep):
+    """The fit of a batch's expressions."""
+
+    rig_id: str | None = None
+
+
+class BatchScan(Resource):
+    """What became of a scan; ``left_out`` says why nothing more is made of it."""
+
+    capture_id: str
+    name: str
+    role: Role
+    check: BatchCheck | None = None
+    registration: BatchStep | None = None
+    left_out: str | None = None
+
+
+class Batch(Resource):
+    """All scans of a session: checked, and made into what was asked."""
+
+    id: str
+    name: str
+    subject_id: str
+    state: Literal["running", "succeeded", "failed", "canceled"]
+    then: list[Then]
+    scans: list[BatchScan]
+    model: BatchStep | None = None
+    fit: BatchFit | None = None
+    error: dict[str, Any] | None = None
+    cancel: Cancel | None = None
+    created_at: datetime | None = None
+    finished_at: datetime | None = None
 
 
 class Me(Resource):

@@ -6,6 +6,7 @@ import logging
 
 from myoface.cli.app import app
 from myoface.cli.assets import assets
+from myoface.cli.batches import batches
 from myoface.cli.captures import add, captures
 from myoface.cli.client import jobs, rigs, subjects, templates
 from myoface.cli.console import complain
@@ -26,6 +27,7 @@ app.command("upload", help="Short for `captures add`.")(add)
 for group, name in (
     (subjects, "subjects"),
     (captures, "captures"),
+    (batches, "batches"),
     (jobs, "jobs"),
     (rigs, "rigs"),
     (templates, "templates"),

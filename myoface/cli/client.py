@@ -145,6 +145,21 @@ def _read_options(text: str) -> dict[str, Any]:
     return options
 
 
+@jobs.command("retry")
+def retry_job(
+    job: JobId,
+    options: Annotated[str, typer.Option(help="JSON, those that differ")] = "{}",
+    wait: Annotated[bool, typer.Option(help="follow the job until it ends")] = True,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Make a job again that is over, with other options if they are given."""
+    with Client(url) as client:
+        again = client.retry(job, options=_read_options(options))
+        out.print(again.id)
+        if wait:
+            _follow(client, again)
+
+
 @jobs.command("wait")
 def wait_for_job(job: JobId, url: Url = DEFAULT_URL) -> None:
     """Follow a job until it ends."""

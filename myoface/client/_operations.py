@@ -18,6 +18,7 @@ from myoface.resources import (
     FINAL_STATES,
     Artifact,
     AuditEntry,
+    Batch,
     Capture,
     Deletion,
     Frame,
@@ -34,6 +35,7 @@ from myoface.resources import (
     Scope,
     Subject,
     Template,
+    Then,
     Upload,
     Usage,
 )
@@ -44,6 +46,7 @@ LONGEST_PAGE = 1000
 """The service lists at most so many things at a time."""
 FRAMES_A_PAGE = 100
 FRAMES_PAUSE = 0.5
+BATCH_PAUSE = 1.0
 
 # The service sends a comment line at least this often while a job has nothing to tell.
 EVENTS_TIMEOUT = httpx.Timeout(30.0, read=60.0)
@@ -51,10 +54,16 @@ EVENTS_TIMEOUT = httpx.Timeout(30.0, read=60.0)
 R = TypeVar("R", bound=Resource)
 Watcher = Callable[[Job], None]
 """Called with the job whenever its state or progress has changed."""
+BatchWatcher = Callable[[Batch], None]
+"""Called with the batch about once a second."""
 
 
 def unwatched(_job: Job, /) -> None:
     """Let a job run without looking."""
+
+
+def unwatched_batch(_batch: Batch, /) -> None:
+    """Let a batch run without looking."""
 
 
 class Operations:
@@ -178,6 +187,7 @@ class Operations:
         captures: Iterable[str],
         rig_id: str | None,
         options: dict[str, Any] | None,
+        priority: int,
     ) -> Flow[Job]:
         body = {
             "kind": kind,
@@ -185,9 +195,26 @@ class Operations:
             "captures": list(captures),
             "rig_id": rig_id,
             "options": options,
+            "priority": priority,
         }
         body = {key: value for key, value in body.items() if value}
         response = yield from patiently("PUT", f"/v1/jobs/{uuid.uuid4()}", json=body)
+        return Job.model_validate(response.json())
+
+    def retry(
+        self,
+        job_id: str,
+        captures: Iterable[str] | None,
+        options: dict[str, Any] | None,
+        priority: int | None,
+    ) -> Flow[Job]:
+        body = {
+            "captures": None if captures is None else list(captures),
+            "options": options,
+            "priority": priority,
+        }
+        given = {key: value for key, value in body.items() if value is not None}
+        response = yield from once("POST", f"/v1/jobs/{job_id}/retry", json=given)
         return Job.model_validate(response.json())
 
     def job(self, job_id: str) -> Flow[Job]:
@@ -228,6 +255,62 @@ class Operations:
                 yield from _follow(job, watch, patience)
             except ApiError as error:
                 yield from patience.bear(error)
+
+    # Batches
+
+    def create_batch(
+        self,
+        neutral: Path | None,
+        expressions: Iterable[Path],
+        *,
+        subject_id: str | None,
+        person: str | None,
+        registered: bool,
+        then: Iterable[Then],
+        options: dict[str, dict[str, Any]] | None,
+        priority: int,
+        progress: Transferred,
+    ) -> Flow[Batch]:
+        files: list[tuple[Path, Role]] = [] if neutral is None else [(neutral, "neutral")]
+        files += [(path, "expression") for path in expressions]
+        captures = []
+        for path, role in files:
+            sent = yield from self.upload(path, progress)
+            captures.append(
+                {"name": path.stem, "role": role, "upload_id": sent.id, "registered": registered}
+            )
+        return (
+            yield from self._make(
+                "/v1/batches",
+                Batch,
+                subject_id=subject_id,
+                subject=None if person is None else {"name": person},
+                captures=captures,
+                then=list(then),
+                options=options,
+                priority=priority,
+            )
+        )
+
+    def batches(self, subject_id: str | None) -> Flow[list[Batch]]:
+        return self._list("/v1/batches", Batch, subject_id=subject_id)
+
+    def batch(self, batch_id: str) -> Flow[Batch]:
+        return self._get(f"/v1/batches/{batch_id}", Batch)
+
+    def cancel_batch(self, batch_id: str, reason: str) -> Flow[Batch]:
+        url = f"/v1/batches/{batch_id}/cancel"
+        response = yield from once("POST", url, json={"reason": reason})
+        return Batch.model_validate(response.json())
+
+    def wait_for_batch(self, batch_id: str, watch: BatchWatcher) -> Flow[Batch]:
+        while True:
+            response = yield from patiently("GET", f"/v1/batches/{batch_id}", through=True)
+            batch = Batch.model_validate(response.json())
+            watch(batch)
+            if batch.state != "running":
+                return _finished(batch)
+            yield Pause(BATCH_PAUSE)
 
     # Rigs
 
@@ -288,3 +371,10 @@ def _succeeded(job: Job) -> Job:
     why = f": {job.cancel.reason}" if job.cancel and job.cancel.reason else ""
     ended = {"code": f"job.{job.state}", "detail": f"{job.kind} job {job.id} was {job.state}{why}"}
     raise ApiError(job.error or ended)
+
+
+def _finished(batch: Batch) -> Batch:
+    if batch.state == "succeeded":
+        return batch
+    ended = {"code": f"batch.{batch.state}", "detail": f"batch {batch.id} was {batch.state}"}
+    raise ApiError(batch.error or ended)

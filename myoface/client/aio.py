@@ -8,16 +8,23 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
-import anyio
 import httpx
 
-from myoface.client._operations import DEFAULT_URL, Operations, Watcher, unwatched
-from myoface.connection import Flow, Open, Pause, Read, Send, Step, Work, unreachable
+from myoface.client._drivers import drive_awaiting
+from myoface.client._operations import (
+    DEFAULT_URL,
+    BatchWatcher,
+    Operations,
+    Watcher,
+    unwatched,
+    unwatched_batch,
+)
+from myoface.connection import Flow
 from myoface.credentials import headers_for
-from myoface.errors import ApiError
 from myoface.resources import (
     Artifact,
     AuditEntry,
+    Batch,
     Capture,
     Deletion,
     Frame,
@@ -32,6 +39,7 @@ from myoface.resources import (
     Scope,
     Subject,
     Template,
+    Then,
     Upload,
     Usage,
 )
@@ -207,9 +215,12 @@ class AsyncClient:
         captures: Iterable[str] = (),
         rig_id: str | None = None,
         options: dict[str, Any] | None = None,
+        priority: int = 0,
     ) -> Job:
-        """Queue a job, once, however often the line breaks."""
-        return await self._run(self._ask.submit(kind, subject_id, captures, rig_id, options))
+        """Queue a job, once, however often the line breaks; a higher priority is done first."""
+        return await self._run(
+            self._ask.submit(kind, subject_id, captures, rig_id, options, priority)
+        )
 
     async def run(
         self, kind: Kind, subject_id: str, *, watch: Watcher = unwatched, **request: Any
@@ -217,6 +228,17 @@ class AsyncClient:
         """Submit a job and wait for it; see :meth:`submit` and :meth:`wait`."""
         job = await self.submit(kind, subject_id, **request)
         return await self.wait(job.id, watch)
+
+    async def retry(
+        self,
+        job_id: str,
+        *,
+        captures: Iterable[str] | None = None,
+        options: dict[str, Any] | None = None,
+        priority: int | None = None,
+    ) -> Job:
+        """Queue a job that is over once more; what is not given stays as it was."""
+        return await self._run(self._ask.retry(job_id, captures, options, priority))
 
     async def job(self, job_id: str) -> Job:
         """Return a job as it stands."""
@@ -257,6 +279,56 @@ class AsyncClient:
         """
         return await self._run(self._ask.wait(job_id, watch))
 
+    # Batches
+
+    async def create_batch(
+        self,
+        neutral: Path | None,
+        expressions: Iterable[Path] = (),
+        *,
+        subject_id: str | None = None,
+        person: str | None = None,
+        registered: bool = False,
+        then: Iterable[Then] = ("register", "model", "geometry"),
+        options: dict[str, dict[str, Any]] | None = None,
+        priority: int = 0,
+        progress: Transferred = unheard,
+    ) -> Batch:
+        """Upload a session's scans, each named like its file, and make of them what ``then`` says.
+
+        They are the scans of the subject ``subject_id``, or of a new one named ``person``.
+        ``options`` are those of the jobs, by kind.
+        """
+        return await self._run(
+            self._ask.create_batch(
+                neutral,
+                expressions,
+                subject_id=subject_id,
+                person=person,
+                registered=registered,
+                then=then,
+                options=options,
+                priority=priority,
+                progress=progress,
+            )
+        )
+
+    async def batches(self, *, subject_id: str | None = None) -> list[Batch]:
+        """Return batches, newest first, those of one subject if it is given."""
+        return await self._run(self._ask.batches(subject_id))
+
+    async def batch(self, batch_id: str) -> Batch:
+        """Return a batch as it stands, with the verdict of each scan."""
+        return await self._run(self._ask.batch(batch_id))
+
+    async def cancel_batch(self, batch_id: str, reason: str) -> Batch:
+        """Stop a batch and its jobs."""
+        return await self._run(self._ask.cancel_batch(batch_id, reason))
+
+    async def wait_for_batch(self, batch_id: str, watch: BatchWatcher = unwatched_batch) -> Batch:
+        """Wait until a batch has ended; raises :class:`ApiError` if it did not succeed."""
+        return await self._run(self._ask.wait_for_batch(batch_id, watch))
+
     # Rigs
 
     async def rigs(self, *, subject_id: str | None = None) -> list[Rig]:
@@ -268,60 +340,4 @@ class AsyncClient:
         return await self._run(self._ask.rig(rig_id))
 
     async def _run(self, flow: Flow[R]) -> R:
-        """Take a flow's steps until it returns."""
-        line = _Line(self.http)
-        answer: Any = None
-        broken: ApiError | None = None
-        try:
-            while True:
-                try:
-                    step = flow.send(answer) if broken is None else flow.throw(broken)
-                except StopIteration as end:
-                    result: R = end.value
-                    return result
-                answer = broken = None
-                try:
-                    answer = await line.take(step)
-                except httpx.TransportError as error:
-                    broken = unreachable(error)
-        finally:
-            await line.close()
-            flow.close()
-
-
-class _Line:
-    """Takes steps; what was opened is closed by the next step that does not read it."""
-
-    def __init__(self, http: httpx.AsyncClient) -> None:
-        self._http = http
-        self._opened: httpx.Response | None = None
-        self._blocks: AsyncIterator[bytes] | None = None
-
-    async def take(self, step: Step) -> Any:
-        if isinstance(step, Read):
-            assert self._blocks is not None, "nothing was opened"
-            return await anext(self._blocks, None)
-        await self.close()
-        match step:
-            case Open():
-                return await self._open(step)
-            case Send():
-                return await self._http.request(step.method, step.url, **step.options)
-            case Pause():
-                await anyio.sleep(step.seconds)
-            case Work():
-                return await anyio.to_thread.run_sync(step.function)
-        return None
-
-    async def close(self) -> None:
-        if self._opened is not None:
-            await self._opened.aclose()
-            self._opened = None
-
-    async def _open(self, step: Open) -> httpx.Response:
-        request = self._http.build_request(step.method, step.url, **step.options)
-        self._opened = response = await self._http.send(request, stream=True)
-        if response.is_error:
-            await response.aread()
-        self._blocks = response.aiter_bytes()
-        return response
+        return await drive_awaiting(self.http, flow)

@@ -235,3 +235,19 @@ def test_keys_from_python(client: Client, url: str) -> None:
     known = client.keys()
     assert {each.id for each in known} >= {made.id, fresh.id}
     assert [each.action for each in client.audit(fresh.id)] == ["key.revoked"]
+
+
+def test_a_session_in_one_call(client: Client, tmp_path: Path) -> None:
+    files = [scan(tmp_path, name) for name in ("smile", "frown")]
+    files.append(scan(tmp_path, "blink", "verdict bad"))
+    batch = client.create_batch(scan(tmp_path, "neutral"), files, person="Ada")
+    done = client.wait_for_batch(batch.id)
+    left_out = {each.name: each.left_out for each in done.scans if each.left_out}
+    assert list(left_out) == ["blink"]
+    assert done.fit is not None
+    assert done.fit.rig_id is not None
+    assert client.rig(done.fit.rig_id).subject_id == done.subject_id
+    assert [each.id for each in client.batches(subject_id=done.subject_id)] == [batch.id]
+    again = client.retry(done.fit.job_id, priority=1)
+    assert (again.parent_id, again.priority) == (done.fit.job_id, 1)
+    assert client.wait(again.id).result is not None
