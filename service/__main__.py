@@ -15,8 +15,8 @@ from service.parent import die_with_parent
 from service.settings import Settings
 
 KEEP_ALIVE = 130
-"""Seconds for which an idle connection stays open: longer than a proxy in front keeps it (Caddy: two
-minutes), else a request meets with a connection that is being closed."""
+"""Seconds for which an idle connection stays open: longer than a proxy in front keeps it (Caddy:
+two minutes), else a request meets a connection that is being closed."""
 
 
 def main() -> None:
