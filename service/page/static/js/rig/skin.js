@@ -86,8 +86,9 @@ export class Skin {
 
 /** A scan as a mesh of one colour, to lie over a fit or to stand beside it. */
 export class Scan {
-  constructor(neutral, faces) {
-    this.surface = new MovingSurface(neutral, faces);
+  /** `drawn` are those of the faces that are drawn. */
+  constructor(neutral, faces, drawn) {
+    this.surface = new MovingSurface(neutral, faces, drawn);
     this.material = new MeshPhongMaterial({ specular: "#1c1c1c", shininess: 18 });
     this.mesh = new Mesh(this.surface.geometry, this.material);
     this.mesh.renderOrder = ORDER.scan;
