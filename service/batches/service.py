@@ -19,6 +19,7 @@ from service.jobs.schemas import Cancel, NewJob
 from service.store import jobs, outbox
 from service.store.database import clock
 from service.store.models import Batch, Capture, Job
+from service.store.tenancy import own_tenant
 from service.store.transitions import FINAL, State
 from service.subjects import repository as subjects
 from service.subjects import service as people
@@ -32,7 +33,8 @@ def create(session: Session, new: NewBatch, max_attempts: int) -> Batch:
         subject_id = people.create(session, new.subject).id
     else:
         assert new.subject_id is not None, "the schema asks for one of the two"
-        subject_id = subjects.lock(session, new.subject_id).id
+        subject_id = new.subject_id
+    _line_up(session, subject_id)
     added = [scans.create(session, subject_id, capture) for capture in new.captures]
     _refuse_impossible_steps(session, subject_id, new)
     batch = Batch(
@@ -78,6 +80,7 @@ def progress(session: Session, batch: Batch) -> Progress:
 
 def advance(session: Session, batch_id: str, max_attempts: int) -> None:
     """Queue what a batch needs next, or say how it has ended."""
+    _line_up(session, repository.get(session, batch_id).subject_id)
     batch = repository.lock(session, batch_id)
     if batch.state != "running":
         return
@@ -173,6 +176,12 @@ def _will_be_registered(session: Session, neutral: Capture, added: set[str], new
     if neutral.name in added and not neutral.registered:
         return "register" in new.then
     return registered_form(session, neutral) is not None
+
+
+def _line_up(session: Session, subject_id: str) -> None:
+    """Lock the tenant, then the subject: in the order of all who submit jobs or delete subjects."""
+    own_tenant(session, lock=True)
+    subjects.lock(session, subject_id)
 
 
 def _submit(
