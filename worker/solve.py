@@ -15,6 +15,7 @@ import resource
 import signal
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,7 +40,7 @@ def main(folder: Path) -> int:
     process = json.loads((folder / "process.json").read_text())
     die_with_parent(process["parent"], signal.SIGKILL)
     logs.configure(json=False)
-    os.nice(NICENESS)
+    _step_back()
     resource.setrlimit(resource.RLIMIT_DATA, (process["memory_bytes"],) * 2)
     try:
         try:
@@ -56,6 +57,17 @@ def main(folder: Path) -> int:
         log.exception("solver.no_room")
         return NO_ROOM
     return 0 if verdict == "result.json" else 1
+
+
+def _step_back() -> None:
+    """Take the time that others leave.
+
+    Where Linux weighs sessions against each other, a process's own niceness counts only within its
+    session, and this one is alone in its.
+    """
+    os.nice(NICENESS)
+    with suppress(OSError):
+        Path("/proc/self/autogroup").write_text(str(NICENESS))
 
 
 def _told(error: Exception, memory_bytes: int) -> dict[str, Any]:
