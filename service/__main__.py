@@ -35,6 +35,7 @@ def main() -> None:
         host=settings.host,
         port=settings.port,
         http=protocol(settings.receive_timeout),
+        limit_concurrency=settings.max_connections,
         log_config=None,
         access_log=False,
         timeout_keep_alive=KEEP_ALIVE,

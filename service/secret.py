@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
+import time
 from pathlib import Path
 
 from service.settings import Settings
@@ -20,6 +21,22 @@ def secret(settings: Settings) -> bytes:
     if not path.exists():
         _make(path)
     return path.read_bytes()
+
+
+def wait_for_secret(settings: Settings, seconds: float) -> bytes:
+    """Return the API's secret without making one: another would sign what nobody can verify.
+
+    Raises
+    ------
+    TimeoutError
+        If there is none within ``seconds``, in which an API that starts with the caller makes it.
+    """
+    deadline = time.monotonic() + seconds
+    while settings.secret_key is None and not (settings.data_dir / "secret").exists():
+        if time.monotonic() > deadline:
+            raise TimeoutError("set MYOFACE_SECRET_KEY to the API's, or share its data folder")
+        time.sleep(0.1)
+    return secret(settings)
 
 
 def _make(path: Path) -> None:

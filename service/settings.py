@@ -73,6 +73,7 @@ class Settings(BaseSettings):
         default=30, gt=0, description="for a request's headers, and for any body but an upload's"
     )
     min_upload_rate: float = Field(default=1024, gt=0, description="bytes a second")
+    max_connections: int = Field(default=512, ge=1, description="of an API process; then 503")
 
     max_attempts: int = Field(default=3, ge=1)
     lease: float = Field(

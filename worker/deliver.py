@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import random
 import signal
+import sys
 import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -17,7 +18,7 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.outbound.client import Answer, Refused, Sender, Unreachable
-from service.secret import secret
+from service.secret import wait_for_secret
 from service.settings import Settings
 from service.store import outbox
 from service.store.claims import Abilities
@@ -32,6 +33,7 @@ POLL, BUSY = 0.5, 0.02
 MARGIN = 20.0
 """Seconds of a lease beyond the time limit of a request."""
 EXCERPT = 500
+SECRET_SECONDS = 20.0
 FORGET_EVERY = 3600.0
 
 log = structlog.get_logger()
@@ -39,13 +41,19 @@ log = structlog.get_logger()
 
 def main(store: Store, settings: Settings, can: Abilities) -> None:
     """Deliver until told to stop."""
+    if not settings.webhook_workers:
+        sys.exit("MYOFACE_WEBHOOK_WORKERS is 0: nobody would deliver")
     stopping = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stopping.set())
+    try:
+        master = wait_for_secret(settings, SECRET_SECONDS)
+    except TimeoutError as error:
+        sys.exit(str(error))
     store.database.migrate()
     Sweeper(store, settings, WEBHOOKS, can, settings.webhook_workers, stopping).start()
     sender = Sender(settings.webhook_timeout, settings.webhook_allow)
-    Deliverer(store, settings, secret(settings), sender, stopping).run()
+    Deliverer(store, settings, master, sender, stopping).run()
 
 
 class Deliverer:

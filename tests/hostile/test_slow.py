@@ -98,7 +98,7 @@ def test_many_slow_ones_hold_up_nobody(port: int) -> None:
             started = time.monotonic()
             connection.sendall(b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
             assert connection.recv(65_536).startswith(b"HTTP/1.1 200")
-            assert time.monotonic() - started < PATIENCE + 1
+            assert time.monotonic() - started < 5
         assert all(b" 408 " in until_closed(connection)[0] for connection in slow)
     finally:
         for connection in slow:
