@@ -214,6 +214,24 @@ def test_a_failure_is_told_in_words_and_lists_are_filtered(show: Show, studio: S
     assert "scan.nan" in notice.inner_text()
 
 
+def test_long_lists_come_in_pages(show: Show, studio: Studio) -> None:
+    subject_id = studio.modelled()
+    long = studio.capture(subject_id, "long", seconds="60")
+    for _ in range(54):
+        job_id = studio.submit("fit_geometry", subject_id, captures=[long])
+        studio.post(f"/v1/jobs/{job_id}/cancel", reason="not needed")
+    page = show(f"/?subject_id={subject_id}")
+    rows = page.locator("tr[data-job]")
+    rows.nth(49).wait_for()
+    newest = rows.first.get_attribute("data-job")
+    page.get_by_role("button", name="Older").click()
+    eventually(lambda: rows.count() == 5)  # with the job that built the model
+    assert page.get_by_role("button", name="Older").is_hidden()
+    page.get_by_role("button", name="Newer").click()
+    eventually(lambda: rows.count() == 50)
+    assert rows.first.get_attribute("data-job") == newest
+
+
 def test_a_subject_is_worked_with_and_deleted(show: Show, studio: Studio) -> None:
     subject_id = studio.modelled()
     studio.capture(subject_id, "smile")
