@@ -10,7 +10,7 @@ from sqlalchemy import delete
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.settings import Settings
-from service.store import garbage, retention, sweep
+from service.store import deletion, garbage, retention, sweep
 from service.store.claims import Abilities
 from service.store.models import Worker
 from service.store.store import Store
@@ -82,3 +82,4 @@ class Sweeper(threading.Thread):
             self._collected = time.monotonic()
             if removed := garbage.collect(self._store, settings.garbage_age):
                 log.info("files.collected", count=removed)
+            deletion.close_receipts(self._store)

@@ -5,15 +5,15 @@ The sweeper removes the files. Those whose bytes something else has, too, stay f
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Literal
 
-from sqlalchemy import ColumnElement, delete, select, union
+from sqlalchemy import ColumnElement, delete, select, update
 from sqlalchemy.orm import Session
 
 from service.store import previews
 from service.store.database import clock
-from service.store.garbage import REFERRING
+from service.store.garbage import referenced_files
 from service.store.jobs import cancel
 from service.store.models import (
     Artifact,
@@ -103,24 +103,26 @@ def go_on(session: Session) -> None:
 
 
 def close_receipts(store: Store) -> None:
-    """Note which deletions have no file left."""
+    """Note which deletions have no file left: after files were removed, not more often."""
+    opened = select(Deletion).where(Deletion.rows_at.is_not(None), Deletion.files_at.is_(None))
+    with store.read() as session:
+        receipts = session.scalars(opened.order_by(Deletion.created_at).limit(BATCH)).all()
+    if not receipts:
+        return
+    wanted = referenced_files(store)
+    aside = {stored.sha256 for stored in store.files.aside()}
+    closed = [
+        receipt.id
+        for receipt in receipts
+        if not any(
+            sha256 in aside or store.files.exists(sha256)
+            for sha256 in receipt.files
+            if sha256 not in wanted
+        )
+    ]
     with store.write() as session:
-        opened = select(Deletion).where(Deletion.rows_at.is_not(None), Deletion.files_at.is_(None))
-        for receipt in session.scalars(opened.order_by(Deletion.created_at).limit(BATCH)).all():
-            there = [sha256 for sha256 in receipt.files if store.files.exists(sha256)]
-            if files_in_use(session, there) == set(there):
-                receipt.files, receipt.files_at = [], clock(session)
-
-
-def files_in_use(session: Session, sha256s: Collection[str]) -> set[str]:
-    """Return those of these files that some row refers to, or a job that is not over reads."""
-    if not sha256s:
-        return set()
-    queries = (select(column).where(column.in_(sha256s)) for column in REFERRING)
-    found = {sha256 for sha256 in session.scalars(union(*queries)) if sha256}
-    for inputs in session.scalars(select(Job.inputs).where(Job.state.not_in(FINAL))):
-        found |= {item["sha256"] for item in inputs} & set(sha256s)
-    return found
+        values = {"files": [], "files_at": clock(session)}
+        session.execute(update(Deletion).where(Deletion.id.in_(closed)).values(**values))
 
 
 def _delete_subject(session: Session, subject: Subject, receipt: Deletion) -> None:

@@ -48,7 +48,6 @@ def enforce(store: Store, settings: Settings) -> None:
                 due = query.where(since < moment - timedelta(days=days)).limit(BATCH)
                 for row in session.scalars(due).all():
                     remove(session, row, "retention")
-    deletion.close_receipts(store)
 
 
 Remove = Callable[[Session, Any, deletion.Reason], Deletion]

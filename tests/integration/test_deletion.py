@@ -13,7 +13,7 @@ import pytest
 from sqlalchemy import update
 
 from service.settings import Settings
-from service.store import garbage, jobs, retention
+from service.store import deletion, garbage, jobs, retention
 from service.store.models import AuditEntry, Capture, Job, Rig, Subject, now
 from service.store.store import Store
 from tests.service_client import Studio, eventually, running, served
@@ -51,11 +51,11 @@ def test_a_receipt_says_when_the_last_file_was_gone(studio: Studio) -> None:
     receipt = studio.get(answer.headers["Location"])
     assert receipt["rows_at"] is not None
     assert receipt["files_at"] is None
-    retention.enforce(_store(studio), _settings(studio))
-    assert studio.get(answer.headers["Location"])["files_at"] is None
     for _ in range(2):  # put aside, and removed
+        deletion.close_receipts(_store(studio))
+        assert studio.get(answer.headers["Location"])["files_at"] is None
         garbage.collect(_store(studio), age=-60)
-    retention.enforce(_store(studio), _settings(studio))
+    deletion.close_receipts(_store(studio))
     receipt = studio.get(answer.headers["Location"])
     assert receipt["files_at"] is not None
     assert "Alex" not in str(receipt)
@@ -176,6 +176,8 @@ def test_the_database_forgets_a_name(tmp_path: Path) -> None:
         name = "Somebody" + os.urandom(8).hex()
         subject = studio.post("/v1/subjects", name=name)["id"]
         studio.http.delete(f"/v1/subjects/{subject}")
+        if not _store(studio).database.is_sqlite:
+            pytest.skip("PostgreSQL overwrites by VACUUM, in its own time")
         database = Path(str(_store(studio).database.url.database))
     with sqlite3.connect(database) as connection:
         connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
