@@ -40,7 +40,7 @@ EXPRESSIONS = 3
 def main() -> int:
     """Run the load; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m load", description=__doc__)
-    parser.add_argument("--seconds", type=float, default=90)
+    parser.add_argument("--seconds", type=float, default=120)
     parser.add_argument("--stations", type=int, default=8)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="myoface-load-") as folder:

@@ -15,6 +15,8 @@ from load.measure import Answers
 CHUNK = 4 << 20
 LOOK_EVERY = 0.5
 SCAN_EVERY = 10.0
+LOOKS = ("/v1/jobs?limit=50", "/v1/subjects", "/v1/rigs", "/readyz")
+"""What a page asks for: its queue shows 50 jobs."""
 TIMEOUT = 30.0
 
 
@@ -102,8 +104,8 @@ class Station(threading.Thread):
         ) as http:
             while not self._stop_asked.is_set():
                 begun = time.monotonic()
-                for path in ("/v1/jobs", "/v1/subjects", "/v1/rigs", "/readyz"):
-                    with self._answers.asking(f"GET {path}"):
+                for path in LOOKS:
+                    with self._answers.asking(f"GET {path.partition('?')[0]}"):
                         http.get(path).raise_for_status()
                 self._stop_asked.wait(max(LOOK_EVERY - (time.monotonic() - begun), 0))
 

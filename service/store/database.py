@@ -36,6 +36,10 @@ PATIENCE = {
 """
 
 
+POOL = {"pool_size": 10, "max_overflow": 40}
+"""A request has a thread (40 at most) and briefly a second connection, for its key."""
+
+
 class Database:
     """An engine for SQLite (WAL) or PostgreSQL.
 
@@ -133,8 +137,8 @@ def clock(session: Session) -> datetime:
 
 def _engine(url: str, sqlite: bool) -> Engine:
     if not sqlite:
-        return create_engine(url, pool_pre_ping=True, connect_args=PATIENCE)
-    engine = create_engine(url, connect_args={"timeout": 30, "check_same_thread": False})
+        return create_engine(url, pool_pre_ping=True, connect_args=PATIENCE, **POOL)
+    engine = create_engine(url, connect_args={"timeout": 30, "check_same_thread": False}, **POOL)
 
     @event.listens_for(engine, "connect")
     def connect(connection: Any, _record: Any) -> None:
