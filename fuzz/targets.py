@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from fuzz import seeds
+from fuzz.arrays import read_spoilt_template
 from service import paging
 from service.errors import Problem
 from service.http import strict_json
@@ -98,6 +99,7 @@ def targets() -> list[Target]:
         _file("npy", seeds.npy() + seeds.npz(), "npy", _performance),
         _file("npz", seeds.npz() + seeds.npy(), "npz", _archive),
         _file("template", seeds.template(), "zip", read_template),
+        Target("template npz", [b"1", b"2"], read_spoilt_template, InputError),
         _text("upload metadata", seeds.metadata(), parse_metadata),
         _text(
             "upload checksum",

@@ -59,6 +59,16 @@ def ids(studio: Studio) -> dict[str, str]:
         rig = Rig(subject_id=subject, model_job_id=job, expressions=[], summary={}, **mine)
         assert jobs.succeed(session, job, claim.attempt, [left], rig=rig)
     webhook = studio.post("/v1/webhooks", url="http://127.0.0.1:9/")["id"]
+    scans = [
+        {
+            "name": name,
+            "role": "neutral" if name == "neutral" else "expression",
+            "registered": False,
+            "upload_id": studio.upload(f"{name}.obj", name.encode()),
+        }
+        for name in ("neutral", "frown")
+    ]
+    batch = studio.post("/v1/batches", subject={"name": "Kim"}, captures=scans)
     return {
         "subject_id": subject,
         "capture_id": studio.capture(subject, "smile"),
@@ -71,6 +81,8 @@ def ids(studio: Studio) -> dict[str, str]:
         "artifact_id": left.id,
         "webhook_id": webhook,
         "delivery_id": studio.post(f"/v1/webhooks/{webhook}/test")["id"],
+        "batch_id": batch["id"],
+        "key_id": studio.post("/v1/keys", name="x", scopes=["read"])["id"],
         "name": "rig.glb",
     }
 
