@@ -12,6 +12,7 @@ from rich.markup import escape
 from myoface.cli.app import read_settings
 from myoface.cli.console import out
 from service import logs
+from service.access.loopback import is_loopback
 from service.settings import Settings
 
 MARKS = {
@@ -34,6 +35,8 @@ def up(port: Port = None, data: Data = None) -> None:
     with Stack(settings) as stack:
         out.print(f"Myoface listens on {stack.url}. Ctrl-C stops it.")
         out.print(f"Its key is in {settings.admin_key}.", markup=False)
+        if is_loopback(settings.host):
+            out.print(f"Its page: {stack.url}/#key={stack.key}", markup=False, soft_wrap=True)
         stack.wait()
 
 
