@@ -163,6 +163,9 @@ def take(session: Session, most: int, failing: int, lease: float) -> list[Parcel
 def settle(session: Session, parcel: Parcel, outcome: Outcome, pauses: Sequence[float]) -> None:
     """Write down what became of a try; ``pauses`` are the seconds before each further one."""
     moment = clock(session)
+    hook = session.get(Webhook, parcel.webhook_id, with_for_update=True)
+    if hook is None:
+        return  # it was deleted, with its deliveries
     values: dict[str, Any] = {
         "status": outcome.status,
         "ms": outcome.ms,
@@ -187,7 +190,7 @@ def settle(session: Session, parcel: Parcel, outcome: Outcome, pauses: Sequence[
         .returning(Delivery.id)
     ).scalar_one_or_none()
     if mine is not None:
-        _judge(session, parcel.webhook_id, outcome, moment)
+        _judge(session, hook, outcome, moment)
 
 
 def switch_off(session: Session, webhook_id: str, reason: str, moment: datetime) -> None:
@@ -270,14 +273,13 @@ def _claim(session: Session, row: Any, moment: datetime, until: datetime) -> Par
     )
 
 
-def _judge(session: Session, webhook_id: str, outcome: Outcome, moment: datetime) -> None:
+def _judge(session: Session, hook: Webhook, outcome: Outcome, moment: datetime) -> None:
     """Note whether a webhook works; switch off one that is gone, or has failed for days."""
-    hook = session.get_one(Webhook, webhook_id, with_for_update=True)
     if outcome.delivered:
         hook.failing_since = None
     elif outcome.status == GONE:
-        switch_off(session, webhook_id, "gone", moment)
+        switch_off(session, hook.id, "gone", moment)
     elif hook.failing_since is None:
         hook.failing_since = moment
     elif moment - hook.failing_since > GIVE_UP_AFTER:
-        switch_off(session, webhook_id, "failing", moment)
+        switch_off(session, hook.id, "failing", moment)
