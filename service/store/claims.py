@@ -33,9 +33,9 @@ def claim_next(session: Session, queue: str, who: Abilities, lease: float) -> Cl
     """Take the best job of ``queue`` that a worker can do; None: there is none.
 
     First comes the tenant with the fewest running jobs in the queue, of several the one whose next
-    job has waited longest; then the tenant's highest priority; then the oldest. One whose quota of
-    running jobs is used up is passed over. Workers that ask in
-    the same moment do not wait for one another: each takes what no other is about to.
+    job has waited longest; then the tenant's highest priority; then the oldest. A tenant whose
+    quota of running jobs is used up is passed over. Workers that ask in the same moment do not wait
+    for one another, but for that quota: each takes what no other is about to.
     """
     moment = clock(session)
     free_expired(session, moment, queue)
