@@ -8,10 +8,11 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
+from boto3.s3.transfer import TransferConfig
 
 from service.settings import Settings
 from service.store import garbage
-from service.store.files import DamagedFileError, Files, FolderFiles, UnreachableError, files_at
+from service.store.files import DamagedFileError, Files, FolderFiles, UnreachableError, files_at, s3
 from service.store.models import DEFAULT_TENANT, Template, now
 from service.store.store import Store
 
@@ -56,6 +57,21 @@ def test_a_file_comes_back_as_it_was(files: Files, scan: Path, tmp_path: Path) -
     empty = tmp_path / "empty"
     empty.touch()
     assert files.read(files.put(empty).sha256) == b""
+
+
+def test_a_large_file_goes_in_parts_and_is_put_aside(
+    files: Files, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small = TransferConfig(multipart_threshold=6 << 20, multipart_chunksize=5 << 20)
+    monkeypatch.setattr(s3, "PARTS", small)
+    large = tmp_path / "large"
+    large.write_bytes(12 * SCAN)
+    sha256 = files.put(large).sha256
+    files.put_aside(sha256)
+    files.fetch(sha256, tmp_path / "aside")
+    files.take_back(sha256)
+    files.fetch(sha256, tmp_path / "back")
+    assert (tmp_path / "back").read_bytes() == large.read_bytes()
 
 
 def test_a_missing_file_is_known_at_once(files: Files, tmp_path: Path) -> None:
@@ -108,7 +124,6 @@ def test_what_is_wanted_again_stays(store: Store, scan: Path, stored_again: bool
 
 
 def test_a_bucket_that_does_not_answer_is_told_from_a_missing_file(tmp_path: Path) -> None:
-    pytest.importorskip("boto3")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("AWS_ACCESS_KEY_ID", "x")
         patch.setenv("AWS_SECRET_ACCESS_KEY", "x")

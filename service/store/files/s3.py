@@ -23,6 +23,9 @@ from botocore.exceptions import BotoCoreError, ClientError
 from service.store.files.base import CHUNK, Blob, Files, Stored, UnreachableError
 
 PARTS = TransferConfig(multipart_threshold=64 << 20, multipart_chunksize=16 << 20)
+COPIES = TransferConfig(multipart_threshold=5 << 30)
+"""One request copies up to 5 GB, and not every server can copy parts."""
+
 CONFIG = Config(
     connect_timeout=5,
     read_timeout=30,
@@ -160,9 +163,9 @@ class S3Files(Files):
                     yield Stored(item["Key"].rpartition("/")[2], item["LastModified"])
 
     def _copy(self, source: str, target: str) -> None:
-        with _told():  # by parts above 5 GB, which one request can not copy
+        with _told():
             self._client.copy(
-                {"Bucket": self._bucket, "Key": source}, self._bucket, target, Config=PARTS
+                {"Bucket": self._bucket, "Key": source}, self._bucket, target, Config=COPIES
             )
 
     def _delete(self, key: str) -> None:
