@@ -1,6 +1,6 @@
 # Every target sets up what it needs by itself; `make help` lists them.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all check chaos load two-hosts compose-check up lock servers setup setup-dev clean
+.PHONY: help demo test test-all chaos fuzz load two-hosts compose-check check up lock servers setup setup-dev clean
 
 BIN := .venv/bin
 TESTS := $(BIN)/python -m pytest
@@ -20,6 +20,9 @@ test-all: check servers ## every test there is, the slow ones too
 
 chaos: setup-dev ## 60 jobs while workers, solvers and broker are killed, frozen and starved; prints the tally
 	@$(BIN)/python -m chaos
+
+fuzz: setup-dev ## hostile inputs to every reader of strangers' bytes
+	@$(BIN)/python -m fuzz
 
 load: setup-dev ## eight stations upload and look on while two workers fit; prints how long the API takes
 	@$(BIN)/python -m load
