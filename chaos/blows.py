@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import os
 import signal
+import sqlite3
 import time
 from collections.abc import Callable
+from contextlib import closing
 
 import redis
-from sqlalchemy import select
+from sqlalchemy import func, select
 
 from chaos.stage import SETTINGS, Stage
+from service.store.database import Database
 from service.store.models import Attempt, Job, Lease
 from service.store.transitions import HELD
 
@@ -68,7 +71,8 @@ def freeze_worker(stage: Stage) -> bool:
     job = _target(stage)
     if job is None or job.lease_owner is None:
         return False
-    _signal(job.lease_owner, signal.SIGSTOP)
+    if not _freeze(stage, job.lease_owner):
+        return False
     try:
         lost = stage.until(lambda: not _is_held(stage, job), seconds=3 * LEASE)
         time.sleep(1)
@@ -97,7 +101,7 @@ def two_sweepers(stage: Stage) -> bool:
         return False
     stage.until(lambda: _lives(_sweeper(stage)), seconds=10)
     holder = _sweeper(stage)
-    if holder is None or not _signal(holder, signal.SIGSTOP):
+    if holder is None or not _freeze(stage, holder):
         return False
     try:
         return stage.until(lambda: _sweeper(stage) != holder, seconds=10)
@@ -115,6 +119,35 @@ BLOWS: dict[str, Callable[[Stage], bool]] = {
     "fill-disk": fill_disk,
     "two-sweepers": two_sweepers,
 }
+
+
+def _freeze(stage: Stage, worker: str) -> bool:
+    """Stop a worker, but not in the middle of a write: that would stop all who want to write."""
+    for _ in range(20):
+        if not _signal(worker, signal.SIGSTOP):
+            return False
+        if _can_be_written(stage.store.database):
+            return True
+        _signal(worker, signal.SIGCONT)
+        time.sleep(stage.dice.uniform(0.05, 0.3))
+    return False
+
+
+def _can_be_written(database: Database) -> bool:
+    """Whether nobody keeps others from writing for longer than a moment."""
+    if not database.is_sqlite:
+        with database.engine.connect() as server:
+            free = select(Lease.office).with_for_update(skip_locked=True)
+            count = select(func.count()).select_from(Lease)
+            return len(server.execute(free).all()) == server.scalar(count)
+    path = str(database.url.database)
+    with closing(sqlite3.connect(path, timeout=1, isolation_level=None)) as connection:
+        try:
+            connection.execute("BEGIN IMMEDIATE")
+        except sqlite3.OperationalError:
+            return False
+        connection.execute("ROLLBACK")
+        return True
 
 
 def _target(stage: Stage) -> Job | None:
