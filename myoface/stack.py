@@ -27,6 +27,8 @@ START_TIMEOUT = 60.0
 STOP_TIMEOUT = 8.0
 LONGEST_PAUSE = 30.0
 RETRY = 2.0
+FEW_ARENAS = {"MALLOC_ARENA_MAX": "2"}
+"""Of the API: with an arena for each thread, glibc would keep memory that is done with."""
 STEADY = 30.0  # seconds after which a restarted child counts as well
 
 log = structlog.get_logger()
@@ -52,7 +54,7 @@ class Stack:
         logs = settings.data_dir / "logs"
         self._queues = (*QUEUES, WEBHOOKS) if settings.webhook_workers else QUEUES
         self._children = [
-            _Child("api", ["-m", "service"], logs, environment),
+            _Child("api", ["-m", "service"], logs, environment | FEW_ARENAS),
             *(_Child(queue, ["-m", "worker", queue], logs, environment) for queue in self._queues),
         ]
         self._stopping = threading.Event()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shutil
+import signal
 import socket
 import subprocess
 import time
@@ -19,18 +21,30 @@ REQUIRED = "MYOFACE_REQUIRE_SERVERS"
 START_TIMEOUT = 20.0
 
 
+DYING_WITH_US = ["setpriv", "--pdeathsig", "TERM", "--"] if shutil.which("setpriv") else []
+"""Words before a command, so that a test that is killed leaves no server (Linux)."""
+
+
 class UnavailableError(RuntimeError):
     """This machine can not run the server; the message says what is missing."""
 
 
 @contextmanager
 def listening(
-    command: Sequence[str | Path], log: Path, host: str, port: int | None, **more: Any
+    command: Sequence[str | Path],
+    log: Path,
+    host: str,
+    port: int | None,
+    end: signal.Signals = signal.SIGTERM,
+    **more: Any,
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a server until the end of the block; begin when its port, if it has one, answers."""
+    """Run a server until the end of the block, and tell it so by ``end``.
+
+    The block begins when its port, if it has one, answers.
+    """
     with log.open("ab") as output:
         process = subprocess.Popen(
-            [str(word) for word in command],
+            [*DYING_WITH_US, *map(str, command)],
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=output,
@@ -42,7 +56,7 @@ def listening(
             _wait(lambda: _answers(host, port), process, log)
         yield process
     finally:
-        process.terminate()
+        process.send_signal(end)
         try:
             process.wait(10)
         except subprocess.TimeoutExpired:

@@ -5,16 +5,19 @@ from __future__ import annotations
 import getpass
 import os
 import shutil
+import signal
 import subprocess
 import tempfile
+import time
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from urllib.parse import quote
 
 import psycopg
 
-from tests.servers import UnavailableError, free_port
+from tests.servers import UnavailableError, free_port, listening
 
 PASSWORD = "only for tests"
 
@@ -28,43 +31,49 @@ def postgres(host: str = "127.0.0.1") -> Iterator[str]:
     folder = Path(tempfile.mkdtemp(prefix="myoface-postgres-"))
     try:
         if os.geteuid() == 0:  # initdb refuses to run as root
-            if shutil.which("runuser") is None:
-                raise UnavailableError("PostgreSQL does not run as root, and there is no runuser")
+            if shutil.which("setpriv") is None:
+                raise UnavailableError("PostgreSQL does not run as root, and there is no setpriv")
             user = "postgres"
-            as_user = ["runuser", "-u", user, "--"]
+            as_user = ["setpriv", f"--reuid={user}", f"--regid={user}", "--init-groups"]
+            as_user += ["--pdeathsig", "QUIT", "--"]
             shutil.chown(folder, user)
         port = free_port(host)
         data, log, password = folder / "data", folder / "log", folder / "password"
         password.write_text(PASSWORD)
         password.chmod(0o644)
 
-        def control(*words: str | Path) -> None:
-            command = [*as_user, *map(str, words)]
-            subprocess.run(command, check=True, stdout=subprocess.DEVNULL, cwd="/", timeout=60)
-
-        access = ["-U", user, "-A", "scram-sha-256", "--pwfile", str(password)]
-        control(programs / "initdb", "-D", data, *access, "--no-sync")
+        access = ["-U", user, "-A", "scram-sha-256", "--pwfile", password, "--no-sync"]
+        command = [*as_user, programs / "initdb", "-D", data, *access]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, cwd="/", timeout=60)
         with (data / "pg_hba.conf").open("a") as rules:
             rules.write("host all all samenet scram-sha-256\n")
-        options = f"-c listen_addresses={host} -c port={port} -c unix_socket_directories={folder}"
-        start: list[str | Path] = [
-            "-D",
-            data,
-            "-l",
-            log,
-            "-o",
-            f"{options} -c fsync=off",
-            "-w",
-            "start",
-        ]
-        control(programs / "pg_ctl", *start)
-        try:
-            secret = PASSWORD.replace(" ", "%20")
-            yield f"postgresql://{user}:{secret}@{host}:{port}/postgres"
-        finally:
-            control(programs / "pg_ctl", "-D", data, "-m", "immediate", "stop")
+        options = {
+            "listen_addresses": host,
+            "port": port,
+            "unix_socket_directories": folder,
+            "fsync": "off",
+        }
+        words = [word for key, value in options.items() for word in ("-c", f"{key}={value}")]
+        server = [*as_user, programs / "postgres", "-D", data, *words]
+        # SIGQUIT: at once, without waiting for clients to leave
+        with listening(server, log, host, port, end=signal.SIGQUIT, cwd="/"):
+            _wait_for(url := f"postgresql://{user}:{quote(PASSWORD)}@{host}:{port}/postgres")
+            yield url
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def _wait_for(url: str) -> None:
+    """Wait until the server takes sessions: it listens a little earlier."""
+    while True:
+        try:
+            psycopg.connect(url).close()
+        except psycopg.OperationalError as error:
+            if "starting up" not in str(error):
+                raise
+            time.sleep(0.05)
+        else:
+            return
 
 
 def fresh_database(url: str) -> str:
