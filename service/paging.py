@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Generic, TypeVar
 
+from fastapi import Response
+from pydantic import BaseModel
 from sqlalchemy import Select, and_, or_
 from sqlalchemy.orm import Session
 
@@ -23,6 +25,14 @@ class Slice(Generic[Row]):
 
     items: list[Row]
     next: str | None
+
+
+def respond(page: BaseModel) -> Response:
+    """Return a page of a list, in the JSON that the model itself writes.
+
+    FastAPI would make Python objects of it first, which takes a third of a long list's time.
+    """
+    return Response(page.model_dump_json(), media_type="application/json")
 
 
 def newest(session: Session, query: Select[Row], limit: int, cursor: str | None) -> Slice[Row]:

@@ -10,6 +10,7 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
+from service import paging
 from service.access.principal import Reader, Writer
 from service.audit.record import record
 from service.dependencies import (
@@ -76,19 +77,19 @@ def _submit(store: Store, new: NewJob, max_attempts: int, job_id: str) -> bool:
         return service.submit(session, new, max_attempts, job_id)[1]
 
 
-@router.get("", summary="List jobs", responses=problems(422))
+@router.get("", response_model=Page[JobView], summary="List jobs", responses=problems(422))
 def index(
     session: ReadSession,
     settings: SettingsDep,
     wanted: Filters,
     limit: Limit = 100,
     cursor: Cursor = None,
-) -> Page[JobView]:
+) -> Response:
     """List jobs, newest first."""
     jobs = repository.newest(session, wanted, limit, cursor)
     places = positions(session, jobs.items)
     views = [JobView.of(job, places.get(job.id), settings) for job in jobs.items]
-    return Page(items=views, next=jobs.next)
+    return paging.respond(Page[JobView](items=views, next=jobs.next))
 
 
 @router.get("/{job_id}", summary="Show a job", responses=problems(404, 422))

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
+from service import paging
 from service.access.principal import Reader
 from service.access.signed import Signer
 from service.audit.record import record
@@ -36,17 +37,18 @@ FILE: dict[int | str, dict[str, Any]] = {
 }
 
 
-@router.get("/rigs", summary="List rigs", responses=problems(422))
+@router.get("/rigs", response_model=Page[RigView], summary="List rigs", responses=problems(422))
 def index(
     session: ReadSession,
     settings: SettingsDep,
     subject_id: Annotated[Id | None, Query()] = None,
     limit: Limit = 100,
     cursor: Cursor = None,
-) -> Page[RigView]:
+) -> Response:
     """List rigs, newest first."""
     found = repository.newest(session, subject_id, limit, cursor)
-    return Page(items=[RigView.of(rig, settings) for rig in found.items], next=found.next)
+    views = [RigView.of(rig, settings) for rig in found.items]
+    return paging.respond(Page[RigView](items=views, next=found.next))
 
 
 @router.get("/rigs/{rig_id}", summary="Show a rig", responses=problems(404, 422))
