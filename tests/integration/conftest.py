@@ -30,7 +30,11 @@ def servers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Production | s
 
 @pytest.fixture(scope="module", autouse=True, params=PARTS)
 def parts(request: pytest.FixtureRequest) -> Iterator[Production | None]:
-    """Make the settings of this module's stack those of the parts."""
+    """Make the settings of this module's stack those of the parts.
+
+    A module's fixture that starts a service asks for it: else pytest keeps the service of the
+    first parts for the second.
+    """
     if request.param == EMBEDDED:
         yield None
         return

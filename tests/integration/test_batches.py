@@ -9,11 +9,12 @@ from typing import Any
 import pytest
 
 from service.settings import Settings
+from tests.servers.production import Production
 from tests.service_client import Studio, eventually, running, served
 
 
 @pytest.fixture(scope="module")
-def working(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
+def working(parts: Production | None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
     with running(tmp_path_factory.mktemp("batches")) as (_, studio):
         yield studio
 

@@ -16,6 +16,7 @@ from myoface.client import AsyncClient, Client
 from myoface.credentials import VARIABLE
 from myoface.errors import ApiError
 from myoface.resources import Job
+from tests.servers.production import Production
 from tests.service_client import running
 
 
@@ -36,7 +37,7 @@ class BreakingLine(httpx.HTTPTransport):
 
 
 @pytest.fixture(scope="module")
-def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def url(parts: Production | None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     with (
         running(tmp_path_factory.mktemp("stack")) as (stack, _),
         pytest.MonkeyPatch.context() as environment,

@@ -13,13 +13,14 @@ from myoface.cli import app
 from myoface.client import Client
 from myoface.credentials import VARIABLE
 from service.settings import Settings
+from tests.servers.production import Production
 from tests.service_client import Studio, running, served
 
 Command = Callable[..., Result]
 
 
 @pytest.fixture(scope="module")
-def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def url(parts: Production | None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     with (
         running(tmp_path_factory.mktemp("stack")) as (stack, _),
         pytest.MonkeyPatch.context() as environment,

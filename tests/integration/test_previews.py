@@ -12,13 +12,14 @@ from service.settings import Settings
 from service.store import retention
 from service.store.models import Job, Rig
 from service.store.store import Store
+from tests.servers.production import Production
 from tests.service_client import Studio, running, served
 
 RIG = "8c1d3a52-0f4e-4c5b-9b39-1f3a4f1f6c11"
 
 
 @pytest.fixture(scope="module")
-def studio(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
+def studio(parts: Production | None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
     with running(tmp_path_factory.mktemp("stack")) as (_, studio):
         yield studio
 

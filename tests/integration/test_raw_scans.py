@@ -13,11 +13,12 @@ from sqlalchemy import select
 
 from service.settings import Settings
 from service.store.models import Job, Upload
+from tests.servers.production import Production
 from tests.service_client import Studio, running, served
 
 
 @pytest.fixture(scope="module")
-def working(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
+def working(parts: Production | None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
     with running(tmp_path_factory.mktemp("stack")) as (_, studio):
         yield studio
 

@@ -17,13 +17,14 @@ from service.settings import Settings
 from solver.anatomy.builtin import builtin_capture_set
 from solver.surface import Surface
 from tests.fixtures import data_folder
+from tests.servers.production import Production
 
 VERDICT_S = 60
 PICTURES = ("check.png", "distance.png", "anatomy.png", "tets.png")
 
 
 @pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
+def client(parts: Production | None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
     settings = Settings(data_dir=tmp_path_factory.mktemp("stack"), port=0)
     with Stack(settings) as stack, Client(stack.url, stack.key) as client:
         yield client

@@ -27,12 +27,13 @@ from service.store.database import clock
 from service.store.models import Webhook
 from service.store.store import Store
 from tests.receiver import LOOPBACK, Receiver, receiving
+from tests.servers.production import Production
 from tests.service_client import Studio, eventually, running, served
 from worker.deliver import Deliverer
 
 
 @pytest.fixture(scope="module")
-def settings(tmp_path_factory: pytest.TempPathFactory) -> Settings:
+def settings(parts: Production | None, tmp_path_factory: pytest.TempPathFactory) -> Settings:
     return Settings(
         data_dir=tmp_path_factory.mktemp("webhooks"),
         webhook_allow=LOOPBACK,
