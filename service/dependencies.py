@@ -13,13 +13,15 @@ from service.access.signed import FileReader
 from service.settings import Settings
 from service.store.store import Store
 
+# What does not wait is `async`: FastAPI would run each in a thread of its own, many a request.
 
-def _settings(request: Request) -> Settings:
+
+async def _settings(request: Request) -> Settings:
     settings: Settings = request.app.state.settings
     return settings
 
 
-def _store(request: Request) -> Store:
+async def _store(request: Request) -> Store:
     store: Store = request.app.state.store
     return store
 
@@ -29,27 +31,27 @@ WholeStore = Annotated[Store, Depends(_store)]
 """All tenants' data: for the service's own health, never for what a route is asked about."""
 
 
-def _for_reading(store: WholeStore, who: Reader) -> Store:
+async def _for_reading(store: WholeStore, who: Reader) -> Store:
     return store.of(who.tenant_id)
 
 
-def _for_downloading(store: WholeStore, who: FileReader) -> Store:
+async def _for_downloading(store: WholeStore, who: FileReader) -> Store:
     return store.of(who.tenant_id)
 
 
-def _for_writing(store: WholeStore, who: Writer) -> Store:
+async def _for_writing(store: WholeStore, who: Writer) -> Store:
     return store.of(who.tenant_id)
 
 
-def _for_deleting(store: WholeStore, who: Deleter) -> Store:
+async def _for_deleting(store: WholeStore, who: Deleter) -> Store:
     return store.of(who.tenant_id)
 
 
-def _for_hooks(store: WholeStore, who: Hooks) -> Store:
+async def _for_hooks(store: WholeStore, who: Hooks) -> Store:
     return store.of(who.tenant_id)
 
 
-def _for_administering(store: WholeStore, who: Admin) -> Store:
+async def _for_administering(store: WholeStore, who: Admin) -> Store:
     return store.of(who.tenant_id)
 
 

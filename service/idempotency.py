@@ -76,7 +76,7 @@ class Attempt:
             raise problem from error
 
 
-def _attempt(
+async def _attempt(
     request: Request,
     key: Annotated[
         str | None,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Annotated
@@ -63,10 +63,10 @@ def unauthorized(code: str, detail: str) -> Problem:
     return problem
 
 
-def need(scope: Scope) -> Callable[[Principal], Principal]:
+def need(scope: Scope) -> Callable[[Principal], Awaitable[Principal]]:
     """Return a dependency that gives the caller if its key has ``scope``."""
 
-    def allowed(who: Annotated[Principal, Depends(principal)]) -> Principal:
+    async def allowed(who: Annotated[Principal, Depends(principal)]) -> Principal:
         if scope not in who.scopes:
             detail = f"the key may not do this: it lacks the scope {scope.value}"
             raise Problem(403, "auth.scope", detail, expected=scope.value, found=sorted(who.scopes))

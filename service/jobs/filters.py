@@ -24,7 +24,7 @@ def _in_utc(moment: datetime) -> datetime:
 Moment = Annotated[AwareDatetime, AfterValidator(_in_utc)]
 
 
-def _filters(
+async def _filters(
     subject_id: Annotated[Id | None, Query()] = None,
     capture_id: Annotated[Id | None, Query(description="checks and registrations of it")] = None,
     batch_id: Annotated[Id | None, Query()] = None,

@@ -144,7 +144,7 @@ def _existing(job_id: Id, session: ReadSession) -> str:
 ExistingJob = Annotated[str, Depends(_existing, scope="function")]
 
 
-def _feed(request: Request) -> Feed:
+async def _feed(request: Request) -> Feed:
     feed: Feed = request.app.state.feed
     return feed
 

@@ -20,7 +20,7 @@ from service.store.models import ApiKey
 router = APIRouter(prefix="/v1/keys", tags=["keys"])
 
 
-def _keyring(request: Request) -> Keyring:
+async def _keyring(request: Request) -> Keyring:
     keyring: Keyring = request.app.state.keyring
     return keyring
 

@@ -22,7 +22,7 @@ from service.schemas import FileName, Id, Page
 router = APIRouter(prefix="/v1", tags=["rigs"])
 
 
-def _signer(request: Request) -> Signer:
+async def _signer(request: Request) -> Signer:
     signer: Signer = request.app.state.signer
     return signer
 

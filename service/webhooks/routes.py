@@ -26,12 +26,12 @@ from service.webhooks.schemas import (
 router = APIRouter(prefix="/v1", tags=["webhooks"])
 
 
-def _master(request: Request) -> bytes:
+async def _master(request: Request) -> bytes:
     master: bytes = request.app.state.master
     return master
 
 
-def _sender(request: Request) -> Sender:
+async def _sender(request: Request) -> Sender:
     sender: Sender = request.app.state.sender
     return sender
 
