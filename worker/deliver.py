@@ -26,7 +26,7 @@ from service.store.outbox import Outcome, Parcel
 from service.store.queue import WEBHOOKS
 from service.store.store import Store
 from service.webhooks import signing
-from worker.sweeper import Sweeper
+from worker.sweeper import Presence
 
 POLL, BUSY = 0.5, 0.02
 """Seconds between two looks into the table: when there was nothing, and when there was."""
@@ -51,7 +51,8 @@ def main(store: Store, settings: Settings, can: Abilities) -> None:
     except TimeoutError as error:
         sys.exit(str(error))
     store.database.migrate()
-    Sweeper(store, settings, WEBHOOKS, can, settings.webhook_workers, stopping).start()
+    # no sweeper: neither the files nor the broker need be in its reach
+    Presence(store, settings, WEBHOOKS, can, settings.webhook_workers, stopping).start()
     sender = Sender(settings.webhook_timeout, settings.webhook_allow)
     Deliverer(store, settings, master, sender, stopping).run()
 

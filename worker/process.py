@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +43,7 @@ class SolverProcess:
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "worker.solve", str(folder)],
             cwd=folder,
-            env=os.environ
+            env=_harmless(os.environ)
             | _thread_counts(settings.solver_threads)
             | {FOLDER_VARIABLE: str(folder), "TMPDIR": str(temporary)},
             stdin=subprocess.DEVNULL,
@@ -138,6 +138,19 @@ def _signal_group(group: int, number: int) -> None:
         os.killpg(group, number)
     except (ProcessLookupError, PermissionError):
         return  # gone already (macOS says "permission" about a group of zombies)
+
+
+def _harmless(environment: Mapping[str, str]) -> dict[str, str]:
+    """Return an environment without the service's settings, keys and addresses among them.
+
+    The solver reads strangers' files.
+    """
+    ours, kept = ("MYOFACE_", "AWS_"), {"MYOFACE_CACHE", "MYOFACE_FACE_LANDMARKER"}
+    return {
+        name: value
+        for name, value in environment.items()
+        if name in kept or not name.startswith(ours)
+    }
 
 
 def _thread_counts(threads: int) -> dict[str, str]:

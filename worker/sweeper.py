@@ -8,6 +8,7 @@ import time
 import structlog
 from sqlalchemy import delete
 from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Session
 
 from service.settings import Settings
 from service.store import deletion, garbage, retention, sweep
@@ -22,8 +23,8 @@ GARBAGE_EVERY = 60.0
 log = structlog.get_logger()
 
 
-class Sweeper(threading.Thread):
-    """A thread of a worker that does a round every ``settings.sweep`` s.
+class Presence(threading.Thread):
+    """A thread that shows that a worker lives, every ``settings.sweep`` s until it stops.
 
     The worker does ``slots`` jobs of ``queue`` at a time, those that it can do.
     """
@@ -37,22 +38,19 @@ class Sweeper(threading.Thread):
         slots: int,
         stopping: threading.Event,
     ) -> None:
-        super().__init__(name="sweeper", daemon=True)
+        super().__init__(name="presence", daemon=True)
         self._store = store
         self._settings = settings
         self._queue = queue
         self._can = can
         self._slots = slots
         self._stopping = stopping
-        self._collected = time.monotonic()
 
     def run(self) -> None:
-        """Sweep until the worker stops. The first round sends everything queued again."""
-        at_once = True
+        """Do a round now and then until the worker stops."""
         while True:
             try:
-                self._round(at_once)
-                at_once = False
+                self._round()
             except (SQLAlchemyError, OSError) as error:
                 log.warning("sweeper.failed", error=str(error))
             if self._stopping.wait(self._settings.sweep):
@@ -60,25 +58,41 @@ class Sweeper(threading.Thread):
         with self._store.write() as session:
             session.execute(delete(Worker).where(Worker.name == self._can.worker))
 
-    def _round(self, at_once: bool) -> None:
+    def _round(self) -> None:
+        with self._store.write() as session:
+            self._show_life(session)
+
+    def _show_life(self, session: Session) -> None:
+        show_life(session, self._queue, self._can, self._slots)
+
+
+class Sweeper(Presence):
+    """Repairs as well, if it is the one elected; its host has the files, and the broker's address.
+
+    The first round sends everything queued again.
+    """
+
+    _at_once = True
+    _collected = 0.0
+
+    def _round(self) -> None:
         settings = self._settings
         with self._store.write() as session:
-            show_life(session, self._queue, self._can, self._slots)
-            elected = sweep.hold_office(
-                session, sweep.SWEEPER, self._can.worker, 3 * settings.sweep
-            )
+            self._show_life(session)
+            holder, seconds = self._can.worker, 3 * settings.sweep
+            elected = sweep.hold_office(session, sweep.SWEEPER, holder, seconds)
             if elected:
                 sweep.expire_leases(session)
                 sweep.remove_expired_uploads(session, settings.uploads)
                 sweep.forget_workers(session)
-            if elected or at_once:
-                sweep.resend(session, settings.resend_after, at_once=at_once)
+            if elected or self._at_once:
+                sweep.resend(session, settings.resend_after, at_once=self._at_once)
+        self._at_once = False
         if elected:
             retention.enforce(self._store, settings)
         remove_orphans(self._store, settings.work)
-        if elected and time.monotonic() - self._collected > min(
-            GARBAGE_EVERY, settings.garbage_age
-        ):
+        due = self._collected + min(GARBAGE_EVERY, settings.garbage_age)
+        if elected and time.monotonic() > due:
             self._collected = time.monotonic()
             if removed := garbage.collect(self._store, settings.garbage_age):
                 log.info("files.collected", count=removed)

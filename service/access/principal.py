@@ -67,12 +67,17 @@ def need(scope: Scope) -> Callable[[Principal], Awaitable[Principal]]:
     """Return a dependency that gives the caller if its key has ``scope``."""
 
     async def allowed(who: Annotated[Principal, Depends(principal)]) -> Principal:
-        if scope not in who.scopes:
-            detail = f"the key may not do this: it lacks the scope {scope.value}"
-            raise Problem(403, "auth.scope", detail, expected=scope.value, found=sorted(who.scopes))
-        return who
+        return require(scope, who)
 
     return allowed
+
+
+def require(scope: Scope, who: Principal) -> Principal:
+    """Return the caller, or raise a problem if its key lacks ``scope``."""
+    if scope not in who.scopes:
+        detail = f"the key may not do this: it lacks the scope {scope.value}"
+        raise Problem(403, "auth.scope", detail, expected=scope.value, found=sorted(who.scopes))
+    return who
 
 
 Reader = Annotated[Principal, Depends(need(Scope.READ))]

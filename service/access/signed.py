@@ -13,7 +13,7 @@ from typing import Annotated
 
 from fastapi import Depends, Query, Request
 
-from service.access.principal import Credentials, Principal, Scope, need, principal
+from service.access.principal import Credentials, Principal, Scope, principal, require
 from service.errors import Problem
 
 TOKEN = re.compile(r"([0-9a-z-]{1,36})\.([0-9]{1,12})\.([0-9A-Za-z_-]{43})")
@@ -55,9 +55,6 @@ class Signer:
         return base64.urlsafe_b64encode(digest).decode().rstrip("=")
 
 
-_may_read = need(Scope.READ)
-
-
 def _file_reader(
     request: Request,
     credentials: Credentials,
@@ -66,7 +63,7 @@ def _file_reader(
     ] = None,
 ) -> Principal:
     if signed is None:
-        return _may_read(principal(request, credentials))
+        return require(Scope.READ, principal(request, credentials))
     tenant_id = request.app.state.signer.verify(request.url.path, signed)
     request.state.rate = request.app.state.rates.check(f"{BEARER}:{tenant_id}")
     return Principal(tenant_id, BEARER, frozenset({Scope.READ}), request.state.request_id)

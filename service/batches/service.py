@@ -56,6 +56,7 @@ def create(session: Session, new: NewBatch, max_attempts: int) -> Batch:
 
 def cancel(session: Session, batch_id: str, order: Cancel) -> None:
     """Stop a batch and its jobs; asking twice is as good as once."""
+    _line_up(session, repository.get(session, batch_id).subject_id)
     batch = repository.lock(session, batch_id)
     if batch.state == "canceled":
         return

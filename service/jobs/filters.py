@@ -2,26 +2,14 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from typing import Annotated, Any
 
 from fastapi import Depends, Query
-from pydantic import AfterValidator, AwareDatetime
 from sqlalchemy import ColumnElement
 
-from service.schemas import Id, Name
+from service.schemas import Id, Moment, Name
 from service.store.models import Job
 from service.store.transitions import State
-
-
-def _in_utc(moment: datetime) -> datetime:
-    try:
-        return moment.astimezone(UTC)
-    except OverflowError as error:
-        raise ValueError("the year must lie between 1 and 9999 in UTC too") from error
-
-
-Moment = Annotated[AwareDatetime, AfterValidator(_in_utc)]
 
 
 async def _filters(

@@ -5,10 +5,10 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Annotated
 
-from pydantic import AwareDatetime, Field, StringConstraints
+from pydantic import Field, StringConstraints
 
 from service.access.principal import Scope
-from service.schemas import Body, Title, View
+from service.schemas import Body, Moment, Title, View
 
 KEY_ID = r"^[0-9A-Za-z]{12}$"
 LONGEST_GRACE = 30 * 24 * 3600
@@ -22,7 +22,7 @@ class NewKey(Body):
 
     name: Title = Field(examples=["capture station 2"])
     scopes: list[Scope] = Field(min_length=1, max_length=len(Scope), examples=[["read", "write"]])
-    expires_at: AwareDatetime | None = Field(default=None, description="default: never")
+    expires_at: Moment | None = Field(default=None, description="default: never")
 
 
 class Rotation(Body):

@@ -17,6 +17,7 @@ _NAT64 = ipaddress.IPv6Network("64:ff9b::/96")
 # Not for receivers, whatever this Python's ``is_global`` thinks of them.
 _SPECIAL: tuple[Network, ...] = (
     ipaddress.IPv4Network("100.64.0.0/10"),  # between a provider and its customers
+    ipaddress.IPv4Network("168.63.129.16/32"),  # a cloud's own platform, inside it
     ipaddress.IPv4Network("192.0.0.0/24"),  # protocol assignments
     ipaddress.IPv4Network("192.88.99.0/24"),  # relays of 6to4
     ipaddress.IPv6Network("2001::/23"),  # protocol assignments, Teredo among them

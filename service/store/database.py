@@ -137,8 +137,12 @@ def clock(session: Session) -> datetime:
 
 def _engine(url: str, sqlite: bool) -> Engine:
     if not sqlite:
-        return create_engine(url, pool_pre_ping=True, connect_args=PATIENCE, **POOL)
-    engine = create_engine(url, connect_args={"timeout": 30, "check_same_thread": False}, **POOL)
+        return create_engine(
+            url, pool_pre_ping=True, hide_parameters=True, connect_args=PATIENCE, **POOL
+        )
+    # hidden: names of people are among the parameters, and errors go to the log
+    patience = {"timeout": 30, "check_same_thread": False}
+    engine = create_engine(url, hide_parameters=True, connect_args=patience, **POOL)
 
     @event.listens_for(engine, "connect")
     def connect(connection: Any, _record: Any) -> None:

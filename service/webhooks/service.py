@@ -10,6 +10,7 @@ from service.errors import Problem
 from service.store import outbox
 from service.store.database import clock
 from service.store.models import Delivery, Webhook
+from service.store.tenancy import own_tenant
 from service.webhooks import repository
 from service.webhooks.schemas import NewWebhook, WebhookChange
 
@@ -21,6 +22,7 @@ BY_USER = "by_user"
 
 def create(session: Session, new: NewWebhook) -> Webhook:
     """Add a webhook."""
+    own_tenant(session, lock=True)  # two at a time would both count one less
     if repository.count(session) >= MOST:
         raise Problem(409, "webhook.too_many", f"there are {MOST} webhooks already", expected=MOST)
     webhook = Webhook(url=new.url, events=new.events, kinds=new.kinds, created_at=clock(session))
