@@ -6,6 +6,7 @@ other body is small and has one time limit for the whole of it.
 
 from __future__ import annotations
 
+import email.message
 import re
 import time
 
@@ -17,7 +18,6 @@ from service.errors import Problem, render
 from service.http import strict_json
 
 UPLOAD = re.compile(r"/v1/uploads/[^/]+")
-JSON = re.compile(r"application/(?:[^;\s]+\+)?json\s*(?:;.*)?", re.IGNORECASE)
 DISCONNECT: Message = {"type": "http.disconnect"}
 
 
@@ -49,7 +49,7 @@ class Bodies:
             body = await self._whole(receive)
             if body is None:
                 return  # the client has gone: half an order is none
-            if body and JSON.fullmatch(Request(scope).headers.get("content-type", "")):
+            if body and _is_json(Request(scope).headers.get("content-type", "")):
                 strict_json.check(body)
         except Problem as problem:
             await render(Request(scope).state.request_id, problem)(scope, receive, send)
@@ -129,3 +129,12 @@ def _closing(problem: Problem) -> Problem:
     """End the connection with the answer: the rest of the body is not wanted."""
     problem.headers = {"Connection": "close"}
     return problem
+
+
+def _is_json(content_type: str) -> bool:
+    """Whether FastAPI will read a body of this type as JSON; decided as it does."""
+    message = email.message.Message()
+    message["content-type"] = content_type
+    subtype = message.get_content_subtype()
+    is_json = subtype == "json" or subtype.endswith("+json")
+    return message.get_content_maintype() == "application" and is_json

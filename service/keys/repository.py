@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from sqlalchemy import or_, select
+from sqlalchemy import ColumnElement, or_, select
 from sqlalchemy.orm import Session
 
 from service import paging
 from service.access.principal import Scope
 from service.errors import unknown
 from service.paging import Slice
-from service.store.database import clock
 from service.store.models import ApiKey
 
 
@@ -28,12 +27,11 @@ def newest(session: Session, limit: int, cursor: str | None) -> Slice[ApiKey]:
     return paging.newest(session, select(ApiKey), limit, cursor)
 
 
-def other_admins(session: Session, key_id: str) -> Iterable[str]:
-    """Return the ids of the further keys that may make keys."""
-    moment = clock(session)
-    living = select(ApiKey).where(
-        ApiKey.id != key_id,
-        or_(ApiKey.revoked_at.is_(None), ApiKey.revoked_at > moment),
-        or_(ApiKey.expires_at.is_(None), ApiKey.expires_at > moment),
-    )
-    return [key.id for key in session.scalars(living) if Scope.ADMIN in key.scopes]
+def other_admins(session: Session, key: ApiKey) -> Iterable[str]:
+    """Return the ids of the further keys that may make keys for as long as ``key`` could."""
+    lasting: ColumnElement[bool] = ApiKey.expires_at.is_(None)
+    if key.expires_at is not None:
+        lasting = or_(lasting, ApiKey.expires_at >= key.expires_at)
+    # one that has given way to another lives on for a grace only
+    living = select(ApiKey).where(ApiKey.id != key.id, ApiKey.revoked_at.is_(None), lasting)
+    return [other.id for other in session.scalars(living) if Scope.ADMIN in other.scopes]

@@ -48,7 +48,7 @@ def revoke(session: Session, key_id: str) -> None:
     key = repository.get(session, key_id)
     if _is_over(key, session):
         return
-    if Scope.ADMIN in key.scopes and not repository.other_admins(session, key_id):
+    if Scope.ADMIN in key.scopes and not repository.other_admins(session, key):
         raise Problem(409, "key.last_admin", "no other key could make keys then", key_id=key_id)
     key.revoked_at = clock(session)
 

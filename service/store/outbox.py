@@ -19,14 +19,6 @@ from service.store.database import clock
 from service.store.models import Delivery, Job, Webhook, WebhookEvent
 from service.store.transitions import FINAL, State
 
-EVENTS = (
-    "job.started",
-    "job.succeeded",
-    "job.failed",
-    "job.canceled",
-    "scan.checked",
-    "batch.finished",
-)
 TEST = "webhook.test"
 CHECK = "check_scan"
 

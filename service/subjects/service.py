@@ -15,7 +15,7 @@ from service.templates import repository as templates
 def create(session: Session, new: NewSubject) -> Subject:
     """Add a subject."""
     if new.template_id is not None:
-        templates.get(session, new.template_id)
+        templates.hold(session, new.template_id)
     subject = Subject(name=new.name, template_id=new.template_id)
     session.add(subject)
     session.flush()

@@ -21,6 +21,15 @@ def get(session: Session, template_id: str) -> Template:
     return template
 
 
+def hold(session: Session, template_id: str) -> Template:
+    """Return a template that nobody can delete until the commit."""
+    share = {"read": True, "key_share": True}
+    template = session.get(Template, template_id, with_for_update=share)
+    if template is None:
+        raise unknown("template", template_id)
+    return template
+
+
 def lock(session: Session, template_id: str) -> Template:
     """Return a template that no subject can be given until the commit."""
     template = session.get(Template, template_id, with_for_update=True)

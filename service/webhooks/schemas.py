@@ -20,7 +20,7 @@ EventType = Literal[
     "scan.checked",
     "batch.finished",
 ]
-"""The events of `service.store.outbox` that can be asked for."""
+"""What happens that can be asked for."""
 
 
 def _sendable(url: str) -> str:
