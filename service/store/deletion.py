@@ -43,18 +43,27 @@ def active_jobs(session: Session, subject_id: str) -> Sequence[str]:
 
 def delete_subject(session: Session, subject: Subject, reason: Reason) -> Deletion:
     """Delete a subject with all that is its own."""
-    receipt = _receipt(session, subject, "subject", reason)
+    receipt = _receipt_of(session, subject, reason)
     _delete_subject(session, subject, receipt)
     return receipt
 
 
 def delete_subject_later(session: Session, subject: Subject) -> Deletion:
     """Stop a subject's jobs; it is deleted when the last of them has ended."""
-    receipt = _receipt(session, subject, "subject", "request")
+    receipt = _receipt_of(session, subject, "request")
     _stop_jobs(session, subject.id)
     if not active_jobs(session, subject.id):  # all were waiting
         _delete_subject(session, subject, receipt)
     return receipt
+
+
+def _receipt_of(session: Session, subject: Subject, reason: Reason) -> Deletion:
+    """Return the receipt of a subject that waits for its jobs to end, or a new one.
+
+    A second one would be closed at once, with files still there.
+    """
+    waiting = select(Deletion).where(Deletion.object_id == subject.id, Deletion.rows_at.is_(None))
+    return session.scalars(waiting).first() or _receipt(session, subject, "subject", reason)
 
 
 def delete_capture(session: Session, capture: Capture, reason: Reason) -> Deletion:

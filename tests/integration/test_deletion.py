@@ -74,6 +74,8 @@ def test_a_busy_subject_is_deleted_when_its_jobs_have_stopped(studio: Studio) ->
         assert claim
     assert studio.http.delete(f"/v1/subjects/{subject}").status_code == 409
     answer = studio.http.delete(f"/v1/subjects/{subject}?cancel=true")
+    again = studio.http.delete(f"/v1/subjects/{subject}?cancel=true")
+    assert again.headers["Location"] == answer.headers["Location"]
     assert answer.status_code == 202
     assert studio.job(waiting)["state"] == "canceled"
     assert studio.job(running_job)["state"] == "canceling"
