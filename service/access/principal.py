@@ -49,7 +49,10 @@ def principal(request: Request, credentials: Credentials) -> Principal:
         401 without a key that is known, 429 if it asks too fast.
     """
     if credentials is None:
-        raise unauthorized("auth.missing", "send an API key: Authorization: Bearer myo_...")
+        raise unauthorized(
+            "auth.missing",
+            "send an API key (Authorization: Bearer myo_...); for the command line, set MYOFACE_API_KEY",
+        )
     who: Principal = request.app.state.keyring.verify(credentials.credentials)
     request.state.key_id = who.key_id
     request.state.rate = request.app.state.rates.check(who.key_id)
