@@ -49,10 +49,8 @@ def principal(request: Request, credentials: Credentials) -> Principal:
         401 without a key that is known, 429 if it asks too fast.
     """
     if credentials is None:
-        raise unauthorized(
-            "auth.missing",
-            "send an API key (Authorization: Bearer myo_...); for the command line, set MYOFACE_API_KEY",
-        )
+        detail = "send an API key: Authorization: Bearer myo_...; the command line: MYOFACE_API_KEY"
+        raise unauthorized("auth.missing", detail)
     who: Principal = request.app.state.keyring.verify(credentials.credentials)
     request.state.key_id = who.key_id
     request.state.rate = request.app.state.rates.check(who.key_id)
