@@ -4,7 +4,7 @@ import { serverNow } from "../api.js";
 import { h, setText } from "../dom.js";
 import { plain, span } from "../words.js";
 
-const LEAST_FRACTION = 0.02;
+const LEAST_FRACTION = 0.1;
 const LEAST_SECONDS = 3;
 
 /** Return an element for a job; `meter.set(job)` changes it. */

@@ -24,7 +24,7 @@ export function resultPanel(job, signal) {
   );
   const content = [
     summary?.verdict && h("p", { class: "verdict" }, state(summary.verdict)),
-    (summary?.verdict || summary?.findings?.length) && findingList(summary.findings ?? []),
+    summary?.findings && findingList(summary.findings),
     rigId && h("p", {}, h("a", { class: "button", href: `/rigs/${rigId}` }, "Open the rig")),
     job.kind === "fit_sequence" &&
       h(
