@@ -56,7 +56,8 @@ def add_tenant(store: Store, keyring: Keyring, name: str, key: Path, **quotas: i
     with store.write() as session:
         session.add(tenant := Tenant(name=name, **quotas))
         session.flush()
-        _, text = keyring.mint(session, tenant.id, "admin", Scope)
+        # metrics and workers are the whole service's, not a tenant's
+        _, text = keyring.mint(session, tenant.id, "admin", set(Scope) - {Scope.METRICS})
         write_secret(key, text.encode())
     return tenant.id
 
