@@ -19,7 +19,7 @@ from myoface.stack import Stack
 from service.app import create_app
 from service.settings import Settings
 from service.store import jobs
-from service.store.models import DEFAULT_TENANT, Artifact
+from service.store.models import DEFAULT_TENANT, Artifact, Rig
 
 ROOT = Path(__file__).parents[1]
 OFFSET_STREAM = "application/offset+octet-stream"
@@ -130,6 +130,21 @@ class Studio:
             claim = jobs.claim(session, job_id, "test", 10)
             assert claim
             assert jobs.succeed(session, job_id, claim.attempt, left, summary=summary)
+
+    def pretend_rig(self, job_id: str, subject_id: str) -> tuple[Rig, Artifact]:
+        """Do what a worker does that leaves a rig with a file, for the tenant whose job it is."""
+        store = self.http.app.state.store  # type: ignore[attr-defined]
+        with store.write() as session:
+            claim = jobs.claim(session, job_id, "test", 10)
+            assert claim
+            mine = {"tenant_id": claim.tenant_id, "job_id": job_id}
+            sha256 = store.files.put(Path(__file__)).sha256
+            left = Artifact(name="rig.glb", size=1, sha256=sha256, media_type="model/gltf", **mine)
+            rig = Rig(
+                subject_id=subject_id, model_job_id=job_id, expressions=[], summary={}, **mine
+            )
+            assert jobs.succeed(session, job_id, claim.attempt, [left], rig=rig)
+        return rig, left
 
     def submit(self, kind: str, subject_id: str, **more: Any) -> str:
         return str(self.post("/v1/jobs", kind=kind, subject_id=subject_id, **more)["id"])

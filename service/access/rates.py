@@ -14,11 +14,10 @@ from dataclasses import dataclass
 
 import redis
 import structlog
-from redis.backoff import NoBackoff
-from redis.retry import Retry
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.errors import Problem
+from service.store.queue import connect
 
 SCRIPT = """
 local moment = redis.call('TIME')
@@ -72,15 +71,8 @@ class Rates:
 
     def __init__(self, broker_url: str, per_minute: int) -> None:
         self._per_minute = per_minute
-        url = broker_url.replace("redis+socket://", "unix://", 1)
-        client = redis.Redis.from_url(
-            url,
-            socket_timeout=PATIENCE,
-            socket_connect_timeout=PATIENCE,
-            retry=Retry(NoBackoff(), 0),
-        )
-        self._client = client
-        self._take = client.register_script(SCRIPT)
+        self._client = connect(broker_url, socket_timeout=PATIENCE, socket_connect_timeout=PATIENCE)
+        self._take = self._client.register_script(SCRIPT)
         self._away_until = 0.0
         self._here = _Buckets(per_minute)
 

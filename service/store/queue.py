@@ -120,7 +120,7 @@ class WakeUps:
             self._app.send_task(RUN_JOB, args=[job_id], queue=queue_name, retry=False)
 
 
-def connect(broker_url: str) -> redis.Redis:
-    """Return a client of the broker itself that fails at once, for asking whether it answers."""
+def connect(broker_url: str, **patience: float) -> redis.Redis:
+    """Return a client of the broker itself that asks once; ``patience`` are its own time-outs."""
     url = broker_url.replace("redis+socket://", "unix://", 1)
-    return redis.Redis.from_url(url, **ONCE)
+    return redis.Redis.from_url(url, **{**ONCE, **patience})

@@ -21,8 +21,6 @@ from schemathesis.schemas import APIOperation
 from schemathesis.specs.openapi.checks import positive_data_acceptance
 
 from service.settings import Settings
-from service.store import jobs
-from service.store.models import Artifact, Rig
 from tests.receiver import LOOPBACK
 from tests.service_client import OFFSET_STREAM, Studio, served
 
@@ -49,15 +47,7 @@ def ids(studio: Studio) -> dict[str, str]:
     """Return the ids of one of everything."""
     subject = studio.subject()
     job = studio.submit("build_model", subject)
-    store = studio.http.app.state.store  # type: ignore[attr-defined]
-    with store.write() as session:
-        claim = jobs.claim(session, job, "test", 10)
-        assert claim
-        mine = {"tenant_id": claim.tenant_id, "job_id": job}
-        sha256 = store.files.put(Path(__file__)).sha256
-        left = Artifact(name="rig.glb", size=1, sha256=sha256, media_type="model/gltf", **mine)
-        rig = Rig(subject_id=subject, model_job_id=job, expressions=[], summary={}, **mine)
-        assert jobs.succeed(session, job, claim.attempt, [left], rig=rig)
+    rig, left = studio.pretend_rig(job, subject)
     webhook = studio.post("/v1/webhooks", url="http://127.0.0.1:9/")["id"]
     scans = [
         {

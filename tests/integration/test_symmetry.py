@@ -11,8 +11,7 @@ import pytest
 
 from service.access.principal import Scope
 from service.settings import Settings
-from service.store import jobs
-from service.store.models import Artifact, Rig, Tenant
+from service.store.models import Tenant
 from tests.service_client import OFFSET_STREAM, Studio, served
 
 HTTP = ("get", "head", "post", "put", "patch", "delete")
@@ -41,15 +40,7 @@ def _one_of_everything(studio: Studio) -> dict[str, str]:
     gone = studio.post("/v1/subjects", name="gone")["id"]
     receipt = studio.http.delete(f"/v1/subjects/{gone}").headers["Location"]
     job = studio.submit("build_model", subject)
-    store = studio.http.app.state.store  # type: ignore[attr-defined]
-    with store.write() as session:
-        claim = jobs.claim(session, job, "test", 10)
-        assert claim
-        mine = {"tenant_id": claim.tenant_id, "job_id": job}
-        sha256 = store.files.put(Path(__file__)).sha256
-        left = Artifact(name="rig.glb", size=1, sha256=sha256, media_type="model/gltf", **mine)
-        rig = Rig(subject_id=subject, model_job_id=job, expressions=[], summary={}, **mine)
-        assert jobs.succeed(session, job, claim.attempt, [left], rig=rig)
+    rig, left = studio.pretend_rig(job, subject)
     webhook = studio.post("/v1/webhooks", url="https://8.8.8.8/")["id"]
     delivery = studio.post(f"/v1/webhooks/{webhook}/test")["id"]
     return {
