@@ -11,12 +11,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from benchmarks.documents import Figures
+from solver.contact.crossing import crossing
+from solver.contact.mouth import Mouth
 from solver.errors import SolveError
 from solver.fitting import chosen, geometry, per_tet, standard
-from solver.fitting.crossing import crossing
 from solver.fitting.face import Face, State
 from solver.fitting.geometry import GeometryOptions
-from solver.fitting.mouth import Mouth
 from solver.fitting.objective import Target
 from solver.fitting.per_tet import PerTetOptions
 from solver.fitting.resting import Resting

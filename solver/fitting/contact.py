@@ -16,9 +16,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.anatomy.embedding import rows_of
+from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
+from solver.contact.overlap import Overlap, Shell, behind, between_lips
 from solver.errors import SolveError
-from solver.fitting.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
-from solver.fitting.overlap import Overlap, Shell, behind, between_lips
 from solver.model import SubjectModel
 from solver.surface import Floats
 from solver.triangles import area_normals

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from solver.contact.mouth import Mouth
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.contact import Contact
 from solver.fitting.face import Face
-from solver.fitting.mouth import Mouth
 from solver.fitting.objective import Regulariser, Target
 from solver.fitting.terms import SkinDistance, Term, Together
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from solver.fitting.crossing import Crossing, crossing
+from solver.contact.crossing import Crossing, crossing
+from solver.contact.mouth import Mouth
 from solver.fitting.face import Face, Pose
-from solver.fitting.mouth import Mouth
 from solver.fitting.resting import Resting
 from solver.mechanics.equilibrium import factorise
 from solver.mechanics.linear import LinearSolver, analyse

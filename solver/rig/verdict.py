@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from solver.fitting.crossing import Crossing
+from solver.contact.crossing import Crossing
 from solver.fitting.notices import Notice
 from solver.model import SubjectModel
 from solver.rig.certificate import Certificate, ExpressionCheck

@@ -7,10 +7,10 @@ import pytest
 import scipy.sparse as sp
 
 from solver.anatomy.builtin import builtin_template
+from solver.contact.crossing import crossing
+from solver.contact.mouth import LIPS, UPPER_TEETH, Mouth
 from solver.errors import InputError, SolveError
 from solver.fitting.contact import LIPS_SLACK_MM, TEETH_SLACK_MM, Contact
-from solver.fitting.crossing import crossing
-from solver.fitting.mouth import LIPS, UPPER_TEETH, Mouth
 from solver.mechanics import jaw
 from solver.model import JawFrame
 from solver.surface import Surface

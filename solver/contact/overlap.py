@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from solver.fitting.mouth import LIPS, Mouth
+from solver.contact.mouth import LIPS, Mouth
 from solver.surface import Floats, Ints
 
 OUTSIDE_MM = 0.05

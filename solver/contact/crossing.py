@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import igl
 import numpy as np
 
+from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
+from solver.contact.overlap import between_lips
 from solver.errors import InputError
-from solver.fitting.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
-from solver.fitting.overlap import between_lips
 from solver.surface import Floats, Ints
 
 

@@ -1,0 +1,1 @@
+"""Changes of a person's anatomy: fat, fillers, bones, stiffness, paralysis."""

@@ -1,0 +1,1 @@
+"""A face in motion: equilibria and time steps with contact and forces."""

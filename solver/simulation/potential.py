@@ -1,0 +1,35 @@
+"""What the incremental potential has beside flesh and inertia: contact, above all."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import scipy.sparse as sp
+
+from solver.simulation.boundary import Boundary
+from solver.surface import Floats
+
+
+class Potential(Protocol):
+    """A part of the energy of vertices x (p, 3) in the head's frame: mm, energies in Pa mm^3."""
+
+    def begin(self, x: Floats, now: Boundary, goal: Boundary, seconds: float) -> None:
+        """Set what lags behind by a step (friction) at its start, from ``now`` to ``goal``."""
+
+    def place(self, boundary: Boundary) -> None:
+        """Let everything rigid be where ``boundary`` says, from here on."""
+
+    def value(self, x: Floats) -> float:
+        """Return the energy, infinite where x is not feasible."""
+
+    def gradient(self, x: Floats) -> Floats:
+        """Return the energy's derivative (p, 3), held vertices included."""
+
+    def hessian(self, x: Floats) -> sp.csr_array:
+        """Return a positive semidefinite second derivative (3 p, 3 p)."""
+
+    def pull(self, x: Floats, goal: Boundary) -> Floats:
+        """Return how the gradient (p, 3) would change if the rigid parts moved to ``goal``."""
+
+    def longest(self, x: Floats, y: Floats, goal: Boundary) -> float:
+        """Return the part of the way x -> y, with the rigid parts to ``goal``, that is feasible."""
