@@ -6,7 +6,7 @@ from typing import Protocol
 
 import scipy.sparse as sp
 
-from solver.simulation.boundary import Boundary
+from solver.mechanics.boundary import Boundary
 from solver.surface import Floats
 
 
