@@ -39,12 +39,15 @@ class ContactSurface:
     rows, offset
         (s, p) CSR and (s, 3): positions are ``rows @ x + offset`` at the tets' vertices x. The
         inset is a part of ``rows``: it turns with the flesh.
+    rest
+        (s, 3) the positions in the neutral face.
     """
 
     skin: Ints
     faces: Ints
     rows: sp.csr_array
     offset: Floats
+    rest: Floats
 
     @classmethod
     def of(cls, model: SubjectModel, faces: Ints) -> ContactSurface:
@@ -71,7 +74,7 @@ class ContactSurface:
                 raise InputError("contact.crossed", message, vertex=vertex)
             around = crossed + adjacency(own, len(skin)) @ crossed > 0
             inset[around] = deeper
-        return cls(skin, own, _shifted(model, rows, -inset[:, None] * normals), offset)
+        return cls(skin, own, _shifted(model, rows, -inset[:, None] * normals), offset, moved)
 
     def points(self, x: Floats) -> Floats:
         """Return the positions (s, 3) at the tets' vertices x (p, 3)."""
@@ -142,7 +145,9 @@ def _volume(a: Floats, b: Floats, c: Floats, d: Floats) -> float:
 
 def _normals(points: Floats, faces: Ints) -> Floats:
     """Return outward unit normals (s, 3), zero where a vertex's triangles have none."""
-    normals: Floats = igl.per_vertex_normals(points, faces, igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_AREA)
+    normals: Floats = igl.per_vertex_normals(
+        points, faces, igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_AREA
+    )
     return np.where(np.isfinite(normals), normals, 0.0)
 
 
