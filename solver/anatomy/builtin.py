@@ -31,6 +31,7 @@ from solver.anatomy.builtin_source import (
 from solver.anatomy.capture_set import CaptureSet
 from solver.anatomy.contact_regions import contact_regions
 from solver.anatomy.domain import joined
+from solver.anatomy.lip_sides import lips_apart
 from solver.anatomy.template import Template
 from solver.surface import Ints, Surface
 
@@ -92,7 +93,9 @@ def _build_key() -> str:
     """Hash of all that the template depends on: the wheel, the tables and this code."""
     digest = hashlib.sha256(WHEEL_SHA256.encode())
     tables = [Path(str(table)) for table in resources.files("solver.anatomy.data").iterdir()]
-    files = [*Path(__file__).parent.glob("builtin*.py"), *tables]
+    folder = Path(__file__).parent
+    shared = [folder / "contact_regions.py", folder / "lip_sides.py"]
+    files = [*folder.glob("builtin*.py"), *shared, *tables]
     for file in sorted(files):
         if file.suffix in (".py", ".csv", ".json"):
             digest.update(file.read_bytes())
@@ -103,7 +106,9 @@ def build_template(head: Head) -> Template:
     """Build skull, muscles and regions under the head's skin."""
     skin = OuterSkin(head)
     skull = build_skull(head, skin)
-    regions = Regions(head, skin)
+    flesh = Surface(head.neutral, head.faces[head.part_faces["skin"]])
+    sides = lips_apart(flesh, head.landmarks)
+    regions = Regions(head, skin, sides)
     parts = head.part_vertices
     upper = [parts[name] for name in ("upper_teeth", "left_eye", "right_eye")]
     behind = np.flatnonzero(head.neutral[:, 2] < BACK_Z)
@@ -124,18 +129,19 @@ def build_template(head: Head) -> Template:
         back_z=BACK_Z,
         bottom_y=BOTTOM_Y,
         landmarks=head.landmarks,
-        regions={**regions.named(), **_contact_regions(head)},
+        regions={
+            **regions.named(),
+            **contact_regions(flesh, sides, _teeth_and_eyes(parts), head.landmarks),
+        },
         shapes=shape_basis(head),
         licence="CC0 1.0",
         depths=depth_table(head),
     )
 
 
-def _contact_regions(head: Head) -> dict[str, Ints]:
-    parts = head.part_vertices
+def _teeth_and_eyes(parts: Mapping[str, Ints]) -> dict[str, Ints]:
     touching = {name: parts[name] for name in ("upper_teeth", "lower_teeth")}
-    touching |= {f"{side}_eyeball": parts[f"{side}_eye"] for side in ("left", "right")}
-    return contact_regions(head.neutral, parts["skin"], touching, head.landmarks)
+    return touching | {f"{side}_eyeball": parts[f"{side}_eye"] for side in ("left", "right")}
 
 
 def _bed(head: Head, skin: OuterSkin, skull: Skull) -> Surface:

@@ -6,6 +6,7 @@ import numpy as np
 
 from solver.anatomy.builtin_depths import OuterSkin
 from solver.anatomy.builtin_head import Head
+from solver.anatomy.lip_sides import LOWER, UPPER
 from solver.surface import Floats, Ints
 
 BEHIND_TRAGUS_MM = 12.0
@@ -14,10 +15,14 @@ UNDER_JAW_MM = 4.0
 
 
 class Regions:
-    """Splits the visible skin; every result is a sorted array of vertex numbers."""
+    """Splits the visible skin; every result is a sorted array of vertex numbers.
 
-    def __init__(self, head: Head, skin: OuterSkin) -> None:
+    ``sides`` (n,) tells the lips of the head apart, as :func:`lip_sides` does.
+    """
+
+    def __init__(self, head: Head, skin: OuterSkin, sides: Ints) -> None:
         self._visible = skin.visible_vertices
+        self._side = sides[self._visible]
         self._x = np.abs(head.neutral[self._visible, 0])
         self._y, self._z = head.neutral[self._visible, 1], head.neutral[self._visible, 2]
         marks = head.landmarks
@@ -42,6 +47,11 @@ class Regions:
         at, x, y = self._at, self._x, self._y
         face = np.isin(self._visible, self.face())
         mouth_corner = at["cheilion_l"]
+        lips = (
+            (x < mouth_corner[0] + 6)
+            & (y > at["mentolabial_sulcus"][1])
+            & (y < at["alar_curvature_l"][1])
+        )
         tests = {
             "forehead": y > at["brow_lateral_l"][1] + 4,
             "brows": y > at["palpebrale_superius_l"][1] + 5,
@@ -49,12 +59,8 @@ class Regions:
             & (y > at["subnasale"][1] + 1)
             & (x < 10 + 0.25 * (at["nasion"][1] - y)),
             "eyes": (y > at["mid_infraorbital_l"][1]) & (x < at["lateral_orbit_l"][0] + 4),
-            "upper_lip": (x < mouth_corner[0] + 6)
-            & (y > at["stomion_superius"][1] - 1.3)
-            & (y < at["alar_curvature_l"][1]),
-            "lower_lip": (x < mouth_corner[0] + 6)
-            & (y > at["mentolabial_sulcus"][1])
-            & (y < at["stomion_superius"][1]),
+            "upper_lip": lips & (self._side == UPPER),
+            "lower_lip": lips & (self._side == LOWER),
             "chin": (x < mouth_corner[0]) & (y < at["mentolabial_sulcus"][1] + 1),
             "jaw": y < mouth_corner[1],
             "cheeks": y < at["brow_lateral_l"][1] + 8,

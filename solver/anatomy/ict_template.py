@@ -12,6 +12,7 @@ from solver.anatomy.ict_anatomy import carry_anatomy
 from solver.anatomy.ict_depths import both_sides, depth_table
 from solver.anatomy.ict_facekit import FaceKit
 from solver.anatomy.ict_regions import LANDMARKS, named_regions
+from solver.anatomy.lip_sides import lips_apart
 from solver.anatomy.muscle_axes import bodyparts3d_muscle
 from solver.anatomy.template import Template
 from solver.anatomy.warp import similarity
@@ -56,9 +57,9 @@ def build_ict_template(anatomy_dir: Path, faces_dir: Path) -> Template:
     depth_landmarks, depths = depth_table(skin.vertices)
     landmarks = {**depth_landmarks, **both_sides(LANDMARKS, skin.vertices)}
     flesh_faces = ict_facekit.faces_within(skin.faces, ict_facekit.FLESH)
-    touching = contact_regions(
-        skin.vertices, np.unique(skin.faces[flesh_faces]), _teeth_and_eyes(skin.vertices), landmarks
-    )
+    flesh = Surface(skin.vertices, skin.faces[flesh_faces])
+    sides = lips_apart(flesh, landmarks)
+    touching = contact_regions(flesh, sides, _teeth_and_eyes(skin.vertices), landmarks)
     return Template(
         name="ict-bodyparts3d",
         version="1",
@@ -78,7 +79,7 @@ def build_ict_template(anatomy_dir: Path, faces_dir: Path) -> Template:
         back_z=BACK_Z,
         bottom_y=BOTTOM_Y,
         landmarks=landmarks,
-        regions={**named_regions(skin.vertices), **touching},
+        regions={**named_regions(skin.vertices, sides), **touching},
         shapes=ict_facekit.shape_basis(kit),
         licence="MIT (ICT-FaceKit) and CC BY 4.0 (BodyParts3D)",
         depths=depths,

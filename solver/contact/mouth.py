@@ -1,7 +1,6 @@
 """Lips and teeth as one small mesh that moves with the tets: what contact is measured and kept on.
 
-Which lip a vertex belongs to is read off the skin itself: it is the lip whose middle is nearer on
-the surface, from where the way to the other one leads around a corner of the mouth.
+Which lip a vertex belongs to is read off the skin itself (:mod:`solver.anatomy.lip_sides`).
 """
 
 from __future__ import annotations
@@ -13,13 +12,12 @@ import igl
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from solver.anatomy.embedding import rows_of
+from solver.anatomy.lip_sides import LOWER, UPPER, lip_sides
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
-from solver.triangles import directed_edges
 
 REACH_MM = 12.0
 """Skin takes part that is this near to the other lip in the neutral face,"""
@@ -109,16 +107,12 @@ class Mouth:
 def _lips(model: SubjectModel, flesh: Ints, teeth: Ints) -> Ints:
     """Return the skin vertices of the flesh's triangles (g, 3) that may touch a lip or teeth."""
     skin = model.skin.vertices
-    edges = directed_edges(flesh)
-    lengths = np.linalg.norm(skin[edges[:, 0]] - skin[edges[:, 1]], axis=1)
-    graph = sp.coo_array((lengths, tuple(edges.T)), shape=(len(skin), len(skin))).tocsr()
-    upper, lower = (
-        dijkstra(graph, directed=False, indices=seeds, min_only=True)
-        for seeds in (_middle(model, "upper_lip", 1.0), _middle(model, "lower_lip", -1.0))
+    side = lip_sides(
+        skin, flesh, _middle(model, "upper_lip", 1.0), _middle(model, "lower_lip", -1.0)
     )
     near = _within(skin, teeth, TEETH_REACH_MM)
-    for own, other in ((upper < lower, lower < upper), (lower < upper, upper < lower)):
-        near |= own & _within(skin, np.flatnonzero(other), REACH_MM)
+    for own in (UPPER, LOWER):
+        near |= (side == own) & _within(skin, np.flatnonzero(side == -own), REACH_MM)
     named = np.concatenate([model.regions["upper_lip"], model.regions["lower_lip"]])
     return np.intersect1d(flesh, np.flatnonzero(near & _within(skin, named, LIPS_MM)))
 

@@ -16,12 +16,20 @@ DENSITY = 1e-3
 
 @dataclass(frozen=True)
 class Edited:
-    """Per tet ``growth`` (n,), ``stiffness`` (n,) and ``density`` (n,) in g/mm^3.
+    """An edited person: anatomy, and what became of the flesh.
 
-    ``growth`` is f of F_p = f I, ``stiffness`` a factor. ``bones`` (p, 3) in mm is added to the
-    rest of held vertices; ``S`` (n, m + 1) blends the activations.
+    model
+        The person; bones that were moved, and the skin vertices that stay with them (teeth), are
+        where they are now. Its flesh, ``rest`` included, is as it was.
+    growth, stiffness, density
+        (n,) per tet: f of F_p = f I, a factor of the material's stiffness, and g/mm^3.
+    bones
+        (p, 3) in mm, added to the rest of vertices on bones: held ones and those that slide.
+    S
+        (n, m + 1) blends the activations.
     """
 
+    model: SubjectModel
     growth: Floats
     stiffness: Floats
     density: Floats
@@ -31,7 +39,5 @@ class Edited:
     @classmethod
     def nothing(cls, model: SubjectModel, S: sp.csr_array) -> Edited:
         """Return the face as it is."""
-        tets = len(model.tets)
-        return cls(
-            np.ones(tets), np.ones(tets), np.full(tets, DENSITY), np.zeros_like(model.rest), S
-        )
+        ones = np.ones(len(model.tets))
+        return cls(model, ones, ones, DENSITY * ones, np.zeros_like(model.rest), S)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -12,7 +12,7 @@ from solver.anatomy.bone_normals import bone_normals
 from solver.errors import SolveError
 from solver.mechanics import equilibrium, jaw
 from solver.mechanics.equilibrium import Equilibrium, Stiffness
-from solver.mechanics.flesh import IDENTITY, Flesh, Material
+from solver.mechanics.flesh import COROTATED_TRACE, IDENTITY, Flesh, Material
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.sliding import Planes, no_planes, planes
 from solver.model import SubjectModel
@@ -71,7 +71,9 @@ class Face:
     """A subject's flesh with its bones and skin; all fits talk to this.
 
     ``linear`` names the linear solver (None: the fastest in double precision), ``tolerance`` is the
-    equilibrium's relative residual.
+    equilibrium's relative residual. With ``pinned`` nothing slides on the skull. Edits are per tet
+    ``stiffness`` (n,) and ``growth`` (n,), see :class:`~solver.mechanics.flesh.Flesh`, and
+    ``bones`` (p, 3): how far what is held or slides is displaced from its rest, mm.
     """
 
     def __init__(
@@ -81,13 +83,27 @@ class Face:
         material: Material | None = None,
         linear: str | None = None,
         tolerance: float = equilibrium.TOLERANCE,
+        pinned: bool = False,
+        stiffness: Floats | None = None,
+        growth: Floats | None = None,
+        bones: Floats | None = None,
     ) -> None:
         leave_threads_to_kernels()
         self.model = model
-        material = material or Material()
+        material = material or COROTATED_TRACE
+        self._held_rest = model.rest if bones is None else model.rest + bones
         held = np.concatenate([model.cranium, model.mandible, model.cut])
-        sliding = sliding_planes(model, material.mu)
-        self.flesh = Flesh(model.rest, model.tets, np.unique(held), material, sliding=sliding)
+        if pinned:
+            held = np.concatenate([held, model.sliding])
+        self.flesh = Flesh(
+            model.rest,
+            model.tets,
+            np.unique(held),
+            material,
+            sliding=no_planes() if pinned else self._sliding_planes(material.mu),
+            stiffness=stiffness,
+            growth=growth,
+        )
         self.tolerance = tolerance
         rest = self.flesh.hessian(model.rest, self.flesh.passive())
         self.linear: LinearSolver = analyse(rest, linear)
@@ -128,7 +144,7 @@ class Face:
         it is not found within so many Newton steps.
         """
         x = x.copy()
-        x[self.model.mandible] = self.mandible(pose.b)
+        x[self.flesh.held] = self.held_positions(pose.b)
         a = self.tet_activations(S, pose.a)
         result = equilibrium.solve(
             self.flesh,
@@ -245,12 +261,18 @@ class Face:
 
     def mandible(self, b: Floats) -> Floats:
         """Return where the mandible's vertices are for b, (k, 3)."""
-        return jaw.move(self.model.jaw, self.model.rest[self.model.mandible], b)
+        return jaw.move(self.model.jaw, self._held_rest[self.model.mandible], b)
+
+    def held_positions(self, b: Floats) -> Floats:
+        """Return where the held vertices are for b, (h, 3) in the order of ``flesh.held``."""
+        x = self._held_rest.copy()
+        x[self.model.mandible] = self.mandible(b)
+        return x[self.flesh.held]
 
     def mandible_jacobian(self, b: Floats) -> Floats:
         """Return dx/db of all vertices as far as it is direct: (p, 3, 5), zero off the mandible."""
         out = np.zeros((*self.model.rest.shape, jaw.DEGREES_OF_FREEDOM))
-        points = self.model.rest[self.model.mandible]
+        points = self._held_rest[self.model.mandible]
         out[self.model.mandible] = jaw.jacobian(self.model.jaw, points, b)
         return out
 
@@ -277,10 +299,11 @@ class Face:
         x[self.flesh.free] += response.reshape(-1, 3)
         return x
 
-
-def sliding_planes(model: SubjectModel, mu: float) -> Planes:
-    """Return the planes along the skull that the model's sliding vertices stay on."""
-    if not len(model.sliding):
-        return no_planes()
-    normals = bone_normals(model.bones["cranium"], model.rest[model.sliding])
-    return planes(model.rest, model.tets, model.sliding, normals, mu)
+    def _sliding_planes(self, mu: float) -> Planes:
+        """Return the planes along the skull that the model's sliding vertices stay on."""
+        model = self.model
+        if not len(model.sliding):
+            return no_planes()
+        normals = bone_normals(model.bones["cranium"], model.rest[model.sliding])
+        found = planes(model.rest, model.tets, model.sliding, normals, mu)
+        return replace(found, points=self._held_rest[model.sliding])

@@ -6,7 +6,7 @@ order of their vertex numbers, three coordinates each. Stress is in units of mu,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -33,6 +33,23 @@ class Material:
     lam: float = 1.0
     kappa: float = 0.0
     barrier: float = 5.0
+
+    def in_pascal(self, stiffness: float) -> Material:
+        """Return the material with ``stiffness`` in Pa where this one has a stress of 1."""
+        return replace(
+            self,
+            mu=stiffness * self.mu,
+            lam=stiffness * self.lam,
+            kappa=stiffness * self.kappa,
+            barrier=stiffness * self.barrier,
+        )
+
+
+COROTATED_TRACE = Material(mu=1.0, lam=1.0, kappa=0.0)
+"""The flesh of the muscle geometry paper: the trace of the stretch resists change of volume."""
+
+COROTATED_DET = Material(mu=1.0, lam=0.0, kappa=3.0)
+"""The flesh of Phace as published: mu |F - R S(a)|^2 + 3 mu (det F - det S(a))^2."""
 
 
 def shape_gradients(rest: Floats, tets: Ints) -> tuple[Floats, Floats]:
@@ -75,9 +92,14 @@ class Flesh:
         tissues is listed twice.
     sliding
         The planes that some of the free vertices stay on.
+    stiffness
+        (n,) a factor of every tet's material, one by default.
+    growth
+        (n,) plastic growth f of F_p = f I, none by default: the tet's energy is V psi(F F_p^-1, A)
+        with its rest volume V as it was (muscle geometry paper, fat).
 
     ``free`` lists the free vertices, ``free_numbers`` (p,) has each vertex's place in that list or
-    -1.
+    -1, ``held`` lists the others.
     """
 
     def __init__(
@@ -88,6 +110,8 @@ class Flesh:
         material: Material | None = None,
         shares: Floats | None = None,
         sliding: Planes | None = None,
+        stiffness: Floats | None = None,
+        growth: Floats | None = None,
     ) -> None:
         self.material = material or Material()
         self.rest = np.ascontiguousarray(rest, dtype=np.float64)
@@ -95,14 +119,18 @@ class Flesh:
         self.gradients, self.volumes = shape_gradients(self.rest, self.tets)
         if shares is not None:
             self.volumes = self.volumes * shares
-        count = len(self.tets)
-        self.mu = np.full(count, self.material.mu)
-        self.lam = np.full(count, self.material.lam)
-        self.kappa = np.full(count, self.material.kappa)
-        self.barrier = np.full(count, self.material.barrier)
+        if growth is not None:
+            # F F_p^-1 is linear in the vertices as F is
+            self.gradients /= growth[:, None, None]
+        factor = np.ones(len(self.tets)) if stiffness is None else stiffness
+        self.mu = self.material.mu * factor
+        self.lam = self.material.lam * factor
+        self.kappa = self.material.kappa * factor
+        self.barrier = self.material.barrier * factor
         is_free = np.ones(len(self.rest), dtype=bool)
         is_free[held] = False
         self.free = np.flatnonzero(is_free)
+        self.held = np.flatnonzero(~is_free)
         self.free_numbers = np.full(len(self.rest), -1)
         self.free_numbers[self.free] = np.arange(len(self.free))
         self.sliding = sliding or no_planes()

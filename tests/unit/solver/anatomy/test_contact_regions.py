@@ -1,14 +1,20 @@
-"""Contact regions of the built-in head and of ICT-FaceKit's: where they lie."""
+"""Regions of the mouth and eyes of the built-in head and of ICT-FaceKit's: where they lie."""
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from solver.anatomy import ict_facekit
 from solver.anatomy.builtin import builtin_head
+from solver.anatomy.builtin_depths import OuterSkin
+from solver.anatomy.builtin_regions import Regions
 from solver.anatomy.contact_regions import contact_regions
 from solver.anatomy.ict_depths import both_sides
-from solver.anatomy.ict_regions import LANDMARKS
+from solver.anatomy.ict_regions import LANDMARKS, named_regions
+from solver.anatomy.lip_sides import LOWER, UPPER, lips_apart
 from solver.errors import InputError
+from solver.normals import vertex_normals
+from solver.surface import Surface
 from tests.fixtures import data_folder
 
 
@@ -20,29 +26,45 @@ def builtin():
     own = head.part_vertices
     parts = {name: own[name] for name in ("upper_teeth", "lower_teeth")}
     parts |= {f"{side}_eyeball": own[f"{side}_eye"] for side in ("left", "right")}
-    return head.neutral, own["skin"], parts, head.landmarks
+    flesh = Surface(head.neutral, head.faces[head.part_faces["skin"]])
+    sides = lips_apart(flesh, head.landmarks)
+    named = Regions(head, OuterSkin(head), sides).named()
+    return flesh, sides, parts, head.landmarks, named
 
 
 def ict():
-    skin = ict_facekit.read_facekit(data_folder("ict_facekit")).skin.vertices
+    skin = ict_facekit.read_facekit(data_folder("ict_facekit")).skin
     eyes = np.array(ict_facekit.EYEBALLS)
+    across = skin.vertices[eyes, 0]
     parts = {
         "upper_teeth": np.array(ict_facekit.UPPER_TEETH),
         "lower_teeth": np.array(ict_facekit.LOWER_TEETH),
-        "left_eyeball": eyes[skin[eyes, 0] > 0],
-        "right_eyeball": eyes[skin[eyes, 0] < 0],
+        "left_eyeball": eyes[across > 0],
+        "right_eyeball": eyes[across < 0],
     }
-    return skin, np.array(ict_facekit.FLESH), parts, both_sides(LANDMARKS, skin)
+    flesh = Surface(
+        skin.vertices, skin.faces[ict_facekit.faces_within(skin.faces, ict_facekit.FLESH)]
+    )
+    landmarks = both_sides(LANDMARKS, skin.vertices)
+    sides = lips_apart(flesh, landmarks)
+    return flesh, sides, parts, landmarks, named_regions(skin.vertices, sides)
 
 
-@pytest.mark.parametrize("head", [builtin, ict])
+@pytest.fixture(scope="module", params=[builtin, ict])
+def head(request):
+    return request.param()
+
+
 def test_lips_lie_on_the_teeth_and_lids_on_the_eyes(head):
-    skin, flesh, parts, landmarks = head()
-    regions = contact_regions(skin, flesh, parts, landmarks)
+    flesh, sides, parts, landmarks, _ = head
+    skin = flesh.vertices
+    regions = contact_regions(flesh, sides, parts, landmarks)
     middle = {name: skin[ids].mean(axis=0) for name, ids in regions.items()}
     assert all(len(ids) > 40 for ids in regions.values())
     for name, ids in regions.items():
-        assert np.isin(ids, flesh).all() == ("lid" in name or "lining" in name)
+        assert np.isin(ids, flesh.faces).all() == ("lid" in name or "lining" in name)
+    for name, side in (("upper_lip_lining", UPPER), ("lower_lip_lining", LOWER)):
+        assert (sides[regions[name]] == side).all()
     assert middle["upper_lip_lining"][1] > middle["lower_lip_lining"][1] + 8
     assert middle["upper_teeth"][1] > middle["lower_teeth"][1] + 8
     front = skin[landmarks["stomion_superius"], 2]
@@ -52,3 +74,31 @@ def test_lips_lie_on_the_teeth_and_lids_on_the_eyes(head):
         assert upper[1] > lower[1] + 5
         assert sign * upper[0] > 20
         assert upper[2] > middle[f"{side}_eyeball"][2]
+        ball = skin[regions[f"{side}_eyeball"]]
+        centre = (ball.min(axis=0) + ball.max(axis=0)) / 2
+        radius = np.median(np.linalg.norm(ball - centre, axis=1))
+        for which in ("upper", "lower"):
+            lid = skin[regions[f"{side}_{which}_lid"]]
+            assert np.linalg.norm(lid - centre, axis=1).min() > radius - 0.3
+
+
+def test_no_lip_has_vertices_of_the_other_one(head):
+    flesh, sides, _, landmarks, named = head
+    skin, normals = flesh.vertices, vertex_normals(flesh)
+    assert (sides[named["upper_lip"]] == UPPER).all()
+    assert (sides[named["lower_lip"]] == LOWER).all()
+    # where lips touch, skin that faces skin is the other lip's
+    used = np.unique(flesh.faces)
+    corner = skin[landmarks["cheilion_l"]]
+    own = used[
+        (np.abs(skin[used, 0]) < corner[0] + 1)
+        & (skin[used, 2] > corner[2] - 12)
+        & (np.linalg.norm(skin[used] - skin[landmarks["stomion_superius"]], axis=1) < 45)
+    ]
+    pairs = own[cKDTree(skin[own]).query_pairs(1.2, output_type="ndarray")]
+    gap = skin[pairs[:, 1]] - skin[pairs[:, 0]]
+    across = (gap * normals[pairs[:, 0]]).sum(axis=1) > 0.7 * np.linalg.norm(gap, axis=1)
+    facing = (normals[pairs[:, 0]] * normals[pairs[:, 1]]).sum(axis=1) < -0.7
+    touching = pairs[across & facing]
+    assert len(touching) > 4
+    assert (sides[touching[:, 0]] == -sides[touching[:, 1]]).all()

@@ -1,0 +1,71 @@
+"""Flesh that has mass and is pulled: one step of backward Euler as a minimum.
+
+    E(y, a) + 1/(2 h^2) |y - z|^2_M + c/(2 h) |y - y_t|^2_M - f . y
+
+Backward Euler's equation is where the derivative of this incremental potential is zero (Phace, eq.
+11; Li et al. 2020, eq. 2). z = y_t + h v_t is where the flesh would fly without forces, M the
+lumped mass, c the damping of motion in the head's frame, f the forces from outside. All are in the
+head's frame: where a rigidly moved world puts z there, no fictitious forces are missing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+
+from solver.mechanics.flesh import Flesh
+from solver.surface import Floats
+
+
+def lumped_masses(flesh: Flesh, density: Floats) -> Floats:
+    """Return every vertex's mass (p,) in g, a quarter of its tets'; ``density`` (n,) in g/mm^3."""
+    quarters = np.repeat(density * flesh.volumes / 4.0, 4)
+    return np.asarray(np.bincount(flesh.tets.ravel(), quarters, len(flesh.rest)), np.float64)
+
+
+class Inertial(Flesh):
+    """The same flesh, drawn to ``centre`` (p, 3) by springs and pulled by ``load`` (p, 3).
+
+    ``springs`` (p,) are in Pa mm, the load in Pa mm^2: both are zero until they are set. Springs
+    are what inertia and damping of one step amount to (:meth:`launch`).
+    """
+
+    def __init__(self, flesh: Flesh) -> None:
+        # it is the same flesh, with all that was computed for it
+        vars(self).update(vars(flesh))
+        self.centre = flesh.rest
+        self.release()
+
+    def release(self) -> None:
+        """Take springs and load away."""
+        self.springs = np.zeros(len(self.rest))
+        self.load = np.zeros_like(self.rest)
+
+    def launch(
+        self, masses: Floats, y: Floats, flight: Floats, seconds: float, damping: float
+    ) -> None:
+        """Set the springs of a step: from y (p, 3), where ``flight`` (p, 3) is z.
+
+        ``masses`` (p,) are in g, ``damping`` is in 1/s.
+        """
+        inertia, drag = 1.0 / seconds**2, damping / seconds
+        self.springs = (inertia + drag) * masses
+        self.centre = (inertia * flight + drag * y) / (inertia + drag)
+
+    def energy(self, x: Floats, a: Floats) -> float:
+        """See :meth:`Flesh.energy`."""
+        free = self.free
+        stretched = ((x - self.centre)[free] ** 2).sum(axis=1)
+        work = float((self.load * (x - self.rest))[free].sum())
+        return super().energy(x, a) + 0.5 * float(self.springs[free] @ stretched) - work
+
+    def gradient(self, x: Floats, a: Floats) -> Floats:
+        """See :meth:`Flesh.gradient`."""
+        outside = self.springs[:, None] * (x - self.centre) - self.load
+        return super().gradient(x, a) + outside[self.free].ravel()
+
+    def hessian(self, x: Floats, a: Floats, *, project: float = 0.0) -> sp.csr_array:
+        """See :meth:`Flesh.hessian`."""
+        matrix = super().hessian(x, a, project=project)
+        matrix.data[self.diagonal] += np.repeat(self.springs[self.free], 3)
+        return matrix
