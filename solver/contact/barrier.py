@@ -83,7 +83,7 @@ class Barrier:
         self._last: tuple[Floats, _Touching] | None = None
         self._mesh = _joined(surface, objects, itself=itself)
 
-    def begin(self, x: Floats, now: Boundary, goal: Boundary, seconds: float) -> None:
+    def begin(self, x: Floats, now: Boundary, seconds: float) -> None:
         """See :class:`solver.mechanics.potential.Potential`."""
         self.place(now)
         if not self._friction:

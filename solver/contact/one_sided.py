@@ -71,8 +71,9 @@ class OneSided:
         depth, _, counts, _ = obstacle.depths(rows @ rest + offset)
         self._allowed = np.where(counts > 0.0, np.maximum(depth, -MARGIN_MM), -MARGIN_MM)
 
-    def begin(self, x: Floats, now: Boundary, goal: Boundary, seconds: float) -> None:
-        """See :class:`solver.mechanics.potential.Potential`: nothing lags."""
+    def begin(self, x: Floats, now: Boundary, seconds: float) -> None:  # noqa: ARG002 - nothing lags
+        """See :class:`solver.mechanics.potential.Potential`."""
+        self.place(now)
 
     def place(self, boundary: Boundary) -> None:
         """See :class:`solver.mechanics.potential.Potential`."""
@@ -106,8 +107,8 @@ class OneSided:
         nearer = np.einsum("ki,ki->k", slope, seen @ self._turn.T)
         return np.asarray(self._rows.T @ ((self._stiffness * nearer)[:, None] * slope))
 
-    def longest(self, x: Floats, y: Floats, goal: Boundary) -> float:
-        """See :class:`solver.mechanics.potential.Potential`: nothing is out of bounds."""
+    def longest(self, x: Floats, y: Floats, goal: Boundary) -> float:  # noqa: ARG002 - no bounds
+        """See :class:`solver.mechanics.potential.Potential`."""
         return 1.0
 
     def behind(self, x: Floats, tolerance: float) -> Ints:
@@ -116,7 +117,7 @@ class OneSided:
         return np.flatnonzero((depth - np.maximum(self._allowed, 0.0) > tolerance) & (counts > 0.5))
 
     def _depths(self, x: Floats) -> tuple[Floats, Floats]:
-        """Return h (k,), zero where nothing pushes, and its gradients (k, 3) in the head's frame."""
+        """Return h (k,), zero where nothing pushes, and the head's frame's gradients (k, 3)."""
         depth, out, counts, fades = self._obstacle.depths(self._seen_at(x))
         excess = np.maximum(depth - self._allowed, 0.0)
         slope = np.where(excess > 0.0, 1.0, 0.0)[:, None] * (

@@ -14,7 +14,7 @@ from solver.contact.one_sided import STIFFNESS, OneSided
 from solver.contact.surface import ContactSurface
 from solver.mechanics.potential import Potential
 from solver.model import SubjectModel
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Ints, Surface
 from solver.triangles import vertex_areas
 
 

@@ -145,9 +145,8 @@ def _volume(a: Floats, b: Floats, c: Floats, d: Floats) -> float:
 
 def _normals(points: Floats, faces: Ints) -> Floats:
     """Return outward unit normals (s, 3), zero where a vertex's triangles have none."""
-    normals: Floats = igl.per_vertex_normals(
-        points, faces, igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_AREA
-    )
+    area = igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_AREA
+    normals: Floats = igl.per_vertex_normals(points, faces, area)
     return np.where(np.isfinite(normals), normals, 0.0)
 
 
