@@ -5,15 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from solver.edits.edited import Edited
 from solver.errors import InputError
 from solver.mechanics.flesh import shape_gradients
 from solver.model import SubjectModel
 from solver.normals import vertex_normals
-from solver.surface import Floats, Ints
+from solver.surface import Floats
 
 MM3_PER_ML = 1000.0
+RADIUS_MM = 2.5
 MOST = 1.35
 """Growth f of a tet at most: above, a bit of filler would be as large as the flesh around it."""
 
@@ -28,7 +30,7 @@ class Filler:
 
     path: Floats
     ml: float
-    radius_mm: float = 2.5
+    radius_mm: float = RADIUS_MM
 
     def __call__(self, before: Edited) -> Edited:
         """Return the person with it; raises ``scene.filler`` for too much of it in one place."""
@@ -54,10 +56,11 @@ class Filler:
         return replace(before, growth=before.growth * growth)
 
 
-def under_skin(model: SubjectModel, vertices: Ints, depths_mm: Floats) -> Floats:
-    """Return points (k, 3) at depths (k,) under skin ``vertices`` (k,), against their normals."""
-    normals = vertex_normals(model.skin)[vertices]
-    return np.asarray(model.skin.vertices[vertices] - depths_mm[:, None] * normals)
+def under_skin(model: SubjectModel, points: Floats, depths_mm: Floats) -> Floats:
+    """Return points (k, 3) at depths (k,) under ``points`` (k, 3) of the face."""
+    skin = model.skin.vertices[model.face]
+    nearest = model.face[cKDTree(skin).query(points)[1]]
+    return np.asarray(points - depths_mm[:, None] * vertex_normals(model.skin)[nearest])
 
 
 def distance_to_path(points: Floats, path: Floats) -> Floats:

@@ -130,9 +130,16 @@ def test_the_distance_to_a_path_has_its_ends_and_corners():
 
 
 def test_a_needle_goes_under_the_skin(model):
-    vertex = np.array([int(np.argmin(np.abs(model.skin.vertices - [75, 60, 45]).sum(axis=1)))])
-    point = under_skin(model, vertex, np.array([3.0]))
-    np.testing.assert_allclose(point, model.skin.vertices[vertex] - [0, 0, 3.0])
+    point = under_skin(model, np.array([[75.0, 60.0, 45.0]]), np.array([3.0]))
+    np.testing.assert_allclose(point, [[75.0, 60.0, 42.0]])
+
+
+def test_fat_fades_where_the_flesh_is_cut_off(model):
+    cut = replace(model, cut=np.flatnonzero(model.rest[:, 1] == 0.0))
+    edited = apply([Fat(1.2, 1.2)], cut, cut.weights)
+    y = centres(cut)[:, 1]
+    np.testing.assert_allclose(edited.growth[y > 25.0], 1.2)
+    assert edited.growth[y < 7.0].max() < 1.15
 
 
 def test_a_chin_moves_with_its_teeth_and_nothing_else(model):

@@ -1,0 +1,1 @@
+"""Scenes: what is simulated, declared in a JSON document."""

@@ -1,0 +1,129 @@
+"""Where on a person something is: landmarks, skin vertices, points, and maps painted on the skin.
+
+A place is a landmark's name, the number of a skin vertex, or a point [x, y, z] in mm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from solver.anatomy.template import Template
+from solver.edits import maps
+from solver.errors import InputError
+from solver.model import SubjectModel
+from solver.npz import map_array
+from solver.scans.landmarks import landmark_vertices
+from solver.surface import Floats
+
+Place = str | int | Sequence[float]
+
+
+@dataclass(frozen=True)
+class Places:
+    """A person's places: ``landmarks`` by name are skin vertices, ``assets`` files by name."""
+
+    model: SubjectModel
+    landmarks: Mapping[str, int]
+    assets: Mapping[str, Path] = field(default_factory=dict)
+
+    @classmethod
+    def on(cls, model: SubjectModel, template: Template, assets: Mapping[str, Path]) -> Places:
+        """Return the places of a person whose model was made with ``template``.
+
+        Raises :class:`InputError` (``scene.template``) for a template of another topology.
+        """
+        if len(template.skin.vertices) != len(model.skin.vertices):
+            raise InputError(
+                "scene.template",
+                f"the model was made with the template {model.template.get('name')}, not with "
+                f"{template.name}",
+                expected=model.template.get("name"),
+                found=template.name,
+            )
+        return cls(model, landmark_vertices(template), assets)
+
+    def vertex(self, place: Place) -> int:
+        """Return the skin vertex at or nearest to a place.
+
+        Raises :class:`InputError`: ``scene.landmark`` or ``scene.vertex`` for one that is not.
+        """
+        count = len(self.model.skin.vertices)
+        if isinstance(place, str):
+            if place not in self.landmarks:
+                known = sorted(self.landmarks)
+                raise InputError(
+                    "scene.landmark",
+                    f"there is no landmark {place!r}; there are {', '.join(known)}",
+                    found=place,
+                    expected=known,
+                )
+            return self.landmarks[place]
+        if isinstance(place, int):
+            if not 0 <= place < count:
+                raise InputError(
+                    "scene.vertex",
+                    f"the skin has the vertices 0 to {count - 1}, not {place}",
+                    found=place,
+                    expected=count,
+                )
+            return place
+        away = np.linalg.norm(self.model.skin.vertices - np.array(place, np.float64), axis=1)
+        return int(np.argmin(away))
+
+    def point(self, place: Place) -> Floats:
+        """Return the point (3,) of a place, at rest; raises as :meth:`vertex`."""
+        if isinstance(place, str | int):
+            return np.asarray(self.model.skin.vertices[self.vertex(place)])
+        return np.array(place, np.float64)
+
+    def asset(self, name: str) -> Path:
+        """Return the file of an asset; raises ``scene.asset`` if the job was given none."""
+        if name not in self.assets:
+            raise InputError(
+                "scene.asset",
+                f"the job was given no asset {name!r}; it was given "
+                f"{', '.join(sorted(self.assets)) or 'none'}",
+                found=name,
+                expected=sorted(self.assets),
+            )
+        return self.assets[name]
+
+    def painted(self, given: Mapping[str, Any] | None) -> Floats | None:
+        """Return a map (V,) on the skin: of an asset, of ``regions``, or of ``spots``.
+
+        None is no map. Raises ``scene.region``, ``scene.map`` and as :meth:`vertex`.
+        """
+        if given is None:
+            return None
+        if "asset" in given:
+            return self._file(self.asset(given["asset"]))
+        if "regions" in given:
+            return self._regions(given["regions"])
+        centres = np.array([self.point(place) for place in given["spots"]])
+        return maps.spots(self.model, centres.reshape(-1, 3), given["radius_mm"])
+
+    def _file(self, path: Path) -> Floats:
+        try:
+            return np.array(map_array(path), dtype=np.float64)
+        except (OSError, ValueError) as error:
+            raise InputError(
+                "scene.map", f"{path.name} is not an NPY file of numbers: {error}", file=path.name
+            ) from error
+
+    def _regions(self, names: Sequence[str]) -> Floats:
+        regions = self.model.regions
+        for name in names:
+            if name not in regions:
+                raise InputError(
+                    "scene.region",
+                    f"the subject has no region {name!r}; it has {', '.join(regions)}",
+                    found=name,
+                    expected=list(regions),
+                )
+        vertices = [regions[name] for name in names]
+        return maps.patches(self.model, np.concatenate([np.zeros(0, np.int64), *vertices]))
