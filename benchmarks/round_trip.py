@@ -17,11 +17,9 @@ from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.drawing.colours import both_sides
 from solver.fitting.face import Face, Pose
 from solver.fitting.resting import Resting
+from solver.fitting.shortening import fibre_tensors, shortened
 from solver.mechanics.flesh import IDENTITY
-from solver.mechanics.material import SYM_COLUMN, SYM_ROW
-from solver.rig.plausibility import fibre_tensors
 from solver.rig.round_trip import round_trip
-from solver.surface import Floats
 
 SETS = 3
 EXCITED = 8
@@ -101,21 +99,9 @@ def plausible_pose(face: Face, rng: np.random.Generator) -> Pose:
     for muscle, name in enumerate(model.muscle_names):
         if (kind := both_sides(name)) in depth:
             side = depth[kind] + rng.uniform(-ASYMMETRY, ASYMMETRY)
-            a[muscle] = contraction(tensors[muscle], side)
+            a[muscle] = shortened(tensors[muscle], side)
     opening = rng.uniform(*OPENING)
     return Pose(a, np.array([opening, 0.0, 0.0, 0.0, FORWARD_MM * opening]))
-
-
-def contraction(tensor: Floats, stretch: float) -> Floats:
-    """Return the activation (6,) that shortens fibres to ``stretch`` and keeps the volume.
-
-    ``tensor`` (3, 3) is the mean of d d^T; its logarithmic strain is its deviator, so that a ring
-    shortens in its plane and thickens across.
-    """
-    values, axes = np.linalg.eigh(tensor)
-    strain = 1.5 * np.log(stretch) * (values - values.mean()) / values.max()
-    matrix = (axes * np.exp(strain)) @ axes.T
-    return np.asarray(matrix[SYM_ROW, SYM_COLUMN])
 
 
 if __name__ == "__main__":

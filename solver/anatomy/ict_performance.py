@@ -94,10 +94,10 @@ def model_performance(faces: Path, recording: Path, model: SubjectModel) -> IctP
 
 
 def arkit_source(expression: str) -> str:
-    """Return the ARKit shape that drives an ICT-FaceKit expression.
+    """Return the ARKit shape that drives an expression of ICT-FaceKit or of a template.
 
     ICT-FaceKit splits ``browInnerUp`` and ``cheekPuff`` in two halves. It has no tongue, and ARKit
     has no ``cheekRaiser`` and no ``PupilDilate``; names that ARKit does not have drive nothing.
     """
     name = arkit_name(expression)
-    return name if name in ARKIT_NAMES else expression.removesuffix("_L").removesuffix("_R")
+    return name if name in ARKIT_NAMES else name.removesuffix("Left").removesuffix("Right")

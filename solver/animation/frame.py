@@ -14,12 +14,14 @@ class PosedFrame:
     """Activations ``a`` (m, 6), ``jaw`` (5,), ``head`` into the world (scale 1), ``eyes`` (2, 3).
 
     Eyes, the subject's left one first, are rotation vectors in radians in the head's frame.
+    ``clamped`` counts the muscles that were kept from folding (:mod:`solver.animation.blend`).
     """
 
     a: Floats
     jaw: Floats
     head: Similarity
     eyes: Floats
+    clamped: int = 0
 
 
 class Drives(Protocol):

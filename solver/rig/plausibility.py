@@ -8,6 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.fitting.objective import determinants
+from solver.fitting.shortening import fibre_tensors
 from solver.fitting.stretches import matrices
 from solver.mechanics import jaw
 from solver.model import SubjectModel
@@ -84,20 +85,6 @@ def muscles(model: SubjectModel, volumes: Floats, S: sp.csr_array, a: Floats) ->
         fibres,
         np.asarray(flesh, np.float64),
     )
-
-
-def fibre_tensors(model: SubjectModel, volumes: Floats, S: sp.csr_array) -> Floats:
-    """Return the mean of d d^T over every muscle's flesh, (m, 3, 3), d being unit fibre directions.
-
-    NaN for muscles without flesh in S, which keeps the model's pattern, and without fibres.
-    """
-    out = np.zeros((model.muscle_count + 1, 3, 3))
-    if model.fibres is not None:
-        share = S.data * _by_entry(volumes, S)
-        outer = share[:, None, None] * model.fibres[:, :, None] * model.fibres[:, None, :]
-        np.add.at(out, S.indices, outer)
-    size = np.trace(out[1:], axis1=1, axis2=2)[:, None, None]
-    return np.asarray(np.divide(out[1:], size, out=np.full_like(out[1:], np.nan), where=size > 0.0))
 
 
 def _by_entry(of_tets: Floats, S: sp.csr_array) -> Floats:

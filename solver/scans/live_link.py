@@ -1,14 +1,24 @@
-"""Reading a recording of Live Link Face: ARKit's 52 weights in every frame, as CSV."""
+"""Reading a recording of Live Link Face: ARKit's 52 weights, head and eyes of every frame, as CSV.
+
+Angles are radians, and nobody says about which axes. An eye looks where its weights (eyeLookIn and
+so on) of the same frame say if a yaw is positive to the subject's right and a pitch downward; and
+in a real recording its turn is free of torsion, to 1e-8, if the matrix is
+
+    R = R_z(-roll) R_y(-yaw) R_x(pitch)
+
+about our axes: x to the subject's left, y up, z forward. The head's angles are taken for the same.
+"""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from solver.errors import InputError
 from solver.surface import Floats
@@ -27,6 +37,15 @@ UNSIDED = (
 ARKIT_NAMES = (*(name + side for name in SIDED for side in ("Left", "Right")), *UNSIDED)
 """ARKit's blend shapes; left is the subject's left."""
 
+ANGLES = {
+    bone: tuple(f"{bone}{angle}" for angle in ("Yaw", "Pitch", "Roll"))
+    for bone in ("head", "leftEye", "rightEye")
+}
+"""Columns of angles, which older recordings do not have."""
+
+MOST_TURN = 2.0 * np.pi
+"""Beyond it an angle is in degrees, or nothing."""
+
 TICKS = 60
 """The last part of a timecode counts sixtieths of a second, whatever the frame rate is."""
 DAY = 86400.0
@@ -36,20 +55,27 @@ WEIGHTS = (-0.5, 1.5)
 
 @dataclass(frozen=True)
 class LiveLinkTake:
-    """``times`` (f,) in s after the first frame and ``weights`` (f, 52), named ARKIT_NAMES."""
+    """``times`` (f,) in s after the first frame and ``weights`` (f, 52), named ARKIT_NAMES.
+
+    ``head`` (f, 3) and ``eyes`` (f, 2, 3), the subject's left one first, are rotation vectors in
+    radians, x to the subject's left, y up, z forward; zero where the file has no columns for them.
+    Eyes turn in the head.
+    """
 
     times: Floats
     weights: Floats
+    head: Floats
+    eyes: Floats
 
 
 def read_live_link(path: Path) -> LiveLinkTake:
-    """Return the weights of a recording; columns may come in any order, others are not read.
+    """Return a recording; columns may come in any order, others are not read.
 
     Raises
     ------
     InputError
         ``live_link.unreadable``, ``live_link.columns`` (one is missing), ``live_link.value`` (a
-        field is missing, no number, or not a weight), ``live_link.timecode`` or
+        field is missing, no number, no weight or no angle), ``live_link.timecode`` or
         ``live_link.time_order`` (a frame is not later than the one before), with ``file``, and
         ``line`` where it is about one.
     """
@@ -58,21 +84,30 @@ def read_live_link(path: Path) -> LiveLinkTake:
             rows = csv.reader(file)
             header = [_arkit(name) for name in next(rows, ())]
             _check_columns(path, header)
-            columns = [header.index(name) for name in ARKIT_NAMES]
+            columns = {name: header.index(name) for name in ARKIT_NAMES}
+            turning = {bone: names for bone, names in ANGLES.items() if set(names) <= set(header)}
+            angled = {name: header.index(name) for names in turning.values() for name in names}
             clock = header.index(TIMECODE)
             times: list[float] = []
             weights: list[list[float]] = []
+            angles: list[list[float]] = []
             for row in rows:
                 if row:
                     times.append(_time(path, rows.line_num, row, clock, times))
                     weights.append(_weights(path, rows.line_num, row, columns))
+                    angles.append(_angles(path, rows.line_num, row, angled))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(
             "live_link.unreadable", f"{path.name} can not be read: {error}", file=path.name
         ) from error
     if not times:
         raise InputError("live_link.unreadable", f"{path.name} has no frames", file=path.name)
-    return LiveLinkTake(np.array(times) - times[0], np.array(weights))
+    turns = dict(
+        zip(turning, np.array(angles).reshape(len(times), -1, 3).swapaxes(0, 1), strict=True)
+    )
+    head, left, right = (_rotations(turns.get(bone), len(times)) for bone in ANGLES)
+    eyes = np.stack([left, right], axis=1)
+    return LiveLinkTake(np.array(times) - times[0], np.array(weights), head, eyes)
 
 
 def _arkit(name: str) -> str:
@@ -111,18 +146,42 @@ def _time(path: Path, line: int, row: list[str], column: int, before: Sequence[f
     return time
 
 
-def _weights(path: Path, line: int, row: list[str], columns: Sequence[int]) -> list[float]:
+def _weights(path: Path, line: int, row: list[str], columns: Mapping[str, int]) -> list[float]:
     weights = []
-    for name, column in zip(ARKIT_NAMES, columns, strict=True):
-        text = row[column] if column < len(row) else ""
-        try:
-            weight = float(text)
-        except ValueError:
-            _refuse(path, line, "value", f"{name} is {text!r}, not a number")
+    for name, column in columns.items():
+        weight, text = _number(path, line, row, name, column)
         if not WEIGHTS[0] <= weight <= WEIGHTS[1]:
             _refuse(path, line, "value", f"{name} is {text}, which is no weight from 0 to 1")
         weights.append(weight)
     return weights
+
+
+def _angles(path: Path, line: int, row: list[str], columns: Mapping[str, int]) -> list[float]:
+    angles = []
+    for name, column in columns.items():
+        angle, text = _number(path, line, row, name, column)
+        if not abs(angle) <= MOST_TURN:
+            _refuse(path, line, "value", f"{name} is {text}, which is no angle in radians")
+        angles.append(angle)
+    return angles
+
+
+def _number(path: Path, line: int, row: list[str], name: str, column: int) -> tuple[float, str]:
+    """Return a field as a number, which may be NaN, and as it stands there."""
+    text = row[column] if column < len(row) else ""
+    try:
+        return float(text), text
+    except ValueError:
+        _refuse(path, line, "value", f"{name} is {text!r}, not a number")
+
+
+def _rotations(angles: Floats | None, count: int) -> Floats:
+    """Return rotation vectors (f, 3) of yaw, pitch and roll (f, 3); zero for None."""
+    if angles is None:
+        return np.zeros((count, 3))
+    yaw, pitch, roll = angles.T
+    turns = Rotation.from_euler("ZYX", np.column_stack([-roll, -yaw, pitch]))
+    return np.asarray(turns.as_rotvec())
 
 
 def _refuse(path: Path, line: int, code: str, what: str) -> NoReturn:

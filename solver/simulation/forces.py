@@ -1,15 +1,135 @@
-"""Forces from outside: gravity, wind, points that are pulled."""
+"""Forces from outside: gravity, wind, and skin that is pulled.
+
+In g mm/s^2, a millionth of a newton. They are taken at a step's start, the head being where the
+step leads.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
+import numpy as np
+
+from solver.errors import InputError
+from solver.fitting.face import Face
+from solver.model import SubjectModel
 from solver.simulation.state import Motion
 from solver.surface import Floats
+from solver.triangles import area_normals
+
+Vector = Floats | Sequence[float]
+
+GRAVITY = (0.0, -9810.0, 0.0)
+"""On earth, with y up: mm/s^2."""
+
+AIR = 1.2e-6
+"""Density of air in g/mm^3."""
+
+DRAG = 1.2
+"""Drag coefficient of a plate across the wind (Hoerner 1965: 1.17)."""
+
+GUST_HZ = (0.4, 3.0)
+"""The three sines of a gust lie between these frequencies."""
+
+MILLINEWTON = 1e3
 
 
 class Force(Protocol):
-    """A force on the flesh; one millinewton is 1e6 of its units."""
+    """A force on the flesh."""
 
-    def at(self, motion: Motion, time: float) -> Floats:
+    def at(self, motion: Motion, time: float, /) -> Floats:
         """Return the forces (p, 3) in the world at ``time`` in seconds, g mm/s^2."""
+
+
+class Gravity:
+    """Weight, less the weight under which the neutral face was scanned: its shape is not to sag.
+
+    ``masses`` (p,) are the vertices' in g, ``mm_s2`` (3,) is the acceleration in the world,
+    ``scanned`` (3,) that of the neutral scan, in the head's frame.
+    """
+
+    def __init__(self, masses: Floats, mm_s2: Vector = GRAVITY, scanned: Vector = GRAVITY) -> None:
+        self._masses = masses
+        self._now, self._scanned = np.asarray(mm_s2, float), np.asarray(scanned, float)
+
+    def at(self, motion: Motion, _time: float, /) -> Floats:
+        """See :class:`Force`."""
+        change = self._now - motion.head.rotation @ self._scanned
+        return np.asarray(self._masses[:, None] * change)
+
+
+class Wind:
+    """Wind on the face skin: rho/2 C A |w_n| w_n n on a triangle of area A and normal n.
+
+    w_n is the part along n of the wind relative to the skin, so that it presses on the side it
+    comes from and sucks on the other. ``m_s`` (3,) is its velocity in the world; ``gusts`` is the
+    part of it that comes and goes, by three sines that ``seed`` chooses.
+    """
+
+    def __init__(self, face: Face, m_s: Vector, gusts: float = 0.0, seed: int = 0) -> None:
+        model = face.model
+        number = np.full(len(model.skin.vertices), -1)
+        number[model.face] = np.arange(len(model.face))
+        corners = number[model.skin.faces]
+        self._triangles = corners[(corners >= 0).all(axis=1)]
+        self._embedding, self._offset = face.face_embedding, face.face_offset
+        self._mm_s = 1e3 * np.asarray(m_s, float)
+        self._gusts = gusts
+        random = np.random.default_rng(seed)
+        self._hertz = random.uniform(*GUST_HZ, 3)
+        self._phases = random.uniform(0.0, 2.0 * np.pi, 3)
+
+    def velocity(self, time: float) -> Floats:
+        """Return the wind (3,) at ``time`` in seconds, mm/s."""
+        gust = np.sin(2.0 * np.pi * self._hertz * time + self._phases).mean()
+        return np.asarray((1.0 + self._gusts * gust) * self._mm_s)
+
+    def at(self, motion: Motion, time: float, /) -> Floats:
+        """See :class:`Force`."""
+        skin = self._embedding @ motion.x + motion.head.turn(self._offset)
+        doubled = area_normals(skin, self._triangles)
+        area = 0.5 * np.linalg.norm(doubled, axis=1)
+        normal = 0.5 * doubled / area[:, None]
+        moving = (self._embedding @ motion.v)[self._triangles].mean(axis=1)
+        along = ((self.velocity(time) - moving) * normal).sum(axis=1)
+        pressure = 0.5 * AIR * DRAG * np.abs(along) * along
+        third = (pressure * area)[:, None] * normal / 3.0
+        on_skin = np.zeros_like(skin)
+        np.add.at(on_skin, self._triangles, third[:, None, :])
+        return np.asarray(self._embedding.T @ on_skin)
+
+
+class Pull:
+    """Skin that is pulled at a point, in the head's frame, as if by a patch that sticks to it.
+
+    ``mn`` (3,) is the whole force in millinewton. It is spread over the skin within ``radius_mm``
+    of the skin vertex number ``vertex``, and grows over ``ramp`` seconds from time zero.
+
+    Raises :class:`InputError` (``force.point``) where no flesh is below that skin.
+    """
+
+    def __init__(
+        self,
+        model: SubjectModel,
+        vertex: int,
+        mn: Vector,
+        *,
+        radius_mm: float = 5.0,
+        ramp: float = 0.0,
+    ) -> None:
+        skin = model.skin.vertices
+        if vertex not in model.embedded:
+            raise InputError(
+                "force.point", f"skin vertex {vertex} is on no flesh: it can not be pulled"
+            )
+        distance = np.linalg.norm(skin[model.embedded] - skin[vertex], axis=1)
+        weights = np.maximum(1.0 - (distance / radius_mm) ** 2, 0.0) ** 2
+        self._share = np.asarray(model.embedding.T @ (weights / weights.sum()))
+        self._force = MILLINEWTON * np.asarray(mn, float)
+        self._ramp = ramp
+
+    def at(self, motion: Motion, time: float, /) -> Floats:
+        """See :class:`Force`."""
+        part = np.clip(time / self._ramp, 0.0, 1.0) if self._ramp else 1.0
+        return np.asarray(self._share[:, None] * (part * motion.head.rotation @ self._force))

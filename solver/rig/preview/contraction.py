@@ -17,8 +17,7 @@ import numpy as np
 import scipy.linalg
 import scipy.optimize
 
-from solver.fitting.stretches import COLUMN, FROBENIUS, ROW
-from solver.mechanics.flesh import IDENTITY
+from solver.fitting.stretches import FROBENIUS
 from solver.surface import Floats
 
 FULL_STRETCH = 0.6
@@ -33,18 +32,6 @@ UNSEEN = 1e-2
 
 JITTER = 1e-9
 """Part of the mean diagonal that makes a Gram matrix definite."""
-
-
-def contraction(tensor: Floats) -> Floats:
-    """Return the change (6,) of a muscle's activation that contracts it and keeps its volume.
-
-    ``tensor`` (3, 3) is the mean of d d^T over the fibre directions d. Its deviator is the
-    logarithmic strain, so that a ring shortens in its plane and thickens across.
-    """
-    values, axes = np.linalg.eigh(tensor)
-    strain = 1.5 * np.log(FULL_STRETCH) * (values - values.mean()) / values.max()
-    matrix = (axes * np.exp(strain)) @ axes.T
-    return np.asarray(matrix[ROW, COLUMN] - IDENTITY)
 
 
 def nearest_amounts(activations: Floats, contractions: Floats, seen: Floats) -> Floats:

@@ -18,9 +18,9 @@ import scipy.sparse as sp
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import JAW_UNITS
 from solver.fitting.resting import Resting
+from solver.fitting.shortening import fibre_tensors, shortened
 from solver.mechanics.flesh import IDENTITY
-from solver.rig.plausibility import fibre_tensors
-from solver.rig.preview.contraction import contraction, nearest_amounts
+from solver.rig.preview.contraction import FULL_STRETCH, nearest_amounts
 from solver.rig.result import ExpressionFit
 from solver.surface import Floats
 
@@ -119,7 +119,7 @@ def _muscles(face: Face, S: sp.csr_array) -> tuple[list[Control], Floats]:
     kept = np.flatnonzero(np.isfinite(tensors).all(axis=(1, 2)))
     changes = np.zeros((count, 6, len(kept)))
     for column, muscle in enumerate(kept):
-        changes[muscle, :, column] = contraction(tensors[muscle])
+        changes[muscle, :, column] = shortened(tensors[muscle], FULL_STRETCH) - IDENTITY
     names = [model.muscle_names[muscle] for muscle in kept]
     return [Control(name, "muscle", name, name) for name in names], changes.reshape(6 * count, -1)
 

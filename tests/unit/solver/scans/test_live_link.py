@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from solver.errors import InputError
 from solver.scans.live_link import ARKIT_NAMES, read_live_link
@@ -14,8 +15,22 @@ from tests.fixtures import data_folder
 HEADER = ["Timecode", "BlendShapeCount", *(name[0].upper() + name[1:] for name in ARKIT_NAMES)]
 
 
-def write(path: Path, times: list[str], header: list[str] = HEADER, weight: str = "0.5") -> Path:
-    rows = [[time, "52", *[weight] * (len(header) - 2)] for time in times]
+TURNS = [
+    f"{bone}{angle}"
+    for bone in ("Head", "LeftEye", "RightEye")
+    for angle in ("Yaw", "Pitch", "Roll")
+]
+
+
+def write(
+    path: Path,
+    times: list[str],
+    header: list[str] = HEADER,
+    weight: str = "0.5",
+    turns: tuple[str, ...] = (),
+) -> Path:
+    rows = [[time, "52", *[weight] * (len(header) - 2), *turns] for time in times]
+    header = [*header, *TURNS[: len(turns)]]
     path.write_text("\r\n".join(",".join(row) for row in [header, *rows]) + "\r\n")
     return path
 
@@ -26,6 +41,41 @@ def test_a_real_recording() -> None:
     assert np.median(np.diff(take.times)) == pytest.approx(1 / 30, abs=1e-4)
     assert take.weights[0, ARKIT_NAMES.index("eyeBlinkLeft")] == 0.1236470118
     assert take.weights[0, ARKIT_NAMES.index("jawOpen")] == 0.0190581698
+    assert not take.head.any()
+
+
+def test_eyes_look_where_the_weights_say() -> None:
+    """A gaze to the left has x > 0, to the right eye that is inward; one upward has y > 0."""
+    take = read_live_link(data_folder("performance", "alex_rom_3.csv"))
+    weight = {name: take.weights[:, number] for number, name in enumerate(ARKIT_NAMES)}
+    for eye, (side, left, right) in enumerate((("Left", "Out", "In"), ("Right", "In", "Out"))):
+        gaze = Rotation.from_rotvec(take.eyes[:, eye]).apply([0.0, 0.0, 1.0])
+        sideways = weight[f"eyeLook{left}{side}"] - weight[f"eyeLook{right}{side}"]
+        upward = weight[f"eyeLookUp{side}"] - weight[f"eyeLookDown{side}"]
+        assert np.corrcoef(gaze[:, 0], sideways)[0, 1] > 0.95
+        assert np.corrcoef(gaze[:, 1], upward)[0, 1] > 0.95
+        # a turn about the eye's height and then its upright axis, if order and signs are right
+        torsion = Rotation.from_rotvec(take.eyes[:, eye]).as_euler("XYZ")[:, 2]
+        assert np.abs(torsion).max() < 1e-6
+
+
+def test_the_head_turns_as_its_angles_say(tmp_path: Path) -> None:
+    """Half a radian to the subject's right; downward; what that is as one turn."""
+    for turns, looks in (
+        (("0.5", "0", "0"), (-np.sin(0.5), 0.0, np.cos(0.5))),
+        (("0", "0.5", "0"), (0.0, -np.sin(0.5), np.cos(0.5))),
+    ):
+        take = read_live_link(write(tmp_path / "take.csv", ["1:0:0:0"], turns=turns))
+        gaze = Rotation.from_rotvec(take.head[0]).apply([0.0, 0.0, 1.0])
+        np.testing.assert_allclose(gaze, looks, atol=1e-12)
+        assert not take.eyes.any()
+
+
+def test_degrees_are_no_radians(tmp_path: Path) -> None:
+    path = write(tmp_path / "take.csv", ["1:0:0:0"], turns=("30", "0", "0"))
+    with pytest.raises(InputError, match="headYaw is 30") as caught:
+        read_live_link(path)
+    assert caught.value.code == "live_link.value"
 
 
 def test_time_goes_on_after_midnight(tmp_path: Path) -> None:

@@ -1,0 +1,173 @@
+"""A subject's blendshapes: activations and jaw of every expression of its template, solved once.
+
+The target of a shape is the subject's neutral with the template's displacement added, and the fit
+is that of an expression of a known S. Which of ARKit's weights drives a shape, its name says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse as sp
+
+from solver.anatomy.ict_performance import arkit_source
+from solver.anatomy.shapes import ShapeBasis
+from solver.animation.blend import Blend
+from solver.archive import Archive, Arrays
+from solver.errors import InputError, SolveError
+from solver.fitting import activation, standard
+from solver.fitting.face import Face, Pose
+from solver.fitting.objective import Target
+from solver.fitting.resting import Resting
+from solver.model import SubjectModel
+from solver.scans.live_link import ARKIT_NAMES
+from solver.surface import Floats
+
+FORMAT = 1
+
+LEAST_MOTION_MM = 0.05
+"""A shape that moves no point of the face further is nothing for muscles: a tongue, a pupil."""
+
+
+@dataclass(frozen=True)
+class Solved:
+    """One shape: its ``pose``, and the mean distance of the face to its target, mm.
+
+    ``settled`` is false where no equilibrium was found: the pose is that of rest then.
+    """
+
+    pose: Pose
+    mean_mm: float
+    settled: bool = True
+
+
+@dataclass(frozen=True)
+class Blendshapes:
+    """The shapes by name, as the template calls them; ``muscles`` names what drives them."""
+
+    muscles: tuple[str, ...]
+    shapes: Mapping[str, Solved]
+
+    @property
+    def blend(self) -> Blend:
+        """Return the shapes as what poses are blended of."""
+        poses = {name: shape.pose for name, shape in self.shapes.items()}
+        return Blend.of(poses, len(self.muscles))
+
+    def save(self, path: Path) -> None:
+        """Write the shapes as NPZ, replacing the file whole."""
+        names, shapes = list(self.shapes), list(self.shapes.values())
+        blend = self.blend
+        arrays: Arrays = {
+            "activations": blend.activations,
+            "jaw": blend.jaw,
+            "mean_mm": np.array([shape.mean_mm for shape in shapes]),
+            "settled": np.array([shape.settled for shape in shapes], bool),
+        }
+        Archive({"format": FORMAT, "muscles": self.muscles, "names": names}, arrays).write(path)
+
+    @classmethod
+    def load(cls, path: Path, model: SubjectModel) -> Blendshapes:
+        """Read shapes that :meth:`save` wrote of ``model``.
+
+        Raises :class:`InputError`: ``blendshapes.unreadable``, ``blendshapes.format``, or
+        ``blendshapes.model`` if other muscles drive them.
+        """
+        archive = Archive.read(path, "blendshapes", "a set of blendshapes", FORMAT)
+        data = archive.arrays
+        try:
+            names, muscles = archive.header["names"], tuple(archive.header["muscles"])
+            shapes = {
+                name: Solved(
+                    Pose(data["activations"][row], data["jaw"][row]),
+                    float(data["mean_mm"][row]),
+                    bool(data["settled"][row]),
+                )
+                for row, name in enumerate(names)
+            }
+        except (LookupError, TypeError, ValueError) as error:
+            raise InputError(
+                "blendshapes.unreadable",
+                f"{path.name} is not a set of blendshapes: {error}",
+                file=path.name,
+            ) from error
+        if muscles != model.muscle_names:
+            raise InputError(
+                "blendshapes.model",
+                f"{path.name} belongs to a model with other muscles",
+                file=path.name,
+            )
+        return cls(muscles, shapes)
+
+
+def expression_targets(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, Floats]:
+    """Return name -> the places (k, 3) of the face's points in every shape that ARKit drives.
+
+    Raises :class:`InputError`: ``blendshapes.none`` if the template (whose ``shapes`` are
+    ``basis``) knows no expressions, ``blendshapes.topology`` if they are of another skin.
+    """
+    if basis is None or not basis.expression_names:
+        raise InputError(
+            "blendshapes.none",
+            f"the template {model.template.get('name', '')} has no expressions that a recording "
+            "could drive",
+        )
+    vertices = len(model.skin.vertices)
+    if basis.expressions.shape[1] != vertices:
+        raise InputError(
+            "blendshapes.topology",
+            f"the template's expressions have {basis.expressions.shape[1]} vertices, the subject "
+            f"has {vertices}",
+            expected=vertices,
+            found=basis.expressions.shape[1],
+        )
+    neutral = model.skin.vertices[model.face]
+    targets = {}
+    for name, shape in zip(basis.expression_names, basis.expressions, strict=True):
+        motion = shape[model.face].astype(np.float64)
+        moves = np.linalg.norm(motion, axis=1).max() > LEAST_MOTION_MM
+        if moves and arkit_source(name) in ARKIT_NAMES:
+            targets[name] = neutral + motion
+    return targets
+
+
+def solve_blendshapes(
+    face: Face,
+    S: sp.csr_array,
+    targets: Mapping[str, Floats],
+    done: Mapping[str, Solved],
+    told: Callable[[str, Solved], None],
+) -> Blendshapes:
+    """Fit activations and jaw to ``targets``, name -> the face's points (k, 3) in mm.
+
+    Shapes that are ``done`` are taken as they are; ``told`` hears of every other as it is solved.
+    One that does not come to rest stays at rest.
+    """
+    missing = {
+        name: Target.from_points(points) for name, points in targets.items() if name not in done
+    }
+    found = dict(done)
+    if missing:
+        rest = Resting(face, S)
+        data, regulariser = standard.terms(face, missing), standard.unseen_regulariser(face)
+        for name, target in missing.items():
+            try:
+                fit = activation.fit(
+                    face,
+                    S,
+                    data[name],
+                    regulariser,
+                    rest.state,
+                    standard.UNSEEN_STOP,
+                    matrix=rest.matrix,
+                )
+                state, settled = fit.state, True
+            except (SolveError, np.linalg.LinAlgError):
+                state, settled = rest.state, False
+            off = target.distances(face.face_points(state.x))
+            found[name] = Solved(state.pose, float(off.mean()), settled)
+            told(name, found[name])
+    return Blendshapes(face.model.muscle_names, {name: found[name] for name in targets})
