@@ -32,6 +32,7 @@ from solver.fitting.geometry import GeometryOptions
 from solver.fitting.objective import Regulariser, Target
 from solver.fitting.per_tet import PerTetOptions
 from solver.fitting.terms import SkinDistance, Term
+from solver.mechanics.flesh import COROTATED_DET
 from solver.model import SubjectModel
 
 QUICK_ROUNDS = 4
@@ -70,7 +71,7 @@ def run(options: argparse.Namespace) -> Figures:
 
 
 def _solvers(model: SubjectModel, target: Target, w_a: float) -> dict[str, Any]:
-    face, phace = Face(model), Face(model, material=per_tet.PHACE)
+    face, phace = Face(model), Face(model, material=COROTATED_DET)
     S, data = model.weights, SkinDistance(face, target)
     rest = face.rest_state(S)
     regulariser = Regulariser(w_a, 1e-2, 1e-6, rest.pose)

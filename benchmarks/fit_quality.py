@@ -32,10 +32,10 @@ from benchmarks.subject_fits import Fits
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.anatomy.capture_set import CaptureSet
 from solver.errors import InputError
-from solver.fitting import per_tet
 from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.per_tet import PerTetOptions
+from solver.mechanics.flesh import COROTATED_DET
 from solver.model import SubjectModel
 
 QUICK_ROUNDS = 6
@@ -162,7 +162,7 @@ def _subject(
     _tell(name, "training scans, geometric S", alone)
     few = _few_scans(face, captures, schedule)
     _tell(name, "test scans, S of three scans", few)
-    tets = Face(model, material=per_tet.PHACE)
+    tets = Face(model, material=COROTATED_DET)
     stop = PerTetOptions(max_iterations=10) if options.quick else PerTetOptions()
     by_tets = subject_fits.by_tets(tets, captures.train, stop)
     _tell(name, "training scans, P", by_tets)

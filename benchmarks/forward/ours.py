@@ -7,12 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from solver.fitting import per_tet
 from solver.mechanics import equilibrium, linear
-from solver.mechanics.flesh import Flesh
+from solver.mechanics.flesh import COROTATED_DET, Flesh
 from solver.surface import Floats
 
-PHACE = replace(per_tet.PHACE, barrier=0.0)
+PHACE = replace(COROTATED_DET, barrier=0.0)
 """The peer's energy has no barrier against inversion; both minimise the same one."""
 
 

@@ -2,9 +2,10 @@
 
 Every kernel takes positions ``x`` (p, 3), ``tets`` (n, 4), shape-function gradients ``N``
 (n, 4, 3), rest volumes ``volume`` (n,), activations ``a`` (n, 6), the material arrays ``mu``,
-``lam``, ``kappa`` and ``stiffness`` (n,), and fills an array with one entry per tet. Tets are
-independent, so the loops run on all threads; sums over tets are left to
-:mod:`solver.mechanics.assembly`.
+``lam``, ``kappa`` and ``stiffness`` (n,), the number ``law`` of the material's law, and fills an
+array with one entry per tet. Tets are independent, so the loops run on all threads; sums over tets
+are left to :mod:`solver.mechanics.assembly`. Neo-Hookean flesh has no activations here:
+they are in ``N`` and ``volume`` (:func:`solver.mechanics.neo_hookean.released`).
 
 The shape functions sum to one, so what belongs to a tet's first vertex is minus the sum over the
 three others.
@@ -15,6 +16,7 @@ from __future__ import annotations
 import numba as nb
 import numpy as np
 
+from solver.mechanics import neo_hookean
 from solver.mechanics.material import (
     BARRIER_START,
     MODES,
@@ -26,6 +28,9 @@ from solver.mechanics.material import (
 )
 from solver.mechanics.polar import Matrix, Symmetric
 from solver.surface import Floats, Ints
+
+COROTATED, NEO_HOOKEAN = 0, 1
+"""The laws: :mod:`solver.mechanics.material` and :mod:`solver.mechanics.neo_hookean`."""
 
 CHUNK = 512
 """Tets that share one scratch space; large enough to make its allocation free."""
@@ -86,12 +91,17 @@ def energies(
     lam: Floats,
     kappa: Floats,
     stiffness: Floats,
+    law: int,
     out: Floats,
 ) -> None:
     """Fill ``out`` (n,) with V psi; infinite where a tet is inverted."""
     for e in nb.prange(len(tets)):
         F = deformation_gradient(x, tets[e], N[e])
-        out[e] = volume[e] * density(F, activation(a[e]), mu[e], lam[e], kappa[e], stiffness[e])
+        if law == COROTATED:
+            psi = density(F, activation(a[e]), mu[e], lam[e], kappa[e], stiffness[e])
+        else:
+            psi = neo_hookean.density(F, mu[e], lam[e], kappa[e], stiffness[e])
+        out[e] = volume[e] * psi
 
 
 @nb.njit(cache=True, parallel=True, error_model="numpy")
@@ -105,12 +115,16 @@ def forces(
     lam: Floats,
     kappa: Floats,
     stiffness: Floats,
+    law: int,
     out: Floats,
 ) -> None:
     """Fill ``out`` (n, 4, 3) with the energy's gradient by the four vertices."""
     for e in nb.prange(len(tets)):
         F = deformation_gradient(x, tets[e], N[e])
-        P = stress(F, activation(a[e]), mu[e], lam[e], kappa[e], stiffness[e])
+        if law == COROTATED:
+            P = stress(F, activation(a[e]), mu[e], lam[e], kappa[e], stiffness[e])
+        else:
+            P = neo_hookean.stress(F, mu[e], lam[e], kappa[e], stiffness[e])
         for i in range(3):
             total = 0.0
             for v in range(1, 4):
@@ -133,6 +147,7 @@ def stiffness_blocks(
     lam: Floats,
     kappa: Floats,
     stiffness: Floats,
+    law: int,
     project: float,
     out: Floats,
 ) -> None:
@@ -148,10 +163,16 @@ def stiffness_blocks(
         K, work = np.empty((9, 9)), np.empty((5, 3, 3))
         for e in range(chunk * CHUNK, min(n, (chunk + 1) * CHUNK)):
             F = deformation_gradient(x, tets[e], N[e])
-            A = activation(a[e])
-            count, curvature = hessian_modes(
-                F, A, mu[e], lam[e], kappa[e], stiffness[e], project, left, right, work
-            )
+            if law == COROTATED:
+                A = activation(a[e])
+                isotropic = 2.0 * mu[e]
+                count, curvature = hessian_modes(
+                    F, A, mu[e], lam[e], kappa[e], stiffness[e], project, left, right, work
+                )
+            else:
+                count, isotropic, curvature = neo_hookean.hessian_modes(
+                    F, mu[e], lam[e], kappa[e], stiffness[e], project, left, right
+                )
             V = volume[e]
             for k in range(count):
                 for v in range(3):
@@ -176,7 +197,7 @@ def stiffness_blocks(
                     dot = N[e, u + 1, 0] * N[e, v + 1, 0] + N[e, u + 1, 1] * N[e, v + 1, 1]
                     dot += N[e, u + 1, 2] * N[e, v + 1, 2]
                     for i in range(3):
-                        K[3 * u + i, 3 * v + i] += 2.0 * mu[e] * V * dot
+                        K[3 * u + i, 3 * v + i] += isotropic * V * dot
             if curvature != 0.0:
                 add_determinant_curvature(F, N[e], curvature * V, K)
             spread(K, out[e])

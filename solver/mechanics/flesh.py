@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 import scipy.sparse as sp
 
 from solver.errors import InputError
-from solver.mechanics import elements
+from solver.mechanics import elements, neo_hookean
 from solver.mechanics.assembly import PAIRS, BlockSum, VertexSum, couple
 from solver.mechanics.sliding import Planes, no_planes
 from solver.surface import Floats, Ints
@@ -25,14 +25,23 @@ IDENTITY = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
 ALL = slice(None)
 
 
+Law = Literal["corotated", "neo_hookean"]
+
+
 @dataclass(frozen=True)
 class Material:
-    """Parameters of the flesh's energy (:mod:`solver.mechanics.material`), in stress units."""
+    """Parameters of the flesh's energy in stress units, and the ``law`` they belong to.
+
+    ``corotated`` is :mod:`solver.mechanics.material`, ``neo_hookean`` is
+    :mod:`solver.mechanics.neo_hookean`. At small strains both have Lame's constants ``mu`` and
+    ``lam + 2 kappa``.
+    """
 
     mu: float = 1.0
     lam: float = 1.0
     kappa: float = 0.0
     barrier: float = 5.0
+    law: Law = "corotated"
 
     def in_pascal(self, stiffness: float) -> Material:
         """Return the material with ``stiffness`` in Pa where this one has a stress of 1."""
@@ -50,6 +59,9 @@ COROTATED_TRACE = Material(mu=1.0, lam=1.0, kappa=0.0)
 
 COROTATED_DET = Material(mu=1.0, lam=0.0, kappa=3.0)
 """The flesh of Phace as published: mu |F - R S(a)|^2 + 3 mu (det F - det S(a))^2."""
+
+NEO_HOOKEAN = replace(COROTATED_DET, law="neo_hookean")
+"""The stable Neo-Hookean flesh that is like Phace's at small strains."""
 
 
 def shape_gradients(rest: Floats, tets: Ints) -> tuple[Floats, Floats]:
@@ -127,6 +139,9 @@ class Flesh:
         self.lam = self.material.lam * factor
         self.kappa = self.material.kappa * factor
         self.barrier = self.material.barrier * factor
+        self._law = get_args(Law).index(self.material.law)
+        if self._law == elements.NEO_HOOKEAN:
+            self.mu, self.lam = neo_hookean.from_lame(self.mu, self.lam)
         is_free = np.ones(len(self.rest), dtype=bool)
         is_free[held] = False
         self.free = np.flatnonzero(is_free)
@@ -160,12 +175,16 @@ class Flesh:
     def energy(self, x: Floats, a: Floats) -> float:
         """Return E(x, a); infinite if a tet is inverted."""
         out = np.empty(len(self.tets))
-        elements.energies(*self._state(x, a, ALL, self.lam, self.kappa, self.barrier, out))
+        elements.energies(
+            *self._state(x, a, ALL, self.lam, self.kappa, self.barrier, self._law, out)
+        )
         return float(out.sum()) + self.sliding.energy(x)
 
     def gradient(self, x: Floats, a: Floats) -> Floats:
         """Return dE/dx by the free coordinates, shape (size,)."""
-        elements.forces(*self._state(x, a, ALL, self.lam, self.kappa, self.barrier, self._forces))
+        elements.forces(
+            *self._state(x, a, ALL, self.lam, self.kappa, self.barrier, self._law, self._forces)
+        )
         gradient = self.scatter(self._forces)
         gradient[self._sliding_rows] += self.sliding.gradient(x)
         return gradient
@@ -181,7 +200,15 @@ class Flesh:
         """
         elements.stiffness_blocks(
             *self._state(
-                x, a, ALL, self.lam, self.kappa, self.barrier, float(project), self._blocks
+                x,
+                a,
+                ALL,
+                self.lam,
+                self.kappa,
+                self.barrier,
+                self._law,
+                float(project),
+                self._blocks,
             )
         )
         matrix = self._block_sum(self._blocks)
@@ -216,6 +243,7 @@ class Flesh:
             self.lam[touched],
             self.kappa[touched],
             self.barrier[touched],
+            self._law,
             0.0,
             blocks,
         )
@@ -228,8 +256,14 @@ class Flesh:
     def forces_by_activation(self, x: Floats, a: Floats) -> Floats:
         """Return the derivative by each tet's activation of its forces, (n, 4, 3, 6).
 
-        A tet's forces are its gradient by its four vertices.
+        A tet's forces are its gradient by its four vertices. Raises :class:`InputError`
+        (``material.law``) for flesh that is not corotated: nothing can be fitted with it.
         """
+        if self._law != elements.COROTATED:
+            raise InputError(
+                "material.law",
+                f"activations are fitted with corotated flesh, not with {self.material.law}",
+            )
         out = np.empty((len(self.tets), 4, 3, 6))
         elements.forces_by_activation(*self._state(x, a, ALL, self.kappa, out))
         return out
@@ -250,13 +284,21 @@ class Flesh:
 
     def _state(self, x: Floats, a: Floats, tets: Any, *rest: Any) -> Any:
         """Return a kernel's arguments: those all kernels share, for some tets, and the ``rest``."""
-        positions = np.ascontiguousarray(x)
+        gradients, volumes, a = self.gradients[tets], self.volumes[tets], a[tets]
+        if self._law == elements.NEO_HOOKEAN:
+            gradients, volumes = np.empty_like(gradients), np.empty_like(volumes)
+            neo_hookean.released(self.gradients[tets], self.volumes[tets], a, gradients, volumes)
+            if not volumes.min(initial=np.inf) > 0.0:
+                raise InputError(
+                    "material.activation",
+                    f"tet number {volumes.argmin()} is activated to no positive volume",
+                )
         return (
-            positions,
+            np.ascontiguousarray(x),
             self.tets[tets],
-            self.gradients[tets],
-            self.volumes[tets],
-            a[tets],
+            gradients,
+            volumes,
+            a,
             self.mu[tets],
             *rest,
         )

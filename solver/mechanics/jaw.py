@@ -28,6 +28,11 @@ def move(frame: JawFrame, points: Floats, b: Floats) -> Floats:
     return (points - frame.origin) @ rotation(frame, b).T + frame.origin + b[2:] @ frame.axes
 
 
+def move_back(frame: JawFrame, points: Floats, b: Floats) -> Floats:
+    """Undo :func:`move`: return points (k, 3) of the head as seen from the mandible at b (5,)."""
+    return (points - frame.origin - b[2:] @ frame.axes) @ rotation(frame, b) + frame.origin
+
+
 def jacobian(frame: JawFrame, points: Floats, b: Floats) -> Floats:
     """Return d move / db, shape (k, 3, 5)."""
     hinge, hinge_rate = _rotation(frame.axes[0], b[0])

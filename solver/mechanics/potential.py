@@ -13,8 +13,8 @@ from solver.surface import Floats
 class Potential(Protocol):
     """A part of the energy of vertices x (p, 3) in the head's frame: mm, energies in Pa mm^3."""
 
-    def begin(self, x: Floats, now: Boundary, goal: Boundary, seconds: float) -> None:
-        """Set what lags behind by a step (friction) at its start, from ``now`` to ``goal``."""
+    def begin(self, x: Floats, now: Boundary, seconds: float) -> None:
+        """Begin a step of so many seconds at x and ``now``: friction remembers what touches."""
 
     def place(self, boundary: Boundary) -> None:
         """Let everything rigid be where ``boundary`` says, from here on."""

@@ -174,7 +174,7 @@ class Simulator:
         start = Boundary(y[self._flesh.held], before.jaw, _seen(now.head, before))
         end = Boundary(self._face.held_positions(goal.jaw), goal.jaw, _seen(goal.head, goal))
         for potential in self._potentials:
-            potential.begin(y, start, end, seconds)
+            potential.begin(y, start, seconds)
         minimum = self._newton.minimise(y, goal.A, start, end)
         x = goal.head(minimum.x)
         v = (x - now.x) / seconds if dynamic else np.zeros_like(x)

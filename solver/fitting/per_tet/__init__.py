@@ -13,6 +13,6 @@ a and b are solved for together (global). From the neutral face a fit goes in vi
 
 from solver.fitting.per_tet.fit import PerTetFit, fit
 from solver.fitting.per_tet.objective import Objective, PerTetOptions
-from solver.fitting.per_tet.tissue import PHACE, rest_state
+from solver.fitting.per_tet.tissue import rest_state
 
-__all__ = ["PHACE", "Objective", "PerTetFit", "PerTetOptions", "fit", "rest_state"]
+__all__ = ["Objective", "PerTetFit", "PerTetOptions", "fit", "rest_state"]

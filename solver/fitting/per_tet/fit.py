@@ -47,8 +47,8 @@ def fit(
 ) -> PerTetFit:
     """Minimise f from ``start``, a state of another such fit, or from the neutral face; settle it.
 
-    ``face`` should have the material :data:`~solver.fitting.per_tet.tissue.PHACE`. ``listen`` hears
-    of equilibria only, not of steps in viscous flesh. Raises :class:`InputError`
+    ``face`` should have the material :data:`~solver.mechanics.flesh.COROTATED_DET`. ``listen``
+    hears of equilibria only, not of steps in viscous flesh. Raises :class:`InputError`
     (``model.no_fibres``, ``model.no_muscle``, ``start.activations``) and :class:`SolveError` if the
     face can not be settled.
     """

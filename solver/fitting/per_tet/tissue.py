@@ -16,11 +16,8 @@ import scipy.sparse as sp
 
 from solver.errors import InputError
 from solver.fitting.face import Face, Pose, State
-from solver.mechanics.flesh import IDENTITY, Flesh, Material
+from solver.mechanics.flesh import IDENTITY, Flesh
 from solver.surface import Floats, Ints
-
-PHACE = Material(mu=1.0, lam=0.0, kappa=3.0)
-"""The flesh as published: mu |F - R S(a)|^2 + 3 mu (det F - det S(a))^2."""
 
 LEAST_SHARE = 0.05
 """A tet with less muscle than this is passive."""

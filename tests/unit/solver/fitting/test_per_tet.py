@@ -10,12 +10,12 @@ from solver.errors import InputError
 from solver.fitting import per_tet, stretches
 from solver.fitting.face import Face, Pose, State
 from solver.fitting.objective import Target
-from solver.fitting.per_tet import PHACE, Objective, PerTetOptions, tissue
+from solver.fitting.per_tet import Objective, PerTetOptions, tissue
 from solver.fitting.per_tet.contraction import PreferredContraction, contraction
 from solver.fitting.per_tet.damping import Damping
 from solver.fitting.per_tet.saddle import SaddleSolver
 from solver.fitting.terms import SkinDistance
-from solver.mechanics.flesh import IDENTITY
+from solver.mechanics.flesh import COROTATED_DET, IDENTITY
 from tests.unit.solver.block import block_model
 
 STEP = 1e-5
@@ -29,7 +29,9 @@ def face_with_fibres():
     weights = model.weights.copy()
     rows = np.repeat(np.arange(len(model.tets)), np.diff(weights.indptr))
     weights.data = np.where(rows % 7 == 0, weights.indices == 0, weights.data).astype(float)
-    return Face(replace(model, weights=weights, fibres=fibres), material=PHACE, tolerance=1e-12)
+    return Face(
+        replace(model, weights=weights, fibres=fibres), material=COROTATED_DET, tolerance=1e-12
+    )
 
 
 @pytest.fixture(scope="module")
@@ -197,7 +199,7 @@ def test_a_fit_goes_on_from_its_end(divided):
 
 
 def test_bad_input_is_told(divided):
-    face = Face(block_model(), material=PHACE)
+    face = Face(block_model(), material=COROTATED_DET)
     data = SkinDistance(face, Target.from_points(face.face_points(face.model.rest)))
     with pytest.raises(InputError, match="fibres"):
         per_tet.fit(face, data)

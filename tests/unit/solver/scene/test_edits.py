@@ -44,7 +44,9 @@ def places(tmp_path):
 def test_every_kind_is_described_and_becomes_an_edit(schema, places):
     jsonschema.Draft202012Validator.check_schema(schema)
     jsonschema.validate(EVERY_KIND, schema)
-    described = [each["properties"]["kind"]["const"] for each in schema["$defs"]["edit"]["oneOf"]]
+    edit = schema["$defs"]["edit"]
+    described = [each["if"]["properties"]["kind"]["const"] for each in edit["allOf"]]
+    assert described == edit["properties"]["kind"]["enum"]
     assert described == list(KINDS) == [each["kind"] for each in EVERY_KIND]
     made = edits_of(EVERY_KIND, places)
     assert [type(each) for each in made] == [Fat, Filler, Bone, Stiffness, Density, Paralysis]

@@ -169,7 +169,7 @@ class Lid:
 
     REACH, STIFFNESS = 0.5, 2e4
 
-    def begin(self, x, now, goal, seconds):
+    def begin(self, x, now, seconds):
         pass
 
     def place(self, boundary):

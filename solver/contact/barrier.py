@@ -1,0 +1,197 @@
+"""Skin that may not cross skin or objects: the barrier of incremental potential contact.
+
+An energy that grows without bound as two surfaces meet, friction that lags by a step, and steps
+that end before anything crosses: Li et al., Incremental Potential Contact, SIGGRAPH 2020, by the
+library ipctk. Objects are rigid; they lie where the boundary says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import ipctk
+import numba as nb
+import numpy as np
+import scipy.sparse as sp
+
+from solver.contact.surface import ContactSurface, collision_mesh
+from solver.mechanics.boundary import Boundary
+from solver.surface import Floats, Surface
+
+DISTANCE_MM = 0.1
+"""Surfaces nearer than this push each other away."""
+STIFFNESS = 10.0
+"""The barrier's stiffness over that of the flesh."""
+SLIP_MM_S = 1.0
+"""Speed below which friction holds: it then grows with the speed."""
+
+
+@dataclass(frozen=True)
+class _Touching:
+    """Where the surfaces are, (v, 3), and what touches there."""
+
+    points: Floats
+    collisions: ipctk.NormalCollisions
+
+
+@dataclass(frozen=True)
+class _Friction:
+    """What touched at a step's start, ``points`` (v, 3) then, and the step's length in seconds."""
+
+    points: Floats
+    collisions: ipctk.TangentialCollisions
+    seconds: float
+
+
+class Barrier:
+    """A :class:`solver.mechanics.potential.Potential` of the skin and of objects.
+
+    Parameters
+    ----------
+    surface
+        The skin that may touch.
+    stiffness_pa
+        The flesh's.
+    objects
+        Closed surfaces, where they are to begin with.
+    itself
+        Whether skin meets skin; else only objects do.
+    friction
+        Coefficient of friction, of skin and of objects.
+    """
+
+    def __init__(
+        self,
+        surface: ContactSurface,
+        stiffness_pa: float,
+        *,
+        objects: Sequence[Surface] = (),
+        itself: bool = True,
+        friction: float = 0.0,
+    ) -> None:
+        ipctk.set_logger_level(ipctk.error)
+        ipctk.set_num_threads(nb.get_num_threads())
+        self._surface = surface
+        self._objects = [each.vertices for each in objects]
+        self._rows = sp.csr_array(sp.kron(surface.rows, sp.eye_array(3), format="csr"))
+        self._barrier = ipctk.BarrierPotential(DISTANCE_MM, STIFFNESS * stiffness_pa)
+        self._sliding = ipctk.FrictionPotential(SLIP_MM_S)
+        self._friction = friction
+        self._lagged: _Friction | None = None
+        self._last: tuple[Floats, _Touching] | None = None
+        self._mesh = _joined(surface, objects, itself=itself)
+
+    def begin(self, x: Floats, now: Boundary, seconds: float) -> None:
+        """See :class:`solver.mechanics.potential.Potential`."""
+        self.place(now)
+        if not self._friction:
+            return
+        touching = self._touching(x)
+        lagged = ipctk.TangentialCollisions()
+        lagged.build(
+            self._mesh, touching.points, touching.collisions, self._barrier, self._friction
+        )
+        self._lagged = _Friction(touching.points, lagged, seconds)
+
+    def place(self, boundary: Boundary) -> None:
+        """See :class:`solver.mechanics.potential.Potential`."""
+        self._objects = list(boundary.objects)
+        self._last = None
+
+    def value(self, x: Floats) -> float:
+        """See :class:`solver.mechanics.potential.Potential`."""
+        touching = self._touching(x)
+        value = float(self._barrier(touching.collisions, self._mesh, touching.points))
+        if self._lagged is not None:
+            speed = self._speed(touching.points, self._lagged)
+            drag = self._sliding(self._lagged.collisions, self._mesh, speed)
+            value += self._lagged.seconds * float(drag)
+        return value
+
+    def gradient(self, x: Floats) -> Floats:
+        """See :class:`solver.mechanics.potential.Potential`."""
+        touching = self._touching(x)
+        force = self._barrier.gradient(touching.collisions, self._mesh, touching.points)
+        if self._lagged is not None:
+            speed = self._speed(touching.points, self._lagged)
+            force = force + self._sliding.gradient(self._lagged.collisions, self._mesh, speed)
+        return self._on_flesh(force)
+
+    def hessian(self, x: Floats) -> sp.csr_array:
+        """See :class:`solver.mechanics.potential.Potential`."""
+        own = self._skin_size
+        stiffness = self._stiffness(x)[:own, :own]
+        return sp.csr_array(self._rows.T @ stiffness @ self._rows)
+
+    def pull(self, x: Floats, goal: Boundary) -> Floats:
+        """See :class:`solver.mechanics.potential.Potential`."""
+        if not self._objects:
+            return np.zeros_like(x)
+        motion = np.vstack(goal.objects) - np.vstack(self._objects)
+        own = self._skin_size
+        return self._on_flesh(self._stiffness(x)[:own, own:] @ motion.ravel())
+
+    def longest(self, x: Floats, y: Floats, goal: Boundary) -> float:
+        """See :class:`solver.mechanics.potential.Potential`."""
+        start = self._points(x, self._objects)
+        end = self._points(y, goal.objects)
+        step = ipctk.compute_collision_free_stepsize(
+            self._mesh, start, end, 0.0, None, ipctk.AdditiveCCD()
+        )
+        return float(step)
+
+    @cached_property
+    def _skin_size(self) -> int:
+        """Return the number of the skin's coordinates, which come before the objects'."""
+        return 3 * len(self._surface.skin)
+
+    def _points(self, x: Floats, objects: Sequence[Floats]) -> Floats:
+        return np.asfortranarray(np.vstack([self._surface.points(x), *objects]))
+
+    def _touching(self, x: Floats) -> _Touching:
+        """Find what touches at x; value, gradient and Hessian ask for the same x again."""
+        if self._last is None or not np.array_equal(self._last[0], x):
+            points = self._points(x, self._objects)
+            collisions = ipctk.NormalCollisions()
+            collisions.build(self._mesh, points, DISTANCE_MM)
+            self._last = x.copy(), _Touching(points, collisions)
+        return self._last[1]
+
+    def _stiffness(self, x: Floats) -> sp.csr_array:
+        """Return the Hessian by the coordinates of skin and objects."""
+        touching, clamp = self._touching(x), ipctk.PSDProjectionMethod.CLAMP
+        matrix = self._barrier.hessian(touching.collisions, self._mesh, touching.points, clamp)
+        if self._lagged is not None:
+            speed = self._speed(touching.points, self._lagged)
+            drag = self._sliding.hessian(self._lagged.collisions, self._mesh, speed, clamp)
+            matrix = matrix + drag / self._lagged.seconds
+        return sp.csr_array(matrix)
+
+    def _speed(self, points: Floats, lagged: _Friction) -> Floats:
+        return np.asfortranarray((points - lagged.points) / lagged.seconds)
+
+    def _on_flesh(self, force: Floats) -> Floats:
+        """Return forces on the contact surface's coordinates as forces (p, 3) on the flesh."""
+        return np.asarray(self._surface.rows.T @ force[: self._skin_size].reshape(-1, 3))
+
+
+def _joined(
+    surface: ContactSurface, objects: Sequence[Surface], *, itself: bool
+) -> ipctk.CollisionMesh:
+    """Return skin and objects as one mesh, in which no object meets another one."""
+    parts = [Surface(surface.rest, surface.faces), *objects]
+    sizes = np.array([len(part.vertices) for part in parts])
+    starts = np.cumsum(sizes) - sizes
+    mesh = collision_mesh(
+        np.vstack([part.vertices for part in parts]),
+        np.vstack([part.faces + start for part, start in zip(parts, starts, strict=True)]),
+    )
+    allowed = ipctk.make_static_obstacle_filter(len(surface.skin))
+    if not itself:
+        patches = np.repeat(np.arange(len(parts)), sizes).astype(np.int32)
+        allowed = allowed & ipctk.make_vertex_patches_filter(patches)
+    # a filter of the library's: one in Python would wait for ever on its threads
+    mesh.can_collide = allowed
+    return mesh

@@ -1,0 +1,150 @@
+"""Skin that stays on the outer side of what is rigid: teeth and eyeballs.
+
+    E(x) = 1/2 sum_v k_v max(0, h_v(x))^2
+
+h_v is how far a skin vertex lies deeper than it may, by an obstacle that is given as a field: its
+gradient leads out from any depth, so that nothing has to be known of how the vertex came there, and
+none is ever pushed to the inner side.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse as sp
+
+from solver.mechanics import jaw
+from solver.mechanics.boundary import Boundary
+from solver.model import JawFrame
+from solver.surface import Floats, Ints
+
+MARGIN_MM = 0.1
+"""Skin is kept so far away, unless it is nearer at rest: then at that distance."""
+STIFFNESS = 100.0
+"""Stress that pushes a vertex out over depth and the flesh's stiffness, 1/mm."""
+
+
+class Obstacle(Protocol):
+    """A rigid thing, as a field in its own frame."""
+
+    def depths(self, points: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """Measure points (k, 3).
+
+        Returns depths (k,) in mm, negative outside, with their gradients (k, 3), and how much of
+        them counts (k,), 0 beside the obstacle to 1, with its gradients (k, 3).
+        """
+
+
+class OneSided:
+    """A :class:`solver.mechanics.potential.Potential` of skin vertices and one obstacle.
+
+    Parameters
+    ----------
+    obstacle
+        The obstacle, where it is at rest.
+    rows, offset
+        (k, p) CSR and (k, 3): the vertices are ``rows @ x + offset``.
+    rest
+        (p, 3) the flesh at rest, where nothing pushes.
+    stiffness
+        (k,) per vertex, energy over mm^2.
+    carried
+        The frame of the jaw that the obstacle moves with; None for what stays with the head.
+    """
+
+    def __init__(
+        self,
+        obstacle: Obstacle,
+        rows: sp.csr_array,
+        offset: Floats,
+        rest: Floats,
+        stiffness: Floats,
+        carried: JawFrame | None = None,
+    ) -> None:
+        self._obstacle = obstacle
+        self._rows = rows
+        self._offset = offset
+        self._stiffness = stiffness
+        self._carried = carried
+        self._jaw = np.zeros(jaw.DEGREES_OF_FREEDOM)
+        depth, _, counts, _ = obstacle.depths(rows @ rest + offset)
+        self._allowed = np.where(counts > 0.0, np.maximum(depth, -MARGIN_MM), -MARGIN_MM)
+
+    def begin(self, x: Floats, now: Boundary, seconds: float) -> None:  # noqa: ARG002 - nothing lags
+        """See :class:`solver.mechanics.potential.Potential`."""
+        self.place(now)
+
+    def place(self, boundary: Boundary) -> None:
+        """See :class:`solver.mechanics.potential.Potential`."""
+        self._jaw = boundary.jaw
+
+    def value(self, x: Floats) -> float:
+        """See :class:`solver.mechanics.potential.Potential`."""
+        h, _ = self._depths(x)
+        return 0.5 * float(self._stiffness @ h**2)
+
+    def gradient(self, x: Floats) -> Floats:
+        """See :class:`solver.mechanics.potential.Potential`."""
+        h, slope = self._depths(x)
+        return np.asarray(self._rows.T @ ((self._stiffness * h)[:, None] * slope))
+
+    def hessian(self, x: Floats) -> sp.csr_array:
+        """See :class:`solver.mechanics.potential.Potential`: by Gauss and Newton."""
+        h, slope = self._depths(x)
+        deep = np.flatnonzero(h)
+        by_x = along(sp.csr_array(self._rows[deep]), slope[deep])
+        return sp.csr_array(by_x.T @ (sp.diags_array(self._stiffness[deep]) @ by_x))
+
+    def pull(self, x: Floats, goal: Boundary) -> Floats:
+        """See :class:`solver.mechanics.potential.Potential`."""
+        if self._carried is None:
+            return np.zeros_like(x)
+        _, slope = self._depths(x)
+        points = np.asarray(self._rows @ x + self._offset)
+        # the vertex's motion as seen from the jaw, in the head's directions
+        seen = self._seen(points, goal.jaw) - self._seen(points, self._jaw)
+        nearer = np.einsum("ki,ki->k", slope, seen @ self._turn.T)
+        return np.asarray(self._rows.T @ ((self._stiffness * nearer)[:, None] * slope))
+
+    def longest(self, x: Floats, y: Floats, goal: Boundary) -> float:  # noqa: ARG002 - no bounds
+        """See :class:`solver.mechanics.potential.Potential`."""
+        return 1.0
+
+    def behind(self, x: Floats, tolerance: float) -> Ints:
+        """Return which vertices lie deeper by ``tolerance`` than they may, well over the field."""
+        depth, _, counts, _ = self._obstacle.depths(self._seen_at(x))
+        return np.flatnonzero((depth - np.maximum(self._allowed, 0.0) > tolerance) & (counts > 0.5))
+
+    def _depths(self, x: Floats) -> tuple[Floats, Floats]:
+        """Return h (k,), zero where nothing pushes, and the head's frame's gradients (k, 3)."""
+        depth, out, counts, fades = self._obstacle.depths(self._seen_at(x))
+        excess = np.maximum(depth - self._allowed, 0.0)
+        slope = np.where(excess > 0.0, 1.0, 0.0)[:, None] * (
+            counts[:, None] * out + excess[:, None] * fades
+        )
+        return counts * excess, slope @ self._turn.T
+
+    def _seen_at(self, x: Floats) -> Floats:
+        return self._seen(np.asarray(self._rows @ x + self._offset), self._jaw)
+
+    def _seen(self, points: Floats, b: Floats) -> Floats:
+        """Return points (k, 3) of the head in the obstacle's frame, with the jaw at b (5,)."""
+        return points if self._carried is None else jaw.move_back(self._carried, points, b)
+
+    @property
+    def _turn(self) -> Floats:
+        """Return the rotation (3, 3) from the obstacle's frame into the head's."""
+        return np.eye(3) if self._carried is None else jaw.rotation(self._carried, self._jaw)
+
+
+def along(rows: sp.csr_array, directions: Floats) -> sp.csr_array:
+    """Return by what x (p, 3) moves points ``rows @ x`` along directions (k, 3): (k, 3 p)."""
+    entries = sp.coo_array(rows)
+    row, column = entries.coords
+    values = entries.data[:, None] * directions[row]
+    columns = 3 * column[:, None] + np.arange(3)
+    return sp.csr_array(
+        (values.ravel(), (np.repeat(row, 3), columns.ravel())),
+        shape=(rows.shape[0], 3 * rows.shape[1]),
+    )

@@ -1,0 +1,159 @@
+"""The skin as contact sees it: its triangles that may touch, a little inside themselves.
+
+Scans cross themselves by hundredths of a millimetre where lips are closed, and a barrier is
+infinite there. So the contact surface lies ``INSET_MM`` under the skin: two skins that touch may
+still cross by twice that, which nobody sees.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import igl
+import ipctk
+import numba as nb
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from solver.anatomy.embedding import rows_of
+from solver.anatomy.tetrahedra import barycentric_in_tets
+from solver.errors import InputError
+from solver.model import SubjectModel
+from solver.surface import Floats, Ints
+from solver.triangles import adjacency
+
+INSET_MM = 0.075
+DEEPER_MM = (0.1, 0.125, 0.15)
+"""Where the surface still crosses itself it goes so deep, one after the other."""
+
+
+@dataclass(frozen=True)
+class ContactSurface:
+    """Skin vertices that follow the flesh, under the skin, and the triangles between them.
+
+    skin
+        (s,) skin vertices, sorted.
+    faces
+        (f, 3) triangles, numbered by ``skin``.
+    rows, offset
+        (s, p) CSR and (s, 3): positions are ``rows @ x + offset`` at the tets' vertices x. The
+        inset is a part of ``rows``: it turns with the flesh.
+    rest
+        (s, 3) the positions in the neutral face.
+    """
+
+    skin: Ints
+    faces: Ints
+    rows: sp.csr_array
+    offset: Floats
+    rest: Floats
+
+    @classmethod
+    def of(cls, model: SubjectModel, faces: Ints) -> ContactSurface:
+        """Return the surface of some of the skin's triangles (f, 3), all on embedded vertices.
+
+        Raises :class:`InputError` (``contact.crossed``) where the skin crosses itself too deeply.
+        """
+        skin, own = np.unique(faces, return_inverse=True)
+        own = np.ascontiguousarray(own.reshape(faces.shape))
+        number = np.searchsorted(model.embedded, skin)
+        rows, offset = sp.csr_array(model.embedding[number]), model.offset[number]
+        points = np.asarray(rows @ model.rest + offset)
+        normals = _normals(points, own)
+        inset = np.full(len(skin), INSET_MM)
+        for deeper in (*DEEPER_MM, np.inf):
+            moved = points - inset[:, None] * normals
+            if not ipctk.has_intersections(collision_mesh(moved, own), moved):
+                break
+            crossed = np.zeros(len(skin))
+            crossed[crossing_vertices(moved, own)] = 1.0
+            if np.isinf(deeper):
+                vertex = int(skin[crossed.argmax()])
+                message = f"the neutral skin crosses itself around vertex {vertex}: mend the scan"
+                raise InputError("contact.crossed", message, vertex=vertex)
+            around = crossed + adjacency(own, len(skin)) @ crossed > 0
+            inset[around] = deeper
+        return cls(skin, own, _shifted(model, rows, -inset[:, None] * normals), offset, moved)
+
+    def points(self, x: Floats) -> Floats:
+        """Return the positions (s, 3) at the tets' vertices x (p, 3)."""
+        return np.asarray(self.rows @ x + self.offset)
+
+
+def collision_mesh(points: Floats, faces: Ints) -> ipctk.CollisionMesh:
+    """Return triangles (f, 3) between points (s, 3) as ipctk takes them."""
+    corners = np.asfortranarray(faces, dtype=np.int32)
+    edges = np.asfortranarray(ipctk.edges(corners))
+    return ipctk.CollisionMesh(np.asfortranarray(points), edges, corners)
+
+
+def crossing_vertices(points: Floats, faces: Ints) -> Ints:
+    """Return the corners of triangles and the ends of edges that cross each other, sorted."""
+    edges = np.asarray(ipctk.edges(np.asfortranarray(faces, dtype=np.int32)), dtype=np.int64)
+    return np.flatnonzero(_crossing(np.ascontiguousarray(points), edges, faces))
+
+
+@nb.njit(cache=True)
+def _crossing(points: Floats, edges: Ints, faces: Ints) -> NDArray[np.bool_]:
+    """Mark (s,) the vertices of every edge and triangle that cross."""
+    low = np.empty((len(faces), 3))
+    high = np.empty((len(faces), 3))
+    for f in range(len(faces)):
+        for i in range(3):
+            a, b, c = points[faces[f, 0], i], points[faces[f, 1], i], points[faces[f, 2], i]
+            low[f, i], high[f, i] = min(a, b, c), max(a, b, c)
+    marks = np.zeros(len(points), dtype=np.bool_)
+    for start, end in edges:
+        p, q = points[start], points[end]
+        for f in range(len(faces)):
+            apart = False
+            for i in range(3):
+                if max(p[i], q[i]) < low[f, i] or min(p[i], q[i]) > high[f, i]:
+                    apart = True
+                    break
+            face = faces[f]
+            if apart or start in face or end in face:
+                continue
+            if _pierced(p, q, points[face[0]], points[face[1]], points[face[2]]):
+                marks[start] = marks[end] = True
+                marks[face[0]] = marks[face[1]] = marks[face[2]] = True
+    return marks
+
+
+@nb.njit(cache=True)
+def _pierced(p: Floats, q: Floats, a: Floats, b: Floats, c: Floats) -> bool:
+    """Tell whether the segment p q goes through a triangle, by five volumes' signs."""
+    if _volume(a, b, c, p) * _volume(a, b, c, q) >= 0.0:
+        return False
+    first, second, third = _volume(p, q, a, b), _volume(p, q, b, c), _volume(p, q, c, a)
+    same = first > 0.0 and second > 0.0 and third > 0.0
+    return same or (first < 0.0 and second < 0.0 and third < 0.0)
+
+
+@nb.njit(cache=True)
+def _volume(a: Floats, b: Floats, c: Floats, d: Floats) -> float:
+    """Return six times the signed volume of a tetrahedron."""
+    x0, x1, x2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    y0, y1, y2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    z0, z1, z2 = d[0] - a[0], d[1] - a[1], d[2] - a[2]
+    x = x0 * (y1 * z2 - y2 * z1)
+    y = x1 * (y2 * z0 - y0 * z2)
+    z = x2 * (y0 * z1 - y1 * z0)
+    return float(x + y + z)
+
+
+def _normals(points: Floats, faces: Ints) -> Floats:
+    """Return outward unit normals (s, 3), zero where a vertex's triangles have none."""
+    area = igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_AREA
+    normals: Floats = igl.per_vertex_normals(points, faces, area)
+    return np.where(np.isfinite(normals), normals, 0.0)
+
+
+def _shifted(model: SubjectModel, rows: sp.csr_array, shift: Floats) -> sp.csr_array:
+    """Return rows whose points lie at rest by ``shift`` (s, 3) off, and turn with their tets."""
+    corners, shares = rows.indices.reshape(-1, 4), rows.data.reshape(-1, 4)
+    places = model.rest[corners]
+    points = np.einsum("sc,sci->si", shares, places)
+    change = barycentric_in_tets(points + shift, places) - barycentric_in_tets(points, places)
+    return rows_of(corners, shares + change, len(model.rest))

@@ -1,0 +1,100 @@
+"""A scene's ``objects``: closed meshes from outside, and where they are at any time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from solver.animation.tracks import Track, track
+from solver.errors import InputError
+from solver.scans.raw import read_raw
+from solver.scene.places import Places
+from solver.surface import Floats, Surface
+
+MOST_VERTICES = 20_000
+"""Of one object: contact looks at every triangle in every step."""
+BALL_SUBDIVISIONS = 3
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """An object: its ``shape`` around its own origin, mm, and its ``path``.
+
+    The path gives a rotation vector and a shift (6,) at any time in s.
+    """
+
+    name: str
+    shape: Surface
+    path: Track
+
+    def at(self, time: float) -> Floats:
+        """Return its vertices (o, 3) in the world at ``time`` in s."""
+        place = self.path(time)
+        turned = Rotation.from_rotvec(place[:3]).apply(self.shape.vertices)
+        return np.asarray(turned + place[3:])
+
+
+def objects_of(entries: Sequence[Mapping[str, Any]], places: Places) -> list[Obstacle]:
+    """Return the objects of entries that their schema has found good.
+
+    Raises :class:`InputError`: ``scene.times`` for keys that are not one after the other,
+    ``scene.object_large`` for one with too many vertices, as :class:`Places`, and as
+    :func:`~solver.scans.raw.read_raw` for its file.
+    """
+    return [_object(entry, places) for entry in entries]
+
+
+def _object(entry: Mapping[str, Any], places: Places) -> Obstacle:
+    name, origin = entry["name"], places.point(entry.get("at", (0.0, 0.0, 0.0)))
+    shape = _shape(name, entry["mesh"], places)
+    path = entry.get("path", [])
+    values = np.array(
+        [
+            [
+                *np.radians(key.get("rotation_deg", (0, 0, 0))),
+                *origin + key.get("move_mm", (0, 0, 0)),
+            ]
+            for key in path
+        ]
+    ).reshape(len(path), 6)
+    if not path:
+        still = np.concatenate([np.zeros(3), origin])
+        return Obstacle(name, shape, lambda _time: still)
+    moved = track([key["time"] for key in path], values, f"{name}'s key")
+    return Obstacle(name, shape, moved)
+
+
+def _shape(name: str, mesh: Mapping[str, Any], places: Places) -> Surface:
+    if "box_mm" in mesh:
+        return _surface(trimesh.creation.box(mesh["box_mm"]))
+    if "ball_mm" in mesh:
+        return _surface(trimesh.creation.icosphere(BALL_SUBDIVISIONS, mesh["ball_mm"]))
+    return _read(name, places.asset(mesh["asset"]))
+
+
+def _read(name: str, path: Path) -> Surface:
+    """Return the mesh of a file: corners at one place joined, a closed one turned outward."""
+    raw = read_raw(path)
+    vertices = raw.vertices * (raw.mm_per_unit or 1.0)
+    whole = trimesh.Trimesh(vertices, raw.faces, process=True)
+    if len(whole.vertices) > MOST_VERTICES:
+        raise InputError(
+            "scene.object_large",
+            f"{name} has {len(whole.vertices)} vertices; at most {MOST_VERTICES} may meet a face",
+            file=path.name,
+            found=len(whole.vertices),
+            expected=MOST_VERTICES,
+        )
+    if whole.is_watertight and whole.volume < 0.0:
+        whole.invert()
+    return _surface(whole)
+
+
+def _surface(mesh: trimesh.Trimesh) -> Surface:
+    return Surface(np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int64))

@@ -1,0 +1,84 @@
+"""Scenes as documents: what is refused, and what is said of it."""
+
+import jsonschema
+import pytest
+
+from solver.errors import InputError
+from solver.scene.document import DEFINITIONS, check
+
+EVERYTHING = {
+    "fps": 24,
+    "duration": 1.5,
+    "mode": "dynamic",
+    "damping": 1,
+    "material": {"law": "corotated_det", "stiffness_pa": 5000},
+    "contact": {"lips": True, "friction": 0.3},
+    "keys": [
+        {"time": 0},
+        {
+            "time": 1,
+            "expressions": {"smile": 1.0},
+            "muscles": {"risorius": 0.8, "masseter": [1, 0, 0, 1, 0, 1]},
+            "jaw": {"open_deg": 5, "left_deg": -2, "move_mm": [0, 0, 2]},
+        },
+    ],
+    "head": [{"time": 0.5, "rotation_deg": [0, 20, 0]}],
+    "forces": [
+        {"kind": "gravity"},
+        {"kind": "wind", "m_s": [10, 0, 0], "gusts": 0.3},
+        {"kind": "point", "at": "pogonion", "mn": [0, 0, 500], "ramp": 1},
+    ],
+    "objects": [
+        {"name": "glass", "mesh": {"box_mm": [120, 120, 2]}, "at": [0, 0, 60]},
+        {"name": "ball", "mesh": {"ball_mm": 10}, "path": [{"time": 0, "move_mm": [0, 0, 9]}]},
+    ],
+    "edits": [{"kind": "paralysis", "side": "left"}],
+}
+
+
+def test_the_schema_is_one_and_defaults_are_allowed():
+    for name in ("simulate", "animate", "edit"):
+        schema = {"$ref": f"#/$defs/{name}_scene", "$defs": DEFINITIONS}
+        jsonschema.Draft202012Validator.check_schema(schema)
+    assert check(EVERYTHING, "simulate") is EVERYTHING
+    check({}, "simulate")
+    check({"recording": {"asset": "take", "start": 3}}, "animate")
+    check({"edits": []}, "edit")
+
+
+@pytest.mark.parametrize(
+    ("scene", "where", "words"),
+    [
+        ([], "scene", "is not of type 'object'"),
+        ({"fps": 0}, "scene.fps", "minimum"),
+        ({"speed": 3}, "scene", "speed"),
+        ({"keys": [{"expressions": {}}]}, "scene.keys[0]", "'time' is a required property"),
+        (
+            {"keys": [{"time": 0, "expressions": {"smile": 3}}]},
+            "scene.keys[0].expressions.smile",
+            "3",
+        ),
+        ({"forces": [{"kind": "wind"}]}, "scene.forces[0]", "'m_s' is a required property"),
+        (
+            {"objects": [{"name": "x", "mesh": {"box_mm": [1, 2]}}]},
+            "scene.objects[0].mesh.box_mm",
+            "short",
+        ),
+        ({"edits": [{"kind": "wings"}]}, "scene.edits[0].kind", "'wings' is not one of"),
+        (
+            {"edits": [{"kind": "fat", "f_min": 1}]},
+            "scene.edits[0]",
+            "'f_max' is a required property",
+        ),
+    ],
+)
+def test_the_first_fault_is_named(scene, where, words):
+    with pytest.raises(InputError, match=words) as raised:
+        check(scene, "simulate")
+    assert raised.value.code == "scene.schema"
+    assert raised.value.context["where"] == where
+
+
+def test_an_animation_needs_its_recording():
+    with pytest.raises(InputError, match="recording"):
+        check({}, "animate")
