@@ -6,12 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from solver.anatomy.builtin import builtin_template
-from solver.anatomy.template import Template
 from solver.edits.edit import apply
 from solver.edits.edited import Edited
 from solver.edits.replay import Replay, Replayed
-from solver.errors import InputError, SolveError
+from solver.errors import SolveError
 from solver.fitting.model_checks import check_held
 from solver.model import SubjectModel
 from solver.pipeline.common import Options, take
@@ -19,10 +17,10 @@ from solver.progress import Progress, Step, silent
 from solver.rig.edit_picture import edit_picture
 from solver.rig.edit_report import Compared, EditedPerson, edit_report, write_edit
 from solver.rig.result import ExpressionFit, load_activations, load_weights
+from solver.scene.document import check
 from solver.scene.edits import edits_of
 from solver.scene.physics import Physics, physics_of
 from solver.scene.places import Places
-from solver.surface import Floats
 
 
 def edit(
@@ -40,26 +38,24 @@ def edit(
 
     ``weights`` is the rig's ``muscle_weights.npz`` and ``rig`` its ``activations.npz`` or its
     folder; ``template`` is the one that the model was made with (None: the built-in), whose
-    landmarks the scene may name, ``assets`` are files that it names. Options: ``scene``, of which
-    ``edits``, ``material``, ``contact``, ``sliding`` and ``activation_model`` are read.
+    landmarks the scene may name, ``assets`` are files that it names. Options: ``scene``, with
+    ``edits`` and, as they differ from a rig's, ``material``, ``contact``, ``sliding`` and
+    ``activation_model``.
 
     Writes ``edit.json`` (volumes, and how far every expression's motion drifts), ``edit.npz``,
     ``edit.glb`` and ``edit.png``. Raises :class:`InputError` (``scene.*``) for a scene that does
     not fit the person, :class:`SolveError` where the edited person finds no rest. An expression
     that finds none is told, and left out.
     """
-    scene: Mapping[str, Any] = take(options, {"scene": {}})["scene"]
+    scene = check(take(options, {"scene": {}})["scene"], "edit")
     out.mkdir(parents=True, exist_ok=True)
     progress(Step("read", 0.0, message=rig.name))
     subject = SubjectModel.load(model)
     S = load_weights(weights, subject)
     fits = load_activations(rig / "activations.npz" if rig.is_dir() else rig, subject)
-    anatomy = builtin_template() if template is None else Template.load(template)
     physics = physics_of(scene)
-    entries = scene.get("edits", ())
-    if not entries:
-        raise InputError("scene.edits", "the scene has no edits")
-    edited = apply(edits_of(entries, Places.on(subject, anatomy, assets or {})), subject, S)
+    entries = scene["edits"]
+    edited = apply(edits_of(entries, Places.of(subject, template, assets or {})), subject, S)
 
     def person(known: Edited, words: str, begin: float) -> tuple[Replayed, list[Replayed | None]]:
         progress(Step("rest", begin, message=words))
@@ -72,7 +68,7 @@ def edit(
         for fit, one, other in zip(fits, all_before, all_after, strict=True)
     ]
     whole = EditedPerson(edited, subject, before, after, compared)
-    progress(Step("export", 0.85))
+    progress(Step("export", 0.86))
     report = edit_report(whole)
     files = [*write_edit(whole, report, out), out / "edit.png"]
     edit_picture(whole, _title(entries), _detail(report), files[-1])

@@ -11,7 +11,13 @@ import numpy as np
 from solver.contact.potentials import contact_potentials
 from solver.edits.edited import Edited
 from solver.fitting.face import Face
-from solver.mechanics.flesh import COROTATED_DET, COROTATED_TRACE, IDENTITY, Material
+from solver.mechanics.flesh import (
+    COROTATED_DET,
+    COROTATED_TRACE,
+    IDENTITY,
+    NEO_HOOKEAN,
+    Material,
+)
 from solver.mechanics.linear import fastest
 from solver.mechanics.potential import Potential
 from solver.simulation.fibres import fibre_activations, nearest_fibre
@@ -20,6 +26,7 @@ from solver.surface import Floats, Surface
 LAWS: Mapping[str, Material] = {
     "corotated_trace": COROTATED_TRACE,
     "corotated_det": COROTATED_DET,
+    "neo_hookean": NEO_HOOKEAN,
 }
 FITTED_LAW = "corotated_trace"
 """The law that rigs are fitted with: their activations lead to their poses."""
