@@ -15,7 +15,6 @@ PAPER = (249, 249, 250)
 MARGIN = 24
 HEADER = 84
 SWATCH = 14
-SCALE_STEPS = 4
 
 Colour = tuple[float, float, float]
 
@@ -47,14 +46,16 @@ class Page:
         """Place an sRGB image (h, w, 3) with values in [0, 1]."""
         self.image.paste(Image.fromarray((pixels * 255 + 0.5).astype(np.uint8)), place)
 
-    def scale(self, place: tuple[int, int], width: int, most_mm: float = HEAT_MAX_MM) -> None:
-        """Draw the colour scale of distances with its millimetres."""
+    def scale(
+        self, place: tuple[int, int], width: int, most_mm: float = HEAT_MAX_MM, steps: int = 4
+    ) -> None:
+        """Draw a distance's colour scale with its millimetres."""
         left, top = place
-        colours = heat(np.linspace(0, 1, width), 1.0)
-        self.panel(place, np.broadcast_to(colours, (SWATCH, width, 3)).astype(np.float32))
-        for mm in np.linspace(0, most_mm, SCALE_STEPS + 1):
+        colour = heat(np.linspace(0, most_mm, width), most_mm)
+        self.panel(place, np.broadcast_to(colour, (SWATCH, width, 3)).astype(np.float32))
+        for mm in np.linspace(0, most_mm, steps + 1):
             x = left + round((width - 1) * mm / most_mm)
-            last = mm >= most_mm
+            last = mm == most_mm
             words = f"{mm:g} mm and more" if last else f"{mm:g}"
             self.draw.line([(x, top + SWATCH), (x, top + SWATCH + 4)], fill=GREY)
             self.text((x, top + SWATCH + 7), words, 15, GREY, "ma")
