@@ -64,12 +64,6 @@ def create(session: Session, job: Job) -> None:
     wake(session, job.id, job.queue)
 
 
-def claim(session: Session, job_id: str, worker: str, lease: float) -> Claim | None:
-    """Take a queued job, or one whose worker has lost its lease; None: it is not to be had."""
-    expire(session, job_id, clock(session))
-    return take(session, job_id, worker, lease)
-
-
 def take(session: Session, job_id: str, worker: str, lease: float) -> Claim | None:
     """Take a queued job; None: it is not queued any more."""
     moment = clock(session)

@@ -174,7 +174,7 @@ def put_job(
         jobs.create(session, job)
         job_id = job.id
     with store.write() as session:
-        claim = jobs.claim(session, job_id, "test", 10)
+        claim = jobs.take(session, job_id, "test", 10)
         assert claim
         left = [_artifact(store, job_id, path) for path in files]
         assert jobs.succeed(session, job_id, claim.attempt, left, summary=summary)

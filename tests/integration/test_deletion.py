@@ -70,7 +70,7 @@ def test_a_busy_subject_is_deleted_when_its_jobs_have_stopped(studio: Studio) ->
     subject = studio.subject()
     waiting, running_job = (studio.submit("build_model", subject) for _ in range(2))
     with _store(studio).write() as session:
-        claim = jobs.claim(session, running_job, "worker", 30)
+        claim = jobs.take(session, running_job, "worker", 30)
         assert claim
     assert studio.http.delete(f"/v1/subjects/{subject}").status_code == 409
     answer = studio.http.delete(f"/v1/subjects/{subject}?cancel=true")
@@ -110,7 +110,7 @@ def test_what_has_been_kept_for_long_enough_goes(studio: Studio) -> None:
     model, rig_job, check = (studio.submit("build_model", subject) for _ in range(3))
     _end(studio, model, check)
     with _store(studio).write() as session:
-        claim = jobs.claim(session, rig_job, "worker", 30)
+        claim = jobs.take(session, rig_job, "worker", 30)
         assert claim
         mine = {"tenant_id": claim.tenant_id, "job_id": rig_job, "model_job_id": model}
         rig = Rig(subject_id=subject, expressions=[], summary={}, **mine)
@@ -146,7 +146,7 @@ def test_what_has_been_kept_for_long_enough_goes(studio: Studio) -> None:
 def _end(studio: Studio, *job_ids: str) -> None:
     for job_id in job_ids:
         with _store(studio).write() as session:
-            claim = jobs.claim(session, job_id, "worker", 30)
+            claim = jobs.take(session, job_id, "worker", 30)
             assert claim
             assert jobs.succeed(session, job_id, claim.attempt, [])
 

@@ -121,7 +121,7 @@ def test_a_change_that_is_rolled_back_is_not_told(studio: Studio, settings: Sett
 
         def claim_and_fail() -> None:
             with _store(studio).write() as session:
-                assert jobs.claim(session, job, "test", 10)
+                assert jobs.take(session, job, "test", 10)
                 raise RuntimeError("the transaction is lost")
 
         with pytest.raises(RuntimeError):

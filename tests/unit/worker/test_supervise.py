@@ -70,7 +70,7 @@ def _claimed(store: Store) -> Claim:
             max_attempts=3,
         )
         jobs.create(session, job)
-        claim = jobs.claim(session, job.id, "me", 30)
+        claim = jobs.take(session, job.id, "me", 30)
     assert claim is not None
     return claim
 
