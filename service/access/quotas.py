@@ -6,7 +6,7 @@ from sqlalchemy import func, select, union
 from sqlalchemy.orm import Session
 
 from service.errors import Problem
-from service.store.models import Artifact, Capture, Job, Template, Upload
+from service.store.models import Artifact, Capture, FrameChunk, Job, Template, Upload
 from service.store.tenancy import own_tenant
 from service.store.transitions import HELD, State
 
@@ -71,7 +71,13 @@ def stored_bytes(session: Session, tenant_id: str) -> int:
         select(table.sha256, table.size).where(table.tenant_id == tenant_id) for table in tables
     )
     sent = select(Upload.sha256, Upload.size).where(Upload.tenant_id == tenant_id, Upload.complete)
-    stored = session.scalar(select(func.sum(union(sent, *files).subquery().c.size)))
+    landmarks = select(Capture.landmarks_sha256, Capture.landmarks_size).where(
+        Capture.tenant_id == tenant_id
+    )
+    frames = select(FrameChunk.sha256, FrameChunk.size).join(Job, Job.id == FrameChunk.job_id)
+    frames = frames.where(Job.tenant_id == tenant_id)
+    counted = union(sent, landmarks, frames, *files).subquery()
+    stored = session.scalar(select(func.sum(counted.c.size)))
     opened = session.scalar(
         select(func.sum(Upload.size)).where(Upload.tenant_id == tenant_id, ~Upload.complete)
     )

@@ -44,10 +44,11 @@ def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
         size=upload.size,
         sha256=upload.sha256,
     )
-    if new.landmarks_upload_id is not None:
-        _give_landmarks(session, capture, new.landmarks_upload_id)
     session.add(capture)
     session.flush()
+    uploads.use(session, upload, capture.id)
+    if new.landmarks_upload_id is not None:
+        _give_landmarks(session, capture, new.landmarks_upload_id)
     return capture
 
 
@@ -83,7 +84,9 @@ def delete(session: Session, subject_id: str, capture_id: str) -> Deletion:
 def _give_landmarks(session: Session, capture: Capture, upload_id: str) -> None:
     upload = uploads.get_complete(session, upload_id)
     _check_format(upload, "landmarks.format", "a file of landmarks", LANDMARK_FORMATS)
-    capture.landmarks_filename, capture.landmarks_sha256 = upload.filename, upload.sha256
+    capture.landmarks_filename = upload.filename
+    capture.landmarks_size, capture.landmarks_sha256 = upload.size, upload.sha256
+    uploads.use(session, upload, capture.id)
 
 
 def _check_performance(upload: Upload, new: NewCapture) -> None:

@@ -113,7 +113,8 @@ def beat(
 ) -> State | None:
     """Renew the lease and write down what the solver said and which frames it left since the last.
 
-    ``chunks`` are columns of :class:`FrameChunk`: ``first``, ``last`` and ``sha256``.
+    ``chunks`` are columns of :class:`FrameChunk`: ``first``, ``last``, ``size`` and
+    ``sha256``.
 
     Returns ``running`` or ``canceling``; None: the attempt is no longer this worker's.
     """

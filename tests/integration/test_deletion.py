@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import os
-import sqlite3
 from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 import pytest
-from sqlalchemy import update
+from sqlalchemy import select, update
 
 from service.settings import Settings
 from service.store import deletion, garbage, jobs, retention
-from service.store.models import AuditEntry, Capture, Job, Rig, Subject, now
+from service.store.database import Database
+from service.store.models import AuditEntry, Capture, Job, Rig, Subject, Upload, now
 from service.store.store import Store
 from tests.service_client import Studio, eventually, running, served
 
@@ -64,6 +64,34 @@ def test_a_receipt_says_when_the_last_file_was_gone(studio: Studio) -> None:
     assert _stored(studio) == {kept["sha256"]}
     actions = studio.get(f"/v1/audit?object_id={subject}")["items"]
     assert [each["action"] for each in actions] == ["subject.deleted", "subject.created"]
+
+
+def test_landmarks_that_were_replaced_go_with_their_scan(studio: Studio) -> None:
+    subject = studio.post("/v1/subjects", name="Alex")["id"]
+    smile = studio.raw(subject, "smile")
+    path = f"/v1/subjects/{subject}/captures/{smile}/landmarks"
+    for content in (b"[1]", b"[2]"):
+        marks = {"upload_id": studio.upload("smile of Alex.json", content)}
+        assert studio.http.put(path, json=marks).status_code == 200
+    receipt = studio.http.delete(f"/v1/subjects/{subject}").headers["Location"]
+    for _ in range(2):
+        garbage.collect(_store(studio), age=-60)
+    deletion.close_receipts(_store(studio))
+    assert studio.get(receipt)["files_at"] is not None
+    assert _stored(studio) == set()
+    with _store(studio).read() as session:
+        assert session.scalars(select(Upload)).all() == []
+
+
+def test_another_upload_of_the_same_bytes_stays(studio: Studio) -> None:
+    subject = studio.post("/v1/subjects", name="Alex")["id"]
+    smile = studio.capture(subject, "smile")
+    template = studio.post("/v1/templates", name="x", upload_id=studio.upload("a.npz", b"PK"))["id"]
+    others = [studio.upload("of Bo.obj", b"# smile"), studio.upload("other.npz", b"PK")]
+    for path in (f"/v1/subjects/{subject}/captures/{smile}", f"/v1/templates/{template}"):
+        assert studio.http.delete(path).status_code == 204
+    with _store(studio).read() as session:
+        assert set(session.scalars(select(Upload.id))) == set(others)
 
 
 def test_a_busy_subject_is_deleted_when_its_jobs_have_stopped(studio: Studio) -> None:
@@ -175,15 +203,37 @@ def test_every_object_says_until_when_it_is_kept(tmp_path: Path) -> None:
 
 def test_the_database_forgets_a_name(tmp_path: Path) -> None:
     with served(Settings(data_dir=tmp_path)) as studio:
+        database = _store(studio).database
+        if not database.is_sqlite:
+            pytest.skip("PostgreSQL overwrites by VACUUM, in its own time")
         name = "Somebody" + os.urandom(8).hex()
         subject = studio.post("/v1/subjects", name=name)["id"]
         studio.http.delete(f"/v1/subjects/{subject}")
-        if not _store(studio).database.is_sqlite:
+        assert name.encode() in _bytes_of(database)
+        with database.read() as session:
+            session.scalars(select(Subject)).all()
+            database.forget_deleted()  # does not wait for a reader
+        database.forget_deleted()
+        assert name.encode() not in _bytes_of(database)
+
+
+@pytest.mark.slow
+def test_a_running_service_forgets_a_name(tmp_path: Path) -> None:
+    with running(tmp_path, garbage_age=0.5) as (stack, studio):
+        database = Database(stack.settings.database)
+        if not database.is_sqlite:
             pytest.skip("PostgreSQL overwrites by VACUUM, in its own time")
-        database = Path(str(_store(studio).database.url.database))
-    with sqlite3.connect(database) as connection:
-        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-    assert name.encode() not in database.read_bytes()
+        name = "Somebody" + os.urandom(8).hex()
+        subject = studio.post("/v1/subjects", name=name)["id"]
+        assert name.encode() in _bytes_of(database)
+        studio.http.delete(f"/v1/subjects/{subject}")
+        eventually(lambda: name.encode() not in _bytes_of(database))
+
+
+def _bytes_of(database: Database) -> bytes:
+    """Return what the files of a database hold."""
+    path = Path(str(database.url.database))
+    return b"".join(each.read_bytes() for each in path.parent.glob(f"{path.name}*"))
 
 
 @pytest.mark.slow

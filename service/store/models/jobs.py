@@ -158,6 +158,7 @@ class FrameChunk(Base):
     first: Mapped[int] = mapped_column(primary_key=True)
     last: Mapped[int]
     attempt: Mapped[int]
+    size: Mapped[int | None] = mapped_column(BigInteger)
     sha256: Mapped[str] = mapped_column(String(64), index=True)
 
     @property

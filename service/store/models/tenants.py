@@ -23,6 +23,10 @@ class Tenant(Base):
     max_bytes: Mapped[int | None] = mapped_column(BigInteger)
     max_queued: Mapped[int | None]
     max_running: Mapped[int | None]
+    retain_subjects: Mapped[int | None]
+    retain_scans: Mapped[int | None]
+    retain_jobs: Mapped[int | None]
+    retain_rigs: Mapped[int | None]
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 
