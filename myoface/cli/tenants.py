@@ -49,12 +49,28 @@ def add_tenant(
     from service.access.keys import Keyring
     from service.secret import secret
 
-    if key.exists():
-        raise typer.BadParameter(f"{key} is there already", param_hint="--key")
+    _refuse_to_overwrite(key)
     quotas = {"max_bytes": max_bytes, "max_queued": max_queued, "max_running": max_running}
     with _store(data) as (store, settings):
         keyring = Keyring(store, secret(settings))
         out.print(bootstrap.add_tenant(store, keyring, name, key, **quotas))
+
+
+@tenants.command("key")
+def make_key(
+    tenant: Annotated[str, typer.Argument(help="tenant id")],
+    key: Annotated[Path, typer.Option(dir_okay=False, help="file for the key")],
+    data: Data = None,
+) -> None:
+    """Make a key for a tenant that has lost its own: it may do everything (file of mode 0600)."""
+    from service.access import bootstrap
+    from service.access.keys import Keyring
+    from service.secret import secret
+
+    _refuse_to_overwrite(key)
+    with _store(data) as (store, settings):
+        if not bootstrap.tenant_key(store, Keyring(store, secret(settings)), tenant, key):
+            raise typer.BadParameter(f"there is no tenant {tenant}")
 
 
 @tenants.command("limit")
@@ -72,6 +88,11 @@ def limit_tenant(
     with _store(data) as (store, _), store.write() as session:
         if not repository.limit(session, tenant, **quotas):
             raise typer.BadParameter(f"there is no tenant {tenant}")
+
+
+def _refuse_to_overwrite(key: Path) -> None:
+    if key.exists():
+        raise typer.BadParameter(f"{key} is there already", param_hint="--key")
 
 
 @contextmanager

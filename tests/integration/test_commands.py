@@ -153,3 +153,27 @@ def test_a_tenant_is_added_with_its_first_key(tmp_path: Path) -> None:
         north = Studio(studio.http, key.read_text())
         assert north.get("/v1/me")["tenant"] == "North"
         assert north.get("/v1/usage")["bytes"]["limit"] == 1000
+
+
+def test_a_tenant_that_lost_its_key_is_given_another(tmp_path: Path) -> None:
+    def run(*words: str, code: int = 0) -> str:
+        done = CliRunner().invoke(app, ["tenants", *words, "--data", str(tmp_path)])
+        assert done.exit_code == code, done.output
+        return done.output
+
+    first, second = tmp_path / "first.key", tmp_path / "second.key"
+    tenant = run("add", "North", "--key", str(first)).strip()
+    run("key", tenant, "--key", str(first), code=2)
+    run("key", "nobody", "--key", str(second), code=2)
+    assert not second.exists()
+    run("key", tenant, "--key", str(second))
+    assert second.stat().st_mode & 0o777 == 0o600
+    with served(Settings(data_dir=tmp_path, host="127.0.0.1")) as studio:
+        north = Studio(studio.http, second.read_text())
+        me = north.get("/v1/me")
+        assert me["tenant"] == "North"
+        assert "metrics" not in me["scopes"]
+        made = north.get(f"/v1/audit?object_id={me['key_id']}")["items"]
+        assert [(each["action"], each["key_id"]) for each in made] == [("key.created", "operator")]
+        lost = first.read_text().split("_")[1][:12]
+        assert north.http.delete(f"/v1/keys/{lost}").status_code == 204
