@@ -13,6 +13,7 @@ from service.errors import Problem
 from service.settings import Settings
 from service.store.deletion import delete_capture
 from service.store.models import Capture, Deletion, Job, Upload
+from service.store.retention import own_days
 from service.subjects import repository as subjects
 from service.subjects.service import refuse_while_busy
 from service.uploads import repository as uploads
@@ -57,8 +58,9 @@ def views(session: Session, captures: Sequence[Capture], settings: Settings) -> 
     ids = [capture.id for capture in captures]
     checks = _newest(repository.succeeded_jobs(session, "check_scan", ids))
     registrations = _newest(repository.succeeded_jobs(session, registered.KIND, ids))
+    kept = own_days(session, settings)
     return [
-        CaptureView.of(capture, checks.get(capture.id), registrations.get(capture.id), settings)
+        CaptureView.of(capture, checks.get(capture.id), registrations.get(capture.id), kept)
         for capture in captures
     ]
 

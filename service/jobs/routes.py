@@ -32,6 +32,7 @@ from service.schemas import Id, Page, Position
 from service.settings import Settings
 from service.store.models import Job
 from service.store.positions import positions
+from service.store.retention import own_days
 from service.store.store import Store
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
@@ -88,7 +89,8 @@ def index(
     """List jobs, newest first."""
     jobs = repository.newest(session, wanted, limit, cursor)
     places = positions(session, jobs.items)
-    views = [JobView.of(job, places.get(job.id), settings) for job in jobs.items]
+    kept = own_days(session, settings)
+    views = [JobView.of(job, places.get(job.id), kept) for job in jobs.items]
     return paging.respond(Page[JobView](items=views, next=jobs.next))
 
 
@@ -212,4 +214,5 @@ def read_frames(
 def _view(session: Session, job_id: str, settings: Settings) -> JobView:
     session.flush()
     job: Job = repository.get(session, job_id)
-    return JobView.of(job, positions(session, [job]).get(job.id), settings)
+    place = positions(session, [job]).get(job.id)
+    return JobView.of(job, place, own_days(session, settings))

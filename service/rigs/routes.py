@@ -18,6 +18,7 @@ from service.rigs import repository
 from service.rigs.download import send
 from service.rigs.schemas import ArtifactView, RigView, SignedUrl
 from service.schemas import FileName, Id, Page
+from service.store.retention import own_days
 
 router = APIRouter(prefix="/v1", tags=["rigs"])
 
@@ -47,7 +48,8 @@ def index(
 ) -> Response:
     """List rigs, newest first."""
     found = repository.newest(session, subject_id, limit, cursor)
-    views = [RigView.of(rig, settings) for rig in found.items]
+    kept = own_days(session, settings)
+    views = [RigView.of(rig, kept) for rig in found.items]
     return paging.respond(Page[RigView](items=views, next=found.next))
 
 
@@ -55,7 +57,7 @@ def index(
 def show(rig_id: Id, session: ReadSession, settings: SettingsDep) -> RigView:
     """Show a rig's expressions, figures and files, `preview.bin` among them once it is made."""
     rig = repository.get(session, rig_id)
-    view = RigView.of(rig, settings)
+    view = RigView.of(rig, own_days(session, settings))
     if preview := repository.preview(session, rig):
         view.artifacts.append(ArtifactView.model_validate(preview))
     return view

@@ -149,10 +149,14 @@ def test_a_tenant_is_added_with_its_first_key(tmp_path: Path) -> None:
     assert f"{tenant}  North           5" in run("tenants", "list")
     run("tenants", "limit", tenant, "--max-bytes", "1000")
     assert f"{tenant}  North    1000" in run("tenants", "list")
+    run("tenants", "retain", tenant, "--scans", "30", "--rigs", "60")
+    run("tenants", "retain", "nobody", "--scans", "30", code=2)
     with served(Settings(data_dir=tmp_path, host="127.0.0.1")) as studio:
         north = Studio(studio.http, key.read_text())
         assert north.get("/v1/me")["tenant"] == "North"
         assert north.get("/v1/usage")["bytes"]["limit"] == 1000
+        kept = north.get("/v1/limits")["retention"]
+        assert kept == {"subjects": None, "scans": 30, "jobs": None, "rigs": 60, "audit": None}
 
 
 def test_a_tenant_that_lost_its_key_is_given_another(tmp_path: Path) -> None:

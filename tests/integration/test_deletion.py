@@ -14,7 +14,17 @@ from sqlalchemy import select, update
 from service.settings import Settings
 from service.store import deletion, garbage, jobs, retention
 from service.store.database import Database
-from service.store.models import AuditEntry, Capture, Job, Rig, Subject, Upload, now
+from service.store.models import (
+    DEFAULT_TENANT,
+    AuditEntry,
+    Capture,
+    Job,
+    Rig,
+    Subject,
+    Tenant,
+    Upload,
+    now,
+)
 from service.store.store import Store
 from tests.service_client import Studio, eventually, running, served
 
@@ -199,6 +209,34 @@ def test_every_object_says_until_when_it_is_kept(tmp_path: Path) -> None:
         assert shown["retain_until"][:10] == str((now() + timedelta(days=900)).date())
         told = studio.get("/v1/limits")["retention"]
         assert told == {"subjects": 900, "scans": 30, "jobs": 7, "rigs": None, "audit": None}
+
+
+def test_a_tenant_may_keep_things_for_fewer_days(studio: Studio) -> None:
+    store, mine = _store(studio), studio.subject()
+    week = now() - timedelta(days=8)
+    with store.write() as session:
+        own = session.get_one(Tenant, DEFAULT_TENANT)
+        own.retain_scans, own.retain_subjects = 7, 900
+        session.add(other := Tenant(name="another studio"))
+        session.flush()
+        session.add(theirs := Subject(name="Bo", tenant_id=other.id))
+        session.flush()
+        scan = {"name": "x", "role": "neutral", "filename": "x", "size": 1, "sha256": "a" * 64}
+        session.add(Capture(subject_id=theirs.id, tenant_id=other.id, **scan))
+        session.flush()
+        session.execute(update(Capture).values(created_at=week))
+    told = studio.get("/v1/limits")["retention"]
+    assert (told["scans"], told["subjects"]) == (7, 900)  # the installation keeps all
+    shown = studio.get(f"/v1/subjects/{mine}/captures")["items"][0]
+    assert shown["retain_until"][:10] == str((week + timedelta(days=7)).date())
+    settings = _settings(studio, retain_scans=30, retain_subjects=30)
+    retention.enforce(store, settings)
+    with store.read() as session:
+        assert session.scalars(select(Capture.subject_id)).all() == [theirs.id]
+    _age(studio, Subject, "created_at")
+    retention.enforce(store, settings)
+    with store.read() as session:
+        assert session.scalars(select(Subject)).all() == []
 
 
 def test_the_database_forgets_a_name(tmp_path: Path) -> None:
