@@ -89,7 +89,6 @@ function fields(given, kinds) {
     type: "url",
     required: true,
     value: given.url,
-    placeholder: "https://hooks.studio.example/myoface",
     autocomplete: "off",
     spellcheck: "false",
   });
