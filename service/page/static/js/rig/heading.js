@@ -28,8 +28,9 @@ export function heading(rig, subject, buttons = []) {
       certificate(rig),
       h("a", { class: "button", href: `/compare?a=${rig.id}` }, "Compare"),
       h("a", { class: "button", href: `/jobs/${rig.job_id}` }, "Job and files")),
-    h("dl", { class: "rig-facts" }, facts.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value)))),
-    findings(rig.summary));
+    h("div", { class: "rig-line" },
+      h("dl", { class: "rig-facts" }, facts.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value)))),
+      findings(rig.summary)));
 }
 
 /** Return a button that opens the certificate in a window of its own. */

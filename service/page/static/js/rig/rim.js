@@ -3,6 +3,7 @@
 import { Plane, Vector3 } from "../../vendor/three.js";
 import { components } from "./parts.js";
 
+const INSIDE_MM = 1; // of the rim's inmost vertex: expressions move it a little
 const DEEPEST_MM = 40; // a rim that is more uneven than this is no rim of a neck
 
 /**
@@ -27,7 +28,7 @@ export function rimPlane(places, faces) {
   if (meanAlong(normal, places, faces) < meanAlong(normal, places, rim)) normal.negate();
   const along = rim.map((vertex) => normal.dot(a.fromArray(places, 3 * vertex)));
   const inmost = Math.max(...along);
-  return inmost - Math.min(...along) < DEEPEST_MM ? new Plane(normal, -inmost) : null;
+  return inmost - Math.min(...along) < DEEPEST_MM ? new Plane(normal, -inmost - INSIDE_MM) : null;
 }
 
 /** Return the edges [from, to] that only one face has, in the direction in which it has them. */

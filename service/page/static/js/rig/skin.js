@@ -10,7 +10,7 @@ import { rimPlane } from "./rim.js";
 import { MovingSurface } from "./surface.js";
 
 const ORDER = { depth: 10, skin: 11, scan: 12 };
-const LEAST_LIGHT = { teeth: 0.7, mouth: 0.45 }; // hollows are those of the neutral, whose mouth is closed
+const LEAST_LIGHT = { teeth: 0.55, mouth: 0.4 }; // hollows are those of the neutral, whose mouth is closed
 
 /** A face as a mesh; `mesh` is to be added to a scene. */
 export class Skin {
