@@ -72,7 +72,7 @@ class Tray {
       "select",
       { id: "then" },
       h("option", { value: "" }, "only check them"),
-      h("option", { value: "all" }, "check, register, build the model and fit a rig"),
+      h("option", { value: "all" }, "check them and make a rig of them"),
     );
     this.options = optionFields(schema);
     this.told = h("div", { class: "stack" });
@@ -81,7 +81,7 @@ class Tray {
     const columns = ["File", "Name", "Role", "State", "Verdict", "(Actions)"];
     this.table = table(columns, this.body, { class: "scans" });
     this.table.hidden = true;
-    this.start = h("button", { class: "main", disabled: true }, "Upload");
+    this.start = h("button", { class: "main" }, "Upload");
     this.go = h("a", { class: "button", hidden: true }, "Go to the subject");
     this.zone = this.dropZone();
     this.settings = h(
@@ -114,6 +114,7 @@ class Tray {
     this.resume = h("div", { class: "notice", hidden: true });
     this.elements = [h("h1", {}, "Upload"), this.resume, this.zone, this.settings, this.told];
     this.tellInterrupted();
+    this.showRows();
     addEventListener("beforeunload", (event) => this.isSending && event.preventDefault());
   }
 
