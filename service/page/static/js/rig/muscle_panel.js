@@ -53,7 +53,7 @@ export class MusclePanel {
       h("option", {}, Number.isFinite(mean) ? `${plain(name)} (± ${millimetres(mean)} mm)` : plain(name))
     )));
     show(this.#head,
-      h("p", { class: "fine" }, "The skin follows the muscles by the solver's physics, in an ", h("strong", {}, preview.errorInWords), ". A slider is the muscle's share in the fitted expressions, which may push as well as pull."),
+      h("p", { class: "fine" }, "The skin follows the muscles by the solver's physics, in an ", h("strong", {}, preview.errorInWords), ". A muscle's slider contracts it along its fibres."),
       h("div", { class: "row" }, presets,
         h("button", { type: "button", onclick: () => this.#pose(new Map()) }, "Relax all"),
         h("label", { class: "check-field" }, this.#bothSides, "both sides together")));
