@@ -34,7 +34,7 @@ def main() -> None:
         app,
         host=settings.host,
         port=settings.port,
-        http=protocol(settings.receive_timeout),
+        http=protocol(settings.receive_timeout, settings.send_timeout),
         limit_concurrency=settings.max_connections,
         log_config=None,
         access_log=False,

@@ -9,15 +9,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import uvicorn
-from fastapi import FastAPI
+from starlette.types import ASGIApp
 
 from service.http.deadline import protocol
 
 
 @contextmanager
-def serving(app: FastAPI, seconds: float) -> Iterator[int]:
+def serving(app: ASGIApp, seconds: float) -> Iterator[int]:
     """Serve ``app`` as `service.__main__` does; gives the port."""
-    config = uvicorn.Config(app, port=0, log_config=None, http=protocol(seconds))
+    config = uvicorn.Config(app, port=0, log_config=None, http=protocol(seconds, seconds))
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run)
     thread.start()

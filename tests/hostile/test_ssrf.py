@@ -183,6 +183,29 @@ def test_what_is_no_url_to_send_to(url: str) -> None:
     assert caught.value.code == "address.invalid"
 
 
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        ("7", 7.0),
+        ("Wed, 21 Oct 2015 07:28:00 GMT", 0.0),
+        ("Fri, 99 Oct 9999999999 00:00:00 GMT", None),
+        ("-1", None),
+        ("1e9", None),
+        ("9" * 40, None),
+        ("soon", None),
+    ],
+)
+def test_when_to_come_back_is_read_strictly(text: str, seconds: float | None) -> None:
+    def busy(receiver: Receiver) -> None:
+        receiver.send_response(429)
+        receiver.send_header("Retry-After", text)
+        receiver.end_headers()
+
+    with receiving(busy) as (port, _):
+        answer = Sender(5, LOOPBACK).post(f"http://127.0.0.1:{port}/", b"{}", {})
+    assert answer.retry_after == seconds
+
+
 def test_a_redirect_is_an_answer_and_is_not_followed() -> None:
     with receiving() as (inner, reached):
 
