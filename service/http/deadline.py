@@ -46,7 +46,7 @@ class DeadlineProtocol(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Start the clock."""
         super().connection_made(transport)
-        transport.set_write_buffer_limits(high=0)  # "paused" is: something waits for the client
+        transport.set_write_buffer_limits(high=1, low=0)  # "paused": something waits for the client
         connection = transport.get_extra_info("socket")
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, MOST_UNSENT)
         self._start()
