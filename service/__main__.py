@@ -7,7 +7,7 @@ import sys
 
 import uvicorn
 
-from service import logs
+from service import logs, tracing
 from service.access.bootstrap import OpenDoorError, prepare
 from service.app import create_app
 from service.http.deadline import protocol
@@ -25,6 +25,7 @@ def main() -> None:
     if settings.stack_pid:
         die_with_parent(settings.stack_pid, signal.SIGTERM)
     logs.configure(settings.log_json)
+    tracing.start("myoface-api")
     app = create_app(settings)
     try:
         prepare(app.state.store, app.state.keyring, settings)

@@ -17,6 +17,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
+from service import tracing
 from service.outbound.client import Answer, Refused, Sender, Unreachable
 from service.secret import wait_for_secret
 from service.settings import Settings
@@ -113,7 +114,15 @@ class Deliverer:
             return outbox.take(session, most=free, failing=spare, of_tenant=half, lease=lease)
 
     def _deliver(self, parcel: Parcel) -> None:
-        outcome = self._send(parcel)
+        with tracing.working(
+            "delivery",
+            None,
+            delivery_id=parcel.delivery_id,
+            webhook_id=parcel.webhook_id,
+            attempt=parcel.attempt,
+        ):
+            outcome = self._send(parcel)
+            tracing.note(not outcome.delivered, outcome=outcome.error or "delivered")
         log.info(
             "webhook.delivered" if outcome.delivered else "webhook.not_delivered",
             delivery_id=parcel.delivery_id,
