@@ -49,6 +49,9 @@ class DeadlineProtocol(H11Protocol):
         transport.set_write_buffer_limits(high=1, low=0)  # "paused": something waits for the client
         connection = transport.get_extra_info("socket")
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, MOST_UNSENT)
+        if hasattr(socket, "TCP_USER_TIMEOUT"):  # Linux; elsewhere the system's own quarter hour
+            limit = round(1000 * self.send_seconds)  # for one whose host is gone: nothing answers
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, limit)
         self._start()
 
     def pause_writing(self) -> None:

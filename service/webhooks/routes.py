@@ -104,7 +104,7 @@ def delete(webhook_id: Id, session: HookSession, who: Hooks) -> None:
 @router.post(
     "/webhooks/{webhook_id}/rotate",
     summary="Give a webhook a new secret",
-    responses=problems(404, 422),
+    responses=problems(404, 409, 422),
 )
 def rotate(
     webhook_id: Id, session: HookSession, who: Hooks, master: Master, once: Once

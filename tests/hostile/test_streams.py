@@ -11,6 +11,9 @@ from pathlib import Path
 import httpx
 import pytest
 
+from myoface.client import Client
+from myoface.errors import ApiError
+from myoface.resources import Job
 from service.app import create_app
 from service.settings import Settings
 from tests.hostile.edge import serving
@@ -71,6 +74,26 @@ def test_a_key_and_a_tenant_have_so_many_streams_and_get_back_what_they_close(
             return status == 200
 
         eventually(is_free)
+
+
+def test_a_client_that_gets_no_stream_asks_now_and_then(studio: Studio) -> None:
+    job_id, other = (studio.submit("build_model", studio.subject()) for _ in range(2))
+    seen: list[str] = []
+
+    def cancel(job: Job) -> None:
+        seen.append(job.state)
+        if job.state == "queued":
+            studio.post(f"/v1/jobs/{job_id}/cancel")
+
+    with ExitStack() as stack:
+        for _ in range(2):
+            connection, status = _opened(studio, studio.key, other)
+            stack.callback(connection.close)
+            assert status == 200
+        client = stack.enter_context(Client(str(studio.http.base_url), studio.key))
+        with pytest.raises(ApiError, match="canceled"):
+            client.wait(job_id, cancel)
+    assert seen == ["queued", "canceled"]
 
 
 def test_a_stream_of_a_job_that_is_not_there_takes_no_place(studio: Studio) -> None:
