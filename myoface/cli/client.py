@@ -122,7 +122,10 @@ def submit_job(
         if capture:
             chosen = choose(client.captures(subject), capture)
         elif kind in ("fit_geometry", "fit_activations"):
-            chosen = [each for each in client.captures(subject) if each.role == "expression"]
+            listed = reversed(
+                client.captures(subject)
+            )  # a rig has them in the order of their scans
+            chosen = [each for each in listed if each.role == "expression"]
         job = client.submit(
             cast(Kind, kind),
             subject,

@@ -35,6 +35,21 @@ FLAGS = (
 PARTS = ("view.bin", "inside.bin", "preview.bin")
 SOLVED = ("model.npz", "muscle_weights.npz", "activations.npz")
 SECONDS = 30.0
+CERTIFICATE = {
+    "verdict": "usable",
+    "warnings": [],
+    "checks": [
+        {
+            "verdict": "usable",
+            "title": "Mean distance",
+            "value": 0.9,
+            "unit": "mm",
+            "worst": "smile",
+            "meaning": "how near the skin is",
+            "advice": "scan it again",
+        }
+    ],
+}
 
 
 @dataclass(frozen=True)
@@ -63,7 +78,7 @@ def served_rigs(folder: Path) -> Iterator[Place]:
     store = app.state.store.of(DEFAULT_TENANT)
     sample = write_sample(folder / "a")
     files = [folder / "a" / name for name in PARTS]
-    subject, first = put_rig(store, "Ada", files, sample.summary())
+    subject, first = put_rig(store, "Ada", files, {**sample.summary(), **CERTIFICATE})
     other = write_sample(folder / "b", subject="B")
     files = [folder / "b" / name for name in (*PARTS[:2], *SOLVED)]
     for name in SOLVED:
