@@ -94,7 +94,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     )
     app.state.settings = settings
     app.state.store = store
-    app.state.feed = Feed(store)
+    app.state.feed = Feed(store, settings.max_tenant_streams, settings.max_key_streams)
     app.state.keyring = keyring
     app.state.master = master
     app.state.rates = rates

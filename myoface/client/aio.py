@@ -44,6 +44,7 @@ from myoface.resources import (
     Usage,
 )
 from myoface.transfer import Transferred, unheard
+from myoface.trust import trust
 
 TIMEOUT = httpx.Timeout(30.0)
 
@@ -53,10 +54,20 @@ R = TypeVar("R")
 class AsyncClient:
     """One service, as :class:`myoface.client.Client` has it, for asyncio and trio."""
 
-    def __init__(self, url: str = DEFAULT_URL, key: str | None = None) -> None:
-        """Speak to the service at ``url``; ``key`` is by default what `myoface.credentials` has."""
+    def __init__(
+        self, url: str = DEFAULT_URL, key: str | None = None, *, ca: Path | str | None = None
+    ) -> None:
+        """Speak to the service at ``url``.
+
+        ``key`` is by default what `myoface.credentials` has; ``ca`` is the PEM file of the
+        authority that its certificate is of, where that is no public one (`myoface.trust`).
+        """
         self.http = httpx.AsyncClient(
-            base_url=url, headers=headers_for(url, key), timeout=TIMEOUT, trust_env=False
+            base_url=url,
+            headers=headers_for(url, key),
+            timeout=TIMEOUT,
+            trust_env=False,
+            verify=trust(ca),
         )
         self._ask = Operations(url)
 

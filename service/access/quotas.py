@@ -19,7 +19,7 @@ def check_bytes(session: Session, size: int) -> None:
     Raises
     ------
     Problem
-        413 for a file that never fits, 429 for one that does not fit beside what is stored.
+        413 for a file that does not fit, alone or beside what is stored: waiting makes no room.
     """
     tenant = own_tenant(session, lock=True)
     if tenant.max_bytes is None:
@@ -32,7 +32,7 @@ def check_bytes(session: Session, size: int) -> None:
     used = stored_bytes(session, tenant.id)
     if used + size > most:
         raise Problem(
-            429,
+            413,
             "quota.bytes",
             f"{used} of {most} bytes are in use: delete something first",
             expected=most,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Header, Query, Request, Response
+from fastapi import APIRouter, Depends, Header, Query, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
@@ -21,6 +21,7 @@ from service.dependencies import (
     SettingsDep,
     WriteSession,
     WriteStore,
+    part,
 )
 from service.errors import problems
 from service.idempotency import Once
@@ -146,12 +147,12 @@ def _existing(job_id: Id, session: ReadSession) -> str:
 ExistingJob = Annotated[str, Depends(_existing, scope="function")]
 
 
-async def _feed(request: Request) -> Feed:
-    feed: Feed = request.app.state.feed
-    return feed
+FeedDep = Annotated[Feed, Depends(part("feed"))]
 
 
-FeedDep = Annotated[Feed, Depends(_feed)]
+async def _place(feed: FeedDep, who: Reader) -> AsyncIterator[None]:
+    with feed.place(who):
+        yield
 
 
 @router.get(
@@ -159,6 +160,7 @@ FeedDep = Annotated[Feed, Depends(_feed)]
     response_class=EventSourceResponse,
     summary="Watch a job",
     responses=problems(404, 422),
+    dependencies=[Depends(_place)],
 )
 async def events(
     job_id: ExistingJob,

@@ -12,7 +12,15 @@ from service import paging
 from service.access.principal import Reader
 from service.access.signed import Signer
 from service.audit.record import record
-from service.dependencies import Cursor, FileStore, Limit, ReadSession, ReadStore, SettingsDep
+from service.dependencies import (
+    Cursor,
+    FileStore,
+    Limit,
+    ReadSession,
+    ReadStore,
+    SettingsDep,
+    part,
+)
 from service.errors import problems
 from service.rigs import repository
 from service.rigs.download import send
@@ -23,12 +31,7 @@ from service.store.retention import own_days
 router = APIRouter(prefix="/v1", tags=["rigs"])
 
 
-async def _signer(request: Request) -> Signer:
-    signer: Signer = request.app.state.signer
-    return signer
-
-
-Signing = Annotated[Signer, Depends(_signer)]
+Signing = Annotated[Signer, Depends(part("signer"))]
 
 FILE: dict[int | str, dict[str, Any]] = {
     200: {"description": "The file", "content": {"*/*": {}}},

@@ -52,6 +52,8 @@ class Claim:
     model_job_id: str | None
     frames: dict[str, str]
     """The frames that earlier attempts left: file name -> sha256."""
+    traceparent: str | None = None
+    """The span of the request that the job came from."""
 
 
 def create(session: Session, job: Job) -> None:
@@ -91,6 +93,7 @@ def take(session: Session, job_id: str, worker: str, lease: float) -> Claim | No
         rig_id=job.request["rig_id"],
         model_job_id=job.model_job_id,
         frames={chunk.filename: chunk.sha256 for chunk in frames(session, job_id)},
+        traceparent=job.traceparent,
     )
 
 
