@@ -68,9 +68,7 @@ def build_subject_model(
             made_by = f"mesher, since transport failed: {error}"
     if made_by != "transport":
         mesh = make_mesh(person, edge_mm, progress)
-    model = _assembled(template, person, mesh, made_by)
-    progress(Step("done", 1.0))
-    return model
+    return _assembled(template, person, mesh, made_by)
 
 
 def _assembled(
