@@ -74,7 +74,7 @@ def list_templates(url: Url = DEFAULT_URL) -> None:
     """List the service's template anatomies."""
     with Client(url) as client:
         show_table(
-            ("id", "name", "sha256"),
+            ("id", "name", "sha256 of the file"),
             [(each.id, each.name, each.sha256) for each in client.templates()],
         )
 
