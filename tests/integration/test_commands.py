@@ -124,6 +124,16 @@ def test_an_unknown_name_is_refused_with_those_there_are(myoface: Command, tmp_p
     assert "choose from are smile" in " ".join(refused.output.replace("│", " ").split())
 
 
+def test_the_kinds_of_job_and_their_options(myoface: Command) -> None:
+    assert "build_model" in myoface("jobs", "kinds").output
+    (line,) = myoface("jobs", "kinds", "build_model").output.splitlines()[1:]
+    assert line.split(maxsplit=6) == [
+        *("edge_mm", "9.0", ">=", "3,", "<=", "30"),
+        "edge length of the tetrahedra",
+    ]
+    assert "fit_geometry" in myoface("jobs", "kinds", "fit_nothing", code=2).output
+
+
 def test_keys_at_the_command_line(myoface: Command, url: str) -> None:
     text = myoface("keys", "add", "station 2", "--scope", "read", "--scope", "write").output.strip()
     assert text.startswith("myo_")
