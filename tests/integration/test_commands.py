@@ -12,19 +12,17 @@ from typer.testing import CliRunner, Result
 from myoface.cli import app
 from myoface.client import Client
 from myoface.credentials import VARIABLE
+from myoface.stack import Stack
 from service.settings import Settings
-from tests.servers.production import Production
-from tests.service_client import Studio, running, served
+from tests.service_client import Studio, served
 
 Command = Callable[..., Result]
 
 
 @pytest.fixture(scope="module")
-def url(parts: Production | None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    with (
-        running(tmp_path_factory.mktemp("stack")) as (stack, _),
-        pytest.MonkeyPatch.context() as environment,
-    ):
+def url(stack_and_studio: tuple[Stack, Studio]) -> Iterator[str]:
+    stack, _ = stack_and_studio
+    with pytest.MonkeyPatch.context() as environment:
         environment.setenv(VARIABLE, stack.key)
         yield stack.url
 
