@@ -11,16 +11,17 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.resting import Resting
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.preview.basis import feature_slopes, features
+from solver.rig.preview.contraction import FULL_STRETCH, nearest_amounts
 from solver.rig.preview.controls import Controls, controls_of
-from solver.rig.preview.directions import used_directions
 from solver.rig.preview.poses import learned_from, measured_on
 from solver.rig.preview.response import Responses
 from solver.rig.preview.samples import Simulator
 from solver.rig.result import ExpressionFit
 from tests.unit.solver.block import head_block
 
-MODEL = head_block((7, 5, 1))
-S = MODEL.weights
+BLOCK = head_block((7, 5, 1))
+S = BLOCK.weights
+MODEL = replace(BLOCK, fibres=np.where(S.indices[:, None] > 0, [1.0, 0.0, 0.0], 0.0))
 EXPRESSIONS = {
     "wide": ([[0.8, 0.02, 0, 1.1, 0, 1.1], [0.95, 0, 0, 1, 0.01, 1]], [0.06, 0, 0, 0, 0.5]),
     "narrow": ([[0.95, 0, 0.03, 1, 0, 1], [0.75, 0.02, 0, 1.1, 0, 1.2]], [-0.02, 0, 0, 0, 0]),
@@ -69,33 +70,35 @@ def test_a_preset_is_the_pose_of_its_fit(controls: Controls, fits: list[Expressi
     assert ways == ["jaw_opens", "jaw_closes", "jaw_moves_forward", "jaw_moves_back"]
 
 
-def test_a_muscle_at_the_end_of_its_slider_is_no_mirror_image(controls: Controls) -> None:
-    for number in controls.of_kind("muscle"):
-        a = controls.pose(np.eye(len(controls))[number]).a
-        xx, xy, xz, yy, yz, zz = a.T
-        stretches = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).transpose(2, 0, 1)
-        assert np.linalg.eigvalsh(stretches).min() > 0.0
+def test_a_muscle_shortens_along_its_fibres_and_keeps_its_volume(controls: Controls) -> None:
+    muscles = controls.of_kind("muscle")
+    assert [controls.each[number].muscle for number in muscles] == list(MODEL.muscle_names)
+    for muscle, number in enumerate(muscles):
+        for amount in (0.25, 0.5, 0.75, 1.0):
+            a = controls.pose(amount * np.eye(len(controls))[number]).a
+            xx, xy, xz, yy, yz, zz = a[muscle]
+            stretch = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            assert xx == pytest.approx(1.0 - amount * (1.0 - FULL_STRETCH))
+            assert np.linalg.det(stretch) == pytest.approx(1.0, abs=0.05)
+            assert np.allclose(np.delete(a, muscle, axis=0), IDENTITY)
+        assert np.linalg.det(stretch) == pytest.approx(1.0)
 
 
-def test_an_unused_muscle_shortens_and_keeps_its_volume(face: Face, rest: Resting) -> None:
+def test_muscles_without_fibres_have_no_slider(face: Face, rest: Resting) -> None:
     at_rest = fitted(face, rest, "rest", np.tile(IDENTITY, (MODEL.muscle_count, 1)), np.zeros(5))
-    assert not controls_of(face, S, rest, [at_rest]).of_kind("muscle")
-    along_x = np.where(S.indices[:, None] > 0, [1.0, 0.0, 0.0], 0.0)
-    with_fibres = Face(replace(MODEL, fibres=along_x))
-    controls = controls_of(with_fibres, S, rest, [at_rest])
-    assert len(controls.of_kind("muscle")) == MODEL.muscle_count
-    xx, xy, xz, yy, yz, zz = controls.pose(np.eye(len(controls))[0]).a[0]
-    matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    assert np.linalg.det(matrix) == pytest.approx(1.0)
-    assert np.linalg.eigvalsh(matrix)[0] == pytest.approx(0.8, abs=0.01)
+    bare = controls_of(Face(BLOCK), S, rest, [at_rest])
+    assert [control.kind for control in bare.each] == ["jaw", "expression"]
 
 
-def test_directions_of_muscles_that_each_have_one_are_found() -> None:
+def test_an_expression_tells_its_contractions_and_no_pushing() -> None:
     rng = np.random.default_rng(1)
-    true, amounts = rng.normal(size=(3, 6)), rng.uniform(0.2, 1.0, (4, 3))
+    contractions, amounts = rng.normal(size=(18, 3)), rng.uniform(0.1, 0.9, (4, 3))
     response = rng.normal(size=(40, 18))
-    found, used = used_directions(amounts[:, :, None] * true, response.T @ response)
-    assert np.allclose(used[:, :, None] * found, amounts[:, :, None] * true, atol=1e-5)
+    seen = response.T @ response
+    found = nearest_amounts(amounts @ contractions.T, contractions, seen)
+    assert np.allclose(found, amounts, atol=1e-5)
+    pushing = amounts * [1.0, -1.0, 1.0]
+    assert np.allclose(nearest_amounts(pushing @ contractions.T, contractions, seen)[:, 1], 0.0)
 
 
 def test_slopes_of_the_skin_are_its_differences(
