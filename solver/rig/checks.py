@@ -297,7 +297,7 @@ def use(verdict: Verdict, bad: Sequence[str], expressions: int) -> str:
         return "The rig may be used."
     if verdict == "usable":
         return "The rig may be used. What it is not good for stands under What to do."
-    why = "What to do says why, and what for they still serve."
+    why = "What to do says why, and what they are still good for."
     if len(bad) == expressions:
         return f"The rig may not be used as it is: every expression fails a check. {why}"
     return f"The rig may be used, but not {', '.join(bad)}. {why}"
