@@ -23,6 +23,7 @@ from myoface.resources import (
     Deletion,
     Frame,
     Job,
+    JobKind,
     Key,
     Kind,
     LogLine,
@@ -180,6 +181,9 @@ class Operations:
         return self._delete(f"/v1/subjects/{subject_id}/captures/{capture_id}")
 
     # Jobs
+
+    def solvers(self) -> Flow[list[JobKind]]:
+        return self._list("/v1/solvers", JobKind)
 
     def submit(
         self,

@@ -29,6 +29,7 @@ from myoface.resources import (
     Deletion,
     Frame,
     Job,
+    JobKind,
     Key,
     Kind,
     LogLine,
@@ -217,6 +218,10 @@ class AsyncClient:
         return await self._run(self._ask.delete_capture(subject_id, capture_id))
 
     # Jobs
+
+    async def solvers(self) -> list[JobKind]:
+        """Return the kinds of job with their options."""
+        return await self._run(self._ask.solvers())
 
     async def submit(
         self,

@@ -29,6 +29,7 @@ from myoface.resources import (
     Deletion,
     Frame,
     Job,
+    JobKind,
     Key,
     Kind,
     LogLine,
@@ -219,6 +220,10 @@ class Client:
         return self._run(self._ask.delete_capture(subject_id, capture_id))
 
     # Jobs
+
+    def solvers(self) -> list[JobKind]:
+        """Return the kinds of job with their options."""
+        return self._run(self._ask.solvers())
 
     def submit(
         self,

@@ -138,9 +138,9 @@ def model_summary(model: SubjectModel) -> dict[str, Any]:
     kept = muscle_volumes(model.rest, model.tets, model.weights)
     sizes = volumes(model.rest, model.tets)
     return {
-        "template": model.template,
+        "template": model.anatomy,
         "mesh_source": model.mesh_source,
-        "sha256": model.sha256,
+        "content_sha256": model.sha256,
         "vertices": len(model.rest),
         "tets": len(model.tets),
         "inverted": int(np.sum(sizes <= 0)),

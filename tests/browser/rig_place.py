@@ -24,6 +24,7 @@ from solver.rig.sequence_gltf import AnimatedSkin
 from solver.surface import Floats
 from tests.browser.sample_rig import Sample, write_sample
 from tests.browser.stage import CHROMIUM
+from tests.servers import unavailable
 
 FLAGS = (
     "--no-sandbox",
@@ -101,7 +102,7 @@ def drawing_browser() -> Iterator[Any]:
     """Start Chromium with WebGL by the processor; skips where it or playwright is missing."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     if not CHROMIUM.exists():
-        pytest.skip(f"there is no {CHROMIUM}")
+        unavailable(f"there is no {CHROMIUM}")
     with playwright.sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=str(CHROMIUM), args=list(FLAGS))
         try:

@@ -12,19 +12,17 @@ from typer.testing import CliRunner, Result
 from myoface.cli import app
 from myoface.client import Client
 from myoface.credentials import VARIABLE
+from myoface.stack import Stack
 from service.settings import Settings
-from tests.servers.production import Production
-from tests.service_client import Studio, running, served
+from tests.service_client import Studio, served
 
 Command = Callable[..., Result]
 
 
 @pytest.fixture(scope="module")
-def url(parts: Production | None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    with (
-        running(tmp_path_factory.mktemp("stack")) as (stack, _),
-        pytest.MonkeyPatch.context() as environment,
-    ):
+def url(stack_and_studio: tuple[Stack, Studio]) -> Iterator[str]:
+    stack, _ = stack_and_studio
+    with pytest.MonkeyPatch.context() as environment:
         environment.setenv(VARIABLE, stack.key)
         yield stack.url
 
@@ -122,6 +120,16 @@ def test_an_unknown_name_is_refused_with_those_there_are(myoface: Command, tmp_p
     myoface("upload", subject, scan(tmp_path, "smile"))
     refused = myoface("captures", "delete", subject, "smiel", code=2)
     assert "choose from are smile" in " ".join(refused.output.replace("│", " ").split())
+
+
+def test_the_kinds_of_job_and_their_options(myoface: Command) -> None:
+    assert "build_model" in myoface("jobs", "kinds").output
+    (line,) = myoface("jobs", "kinds", "build_model").output.splitlines()[1:]
+    assert line.split(maxsplit=6) == [
+        *("edge_mm", "9.0", ">=", "3,", "<=", "30"),
+        "edge length of the tetrahedra",
+    ]
+    assert "fit_geometry" in myoface("jobs", "kinds", "fit_nothing", code=2).output
 
 
 def test_keys_at_the_command_line(myoface: Command, url: str) -> None:
