@@ -154,7 +154,9 @@ def test_a_broken_connection_loses_nothing_that_arrived(settings: Settings) -> N
                     f"Content-Type: {OFFSET_STREAM}\r\nContent-Length: {len(SCAN)}\r\n\r\n"
                 )
                 connection.sendall(head.encode() + SCAN[:12_345])
+                deadline = time.monotonic() + 10
                 while http.head(location).status_code != 423:
+                    assert time.monotonic() < deadline
                     time.sleep(0.01)
                 time.sleep(0.2)
             deadline = time.monotonic() + 5
