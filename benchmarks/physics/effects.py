@@ -101,15 +101,14 @@ def fibres(subject: Subject) -> Figures:
     }
     face = subject.model.face
     at_rest = subject.model.skin.vertices[face]
+
+    def off(pose: Replayed | None, skin: Floats) -> float | None:
+        return None if pose is None else _mean(pose.skin[face] - skin[face])
+
     return {
         fit.name: {
             "motion_mm": _mean(fit.skin[face] - at_rest),
-            **{
-                f"{kind}_mm": None
-                if each[k] is None
-                else _mean(each[k].skin[face] - fit.skin[face])
-                for kind, each in found.items()
-            },
+            **{f"{kind}_mm": off(each[k], fit.skin) for kind, each in found.items()},
         }
         for k, fit in enumerate(subject.fits)
     }
