@@ -10,8 +10,10 @@ from solver.pipeline.models import build_model
 from solver.pipeline.preview import build_preview
 from solver.pipeline.registration import register_scan
 from solver.pipeline.sequence import fit_sequence
+from solver.pipeline.simulate import animate, simulate
 
 __all__ = [
+    "animate",
     "build_model",
     "build_preview",
     "check_scan",
@@ -19,4 +21,5 @@ __all__ = [
     "fit_geometry",
     "fit_sequence",
     "register_scan",
+    "simulate",
 ]
