@@ -42,6 +42,11 @@ def crossing(mouth: Mouth, skin: Floats) -> Crossing:
     if len(wrong):
         message = f"vertex {wrong[0]} of the mouth is not finite"
         raise InputError("scan.nan", message, vertex=int(wrong[0]))
+    return crossing_at(mouth, points)
+
+
+def crossing_at(mouth: Mouth, points: Floats) -> Crossing:
+    """Measure the positions (m, 3) of a mouth: :meth:`Mouth.points`, all finite."""
     lips = between_lips(mouth, points)
     deepest = int(mouth.skin[lips.ids[lips.depth.argmax()]]) if len(lips.ids) else None
     return Crossing(

@@ -68,6 +68,7 @@ class OneSided:
         self._stiffness = stiffness
         self._carried = carried
         self._jaw = np.zeros(jaw.DEGREES_OF_FREEDOM)
+        self._last: tuple[Floats, tuple[Floats, Floats]] | None = None
         depth, _, counts, _ = obstacle.depths(rows @ rest + offset)
         self._allowed = np.where(counts > 0.0, np.maximum(depth, -MARGIN_MM), -MARGIN_MM)
 
@@ -78,6 +79,7 @@ class OneSided:
     def place(self, boundary: Boundary) -> None:
         """See :class:`solver.mechanics.potential.Potential`."""
         self._jaw = boundary.jaw
+        self._last = None
 
     def value(self, x: Floats) -> float:
         """See :class:`solver.mechanics.potential.Potential`."""
@@ -117,13 +119,17 @@ class OneSided:
         return np.flatnonzero((depth - np.maximum(self._allowed, 0.0) > tolerance) & (counts > 0.5))
 
     def _depths(self, x: Floats) -> tuple[Floats, Floats]:
-        """Return h (k,), zero where nothing pushes, and the head's frame's gradients (k, 3)."""
-        depth, out, counts, fades = self._obstacle.depths(self._seen_at(x))
-        excess = np.maximum(depth - self._allowed, 0.0)
-        slope = np.where(excess > 0.0, 1.0, 0.0)[:, None] * (
-            counts[:, None] * out + excess[:, None] * fades
-        )
-        return counts * excess, slope @ self._turn.T
+        """Return h (k,), zero where nothing pushes, and the head's frame's gradients (k, 3).
+
+        Value, gradient and Hessian ask for the same x again.
+        """
+        if self._last is None or not np.array_equal(self._last[0], x):
+            depth, out, counts, fades = self._obstacle.depths(self._seen_at(x))
+            excess = np.maximum(depth - self._allowed, 0.0)
+            slope = counts[:, None] * out + excess[:, None] * fades
+            slope[excess == 0.0] = 0.0
+            self._last = x.copy(), (counts * excess, slope @ self._turn.T)
+        return self._last[1]
 
     def _seen_at(self, x: Floats) -> Floats:
         return self._seen(np.asarray(self._rows @ x + self._offset), self._jaw)

@@ -43,15 +43,15 @@ def contact_potentials(
     eyes
         Lids meet eyeballs, where the model has both.
     objects
-        Closed surfaces from outside, in the head's frame, where they are to begin with.
+        Closed surfaces from outside, in the head's frame, where they are to begin with; that they
+        do not cross the skin there is for :func:`solver.contact.objects.check_objects`.
     friction
         Coefficient between skins and with objects.
 
     Raises
     ------
     InputError
-        ``contact.crossed`` where the neutral skin crosses itself,
-        ``scene.object_inside`` where an object does.
+        ``contact.crossed`` where the neutral skin crosses itself.
     """
     mouth = Mouth.of(model)
     potentials: list[Potential] = []

@@ -1,0 +1,88 @@
+"""How deep a face in motion lies in what it touches: the figure that contact is judged by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import igl
+import numpy as np
+
+from solver.contact.crossing import crossing_at
+from solver.contact.mouth import Mouth
+from solver.contact.one_sided import OneSided
+from solver.contact.potentials import arches
+from solver.mechanics.boundary import Boundary
+from solver.model import SubjectModel
+from solver.surface import Floats, Ints, Surface
+
+BEHIND_MM = 0.2
+"""A lip's vertex this deep under the teeth's outer side is behind the teeth, or in them."""
+INSIDE = 0.5
+"""Winding number from which on a place is inside."""
+
+
+@dataclass(frozen=True)
+class Penetration:
+    """Depths in mm, and how many of the lips' vertices are behind teeth.
+
+    ``lips`` is a lip's depth in the other lip, ``teeth`` a lip's in teeth, ``objects`` that of skin
+    in objects or of objects in the flesh; zero where nothing crosses, or there is nothing to cross.
+    """
+
+    lips: float
+    teeth: float
+    objects: float
+    behind_teeth: int
+
+    @property
+    def most(self) -> float:
+        """Return the greatest depth."""
+        return max(self.lips, self.teeth, self.objects)
+
+
+class Gauge:
+    """Measures the penetration of one model's flesh, frame by frame."""
+
+    def __init__(self, model: SubjectModel) -> None:
+        self._model = model
+        self._mouth = Mouth.of(model)
+        self._arches: list[OneSided] = []
+        if self._mouth is not None:
+            self._arches = arches(model, self._mouth, 1.0)
+        faces = model.skin.faces
+        on_flesh = faces[np.isin(faces, model.embedded).all(axis=1)]
+        self._faces: Ints = np.searchsorted(model.embedded, on_flesh)
+
+    def at(self, x: Floats, jaw: Floats, objects: Sequence[Surface] = ()) -> Penetration:
+        """Measure vertices x (p, 3), the jaw at b (5,), and objects in the head's frame."""
+        lips = teeth = 0.0
+        if self._mouth is not None:
+            found = crossing_at(self._mouth, self._mouth.points(x))
+            lips = found.lips
+            teeth = max(found.upper_teeth or 0.0, found.lower_teeth or 0.0)
+        placed = Boundary(np.empty((0, 3)), jaw)
+        behind = 0
+        for arch in self._arches:
+            arch.place(placed)
+            behind += len(arch.behind(x, BEHIND_MM))
+        skin = np.asarray(self._model.embedding @ x + self._model.offset)
+        own = Surface(skin, self._faces)
+        pairs = [pair for each in objects for pair in ((skin, each), (each.vertices, own))]
+        depths = [depth_inside(points, surface) for points, surface in pairs]
+        return Penetration(lips, teeth, max(depths, default=0.0), behind)
+
+
+def depth_inside(points: Floats, surface: Surface) -> float:
+    """Return how deep the deepest of points (k, 3) lies inside a surface, 0 if none does.
+
+    A surface with holes, such as a face, has an inside by its generalised winding number (Jacobson
+    et al. 2013).
+    """
+    points = np.ascontiguousarray(points)
+    winding = np.asarray(igl.fast_winding_number(surface.vertices, surface.faces, points))
+    inside = np.ascontiguousarray(points[winding > INSIDE])
+    if not len(inside):
+        return 0.0
+    squared, *_ = igl.point_mesh_squared_distance(inside, surface.vertices, surface.faces)
+    return float(np.sqrt(np.max(squared)))
