@@ -13,7 +13,7 @@ from service.settings import Settings
 from service.store import retention
 from service.store.models import Capture, Job
 
-Role = Literal["neutral", "expression", "performance"]
+Role = Literal["neutral", "expression", "performance", "asset"]
 
 
 class NewCapture(Body):
@@ -36,7 +36,7 @@ class NewCapture(Body):
     name: Name
     role: Role = Field(
         description="`performance`: frames of registered skin points, a `.npy` file; "
-        "`fit_sequence` reads it"
+        "`fit_sequence` reads it; `asset`: a file that scenes name (a recording, a mesh, a map)"
     )
     upload_id: Id
     registered: bool = Field(

@@ -9,8 +9,8 @@ from solver.pipeline.fits import fit_activations, fit_geometry
 from solver.pipeline.models import build_model
 from solver.pipeline.preview import build_preview
 from solver.pipeline.registration import register_scan
+from solver.pipeline.scenes import animate, simulate
 from solver.pipeline.sequence import fit_sequence
-from solver.pipeline.simulate import animate, simulate
 
 __all__ = [
     "animate",
