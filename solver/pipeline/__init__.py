@@ -5,6 +5,7 @@ process of its own, the offline command line directly.
 """
 
 from solver.pipeline.checks import check_scan
+from solver.pipeline.edit import edit
 from solver.pipeline.fits import fit_activations, fit_geometry
 from solver.pipeline.models import build_model
 from solver.pipeline.preview import build_preview
@@ -17,6 +18,7 @@ __all__ = [
     "build_model",
     "build_preview",
     "check_scan",
+    "edit",
     "fit_activations",
     "fit_geometry",
     "fit_sequence",

@@ -39,7 +39,7 @@ def write_glb(path: Path, rig: Rig) -> None:
     """
     shapes = {fit.name: fit.skin for fit in rig.expressions}
     worst = worst_error(rig.expressions, len(rig.model.skin.vertices))
-    write_face(path, rig.model.skin, shapes, _in_turn, {ERROR_ATTRIBUTE: worst})
+    write_face(path, rig.model.skin, shapes, in_turn, {ERROR_ATTRIBUTE: worst})
 
 
 def write_face(
@@ -137,7 +137,7 @@ def _material(part: str) -> gl.Material:
     )
 
 
-def _in_turn(buffer: Buffer, count: int) -> gl.Animation | None:
+def in_turn(buffer: Buffer, count: int) -> gl.Animation | None:
     """Return neutral -> expression -> neutral for one after the other; None if there is none."""
     if not count:
         return None
