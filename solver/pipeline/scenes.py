@@ -104,9 +104,13 @@ def animate(
     person = _read(model, weights, assets, template, out, progress)
     recording = scene["recording"]
     take = read_live_link(person.places.asset(recording["asset"]))
-    known = out / "blendshapes.npz" if resume and blendshapes is None else blendshapes
-    anatomy = builtin_template() if template is None else Template.load(template)
-    shapes = _blendshapes(person, anatomy, known, out / "blendshapes.npz", progress)
+    kept = out / "blendshapes.npz"
+    if blendshapes is None:
+        anatomy = builtin_template() if template is None else Template.load(template)
+        shapes = _solved(person, anatomy, kept, progress, resume=resume)
+    else:
+        shapes = Blendshapes.load(blendshapes, person.model)
+    shapes.save(kept)
     drives = from_recording(
         take,
         shapes,
@@ -128,7 +132,7 @@ def animate(
     written = finish(
         stage, frames, out, progress, title="Animation", video=given["video"], more=more
     )
-    return [*written, out / "blendshapes.npz"]
+    return [*written, kept]
 
 
 @dataclass(frozen=True)
@@ -167,19 +171,18 @@ def _activations_file(rig: Path) -> Path:
     return rig / "activations.npz" if rig.is_dir() else rig
 
 
-def _blendshapes(
-    person: _Person, template: Template, known: Path | None, kept: Path, progress: Progress
+def _solved(
+    person: _Person, template: Template, kept: Path, progress: Progress, *, resume: bool
 ) -> Blendshapes:
-    """Return the person's blendshapes, those that are ``known`` and what has to be solved.
+    """Solve the person's blendshapes; they are ``kept`` in a file as they come.
 
-    They are ``kept`` in a file, as they come.
+    With ``resume`` those in the file are taken as they are.
     """
     model = person.model
     targets = expression_targets(model, template.shapes)
     done: dict[str, Solved] = {}
-    if known is not None and known.is_file():
-        shapes = Blendshapes.load(known, model).shapes
-        done = {name: shape for name, shape in shapes.items() if name in targets}
+    if resume and kept.is_file():
+        done.update(Blendshapes.load(kept, model).shapes)
 
     def told(name: str, solved: Solved) -> None:
         done[name] = solved
@@ -192,6 +195,4 @@ def _blendshapes(
 
     face = Face(model, linear=fastest())
     check_held(face)
-    whole = solve_blendshapes(face, person.S, targets, dict(done), told)
-    whole.save(kept)
-    return whole
+    return solve_blendshapes(face, person.S, targets, dict(done), told)
