@@ -34,6 +34,15 @@ class Resource(BaseModel):
     model_config = ConfigDict(extra="ignore", frozen=True)
 
 
+class JobKind(Resource):
+    """A kind of job; ``options`` is the JSON Schema of its options."""
+
+    kind: str
+    title: str
+    description: str
+    options: dict[str, Any]
+
+
 class Upload(Resource):
     """A resumable upload: ``offset`` of ``size`` bytes have arrived."""
 

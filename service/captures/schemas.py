@@ -9,7 +9,6 @@ from pydantic import ConfigDict, Field
 
 from service.captures.registered import mesh, neutral_of
 from service.schemas import Body, Id, Name, RetainUntil, View
-from service.settings import Settings
 from service.store import retention
 from service.store.models import Capture, Job
 
@@ -94,7 +93,7 @@ class CaptureView(View):
 
     @classmethod
     def of(
-        cls, capture: Capture, check: Job | None, registration: Job | None, settings: Settings
+        cls, capture: Capture, check: Job | None, registration: Job | None, kept: retention.Days
     ) -> CaptureView:
         """Show a capture with the newest jobs about it."""
         return cls.model_validate(
@@ -103,7 +102,7 @@ class CaptureView(View):
                 "landmarks": capture.landmarks_filename,
                 "check": check and _check(check),
                 "registration": registration and _registration(registration),
-                "retain_until": retention.until(settings.retain_scans, capture.created_at),
+                "retain_until": retention.until(kept.scans, capture.created_at),
             }
         )
 

@@ -13,6 +13,7 @@ from service.errors import Problem
 from service.settings import Settings
 from service.store.deletion import delete_capture
 from service.store.models import Capture, Deletion, Job, Upload
+from service.store.retention import own_days
 from service.subjects import repository as subjects
 from service.subjects.service import refuse_while_busy
 from service.uploads import repository as uploads
@@ -47,10 +48,11 @@ def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
         size=upload.size,
         sha256=upload.sha256,
     )
-    if new.landmarks_upload_id is not None:
-        _give_landmarks(session, capture, new.landmarks_upload_id)
     session.add(capture)
     session.flush()
+    uploads.use(session, upload, capture.id)
+    if new.landmarks_upload_id is not None:
+        _give_landmarks(session, capture, new.landmarks_upload_id)
     return capture
 
 
@@ -59,8 +61,9 @@ def views(session: Session, captures: Sequence[Capture], settings: Settings) -> 
     ids = [capture.id for capture in captures]
     checks = _newest(repository.succeeded_jobs(session, "check_scan", ids))
     registrations = _newest(repository.succeeded_jobs(session, registered.KIND, ids))
+    kept = own_days(session, settings)
     return [
-        CaptureView.of(capture, checks.get(capture.id), registrations.get(capture.id), settings)
+        CaptureView.of(capture, checks.get(capture.id), registrations.get(capture.id), kept)
         for capture in captures
     ]
 
@@ -87,7 +90,9 @@ def delete(session: Session, subject_id: str, capture_id: str) -> Deletion:
 def _give_landmarks(session: Session, capture: Capture, upload_id: str) -> None:
     upload = uploads.get_complete(session, upload_id)
     _check_format(upload, "landmarks.format", "a file of landmarks", LANDMARK_FORMATS)
-    capture.landmarks_filename, capture.landmarks_sha256 = upload.filename, upload.sha256
+    capture.landmarks_filename = upload.filename
+    capture.landmarks_size, capture.landmarks_sha256 = upload.size, upload.sha256
+    uploads.use(session, upload, capture.id)
 
 
 def _check_performance(upload: Upload, new: NewCapture) -> None:

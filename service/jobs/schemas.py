@@ -9,7 +9,6 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.rigs.schemas import ArtifactView
 from service.schemas import Body, Id, Line, RetainUntil, View
-from service.settings import Settings
 from service.store import retention
 from service.store.models import Job
 from service.store.transitions import State
@@ -152,7 +151,7 @@ class JobView(View):
     retain_until: RetainUntil
 
     @classmethod
-    def of(cls, job: Job, queue_position: int | None, settings: Settings) -> JobView:
+    def of(cls, job: Job, queue_position: int | None, kept: retention.Days) -> JobView:
         """Show a job."""
         result = {
             "rig_id": job.rig.id if job.rig else None,
@@ -165,16 +164,16 @@ class JobView(View):
                 **{name: getattr(job, name) for name in _COLUMNS},
                 "queue_position": queue_position,
                 "phase": job.progress["phase"] if job.progress else None,
-                "retain_until": _retain_until(job, settings),
+                "retain_until": _retain_until(job, kept),
                 "result": result if job.state is State.SUCCEEDED else None,
             }
         )
 
 
-def _retain_until(job: Job, settings: Settings) -> datetime | None:
+def _retain_until(job: Job, kept: retention.Days) -> datetime | None:
     if job.rig is not None:
-        return retention.until(settings.retain_rigs, job.rig.created_at)
-    return retention.until(settings.retain_jobs, job.finished_at)
+        return retention.until(kept.rigs, job.rig.created_at)
+    return retention.until(kept.jobs, job.finished_at)
 
 
 _COLUMNS = (
