@@ -26,7 +26,7 @@ from solver.animation.recording import RecordedDrives, from_recording
 from solver.drawing.head import Head
 from solver.drawing.page import HEADER, MARGIN, Page
 from solver.drawing.render import faded, render
-from solver.pipeline.play import finish, fingerprint, play, skin_of
+from solver.pipeline.play import fingerprint, finish, play, skin_of
 from solver.progress import silent
 from solver.rig.motion import MotionFrame
 from solver.rig.pictures import face_camera
@@ -55,7 +55,8 @@ class Played:
 
     def distances(self, person: Fitted) -> Floats:
         """Return how far the face's points are off, (f, k) in mm."""
-        return np.linalg.norm(self.skins[:, person.model.face] - self.direct, axis=2)
+        off = self.skins[:, person.model.face] - self.direct
+        return np.asarray(np.linalg.norm(off, axis=2))
 
 
 def run(
