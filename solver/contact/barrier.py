@@ -22,7 +22,7 @@ from solver.surface import Floats, Surface
 
 DISTANCE_MM = 0.1
 """Surfaces nearer than this push each other away."""
-STIFFNESS = 10.0
+STIFFNESS = 100.0
 """The barrier's stiffness over that of the flesh."""
 SLIP_MM_S = 1.0
 """Speed below which friction holds: it then grows with the speed."""
