@@ -69,7 +69,7 @@ def convergence(path: Path, title: str, curves: Mapping[str, Curve]) -> None:
         by_iteration.set_ylabel("|f - f at the end| / f at the end")
         by_seconds.set(xlabel="seconds", xscale="log")
         by_seconds.legend()
-        _save(figure, path)
+        save(figure, path)
 
 
 def descent(path: Path, title: str, y_label: str, lines: Mapping[str, Sequence[float]]) -> None:
@@ -83,7 +83,7 @@ def descent(path: Path, title: str, y_label: str, lines: Mapping[str, Sequence[f
         axes.set_ylim(bottom=0.0)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         _legend_beside(axes)
-        _save(figure, path)
+        save(figure, path)
 
 
 def scaling(
@@ -103,7 +103,7 @@ def scaling(
         axes.set_xticks(sizes, [f"{size:,.0f}" for size in sizes])
         axes.minorticks_off()
         _legend_beside(axes)
-        _save(figure, path)
+        save(figure, path)
 
 
 def power_law(sizes: Sequence[float], values: Sequence[float]) -> tuple[float, float]:
@@ -133,7 +133,7 @@ def frame_times(path: Path, title: str, milliseconds: Sequence[float], limit_ms:
         frames.axhline(limit_ms, color=COLOURS["P"], linestyle=":")
         frames.set(xlabel="frame", ylabel="ms", ylim=(0.0, 1.05 * max(times.max(), limit_ms)))
         figure.legend(loc="outside lower center", ncols=3)
-        _save(figure, path)
+        save(figure, path)
 
 
 def bars(
@@ -159,7 +159,7 @@ def bars(
         axes.set_xticks(places, names, rotation=slant, ha="right" if slant else "center")
         axes.grid(visible=False, axis="x")
         _legend_beside(axes)
-        _save(figure, path)
+        save(figure, path)
 
 
 def _colours(names: Mapping[str, object]) -> dict[str, str]:
@@ -171,7 +171,8 @@ def _legend_beside(axes: Axes) -> None:
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
-def _save(figure: Figure, path: Path) -> None:
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure, the same bytes for the same figures."""
     path.parent.mkdir(parents=True, exist_ok=True)
     # no version of the library and no date in the file: it changes with the figures only
     empty = {"Software": None} if path.suffix == ".png" else {"Date": None, "Creator": None}

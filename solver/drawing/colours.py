@@ -35,9 +35,9 @@ HEAT = np.array(  # sRGB at equal steps from 0 to HEAT_MAX_MM, ever darker
 )
 
 
-def heat(error_mm: Floats) -> Floats:
-    """Return the sRGB colour (n, 3) of distances (n,) in mm."""
-    share = np.clip(error_mm / HEAT_MAX_MM, 0, 1)
+def heat(error_mm: Floats, most_mm: float = HEAT_MAX_MM) -> Floats:
+    """Return the sRGB colour (n, 3) of distances (n,) in mm, the last from ``most_mm`` on."""
+    share = np.clip(error_mm / most_mm, 0, 1)
     steps = np.linspace(0, 1, len(HEAT))
     return np.column_stack([np.interp(share, steps, HEAT[:, k]) for k in range(3)])
 

@@ -50,11 +50,11 @@ class Head:
         """Return the head, or some of its faces, in natural colours."""
         return Body(lit, self._colour, faces=faces, opacity=opacity)
 
-    def heat_map(self, lit: Lit, error_mm: Floats) -> Body:
+    def heat_map(self, lit: Lit, error_mm: Floats, most_mm: float = colours.HEAT_MAX_MM) -> Body:
         """Return the head in the colours of a distance (v,) in mm, grey where it is NaN."""
         colour = np.tile(colours.UNMEASURED, (len(self._colour), 1))
         measured = np.flatnonzero(np.isfinite(error_mm))
-        colour[measured] = colours.linear(colours.heat(error_mm[measured]))
+        colour[measured] = colours.linear(colours.heat(error_mm[measured], most_mm))
         return Body(lit, colour, gloss=0.04)
 
 

@@ -46,14 +46,16 @@ class Page:
         """Place an sRGB image (h, w, 3) with values in [0, 1]."""
         self.image.paste(Image.fromarray((pixels * 255 + 0.5).astype(np.uint8)), place)
 
-    def scale(self, place: tuple[int, int], width: int) -> None:
-        """Draw the error's colour scale with its millimetres."""
+    def scale(
+        self, place: tuple[int, int], width: int, most_mm: float = HEAT_MAX_MM, steps: int = 4
+    ) -> None:
+        """Draw a distance's colour scale with its millimetres."""
         left, top = place
-        steps = np.linspace(0, HEAT_MAX_MM, width)
-        self.panel(place, np.broadcast_to(heat(steps), (SWATCH, width, 3)).astype(np.float32))
-        for mm in np.arange(0, HEAT_MAX_MM + 0.1, 0.5):
-            x = left + round((width - 1) * mm / HEAT_MAX_MM)
-            last = mm >= HEAT_MAX_MM
+        colour = heat(np.linspace(0, most_mm, width), most_mm)
+        self.panel(place, np.broadcast_to(colour, (SWATCH, width, 3)).astype(np.float32))
+        for mm in np.linspace(0, most_mm, steps + 1):
+            x = left + round((width - 1) * mm / most_mm)
+            last = mm == most_mm
             words = f"{mm:g} mm and more" if last else f"{mm:g}"
             self.draw.line([(x, top + SWATCH), (x, top + SWATCH + 4)], fill=GREY)
             self.text((x, top + SWATCH + 7), words, 15, GREY, "ma")

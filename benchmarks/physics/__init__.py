@@ -1,0 +1,1 @@
+"""What living flesh does: checks against known answers, contact, sliding, speed, effects."""

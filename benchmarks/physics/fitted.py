@@ -1,0 +1,55 @@
+"""A person whose fits are done: what simulations begin with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse as sp
+
+from solver.animation.blendshapes import Blendshapes
+from solver.fitting.face import Face, Pose
+from solver.mechanics.flesh import COROTATED_TRACE
+from solver.model import SubjectModel
+from solver.rig.result import load_activations, load_weights
+from solver.similarity import IDENTITY, Similarity
+from solver.simulation.state import Drive
+
+STIFFNESS_PA = 3000.0
+"""Of facial soft tissue: Young's modulus about 8 kPa."""
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A subject model with its muscle geometry and named poses, of a rig or of blendshapes."""
+
+    model: SubjectModel
+    S: sp.csr_array
+    poses: dict[str, Pose]
+    shapes: Blendshapes
+
+    @classmethod
+    def load(cls, model: Path, rig: Path, shapes: Path) -> Fitted:
+        """Read the files of jobs: a model, the folder of a rig, and blendshapes."""
+        person = SubjectModel.load(model)
+        fits = load_activations(rig / "activations.npz", person)
+        return cls(
+            person,
+            load_weights(rig / "muscle_weights.npz", person),
+            {fit.name: Pose(fit.activations, fit.jaw) for fit in fits},
+            Blendshapes.load(shapes, person),
+        )
+
+    def face(self, *, pinned: bool = False) -> Face:
+        """Return the face in the material of its fits, in Pa."""
+        return Face(self.model, material=COROTATED_TRACE.in_pascal(STIFFNESS_PA), pinned=pinned)
+
+    def blend(self, *beginnings: str) -> Pose:
+        """Return the pose of all blendshapes whose names begin so."""
+        names = self.shapes.blend.names
+        return self.shapes.blend.pose(np.array([float(n.startswith(beginnings)) for n in names]))
+
+    def drive(self, face: Face, pose: Pose, time: float, head: Similarity = IDENTITY) -> Drive:
+        """Return what asks for a pose."""
+        return Drive(time, face.tet_activations(self.S, pose.a), pose.b, head)
