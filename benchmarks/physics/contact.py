@@ -37,7 +37,7 @@ FRAMES = 20
 """Of one motion from its beginning to its end."""
 PAST = 0.05
 """A jaw closes past the neutral by this part of its opening."""
-GLASS_MM = (60.0, 26.0, 2.0)
+GLASS_MM = (60.0, 26.0, 10.0)
 PRESSED_MM, GLASS_PRESSED_MM = 8.0, 4.0
 """How far the headset and the glass go where the face was."""
 APART_MM = 2.0
