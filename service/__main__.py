@@ -7,7 +7,7 @@ import sys
 
 import uvicorn
 
-from service import logs
+from service import logs, tracing
 from service.access.bootstrap import OpenDoorError, prepare
 from service.app import create_app
 from service.http.deadline import protocol
@@ -25,6 +25,7 @@ def main() -> None:
     if settings.stack_pid:
         die_with_parent(settings.stack_pid, signal.SIGTERM)
     logs.configure(settings.log_json)
+    tracing.start("myoface-api")
     app = create_app(settings)
     try:
         prepare(app.state.store, app.state.keyring, settings)
@@ -34,7 +35,7 @@ def main() -> None:
         app,
         host=settings.host,
         port=settings.port,
-        http=protocol(settings.receive_timeout),
+        http=protocol(settings.receive_timeout, settings.send_timeout),
         limit_concurrency=settings.max_connections,
         log_config=None,
         access_log=False,

@@ -33,6 +33,7 @@ from service.subjects.routes import router as subjects
 from service.system.routes import router as system
 from service.templates.routes import router as templates
 from service.tenants.routes import router as tenants
+from service.uploads.abandoned import Tidier
 from service.uploads.routes import router as uploads
 from service.webhooks.routes import router as webhooks
 
@@ -72,10 +73,12 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         await to_thread.run_sync(bootstrap.prepare, store, keyring, settings)
-        advancer = Advancer(store, settings)
-        advancer.start()
+        background = (Advancer(store, settings), Tidier(store, settings))
+        for thread in background:
+            thread.start()
         yield
-        await to_thread.run_sync(advancer.stop)
+        for thread in background:
+            await to_thread.run_sync(thread.stop)
         rates.close()
         store.close()
 
@@ -91,7 +94,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     )
     app.state.settings = settings
     app.state.store = store
-    app.state.feed = Feed(store)
+    app.state.feed = Feed(store, settings.max_tenant_streams, settings.max_key_streams)
     app.state.keyring = keyring
     app.state.master = master
     app.state.rates = rates

@@ -2,99 +2,77 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Annotated
+from collections.abc import Awaitable, Callable, Iterator
+from functools import cache
+from typing import Annotated, Any
 
 from fastapi import Depends, Query, Request
 from sqlalchemy.orm import Session
 
-from service.access.principal import Admin, Deleter, Hooks, Reader, Writer
+from service.access.principal import Caller, Scope, require
 from service.access.signed import FileReader
 from service.settings import Settings
 from service.store.store import Store
 
 # What does not wait is `async`: FastAPI would run each in a thread of its own, many a request.
+# The makers are cached: one dependency a name and scope, which a test can override by them.
 
 
-async def _settings(request: Request) -> Settings:
-    settings: Settings = request.app.state.settings
-    return settings
+@cache
+def part(name: str) -> Callable[[Request], Awaitable[Any]]:
+    """Return the dependency that gives the part ``name`` of the application's state."""
+
+    async def of_app(request: Request) -> Any:
+        return getattr(request.app.state, name)
+
+    return of_app
 
 
-async def _store(request: Request) -> Store:
-    store: Store = request.app.state.store
-    return store
-
-
-SettingsDep = Annotated[Settings, Depends(_settings)]
-WholeStore = Annotated[Store, Depends(_store)]
+SettingsDep = Annotated[Settings, Depends(part("settings"))]
+WholeStore = Annotated[Store, Depends(part("store"))]
 """All tenants' data: for the service's own health, never for what a route is asked about."""
 
 
-async def _for_reading(store: WholeStore, who: Reader) -> Store:
-    return store.of(who.tenant_id)
+@cache
+def own_store(scope: Scope) -> Callable[[Store, Caller], Awaitable[Store]]:
+    """Return the dependency that gives the data of a caller whose key has ``scope``."""
+
+    async def own(store: WholeStore, who: Caller) -> Store:
+        return store.of(require(scope, who).tenant_id)
+
+    return own
+
+
+@cache
+def own_session(scope: Scope) -> Callable[[Store, Caller], Iterator[Session]]:
+    """Return the dependency that gives a session of it, which only `read` does not commit."""
+
+    def session(store: WholeStore, who: Caller) -> Iterator[Session]:
+        own = store.of(require(scope, who).tenant_id)
+        with own.read() if scope is Scope.READ else own.write() as session:
+            yield session
+
+    return session
 
 
 async def _for_downloading(store: WholeStore, who: FileReader) -> Store:
     return store.of(who.tenant_id)
 
 
-async def _for_writing(store: WholeStore, who: Writer) -> Store:
-    return store.of(who.tenant_id)
-
-
-async def _for_deleting(store: WholeStore, who: Deleter) -> Store:
-    return store.of(who.tenant_id)
-
-
-async def _for_hooks(store: WholeStore, who: Hooks) -> Store:
-    return store.of(who.tenant_id)
-
-
-async def _for_administering(store: WholeStore, who: Admin) -> Store:
-    return store.of(who.tenant_id)
-
-
-ReadStore = Annotated[Store, Depends(_for_reading)]
+ReadStore = Annotated[Store, Depends(own_store(Scope.READ))]
 FileStore = Annotated[Store, Depends(_for_downloading)]
 """For a file alone: a signed URL is as good as a key."""
-WriteStore = Annotated[Store, Depends(_for_writing)]
-DeleteStore = Annotated[Store, Depends(_for_deleting)]
-AdminStore = Annotated[Store, Depends(_for_administering)]
-HookStore = Annotated[Store, Depends(_for_hooks)]
+WriteStore = Annotated[Store, Depends(own_store(Scope.WRITE))]
+DeleteStore = Annotated[Store, Depends(own_store(Scope.DELETE))]
+AdminStore = Annotated[Store, Depends(own_store(Scope.ADMIN))]
+HookStore = Annotated[Store, Depends(own_store(Scope.WEBHOOKS))]
 
-
-def _reading(store: ReadStore) -> Iterator[Session]:
-    with store.read() as session:
-        yield session
-
-
-def _writing(store: WriteStore) -> Iterator[Session]:
-    with store.write() as session:
-        yield session
-
-
-def _deleting(store: DeleteStore) -> Iterator[Session]:
-    with store.write() as session:
-        yield session
-
-
-def _of_hooks(store: HookStore) -> Iterator[Session]:
-    with store.write() as session:
-        yield session
-
-
-def _administering(store: AdminStore) -> Iterator[Session]:
-    with store.write() as session:
-        yield session
-
-
-ReadSession = Annotated[Session, Depends(_reading, scope="function")]
 # "function": the commit, and the wake-up calls after it, come before the response.
-WriteSession = Annotated[Session, Depends(_writing, scope="function")]
-DeleteSession = Annotated[Session, Depends(_deleting, scope="function")]
-AdminSession = Annotated[Session, Depends(_administering, scope="function")]
-HookSession = Annotated[Session, Depends(_of_hooks, scope="function")]
+ReadSession = Annotated[Session, Depends(own_session(Scope.READ), scope="function")]
+WriteSession = Annotated[Session, Depends(own_session(Scope.WRITE), scope="function")]
+DeleteSession = Annotated[Session, Depends(own_session(Scope.DELETE), scope="function")]
+AdminSession = Annotated[Session, Depends(own_session(Scope.ADMIN), scope="function")]
+HookSession = Annotated[Session, Depends(own_session(Scope.WEBHOOKS), scope="function")]
 
 Cursor = Annotated[
     str | None, Query(max_length=200, description="`next` of the page before; default: the newest")

@@ -28,7 +28,7 @@ class Attempt:
         self._line = line
         self._kept: AnsweredRequest | None = None
 
-    def known(self, session: Session, body: BaseModel) -> str | None:
+    def known(self, session: Session, body: BaseModel | None = None) -> str | None:
         """Return the id that an earlier sending made; None: this is the first.
 
         Raises
@@ -38,8 +38,8 @@ class Attempt:
         """
         if self._key is None:
             return None
-        content = f"{self._line}\n{body.model_dump_json()}".encode()
-        fingerprint = hashlib.sha256(content).hexdigest()
+        content = f"{self._line}\n{body.model_dump_json() if body else ''}"
+        fingerprint = hashlib.sha256(content.encode()).hexdigest()
         found = session.get(AnsweredRequest, (tenant_of(session), self._key))
         if found is None:
             self._reserve(session, fingerprint)

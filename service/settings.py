@@ -73,7 +73,14 @@ class Settings(BaseSettings):
         default=30, gt=0, description="for a request's headers, and for any body but an upload's"
     )
     min_upload_rate: float = Field(default=1024, gt=0, description="bytes a second")
+    send_timeout: float = Field(
+        default=60, gt=0, description="for a client that takes nothing of what it is sent"
+    )
     max_connections: int = Field(default=512, ge=1, description="of an API process; then 503")
+    max_tenant_streams: int = Field(
+        default=128, ge=1, description="of events, open at a time in an API process"
+    )
+    max_key_streams: int = Field(default=64, ge=1, description="the same, of one key")
 
     max_attempts: int = Field(default=3, ge=1)
     lease: float = Field(

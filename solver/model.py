@@ -102,6 +102,16 @@ class SubjectModel:
         return len(self.muscle_names)
 
     @property
+    def anatomy(self) -> dict[str, str]:
+        """Return the template as reports name it: its hash is that of the content, of no file."""
+        kept = self.template
+        return {
+            "name": kept["name"],
+            "version": kept["version"],
+            "content_sha256": kept["sha256"],
+        }
+
+    @property
     def sha256(self) -> str:
         """Return the hash of all that the model holds."""
         return self._archive().sha256

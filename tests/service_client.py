@@ -127,7 +127,7 @@ class Studio:
             for name, sha256 in artifacts.items()
         ]
         with store.write() as session:
-            claim = jobs.claim(session, job_id, "test", 10)
+            claim = jobs.take(session, job_id, "test", 10)
             assert claim
             assert jobs.succeed(session, job_id, claim.attempt, left, summary=summary)
 
@@ -135,7 +135,7 @@ class Studio:
         """Do what a worker does that leaves a rig with a file, for the tenant whose job it is."""
         store = self.http.app.state.store  # type: ignore[attr-defined]
         with store.write() as session:
-            claim = jobs.claim(session, job_id, "test", 10)
+            claim = jobs.take(session, job_id, "test", 10)
             assert claim
             mine = {"tenant_id": claim.tenant_id, "job_id": job_id}
             sha256 = store.files.put(Path(__file__)).sha256

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import signal
 
-from service import logs
+from service import logs, tracing
 from service.parent import die_with_parent
 from service.settings import Settings
 from service.store.queue import QUEUES, WEBHOOKS
@@ -29,6 +29,7 @@ def main() -> None:
     except ValueError as error:
         parser.error(str(error))
     logs.configure(settings.log_json)
+    tracing.start(f"myoface-{given.queue}")
     if settings.stack_pid:
         die_with_parent(settings.stack_pid, signal.SIGTERM)
     store = Store(settings.database, settings.files, settings.broker)

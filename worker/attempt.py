@@ -20,11 +20,12 @@ MEDIA_TYPES = {
     ".ply": "model/ply",
     ".csv": "text/csv",
     ".html": "text/html",
+    ".mp4": "video/mp4",
 }
 
 
 FRAMES = "frames"
-"""The folder in ``out`` of a sequence's frames, files ``<first>-<last>.json``."""
+"""The folder in ``out`` of a sequence's or simulation's frames, files ``<first>-<last>.json``."""
 
 
 class AttemptFolder:
@@ -90,7 +91,10 @@ class AttemptFolder:
         for path in sorted((self.path / "out" / FRAMES).glob("*.json")):
             if path.name not in self._kept:
                 first, last = map(int, path.stem.split("-"))
-                rows.append({"first": first, "last": last, "sha256": files.put(path).sha256})
+                blob = files.put(path)
+                rows.append(
+                    {"first": first, "last": last, "size": blob.size, "sha256": blob.sha256}
+                )
                 self._kept.add(path.name)
         return rows
 

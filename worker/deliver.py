@@ -17,6 +17,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
+from service import tracing
 from service.outbound.client import Answer, Refused, Sender, Unreachable
 from service.secret import wait_for_secret
 from service.settings import Settings
@@ -60,7 +61,8 @@ def main(store: Store, settings: Settings, can: Abilities) -> None:
 class Deliverer:
     """Sends what is due, by ``settings.webhook_workers`` threads, until ``stopping`` is set.
 
-    At most half of the threads wait for receivers that did not answer the last time.
+    At most half of the threads wait for receivers that did not answer the last time, and no more
+    for the receivers of one tenant.
     """
 
     def __init__(
@@ -108,10 +110,19 @@ class Deliverer:
         spare = max(max(workers // 2, 1) - failing, 0)
         lease = self._settings.webhook_timeout + MARGIN
         with self._store.write() as session:
-            return outbox.take(session, most=free, failing=spare, lease=lease)
+            half = max(workers // 2, 1)
+            return outbox.take(session, most=free, failing=spare, of_tenant=half, lease=lease)
 
     def _deliver(self, parcel: Parcel) -> None:
-        outcome = self._send(parcel)
+        with tracing.working(
+            "delivery",
+            None,
+            delivery_id=parcel.delivery_id,
+            webhook_id=parcel.webhook_id,
+            attempt=parcel.attempt,
+        ):
+            outcome = self._send(parcel)
+            tracing.note(not outcome.delivered, outcome=outcome.error or "delivered")
         log.info(
             "webhook.delivered" if outcome.delivered else "webhook.not_delivered",
             delivery_id=parcel.delivery_id,
@@ -160,4 +171,5 @@ def _judged(answer: Answer) -> Outcome:
     outcome = Outcome(answer.status, answer.ms, None, text[:EXCERPT])
     if outcome.delivered:
         return outcome
-    return Outcome(answer.status, answer.ms, "answer.status", text[:EXCERPT])
+    wish = answer.retry_after if answer.status in (429, 503) else None
+    return Outcome(answer.status, answer.ms, "answer.status", text[:EXCERPT], wish or 0.0)

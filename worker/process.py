@@ -145,7 +145,7 @@ def _harmless(environment: Mapping[str, str]) -> dict[str, str]:
 
     The solver reads strangers' files.
     """
-    ours, kept = ("MYOFACE_", "AWS_"), {"MYOFACE_CACHE", "MYOFACE_FACE_LANDMARKER"}
+    ours, kept = ("MYOFACE_", "AWS_", "OTEL_"), {"MYOFACE_CACHE", "MYOFACE_FACE_LANDMARKER"}
     return {
         name: value
         for name, value in environment.items()

@@ -11,6 +11,7 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
+from service import tracing
 from service.settings import Settings
 from service.store import jobs
 from service.store.claims import Abilities, claim_next
@@ -64,7 +65,11 @@ class Supervisor:
             return False
         self._renewed = time.monotonic()
         self._unwritten = _News([], [], [])
-        with structlog.contextvars.bound_contextvars(job_id=claim.job_id, attempt=claim.attempt):
+        ids: dict[str, Any] = {"job_id": claim.job_id, "attempt": claim.attempt}
+        with (
+            structlog.contextvars.bound_contextvars(**ids),
+            tracing.working(f"attempt {claim.kind}", claim.traceparent, queue=queue, **ids),
+        ):
             log.info("job.claimed", kind=claim.kind)
             folder = AttemptFolder(self._settings.work, claim)
             try:
@@ -89,14 +94,14 @@ class Supervisor:
         except CanceledError:
             process.stop()
             self._confirm_cancel(claim)
-            log.info("job.canceled")
+            _ended("canceled")
         except ShutdownError:
             process.stop()
             self._commit(lambda session: jobs.release(session, claim.job_id, claim.attempt))
-            log.info("job.released")
+            _ended("released")
         except LeaseLostError:
             process.stop()
-            log.warning("job.lease_lost")
+            _ended("lease_lost", failed=True)
         else:
             self._settle(claim, folder, code)
         finally:
@@ -151,10 +156,10 @@ class Supervisor:
             artifacts = folder.store(self._store.files)
             left: dict[str, Any] = {"summary": result["summary"], "rig": folder.rig(result)}
             done = self._commit(lambda session: jobs.succeed(session, *job, artifacts, **left))
-            log.info("job.succeeded" if done else "job.fenced")
+            _ended("succeeded" if done else "fenced")
         elif error is not None:
             done = self._commit(lambda session: jobs.fail(session, *job, error))
-            log.info("job.failed" if done else "job.fenced", code=error["code"])
+            _ended("failed" if done else "fenced", failed=done, code=error["code"])
         elif code == NO_ROOM:
             self._postpone(claim)
             return
@@ -169,13 +174,13 @@ class Supervisor:
 
     def _lose(self, claim: Claim, error: dict[str, Any]) -> None:
         self._commit(lambda session: jobs.lose(session, claim.job_id, claim.attempt, error))
-        log.warning("job.attempt_lost", error=error)
+        _ended("attempt_lost", failed=True, error=error)
 
     def _postpone(self, claim: Claim) -> None:
         self._commit(
             lambda session: jobs.postpone(session, claim.job_id, claim.attempt, STORAGE_FULL)
         )
-        log.warning("job.postponed", error=STORAGE_FULL)
+        _ended("postponed", failed=True, error=STORAGE_FULL)
 
     def _commit(self, change: Callable[[Session], Done]) -> Done:
         """Write down how an attempt ended; tries again until the lease has run out.
@@ -196,3 +201,9 @@ class Supervisor:
                     raise
                 log.warning("database.unreachable", error=str(error))
                 time.sleep(self._settings.beat)
+
+
+def _ended(outcome: str, failed: bool = False, **more: Any) -> None:
+    """Tell the log, and the trace, how an attempt ended."""
+    (log.warning if failed else log.info)(f"job.{outcome}", **more)
+    tracing.note(failed, outcome=outcome)

@@ -11,7 +11,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from service.settings import Settings
-from service.store import deletion, garbage, retention, sweep
+from service.store import deletion, garbage, retention, sizes, sweep
 from service.store.claims import Abilities
 from service.store.models import Worker
 from service.store.store import Store
@@ -83,7 +83,7 @@ class Sweeper(Presence):
             elected = sweep.hold_office(session, sweep.SWEEPER, holder, seconds)
             if elected:
                 sweep.expire_leases(session)
-                sweep.remove_expired_uploads(session, settings.uploads)
+                sweep.remove_expired_uploads(session)
                 sweep.forget_workers(session)
             if elected or self._at_once:
                 sweep.resend(session, settings.resend_after, at_once=self._at_once)
@@ -94,6 +94,8 @@ class Sweeper(Presence):
         due = self._collected + min(GARBAGE_EVERY, settings.garbage_age)
         if elected and time.monotonic() > due:
             self._collected = time.monotonic()
+            self._store.database.forget_deleted()
             if removed := garbage.collect(self._store, settings.garbage_age):
                 log.info("files.collected", count=removed)
             deletion.close_receipts(self._store)
+            sizes.measure(self._store)

@@ -24,6 +24,9 @@ rigs = typer.Typer(help="Fitted faces.", no_args_is_help=True)
 JobId = Annotated[str, typer.Argument(help="job id")]
 RigId = Annotated[str, typer.Argument(help="rig id")]
 
+LIMITS = {"exclusiveMinimum": ">", "minimum": ">=", "maximum": "<="}
+"""JSON Schema's words for what a number may be."""
+
 
 @subjects.command("list")
 def list_subjects(url: Url = DEFAULT_URL) -> None:
@@ -74,7 +77,7 @@ def list_templates(url: Url = DEFAULT_URL) -> None:
     """List the service's template anatomies."""
     with Client(url) as client:
         show_table(
-            ("id", "name", "sha256"),
+            ("id", "name", "sha256 of the file"),
             [(each.id, each.name, each.sha256) for each in client.templates()],
         )
 
@@ -102,9 +105,38 @@ def list_jobs(
         _show_jobs(client.jobs(subject_id=subject, state=state, kind=kind))
 
 
+@jobs.command("kinds")
+def show_kinds(
+    kind: Annotated[str | None, typer.Argument(help="show the options of this one")] = None,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """List the kinds of job, or the options of one."""
+    with Client(url) as client:
+        found = {each.kind: each for each in client.solvers()}
+    if kind is None:
+        show_table(("kind", "what it does"), [(each.kind, each.title) for each in found.values()])
+    elif kind in found:
+        options = found[kind].options["properties"].items()
+        rows = [
+            (name, json.dumps(schema["default"]), _allowed(schema), schema["description"])
+            for name, schema in options
+        ]
+        show_table(("option", "default", "allowed", "what"), rows)
+    else:
+        raise typer.BadParameter(f"there is no kind {kind!r}; there are {', '.join(found)}")
+
+
+def _allowed(schema: dict[str, Any]) -> str:
+    """Return the values that an option's JSON Schema allows."""
+    if "enum" in schema:
+        return ", ".join(map(json.dumps, schema["enum"]))
+    limits = [f"{sign} {schema[key]}" for key, sign in LIMITS.items() if key in schema]
+    return ", ".join(limits) or str(schema["type"])
+
+
 @jobs.command("submit")
 def submit_job(
-    kind: Annotated[str, typer.Argument(help="build_model, fit_geometry ..., see /v1/solvers")],
+    kind: Annotated[str, typer.Argument(help="see `myoface jobs kinds`")],
     subject: SubjectId,
     capture: Annotated[
         list[str] | None, typer.Option(help="name or id of a capture; repeat")
@@ -112,7 +144,7 @@ def submit_job(
     rig: Annotated[
         str | None, typer.Option(help="rig id, for fit_activations, fit_sequence, build_preview")
     ] = None,
-    options: Annotated[str, typer.Option(help="JSON, see /v1/solvers")] = "{}",
+    options: Annotated[str, typer.Option(help="JSON, see `myoface jobs kinds KIND`")] = "{}",
     wait: Annotated[bool, typer.Option(help="follow the job until it ends")] = True,
     url: Url = DEFAULT_URL,
 ) -> None:
@@ -122,7 +154,10 @@ def submit_job(
         if capture:
             chosen = choose(client.captures(subject), capture)
         elif kind in ("fit_geometry", "fit_activations"):
-            chosen = [each for each in client.captures(subject) if each.role == "expression"]
+            listed = reversed(
+                client.captures(subject)
+            )  # a rig has them in the order of their scans
+            chosen = [each for each in listed if each.role == "expression"]
         job = client.submit(
             cast(Kind, kind),
             subject,

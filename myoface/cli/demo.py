@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
+import shlex
 import signal
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -35,6 +35,8 @@ QUICK_OPTIONS: Options = {
     "fit_activations": {"max_iterations": 8},
 }
 QUICK_TRAIN, QUICK_TEST = 2, 1
+SERVICE = "service"
+"""The data folder of the service that is started, in the output: `myoface up` goes on with it."""
 
 Folder = Annotated[Path | None, typer.Option(exists=True, file_okay=False)]
 
@@ -66,7 +68,7 @@ def demo(
         captures = captures.first(QUICK_TRAIN, QUICK_TEST)
     preparing = time.monotonic() - begun
 
-    with _service(url) as client:
+    with _service(url, output / SERVICE) as client:
         session = Session(client, output, {"prepare": preparing})
         report = session.run(title, captures, template, QUICK_OPTIONS if quick else {})
     glb = output / "rig.glb"
@@ -78,6 +80,7 @@ def demo(
         None if quick else ICT_BARS if faces else BUILTIN_BARS,
     )
     _tell(outcome, output)
+    _tell_page(f"/rigs/{session.rig_id}", url, output / SERVICE)
     text = json.dumps(outcome.as_dict(), indent=2, allow_nan=False)
     if to_stdout:
         typer.echo(text)
@@ -111,7 +114,7 @@ def _inputs(
 
 
 @contextmanager
-def _service(url: str | None) -> Iterator[Client]:
+def _service(url: str | None, data: Path) -> Iterator[Client]:
     """Yield a client of the service at ``url``, or of one that is started for the block."""
     if url is not None:
         with Client(url) as client:
@@ -121,11 +124,10 @@ def _service(url: str | None) -> Iterator[Client]:
 
     # A SIGTERM too must stop the service in order.
     signal.signal(signal.SIGTERM, lambda number, _frame: sys.exit(128 + number))
-    with tempfile.TemporaryDirectory(prefix="myoface-demo-") as data:
-        stack = Stack(read_settings(data_dir=Path(data), port=0))
-        with stack, Client(stack.url, stack.key) as client:
-            out.print(f"service on {stack.url}")
-            yield client
+    stack = Stack(read_settings(data_dir=data, port=0))
+    with stack, Client(stack.url, stack.key) as client:
+        out.print(f"service on {stack.url}")
+        yield client
 
 
 def _tell(outcome: Outcome, output: Path) -> None:
@@ -149,3 +151,15 @@ def _tell(outcome: Outcome, output: Path) -> None:
     )
     out.print(f"certificate    {outcome.report['verdict']}")
     out.print(f"look at        {escape(str(output / 'report.html'))}")
+
+
+def _tell_page(path: str, url: str | None, data: Path) -> None:
+    """Say where the page shows the rig: of a running service, or of the one that was kept."""
+    if url is not None:
+        out.print(f"in the browser {url.rstrip('/')}{path}", markup=False, soft_wrap=True)
+        return
+    settings = read_settings()
+    key = read_settings(data_dir=data).admin_key.read_text()
+    page = f"http://{settings.host}:{settings.port}{path}#key={key}"
+    out.print(f"in the browser myoface up --data {shlex.quote(str(data))}", markup=False)
+    out.print(f"               and open {page}", markup=False, soft_wrap=True)

@@ -60,7 +60,8 @@ def build(
     output.parent.mkdir(parents=True, exist_ok=True)
     digest = made.save(output)
     out.print(
-        f"{output}: {made.name} {made.version}, {len(made.muscles)} muscles, sha256 {digest}",
+        f"{output}: {made.name} {made.version}, {len(made.muscles)} muscles, "
+        f"content sha256 {digest}",
         markup=False,
     )
 

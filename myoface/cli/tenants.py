@@ -1,4 +1,4 @@
-"""Commands on the data itself, where the service runs: its tenants and their quotas."""
+"""Commands on the data itself, where the service runs: its tenants and what they may."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import typer
 from myoface.cli.app import read_settings
 from myoface.cli.console import out, show_table
 from service.settings import Settings
+from service.store.retention import KINDS
 from service.store.store import Store
 
 tenants = typer.Typer(help="Tenants: customers who see nothing of one another.")
@@ -20,19 +21,28 @@ Data = Annotated[Path | None, typer.Option(help="folder for everything the servi
 MaxBytes = Annotated[int | None, typer.Option(min=0, help="bytes that may be stored")]
 MaxQueued = Annotated[int | None, typer.Option(min=0, help="jobs that may wait")]
 MaxRunning = Annotated[int | None, typer.Option(min=0, help="jobs that may run at a time")]
+RetainDays = Annotated[int | None, typer.Option(min=1, help="days; default: the installation's")]
 
 
 @tenants.command("list")
 def list_tenants(data: Data = None) -> None:
-    """List the tenants with their quotas."""
+    """List the tenants with their quotas and the days they keep things, if they have their own."""
     from service.tenants import repository
 
     with _store(data) as (store, _), store.read() as session:
         rows = [
-            (each.id, each.name, each.max_bytes, each.max_queued, each.max_running)
+            (
+                each.id,
+                each.name,
+                each.max_bytes,
+                each.max_queued,
+                each.max_running,
+                *(getattr(each, f"retain_{kind}") for kind in KINDS),
+            )
             for each in repository.all_of_them(session)
         ]
-    show_table(("id", "name", "bytes", "queued", "running"), rows)
+    kept = [f"{kind} (days)" for kind in KINDS]
+    show_table(("id", "name", "bytes", "queued", "running", *kept), rows)
 
 
 @tenants.command("add")
@@ -49,12 +59,28 @@ def add_tenant(
     from service.access.keys import Keyring
     from service.secret import secret
 
-    if key.exists():
-        raise typer.BadParameter(f"{key} is there already", param_hint="--key")
+    _refuse_to_overwrite(key)
     quotas = {"max_bytes": max_bytes, "max_queued": max_queued, "max_running": max_running}
     with _store(data) as (store, settings):
         keyring = Keyring(store, secret(settings))
         out.print(bootstrap.add_tenant(store, keyring, name, key, **quotas))
+
+
+@tenants.command("key")
+def make_key(
+    tenant: Annotated[str, typer.Argument(help="tenant id")],
+    key: Annotated[Path, typer.Option(dir_okay=False, help="file for the key")],
+    data: Data = None,
+) -> None:
+    """Make a key for a tenant that has lost its own: it may do everything (file of mode 0600)."""
+    from service.access import bootstrap
+    from service.access.keys import Keyring
+    from service.secret import secret
+
+    _refuse_to_overwrite(key)
+    with _store(data) as (store, settings):
+        if not bootstrap.tenant_key(store, Keyring(store, secret(settings)), tenant, key):
+            raise typer.BadParameter(f"there is no tenant {tenant}")
 
 
 @tenants.command("limit")
@@ -66,12 +92,35 @@ def limit_tenant(
     data: Data = None,
 ) -> None:
     """Set a tenant's quotas; those that are not given have no limit."""
+    quotas = {"max_bytes": max_bytes, "max_queued": max_queued, "max_running": max_running}
+    _change(data, tenant, **quotas)
+
+
+@tenants.command("retain")
+def retain(
+    tenant: Annotated[str, typer.Argument(help="tenant id")],
+    subjects: RetainDays = None,
+    scans: RetainDays = None,
+    jobs: RetainDays = None,
+    rigs: RetainDays = None,
+    data: Data = None,
+) -> None:
+    """Set after how many days a tenant's things go; the installation's days hold where fewer."""
+    days = zip(KINDS, (subjects, scans, jobs, rigs), strict=True)
+    _change(data, tenant, **{f"retain_{kind}": most for kind, most in days})
+
+
+def _change(data: Path | None, tenant: str, **limits: int | None) -> None:
     from service.tenants import repository
 
-    quotas = {"max_bytes": max_bytes, "max_queued": max_queued, "max_running": max_running}
     with _store(data) as (store, _), store.write() as session:
-        if not repository.limit(session, tenant, **quotas):
+        if not repository.change(session, tenant, **limits):
             raise typer.BadParameter(f"there is no tenant {tenant}")
+
+
+def _refuse_to_overwrite(key: Path) -> None:
+    if key.exists():
+        raise typer.BadParameter(f"{key} is there already", param_hint="--key")
 
 
 @contextmanager

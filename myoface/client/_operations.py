@@ -23,6 +23,7 @@ from myoface.resources import (
     Deletion,
     Frame,
     Job,
+    JobKind,
     Key,
     Kind,
     LogLine,
@@ -47,6 +48,8 @@ LONGEST_PAGE = 1000
 FRAMES_A_PAGE = 100
 FRAMES_PAUSE = 0.5
 BATCH_PAUSE = 1.0
+TOO_MANY_STREAMS = "stream.too_many"
+STREAM_PAUSE = 2.0
 
 # The service sends a comment line at least this often while a job has nothing to tell.
 EVENTS_TIMEOUT = httpx.Timeout(30.0, read=60.0)
@@ -90,8 +93,7 @@ class Operations:
         return self._make("/v1/keys", NewKey, name=name, scopes=list(scopes), expires_at=until)
 
     def rotate_key(self, key_id: str, grace: int) -> Flow[NewKey]:
-        response = yield from once("POST", f"/v1/keys/{key_id}/rotate", json={"grace": grace})
-        return NewKey.model_validate(response.json())
+        return self._make(f"/v1/keys/{key_id}/rotate", NewKey, grace=grace)
 
     def revoke_key(self, key_id: str) -> Flow[None]:
         yield from patiently("DELETE", f"/v1/keys/{key_id}")
@@ -180,6 +182,9 @@ class Operations:
 
     # Jobs
 
+    def solvers(self) -> Flow[list[JobKind]]:
+        return self._list("/v1/solvers", JobKind)
+
     def submit(
         self,
         kind: Kind,
@@ -213,9 +218,7 @@ class Operations:
             "options": options,
             "priority": priority,
         }
-        given = {key: value for key, value in body.items() if value is not None}
-        response = yield from once("POST", f"/v1/jobs/{job_id}/retry", json=given)
-        return Job.model_validate(response.json())
+        return self._make(f"/v1/jobs/{job_id}/retry", Job, **body)
 
     def job(self, job_id: str) -> Flow[Job]:
         return self._get(f"/v1/jobs/{job_id}", Job)
@@ -254,7 +257,10 @@ class Operations:
             try:
                 yield from _follow(job, watch, patience)
             except ApiError as error:
-                yield from patience.bear(error)
+                if error.code == TOO_MANY_STREAMS:
+                    yield Pause(STREAM_PAUSE)  # asking again and again does as well
+                else:
+                    yield from patience.bear(error)
 
     # Batches
 

@@ -29,6 +29,7 @@ from myoface.resources import (
     Deletion,
     Frame,
     Job,
+    JobKind,
     Key,
     Kind,
     LogLine,
@@ -44,6 +45,7 @@ from myoface.resources import (
     Usage,
 )
 from myoface.transfer import Transferred, unheard
+from myoface.trust import trust
 
 TIMEOUT = httpx.Timeout(30.0)
 
@@ -53,10 +55,20 @@ R = TypeVar("R")
 class AsyncClient:
     """One service, as :class:`myoface.client.Client` has it, for asyncio and trio."""
 
-    def __init__(self, url: str = DEFAULT_URL, key: str | None = None) -> None:
-        """Speak to the service at ``url``; ``key`` is by default what `myoface.credentials` has."""
+    def __init__(
+        self, url: str = DEFAULT_URL, key: str | None = None, *, ca: Path | str | None = None
+    ) -> None:
+        """Speak to the service at ``url``.
+
+        ``key`` is by default what `myoface.credentials` has; ``ca`` is the PEM file of the
+        authority that its certificate is of, where that is no public one (`myoface.trust`).
+        """
         self.http = httpx.AsyncClient(
-            base_url=url, headers=headers_for(url, key), timeout=TIMEOUT, trust_env=False
+            base_url=url,
+            headers=headers_for(url, key),
+            timeout=TIMEOUT,
+            trust_env=False,
+            verify=trust(ca),
         )
         self._ask = Operations(url)
 
@@ -206,6 +218,10 @@ class AsyncClient:
         return await self._run(self._ask.delete_capture(subject_id, capture_id))
 
     # Jobs
+
+    async def solvers(self) -> list[JobKind]:
+        """Return the kinds of job with their options."""
+        return await self._run(self._ask.solvers())
 
     async def submit(
         self,

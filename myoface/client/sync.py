@@ -29,6 +29,7 @@ from myoface.resources import (
     Deletion,
     Frame,
     Job,
+    JobKind,
     Key,
     Kind,
     LogLine,
@@ -44,6 +45,7 @@ from myoface.resources import (
     Usage,
 )
 from myoface.transfer import Transferred, unheard
+from myoface.trust import trust
 
 TIMEOUT = httpx.Timeout(30.0)
 
@@ -57,10 +59,20 @@ class Client:
     ready, and as late as it asks for when it is asked too fast.
     """
 
-    def __init__(self, url: str = DEFAULT_URL, key: str | None = None) -> None:
-        """Speak to the service at ``url``; ``key`` is by default what `myoface.credentials` has."""
+    def __init__(
+        self, url: str = DEFAULT_URL, key: str | None = None, *, ca: Path | str | None = None
+    ) -> None:
+        """Speak to the service at ``url``.
+
+        ``key`` is by default what `myoface.credentials` has; ``ca`` is the PEM file of the
+        authority that its certificate is of, where that is no public one (`myoface.trust`).
+        """
         self.http = httpx.Client(
-            base_url=url, headers=headers_for(url, key), timeout=TIMEOUT, trust_env=False
+            base_url=url,
+            headers=headers_for(url, key),
+            timeout=TIMEOUT,
+            trust_env=False,
+            verify=trust(ca),
         )
         self._ask = Operations(url)
 
@@ -208,6 +220,10 @@ class Client:
         return self._run(self._ask.delete_capture(subject_id, capture_id))
 
     # Jobs
+
+    def solvers(self) -> list[JobKind]:
+        """Return the kinds of job with their options."""
+        return self._run(self._ask.solvers())
 
     def submit(
         self,

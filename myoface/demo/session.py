@@ -25,11 +25,15 @@ Options = Mapping[Kind, dict[str, Any]]
 
 @dataclass
 class Session:
-    """One person's way through the service; ``seconds`` collects the time of each phase."""
+    """One person's way through the service.
+
+    ``seconds`` collects the time of each phase; ``rig_id`` is the whole rig's once it has run.
+    """
 
     client: Client
     folder: Path
     seconds: dict[str, float] = field(default_factory=dict)
+    rig_id: str | None = None
 
     def run(
         self, name: str, captures: CaptureSet, template: Path | None, options: Options
@@ -57,6 +61,7 @@ class Session:
             unseen = [ids[each] for each in captures.test]
             done.append(solve("fit_activations", captures=unseen, rig_id=_result(geometry).rig_id))
 
+        self.rig_id = _result(done[-1]).rig_id
         with self.timed("download"):
             # Later files take the place of earlier ones of the same name: the last rig is whole.
             files = {each.name: each for job in done for each in _result(job).artifacts}

@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 from sqlalchemy import select
+from sqlalchemy.orm import Session
 
 from service.access.keys import Keyring
 from service.access.loopback import is_loopback
-from service.access.principal import Scope
+from service.access.principal import Principal, Scope
+from service.audit.record import record
 from service.settings import Settings
 from service.store.models import DEFAULT_TENANT, ApiKey, Tenant
 from service.store.store import Store
+
+OPERATOR = "operator"
+"""Who it was, in the audit log, where somebody on the machine itself had no key."""
+OF_TENANTS = frozenset(Scope) - {Scope.METRICS}
+"""Metrics and workers are the whole service's, not a tenant's."""
 
 
 class OpenDoorError(Exception):
@@ -46,8 +54,7 @@ def admin_key(store: Store, keyring: Keyring, settings: Settings, *, only_first:
         known = select(ApiKey.id).where(ApiKey.tenant_id == DEFAULT_TENANT)
         if only_first and session.scalars(known.limit(1)).first():
             return path
-        _, text = keyring.mint(session, DEFAULT_TENANT, "admin", Scope)
-        write_secret(path, text.encode())
+        _mint(session, keyring, DEFAULT_TENANT, Scope, path)
     return path
 
 
@@ -56,10 +63,20 @@ def add_tenant(store: Store, keyring: Keyring, name: str, key: Path, **quotas: i
     with store.write() as session:
         session.add(tenant := Tenant(name=name, **quotas))
         session.flush()
-        # metrics and workers are the whole service's, not a tenant's
-        _, text = keyring.mint(session, tenant.id, "admin", set(Scope) - {Scope.METRICS})
-        write_secret(key, text.encode())
+        _mint(session, keyring, tenant.id, OF_TENANTS, key)
     return tenant.id
+
+
+def tenant_key(store: Store, keyring: Keyring, tenant_id: str, key: Path) -> bool:
+    """Make a key for a tenant that has none left, to the file ``key``, mode 0600.
+
+    It may do everything of the tenant's. False: there is no such tenant.
+    """
+    with store.write() as session:
+        if session.get(Tenant, tenant_id) is None:
+            return False
+        _mint(session, keyring, tenant_id, OF_TENANTS, key)
+    return True
 
 
 def write_secret(path: Path, content: bytes) -> None:
@@ -70,6 +87,14 @@ def write_secret(path: Path, content: bytes) -> None:
     with os.fdopen(descriptor, "wb") as file:
         file.write(content)
     fresh.replace(path)
+
+
+def _mint(
+    session: Session, keyring: Keyring, tenant_id: str, scopes: Iterable[Scope], path: Path
+) -> None:
+    key, text = keyring.mint(session, tenant_id, "admin", scopes)
+    record(session, Principal(tenant_id, OPERATOR, frozenset()), "key.created", key.id)
+    write_secret(path, text.encode())
 
 
 def _refuse_open_door(store: Store, settings: Settings) -> None:

@@ -64,10 +64,14 @@ def unauthorized(code: str, detail: str) -> Problem:
     return problem
 
 
+Caller = Annotated[Principal, Depends(principal)]
+"""Who is asking, whatever its key may do."""
+
+
 def need(scope: Scope) -> Callable[[Principal], Awaitable[Principal]]:
     """Return a dependency that gives the caller if its key has ``scope``."""
 
-    async def allowed(who: Annotated[Principal, Depends(principal)]) -> Principal:
+    async def allowed(who: Caller) -> Principal:
         return require(scope, who)
 
     return allowed

@@ -6,7 +6,7 @@ from sqlalchemy import func, select, union
 from sqlalchemy.orm import Session
 
 from service.errors import Problem
-from service.store.models import Artifact, Capture, Job, Template, Upload
+from service.store.models import Artifact, Capture, FrameChunk, Job, Template, Upload
 from service.store.tenancy import own_tenant
 from service.store.transitions import HELD, State
 
@@ -19,7 +19,7 @@ def check_bytes(session: Session, size: int) -> None:
     Raises
     ------
     Problem
-        413 for a file that never fits, 429 for one that does not fit beside what is stored.
+        413 for a file that does not fit, alone or beside what is stored: waiting makes no room.
     """
     tenant = own_tenant(session, lock=True)
     if tenant.max_bytes is None:
@@ -32,7 +32,7 @@ def check_bytes(session: Session, size: int) -> None:
     used = stored_bytes(session, tenant.id)
     if used + size > most:
         raise Problem(
-            429,
+            413,
             "quota.bytes",
             f"{used} of {most} bytes are in use: delete something first",
             expected=most,
@@ -71,7 +71,13 @@ def stored_bytes(session: Session, tenant_id: str) -> int:
         select(table.sha256, table.size).where(table.tenant_id == tenant_id) for table in tables
     )
     sent = select(Upload.sha256, Upload.size).where(Upload.tenant_id == tenant_id, Upload.complete)
-    stored = session.scalar(select(func.sum(union(sent, *files).subquery().c.size)))
+    landmarks = select(Capture.landmarks_sha256, Capture.landmarks_size).where(
+        Capture.tenant_id == tenant_id
+    )
+    frames = select(FrameChunk.sha256, FrameChunk.size).join(Job, Job.id == FrameChunk.job_id)
+    frames = frames.where(Job.tenant_id == tenant_id)
+    counted = union(sent, landmarks, frames, *files).subquery()
+    stored = session.scalar(select(func.sum(counted.c.size)))
     opened = session.scalar(
         select(func.sum(Upload.size)).where(Upload.tenant_id == tenant_id, ~Upload.complete)
     )

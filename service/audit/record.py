@@ -16,6 +16,7 @@ def record(session: Session, who: Principal, action: str, object_id: str) -> Non
     """
     session.add(
         AuditEntry(
+            tenant_id=who.tenant_id,
             key_id=who.key_id,
             request_id=who.request_id,
             action=action,

@@ -14,7 +14,9 @@ class AuditEntryView(View):
 
     id: str
     created_at: datetime
-    key_id: str = Field(description="the key it was done with")
+    key_id: str = Field(
+        description="the key it was done with; `operator`: on the machine that has the data"
+    )
     request_id: str
     action: str = Field(examples=["subject.deleted"])
     object_id: str = Field(description="the id of the subject, the key ... that it was about")

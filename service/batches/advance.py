@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 import socket
-import threading
 
 import structlog
-from sqlalchemy.exc import SQLAlchemyError
 
+from service.background import Background
 from service.batches import repository, service
 from service.errors import Problem
 from service.settings import Settings
@@ -20,28 +19,14 @@ OFFICE = "batches"
 log = structlog.get_logger()
 
 
-class Advancer(threading.Thread):
+class Advancer(Background):
     """A thread that queues what running batches need next, every ``settings.beat`` s."""
 
     def __init__(self, store: Store, settings: Settings) -> None:
-        super().__init__(name="batches", daemon=True)
+        super().__init__("batches", settings.beat)
         self._store = store
         self._settings = settings
-        self._name = f"{socket.gethostname()}:{os.getpid()}"
-        self._stopping = threading.Event()
-
-    def run(self) -> None:
-        """Look after the batches until told to stop."""
-        while not self._stopping.wait(self._settings.beat):
-            try:
-                self._round()
-            except SQLAlchemyError as error:
-                log.warning("batches.failed", error=str(error))
-
-    def stop(self) -> None:
-        """Stop after the present round."""
-        self._stopping.set()
-        self.join()
+        self._holder = f"{socket.gethostname()}:{os.getpid()}"
 
     def _round(self) -> None:
         with self._store.read() as session:
@@ -49,7 +34,7 @@ class Advancer(threading.Thread):
         if not running:
             return
         with self._store.write() as session:
-            if not hold_office(session, OFFICE, self._name, 10 * self._settings.beat):
+            if not hold_office(session, OFFICE, self._holder, 10 * self._settings.beat):
                 return
         for tenant_id, batch_id in running:
             try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -30,10 +30,9 @@ class Progress:
     _jobs: dict[tuple[str, str | None], Job] = field(repr=False)
 
     @classmethod
-    def of(cls, batch: Batch, captures: Sequence[Capture], jobs: Sequence[Job]) -> Progress:
-        """Sort a batch's rows; ``jobs`` are the oldest first."""
-        there = {capture.id: capture for capture in captures}
-        scans = [there[one] for one in batch.capture_ids if one in there]
+    def of(cls, batch: Batch, captures: Mapping[str, Capture], jobs: Sequence[Job]) -> Progress:
+        """Sort a batch's rows; ``captures`` by id, ``jobs`` the oldest first."""
+        scans = [captures[one] for one in batch.capture_ids if one in captures]
         return cls(batch, scans, {(job.kind, job.capture_id): job for job in jobs})
 
     @property

@@ -12,6 +12,9 @@ from service.errors import unknown
 from service.paging import Slice
 from service.store.models import Batch, Capture, Job
 
+AT_ONCE = 10_000
+"""Ids in a statement: PostgreSQL takes 65,535 parameters, SQLite 32,766."""
+
 
 def get(session: Session, batch_id: str) -> Batch:
     """Return a batch."""
@@ -62,6 +65,11 @@ def jobs(session: Session, batch_ids: Sequence[str]) -> Sequence[Job]:
     ).all()
 
 
-def captures(session: Session, capture_ids: Sequence[str]) -> Sequence[Capture]:
-    """Return captures; those that were deleted are not among them."""
-    return session.scalars(select(Capture).where(Capture.id.in_(capture_ids))).all()
+def captures(session: Session, capture_ids: Sequence[str]) -> dict[str, Capture]:
+    """Return captures by their ids; those that were deleted are not among them."""
+    found: dict[str, Capture] = {}
+    for start in range(0, len(capture_ids), AT_ONCE):
+        ids = capture_ids[start : start + AT_ONCE]
+        there = session.scalars(select(Capture).where(Capture.id.in_(ids)))
+        found |= {capture.id: capture for capture in there}
+    return found

@@ -75,7 +75,7 @@ def cancel(
 
 
 def _views(session: Session, batches: Sequence[Batch]) -> list[BatchView]:
-    """Show batches, with two queries for all of them."""
+    """Show batches, with a few queries for all of them."""
     session.flush()
     ids = [capture_id for batch in batches for capture_id in batch.capture_ids]
     captures = repository.captures(session, ids)

@@ -9,11 +9,10 @@ from pydantic import ConfigDict, Field
 
 from service.captures.registered import mesh, neutral_of
 from service.schemas import Body, Id, Name, RetainUntil, View
-from service.settings import Settings
 from service.store import retention
 from service.store.models import Capture, Job
 
-Role = Literal["neutral", "expression", "performance"]
+Role = Literal["neutral", "expression", "performance", "asset"]
 
 
 class NewCapture(Body):
@@ -36,7 +35,7 @@ class NewCapture(Body):
     name: Name
     role: Role = Field(
         description="`performance`: frames of registered skin points, a `.npy` file; "
-        "`fit_sequence` reads it"
+        "`fit_sequence` reads it; `asset`: a file that scenes name (a recording, a mesh, a map)"
     )
     upload_id: Id
     registered: bool = Field(
@@ -94,7 +93,7 @@ class CaptureView(View):
 
     @classmethod
     def of(
-        cls, capture: Capture, check: Job | None, registration: Job | None, settings: Settings
+        cls, capture: Capture, check: Job | None, registration: Job | None, kept: retention.Days
     ) -> CaptureView:
         """Show a capture with the newest jobs about it."""
         return cls.model_validate(
@@ -103,7 +102,7 @@ class CaptureView(View):
                 "landmarks": capture.landmarks_filename,
                 "check": check and _check(check),
                 "registration": registration and _registration(registration),
-                "retain_until": retention.until(settings.retain_scans, capture.created_at),
+                "retain_until": retention.until(kept.scans, capture.created_at),
             }
         )
 

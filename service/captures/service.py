@@ -13,6 +13,7 @@ from service.errors import Problem
 from service.settings import Settings
 from service.store.deletion import delete_capture
 from service.store.models import Capture, Deletion, Job, Upload
+from service.store.retention import own_days
 from service.subjects import repository as subjects
 from service.subjects.service import refuse_while_busy
 from service.uploads import repository as uploads
@@ -20,6 +21,7 @@ from service.uploads import repository as uploads
 FORMATS = (".obj", ".ply", ".stl", ".glb")
 RAW_FORMATS = (*FORMATS, ".xyz", ".pts", ".asc", ".csv", ".txt", ".xyzn", ".xyzrgb")
 PERFORMANCE_FORMATS = (".npy",)
+ASSET_FORMATS = (*FORMATS, ".csv", ".npy")
 LANDMARK_FORMATS = (".json", ".ljson", ".csv")
 
 
@@ -30,6 +32,8 @@ def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
     upload = uploads.get_complete(session, new.upload_id)
     if new.role == "performance":
         _check_performance(upload, new)
+    elif new.role == "asset":
+        _check_asset(upload, new)
     elif new.registered:
         _check_format(upload, "capture.format", "a registered scan", FORMATS)
     else:
@@ -44,10 +48,11 @@ def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
         size=upload.size,
         sha256=upload.sha256,
     )
-    if new.landmarks_upload_id is not None:
-        _give_landmarks(session, capture, new.landmarks_upload_id)
     session.add(capture)
     session.flush()
+    uploads.use(session, upload, capture.id)
+    if new.landmarks_upload_id is not None:
+        _give_landmarks(session, capture, new.landmarks_upload_id)
     return capture
 
 
@@ -56,8 +61,9 @@ def views(session: Session, captures: Sequence[Capture], settings: Settings) -> 
     ids = [capture.id for capture in captures]
     checks = _newest(repository.succeeded_jobs(session, "check_scan", ids))
     registrations = _newest(repository.succeeded_jobs(session, registered.KIND, ids))
+    kept = own_days(session, settings)
     return [
-        CaptureView.of(capture, checks.get(capture.id), registrations.get(capture.id), settings)
+        CaptureView.of(capture, checks.get(capture.id), registrations.get(capture.id), kept)
         for capture in captures
     ]
 
@@ -65,8 +71,9 @@ def views(session: Session, captures: Sequence[Capture], settings: Settings) -> 
 def set_landmarks(session: Session, subject_id: str, capture_id: str, given: Landmarks) -> Capture:
     """Give a scan landmarks, in place of those it had; jobs submitted earlier keep theirs."""
     capture = repository.get(session, subject_id, capture_id)
-    if capture.role == "performance":
-        raise Problem(422, "capture.is_performance", f"{capture.name} takes no landmarks")
+    if capture.role in ("performance", "asset"):
+        code = f"capture.is_{capture.role}"
+        raise Problem(422, code, f"{capture.name} takes no landmarks")
     _give_landmarks(session, capture, given.upload_id)
     return capture
 
@@ -83,7 +90,9 @@ def delete(session: Session, subject_id: str, capture_id: str) -> Deletion:
 def _give_landmarks(session: Session, capture: Capture, upload_id: str) -> None:
     upload = uploads.get_complete(session, upload_id)
     _check_format(upload, "landmarks.format", "a file of landmarks", LANDMARK_FORMATS)
-    capture.landmarks_filename, capture.landmarks_sha256 = upload.filename, upload.sha256
+    capture.landmarks_filename = upload.filename
+    capture.landmarks_size, capture.landmarks_sha256 = upload.size, upload.sha256
+    uploads.use(session, upload, capture.id)
 
 
 def _check_performance(upload: Upload, new: NewCapture) -> None:
@@ -94,6 +103,12 @@ def _check_performance(upload: Upload, new: NewCapture) -> None:
             "capture.is_performance",
             f"{new.name}: a performance holds registered points and takes no landmarks",
         )
+
+
+def _check_asset(upload: Upload, new: NewCapture) -> None:
+    _check_format(upload, "capture.format", "an asset", ASSET_FORMATS)
+    if new.landmarks_upload_id is not None:
+        raise Problem(422, "capture.is_asset", f"{new.name}: an asset takes no landmarks")
 
 
 def _check_format(upload: Upload, code: str, what: str, formats: Sequence[str]) -> None:

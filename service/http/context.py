@@ -10,7 +10,9 @@ import structlog
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from service import tracing
 from service.errors import Problem, render
+from service.metrics.latency import method_of, route_of
 
 ACCEPTED_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 QUIET = frozenset({"/healthz", "/readyz"})
@@ -48,7 +50,15 @@ class RequestContext:
 
         structlog.contextvars.bind_contextvars(request_id=request_id)
         try:
-            await self._app(scope, receive, send_with_id)
+            if request.url.path in QUIET:
+                await self._app(scope, receive, send_with_id)
+                return
+            with tracing.serving(request.headers, request_id) as span:
+                try:
+                    await self._app(scope, receive, send_with_id)
+                finally:
+                    if span is not None:
+                        tracing.answered(span, method_of(scope), route_of(scope), status)
         except Exception:
             log.exception("request.failed", method=request.method, path=request.url.path)
             if status:

@@ -1,12 +1,15 @@
 """A connection that keeps the service waiting is closed.
 
-uvicorn waits for ever for the first byte, for the end of the headers, and for the rest of a body
-after it was refused. A few hundred such connections would be all that the process can hold.
+uvicorn waits for ever for the first byte, for the end of the headers, for the rest of a body after
+it was refused, and for a client that does not read its answer. A few hundred such connections would
+be all that the process can hold.
 """
 
 from __future__ import annotations
 
 import asyncio
+import socket
+import struct
 import uuid
 from typing import Any, ClassVar
 
@@ -15,24 +18,51 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from service.errors import Problem, render
 
+MOST_UNSENT = 128 * 1024
+"""Bytes that wait in the kernel: with its own megabytes it would long not tell that some went."""
+AT_ONCE = struct.pack("ii", 1, 0)
+"""To linger no time: what waits in the kernel for a client that was cut off goes as well."""
+
 
 class DeadlineProtocol(H11Protocol):
-    """HTTP/1.1 with a limit, in seconds, on the time without a request that the service works on.
+    """HTTP/1.1 with limits, in seconds, on the time without a request and on that without a reader.
 
-    It runs from the connection, or from the first byte after an answer, until the headers of a
-    request have arrived. From then on `service.http.bodies` keeps the time.
+    The first runs from the connection, or from the first byte after an answer, until the headers of
+    a request have arrived. From then on `service.http.bodies` keeps the time.
+
+    The second runs while bytes of an answer wait for the client, and anew with every byte it takes:
+    one that is slow gets its file, one that has stopped is cut off. An answer goes on only when the
+    client has taken what was written, so that one piece of it is all that waits in memory.
     """
 
     seconds: ClassVar[float]
+    send_seconds: ClassVar[float]
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self._deadline: asyncio.TimerHandle | None = None
+        self._patience: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Start the clock."""
         super().connection_made(transport)
+        transport.set_write_buffer_limits(high=1, low=0)  # "paused": something waits for the client
+        connection = transport.get_extra_info("socket")
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, MOST_UNSENT)
+        if hasattr(socket, "TCP_USER_TIMEOUT"):  # Linux; elsewhere the system's own quarter hour
+            limit = round(1000 * self.send_seconds)  # for one whose host is gone: nothing answers
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, limit)
         self._start()
+
+    def pause_writing(self) -> None:
+        """Hold the answer, until the client has taken what waits for it."""
+        super().pause_writing()
+        self._be_patient(self.transport.get_write_buffer_size())
+
+    def resume_writing(self) -> None:
+        """Go on with the answer."""
+        super().resume_writing()
+        self._stop_being_patient()
 
     def data_received(self, data: bytes) -> None:
         """Take bytes, and see whether they make a request."""
@@ -46,6 +76,7 @@ class DeadlineProtocol(H11Protocol):
         """Stop the clock."""
         super().connection_lost(exc)
         self._stop()
+        self._stop_being_patient()
 
     def send_400_response(self, msg: str) -> None:
         """Answer what is not HTTP with a problem document like all others."""
@@ -73,6 +104,24 @@ class DeadlineProtocol(H11Protocol):
         else:
             self.transport.close()
 
+    def _be_patient(self, waiting: int) -> None:
+        self._patience = self.loop.call_later(self.send_seconds, self._look_at_reader, waiting)
+
+    def _stop_being_patient(self) -> None:
+        if self._patience is not None:
+            self._patience.cancel()
+            self._patience = None
+
+    def _look_at_reader(self, waited: int) -> None:
+        """Cut off a client that has taken nothing since ``waited`` bytes waited for it."""
+        waiting = self.transport.get_write_buffer_size()
+        if waiting < waited:
+            self._be_patient(waiting)
+        else:
+            connection = self.transport.get_extra_info("socket")
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, AT_ONCE)
+            self.transport.abort()
+
     def _refuse(self, problem: Problem) -> None:
         if self.conn.our_state in (h11.IDLE, h11.SEND_RESPONSE):
             problem.headers = {"Connection": "close"}
@@ -88,6 +137,7 @@ class DeadlineProtocol(H11Protocol):
         self.transport.close()
 
 
-def protocol(seconds: float) -> type[DeadlineProtocol]:
-    """Return the protocol class for uvicorn's ``http``."""
-    return type("Protocol", (DeadlineProtocol,), {"seconds": seconds})
+def protocol(seconds: float, send_seconds: float) -> type[DeadlineProtocol]:
+    """Return the protocol class for uvicorn's ``http``: its limits on requests and on answers."""
+    limits = {"seconds": seconds, "send_seconds": send_seconds}
+    return type("Protocol", (DeadlineProtocol,), limits)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Header, Query, Request, Response
+from fastapi import APIRouter, Depends, Header, Query, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
@@ -21,6 +21,7 @@ from service.dependencies import (
     SettingsDep,
     WriteSession,
     WriteStore,
+    part,
 )
 from service.errors import problems
 from service.idempotency import Once
@@ -32,6 +33,7 @@ from service.schemas import Id, Page, Position
 from service.settings import Settings
 from service.store.models import Job
 from service.store.positions import positions
+from service.store.retention import own_days
 from service.store.store import Store
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
@@ -88,7 +90,8 @@ def index(
     """List jobs, newest first."""
     jobs = repository.newest(session, wanted, limit, cursor)
     places = positions(session, jobs.items)
-    views = [JobView.of(job, places.get(job.id), settings) for job in jobs.items]
+    kept = own_days(session, settings)
+    views = [JobView.of(job, places.get(job.id), kept) for job in jobs.items]
     return paging.respond(Page[JobView](items=views, next=jobs.next))
 
 
@@ -144,12 +147,12 @@ def _existing(job_id: Id, session: ReadSession) -> str:
 ExistingJob = Annotated[str, Depends(_existing, scope="function")]
 
 
-async def _feed(request: Request) -> Feed:
-    feed: Feed = request.app.state.feed
-    return feed
+FeedDep = Annotated[Feed, Depends(part("feed"))]
 
 
-FeedDep = Annotated[Feed, Depends(_feed)]
+async def _place(feed: FeedDep, who: Reader) -> AsyncIterator[None]:
+    with feed.place(who):
+        yield
 
 
 @router.get(
@@ -157,6 +160,7 @@ FeedDep = Annotated[Feed, Depends(_feed)]
     response_class=EventSourceResponse,
     summary="Watch a job",
     responses=problems(404, 422),
+    dependencies=[Depends(_place)],
 )
 async def events(
     job_id: ExistingJob,
@@ -194,7 +198,7 @@ def log(
 
 @router.get(
     "/{job_id}/frames",
-    summary="Read the frames of a sequence",
+    summary="Read the frames of a sequence or simulation",
     responses=problems(404, 409, 422),
 )
 def read_frames(
@@ -209,7 +213,20 @@ def read_frames(
     return FramesView(frames=views, next=start + len(found), ready=ready)
 
 
+@router.get(
+    "/{job_id}/frames/picture",
+    summary="See the newest frame of a simulation",
+    response_class=Response,
+    responses={200: {"content": {"image/jpeg": {}}}, **problems(404, 409)},
+)
+def read_picture(job_id: Id, session: ReadSession, store: ReadStore) -> Response:
+    """Read a small picture of the newest frame that has one, also while the job runs."""
+    picture = frames.newest_picture(session, store.files, job_id)
+    return Response(picture, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
+
+
 def _view(session: Session, job_id: str, settings: Settings) -> JobView:
     session.flush()
     job: Job = repository.get(session, job_id)
-    return JobView.of(job, positions(session, [job]).get(job.id), settings)
+    place = positions(session, [job]).get(job.id)
+    return JobView.of(job, place, own_days(session, settings))

@@ -7,6 +7,7 @@ from typing import Any
 
 from sqlalchemy.orm import Session
 
+from service import tracing
 from service.access.quotas import check_queued
 from service.errors import Problem
 from service.jobs import repository
@@ -54,6 +55,7 @@ def submit(
         **origin,
     )
     jobs.create(session, job)
+    tracing.note(job_id=job.id)
     return job, True
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Depends, Response
 
 from service.access.keys import Keyring
 from service.access.principal import Admin
 from service.audit.record import record
-from service.dependencies import AdminSession, Cursor, Limit
+from service.dependencies import AdminSession, Cursor, Limit, part
 from service.errors import problems
 from service.idempotency import Once
 from service.keys import repository, service
@@ -20,12 +20,7 @@ from service.store.models import ApiKey
 router = APIRouter(prefix="/v1/keys", tags=["keys"])
 
 
-async def _keyring(request: Request) -> Keyring:
-    keyring: Keyring = request.app.state.keyring
-    return keyring
-
-
-Keys = Annotated[Keyring, Depends(_keyring)]
+Keys = Annotated[Keyring, Depends(part("keyring"))]
 
 
 @router.post("", status_code=201, summary="Make a key", responses=problems(409, 422))
@@ -55,11 +50,16 @@ def rotate(
     session: AdminSession,
     who: Admin,
     keyring: Keys,
+    once: Once,
     response: Response,
     order: Rotation | None = None,
 ) -> KeyWithText:
     """Make a key of the same name, scopes and end; the old one goes on for `grace` seconds."""
-    key, text = service.rotate(session, keyring, key_id, (order or Rotation()).grace)
+    wanted = order or Rotation()
+    if (known := once.known(session, wanted)) is not None:
+        return _told(repository.get(session, known), None, response)
+    key, text = service.rotate(session, keyring, key_id, wanted.grace)
+    once.keep(session, key.id)
     record(session, who, "key.rotated", key_id)
     return _told(key, text, response)
 

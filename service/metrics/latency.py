@@ -34,7 +34,7 @@ class Latency:
 
         async def send_and_measure(message: Message) -> None:
             if message["type"] == "http.response.start":
-                self._seconds.labels(_route(scope), _method(scope), message["status"]).observe(
+                self._seconds.labels(route_of(scope), method_of(scope), message["status"]).observe(
                     time.perf_counter() - started
                 )
             await send(message)
@@ -42,11 +42,12 @@ class Latency:
         await self._app(scope, receive, send_and_measure)
 
 
-def _route(scope: Scope) -> str:
+def route_of(scope: Scope) -> str:
     """Return the route's template, never the address: that may name what nobody should count."""
     return getattr(scope.get("route"), "path", OTHER)
 
 
-def _method(scope: Scope) -> str:
+def method_of(scope: Scope) -> str:
+    """Return the method if it is one of HTTP's own: any word may come."""
     method: str = scope["method"]
     return method if method in METHODS else OTHER

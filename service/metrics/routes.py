@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Depends, Request, Response
-from prometheus_client import CONTENT_TYPE_PLAIN_0_0_4, generate_latest
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Response
+from prometheus_client import CONTENT_TYPE_PLAIN_0_0_4, CollectorRegistry, generate_latest
 
 from service.access.principal import Scope, need
+from service.dependencies import part
 
 router = APIRouter(tags=["system"])
 
@@ -17,6 +20,6 @@ router = APIRouter(tags=["system"])
     dependencies=[Depends(need(Scope.METRICS))],
     responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
 )
-def metrics(request: Request) -> Response:
+def metrics(registry: Annotated[CollectorRegistry, Depends(part("metrics"))]) -> Response:
     """Tell health, latencies and queues in Prometheus' text format."""
-    return Response(generate_latest(request.app.state.metrics), media_type=CONTENT_TYPE_PLAIN_0_0_4)
+    return Response(generate_latest(registry), media_type=CONTENT_TYPE_PLAIN_0_0_4)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import ipaddress
 import queue
 import re
@@ -12,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import Any
 
 import httpcore
@@ -23,7 +23,8 @@ MOST_TRIED = 4
 MOST_ANSWER = 64 * 1024
 WRITE_SIZE = 16 * 1024
 LONGEST_URL = 2000
-CHECK_SECONDS = 2.0
+HTTP_DATE = "%a, %d %b %Y %H:%M:%S GMT"
+DELTA_SECONDS = re.compile(r"[0-9]{1,9}")
 _PRINTABLE = re.compile(r"[!-~]+")
 
 Resolve = Callable[[str, int], Sequence[str]]
@@ -47,11 +48,15 @@ class Unreachable(Exception):  # noqa: N818 (as in "host unreachable")
 
 @dataclass(frozen=True)
 class Answer:
-    """What a receiver answered: status, duration in milliseconds, at most 64 KB of the body."""
+    """What a receiver answered: status, duration in milliseconds, at most 64 KB of the body.
+
+    ``retry_after`` is the header of that name in seconds, if it is there and can be read.
+    """
 
     status: int
     ms: int
     body: bytes
+    retry_after: float | None = None
 
 
 def resolve(host: str, port: int) -> list[str]:
@@ -111,19 +116,20 @@ class Sender:
         self._tls = tls or httpcore.default_ssl_context()
 
     def check(self, url: str) -> None:
-        """Refuse a URL that could never be sent to; a name without an address may get one later.
+        """Refuse a URL that could never be sent to, without asking anybody.
+
+        Where a name leads is not looked up: that may take long, and another answer may hold by the
+        time something is sent.
 
         Raises
         ------
         Refused
             As by :meth:`post`.
         """
-        target = parse(url)
-        deadline = _Deadline(min(self._timeout, CHECK_SECONDS))
-        backend = _CheckedBackend(self._allow, self._resolver, deadline)
-        origin = target.origin
-        with contextlib.suppress(Unreachable, httpcore.TimeoutException):
-            backend.checked(origin.host.decode(), origin.port)
+        origin = parse(url).origin
+        addresses = _written(origin.host.decode())
+        if addresses:
+            _refuse(origin.host.decode(), origin.port, addresses, self._allow)
 
     def post(self, url: str, body: bytes, headers: Mapping[str, str]) -> Answer:
         """Send ``body``; any status is an answer.
@@ -148,7 +154,12 @@ class Sender:
                     "POST", target, headers=list(headers.items()), content=body
                 ) as response,
             ):
-                return Answer(response.status, deadline.spent_ms(), _read(response.iter_stream()))
+                return Answer(
+                    response.status,
+                    deadline.spent_ms(),
+                    _read(response.iter_stream()),
+                    _retry_after(response.headers),
+                )
         except httpcore.TimeoutException as error:
             raise Unreachable("timeout", f"no answer within {self._timeout:g} s") from error
         except (httpcore.NetworkError, httpcore.ProtocolError, OSError) as error:
@@ -213,10 +224,7 @@ class _CheckedBackend(httpcore.NetworkBackend):
         addresses = [_address(text) for text in found]
         if not addresses:
             raise Unreachable("address.unknown", f"{host} has no address")
-        if not all(is_allowed(address, self._allow) for address in addresses):
-            raise Refused("address.private", f"{host} is not a public address")
-        if port not in PORTS and not all(is_named(address, self._allow) for address in addresses):
-            raise Refused("address.port", f"port {port} is not one of 80, 443 and 8443")
+        _refuse(host, port, addresses, self._allow)
         return addresses[:MOST_TRIED]
 
 
@@ -260,6 +268,19 @@ def _read(chunks: Iterable[bytes]) -> bytes:
     return bytes(body[:MOST_ANSWER])
 
 
+def _retry_after(headers: Sequence[tuple[bytes, bytes]]) -> float | None:
+    """Return the seconds that ``Retry-After`` asks for, as a number or as a date."""
+    given = [value for name, value in headers if name.lower() == b"retry-after"]
+    text = given[0].decode("latin-1").strip() if given else ""
+    if DELTA_SECONDS.fullmatch(text):
+        return float(text)
+    try:
+        moment = datetime.strptime(text, HTTP_DATE).replace(tzinfo=UTC)
+    except ValueError:
+        return None
+    return max((moment - datetime.now(UTC)).total_seconds(), 0.0)
+
+
 def _in_time(look_up: Callable[[], Sequence[str]], seconds: float) -> Sequence[str]:
     """Return what the resolver finds; it knows no time limit, so it is left behind if need be."""
     answers: queue.SimpleQueue[Sequence[str] | None] = queue.SimpleQueue()
@@ -278,6 +299,24 @@ def _in_time(look_up: Callable[[], Sequence[str]], seconds: float) -> Sequence[s
     if found is None:
         raise Unreachable("address.unknown", "the name has no address")
     return found
+
+
+def _written(host: str) -> list[Address]:
+    """Return the address that ``host`` is itself, in any notation; of a name none."""
+    try:
+        found = socket.getaddrinfo(
+            host.strip("[]"), None, type=socket.SOCK_STREAM, flags=socket.AI_NUMERICHOST
+        )
+    except (OSError, UnicodeError):
+        return []
+    return [_address(str(entry[4][0])) for entry in found]
+
+
+def _refuse(host: str, port: int, addresses: Sequence[Address], allow: Sequence[Network]) -> None:
+    if not all(is_allowed(address, allow) for address in addresses):
+        raise Refused("address.private", f"{host} is not a public address")
+    if port not in PORTS and not all(is_named(address, allow) for address in addresses):
+        raise Refused("address.port", f"port {port} is not one of 80, 443 and 8443")
 
 
 def _address(text: str) -> Address:

@@ -17,13 +17,19 @@ from service.errors import Problem
 
 PATHS = (
     "/",
+    "/queue",
     "/upload",
     "/subjects",
     "/subjects/{identifier}",
+    "/jobs",
     "/jobs/{identifier}",
+    "/rigs",
     "/rigs/{identifier}",
     "/compare",
     "/health",
+    "/webhooks",
+    "/webhooks/{identifier}",
+    "/audit",
     "/sign-in",
 )
 """Where the document is served; `static/js/routes.js` says which view shows at each."""

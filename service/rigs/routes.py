@@ -12,22 +12,26 @@ from service import paging
 from service.access.principal import Reader
 from service.access.signed import Signer
 from service.audit.record import record
-from service.dependencies import Cursor, FileStore, Limit, ReadSession, ReadStore, SettingsDep
+from service.dependencies import (
+    Cursor,
+    FileStore,
+    Limit,
+    ReadSession,
+    ReadStore,
+    SettingsDep,
+    part,
+)
 from service.errors import problems
 from service.rigs import repository
 from service.rigs.download import send
 from service.rigs.schemas import ArtifactView, RigView, SignedUrl
 from service.schemas import FileName, Id, Page
+from service.store.retention import own_days
 
 router = APIRouter(prefix="/v1", tags=["rigs"])
 
 
-async def _signer(request: Request) -> Signer:
-    signer: Signer = request.app.state.signer
-    return signer
-
-
-Signing = Annotated[Signer, Depends(_signer)]
+Signing = Annotated[Signer, Depends(part("signer"))]
 
 FILE: dict[int | str, dict[str, Any]] = {
     200: {"description": "The file", "content": {"*/*": {}}},
@@ -47,7 +51,8 @@ def index(
 ) -> Response:
     """List rigs, newest first."""
     found = repository.newest(session, subject_id, limit, cursor)
-    views = [RigView.of(rig, settings) for rig in found.items]
+    kept = own_days(session, settings)
+    views = [RigView.of(rig, kept) for rig in found.items]
     return paging.respond(Page[RigView](items=views, next=found.next))
 
 
@@ -55,7 +60,7 @@ def index(
 def show(rig_id: Id, session: ReadSession, settings: SettingsDep) -> RigView:
     """Show a rig's expressions, figures and files, `preview.bin` among them once it is made."""
     rig = repository.get(session, rig_id)
-    view = RigView.of(rig, settings)
+    view = RigView.of(rig, own_days(session, settings))
     if preview := repository.preview(session, rig):
         view.artifacts.append(ArtifactView.model_validate(preview))
     return view

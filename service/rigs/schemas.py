@@ -8,7 +8,6 @@ from typing import Any
 from pydantic import BaseModel, Field
 
 from service.schemas import RetainUntil, View
-from service.settings import Settings
 from service.store import retention
 from service.store.models import Rig
 
@@ -37,11 +36,11 @@ class RigView(View):
     retain_until: RetainUntil
 
     @classmethod
-    def of(cls, rig: Rig, settings: Settings) -> RigView:
+    def of(cls, rig: Rig, kept: retention.Days) -> RigView:
         """Show a rig."""
         columns = {name: getattr(rig, name) for name in cls.model_fields if hasattr(rig, name)}
-        kept = retention.until(settings.retain_rigs, rig.created_at)
-        return cls.model_validate({**columns, "retain_until": kept})
+        until = retention.until(kept.rigs, rig.created_at)
+        return cls.model_validate({**columns, "retain_until": until})
 
 
 class SignedUrl(BaseModel):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import fcntl
+import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -121,6 +122,17 @@ class Database:
                     yield
                 finally:
                     connection.execute(text("SELECT pg_advisory_unlock(:n)"), {"n": MIGRATION_LOCK})
+
+    def forget_deleted(self) -> None:
+        """Empty SQLite's write-ahead log, which still holds what was deleted.
+
+        While somebody is reading, it only moves what it can: the next call does the rest.
+        """
+        if self.is_sqlite:
+            # Of its own: with the patience of the others it would keep writers waiting as long.
+            connection = sqlite3.connect(str(self.url.database), timeout=0.1)
+            with closing(connection), suppress(sqlite3.OperationalError):
+                connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
 
     def close(self) -> None:
         """Close the pooled connections."""

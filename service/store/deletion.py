@@ -69,8 +69,11 @@ def _receipt_of(session: Session, subject: Subject, reason: Reason) -> Deletion:
 def delete_capture(session: Session, capture: Capture, reason: Reason) -> Deletion:
     """Delete a scan with its checks and registrations."""
     receipt = _receipt(session, capture, "capture", reason)
-    files = [*capture.uploaded, *_left_by(session, Job.capture_id == capture.id)]
-    _forget_uploads(session, capture.tenant_id, capture.uploaded)
+    files = [
+        *capture.uploaded,
+        *_forget_uploads(session, Upload.used_by == capture.id),
+        *_left_by(session, Job.capture_id == capture.id),
+    ]
     session.execute(delete(Job).where(Job.capture_id == capture.id))
     session.delete(capture)
     _sign(session, receipt, files)
@@ -92,9 +95,9 @@ def delete_job(session: Session, job: Job, reason: Reason) -> Deletion:
 def delete_template(session: Session, template: Template, reason: Reason) -> Deletion:
     """Delete a template that no subject has."""
     receipt = _receipt(session, template, "template", reason)
-    _forget_uploads(session, template.tenant_id, [template.sha256])
+    files = [template.sha256, *_forget_uploads(session, Upload.used_by == template.id)]
     session.delete(template)
-    _sign(session, receipt, [template.sha256])
+    _sign(session, receipt, files)
     return receipt
 
 
@@ -136,9 +139,12 @@ def close_receipts(store: Store) -> None:
 
 def _delete_subject(session: Session, subject: Subject, receipt: Deletion) -> None:
     captures = session.scalars(select(Capture).where(Capture.subject_id == subject.id)).all()
-    uploaded = [sha256 for capture in captures for sha256 in capture.uploaded]
-    files = [*uploaded, *_left_by(session, Job.subject_id == subject.id)]
-    _forget_uploads(session, subject.tenant_id, uploaded)
+    ids = select(Capture.id).where(Capture.subject_id == subject.id)
+    files = [
+        *(sha256 for capture in captures for sha256 in capture.uploaded),
+        *_forget_uploads(session, Upload.used_by.in_(ids)),
+        *_left_by(session, Job.subject_id == subject.id),
+    ]
     session.delete(subject)
     _sign(session, receipt, files)
 
@@ -155,13 +161,10 @@ def _left_by(session: Session, which: ColumnElement[bool]) -> Iterable[str]:
         yield from session.scalars(of_jobs.distinct())
 
 
-def _forget_uploads(session: Session, tenant_id: str, sha256s: Sequence[str]) -> None:
-    """Delete the uploads of what was deleted, which would keep the files until they expire."""
-    session.execute(
-        delete(Upload).where(
-            Upload.tenant_id == tenant_id, Upload.complete, Upload.sha256.in_(sha256s)
-        )
-    )
+def _forget_uploads(session: Session, which: ColumnElement[bool]) -> Iterable[str]:
+    """Delete the uploads of what is deleted, those it was given once, too; return their files."""
+    gone = session.scalars(delete(Upload).where(which).returning(Upload.sha256)).all()
+    return filter(None, gone)
 
 
 def _receipt(

@@ -52,6 +52,8 @@ class Claim:
     model_job_id: str | None
     frames: dict[str, str]
     """The frames that earlier attempts left: file name -> sha256."""
+    traceparent: str | None = None
+    """The span of the request that the job came from."""
 
 
 def create(session: Session, job: Job) -> None:
@@ -62,12 +64,6 @@ def create(session: Session, job: Job) -> None:
     session.flush()
     _tell(session, job)
     wake(session, job.id, job.queue)
-
-
-def claim(session: Session, job_id: str, worker: str, lease: float) -> Claim | None:
-    """Take a queued job, or one whose worker has lost its lease; None: it is not to be had."""
-    expire(session, job_id, clock(session))
-    return take(session, job_id, worker, lease)
 
 
 def take(session: Session, job_id: str, worker: str, lease: float) -> Claim | None:
@@ -97,6 +93,7 @@ def take(session: Session, job_id: str, worker: str, lease: float) -> Claim | No
         rig_id=job.request["rig_id"],
         model_job_id=job.model_job_id,
         frames={chunk.filename: chunk.sha256 for chunk in frames(session, job_id)},
+        traceparent=job.traceparent,
     )
 
 
@@ -119,7 +116,8 @@ def beat(
 ) -> State | None:
     """Renew the lease and write down what the solver said and which frames it left since the last.
 
-    ``chunks`` are columns of :class:`FrameChunk`: ``first``, ``last`` and ``sha256``.
+    ``chunks`` are columns of :class:`FrameChunk`: ``first``, ``last``, ``size`` and
+    ``sha256``.
 
     Returns ``running`` or ``canceling``; None: the attempt is no longer this worker's.
     """

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
 
-from sqlalchemy import ColumnElement, delete, func, or_, select, update
+from sqlalchemy import ColumnElement, Subquery, delete, func, or_, select, update
 from sqlalchemy.orm import Session
 
 from service.store.database import clock
@@ -27,6 +27,8 @@ OLD_SECRET_COUNTS = timedelta(days=1)
 GIVE_UP_AFTER = timedelta(days=5)
 FORGET_AFTER = timedelta(days=30)
 AT_ONCE_PER_WEBHOOK = 2
+LONGEST_WISH = timedelta(days=1)
+"""A receiver can put the next try off by so much, no more."""
 GONE = 410
 
 
@@ -49,12 +51,16 @@ class Parcel:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a try: the answer's status, or the code of an error."""
+    """What became of a try: the answer's status, or the code of an error.
+
+    ``retry_after`` are the seconds for which the receiver wants to be left alone.
+    """
 
     status: int | None = None
     ms: int | None = None
     error: str | None = None
     excerpt: str | None = None
+    retry_after: float = 0.0
 
     @property
     def delivered(self) -> bool:
@@ -137,16 +143,16 @@ def is_due(session: Session) -> bool:
     return session.execute(_due(clock(session)).limit(1)).first() is not None
 
 
-def take(session: Session, most: int, failing: int, lease: float) -> list[Parcel]:
+def take(session: Session, most: int, failing: int, of_tenant: int, lease: float) -> list[Parcel]:
     """Take at most so many deliveries that are due, and of those to webhooks that fail.
 
-    A webhook gets few at once, one that fails gets one: a receiver that does not answer holds up
-    nobody else's news.
+    The tenants take turns, and have at most ``of_tenant`` at once; a webhook gets few at once, one
+    that fails gets one: a receiver that does not answer holds up nobody else's news.
     """
     moment = clock(session)
     rows = session.execute(_due(moment)).all()
-    working = [row for row in rows if row.failing_since is None]
-    others = [row for row in rows if row.failing_since is not None and row.place == 1]
+    working = [row for row in rows if not row.is_failing and row.turn <= of_tenant]
+    others = [row for row in rows if row.is_failing and row.place == 1]
     chosen = [*working, *others[:failing]][:most]
     until = moment + timedelta(seconds=lease)
     return [parcel for row in chosen if (parcel := _claim(session, row, moment, until))]
@@ -168,7 +174,9 @@ def settle(session: Session, parcel: Parcel, outcome: Outcome, pauses: Sequence[
     if outcome.delivered:
         values |= {"state": DELIVERED, "finished_at": moment, "next_at": None}
     elif parcel.attempt <= len(pauses):
-        values["next_at"] = moment + timedelta(seconds=pauses[parcel.attempt - 1])
+        pause = timedelta(seconds=pauses[parcel.attempt - 1])
+        wish = timedelta(seconds=outcome.retry_after)
+        values["next_at"] = moment + max(pause, min(wish, LONGEST_WISH))
     else:
         values |= {"state": FAILED, "finished_at": moment, "next_at": None}
     mine = session.execute(
@@ -210,23 +218,53 @@ def _asks(hook: Webhook, type: str, kind: str | None) -> bool:
 
 
 def _due(moment: datetime) -> Any:
-    """Return a query for what may be sent now, the oldest first, with its place at its webhook."""
-    under_way = (
-        select(Delivery.webhook_id, func.count().label("count"))
-        .where(Delivery.state == PENDING, Delivery.lease_until > moment)
-        .group_by(Delivery.webhook_id)
-        .subquery()
-    )
-    waiting = func.row_number().over(partition_by=Delivery.webhook_id, order_by=Delivery.next_at)
-    place = (waiting + func.coalesce(under_way.c.count, 0)).label("place")
-    due = (
-        select(Delivery.id, Delivery.attempt, Delivery.next_at, Webhook.failing_since, place)
+    """Return a query for what may be sent now, with its place at its webhook and in its tenant.
+
+    Those of the tenants that have least under way come first; in a tenant its webhooks take turns,
+    the oldest first. Webhooks that fail have turns of their own.
+    """
+    is_failing = Webhook.failing_since.is_not(None)
+    sending = (
+        select(Delivery.webhook_id, Delivery.tenant_id, is_failing.label("is_failing"))
         .join(Webhook, Webhook.id == Delivery.webhook_id)
-        .outerjoin(under_way, under_way.c.webhook_id == Delivery.webhook_id)
+        .where(Delivery.state == PENDING, Delivery.lease_until > moment)
+        .cte()
+    )
+    at_webhook = _count(sending.c.webhook_id)
+    in_tenant = _count(sending.c.tenant_id, sending.c.is_failing)
+    waiting = func.row_number().over(partition_by=Delivery.webhook_id, order_by=Delivery.next_at)
+    due = (
+        select(
+            Delivery.id,
+            Delivery.tenant_id,
+            Delivery.attempt,
+            Delivery.next_at,
+            is_failing.label("is_failing"),
+            (waiting + func.coalesce(at_webhook.c.count, 0)).label("place"),
+        )
+        .join(Webhook, Webhook.id == Delivery.webhook_id)
+        .outerjoin(at_webhook, at_webhook.c.webhook_id == Delivery.webhook_id)
         .where(*_free(moment))
         .subquery()
     )
-    return select(due).where(due.c.place <= AT_ONCE_PER_WEBHOOK).order_by(due.c.next_at)
+    queued = func.row_number().over(
+        partition_by=(due.c.tenant_id, due.c.is_failing),
+        order_by=(due.c.place, due.c.next_at, due.c.id),
+    )
+    turn = (queued + func.coalesce(in_tenant.c.count, 0)).label("turn")
+    theirs = (in_tenant.c.tenant_id == due.c.tenant_id) & (
+        in_tenant.c.is_failing == due.c.is_failing
+    )
+    return (
+        select(due, turn)
+        .outerjoin(in_tenant, theirs)
+        .where(due.c.place <= AT_ONCE_PER_WEBHOOK)
+        .order_by(turn, due.c.next_at, due.c.id)
+    )
+
+
+def _count(*by: ColumnElement[Any]) -> Subquery:
+    return select(*by, func.count().label("count")).group_by(*by).subquery()
 
 
 def _free(moment: datetime) -> Iterable[ColumnElement[bool]]:

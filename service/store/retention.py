@@ -6,24 +6,59 @@ What jobs are still reading waits for them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any, TypeVar
 
-from sqlalchemy import ColumnElement, Select, delete, exists, select
+from sqlalchemy import ColumnElement, Select, delete, exists, or_, select
 from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
 
 from service.settings import Settings
 from service.store import deletion, previews
 from service.store.database import clock
-from service.store.models import AnsweredRequest, AuditEntry, Capture, Deletion, Job, Rig, Subject
+from service.store.models import (
+    AnsweredRequest,
+    AuditEntry,
+    Capture,
+    Deletion,
+    Job,
+    Rig,
+    Subject,
+    Tenant,
+)
 from service.store.store import Store
+from service.store.tenancy import own_tenant
 from service.store.transitions import FINAL
 
 ANSWERED = timedelta(days=1)
 """How long an ``Idempotency-Key`` is known."""
 BATCH = 200
+KINDS = ("subjects", "scans", "jobs", "rigs")
+"""Of what is kept: settings and tenants have a ``retain_`` of each."""
 
 Row = TypeVar("Row")
+
+
+@dataclass(frozen=True)
+class Days:
+    """How many days things are kept, of each kind; None: until somebody deletes them."""
+
+    subjects: int | None
+    scans: int | None
+    jobs: int | None
+    rigs: int | None
+
+
+def days(settings: Settings, tenant: Tenant | None = None) -> Days:
+    """Return the installation's days, or a tenant's: its own where those are fewer."""
+    owners = (settings, tenant) if tenant else (settings,)
+    stated = {kind: [getattr(owner, f"retain_{kind}") for owner in owners] for kind in KINDS}
+    return Days(**{kind: min(filter(None, each), default=None) for kind, each in stated.items()})
+
+
+def own_days(session: Session, settings: Settings) -> Days:
+    """Return the days of the tenant whose session this is."""
+    return days(settings, own_tenant(session))
 
 
 def until(days: int | None, since: datetime | None) -> datetime | None:
@@ -43,18 +78,30 @@ def enforce(store: Store, settings: Settings) -> None:
             age = moment - timedelta(days=settings.retain_audit)
             session.execute(delete(AuditEntry).where(AuditEntry.created_at < age))
             session.execute(delete(Deletion).where(Deletion.files_at < age))
-        for days, since, query, remove in _rules(settings):
-            if days is not None:
-                due = query.where(since < moment - timedelta(days=days)).limit(BATCH)
-                for row in session.scalars(due).all():
-                    remove(session, row, "retention")
+        _delete_due(session, moment, days(settings))
+        for tenant in session.scalars(select(Tenant).where(_has_own_days())).all():
+            _delete_due(session, moment, days(settings, tenant), tenant.id)
+
+
+def _delete_due(
+    session: Session, moment: datetime, kept: Days, tenant_id: str | None = None
+) -> None:
+    """Delete what has been kept for its days, everybody's or a tenant's."""
+    for most, since, query, remove in _rules(kept):
+        if most is None:
+            continue
+        due = query.where(since < moment - timedelta(days=most)).limit(BATCH)
+        if tenant_id is not None:
+            due = due.where(since.class_.tenant_id == tenant_id)
+        for row in session.scalars(due).all():
+            remove(session, row, "retention")
 
 
 Remove = Callable[[Session, Any, deletion.Reason], Deletion]
 Rule = tuple[int | None, InstrumentedAttribute[Any], Select[Any], Remove]
 
 
-def _rules(settings: Settings) -> Iterable[Rule]:
+def _rules(kept: Days) -> Iterable[Rule]:
     """Return what is kept for how many days, since when, which rows, and how they go."""
     is_of_it = (Rig.job_id == Job.id) | (Rig.model_job_id == Job.id) | previews.of_rig(Rig.id)
     needed = select(Rig.id).where(is_of_it).exists()
@@ -63,11 +110,15 @@ def _rules(settings: Settings) -> Iterable[Rule]:
     scans = select(Capture).where(_idle(Capture.subject_id))
     people = select(Subject).where(_idle(Subject.id))
     return (
-        (settings.retain_subjects, Subject.created_at, people, deletion.delete_subject),
-        (settings.retain_scans, Capture.created_at, scans, deletion.delete_capture),
-        (settings.retain_rigs, Rig.created_at, of_rigs, deletion.delete_job),
-        (settings.retain_jobs, Job.finished_at, ended, deletion.delete_job),
+        (kept.subjects, Subject.created_at, people, deletion.delete_subject),
+        (kept.scans, Capture.created_at, scans, deletion.delete_capture),
+        (kept.rigs, Rig.created_at, of_rigs, deletion.delete_job),
+        (kept.jobs, Job.finished_at, ended, deletion.delete_job),
     )
+
+
+def _has_own_days() -> ColumnElement[bool]:
+    return or_(*(getattr(Tenant, f"retain_{kind}").is_not(None) for kind in KINDS))
 
 
 def _idle(subject_id: InstrumentedAttribute[Any]) -> ColumnElement[bool]:

@@ -20,6 +20,7 @@ from service.dependencies import (
 from service.errors import problems
 from service.idempotency import Once
 from service.schemas import Id, Page
+from service.store.retention import own_days
 from service.subjects import repository, service
 from service.subjects.schemas import NewSubject, SubjectView
 
@@ -32,11 +33,11 @@ def create(
 ) -> SubjectView:
     """Add a person to be scanned."""
     if (known := once.known(session, new)) is not None:
-        return SubjectView.of(repository.get(session, known), settings)
+        return SubjectView.of(repository.get(session, known), own_days(session, settings))
     subject = service.create(session, new)
     once.keep(session, subject.id)
     record(session, who, "subject.created", subject.id)
-    return SubjectView.of(subject, settings)
+    return SubjectView.of(subject, own_days(session, settings))
 
 
 @router.get("", summary="List subjects", responses=problems(422))
@@ -45,14 +46,15 @@ def index(
 ) -> Page[SubjectView]:
     """List subjects, newest first."""
     found = repository.newest(session, limit, cursor)
-    items = [SubjectView.of(subject, settings) for subject in found.items]
+    kept = own_days(session, settings)
+    items = [SubjectView.of(subject, kept) for subject in found.items]
     return Page(items=items, next=found.next)
 
 
 @router.get("/{subject_id}", summary="Show a subject", responses=problems(404, 422))
 def show(subject_id: Id, session: ReadSession, settings: SettingsDep) -> SubjectView:
     """Show a subject."""
-    return SubjectView.of(repository.get(session, subject_id), settings)
+    return SubjectView.of(repository.get(session, subject_id), own_days(session, settings))
 
 
 @router.delete(

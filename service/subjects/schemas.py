@@ -7,7 +7,6 @@ from datetime import datetime
 from pydantic import Field
 
 from service.schemas import Body, Id, RetainUntil, Title, View
-from service.settings import Settings
 from service.store import retention
 from service.store.models import Subject
 
@@ -29,13 +28,12 @@ class SubjectView(View):
     retain_until: RetainUntil
 
     @classmethod
-    def of(cls, subject: Subject, settings: Settings) -> SubjectView:
+    def of(cls, subject: Subject, kept: retention.Days) -> SubjectView:
         """Show a subject."""
-        kept = retention.until(settings.retain_subjects, subject.created_at)
         return cls(
             id=subject.id,
             name=subject.name,
             template_id=subject.template_id,
             created_at=subject.created_at,
-            retain_until=kept,
+            retain_until=retention.until(kept.subjects, subject.created_at),
         )

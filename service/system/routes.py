@@ -8,31 +8,30 @@ from fastapi import APIRouter, Depends, Response
 
 from service.access.principal import Scope, need
 from service.captures.service import FORMATS, LANDMARK_FORMATS, RAW_FORMATS
-from service.dependencies import SettingsDep, WholeStore
+from service.dependencies import ReadSession, SettingsDep, WholeStore
 from service.errors import problems
 from service.kinds import KINDS
 from service.schemas import Page
+from service.store.retention import own_days
 from service.system.schemas import KindView, Limits, Readiness, Retention, WorkerView
 from service.system.service import living_workers, readiness
 
 router = APIRouter(tags=["system"])
 
 
-MAY_READ = [Depends(need(Scope.READ))]
-
-
-@router.get("/v1/limits", summary="Limits", dependencies=MAY_READ)
-def limits(settings: SettingsDep) -> Limits:
-    """Tell what this service accepts."""
+@router.get("/v1/limits", summary="Limits")
+def limits(session: ReadSession, settings: SettingsDep) -> Limits:
+    """Tell what this service accepts, and how long it keeps what is the tenant's."""
+    kept = own_days(session, settings)
     return Limits(
         max_upload_bytes=settings.max_upload_bytes,
         upload_ttl=settings.upload_ttl,
         rate_per_minute=settings.rate_per_minute,
         retention=Retention(
-            subjects=settings.retain_subjects,
-            scans=settings.retain_scans,
-            jobs=settings.retain_jobs,
-            rigs=settings.retain_rigs,
+            subjects=kept.subjects,
+            scans=kept.scans,
+            jobs=kept.jobs,
+            rigs=kept.rigs,
             audit=settings.retain_audit,
         ),
         scan_formats=list(FORMATS),
@@ -43,7 +42,10 @@ def limits(settings: SettingsDep) -> Limits:
 
 
 @router.get(
-    "/v1/solvers", response_model=Page[KindView], summary="Kinds of job", dependencies=MAY_READ
+    "/v1/solvers",
+    response_model=Page[KindView],
+    summary="Kinds of job",
+    dependencies=[Depends(need(Scope.READ))],
 )
 def solvers() -> Any:
     """List the kinds of job with their options as JSON Schema."""

@@ -31,6 +31,7 @@ def create(session: Session, new: NewTemplate) -> Template:
     )
     session.add(template)
     session.flush()
+    uploads.use(session, upload, template.id)
     return template
 
 

@@ -15,11 +15,11 @@ def all_of_them(session: Session) -> Sequence[Tenant]:
     return session.scalars(select(Tenant).order_by(Tenant.created_at)).all()
 
 
-def limit(session: Session, tenant_id: str, **quotas: int | None) -> bool:
-    """Set a tenant's quotas; False: there is no such tenant."""
+def change(session: Session, tenant_id: str, **limits: int | None) -> bool:
+    """Set a tenant's quotas or days of retention; False: there is no such tenant."""
     tenant = session.get(Tenant, tenant_id, with_for_update=True)
     if tenant is None:
         return False
-    for name, most in quotas.items():
+    for name, most in limits.items():
         setattr(tenant, name, most)
     return True

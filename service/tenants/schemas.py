@@ -25,6 +25,9 @@ class Use(BaseModel):
 class Usage(BaseModel):
     """What a tenant uses."""
 
-    bytes: Use = Field(description="scans, templates, results and open uploads; a file counts once")
+    bytes: Use = Field(
+        description="scans, landmarks, templates, results, frames and open uploads; "
+        "a file counts once"
+    )
     queued: Use = Field(description="jobs that wait")
     running: Use = Field(description="jobs that a worker has; more wait in the queue")

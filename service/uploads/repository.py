@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sqlalchemy import func, select
+from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
 from service.errors import Problem, unknown
@@ -35,6 +35,16 @@ def get_complete(session: Session, upload_id: str) -> Upload:
             found=upload.offset,
         )
     return upload
+
+
+def use(session: Session, upload: Upload, object_id: str) -> None:
+    """Note what an upload was used for: it is forgotten with that, if it is still there then."""
+    session.execute(update(Upload).where(Upload.id == upload.id).values(used_by=object_id))
+
+
+def unfinished(session: Session) -> set[str]:
+    """Return the ids of the uploads that still have bytes of their own."""
+    return set(session.scalars(select(Upload.id).where(~Upload.complete)))
 
 
 def count_open(session: Session) -> int:

@@ -88,8 +88,12 @@ class UploadService:
         if upload.complete:
             return upload
         with self._locked(upload_id):
-            upload = self.get(upload_id)
-            return self._complete(upload) if upload.offset == upload.size else upload
+            pass  # held no longer than it takes to see that it is free: a writer would be refused
+        upload = self.get(upload_id)
+        if upload.offset < upload.size:
+            return upload
+        with self._locked(upload_id):
+            return self._complete(self.get(upload_id))
 
     def delete(self, upload_id: str) -> None:
         """Give an upload up; what was made from it stays. 423 while another request writes."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Response
 
 from service.access.principal import Hooks
 from service.audit.record import record
-from service.dependencies import Cursor, HookSession, HookStore, Limit
-from service.errors import Problem, problems
-from service.outbound.client import Refused, Sender
+from service.dependencies import Cursor, HookSession, Limit, part
+from service.errors import problems
+from service.idempotency import Once
+from service.outbound.client import Sender
 from service.schemas import Id, Page
 from service.store.database import clock
 from service.store.models import Webhook
@@ -26,41 +27,26 @@ from service.webhooks.schemas import (
 router = APIRouter(prefix="/v1", tags=["webhooks"])
 
 
-async def _master(request: Request) -> bytes:
-    master: bytes = request.app.state.master
-    return master
-
-
-async def _sender(request: Request) -> Sender:
-    sender: Sender = request.app.state.sender
-    return sender
-
-
-Master = Annotated[bytes, Depends(_master)]
-SenderDep = Annotated[Sender, Depends(_sender)]
-
-
-def _refuse_inner(url: str, sender: Sender) -> None:
-    """Raise a problem for an address inside the network; outside of a transaction: it may wait."""
-    try:
-        sender.check(url)
-    except Refused as refusal:
-        raise Problem(422, "webhook.url", str(refusal), reason=refusal.code) from refusal
+Master = Annotated[bytes, Depends(part("master"))]
+SenderDep = Annotated[Sender, Depends(part("sender"))]
 
 
 @router.post("/webhooks", status_code=201, summary="Add a webhook", responses=problems(409, 422))
 def create(
     new: NewWebhook,
-    store: HookStore,
+    session: HookSession,
     who: Hooks,
     sender: SenderDep,
     master: Master,
+    once: Once,
     response: Response,
 ) -> WebhookWithSecret:
     """Have an address told what happens. The answer holds the secret, which is not told again."""
-    _refuse_inner(new.url, sender)
-    with store.write() as session:
-        webhook = service.create(session, new)
+    if (known := once.known(session, new)) is not None:
+        webhook = repository.get(session, known)
+    else:
+        webhook = service.create(session, sender, new)
+        once.keep(session, webhook.id)
         record(session, who, "webhook.created", webhook.id)
     response.headers["Location"] = f"/v1/webhooks/{webhook.id}"
     return _with_secret(webhook, master)
@@ -95,14 +81,11 @@ def show(webhook_id: Id, session: HookSession) -> Any:
     responses=problems(404, 422),
 )
 def change(
-    webhook_id: Id, order: WebhookChange, store: HookStore, who: Hooks, sender: SenderDep
+    webhook_id: Id, order: WebhookChange, session: HookSession, who: Hooks, sender: SenderDep
 ) -> Any:
     """Change address or filter, or switch it off and on."""
-    if order.url is not None:
-        _refuse_inner(order.url, sender)
-    with store.write() as session:
-        webhook = service.change(session, webhook_id, order)
-        record(session, who, "webhook.changed", webhook_id)
+    webhook = service.change(session, sender, webhook_id, order)
+    record(session, who, "webhook.changed", webhook_id)
     return webhook
 
 
@@ -121,11 +104,16 @@ def delete(webhook_id: Id, session: HookSession, who: Hooks) -> None:
 @router.post(
     "/webhooks/{webhook_id}/rotate",
     summary="Give a webhook a new secret",
-    responses=problems(404, 422),
+    responses=problems(404, 409, 422),
 )
-def rotate(webhook_id: Id, session: HookSession, who: Hooks, master: Master) -> WebhookWithSecret:
+def rotate(
+    webhook_id: Id, session: HookSession, who: Hooks, master: Master, once: Once
+) -> WebhookWithSecret:
     """Make a new secret; for a day the old one signs too, so that receivers can change over."""
+    if once.known(session) is not None:
+        return _with_secret(repository.get(session, webhook_id), master)
     webhook = service.rotate(session, webhook_id, clock(session))
+    once.keep(session, webhook_id)
     record(session, who, "webhook.rotated", webhook_id)
     return _with_secret(webhook, master)
 

@@ -7,6 +7,7 @@ from datetime import datetime
 from sqlalchemy.orm import Session
 
 from service.errors import Problem
+from service.outbound.client import Refused, Sender
 from service.store import outbox
 from service.store.database import clock
 from service.store.models import Delivery, Webhook
@@ -20,20 +21,23 @@ MOST = 20
 BY_USER = "by_user"
 
 
-def create(session: Session, new: NewWebhook) -> Webhook:
-    """Add a webhook."""
+def create(session: Session, sender: Sender, new: NewWebhook) -> Webhook:
+    """Add a webhook that ``sender`` may call."""
     own_tenant(session, lock=True)  # two at a time would both count one less
     if repository.count(session) >= MOST:
         raise Problem(409, "webhook.too_many", f"there are {MOST} webhooks already", expected=MOST)
+    _refuse_inner(new.url, sender)
     webhook = Webhook(url=new.url, events=new.events, kinds=new.kinds, created_at=clock(session))
     session.add(webhook)
     session.flush()
     return webhook
 
 
-def change(session: Session, webhook_id: str, order: WebhookChange) -> Webhook:
+def change(session: Session, sender: Sender, webhook_id: str, order: WebhookChange) -> Webhook:
     """Change a webhook; switching it on, or to another address, forgets that it failed."""
     webhook = repository.get(session, webhook_id, lock=True)
+    if order.url is not None:
+        _refuse_inner(order.url, sender)
     changes = order.model_dump(exclude_unset=True)
     active = changes.pop("active", None)
     for name, value in changes.items():
@@ -71,6 +75,13 @@ def redeliver(session: Session, delivery_id: str) -> Delivery:
     delivery = repository.delivery(session, delivery_id)
     webhook = _active(repository.get(session, delivery.webhook_id))
     return outbox.send_again(session, webhook.id, delivery.event, clock(session))
+
+
+def _refuse_inner(url: str, sender: Sender) -> None:
+    try:
+        sender.check(url)
+    except Refused as refusal:
+        raise Problem(422, "webhook.url", str(refusal), reason=refusal.code) from refusal
 
 
 def _active(webhook: Webhook) -> Webhook:

@@ -68,9 +68,7 @@ def build_subject_model(
             made_by = f"mesher, since transport failed: {error}"
     if made_by != "transport":
         mesh = make_mesh(person, edge_mm, progress)
-    model = _assembled(template, person, mesh, made_by)
-    progress(Step("done", 1.0))
-    return model
+    return _assembled(template, person, mesh, made_by)
 
 
 def _assembled(
@@ -140,9 +138,9 @@ def model_summary(model: SubjectModel) -> dict[str, Any]:
     kept = muscle_volumes(model.rest, model.tets, model.weights)
     sizes = volumes(model.rest, model.tets)
     return {
-        "template": model.template,
+        "template": model.anatomy,
         "mesh_source": model.mesh_source,
-        "sha256": model.sha256,
+        "content_sha256": model.sha256,
         "vertices": len(model.rest),
         "tets": len(model.tets),
         "inverted": int(np.sum(sizes <= 0)),

@@ -35,6 +35,7 @@ from solver.anatomy.lip_sides import lips_apart
 from solver.anatomy.template import Template
 from solver.surface import Ints, Surface
 
+NAME = "builtin"
 VERSION = "1"
 SOURCE = (
     "MakeHuman base mesh (MPFB2) and Face Units 01 by Mika Suominen, both CC0 1.0, from the PyPI "
@@ -113,7 +114,7 @@ def build_template(head: Head) -> Template:
     upper = [parts[name] for name in ("upper_teeth", "left_eye", "right_eye")]
     behind = np.flatnonzero(head.neutral[:, 2] < BACK_Z)
     return Template(
-        name="builtin",
+        name=NAME,
         version=VERSION,
         source=SOURCE,
         skin=Surface(head.neutral, head.faces),

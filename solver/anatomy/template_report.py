@@ -65,7 +65,7 @@ def template_figures(template: Template) -> dict[str, Any]:
     figures: dict[str, Any] = {
         "name": template.name,
         "version": template.version,
-        "sha256": template.sha256,
+        "content_sha256": template.sha256,
         "source": template.source,
         "licence": template.licence,
         "skin_vertices": len(template.skin.vertices),

@@ -2,6 +2,10 @@
 
 The target of a shape is the subject's neutral with the template's displacement added, and the fit
 is that of an expression of a known S. Which of ARKit's weights drives a shape, its name says.
+
+A corrective shape (``mouthClose`` brings the lips of an open jaw together) can not be had alone:
+its lips would go through each other. It is solved together with the one that it corrects, and is
+what the two have beyond that one.
 """
 
 from __future__ import annotations
@@ -22,11 +26,15 @@ from solver.fitting import activation, standard
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Target
 from solver.fitting.resting import Resting
+from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel
 from solver.scans.live_link import ARKIT_NAMES
 from solver.surface import Floats
 
 FORMAT = 1
+
+CORRECTED = {"mouthClose": "jawOpen"}
+"""Corrective shapes, and what they correct."""
 
 LEAST_MOTION_MM = 0.05
 """A shape that moves no point of the face further is nothing for muscles: a tongue, a pupil."""
@@ -36,7 +44,8 @@ LEAST_MOTION_MM = 0.05
 class Solved:
     """One shape: its ``pose``, and the mean distance of the face to its target, mm.
 
-    ``settled`` is false where no equilibrium was found: the pose is that of rest then.
+    ``settled`` is false where no equilibrium was found: the pose is that of rest then. A
+    corrective's pose is a difference, added to rest.
     """
 
     pose: Pose
@@ -106,6 +115,8 @@ class Blendshapes:
 def expression_targets(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, Floats]:
     """Return name -> the places (k, 3) of the face's points in every shape that ARKit drives.
 
+    A corrective comes after the shape it corrects, and has its motion too.
+
     Raises :class:`InputError`: ``blendshapes.none`` if the template (whose ``shapes`` are
     ``basis``) knows no expressions, ``blendshapes.topology`` if they are of another skin.
     """
@@ -124,13 +135,16 @@ def expression_targets(model: SubjectModel, basis: ShapeBasis | None) -> dict[st
             expected=vertices,
             found=basis.expressions.shape[1],
         )
-    neutral = model.skin.vertices[model.face]
-    targets = {}
+    motions = {}
     for name, shape in zip(basis.expression_names, basis.expressions, strict=True):
         motion = shape[model.face].astype(np.float64)
         moves = np.linalg.norm(motion, axis=1).max() > LEAST_MOTION_MM
         if moves and arkit_source(name) in ARKIT_NAMES:
-            targets[name] = neutral + motion
+            motions[name] = motion
+    neutral = model.skin.vertices[model.face]
+    targets = {name: neutral + motion for name, motion in motions.items() if name not in CORRECTED}
+    for name in motions.keys() - targets.keys():
+        targets[name] = neutral + motions[name] + motions.get(CORRECTED[name], 0.0)
     return targets
 
 
@@ -168,6 +182,14 @@ def solve_blendshapes(
             except (SolveError, np.linalg.LinAlgError):
                 state, settled = rest.state, False
             off = target.distances(face.face_points(state.x))
-            found[name] = Solved(state.pose, float(off.mean()), settled)
+            pose = _beyond(state.pose, found.get(CORRECTED.get(name, "")))
+            found[name] = Solved(pose, float(off.mean()), settled)
             told(name, found[name])
     return Blendshapes(face.model.muscle_names, {name: found[name] for name in targets})
+
+
+def _beyond(pose: Pose, corrected: Solved | None) -> Pose:
+    """Return what a pose has beyond that of the shape it corrects, added to rest."""
+    if corrected is None:
+        return pose
+    return Pose(IDENTITY + pose.a - corrected.pose.a, pose.b - corrected.pose.b)

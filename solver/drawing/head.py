@@ -38,13 +38,17 @@ class Head:
             self.eyes = faces.astype(np.int64) + len(neutral.vertices)
             self._colour = np.vstack([self._colour, _eye_colour(fine)])
 
-    def lit(self, vertices: Floats) -> Lit:
-        """Return the whole head with its topology at ``vertices`` (v, 3), for the bodies below."""
+    def lit(self, vertices: Floats, light: Floats | None = None) -> Lit:
+        """Return the whole head with its topology at ``vertices`` (v, 3), for the bodies below.
+
+        ``light`` is that of the head in another pose, if it is to be had.
+        """
         if len(self.eyes):
             eyes = vertices[self._eye_vertices]
             fine, _ = igl.upsample(eyes, self._eye_faces, EYE_SUBDIVISIONS)
             vertices = np.vstack([vertices, fine])
-        return Lit(Surface(vertices, np.vstack([self.skin, self.teeth, self.mouth, self.eyes])))
+        surface = Surface(vertices, np.vstack([self.skin, self.teeth, self.mouth, self.eyes]))
+        return Lit(surface, light)
 
     def body(self, lit: Lit, faces: Ints | None = None, *, opacity: float = 1.0) -> Body:
         """Return the head, or some of its faces, in natural colours."""

@@ -57,8 +57,12 @@ def _kinds(skin: Surface) -> list[str]:
             kinds.append("teeth")
         else:
             kinds.append("mouth")
-    if "teeth" not in kinds:  # rows of teeth in one piece
-        kinds = ["teeth" if kind == "mouth" else kind for kind in kinds]
+    if "teeth" not in kinds:  # rows of teeth in one piece: wider than deep, as no tongue is
+        sizes = [np.ptp(component, axis=0) for component in points]
+        kinds = [
+            "teeth" if kind == "mouth" and size[0] > size[2] else kind
+            for kind, size in zip(kinds, sizes, strict=True)
+        ]
     return kinds
 
 

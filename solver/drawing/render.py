@@ -19,12 +19,16 @@ FADE = (0.85, 0.96)  # of the height
 
 
 class Lit:
-    """A surface with its normals and light, which all cameras and colourings share."""
+    """A surface with its normals and light, which all cameras and colourings share.
 
-    def __init__(self, surface: Surface) -> None:
+    ``light`` (n, 3) may be that of the surface in another pose, for films: making it takes longer
+    than all the rest of a picture.
+    """
+
+    def __init__(self, surface: Surface, light: Floats | None = None) -> None:
         self.surface = surface
         self.normals = vertex_normals(surface)
-        self.light = irradiance(surface, self.normals)
+        self.light = irradiance(surface, self.normals) if light is None else light
 
 
 @dataclass(frozen=True)

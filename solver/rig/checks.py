@@ -5,8 +5,9 @@ Limits are the project's own, from what fits of captured faces reach, unless a s
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -21,7 +22,7 @@ class Check:
     """A figure with its limits: good up to ``good``, usable up to ``usable``, else bad.
 
     With ``least`` the figure is good from ``good`` upwards. ``meaning`` and ``advice`` are for the
-    person who reads the page.
+    person who reads the page; ``{longer}`` in an advice is the option that lets the fit go on.
     """
 
     code: str
@@ -40,6 +41,14 @@ class Check:
         if sign * value <= sign * self.good:
             return "good"
         return "usable" if sign * value <= sign * self.usable else "bad"
+
+    def advised(self, settings: Mapping[str, Any]) -> str:
+        """Return the advice to somebody whose job had these ``settings``."""
+        longer = "more iterations"
+        for option in ("rounds", "max_iterations"):
+            if option in settings:
+                longer = f"{option} {2 * settings[option]} instead of {settings[option]}"
+        return self.advice.format(longer=longer)
 
 
 CHECKS = (
@@ -73,7 +82,7 @@ CHECKS = (
         1.0,
         2.0,
         "the region of the face that fits worst",
-        "Fit the muscle geometry with a training expression that moves this region.",
+        "Run fit_geometry again with one more scan, of an expression that moves this region.",
     ),
     Check(
         "skin.coverage",
@@ -94,7 +103,7 @@ CHECKS = (
         0,
         0,
         "tets that are turned inside out",
-        "Do not simulate with this expression. Fit it again with more iterations.",
+        "Do not simulate with this expression. Fit it again with {longer}.",
     ),
     Check(
         "flesh.flattest",
@@ -104,8 +113,9 @@ CHECKS = (
         0.05,
         0.005,
         "the smallest volume of a tet by its volume at rest",
-        "Harmless for the skin. A simulation that starts here takes small steps; build the model"
-        " with a coarser mesh if it fails.",
+        "The skin may be used. A simulation that starts here takes small steps; if it fails, run"
+        " build_model with edge_mm 16 instead of 9 and fit again: the flattest tet then keeps about"
+        " ten times as much of its volume.",
         least=True,
     ),
     Check(
@@ -126,7 +136,7 @@ CHECKS = (
         10 * TOLERANCE,
         STALLED,
         "what is left of the forces, by the forces at unit strain",
-        "The flesh has not come to rest. Fit this expression again with more iterations.",
+        "The flesh has not come to rest. Fit this expression again with {longer}.",
     ),
     Check(
         "flesh.minimum",
@@ -136,7 +146,7 @@ CHECKS = (
         0,
         0,
         "1 if the flesh could snap into another shape",
-        "Simulations may snap away from this shape. Fit the expression again, or leave it out.",
+        "The skin may be used. Simulations may snap away from this shape: leave it out of them.",
     ),
     Check(
         "muscles.inside_out",
@@ -157,8 +167,8 @@ CHECKS = (
         0,
         np.inf,
         "shrinking below half, growing beyond double, pushing, or losing volume",
-        "Good for playing the expression back and for blending. Do not read these activations as"
-        " effort.",
+        "The expression may be played back and blended. Do not read these activations as effort; no"
+        " option changes that.",
     ),
     Check(
         "jaw.range",
@@ -178,7 +188,8 @@ CHECKS = (
         0.5,
         3.0,
         "greatest depth of a lip in the other one",
-        "A fit follows its scan: correct the scan if its lips cross by as much, else fit again.",
+        "A fit follows its scan: correct the scan if its lips cross by as much, else fit it again"
+        " with {longer}.",
     ),
     Check(
         "contact.teeth",
@@ -208,8 +219,8 @@ CHECKS = (
         0.05,
         0.3,
         "mean distance between the fitted skin and the one simulated from its activations",
-        "This pose has two shapes of rest. Blend into it from a neighbouring expression instead of"
-        " from rest, or fit it again.",
+        "The skin may be used. This pose has two shapes of rest: blend into it from a neighbouring"
+        " expression instead of from rest.",
     ),
     Check(
         "trip.snap",
@@ -230,7 +241,7 @@ CHECKS = (
         0.05,
         0.3,
         "mean distance between the simulated skin and a new fit to it",
-        "The solver stops before the minimum: fit with more iterations.",
+        "The solver stops before the minimum: fit with {longer}.",
     ),
     Check(
         "trip.activations",
@@ -250,7 +261,7 @@ CHECKS = (
         0,
         0,
         "the best state on the way was kept",
-        "Do not use this expression. Look at its warnings and its scan, and fit it again.",
+        "Do not use this expression. Mend what its warnings say of its scan, and fit it again.",
     ),
     Check(
         "solver.stopped",
@@ -260,7 +271,7 @@ CHECKS = (
         0,
         np.inf,
         "stopped before the minimum",
-        "If the picture shows errors, fit this expression again with more iterations.",
+        "If the picture shows errors, fit this expression again with {longer}.",
     ),
     Check(
         "solver.warnings",
@@ -278,3 +289,15 @@ CHECKS = (
 def overall(verdicts: list[Verdict]) -> Verdict:
     """Return the worst of the verdicts; good without any."""
     return max(verdicts, key=ORDER.index, default="good")
+
+
+def use(verdict: Verdict, bad: Sequence[str], expressions: int) -> str:
+    """Say whether a rig may be used whose ``bad`` expressions fail a check, of so many."""
+    if verdict == "good":
+        return "The rig may be used."
+    if verdict == "usable":
+        return "The rig may be used. What it is not good for stands under What to do."
+    why = "What to do says why, and what they are still good for."
+    if len(bad) == expressions:
+        return f"The rig may not be used as it is: every expression fails a check. {why}"
+    return f"The rig may be used, but not {', '.join(bad)}. {why}"

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 import pygltflib as gl
+from scipy.spatial.transform import Rotation
 
 from solver.drawing.parts import skin_parts
 from solver.normals import vertex_normals
@@ -39,7 +42,7 @@ def write_glb(path: Path, rig: Rig) -> None:
     """
     shapes = {fit.name: fit.skin for fit in rig.expressions}
     worst = worst_error(rig.expressions, len(rig.model.skin.vertices))
-    write_face(path, rig.model.skin, shapes, _in_turn, {ERROR_ATTRIBUTE: worst})
+    write_face(path, rig.model.skin, shapes, in_turn, {ERROR_ATTRIBUTE: worst})
 
 
 def write_face(
@@ -55,7 +58,34 @@ def write_face(
     all vertex data, so that vertex numbers stay the scan's. ``attributes`` are more values (v,) of
     the vertices. ``animate`` gets the buffer and the number of shapes; None is no animation.
     """
-    names = list(shapes)
+
+    def targets(buffer: Buffer, normals: Floats) -> list[gl.Attributes]:
+        return [
+            gl.Attributes(
+                POSITION=buffer.morph(
+                    (shape - neutral.vertices) * METRES, STILL_MM * METRES, bounds=True
+                ),
+                NORMAL=buffer.morph(vertex_normals(neutral.moved(shape)) - normals, STILL_NORMAL),
+            )
+            for shape in shapes.values()
+        ]
+
+    write_morphed(path, neutral, list(shapes), targets, animate, attributes)
+
+
+def write_morphed(
+    path: Path,
+    neutral: Surface,
+    names: Sequence[str],
+    make_targets: Callable[[Buffer, Floats], list[gl.Attributes]],
+    animate: Callable[[Buffer, int], gl.Animation | None],
+    attributes: Mapping[str, Floats] = NOTHING,
+    extensions: Sequence[str] = (),
+) -> None:
+    """Write as :func:`write_face` morph targets that ``make_targets`` puts into the buffer.
+
+    It gets the neutral's normals (v, 3); a reader needs the ``extensions`` of glTF to read them.
+    """
     buffer = Buffer()
     normals = vertex_normals(neutral)
     of_vertices = gl.Attributes(
@@ -64,15 +94,7 @@ def write_face(
     )
     for name, values in attributes.items():
         setattr(of_vertices, name, buffer.dense(values, gl.SCALAR, gl.ARRAY_BUFFER))
-    targets = [
-        gl.Attributes(
-            POSITION=buffer.morph(
-                (shape - neutral.vertices) * METRES, STILL_MM * METRES, bounds=True
-            ),
-            NORMAL=buffer.morph(vertex_normals(neutral.moved(shape)) - normals, STILL_NORMAL),
-        )
-        for shape in shapes.values()
-    ]
+    targets = make_targets(buffer, normals)
     animation = animate(buffer, len(names))
     parts = _parts_in_order(neutral)
     document = gl.GLTF2(
@@ -85,7 +107,7 @@ def write_face(
             gl.Mesh(
                 name="face",
                 weights=[0.0] * len(names),
-                extras={"targetNames": names},
+                extras={"targetNames": list(names)},
                 primitives=[
                     gl.Primitive(
                         attributes=of_vertices,
@@ -101,6 +123,8 @@ def write_face(
         animations=[] if animation is None else [animation],
         accessors=buffer.accessors,
         bufferViews=buffer.views,
+        extensionsUsed=list(extensions),
+        extensionsRequired=list(extensions),
         buffers=[gl.Buffer(byteLength=len(buffer.content))],
     )
     document.set_binary_blob(bytes(buffer.content))
@@ -137,7 +161,7 @@ def _material(part: str) -> gl.Material:
     )
 
 
-def _in_turn(buffer: Buffer, count: int) -> gl.Animation | None:
+def in_turn(buffer: Buffer, count: int) -> gl.Animation | None:
     """Return neutral -> expression -> neutral for one after the other; None if there is none."""
     if not count:
         return None
@@ -148,15 +172,57 @@ def _in_turn(buffer: Buffer, count: int) -> gl.Animation | None:
         start = number * period
         times += [start + MOVE_SECONDS, start + MOVE_SECONDS + HOLD_SECONDS, start + period]
         weights += [shape, shape, np.zeros(count)]
-    sampler = gl.AnimationSampler(
-        input=buffer.dense(np.array(times), gl.SCALAR, bounds=True),
-        output=buffer.dense(np.concatenate(weights), gl.SCALAR),
-        interpolation=gl.ANIM_LINEAR,
+    at_keys = buffer.dense(np.array(times), gl.SCALAR, bounds=True)
+    values = buffer.dense(np.concatenate(weights), gl.SCALAR)
+    return animation("expressions", {gl.WEIGHTS: (at_keys, values)})
+
+
+def head_tracks(buffer: Buffer, times: Floats, heads: Floats) -> dict[str, tuple[int, int]]:
+    """Add the motion of a head, ``heads`` (f, 6) at ``times`` (f,), for :func:`animation`.
+
+    They are rotation vectors in rad and shifts in mm.
+    """
+    turns = Rotation.from_rotvec(heads[:, :3]).as_quat()
+    turns *= _same_side(turns)[:, None]
+    at_keys = buffer.dense(times, gl.SCALAR, bounds=True)
+    return {
+        gl.ROTATION: (at_keys, buffer.dense(turns, gl.VEC4)),
+        gl.TRANSLATION: (at_keys, buffer.dense(heads[:, 3:] * METRES, gl.VEC3)),
+    }
+
+
+def animation(name: str, tracks: Mapping[str, tuple[int, int]]) -> gl.Animation:
+    """Return an animation of node 0: what is moved -> accessors of its times and its values.
+
+    Values between two times lie on a straight line.
+    """
+    return gl.Animation(
+        name=name,
+        samplers=[
+            gl.AnimationSampler(input=times, output=values, interpolation=gl.ANIM_LINEAR)
+            for times, values in tracks.values()
+        ],
+        channels=[
+            gl.AnimationChannel(sampler=number, target=gl.AnimationChannelTarget(node=0, path=path))
+            for number, path in enumerate(tracks)
+        ],
     )
-    channel = gl.AnimationChannel(
-        sampler=0, target=gl.AnimationChannelTarget(node=0, path=gl.WEIGHTS)
-    )
-    return gl.Animation(name="expressions", samplers=[sampler], channels=[channel])
+
+
+def _same_side(quaternions: Floats) -> Floats:
+    """Return signs (f,) that keep each quaternion (f, 4) on the side of the one before."""
+    turned = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0
+    return np.asarray(np.cumprod(np.concatenate([[1.0], np.where(turned, -1.0, 1.0)])))
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where ``count`` sparse values stand among ``of``: a buffer view of whole numbers."""
+
+    view: int
+    count: int
+    of: int
+    component: int
 
 
 class Buffer:
@@ -205,6 +271,36 @@ class Buffer:
         if bounds:
             whole = np.vstack([values, np.zeros((1, 3), "<f4")])
             _set_bounds(accessor, values if len(values) == len(change) else whole)
+        return len(self.accessors) - 1
+
+    def places(self, moving: Ints, count: int) -> Places:
+        """Add the numbers (k,) of the vertices of ``count`` that sparse values are of."""
+        short = count <= 2**16
+        view = self._view(moving.astype("<u2" if short else "<u4"))
+        return Places(view, len(moving), count, gl.UNSIGNED_SHORT if short else gl.UNSIGNED_INT)
+
+    def quantised(
+        self, values: Floats, places: Places, bits: Literal[8, 16], *, bounds: bool = False
+    ) -> int:
+        """Add values (k, 3) from -1 to 1 at ``places``, zero elsewhere, as whole numbers.
+
+        That is KHR_mesh_quantization: what goes beyond is cut off. Returns the accessor's number.
+        """
+        most = 2 ** (bits - 1) - 1
+        stored = np.rint(np.clip(values, -1.0, 1.0) * most).astype(f"<i{bits // 8}")
+        component = gl.BYTE if bits == 8 else gl.SHORT
+        accessor = self._accessor(component, places.of, gl.VEC3, bufferView=None)
+        accessor.normalized = True
+        accessor.sparse = gl.Sparse(
+            count=places.count,
+            indices=gl.AccessorSparseIndices(
+                bufferView=places.view, componentType=places.component
+            ),
+            values=gl.AccessorSparseValues(bufferView=self._view(stored)),
+        )
+        if bounds:
+            still = np.zeros((0 if places.count == places.of else 1, 3), stored.dtype)
+            _set_bounds(accessor, np.vstack([stored, still]))
         return len(self.accessors) - 1
 
     def _view(self, stored: np.ndarray, target: int | None = None) -> int:

@@ -103,7 +103,8 @@ def fibres_picture(model: SubjectModel, path: Path) -> None:
     """Draw the muscles' fibres over the bones, as :func:`anatomy_picture` draws the muscles."""
     middle = float(model.jaw.origin[0])
     anatomy = _Anatomy(model.skin, model.face, model.bones, fibre_threads(model), middle)
-    _draw_anatomy(anatomy, path, "Fibres", "Laplace fields between the muscles' attachments")
+    detail = "each thread lies along the fibres of the muscle of its colour, which pulls that way"
+    _draw_anatomy(anatomy, path, "Fibres", detail)
 
 
 def tets_picture(model: SubjectModel, path: Path) -> None:

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from solver.contact.crossing import Crossing
 from solver.model import SubjectModel
 from solver.rig.certificate import Certificate, ExpressionCheck, FleshCheck
-from solver.rig.checks import Verdict, overall
+from solver.rig.checks import Verdict, overall, use
 from solver.rig.plausibility import Muscles
 from solver.rig.result import ExpressionFit, Rig
 from solver.rig.verdict import Judgement, judge
@@ -35,13 +35,17 @@ def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
     model = rig.model
     judgements = judge(rig, certificate)
     noticed: list[Verdict] = ["usable"] if rig.notices else []
+    verdict = overall([judgement.verdict for judgement in judgements] + noticed)
+    expressions = {
+        fit.name: _expression(model, fit, certificate.expressions[fit.name], judgements)
+        for fit in rig.expressions
+    }
+    bad = [name for name, found in expressions.items() if found["verdict"] == "bad"]
     return {
-        "verdict": overall([judgement.verdict for judgement in judgements] + noticed),
-        "checks": [_judgement(judgement) for judgement in judgements],
-        "expressions": {
-            fit.name: _expression(model, fit, certificate.expressions[fit.name], judgements)
-            for fit in rig.expressions
-        },
+        "verdict": verdict,
+        "use": use(verdict, bad, len(expressions)),
+        "checks": [_judgement(judgement, certificate.settings) for judgement in judgements],
+        "expressions": expressions,
         "warnings": [notice.as_dict() for notice in rig.notices],
         "train_mean_mm": _role_mean(rig, "train"),
         "test_mean_mm": _role_mean(rig, "test"),
@@ -52,7 +56,7 @@ def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
         "seconds": {phase: round(seconds, 3) for phase, seconds in rig.seconds.items()},
         "settings": certificate.settings,
         "made_with": {
-            "template": model.template,
+            "template": model.anatomy,
             "model_sha256": model.sha256,
             "weights_sha256": weights_hash(rig.weights),
             "versions": {name: _version(name) for name in PACKAGES},
@@ -73,7 +77,7 @@ def weights_hash(S: sp.csr_array) -> str:
     return digest.hexdigest()
 
 
-def _judgement(judgement: Judgement) -> dict[str, Any]:
+def _judgement(judgement: Judgement, settings: dict[str, Any]) -> dict[str, Any]:
     check = judgement.check
     worst = judgement.measures[judgement.worst]
     failed = [name for name in judgement.measures if judgement.of(name) != "good"]
@@ -91,7 +95,7 @@ def _judgement(judgement: Judgement) -> dict[str, Any]:
         "detail": worst.detail,
         "failed": failed,
         "meaning": check.meaning,
-        "advice": check.advice,
+        "advice": check.advised(settings),
     }
 
 

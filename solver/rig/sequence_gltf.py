@@ -12,9 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pygltflib as gl
-from scipy.spatial.transform import Rotation
 
-from solver.rig.gltf import METRES, Buffer, write_face
+from solver.rig.gltf import Buffer, animation, head_tracks, write_face
 from solver.rig.sequence import SequenceFrame
 from solver.surface import Floats, Surface
 
@@ -72,32 +71,12 @@ class AnimatedSkin:
 def _animation(
     buffer: Buffer, frames: Sequence[SequenceFrame], weights: Floats, fps: float
 ) -> gl.Animation | None:
-    heads = np.array([frame.head for frame in frames])
+    heads = np.array([frame.head for frame in frames]).reshape(-1, 6)
+    times = np.array([frame.frame / fps for frame in frames])
     tracks = {}
     if weights.size:
-        tracks[gl.WEIGHTS] = buffer.dense(weights.ravel(), gl.SCALAR)
+        at_frames = buffer.dense(times, gl.SCALAR, bounds=True)
+        tracks[gl.WEIGHTS] = at_frames, buffer.dense(weights.ravel(), gl.SCALAR)
     if heads.any():
-        turns = Rotation.from_rotvec(heads[:, :3]).as_quat()
-        turns *= _same_side(turns)[:, None]
-        tracks[gl.ROTATION] = buffer.dense(turns, gl.VEC4)
-        tracks[gl.TRANSLATION] = buffer.dense(heads[:, 3:] * METRES, gl.VEC3)
-    if not tracks:
-        return None
-    times = buffer.dense(np.array([frame.frame / fps for frame in frames]), gl.SCALAR, bounds=True)
-    return gl.Animation(
-        name="sequence",
-        samplers=[
-            gl.AnimationSampler(input=times, output=values, interpolation=gl.ANIM_LINEAR)
-            for values in tracks.values()
-        ],
-        channels=[
-            gl.AnimationChannel(sampler=number, target=gl.AnimationChannelTarget(node=0, path=path))
-            for number, path in enumerate(tracks)
-        ],
-    )
-
-
-def _same_side(quaternions: Floats) -> Floats:
-    """Return signs (f,) that keep each quaternion (f, 4) on the side of the one before."""
-    turned = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0
-    return np.asarray(np.cumprod(np.concatenate([[1.0], np.where(turned, -1.0, 1.0)])))
+        tracks |= head_tracks(buffer, times, heads)
+    return animation("sequence", tracks) if tracks else None

@@ -41,7 +41,7 @@ def write_page(path: Path, figures: dict[str, Any]) -> None:
         verdict=figures["verdict"],
         subject=_subject(figures),
         tag=tag(figures["verdict"]),
-        summary=_summary(figures["checks"]),
+        summary=_summary(figures),
         tiles=_tiles(figures),
         todo=_todo(figures, anchors),
         checks=_checks(figures["checks"], anchors),
@@ -66,8 +66,9 @@ def _subject(figures: dict[str, Any]) -> str:
     )
 
 
-def _summary(checks: list[dict[str, Any]]) -> str:
-    """Return how many checks are good, and the verdict of every group of checks."""
+def _summary(figures: dict[str, Any]) -> str:
+    """Return whether the rig may be used, and the verdict of every group of checks."""
+    checks = figures["checks"]
     groups = {
         check["group"]: overall(
             [each["verdict"] for each in checks if each["group"] == check["group"]]
@@ -76,7 +77,8 @@ def _summary(checks: list[dict[str, Any]]) -> str:
     }
     good = sum(check["verdict"] == "good" for check in checks)
     parts = "".join(f"<li>{escape(name)} {tag(verdict)}</li>" for name, verdict in groups.items())
-    return f"<p>{good} of {len(checks)} checks are good in every expression.</p><ul>{parts}</ul>"
+    counted = f"{good} of {len(checks)} checks are good in every expression."
+    return f"<p><b>{escape(figures['use'])}</b> {counted}</p><ul>{parts}</ul>"
 
 
 def _tiles(figures: dict[str, Any]) -> str:
@@ -211,9 +213,9 @@ def _made(figures: dict[str, Any], folder: Path) -> str:
         "Settings": settings,
         "Time": seconds,
         "Versions": versions,
-        "Template": " ".join(made["template"][key] for key in ("name", "version", "sha256")),
-        "Model": made["model_sha256"],
-        "Muscle geometry S": made["weights_sha256"],
+        "Template": "{name} {version}, content sha256 {content_sha256}".format(**made["template"]),
+        "Model": f"content sha256 {made['model_sha256']}",
+        "Muscle geometry S": f"content sha256 {made['weights_sha256']}",
     }
     lines = "".join(f"<dt>{words}</dt><dd>{escape(value)}</dd>" for words, value in facts.items())
     files = "".join(

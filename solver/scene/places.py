@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from solver.anatomy.builtin import NAME as BUILTIN
+from solver.anatomy.builtin import builtin_template
 from solver.anatomy.template import Template
 from solver.edits import maps
 from solver.errors import InputError
@@ -32,20 +34,27 @@ class Places:
     assets: Mapping[str, Path] = field(default_factory=dict)
 
     @classmethod
-    def on(cls, model: SubjectModel, template: Template, assets: Mapping[str, Path]) -> Places:
+    def of(cls, model: SubjectModel, template: Path | None, assets: Mapping[str, Path]) -> Places:
         """Return the places of a person whose model was made with ``template``.
 
-        Raises :class:`InputError` (``scene.template``) for a template of another topology.
+        None is the built-in template; a person of another one then has no landmarks. Raises
+        :class:`InputError` (``scene.template``) for a template of another topology.
         """
-        if len(template.skin.vertices) != len(model.skin.vertices):
+        if template is not None:
+            anatomy = Template.load(template)
+        elif model.template["name"] == BUILTIN:
+            anatomy = builtin_template()
+        else:
+            return cls(model, {}, assets)
+        if len(anatomy.skin.vertices) != len(model.skin.vertices):
             raise InputError(
                 "scene.template",
-                f"the model was made with the template {model.template.get('name')}, not with "
-                f"{template.name}",
-                expected=model.template.get("name"),
-                found=template.name,
+                f"the model was made with the template {model.template['name']}, not with "
+                f"{anatomy.name}",
+                expected=model.template["name"],
+                found=anatomy.name,
             )
-        return cls(model, landmark_vertices(template), assets)
+        return cls(model, landmark_vertices(anatomy), assets)
 
     def vertex(self, place: Place) -> int:
         """Return the skin vertex at or nearest to a place.
@@ -58,7 +67,8 @@ class Places:
                 known = sorted(self.landmarks)
                 raise InputError(
                     "scene.landmark",
-                    f"there is no landmark {place!r}; there are {', '.join(known)}",
+                    f"there is no landmark {place!r}; there are "
+                    f"{', '.join(known) or 'none without the template of the model'}",
                     found=place,
                     expected=known,
                 )

@@ -25,12 +25,13 @@ from solver.simulation.state import Drive, Motion
 from solver.surface import Floats
 
 TOLERANCE = 1e-5
-SETTLED_MM = 0.02
+SETTLED_MM = 0.005
 SMALLEST_PART = 2.0**-6
 """Part of a step below which it is not cut further."""
 
-RISE_SECONDS = 1.0
-"""Time that the way to a first pose counts as, for friction: it is no part of the motion."""
+RISE_SECONDS, RISE_PART = 1.0, 0.25
+"""Time that the way to a first pose counts as, for friction, and the part of it that is a step: in
+one go flesh buckles."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class Simulator:
         The linear solver, the fastest by default.
     tolerance, settled_mm
         A step ends at this residual, relative to nodal forces at unit strain, or when corrections
-        stay shorter than this.
+        stay shorter than this, root mean square over the vertices.
     """
 
     def __init__(
@@ -116,8 +117,7 @@ class Simulator:
         )
         rest = self._face.model.rest
         motion = Motion(drive.head(rest), np.zeros_like(rest), drive.head)
-        reached = self._go(motion, start, drive, dynamic=False).motion
-        return replace(reached, v=np.zeros_like(rest))
+        return self._go(motion, start, drive, RISE_PART, dynamic=False).motion
 
     def step(self, now: Motion, before: Drive, goal: Drive) -> Stepped:
         """Go from ``now``, where ``before`` led to, to ``goal``.
@@ -125,11 +125,14 @@ class Simulator:
         Raises :class:`SolveError`: ``simulate.jammed``, ``simulate.diverged`` or
         ``solve.singular``, with the ``time`` that was not reached.
         """
-        return self._go(now, before, goal, dynamic=self._dynamic)
+        return self._go(now, before, goal, 1.0, dynamic=self._dynamic)
 
-    def _go(self, now: Motion, before: Drive, goal: Drive, *, dynamic: bool) -> Stepped:
+    def _go(
+        self, now: Motion, before: Drive, goal: Drive, largest: float, *, dynamic: bool
+    ) -> Stepped:
+        """Go to ``goal`` in parts of the way, powers of two; none is larger than ``largest``."""
         begun = perf_counter()
-        done, part, drive = 0.0, 1.0, before
+        done, part, drive = 0.0, largest, before
         iterations = halvings = 0
         while done < 1.0:
             target = before.toward(goal, done + part)
@@ -144,8 +147,8 @@ class Simulator:
                 continue
             drive, done = target, done + part
             iterations += minimum.iterations
-            # parts are powers of two, and stay so that they add up to one
-            while done % (2.0 * part) == 0.0 and done + 2.0 * part <= 1.0:
+            # a part begins at a multiple of itself, so that they add up to one
+            while part < largest and done % (2.0 * part) == 0.0:
                 part *= 2.0
         return Stepped(
             now,

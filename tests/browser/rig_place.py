@@ -24,6 +24,7 @@ from solver.rig.sequence_gltf import AnimatedSkin
 from solver.surface import Floats
 from tests.browser.sample_rig import Sample, write_sample
 from tests.browser.stage import CHROMIUM
+from tests.servers import unavailable
 
 FLAGS = (
     "--no-sandbox",
@@ -35,6 +36,21 @@ FLAGS = (
 PARTS = ("view.bin", "inside.bin", "preview.bin")
 SOLVED = ("model.npz", "muscle_weights.npz", "activations.npz")
 SECONDS = 30.0
+CERTIFICATE = {
+    "verdict": "usable",
+    "warnings": [],
+    "checks": [
+        {
+            "verdict": "usable",
+            "title": "Mean distance",
+            "value": 0.9,
+            "unit": "mm",
+            "worst": "smile",
+            "meaning": "how near the skin is",
+            "advice": "scan it again",
+        }
+    ],
+}
 
 
 @dataclass(frozen=True)
@@ -63,7 +79,7 @@ def served_rigs(folder: Path) -> Iterator[Place]:
     store = app.state.store.of(DEFAULT_TENANT)
     sample = write_sample(folder / "a")
     files = [folder / "a" / name for name in PARTS]
-    subject, first = put_rig(store, "Ada", files, sample.summary())
+    subject, first = put_rig(store, "Ada", files, {**sample.summary(), **CERTIFICATE})
     other = write_sample(folder / "b", subject="B")
     files = [folder / "b" / name for name in (*PARTS[:2], *SOLVED)]
     for name in SOLVED:
@@ -86,7 +102,7 @@ def drawing_browser() -> Iterator[Any]:
     """Start Chromium with WebGL by the processor; skips where it or playwright is missing."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     if not CHROMIUM.exists():
-        pytest.skip(f"there is no {CHROMIUM}")
+        unavailable(f"there is no {CHROMIUM}")
     with playwright.sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=str(CHROMIUM), args=list(FLAGS))
         try:
@@ -174,7 +190,7 @@ def put_job(
         jobs.create(session, job)
         job_id = job.id
     with store.write() as session:
-        claim = jobs.claim(session, job_id, "test", 10)
+        claim = jobs.take(session, job_id, "test", 10)
         assert claim
         left = [_artifact(store, job_id, path) for path in files]
         assert jobs.succeed(session, job_id, claim.attempt, left, summary=summary)

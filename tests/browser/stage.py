@@ -12,6 +12,7 @@ import pytest
 
 from myoface.stack import Stack
 from service.settings import Settings
+from tests.servers import unavailable
 from tests.service_client import QUICK, Studio
 
 ROOT = Path(__file__).parents[2]
@@ -40,7 +41,7 @@ def browser() -> Iterator[Any]:
     """Start Chromium; skips, with the reason, where it or playwright is missing."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     if not CHROMIUM.exists():
-        pytest.skip(f"there is no {CHROMIUM}")
+        unavailable(f"there is no {CHROMIUM}")
     with playwright.sync_playwright() as driver:
         chromium = driver.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS)
         try:

@@ -69,13 +69,18 @@ def rig(place: Place, look: Callable[..., Page]) -> Callable[..., Page]:
     def open_rig(query: str = "", identifier: str = place.first) -> Page:
         page = look(f"/rigs/{identifier}{query}")
         _shown(page)
-        page.evaluate(
-            "document.querySelector('.rig').addEventListener('posed', "
-            "(event) => { window.posed = Array.from(event.detail.places); })"
-        )
+        _watch(page)
         return page
 
     return open_rig
+
+
+def test_the_certificate_is_told_with_the_rig(rig: Callable[..., Page]) -> None:
+    page = rig()
+    page.locator("header").get_by_text("Usable").wait_for()
+    page.get_by_text("1 finding of the certificate").click()
+    page.get_by_text("Mean distance: 0.9 mm in smile (how near the skin is)").wait_for()
+    page.get_by_text("Scan it again.").wait_for()
 
 
 def test_the_first_view_comes_within_two_seconds(place: Place, look: Callable[..., Page]) -> None:
@@ -125,6 +130,11 @@ def test_muscle_sliders_move_the_skin_by_the_basis(place: Place, rig: Callable[.
     _assert_close(_posed(page), sample.neutral.vertices + sample.preview(controls))
     _settled(page)
     assert all(f"m={side}:1" in page.url for side in sides)
+    page.reload()  # at once after a slider was let go of
+    _shown(page)
+    page.get_by_text(words).wait_for()
+    assert page.get_by_role("slider", name=title, exact=True).input_value() == "1"
+    _watch(page)
     page.get_by_role("button", name="Relax all").click()
     _assert_close(_posed(page), sample.neutral.vertices)
     page.get_by_label("Set the muscles as in an expression").select_option("Smile")
@@ -209,7 +219,12 @@ def test_muscles_bones_and_a_section_show_what_is_inside(rig: Callable[..., Page
     _settled(page)
     assert "section=z:70" in page.url
     assert np.abs(_picture(page) - cut).mean() > 1
+    page.get_by_label("Section", exact=True).select_option("x")
+    _settled(page)
+    assert "section=x:" in page.url
+    assert page.url.endswith("view=side"), "edge on, nothing of the cut is seen"
     page.get_by_label("Section", exact=True).select_option("")
+    page.get_by_role("button", name="From the front").click()
     page.locator("canvas.stage").click(position={"x": 405, "y": 230})
     until(lambda: page.locator(".stage-picked").inner_text() not in ("", "Zygomaticus major l"))
 
@@ -309,6 +324,14 @@ def test_two_rigs_are_compared(place: Place, look: Callable[..., Page]) -> None:
     page.get_by_role("button", name="Right side").click()
     _settled(page)
     assert page.url.endswith("view=side")
+
+
+def _watch(page: Page) -> None:
+    """Keep what is drawn in ``window.posed``."""
+    page.evaluate(
+        "document.querySelector('.rig').addEventListener('posed', "
+        "(event) => { window.posed = Array.from(event.detail.places); })"
+    )
 
 
 def _shown(page: Page) -> float:

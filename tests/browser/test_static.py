@@ -2,6 +2,7 @@
 
 import gzip
 import hashlib
+import json
 import re
 from collections.abc import Iterator
 from html.parser import HTMLParser
@@ -13,6 +14,7 @@ from fastapi.testclient import TestClient
 from service.app import create_app
 from service.page.routes import PATHS, POLICY, TYPES
 from service.settings import Settings
+from solver.drawing.colours import HEAT
 
 STATIC = Path(__file__).parents[2] / "service" / "page" / "static"
 VENDOR = STATIC / "vendor"
@@ -103,6 +105,12 @@ def test_the_server_and_the_router_know_the_same_paths() -> None:
     routes = (STATIC / "js" / "routes.js").read_text()
     shown = set(re.findall(r'\{ path: "([^"]+)"', routes))
     assert shown == {re.sub(r"\{\w+\}", ":id", path) for path in PATHS}
+
+
+def test_the_page_and_the_reports_have_one_scale_of_heat() -> None:
+    colours = (STATIC / "js" / "rig" / "colours.js").read_text()
+    (table,) = re.findall(r"const HEAT = (\[.*?\n\]);", colours, flags=re.DOTALL)
+    assert json.loads(re.sub(r",(\s*\])", r"\1", table)) == HEAT.tolist()
 
 
 def test_it_is_served_at_its_paths_under_a_strict_policy(http: TestClient) -> None:

@@ -1,9 +1,11 @@
-"""``python -m chaos``, small enough for every run: each job ends exactly once."""
+"""``python -m chaos`` in small: each job ends exactly once."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+
+import pytest
 
 from tests.service_client import ROOT
 
@@ -11,6 +13,7 @@ SMALL = ["--seed", "7", "--jobs", "12", "--poison", "1", "--rounds", "1"]
 BLOWS = ["kill-worker", "kill-solver", "kill-broker", "empty-broker", "fill-disk"]
 
 
+@pytest.mark.slow
 def test_every_job_ends_exactly_once() -> None:
     command = [sys.executable, "-m", "chaos", *SMALL, "--blows", *BLOWS]
     done = subprocess.run(

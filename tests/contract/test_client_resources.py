@@ -14,6 +14,7 @@ from service.settings import Settings
 from service.store.transitions import FINAL, State
 
 SHAPES = {
+    resources.JobKind: "KindView",
     resources.Upload: "UploadView",
     resources.Template: "TemplateView",
     resources.Subject: "SubjectView",

@@ -1,4 +1,4 @@
-"""``rig.glb`` and the Khronos validator."""
+"""``rig.glb``, ``animation.glb`` and the Khronos validator."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import pytest
 
 from myoface.demo.khronos_validator import khronos_validation
 from solver.anatomy.builtin_source import cache_directory
+from solver.rig.animation_gltf import write_animation_glb
 from solver.rig.gltf import write_glb
 from solver.rig.result import ExpressionFit, Rig
 from tests.fixtures import fixture_model, ict_capture
@@ -28,6 +29,23 @@ def test_no_errors_and_no_warnings(names: list[str], tmp_path: Path) -> None:
         fits.append(fit)
     path = tmp_path / "rig.glb"
     write_glb(path, Rig(model, model.weights, tuple(fits), {}))
+    check(path)
+
+
+def test_nor_any_of_an_animation(tmp_path: Path) -> None:
+    neutral = ict_capture("neutral")
+    away = ict_capture("smile").vertices - neutral.vertices
+    times = np.arange(12) / 30.0
+    skins = np.array([neutral.vertices + np.sin(5.0 * time) * away for time in times], np.float32)
+    heads = np.zeros((12, 6))
+    heads[:, 1] = 0.4 * np.sin(times)
+    path = tmp_path / "animation.glb"
+    write_animation_glb(path, neutral, skins, heads, times)
+    check(path)
+
+
+def check(path: Path) -> None:
+    """Let the validator say that all is well, without a word."""
     found = khronos_validation(path, cache_directory() / "gltf-validator")
     if found.errors is None:
         pytest.skip(found.note)

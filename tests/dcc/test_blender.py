@@ -1,4 +1,4 @@
-"""Blender reads a rig and a sequence as what they are: names, sizes, axes, shapes, animation.
+"""Blender reads rigs, sequences and animations: names, sizes, axes, shapes, how they move.
 
 Blender's Python module lives in an environment of its own, which ``scripts/blender-venv`` makes;
 ``MYOFACE_BLENDER_PYTHON`` names another interpreter that has it.
@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from solver.anatomy.builtin import builtin_expression
 from solver.normals import vertex_normals
+from solver.rig.animation_gltf import KEYS_MM, write_animation_glb
 from solver.rig.gltf import write_glb
 from solver.rig.result import ExpressionFit, Rig
 from solver.rig.sequence import SequenceFrame
@@ -166,6 +167,29 @@ def test_a_sequence_moves_as_it_was_fitted(blender: Path, tmp_path: Path) -> Non
         expected = _placed(skin, number)
         off = np.linalg.norm(scene.mm(f"frame_{number}") - expected, axis=1).max()
         assert off < REACHED_MM + 0.01, f"frame {number}"
+
+
+def test_an_animation_is_made_of_few_shapes(blender: Path, tmp_path: Path) -> None:
+    """Of whole numbers, sparse, on fewer keys than frames: Blender shows all frames."""
+    neutral = builtin_expression({})
+    away = builtin_expression(EXPRESSIONS["smile"]).vertices - neutral.vertices
+    opened = builtin_expression(EXPRESSIONS["ah"]).vertices - neutral.vertices
+    skins = np.array(
+        [
+            neutral.vertices + np.cos(0.3 * number) * away + min(0.1 * number, 0.6) * opened
+            for number in range(12)
+        ],
+        np.float32,
+    )
+    heads = np.array([_frame(number).head for number in range(12)])
+    path = tmp_path / "animation.glb"
+    written = write_animation_glb(path, neutral, skins, heads, np.arange(12) / FPS)
+    assert written.max_error_mm < 0.2
+    scene = imported(blender, path, [float(number) for number in range(12)])
+    assert scene.known["range"] == [0, 11]
+    for number, skin in enumerate(skins):
+        off = np.linalg.norm(scene.mm(f"frame_{number}") - _placed(skin, number), axis=1).max()
+        assert off < written.max_error_mm + KEYS_MM + 0.01, f"frame {number}"
 
 
 def _frame(number: int) -> SequenceFrame:

@@ -7,17 +7,19 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import uvicorn
-from fastapi import FastAPI
+from starlette.types import ASGIApp
 
 from service.http.deadline import protocol
 
 
 @contextmanager
-def serving(app: FastAPI, seconds: float) -> Iterator[int]:
+def serving(app: ASGIApp, seconds: float, **tls: str) -> Iterator[int]:
     """Serve ``app`` as `service.__main__` does; gives the port."""
-    config = uvicorn.Config(app, port=0, log_config=None, http=protocol(seconds))
+    more: dict[str, Any] = {"log_config": None, **tls}
+    config = uvicorn.Config(app, port=0, http=protocol(seconds, seconds), **more)
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run)
     thread.start()

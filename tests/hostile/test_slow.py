@@ -9,10 +9,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from starlette.responses import StreamingResponse
+from starlette.types import Receive, Scope, Send
 
 from service.app import create_app
 from service.settings import Settings
 from tests.hostile.edge import connected, serving, until_closed
+from tests.service_client import eventually
 
 PATIENCE = 0.6
 HEAD = b"POST /v1/subjects HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n"
@@ -87,6 +90,49 @@ def test_after_a_refusal_nobody_may_go_on_sending(port: int) -> None:
         _drip(connection, b"x" * 200)
         until_closed(connection)
     assert time.monotonic() - started < PATIENCE + 3
+
+
+BLOCK, BLOCKS = 64 * 1024, 1000
+
+
+class _Downloads:
+    """An application that sends 64 MB, and knows how many blocks it made and how many it ended."""
+
+    made = ended = 0
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            return
+        try:
+            await StreamingResponse(self._blocks())(scope, receive, send)
+        finally:
+            self.ended += 1
+
+    def _blocks(self) -> Iterator[bytes]:
+        for _ in range(BLOCKS):
+            self.made += 1
+            yield bytes(BLOCK)
+
+
+def test_who_does_not_read_is_cut_off_and_holds_little() -> None:
+    app = _Downloads()
+    with serving(app, PATIENCE) as port, connected(port) as connection:
+        connection.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        eventually(lambda: app.ended == 1, seconds=2 * PATIENCE + 2)
+        received, _ = until_closed(connection)
+    assert app.made * BLOCK < 16e6  # what the kernel takes by itself, and a few blocks
+    assert len(received) < app.made * BLOCK
+
+
+def test_who_reads_slowly_gets_all_of_it() -> None:
+    app, received, started = _Downloads(), 0, time.monotonic()
+    with serving(app, PATIENCE) as port, connected(port) as connection:
+        connection.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n")
+        while content := connection.recv(4 * 1024**2):
+            received += len(content)
+            time.sleep(PATIENCE / 4)
+    assert received > BLOCKS * BLOCK
+    assert time.monotonic() - started > 4 * PATIENCE
 
 
 def test_many_slow_ones_hold_up_nobody(port: int) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ipaddress
 import socket
 import ssl
-import subprocess
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -14,6 +13,7 @@ import pytest
 
 from service.outbound.addresses import is_allowed
 from service.outbound.client import MOST_ANSWER, Refused, Sender, Unreachable
+from tests.certificate import self_signed
 from tests.receiver import LOOPBACK, Receiver, receiving
 
 PUBLIC = "93.184.216.34"  # is only ever judged, never called
@@ -183,6 +183,29 @@ def test_what_is_no_url_to_send_to(url: str) -> None:
     assert caught.value.code == "address.invalid"
 
 
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        ("7", 7.0),
+        ("Wed, 21 Oct 2015 07:28:00 GMT", 0.0),
+        ("Fri, 99 Oct 9999999999 00:00:00 GMT", None),
+        ("-1", None),
+        ("1e9", None),
+        ("9" * 40, None),
+        ("soon", None),
+    ],
+)
+def test_when_to_come_back_is_read_strictly(text: str, seconds: float | None) -> None:
+    def busy(receiver: Receiver) -> None:
+        receiver.send_response(429)
+        receiver.send_header("Retry-After", text)
+        receiver.end_headers()
+
+    with receiving(busy) as (port, _):
+        answer = Sender(5, LOOPBACK).post(f"http://127.0.0.1:{port}/", b"{}", {})
+    assert answer.retry_after == seconds
+
+
 def test_a_redirect_is_an_answer_and_is_not_followed() -> None:
     with receiving() as (inner, reached):
 
@@ -281,33 +304,7 @@ def test_nobody_listens_or_no_such_name() -> None:
 
 @pytest.fixture(scope="module")
 def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    folder = tmp_path_factory.mktemp("tls")
-    key, certificate = folder / "key.pem", folder / "certificate.pem"
-    subprocess.run(
-        [
-            "openssl",
-            "req",
-            "-x509",
-            "-newkey",
-            "ec",
-            "-pkeyopt",
-            "ec_paramgen_curve:prime256v1",
-            "-nodes",
-            "-days",
-            "1",
-            "-subj",
-            "/CN=receiver.test",
-            "-keyout",
-            key,
-            "-out",
-            certificate,
-            "-addext",
-            "subjectAltName=DNS:receiver.test",
-        ],
-        check=True,
-        capture_output=True,
-    )
-    return key, certificate
+    return self_signed(tmp_path_factory.mktemp("tls"), "DNS:receiver.test")
 
 
 def test_tls_is_checked_against_the_name_and_asks_for_it(certificate: tuple[Path, Path]) -> None:

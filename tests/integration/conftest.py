@@ -9,8 +9,10 @@ from contextlib import contextmanager
 
 import pytest
 
+from myoface.stack import Stack
 from tests.servers import UnavailableError, required
 from tests.servers.production import Production, production
+from tests.service_client import Studio, running
 
 EMBEDDED = "embedded"
 PARTS = [EMBEDDED, pytest.param("production", marks=pytest.mark.servers)]
@@ -43,6 +45,29 @@ def parts(request: pytest.FixtureRequest) -> Iterator[Production | None]:
         pytest.skip(found)
     with _environment(found):
         yield found
+
+
+@pytest.fixture(scope="session")
+def embedded_stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stack, Studio]]:
+    with running(tmp_path_factory.mktemp("stack")) as both:
+        yield both
+
+
+@pytest.fixture(scope="module")
+def stack_and_studio(
+    parts: Production | None,
+    request: pytest.FixtureRequest,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[tuple[Stack, Studio]]:
+    """Give a running stack, in which others leave subjects and jobs.
+
+    All modules share the one of embedded parts: its five processes take seconds to start.
+    """
+    if parts is None:
+        yield request.getfixturevalue("embedded_stack")
+        return
+    with running(tmp_path_factory.mktemp("stack")) as both:
+        yield both
 
 
 @pytest.fixture(autouse=True)

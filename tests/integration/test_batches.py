@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import uuid
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from sqlalchemy import insert
 
+from myoface.stack import Stack
 from service.settings import Settings
-from tests.servers.production import Production
-from tests.service_client import Studio, eventually, running, served
+from service.store.models import DEFAULT_TENANT, Batch
+from tests.service_client import Studio, eventually, served
 
 
 @pytest.fixture(scope="module")
-def working(parts: Production | None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
-    with running(tmp_path_factory.mktemp("batches")) as (_, studio):
-        yield studio
+def working(stack_and_studio: tuple[Stack, Studio]) -> Studio:
+    return stack_and_studio[1]
 
 
 @pytest.fixture
@@ -125,3 +127,19 @@ def test_a_batch_is_all_or_nothing_and_can_be_stopped(idle: Studio) -> None:
     assert {job["state"] for job in idle.get("/v1/jobs")["items"]} == {"canceled"}
     assert idle.http.delete(f"/v1/subjects/{batch['subject_id']}").status_code == 204
     assert idle.get("/v1/batches")["items"] == []
+
+
+def test_the_longest_page_of_large_batches_is_shown(idle: Studio) -> None:
+    subject = idle.subject()
+    smile = idle.raw(subject, "smile")
+    mine = {"tenant_id": DEFAULT_TENANT, "subject_id": subject, "state": "succeeded"}
+    rest = {"name": "x", "steps": [], "options": {}, "priority": 0}
+    rows = [
+        {**mine, **rest, "capture_ids": [*(str(uuid.uuid4()) for _ in range(70)), smile]}
+        for _ in range(1000)
+    ]
+    with idle.http.app.state.store.write() as session:  # type: ignore[attr-defined]
+        session.execute(insert(Batch), rows)
+    items = idle.get("/v1/batches?limit=1000")["items"]
+    assert len(items) == 1000
+    assert all([scan["capture_id"] for scan in item["scans"]] == [smile] for item in items)

@@ -16,8 +16,8 @@ from myoface.client import AsyncClient, Client
 from myoface.credentials import VARIABLE
 from myoface.errors import ApiError
 from myoface.resources import Job
-from tests.servers.production import Production
-from tests.service_client import running
+from myoface.stack import Stack
+from tests.service_client import Studio
 
 
 class BreakingLine(httpx.HTTPTransport):
@@ -37,11 +37,9 @@ class BreakingLine(httpx.HTTPTransport):
 
 
 @pytest.fixture(scope="module")
-def url(parts: Production | None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    with (
-        running(tmp_path_factory.mktemp("stack")) as (stack, _),
-        pytest.MonkeyPatch.context() as environment,
-    ):
+def url(stack_and_studio: tuple[Stack, Studio]) -> Iterator[str]:
+    stack, _ = stack_and_studio
+    with pytest.MonkeyPatch.context() as environment:
         environment.setenv(VARIABLE, stack.key)
         yield stack.url
 

@@ -12,19 +12,17 @@ from typer.testing import CliRunner, Result
 from myoface.cli import app
 from myoface.client import Client
 from myoface.credentials import VARIABLE
+from myoface.stack import Stack
 from service.settings import Settings
-from tests.servers.production import Production
-from tests.service_client import Studio, running, served
+from tests.service_client import Studio, served
 
 Command = Callable[..., Result]
 
 
 @pytest.fixture(scope="module")
-def url(parts: Production | None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    with (
-        running(tmp_path_factory.mktemp("stack")) as (stack, _),
-        pytest.MonkeyPatch.context() as environment,
-    ):
+def url(stack_and_studio: tuple[Stack, Studio]) -> Iterator[str]:
+    stack, _ = stack_and_studio
+    with pytest.MonkeyPatch.context() as environment:
         environment.setenv(VARIABLE, stack.key)
         yield stack.url
 
@@ -124,6 +122,16 @@ def test_an_unknown_name_is_refused_with_those_there_are(myoface: Command, tmp_p
     assert "choose from are smile" in " ".join(refused.output.replace("│", " ").split())
 
 
+def test_the_kinds_of_job_and_their_options(myoface: Command) -> None:
+    assert "build_model" in myoface("jobs", "kinds").output
+    (line,) = myoface("jobs", "kinds", "build_model").output.splitlines()[1:]
+    assert line.split(maxsplit=6) == [
+        *("edge_mm", "9.0", ">=", "3,", "<=", "30"),
+        "edge length of the tetrahedra",
+    ]
+    assert "fit_geometry" in myoface("jobs", "kinds", "fit_nothing", code=2).output
+
+
 def test_keys_at_the_command_line(myoface: Command, url: str) -> None:
     text = myoface("keys", "add", "station 2", "--scope", "read", "--scope", "write").output.strip()
     assert text.startswith("myo_")
@@ -149,7 +157,35 @@ def test_a_tenant_is_added_with_its_first_key(tmp_path: Path) -> None:
     assert f"{tenant}  North           5" in run("tenants", "list")
     run("tenants", "limit", tenant, "--max-bytes", "1000")
     assert f"{tenant}  North    1000" in run("tenants", "list")
+    run("tenants", "retain", tenant, "--scans", "30", "--rigs", "60")
+    run("tenants", "retain", "nobody", "--scans", "30", code=2)
     with served(Settings(data_dir=tmp_path, host="127.0.0.1")) as studio:
         north = Studio(studio.http, key.read_text())
         assert north.get("/v1/me")["tenant"] == "North"
         assert north.get("/v1/usage")["bytes"]["limit"] == 1000
+        kept = north.get("/v1/limits")["retention"]
+        assert kept == {"subjects": None, "scans": 30, "jobs": None, "rigs": 60, "audit": None}
+
+
+def test_a_tenant_that_lost_its_key_is_given_another(tmp_path: Path) -> None:
+    def run(*words: str, code: int = 0) -> str:
+        done = CliRunner().invoke(app, ["tenants", *words, "--data", str(tmp_path)])
+        assert done.exit_code == code, done.output
+        return done.output
+
+    first, second = tmp_path / "first.key", tmp_path / "second.key"
+    tenant = run("add", "North", "--key", str(first)).strip()
+    run("key", tenant, "--key", str(first), code=2)
+    run("key", "nobody", "--key", str(second), code=2)
+    assert not second.exists()
+    run("key", tenant, "--key", str(second))
+    assert second.stat().st_mode & 0o777 == 0o600
+    with served(Settings(data_dir=tmp_path, host="127.0.0.1")) as studio:
+        north = Studio(studio.http, second.read_text())
+        me = north.get("/v1/me")
+        assert me["tenant"] == "North"
+        assert "metrics" not in me["scopes"]
+        made = north.get(f"/v1/audit?object_id={me['key_id']}")["items"]
+        assert [(each["action"], each["key_id"]) for each in made] == [("key.created", "operator")]
+        lost = first.read_text().split("_")[1][:12]
+        assert north.http.delete(f"/v1/keys/{lost}").status_code == 204

@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import os
-import sqlite3
 from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 import pytest
-from sqlalchemy import update
+from sqlalchemy import select, update
 
 from service.settings import Settings
 from service.store import deletion, garbage, jobs, retention
-from service.store.models import AuditEntry, Capture, Job, Rig, Subject, now
+from service.store.database import Database
+from service.store.models import (
+    DEFAULT_TENANT,
+    AuditEntry,
+    Capture,
+    Job,
+    Rig,
+    Subject,
+    Tenant,
+    Upload,
+    now,
+)
 from service.store.store import Store
 from tests.service_client import Studio, eventually, running, served
 
@@ -66,11 +76,39 @@ def test_a_receipt_says_when_the_last_file_was_gone(studio: Studio) -> None:
     assert [each["action"] for each in actions] == ["subject.deleted", "subject.created"]
 
 
+def test_landmarks_that_were_replaced_go_with_their_scan(studio: Studio) -> None:
+    subject = studio.post("/v1/subjects", name="Alex")["id"]
+    smile = studio.raw(subject, "smile")
+    path = f"/v1/subjects/{subject}/captures/{smile}/landmarks"
+    for content in (b"[1]", b"[2]"):
+        marks = {"upload_id": studio.upload("smile of Alex.json", content)}
+        assert studio.http.put(path, json=marks).status_code == 200
+    receipt = studio.http.delete(f"/v1/subjects/{subject}").headers["Location"]
+    for _ in range(2):
+        garbage.collect(_store(studio), age=-60)
+    deletion.close_receipts(_store(studio))
+    assert studio.get(receipt)["files_at"] is not None
+    assert _stored(studio) == set()
+    with _store(studio).read() as session:
+        assert session.scalars(select(Upload)).all() == []
+
+
+def test_another_upload_of_the_same_bytes_stays(studio: Studio) -> None:
+    subject = studio.post("/v1/subjects", name="Alex")["id"]
+    smile = studio.capture(subject, "smile")
+    template = studio.post("/v1/templates", name="x", upload_id=studio.upload("a.npz", b"PK"))["id"]
+    others = [studio.upload("of Bo.obj", b"# smile"), studio.upload("other.npz", b"PK")]
+    for path in (f"/v1/subjects/{subject}/captures/{smile}", f"/v1/templates/{template}"):
+        assert studio.http.delete(path).status_code == 204
+    with _store(studio).read() as session:
+        assert set(session.scalars(select(Upload.id))) == set(others)
+
+
 def test_a_busy_subject_is_deleted_when_its_jobs_have_stopped(studio: Studio) -> None:
     subject = studio.subject()
     waiting, running_job = (studio.submit("build_model", subject) for _ in range(2))
     with _store(studio).write() as session:
-        claim = jobs.claim(session, running_job, "worker", 30)
+        claim = jobs.take(session, running_job, "worker", 30)
         assert claim
     assert studio.http.delete(f"/v1/subjects/{subject}").status_code == 409
     answer = studio.http.delete(f"/v1/subjects/{subject}?cancel=true")
@@ -110,7 +148,7 @@ def test_what_has_been_kept_for_long_enough_goes(studio: Studio) -> None:
     model, rig_job, check = (studio.submit("build_model", subject) for _ in range(3))
     _end(studio, model, check)
     with _store(studio).write() as session:
-        claim = jobs.claim(session, rig_job, "worker", 30)
+        claim = jobs.take(session, rig_job, "worker", 30)
         assert claim
         mine = {"tenant_id": claim.tenant_id, "job_id": rig_job, "model_job_id": model}
         rig = Rig(subject_id=subject, expressions=[], summary={}, **mine)
@@ -146,7 +184,7 @@ def test_what_has_been_kept_for_long_enough_goes(studio: Studio) -> None:
 def _end(studio: Studio, *job_ids: str) -> None:
     for job_id in job_ids:
         with _store(studio).write() as session:
-            claim = jobs.claim(session, job_id, "worker", 30)
+            claim = jobs.take(session, job_id, "worker", 30)
             assert claim
             assert jobs.succeed(session, job_id, claim.attempt, [])
 
@@ -173,17 +211,67 @@ def test_every_object_says_until_when_it_is_kept(tmp_path: Path) -> None:
         assert told == {"subjects": 900, "scans": 30, "jobs": 7, "rigs": None, "audit": None}
 
 
+def test_a_tenant_may_keep_things_for_fewer_days(studio: Studio) -> None:
+    store, mine = _store(studio), studio.subject()
+    week = now() - timedelta(days=8)
+    with store.write() as session:
+        own = session.get_one(Tenant, DEFAULT_TENANT)
+        own.retain_scans, own.retain_subjects = 7, 900
+        session.add(other := Tenant(name="another studio"))
+        session.flush()
+        session.add(theirs := Subject(name="Bo", tenant_id=other.id))
+        session.flush()
+        scan = {"name": "x", "role": "neutral", "filename": "x", "size": 1, "sha256": "a" * 64}
+        session.add(Capture(subject_id=theirs.id, tenant_id=other.id, **scan))
+        session.flush()
+        session.execute(update(Capture).values(created_at=week))
+    told = studio.get("/v1/limits")["retention"]
+    assert (told["scans"], told["subjects"]) == (7, 900)  # the installation keeps all
+    shown = studio.get(f"/v1/subjects/{mine}/captures")["items"][0]
+    assert shown["retain_until"][:10] == str((week + timedelta(days=7)).date())
+    settings = _settings(studio, retain_scans=30, retain_subjects=30)
+    retention.enforce(store, settings)
+    with store.read() as session:
+        assert session.scalars(select(Capture.subject_id)).all() == [theirs.id]
+    _age(studio, Subject, "created_at")
+    retention.enforce(store, settings)
+    with store.read() as session:
+        assert session.scalars(select(Subject)).all() == []
+
+
 def test_the_database_forgets_a_name(tmp_path: Path) -> None:
     with served(Settings(data_dir=tmp_path)) as studio:
+        database = _store(studio).database
+        if not database.is_sqlite:
+            pytest.skip("PostgreSQL overwrites by VACUUM, in its own time")
         name = "Somebody" + os.urandom(8).hex()
         subject = studio.post("/v1/subjects", name=name)["id"]
         studio.http.delete(f"/v1/subjects/{subject}")
-        if not _store(studio).database.is_sqlite:
+        assert name.encode() in _bytes_of(database)
+        with database.read() as session:
+            session.scalars(select(Subject)).all()
+            database.forget_deleted()  # does not wait for a reader
+        database.forget_deleted()
+        assert name.encode() not in _bytes_of(database)
+
+
+@pytest.mark.slow
+def test_a_running_service_forgets_a_name(tmp_path: Path) -> None:
+    with running(tmp_path, garbage_age=0.5) as (stack, studio):
+        database = Database(stack.settings.database)
+        if not database.is_sqlite:
             pytest.skip("PostgreSQL overwrites by VACUUM, in its own time")
-        database = Path(str(_store(studio).database.url.database))
-    with sqlite3.connect(database) as connection:
-        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-    assert name.encode() not in database.read_bytes()
+        name = "Somebody" + os.urandom(8).hex()
+        subject = studio.post("/v1/subjects", name=name)["id"]
+        assert name.encode() in _bytes_of(database)
+        studio.http.delete(f"/v1/subjects/{subject}")
+        eventually(lambda: name.encode() not in _bytes_of(database))
+
+
+def _bytes_of(database: Database) -> bytes:
+    """Return what the files of a database hold."""
+    path = Path(str(database.url.database))
+    return b"".join(each.read_bytes() for each in path.parent.glob(f"{path.name}*"))
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ def test_scans_in_rig_and_report_out(tmp_path: Path) -> None:
     command += ["--output", str(tmp_path), "--json", str(figures_file)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    for promised in ("training mean", "unseen mean", "inverted tets", "report.html"):
+    for promised in ("training mean", "inverted tets", "report.html", "myoface up --data"):
         assert promised in done.stdout
 
     figures = json.loads(figures_file.read_text())

@@ -41,7 +41,32 @@ def test_a_repetition_makes_nothing(tmp_path: Path) -> None:
             assert (other.status_code, other.json()["code"]) == (422, "idempotency.conflict")
         assert len(studio.get("/v1/jobs")["items"]) == 1
         entries = studio.get("/v1/audit")["items"]
-        assert [each["action"] for each in entries].count("key.created") == 1
+        made = [each for each in entries if each["action"] == "key.created"]
+        assert [each["key_id"] for each in made] == [studio.get("/v1/me")["key_id"], "operator"]
+
+
+def test_what_is_made_from_something_else_is_made_once_too(tmp_path: Path) -> None:
+    with served(Settings(data_dir=tmp_path)) as studio:
+        job = studio.submit("build_model", studio.subject())
+        studio.post(f"/v1/jobs/{job}/cancel")
+        key = studio.post("/v1/keys", name="renderer", scopes=["read"])["id"]
+        hook = studio.post("/v1/webhooks", url="https://8.8.8.8/")
+        cases: list[tuple[str, dict[str, Any]]] = [
+            (f"/v1/jobs/{job}/retry", {"priority": 1}),
+            (f"/v1/keys/{key}/rotate", {"grace": 60}),
+            ("/v1/webhooks", {"url": "https://8.8.4.4/"}),
+        ]
+        for number, (path, body) in enumerate(cases):
+            first, again = (_post(studio, path, f"k{number}", **body) for _ in range(2))
+            assert (first.status_code, again.status_code) == (201, 201), again.text
+            told = {**first.json(), "key": None} if "rotate" in path else first.json()
+            assert again.json() == told
+        assert len(studio.get("/v1/jobs")["items"]) == 2
+        assert len(studio.get("/v1/keys")["items"]) == 3
+        path = f"/v1/webhooks/{hook['id']}/rotate"
+        first, again = (_post(studio, path, "r") for _ in range(2))
+        assert first.json() == again.json()
+        assert first.json()["secret"] != hook["secret"]
 
 
 def _changed(body: dict[str, Any]) -> dict[str, Any]:

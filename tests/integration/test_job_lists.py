@@ -56,7 +56,7 @@ def test_lists_are_filtered_by_states_and_time(studio: Studio) -> None:
     studio.post(f"/v1/jobs/{canceled}/cancel")
     store = studio.http.app.state.store  # type: ignore[attr-defined]
     with store.write() as session:
-        claim = jobs.claim(session, failed, "w", 60)
+        claim = jobs.take(session, failed, "w", 60)
         assert claim
         jobs.fail(session, failed, claim.attempt, {"code": "x", "message": "x"})
 

@@ -8,10 +8,13 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
+from sqlalchemy.orm import Session
 
 from service.settings import Settings
 from service.store import jobs, retention, sweep
+from service.store.claims import Abilities, claim_next
 from service.store.database import clock
+from service.store.jobs import Claim
 from service.store.models import DEFAULT_TENANT, Job, Subject, Tenant
 from service.store.store import Store
 from service.store.transitions import State
@@ -27,14 +30,14 @@ def store(tmp_path: Path) -> Store:
 
 
 def test_a_job_is_claimed_by_one_of_many(store: Store) -> None:
-    job_id = _queue(store)
-    claims: list[jobs.Claim | None] = []
+    _queue(store)
+    claims: list[Claim | None] = []
     ready = threading.Barrier(8)
 
     def claim(number: int) -> None:
         ready.wait()
         with store.write() as session:
-            claims.append(jobs.claim(session, job_id, f"worker {number}", 30))
+            claims.append(_claim(session, f"worker {number}", 30))
 
     threads = [threading.Thread(target=claim, args=(number,)) for number in range(8)]
     for thread in threads:
@@ -47,12 +50,12 @@ def test_a_job_is_claimed_by_one_of_many(store: Store) -> None:
 def test_a_lost_attempt_is_fenced_off(store: Store) -> None:
     job_id = _queue(store)
     with store.write() as session:
-        first = jobs.claim(session, job_id, "slow", 0.01)
+        first = _claim(session, "slow", 0.01)
     time.sleep(0.05)
     with store.write() as session:
         sweep.expire_leases(session)
     with store.write() as session:
-        second = jobs.claim(session, job_id, "quick", 30)
+        second = _claim(session, "quick", 30)
     assert first
     assert second
     with store.write() as session:
@@ -115,6 +118,11 @@ def test_requests_that_cross_wait_for_one_another(store: Store, tmp_path: Path) 
         retention.enforce(store, settings.model_copy(update={"retain_jobs": 1, "retain_rigs": 1}))
         assert studio.get(receipt)["rows_at"] is not None
         assert studio.get("/v1/audit")["items"][0]["action"] == "subject.deleted"
+
+
+def _claim(session: Session, worker: str, lease: float) -> Claim | None:
+    who = Abilities(worker, frozenset({"build_model"}), memory_mb=8192, threads=1)
+    return claim_next(session, "short", who, lease)
 
 
 def _queue(store: Store) -> str:

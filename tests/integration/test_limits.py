@@ -10,8 +10,9 @@ from sqlalchemy import update
 
 from service.access.rates import Rates
 from service.settings import Settings
+from service.store import jobs, sizes
 from service.store.broker import EmbeddedBroker
-from service.store.models import DEFAULT_TENANT, Tenant
+from service.store.models import DEFAULT_TENANT, Capture, FrameChunk, Tenant
 from tests.service_client import Studio, served
 
 
@@ -65,7 +66,8 @@ def test_a_tenant_has_room_for_so_many_bytes_and_jobs(tmp_path: Path) -> None:
             for size in (used["used"] + 11, 11, 10)
         )
         assert (too_large.status_code, too_large.json()["code"]) == (413, "quota.bytes")
-        assert (no_room.status_code, no_room.json()["code"]) == (429, "quota.bytes")
+        assert (no_room.status_code, no_room.json()["code"]) == (413, "quota.bytes")
+        assert "Retry-After" not in no_room.headers  # time makes no room
         assert fits.status_code == 201
         job = studio.submit("build_model", subject)
         body = {"kind": "build_model", "subject_id": subject}
@@ -78,3 +80,39 @@ def test_a_tenant_has_room_for_so_many_bytes_and_jobs(tmp_path: Path) -> None:
         assert usage["running"] == {"used": 0, "limit": 3}
         studio.post(f"/v1/jobs/{job}/cancel")
         assert studio.http.post("/v1/jobs", json=body).status_code == 201
+
+
+def test_landmarks_and_frames_are_among_the_stored_bytes(tmp_path: Path) -> None:
+    with served(Settings(data_dir=tmp_path)) as studio:
+        store = studio.http.app.state.store  # type: ignore[attr-defined]
+
+        def used() -> int:
+            return int(studio.get("/v1/usage")["bytes"]["used"])
+
+        subject = studio.subject()
+        smile = studio.raw(subject, "smile")
+        before = used()
+        marks = studio.upload("smile.json", b"[1, 2, 3]")
+        path = f"/v1/subjects/{subject}/captures/{smile}/landmarks"
+        assert studio.http.put(path, json={"upload_id": marks}).status_code == 200
+        assert used() == before + 9
+        assert studio.http.delete(f"/v1/uploads/{marks}").status_code == 204
+        assert used() == before + 9
+
+        frames = tmp_path / "frames.json"
+        frames.write_bytes(b"x" * 500)
+        blob = store.files.put(frames)
+        chunk = {"first": 0, "last": 9, "size": blob.size, "sha256": blob.sha256}
+        job = studio.submit("build_model", subject)
+        with store.write() as session:
+            claim = jobs.take(session, job, "test", 60)
+            assert claim
+            jobs.beat(session, job, claim.attempt, 60, chunks=[chunk])
+        assert used() == before + 9 + 500
+
+        with store.write() as session:  # as a version left them that knew no sizes
+            session.execute(update(Capture).values(landmarks_size=None))
+            session.execute(update(FrameChunk).values(size=None))
+        assert used() == before
+        sizes.measure(store)
+        assert used() == before + 9 + 500

@@ -8,10 +8,11 @@ import pytest
 from alembic import command
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
+from sqlalchemy import select, text
 
 from service.settings import Settings
 from service.store.database import Database
-from service.store.models import DEFAULT_TENANT, Base, Subject
+from service.store.models import DEFAULT_TENANT, Base, Subject, Upload
 
 
 @pytest.fixture
@@ -32,4 +33,35 @@ def test_the_tables_are_those_of_the_models_after_going_back_and_forth(database:
                 assert compare_metadata(context, Base.metadata) == []
     with database.write(DEFAULT_TENANT) as session:
         session.add(Subject(name="Alex"))
+    database.close()
+
+
+def test_uploads_from_before_know_what_they_were_used_for(database: Database) -> None:
+    database.migrate(command.upgrade, "0007")
+    at = "'2026-01-01 00:00:00'"
+    of_file, file = "tenant_id, filename, size, created_at", f"'{DEFAULT_TENANT}', 'x', 1, {at}"
+    rows = [
+        f"subjects (id, tenant_id, name, created_at) VALUES ('s', '{DEFAULT_TENANT}', 'x', {at})",
+        f"captures (id, subject_id, name, role, registered, sha256, landmarks_sha256, {of_file}) "
+        f"VALUES ('c', 's', 'x', 'neutral', true, 'a', 'b', {file})",
+        f"templates (id, name, sha256, {of_file}) VALUES ('t', 'x', 'd', {file})",
+    ]
+    for upload, sha256, complete in (
+        ("scan", "a", "true"),
+        ("marks", "b", "true"),
+        ("template", "d", "true"),
+        ("new", "e", "true"),
+        ("announced", "a", "false"),
+    ):
+        rows.append(
+            f'uploads (id, sha256, complete, "offset", expires_at, {of_file}) '
+            f"VALUES ('{upload}', '{sha256}', {complete}, 1, {at}, {file})"
+        )
+    with database.engine.begin() as connection:
+        for row in rows:
+            connection.execute(text(f"INSERT INTO {row}"))
+    database.migrate()
+    with database.read() as session:
+        used = {row.id: row.used_by for row in session.execute(select(Upload.id, Upload.used_by))}
+    assert used == {"scan": "c", "marks": "c", "template": "t", "new": None, "announced": None}
     database.close()

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from myoface.stack import Stack
 from service.settings import Settings
 from service.store import retention
 from service.store.models import Job, Rig
 from service.store.store import Store
-from tests.servers.production import Production
-from tests.service_client import Studio, running, served
+from tests.service_client import Studio, served
 
 RIG = "8c1d3a52-0f4e-4c5b-9b39-1f3a4f1f6c11"
 
 
 @pytest.fixture(scope="module")
-def studio(parts: Production | None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
-    with running(tmp_path_factory.mktemp("stack")) as (_, studio):
-        yield studio
+def studio(stack_and_studio: tuple[Stack, Studio]) -> Studio:
+    return stack_and_studio[1]
 
 
 def test_the_newest_preview_is_the_rig_s(studio: Studio) -> None:

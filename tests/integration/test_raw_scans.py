@@ -11,16 +11,15 @@ from typing import Any
 import pytest
 from sqlalchemy import select
 
+from myoface.stack import Stack
 from service.settings import Settings
 from service.store.models import Job, Upload
-from tests.servers.production import Production
-from tests.service_client import Studio, running, served
+from tests.service_client import Studio, served
 
 
 @pytest.fixture(scope="module")
-def working(parts: Production | None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
-    with running(tmp_path_factory.mktemp("stack")) as (_, studio):
-        yield studio
+def working(stack_and_studio: tuple[Stack, Studio]) -> Studio:
+    return stack_and_studio[1]
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,19 +18,10 @@ from service.store.models import DEFAULT_TENANT
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.result import save_weights
 from solver.rig.sequence import SequenceFrame, write_frames
-from tests.servers.production import Production
-from tests.service_client import Studio, eventually, running
+from tests.service_client import Studio, eventually
 from tests.unit.solver.block import block_model
 from worker.attempt import AttemptFolder
 from worker.solve import solve
-
-
-@pytest.fixture(scope="module")
-def stack_and_studio(
-    parts: Production | None, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[tuple[Stack, Studio]]:
-    with running(tmp_path_factory.mktemp("stack")) as both:
-        yield both
 
 
 @pytest.fixture(scope="module")

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import os
 import socket
 import threading
 import time
+import uuid
 from pathlib import Path
 
 import httpx
@@ -16,7 +18,7 @@ import uvicorn
 from service.app import create_app
 from service.settings import Settings
 from service.store.files import files_at
-from tests.service_client import OFFSET_STREAM, Studio, served
+from tests.service_client import OFFSET_STREAM, Studio, eventually, served
 
 SCAN = b"".join(f"v {i} 0 0\n".encode() for i in range(50_000))
 SHA256 = hashlib.sha256(SCAN).hexdigest()
@@ -152,7 +154,9 @@ def test_a_broken_connection_loses_nothing_that_arrived(settings: Settings) -> N
                     f"Content-Type: {OFFSET_STREAM}\r\nContent-Length: {len(SCAN)}\r\n\r\n"
                 )
                 connection.sendall(head.encode() + SCAN[:12_345])
+                deadline = time.monotonic() + 10
                 while http.head(location).status_code != 423:
+                    assert time.monotonic() < deadline
                     time.sleep(0.01)
                 time.sleep(0.2)
             deadline = time.monotonic() + 5
@@ -173,3 +177,20 @@ def test_giving_up_removes_the_bytes(settings: Settings) -> None:
         assert http.delete(location).status_code == 204
         assert http.head(location).status_code == 404
     assert not list(settings.uploads.iterdir())
+
+
+def test_bytes_of_uploads_that_are_over_go(settings: Settings) -> None:
+    settings = settings.model_copy(update={"garbage_age": 0.2})
+    with served(settings) as studio:
+        location = studio.start_upload("smile.obj", 10)
+        studio.send(location, 0, b"v 0")
+        part = settings.uploads / location.rsplit("/", 1)[1]
+        orphan, stranger = settings.uploads / str(uuid.uuid4()), settings.uploads / "a-note.txt"
+        for path in (orphan, stranger):
+            path.write_bytes(b"v 0 0 0")
+        for path in (part, orphan, stranger):
+            os.utime(path, (0, 0))
+        eventually(lambda: not orphan.exists())
+        assert part.exists()
+        assert stranger.exists()
+        assert studio.send(location, 3, b" 0 0 1\n").status_code == 204

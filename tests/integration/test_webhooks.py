@@ -9,22 +9,24 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+from fastapi import FastAPI
 from sqlalchemy import update
 from standardwebhooks.webhooks import Webhook as Verifier
 from standardwebhooks.webhooks import WebhookVerificationError
 
+from service.dependencies import part
 from service.outbound.client import Sender
 from service.secret import secret
 from service.settings import Settings
 from service.store import jobs, outbox
 from service.store.database import clock
-from service.store.models import Webhook
+from service.store.models import Tenant, Webhook
 from service.store.store import Store
 from tests.receiver import LOOPBACK, Receiver, receiving
 from tests.servers.production import Production
@@ -62,9 +64,9 @@ def _store(studio: Studio) -> Store:
 
 
 @contextmanager
-def delivering(studio: Studio, settings: Settings) -> Iterator[None]:
+def delivering(studio: Studio, settings: Settings, sender: Sender | None = None) -> Iterator[None]:
     stopping = threading.Event()
-    sender = Sender(settings.webhook_timeout, settings.webhook_allow)
+    sender = sender or Sender(settings.webhook_timeout, settings.webhook_allow)
     deliverer = Deliverer(_store(studio), settings, secret(settings), sender, stopping)
     thread = threading.Thread(target=deliverer.run)
     thread.start()
@@ -121,7 +123,7 @@ def test_a_change_that_is_rolled_back_is_not_told(studio: Studio, settings: Sett
 
         def claim_and_fail() -> None:
             with _store(studio).write() as session:
-                assert jobs.claim(session, job, "test", 10)
+                assert jobs.take(session, job, "test", 10)
                 raise RuntimeError("the transaction is lost")
 
         with pytest.raises(RuntimeError):
@@ -192,6 +194,38 @@ def test_a_receiver_that_fails_is_tried_again_with_the_same_event(
     assert len({body for _, _, body in got}) == 1
 
 
+@pytest.mark.parametrize(("status", "is_heard"), [(429, True), (503, True), (500, False)])
+def test_a_receiver_that_is_busy_says_when_to_come_back(
+    studio: Studio, settings: Settings, status: int, is_heard: bool
+) -> None:
+    def busy(receiver: Receiver) -> None:
+        receiver.send_response(status)
+        receiver.send_header("Retry-After", "600")
+        receiver.end_headers()
+
+    with receiving(busy) as (port, _), delivering(studio, settings):
+        hook = _hook(studio, port)
+        studio.post(f"/v1/webhooks/{hook['id']}/test")
+        eventually(lambda: _log(studio, hook)[0]["status"] == status)
+        delivery = _log(studio, hook)[0]
+        if is_heard:
+            pause = datetime.fromisoformat(delivery["next_at"]) - datetime.now(UTC)
+            assert timedelta(seconds=580) < pause <= timedelta(seconds=600)
+        else:
+            assert _until(studio, hook, "failed")["attempt"] == 4
+
+
+def test_a_receiver_can_put_a_try_off_for_a_day_at_most(studio: Studio) -> None:
+    hook = _hook(studio, 1)
+    studio.post(f"/v1/webhooks/{hook['id']}/test")
+    with _store(studio).write() as session:
+        [parcel] = outbox.take(session, most=1, failing=0, of_tenant=1, lease=10)
+        wish = outbox.Outcome(status=429, retry_after=1e9)
+        outbox.settle(session, parcel, wish, pauses=[1.0])
+    next_at = datetime.fromisoformat(_log(studio, hook)[0]["next_at"])
+    assert timedelta(hours=23) < next_at - datetime.now(UTC) <= timedelta(days=1)
+
+
 def test_after_the_last_try_it_has_failed_and_can_be_sent_again(
     studio: Studio, settings: Settings
 ) -> None:
@@ -251,8 +285,10 @@ def test_a_receiver_that_fails_for_days_is_switched_off(studio: Studio, settings
 
 
 def test_dead_receivers_hold_up_nobody(studio: Studio, settings: Settings) -> None:
+    over = threading.Event()
+
     def silent(_receiver: Receiver) -> None:
-        time.sleep(6)
+        over.wait(6)
 
     with receiving(silent) as (dead, _), receiving() as (port, got):
         for _ in range(3):
@@ -267,6 +303,60 @@ def test_dead_receivers_hold_up_nobody(studio: Studio, settings: Settings) -> No
                 studio.post(f"/v1/webhooks/{good['id']}/test")
             eventually(lambda: len(got) == 5, seconds=6)
             assert time.monotonic() - started < 5
+            over.set()
+
+
+def test_slow_receivers_of_one_tenant_hold_up_no_other(studio: Studio, settings: Settings) -> None:
+    def slow(receiver: Receiver) -> None:
+        time.sleep(1.5)
+        receiver.send_response(204)
+        receiver.end_headers()
+
+    with _store(studio).write() as session:
+        session.add(other := Tenant(name="another studio"))
+        session.flush()
+        told = Webhook(tenant_id=other.id, url="", events=[], kinds=[])
+        session.add(told)
+    with receiving(slow) as (port, taken), receiving() as (quick, got):
+        for _ in range(4):
+            hook = _hook(studio, port)
+            for _ in range(3):
+                studio.post(f"/v1/webhooks/{hook['id']}/test")
+        with delivering(studio, settings):
+            eventually(lambda: len(taken) == 2)  # half of the four threads
+            with _store(studio).write() as session:
+                hook = session.get_one(Webhook, told.id)
+                hook.url = f"http://127.0.0.1:{quick}/in"
+                outbox.send(session, [hook], outbox.TEST, {})
+            eventually(lambda: len(got) == 1, seconds=1.2)
+            assert len(taken) == 2
+    with _store(studio).write() as session:
+        session.delete(session.get_one(Webhook, told.id))
+
+
+def test_tenants_take_turns_the_one_with_least_under_way_first(studio: Studio) -> None:
+    hooks = [_hook(studio, 1) for _ in range(3)]
+    for hook in hooks:
+        studio.post(f"/v1/webhooks/{hook['id']}/test")
+    with _store(studio).write() as session:
+        session.add(other := Tenant(name="a third studio"))
+        session.flush()
+        theirs = Webhook(tenant_id=other.id, url="", events=[], kinds=[])
+        session.add(theirs)
+        session.flush()
+        outbox.send(session, [theirs], outbox.TEST, {})
+        outbox.send(session, [theirs], outbox.TEST, {})
+
+    def take(most: int) -> list[bool]:
+        with _store(studio).write() as session:
+            taken = outbox.take(session, most=most, failing=0, of_tenant=4, lease=10)
+        return [parcel.webhook_id == theirs.id for parcel in taken]
+
+    assert take(2) == [False, True]
+    assert take(3) == [False, True, False]
+    assert take(3) == []
+    with _store(studio).write() as session:
+        session.delete(session.get_one(Webhook, theirs.id))
 
 
 def test_several_workers_send_everything_once(studio: Studio, settings: Settings) -> None:
@@ -292,7 +382,7 @@ def test_a_worker_that_died_has_lost_its_delivery_and_is_fenced(studio: Studio) 
 
     def take(lease: float) -> list[outbox.Parcel]:
         with store.write() as session:
-            return outbox.take(session, most=5, failing=5, lease=lease)
+            return outbox.take(session, most=5, failing=5, of_tenant=5, lease=lease)
 
     [first] = take(0.2)
     assert take(10) == []
@@ -335,6 +425,7 @@ def test_a_new_secret_and_the_old_one_sign_for_a_day(studio: Studio, settings: S
         "https://169.254.169.254/latest/meta-data",
         "http://[::ffff:10.0.0.1]/",
         "http://192.168.0.1:6379/",
+        "http://0xa000001/",
         "http://8.8.8.8:22/",
     ],
 )
@@ -344,6 +435,29 @@ def test_addresses_inside_the_network_are_refused_at_once(studio: Studio, url: s
     with receiving() as (port, _):
         hook = _hook(studio, port)
     _refused(studio.http.patch(f"/v1/webhooks/{hook['id']}", json={"url": url}), 422, "webhook.url")
+
+
+def test_a_name_is_not_looked_up_while_somebody_waits(studio: Studio, settings: Settings) -> None:
+    looked_up: list[str] = []
+
+    def resolver(host: str, _port: int) -> list[str]:
+        looked_up.append(host)
+        return ["10.0.0.1"]
+
+    sender = Sender(2, resolver=resolver)
+    app: FastAPI = studio.http.app  # type: ignore[attr-defined]
+    app.dependency_overrides[part("sender")] = lambda: sender
+    try:
+        hook = studio.post("/v1/webhooks", url="https://hooks.studio.example/")
+        path = f"/v1/webhooks/{hook['id']}"
+        changed = studio.http.patch(path, json={"url": "https://other.example/"})
+    finally:
+        app.dependency_overrides.clear()
+    assert (changed.status_code, looked_up) == (200, [])
+    studio.post(f"{path}/test")
+    with delivering(studio, settings, sender):
+        assert _until(studio, hook, "failed")["error"] == "address.private"
+    assert set(looked_up) == {"other.example"}
 
 
 @pytest.mark.parametrize(
@@ -397,3 +511,5 @@ def test_nothing_but_so_many(studio: Studio) -> None:
             _hook(studio, port)
         answer = studio.http.post("/v1/webhooks", json={"url": f"http://127.0.0.1:{port}/"})
         _refused(answer, 409, "webhook.too_many")
+        answer = studio.http.post("/v1/webhooks", json={"url": "http://10.0.0.1/"})
+        _refused(answer, 409, "webhook.too_many")  # first, before the address costs anything

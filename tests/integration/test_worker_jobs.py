@@ -3,22 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from myoface.stack import Stack
-from tests.servers.production import Production
 from tests.service_client import Studio, eventually, running
-
-
-@pytest.fixture(scope="module")
-def stack_and_studio(
-    parts: Production | None, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[tuple[Stack, Studio]]:
-    with running(tmp_path_factory.mktemp("stack")) as both:
-        yield both
 
 
 @pytest.fixture

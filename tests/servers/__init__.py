@@ -11,7 +11,9 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
+
+import pytest
 
 from myoface.ports import free_port
 
@@ -85,4 +87,11 @@ def required() -> bool:
     return bool(os.environ.get(REQUIRED))
 
 
-__all__ = ["REQUIRED", "UnavailableError", "free_port", "listening", "required"]
+def unavailable(reason: str) -> NoReturn:
+    """End the calling test: it fails where a missing server is a failure, else it is skipped."""
+    if required():
+        pytest.fail(reason)
+    pytest.skip(reason)
+
+
+__all__ = ["REQUIRED", "UnavailableError", "free_port", "listening", "required", "unavailable"]

@@ -19,6 +19,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import Mapped, column_property, mapped_column, relationship
 
+from service import tracing
 from service.store.models.base import Base, Owned, new_id, now
 from service.store.transitions import State
 
@@ -75,6 +76,9 @@ class Job(Owned, Base):
     lease_until: Mapped[datetime | None]
     sends: Mapped[int] = mapped_column(default=0)
     sent_at: Mapped[datetime | None]
+    traceparent: Mapped[str | None] = mapped_column(
+        String(tracing.LONGEST), default=tracing.traceparent
+    )
 
     progress: Mapped[dict[str, Any] | None]
     error: Mapped[dict[str, Any] | None]
@@ -158,6 +162,7 @@ class FrameChunk(Base):
     first: Mapped[int] = mapped_column(primary_key=True)
     last: Mapped[int]
     attempt: Mapped[int]
+    size: Mapped[int | None] = mapped_column(BigInteger)
     sha256: Mapped[str] = mapped_column(String(64), index=True)
 
     @property

@@ -11,7 +11,10 @@ from service.store.models.base import Base, Owned, Stored, new_id, now
 
 
 class Upload(Owned, Base):
-    """A resumable upload; ``offset`` bytes have been received and counted."""
+    """A resumable upload; ``offset`` bytes have been received and counted.
+
+    ``used_by`` is the id of the capture or template that it was last used for, and goes with.
+    """
 
     __tablename__ = "uploads"
     id: Mapped[str] = mapped_column(String(36), primary_key=True, default=new_id)
@@ -20,6 +23,7 @@ class Upload(Owned, Base):
     offset: Mapped[int] = mapped_column(BigInteger, default=0)
     sha256: Mapped[str | None] = mapped_column(String(64), index=True)
     complete: Mapped[bool] = mapped_column(default=False)
+    used_by: Mapped[str | None] = mapped_column(String(36), index=True)
     created_at: Mapped[datetime] = mapped_column(default=now)
     expires_at: Mapped[datetime] = mapped_column(index=True)
 
@@ -56,6 +60,7 @@ class Capture(Stored, Owned, Base):
     role: Mapped[str] = mapped_column(String(16))
     registered: Mapped[bool] = mapped_column(default=True)
     landmarks_filename: Mapped[str | None] = mapped_column(String(255))
+    landmarks_size: Mapped[int | None] = mapped_column(BigInteger)
     landmarks_sha256: Mapped[str | None] = mapped_column(String(64), index=True)
     created_at: Mapped[datetime] = mapped_column(default=now)
 

@@ -15,7 +15,10 @@ DEFAULT_TENANT = "default"
 
 
 class Tenant(Base):
-    """A customer, who sees nothing of the others; a quota that is null sets no limit."""
+    """A customer, who sees nothing of the others.
+
+    A quota that is null sets no limit; days of retention that are null are the installation's.
+    """
 
     __tablename__ = "tenants"
     id: Mapped[str] = mapped_column(String(36), primary_key=True, default=new_id)
@@ -23,6 +26,10 @@ class Tenant(Base):
     max_bytes: Mapped[int | None] = mapped_column(BigInteger)
     max_queued: Mapped[int | None]
     max_running: Mapped[int | None]
+    retain_subjects: Mapped[int | None]
+    retain_scans: Mapped[int | None]
+    retain_jobs: Mapped[int | None]
+    retain_rigs: Mapped[int | None]
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 

@@ -7,15 +7,21 @@ from pathlib import Path
 import numpy as np
 
 from solver.drawing.head import Head
-from solver.drawing.page import HEADER, Page
+from solver.drawing.page import GREY, HEADER, Page
 from solver.drawing.render import faded, render
 from solver.model import SubjectModel
 from solver.rig.pictures import face_camera
 from solver.rig.preview.error import PreviewError
 from solver.rig.preview.make import Preview
 
-CELL, MARGIN, FOOTER = (330, 420), 110, 64
+CELL, MARGIN, FOOTER = (330, 420), 110, 92
 COLUMNS = 4
+LEGEND = (
+    "colour of the bottom row: distance between the two skins above it, mm",
+    "grey: no part of the face, not compared",
+    "plausible: a random pose of a few muscles; variation: an expression with one slider changed;",
+    "blend: a mixture of two expressions; pair: two sliders that an expression moves together",
+)
 
 
 def preview_picture(model: SubjectModel, preview: Preview, path: Path) -> None:
@@ -31,7 +37,7 @@ def preview_picture(model: SubjectModel, preview: Preview, path: Path) -> None:
         f"{overall.poses} poses    mean {overall.mean:.2f} mm    "
         f"95 % below {overall.p95:.2f} mm    greatest {overall.max:.2f} mm",
     )
-    for row, title in enumerate(("Simulated", "Preview", "Error")):
+    for row, title in enumerate(("Simulated", "Sliders", "Error, mm")):
         page.text((24, HEADER + row * CELL[1] + CELL[1] // 2), title, 17)
     for column, number in enumerate(chosen):
         sample = unseen.samples[number]
@@ -46,7 +52,10 @@ def preview_picture(model: SubjectModel, preview: Preview, path: Path) -> None:
             page.panel((left, HEADER + row * CELL[1]), image)
         words = f"{sample.slid.sort}, mean {unseen.off[number].mean():.2f} mm"
         page.text((left + CELL[0] // 2, HEADER), words, 17, anchor="ma")
-    page.scale((MARGIN + 60, HEADER + 3 * CELL[1] + 12), CELL[0] + 100)
+    foot = HEADER + 3 * CELL[1]
+    page.scale((MARGIN + 60, foot + 12), CELL[0] + 100)
+    for line, words in enumerate(LEGEND):
+        page.text((MARGIN + 2 * CELL[0], foot + 2 + 20 * line), words, 14, GREY)
     page.save(path)
 
 

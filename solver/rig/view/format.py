@@ -53,12 +53,13 @@ def write_container(
             place = _aligned(place) + array.nbytes
 
 
-def read_container(path: Path) -> Container:
+def read_container(path: str | Path) -> Container:
     """Read such a file.
 
     Raises :class:`InputError`: ``view.unreadable`` if it is not one, or arrays lie outside it;
     ``view.format`` if it has another format number.
     """
+    path = Path(path)
     content = path.read_bytes()
     try:
         header, arrays = _parsed(content)

@@ -1,10 +1,15 @@
 """A ball for a head: the smallest template that has skin, bones, a muscle and parting lips."""
 
+from functools import cache
+
 import numpy as np
 import trimesh
 
+from solver.anatomy.meshing import with_mesh
 from solver.anatomy.template import Muscle, Template
 from solver.surface import Surface
+
+EDGE_MM = 18.0
 
 
 def ball(centre, radius, subdivisions=3):
@@ -44,3 +49,9 @@ def ball_template():
         back_z=0.0,
         bottom_y=-52.0,
     )
+
+
+@cache
+def meshed_ball() -> Template:
+    """Return it with tets of :data:`EDGE_MM`, which take seconds: all tests share them."""
+    return with_mesh(ball_template(), EDGE_MM)

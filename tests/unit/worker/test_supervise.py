@@ -70,7 +70,7 @@ def _claimed(store: Store) -> Claim:
             max_attempts=3,
         )
         jobs.create(session, job)
-        claim = jobs.claim(session, job.id, "me", 30)
+        claim = jobs.take(session, job.id, "me", 30)
     assert claim is not None
     return claim
 
@@ -97,7 +97,7 @@ def test_what_was_said_during_an_outage_is_written_down_after_it(
     supervisor._beat(claim, process, folder)
     with store.write() as session:  # told once more, as after a commit whose answer was lost
         (kept,) = jobs.frames(session, claim.job_id)
-        chunk = {"first": kept.first, "last": kept.last, "sha256": kept.sha256}
+        chunk = {name: getattr(kept, name) for name in ("first", "last", "size", "sha256")}
         jobs.beat(session, claim.job_id, claim.attempt, 30, chunks=[chunk])
     with store.read() as session:
         said = session.scalars(select(LogLine.text).order_by(LogLine.number)).all()

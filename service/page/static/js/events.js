@@ -28,7 +28,8 @@ export async function watch(jobId, { after = 0, signal, tell }) {
       if (FINAL.has((await get(`/v1/jobs/${jobId}`, {}, signal)).state)) return;
     } catch (error) {
       signal.throwIfAborted();
-      if (error.status >= 400 && error.status < 500) throw error;
+      // 429: too many windows watch; the next try may find one closed
+      if (error.status >= 400 && error.status < 500 && error.status !== 429) throw error;
     }
     await pause(PAUSE_MS, signal);
   }

@@ -41,7 +41,7 @@ export function seconds({ started_at: started, finished_at: finished }) {
 }
 
 /** Return a random UUID; `crypto.randomUUID` is only there over https and on this machine. */
-function newId() {
+export function newId() {
   const bytes = crypto.getRandomValues(new Uint8Array(16));
   bytes[6] = (bytes[6] & 0x0f) | 0x40;
   bytes[8] = (bytes[8] & 0x3f) | 0x80;

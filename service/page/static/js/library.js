@@ -1,11 +1,14 @@
 // What changes rarely and many views need: names of subjects and scans, the kinds of job.
 
 import { all, get } from "./api.js";
+import * as auth from "./auth.js";
+import { short, when } from "./words.js";
 
 let subjects = null; // id -> subject, as a promise
 const captures = new Map(); // subject's id -> promise of id -> capture
 let kinds = null;
 let limits = null;
+let scopes = null;
 
 /** Return the subjects as a Map by id; asked anew if `wanted` is not among those known. */
 export async function subjectsById(wanted = null) {
@@ -16,9 +19,21 @@ export async function subjectsById(wanted = null) {
   return subjects;
 }
 
-/** Return a subject's name; its id while there is none. */
+/** Return a subject's name, so that nobody is taken for another; its id while there is none. */
 export async function subjectName(id) {
-  return (await subjectsById(id)).get(id)?.name ?? id;
+  return names(await subjectsById(id)).get(id) ?? id;
+}
+
+/** Return the names of subjects by id; who shares a name also has the beginning of the id and a day. */
+export function names(found) {
+  const bearers = new Map();
+  for (const { name } of found.values()) bearers.set(name, (bearers.get(name) ?? 0) + 1);
+  return new Map(
+    [...found.values()].map(({ id, name, created_at: added }) => [
+      id,
+      bearers.get(name) === 1 ? name : `${name} (${short(id)}, ${when(added)})`,
+    ]),
+  );
 }
 
 /** Return a subject's captures as a Map by id; asked anew if one of `wanted` is not known. */
@@ -43,7 +58,7 @@ export function changed(subjectId = null) {
 
 document.addEventListener("keychange", () => {
   // another key may be another studio's
-  subjects = kinds = limits = null;
+  subjects = kinds = limits = scopes = null;
   captures.clear();
 });
 
@@ -59,6 +74,14 @@ export async function serviceLimits() {
   limits ??= get("/v1/limits");
   limits.catch(() => (limits = null));
   return limits;
+}
+
+/** Return what the tab's key may do; nothing without a key. */
+export async function myScopes() {
+  if (!auth.key()) return new Set();
+  scopes ??= get("/v1/me").then((me) => new Set(me.scopes));
+  scopes.catch(() => (scopes = null));
+  return scopes;
 }
 
 async function byId(list) {

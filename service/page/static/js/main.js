@@ -2,6 +2,7 @@
 
 import * as auth from "./auth.js";
 import { h, show } from "./dom.js";
+import { myScopes } from "./library.js";
 import { time } from "./words.js";
 import { navigate, start } from "./router.js";
 
@@ -22,8 +23,13 @@ document.addEventListener("keyneeded", ({ detail: problem }) => {
   navigate(`/sign-in?${new URLSearchParams({ next, why: problem.code })}`, { replace: true });
 });
 
-function showAccount() {
+/** Show whether there is a key, and the ways to what it opens. */
+async function showAccount() {
   document.getElementById("account").textContent = auth.key() ? "Signed in" : "Sign in";
+  const scopes = await myScopes().catch(() => new Set()); // the view says what is wrong
+  for (const link of document.querySelectorAll("nav a[data-scope]")) {
+    link.hidden = !scopes.has(link.dataset.scope);
+  }
 }
 
 document.addEventListener("uploads", ({ detail: open }) => {

@@ -4,6 +4,9 @@ import { announce, h, show } from "./dom.js";
 import { match } from "./routes.js";
 import { trouble } from "./parts/trouble.js";
 
+const ID = /^[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}$/i;
+const EXAMPLE = "8c1d3a52-0f4e-4c5b-9b39-1f3a4f1f6c11";
+
 let dispose = null;
 let turn = 0; // a view that finishes mounting after the next navigation is dropped
 
@@ -46,6 +49,10 @@ async function open({ focus = false } = {}) {
     return;
   }
   title(found.route.title);
+  if ("id" in found.params && !ID.test(found.params.id)) {
+    show(main, noId(found.params.id));
+    return;
+  }
   show(main, root);
   main.setAttribute("aria-busy", "true");
   try {
@@ -64,6 +71,18 @@ async function open({ focus = false } = {}) {
   if (mine !== turn) return;
   main.removeAttribute("aria-busy");
   if (focus) moveFocus(main);
+}
+
+/** Say that an address has no id where one belongs, and where to find what was meant. */
+function noId(text) {
+  const list = `/${location.pathname.split("/")[1]}`;
+  return h(
+    "div",
+    { class: "notice bad", role: "alert" },
+    h("h1", {}, "Not there"),
+    h("p", {}, "The address ends in ", h("code", {}, text), ", which is no id. An id is 36 characters long, such as ", h("code", {}, EXAMPLE), "; part of it may have been lost when the address was copied."),
+    h("a", { class: "button", href: list }, `All ${list === "/jobs" ? "jobs" : list.slice(1)}`),
+  );
 }
 
 /** Have a style sheet, before what it is for is shown. */
@@ -90,7 +109,7 @@ function markNavigation() {
     const path = link.getAttribute("href");
     const isHere =
       path === "/"
-        ? /^\/(jobs\/.*)?$/.test(location.pathname)
+        ? /^\/(queue|jobs(\/.*)?)?$/.test(location.pathname)
         : location.pathname === path || location.pathname.startsWith(`${path}/`);
     if (isHere) link.setAttribute("aria-current", "page");
     else link.removeAttribute("aria-current");

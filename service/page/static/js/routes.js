@@ -14,13 +14,19 @@ const RIG_STYLE = "/static/css/rig.css";
 
 const ROUTES = [
   { path: "/", title: "Queue", load: () => import("./views/queue.js") },
+  { path: "/queue", title: "Queue", load: () => import("./views/queue.js") },
   { path: "/upload", title: "Upload", load: () => import("./views/upload.js") },
   { path: "/subjects", title: "Subjects", load: () => import("./views/subjects.js") },
   { path: "/subjects/:id", title: "Subject", load: () => import("./views/subject.js") },
+  { path: "/jobs", title: "Queue", load: () => import("./views/queue.js") },
   { path: "/jobs/:id", title: "Job", load: () => import("./views/job.js") },
+  { path: "/rigs", title: "Rigs", load: () => import("./views/rigs.js") },
   { path: "/rigs/:id", title: "Rig", style: RIG_STYLE, load: () => import("./views/rig.js") },
   { path: "/compare", title: "Compare", style: RIG_STYLE, load: () => import("./views/compare.js") },
   { path: "/health", title: "Health", load: () => import("./views/health.js") },
+  { path: "/webhooks", title: "Webhooks", load: () => import("./views/webhooks.js") },
+  { path: "/webhooks/:id", title: "Webhook", load: () => import("./views/webhook.js") },
+  { path: "/audit", title: "Audit log", load: () => import("./views/audit.js") },
   { path: "/sign-in", title: "Sign in", load: () => import("./views/sign_in.js") },
 ];
 

@@ -54,6 +54,11 @@ export function figure(number) {
   return String(Number(number.toPrecision(Number.isInteger(number) ? 15 : 3)));
 }
 
+/** The beginning of an id: enough to tell two of a list apart. */
+export function short(id) {
+  return id.slice(0, 8);
+}
+
 /** "1 scan", "3 scans". */
 export function count(number, one, many = `${one}s`) {
   return `${number} ${number === 1 ? one : many}`;

@@ -2,20 +2,26 @@
 
 from solver.anatomy import mesh_cache
 from solver.anatomy.mesh_cache import meshed
-from tests.unit.solver.ball import ball_template
-
-EDGE_MM = 18.0
+from tests.unit.solver.ball import EDGE_MM, ball_template, meshed_ball
 
 
 def test_tets_are_made_once_and_anew_if_the_file_was_spoilt(tmp_path, monkeypatch):
+    made = []
+
+    def with_mesh(template, edge_mm, _progress):
+        assert template.sha256 == ball_template().sha256
+        made.append(edge_mm)
+        return meshed_ball()
+
     monkeypatch.setenv("MYOFACE_CACHE", str(tmp_path))
+    monkeypatch.setattr(mesh_cache, "with_mesh", with_mesh)
     first = meshed(ball_template(), EDGE_MM)
-    assert first.mesh is not None
-    with monkeypatch.context() as without_mesher:
-        without_mesher.delattr(mesh_cache, "with_mesh")
-        assert meshed(ball_template(), EDGE_MM).sha256 == first.sha256
-        assert meshed(first, EDGE_MM) is first
+    assert first.sha256 == meshed_ball().sha256
+    assert meshed(ball_template(), EDGE_MM).sha256 == first.sha256
+    assert meshed(first, EDGE_MM) is first
+    assert made == [EDGE_MM]
     (kept,) = tmp_path.iterdir()
     kept.write_bytes(kept.read_bytes()[:1000])
-    assert meshed(ball_template(), EDGE_MM).mesh is not None
+    assert meshed(ball_template(), EDGE_MM).sha256 == first.sha256
+    assert made == [EDGE_MM, EDGE_MM]
     assert list(tmp_path.iterdir()) == [kept]

@@ -28,7 +28,7 @@ def test_sound_template_has_no_findings(sound: Template) -> None:
     assert report.findings == ()
     assert report.good
     assert report.figures["mesh"]["inverted"] == 0
-    assert report.figures["sha256"] == sound.sha256
+    assert report.figures["content_sha256"] == sound.sha256
 
 
 def flipped(surface: Surface) -> Surface:

@@ -7,17 +7,14 @@ import pytest
 
 from solver.anatomy import build
 from solver.anatomy.build import build_subject_model, model_summary
-from solver.anatomy.meshing import with_mesh
 from solver.anatomy.template import Template
 from solver.errors import InputError, SolveError
-from tests.unit.solver.ball import ball_template
-
-EDGE_MM = 18.0
+from tests.unit.solver.ball import EDGE_MM, meshed_ball
 
 
 @pytest.fixture(scope="module")
 def template():
-    return with_mesh(ball_template(), EDGE_MM)
+    return meshed_ball()
 
 
 @pytest.fixture(scope="module")

@@ -50,6 +50,7 @@ def test_neutral_in_any_pose_and_unit_finds_its_vertices(known, person, neutral)
     assert len(neutral.folded) == 0
 
 
+@pytest.mark.slow
 def test_a_decimal_slip_of_the_unit_keeps_the_persons_size(known, person):
     raw = corrupted(person[0], 3, Corruption(unit_mm=0.001))
     found = register(mend(raw)[0], known)

@@ -11,6 +11,8 @@ import scipy.sparse as sp
 from solver.fitting.face import Face, Pose, State
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.certificate import certify, check_flesh, with_round_trips
+from solver.rig.checks import CHECKS, Check
+from solver.rig.report import report
 from solver.rig.result import ExpressionFit, Rig
 from solver.rig.round_trip import activation_error
 from solver.rig.verdict import judge
@@ -126,3 +128,24 @@ def test_the_worst_expression_decides(face: Face, S: sp.csr_array, state: State)
     assert (mean.worst, mean.verdict, mean.of("smile")) == ("sad", "usable", "good")
     assert set(judged["flesh.residual"].measures) == {"smile"}
     assert "trip.skin" not in judged
+
+
+def test_it_says_which_expressions_may_be_used(face: Face, S: sp.csr_array, state: State) -> None:
+    good = fitted(face, state)
+    torn = replace(good, name="sad", error_mm=np.full(len(good.skin), 3.0))
+
+    def said(*fits: ExpressionFit) -> str:
+        rig = Rig(face.model, S, fits, {})
+        return str(report(rig, certify(face, rig, {}))["use"])
+
+    assert said(good).startswith("The rig may be used.")
+    assert said(good, torn).startswith("The rig may be used, but not sad.")
+    assert said(torn).startswith("The rig may not be used as it is")
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.code)
+def test_advice_names_the_option_of_the_job(check: Check) -> None:
+    assert "{" not in check.advised({})
+    assert check.advised({"max_iterations": 25}).count("max_iterations 50 instead of 25") == (
+        check.advice.count("{longer}")
+    )

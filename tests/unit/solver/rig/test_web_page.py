@@ -72,7 +72,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Reader:
     fits = (fit(face, EVIL, 0.7), noticed)
     rig = Rig(face.model, face.model.weights, fits, {}, told)
     Image.new("RGB", (1600, 1188)).save(folder / "fit_ah.png")
-    write_page(folder / "report.html", report(rig, certify(face, rig, {"w_a": 1e-3})))
+    write_page(folder / "report.html", report(rig, certify(face, rig, {"rounds": 12})))
     return read(folder / "report.html")
 
 
@@ -107,5 +107,7 @@ def test_it_says_what_to_look_at(page: Reader) -> None:
     assert "Usable" in words
     assert "not tried" in words  # no round trip
     assert "left has <no> flesh" in words
+    assert "fit this expression again with rounds 24 instead of 12." in words
+    assert "The rig may be used. What it is not good for" in words
     assert "Warnings : 2 in ah : left has <no> flesh; half & half." in words
     assert "Fits that ended early : 1 in ah : after 3 steps by reduced." in words

@@ -55,7 +55,7 @@ async function download({ id, name, media_type: type }) {
 }
 
 /** Open a stored page in a window of its own, where it keeps its own strict rules. */
-async function openPage({ id }) {
+export async function openPage({ id }) {
   const { url } = await post(`/v1/artifacts/${id}/url`); // a window can not send the key
   open(url, "_blank", "noopener");
 }

@@ -3,6 +3,7 @@
 import { h } from "../dom.js";
 import { figure, plain } from "../words.js";
 import { picture } from "./files.js";
+import { rigFindings, verdictOf } from "./certificate.js";
 import { findingList } from "./findings.js";
 import { state } from "./state.js";
 
@@ -23,8 +24,9 @@ export function resultPanel(job, signal) {
     ([, value]) => typeof value === "number" || typeof value === "string",
   );
   const content = [
-    summary?.verdict && h("p", { class: "verdict" }, state(summary.verdict)),
+    summary?.verdict && h("p", { class: "verdict" }, rigId ? verdictOf(summary) : state(summary.verdict)),
     summary?.findings && findingList(summary.findings),
+    rigId && summary?.checks && findingList(rigFindings(summary)),
     rigId && h("p", {}, h("a", { class: "button", href: `/rigs/${rigId}` }, "Open the rig")),
     job.kind === "fit_sequence" &&
       h(

@@ -1,10 +1,9 @@
 // One file on its way: uploading, becoming a scan, being checked, its verdict.
 
-import { ApiProblem, post, remove } from "../api.js";
+import { ApiProblem, remove } from "../api.js";
 import { announce, h, setText, show } from "../dom.js";
 import * as interrupted from "../interrupted.js";
-import { inLine, submit } from "../jobs.js";
-import { changed } from "../library.js";
+import { inLine } from "../jobs.js";
 import { NAME } from "../scan_files.js";
 import { forget, upload } from "../tus.js";
 import { bytes } from "../words.js";
@@ -21,10 +20,10 @@ const ROLES = [
   ["performance", "Performance"],
 ];
 
-/** A row; `stage` is ready, waiting, sending, checking, over or failed. */
+/** A row; `stage` is ready, waiting, sending, sent, checking, over or failed. */
 export class ScanRow {
-  constructor({ file, name, role, landmarks }, { dropped, changed }) {
-    this.changed = changed;
+  constructor({ file, name, role, landmarks }, { dropped, again }) {
+    this.again = again;
     this.file = file;
     this.landmarks = landmarks;
     this.dropped = dropped;
@@ -93,31 +92,43 @@ export class ScanRow {
   }
 
   /** Wait to be sent, as a scan of a subject. */
-  wait(subjectId, { registered, options }) {
-    this.order = { subjectId, registered, options };
+  wait(order) {
+    this.order = order;
+    this.ending = new AbortController();
     this.stage = "waiting";
     this.badge.set("queued", "Waiting");
     this.name.disabled = this.role.disabled = true;
+    show(this.how);
+    this.offer(["Leave out", () => this.stop()]);
   }
 
-  /** Send the file, make it a scan of the subject and ask for its check. */
-  async run() {
-    this.ending = new AbortController();
-    this.name.disabled = this.role.disabled = true;
+  /** Send the file and its landmarks. */
+  async send() {
     this.stage = "sending";
+    this.badge.set("running", "Uploading");
+    this.offer(["Stop", () => this.stop()]);
     try {
-      await this.send();
-      await this.become();
+      this.uploadId = await this.sendOne(this.file);
+      if (this.landmarks) this.landmarksId = await this.sendOne(this.landmarks);
+      this.stage = "sent";
+      this.badge.set("queued", "Uploaded");
+      show(this.how, h("p", { class: "fine" }, "Its check begins when all files are there."));
+      this.offer(["Leave out", () => this.stop()]);
     } catch (error) {
       this.fail(error);
     }
   }
 
-  async send() {
-    this.badge.set("running", "Uploading");
-    this.offer(["Stop", () => this.stop()]);
-    this.uploadId = await this.sendOne(this.file);
-    if (this.landmarks) this.landmarksId = await this.sendOne(this.landmarks);
+  /** What the API is told of the scan once its file is there. */
+  get capture() {
+    const role = this.role.value;
+    return {
+      name: this.name.value,
+      role,
+      upload_id: this.uploadId,
+      registered: this.order.registered || role === "performance",
+      landmarks_upload_id: this.landmarksId ?? null,
+    };
   }
 
   sendOne(file) {
@@ -138,30 +149,19 @@ export class ScanRow {
     });
   }
 
-  async become() {
-    const { subjectId, registered, options } = this.order;
-    const role = this.role.value;
-    const capture = await post(`/v1/subjects/${subjectId}/captures`, {
-      name: this.name.value,
-      role,
-      upload_id: this.uploadId,
-      registered: registered || role === "performance",
-      landmarks_upload_id: this.landmarksId ?? null,
-    });
+  /** Be a scan of the subject: `check` is the job that judges it, null for a performance. */
+  take({ check }) {
     for (const file of [this.file, this.landmarks].filter(Boolean)) interrupted.forget(file);
-    changed(subjectId);
-    if (role === "performance") {
-      this.finish(
-        "succeeded",
-        "Uploaded",
-        h("p", { class: "fine" }, "A performance is not checked; fit it with a rig."),
-      );
-      return;
+    if (check) {
+      this.stage = "checking";
+      this.jobId = check.job_id;
+      this.badge.set("queued", "Check queued");
+      show(this.how);
+      show(this.actions, h("a", { class: "button", href: `/jobs/${this.jobId}` }, "Details"));
+    } else {
+      const words = "A performance is not checked; fit it with a rig.";
+      this.finish("succeeded", "Uploaded", h("p", { class: "fine" }, words));
     }
-    const job = await submit({ kind: "check_scan", subject_id: subjectId, captures: [capture.id], options });
-    this.stage = "checking";
-    this.jobId = job.id;
-    this.hear(job);
   }
 
   /** Take what the service says about the scan's check. */
@@ -211,6 +211,7 @@ export class ScanRow {
     show(this.actions, this.jobId && h("a", { class: "button", href: `/jobs/${this.jobId}` }, "Details"));
   }
 
+  /** Say why the scan was not taken, and what can be done. */
   fail(error) {
     if (this.ending.signal.aborted) return;
     if (!(error instanceof ApiProblem)) console.error(error);
@@ -223,7 +224,7 @@ export class ScanRow {
     const replaces = ["capture.name_taken", "capture.neutral_exists"].includes(error.code) && inTheWay;
     this.offer(
       ...(replaces ? [["Replace the earlier scan", () => this.replace(inTheWay)]] : []),
-      ["Try again", () => this.again()],
+      ["Try again", () => this.again(this)],
       ["Leave out", () => this.stop()],
     );
   }
@@ -244,12 +245,7 @@ export class ScanRow {
         return true;
       },
     });
-    if (deleted) await this.again();
-  }
-
-  async again() {
-    await this.run();
-    this.changed();
+    if (deleted) this.again(this);
   }
 
   /** Leave the file out; what has arrived of it is given up. */

@@ -58,7 +58,7 @@ export class Figure {
       this.#scan?.mesh.removeFromParent();
       return;
     }
-    this.#scan ??= new Scan(this.#face.neutral, this.#face.faces, this.skin.surface.geometry.index.array);
+    this.#scan ??= new Scan(this.#face.neutral, this.#face.faces, this.skin.surface.geometry.index.array, this.skin.rim);
     const pane = style === "beside" ? this.pane + 1 : this.pane;
     this.#stage.panes[pane].add(this.#scan.mesh);
     this.#scan.setStyle(style === "beside" ? "solid" : style);

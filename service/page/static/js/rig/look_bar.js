@@ -10,6 +10,10 @@ const VIEW_NAMES = {
   "other-side": ["Left", "Left side"],
 };
 
+/** From where a cut across an axis is seen. */
+const CUT_VIEWS = { x: "side", y: [0, 60, 1, 0, 0, 0], z: "front" };
+const LEAST_FACING = 0.5; // cosine of the angle between the line of sight and the axis
+
 /**
  * A row of controls; `change(patch)` takes a part of a state. `heats` are [name, title, most mm];
  * `box` is the face's, for sections.
@@ -35,7 +39,7 @@ export class LookBar {
       [["", "Off"], ["clear", "Half transparent"], ["wire", "Net"], ["beside", "Side by side"]]
         .map(([value, title]) => h("option", { value }, title)));
     this.#inside = h("input", { type: "checkbox", onchange: () => change({ inside: this.#inside.checked, muscle: null }) });
-    this.#axis = h("select", { onchange: () => change({ section: this.#middle(this.#axis.value) }) },
+    this.#axis = h("select", { onchange: () => change((state) => this.#cut(state)) },
       [["", "Off"], ["x", "Left to right"], ["y", "Bottom to top"], ["z", "Back to front"]]
         .map(([value, title]) => h("option", { value }, title)));
     this.#at = h("input", {
@@ -73,6 +77,13 @@ export class LookBar {
     }
   }
 
+  /** Return what shows a section through the middle: where the camera sees it edge on, it turns. */
+  #cut({ section, view }) {
+    const axis = this.#axis.value;
+    const isSeen = !axis || section?.axis === axis || faces(VIEWS[view] ?? view, axis);
+    return { section: this.#middle(axis), ...(isSeen ? {} : { view: CUT_VIEWS[axis] }) };
+  }
+
   /** Return a section through the middle of the face. */
   #middle(axis) {
     if (!axis) return null;
@@ -84,4 +95,11 @@ export class LookBar {
 function field(title, control, more = null) {
   control.id = `look-${title.toLowerCase().replace(" ", "-")}`;
   return h("div", { class: "look-field" }, h("label", { for: control.id }, title), h("div", { class: "row" }, control, more));
+}
+
+/** Whether a camera at some azimuth and elevation, in degrees, looks along an axis rather than across. */
+function faces([azimuth, elevation], axis) {
+  const [a, e] = [azimuth, elevation].map((degrees) => (degrees * Math.PI) / 180);
+  const way = { x: Math.sin(a) * Math.cos(e), y: Math.sin(e), z: Math.cos(a) * Math.cos(e) };
+  return Math.abs(way[axis]) > LEAST_FACING;
 }

@@ -6,6 +6,9 @@ import { millimetres } from "./face.js";
 import { positive } from "./pose_panel.js";
 import { Slider } from "./slider.js";
 
+const ERROR = "± mm: how far the skin of a slider alone is off the simulation.";
+const FIBRES = "fibres: their length in the expression that is shown, by that at rest; below 100 % the muscle is short.";
+
 /** Muscles and jaw; `change(patch)` takes a part of a state, or what a function makes of one. */
 export class MusclePanel {
   #face;
@@ -14,6 +17,7 @@ export class MusclePanel {
   #rows = new Map();
   #values = new Map();
   #head = h("div", { class: "stack" });
+  #legend = h("p", { class: "fine" });
   #list = h("ol", { class: "sliders with-error" });
   #bothSides = h("input", { type: "checkbox", checked: true });
 
@@ -24,14 +28,15 @@ export class MusclePanel {
       type: "search", placeholder: "Find a muscle", "aria-label": "Find a muscle",
       oninput: () => this.#filter(search.value.trim().toLowerCase()),
     });
-    this.element = h("div", { class: "pose" }, this.#head, search, this.#list);
+    this.element = h("div", { class: "pose" }, this.#head, search, this.#legend, this.#list);
     this.setMissing(h("p", { class: "fine" }, "Loading the sliders …"));
   }
 
   /** Have no sliders; `instead` are elements or texts. */
   setMissing(...instead) {
     show(this.#head, instead);
-    this.#fill(this.#face.muscles.map((name) => [name, this.#plainRow(name)]));
+    setText(this.#legend, FIBRES);
+    this.#fill(["", "fibres"], this.#face.muscles.map((name) => [name, this.#plainRow(name)]));
   }
 
   /** Have sliders by an approximation. */
@@ -48,11 +53,12 @@ export class MusclePanel {
       h("option", {}, Number.isFinite(mean) ? `${plain(name)} (± ${millimetres(mean)} mm)` : plain(name))
     )));
     show(this.#head,
-      h("p", { class: "fine" }, "The skin follows the muscles by the solver's physics, in an ", h("strong", {}, preview.errorInWords), ". A slider is the muscle's share in the fitted expressions, which may push as well as pull."),
+      h("p", { class: "fine" }, "The skin follows the muscles by the solver's physics, in an ", h("strong", {}, preview.errorInWords), ". A muscle's slider contracts it along its fibres."),
       h("div", { class: "row" }, presets,
         h("button", { type: "button", onclick: () => this.#pose(new Map()) }, "Relax all"),
         h("label", { class: "check-field" }, this.#bothSides, "both sides together")));
-    this.#fill(preview.controls.map((control, number) => [control.name, this.#sliderRow(control, number)]));
+    setText(this.#legend, `${ERROR} ${FIBRES}`);
+    this.#fill(["± mm", "fibres"], preview.controls.map((control, number) => [control.name, this.#sliderRow(control, number)]));
   }
 
   /** Show a state. */
@@ -104,9 +110,10 @@ export class MusclePanel {
     this.#change({ controls: positive(controls), expressions: new Map(), take: null });
   }
 
-  #fill(rows) {
+  /** Show `rows` of names and rows under the names of their two figures. */
+  #fill(names, rows) {
     this.#rows = new Map(rows);
-    const heads = ["± mm", "fibres"].map((text) => h("span", { class: "figure" }, text));
+    const heads = names.map((text) => h("span", { class: "figure" }, text));
     show(this.#list,
       h("li", { class: "slider heads", "aria-hidden": "true" }, h("span"), h("span"), h("span"), heads),
       rows.map(([, row]) => row.element));

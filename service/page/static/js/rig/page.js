@@ -102,6 +102,8 @@ export class RigPage extends EventTarget {
     stage.addEventListener("look", () => this.#looked());
     onKeys(stage, (number) => this.#showExpression(number));
     onClick(stage, (event) => this.#pick(event));
+    // a control that is let go of is kept at once: the next thing may be a reload
+    this.element.addEventListener("change", () => this.#settle());
     this.#update();
     stage.finish();
     this.#figure.shade(this.#signal).catch((error) => this.#fail(error));

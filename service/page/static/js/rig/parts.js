@@ -24,8 +24,10 @@ export function partsOf(places, faces) {
   const eyes = [...shapes.values()].filter((piece) => piece.round);
   const kinds = new Map([...shapes].map(([piece, it]) => [piece, kind(it, piece === largest, eyes)]));
   const found = [...kinds.values()];
-  if (!found.includes("teeth")) { // rows of teeth in one piece
-    for (const [piece, name] of kinds) if (name === "mouth") kinds.set(piece, "teeth");
+  if (!found.includes("teeth")) { // rows of teeth in one piece: wider than deep, as no tongue is
+    for (const [piece, { size: [wide, , deep] }] of shapes) {
+      if (kinds.get(piece) === "mouth" && wide > deep) kinds.set(piece, "teeth");
+    }
   }
   return { names: Array.from(label, (piece) => kinds.get(piece)), eyes };
 }
@@ -90,7 +92,7 @@ function solved(rows) {
 }
 
 /** Return the component of each vertex: the number of one of its vertices. */
-function components(count, faces) {
+export function components(count, faces) {
   const root = Uint32Array.from({ length: count }, (_, i) => i);
   const find = (vertex) => {
     while (root[vertex] !== vertex) {

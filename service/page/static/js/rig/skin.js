@@ -6,9 +6,11 @@ import {
 } from "../../vendor/three.js";
 import { heatColours, IRIS, IRIS_MM, NET, PARTS, PUPIL, PUPIL_MM, SCAN, UNSEEN } from "./colours.js";
 import { partsOf } from "./parts.js";
+import { rimPlane } from "./rim.js";
 import { MovingSurface } from "./surface.js";
 
 const ORDER = { depth: 10, skin: 11, scan: 12 };
+const LEAST_LIGHT = { teeth: 0.55, mouth: 0.4 }; // hollows are those of the neutral, whose mouth is closed
 
 /** A face as a mesh; `mesh` is to be added to a scene. */
 export class Skin {
@@ -21,9 +23,13 @@ export class Skin {
     clear: { value: 0 },
   };
   #depth;
+  #parts;
 
   constructor(neutral, faces) {
     const parts = partsOf(neutral, faces);
+    this.#parts = parts.names;
+    /** Where the neck is cut, null if nowhere. */
+    this.rim = rimPlane(neutral, faces.filter((_, i) => parts.names[faces[i - (i % 3)]] === "skin"));
     this.surface = new MovingSurface(neutral, faces, withoutLashes(faces, parts.names));
     this.surface.attach("color", colours(parts.names), 3);
     this.surface.attach("eye", eyes(parts.eyes, neutral), 3);
@@ -40,11 +46,13 @@ export class Skin {
     this.#depth.visible = false;
     this.#depth.frustumCulled = false;
     this.mesh.add(this.#depth);
+    this.setClip(null);
   }
 
   /** Set the share of light that reaches each vertex. */
   setLight(shares) {
-    this.surface.geometry.attributes.lit.array.set(shares);
+    const { array } = this.surface.geometry.attributes.lit;
+    this.#parts.forEach((part, i) => { array[i] = Math.max(shares[i], LEAST_LIGHT[part] ?? 0); });
     this.surface.geometry.attributes.lit.needsUpdate = true;
   }
 
@@ -75,7 +83,7 @@ export class Skin {
 
   /** Cut away what lies on the far side of a plane; null is whole. */
   setClip(plane) {
-    const planes = plane ? [plane] : null;
+    const planes = [plane, this.rim].filter(Boolean);
     this.#depth.material.clippingPlanes = planes;
     this.material.clippingPlanes = planes;
     this.material.side = plane ? DoubleSide : FrontSide;
@@ -86,10 +94,12 @@ export class Skin {
 
 /** A scan as a mesh of one colour, to lie over a fit or to stand beside it. */
 export class Scan {
-  /** `drawn` are those of the faces that are drawn. */
-  constructor(neutral, faces, drawn) {
+  /** `drawn` are those of the faces that are drawn; `rim` is the plane that cuts the neck, or null. */
+  constructor(neutral, faces, drawn, rim) {
     this.surface = new MovingSurface(neutral, faces, drawn);
-    this.material = new MeshPhongMaterial({ specular: "#1c1c1c", shininess: 18 });
+    this.material = new MeshPhongMaterial({
+      specular: "#1c1c1c", shininess: 18, clippingPlanes: rim ? [rim] : [],
+    });
     this.mesh = new Mesh(this.surface.geometry, this.material);
     this.mesh.renderOrder = ORDER.scan;
     this.mesh.frustumCulled = false;

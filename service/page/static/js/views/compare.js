@@ -3,7 +3,8 @@
 import * as api from "../api.js";
 import { h, show } from "../dom.js";
 import { navigate, replaceQuery } from "../router.js";
-import { when } from "../words.js";
+import { changed, names, subjectsById } from "../library.js";
+import { short, when } from "../words.js";
 import { ComparePage } from "../rig/compare_page.js";
 import { Face } from "../rig/face.js";
 import { fromQuery, toQuery } from "../rig/link.js";
@@ -42,10 +43,11 @@ export async function mount(root, params, query) {
 
 /** Return two lists of all rigs, by their subjects' names. */
 async function pickers(ids, signal) {
+  changed(); // others add subjects too
   const [rigs, subjects] = await Promise.all([
-    api.all("/v1/rigs", {}, signal), api.all("/v1/subjects", {}, signal),
+    api.all("/v1/rigs", {}, signal), subjectsById(),
   ]);
-  const names = new Map(subjects.map(({ id, name }) => [id, name]));
+  const people = names(subjects);
   return ids.map((chosen, i) => {
     const select = h("select", {
       id: `compare-${"ab"[i]}`,
@@ -54,7 +56,7 @@ async function pickers(ids, signal) {
         navigate(`/compare?${["a", "b"].flatMap((name, k) => (next[k] ? [`${name}=${next[k]}`] : [])).join("&")}`);
       },
     }, h("option", { value: "" }, "Choose a rig"), rigs.map((rig) => h("option", { value: rig.id, selected: rig.id === chosen },
-      `${names.get(rig.subject_id) ?? "a subject"}, ${when(rig.created_at)}`)));
+      `${people.get(rig.subject_id) ?? "a subject"}, ${when(rig.created_at)}, ${short(rig.id)}`)));
     return h("div", { class: "row" }, h("label", { for: select.id }, "AB"[i]), select);
   });
 }

@@ -12,6 +12,7 @@ import { Log } from "../parts/log.js";
 import { meter } from "../parts/meter.js";
 import { askToRunAgain } from "../parts/new_job.js";
 import { Progress } from "../parts/progress.js";
+import { refuse } from "../parts/refuse.js";
 import { resultPanel } from "../parts/result.js";
 import { FINAL, state, word } from "../parts/state.js";
 import { doing } from "../parts/toast.js";
@@ -31,6 +32,9 @@ const ADVICE = {
   "solver.memory": "The job needs more memory than a solver may take (MYOFACE_SOLVER_MEMORY_MB).",
   "storage.full": "There is no room left for files. Make room, then run it again.",
 };
+
+/** Where an order to stop came from, by the names that the API and this page give themselves. */
+const ORDERED = { api: "by a program", page: "on this page" };
 
 export async function mount(root, { id }) {
   const ending = new AbortController();
@@ -156,7 +160,7 @@ class JobView {
     const isOver = FINAL.has(job.state);
     this.badge.set(job.state);
     this.cancel.hidden = isOver;
-    this.cancel.disabled = job.state === "canceling";
+    refuse(this.cancel, job.state === "canceling" ? "It is being stopped already" : null);
     this.again.hidden = !isOver;
     this.meter.set(job);
     this.showNow();
@@ -243,7 +247,8 @@ function nowOf(job, bar) {
 
 function reason({ cancel }) {
   if (!cancel) return null;
-  return h("p", {}, `By ${cancel.by}, ${when(cancel.requested_at)}: ${cancel.reason || "no reason given"}.`);
+  const how = ORDERED[cancel.by] ?? `by ${cancel.by}`;
+  return h("p", {}, `Asked for ${how}, ${when(cancel.requested_at)}. Reason: ${cancel.reason || "none given"}.`);
 }
 
 function failure({ error, attempt, max_attempts: most }) {
@@ -296,7 +301,15 @@ function parameters(kind, given) {
     known.map(([name, rules]) => {
       const value = given[name] ?? rules.default ?? null;
       const text = value === null ? "automatic" : String(value);
-      return [h("dt", {}, plain(name)), h("dd", {}, name in given ? h("strong", {}, text) : text)];
+      return [
+        h("dt", {}, plain(name)),
+        h(
+          "dd",
+          {},
+          name in given ? h("strong", {}, text) : text,
+          rules.description && h("div", { class: "fine" }, rules.description),
+        ),
+      ];
     }),
   );
 }

@@ -5,10 +5,12 @@ import { announce, h, setText } from "../dom.js";
 import { watch } from "../events.js";
 import { applied, inLine, seconds } from "../jobs.js";
 import { keyed } from "../keyed.js";
-import { changed, kindsByName, scansOf, subjectName, subjectsById } from "../library.js";
+import { changed, kindsByName, names, scansOf, subjectName, subjectsById } from "../library.js";
 import { askToCancel } from "../parts/cancel.js";
+import { verdictOf } from "../parts/certificate.js";
 import { panel, table } from "../parts/frame.js";
 import { meter } from "../parts/meter.js";
+import { refuse } from "../parts/refuse.js";
 import { FINAL, state, word } from "../parts/state.js";
 import { toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
@@ -83,7 +85,7 @@ class Queue {
     const list = subjects.querySelector("select");
     subjectsById().then(
       (found) => {
-        list.append(...[...found.values()].map(({ id, name }) => h("option", { value: id }, name)));
+        list.append(...[...names(found)].map(([id, name]) => h("option", { value: id }, name)));
         list.value = this.filters.subject_id;
       },
       () => {}, // the list of jobs says what is wrong
@@ -263,7 +265,7 @@ function runningRow(job, kinds) {
     update(next) {
       badge.set(next.state);
       how.set(next);
-      stop.disabled = next.state !== "running";
+      refuse(stop, next.state === "running" ? null : "It is being stopped already");
       setText(since, next.started_at ? time(next.started_at) : "");
     },
   };
@@ -307,7 +309,10 @@ function outcomeOf(job) {
     return [h("span", { class: "clip", title: job.error?.message }, job.error?.message)];
   if (job.state === "canceled")
     return [h("span", { class: "clip" }, job.cancel?.reason || "No reason given")];
+  if (job.result.rig_id) {
+    const open = h("a", { href: `/rigs/${job.result.rig_id}` }, "Open the rig");
+    return [h("div", { class: "row" }, open, verdictOf(job.result.summary ?? {}))];
+  }
   if (job.result.summary?.verdict) return [state(job.result.summary.verdict)];
-  if (job.result.rig_id) return [h("a", { href: `/rigs/${job.result.rig_id}` }, "Open the rig")];
   return [];
 }

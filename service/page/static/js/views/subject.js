@@ -7,15 +7,20 @@ import { changed } from "../library.js";
 import { askToDeleteSubject } from "../parts/delete_subject.js";
 import { ask } from "../parts/dialog.js";
 import { panel, table } from "../parts/frame.js";
+import { verdictOf } from "../parts/certificate.js";
 import { askForJob } from "../parts/new_job.js";
+import { refuse } from "../parts/refuse.js";
 import { state } from "../parts/state.js";
 import { doing, toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
 import { repeat } from "../repeat.js";
 import { navigate, title as nameWindow } from "../router.js";
-import { bytes, count, figure, plain, when } from "../words.js";
+import { bytes, count, figure, plain, short, when } from "../words.js";
 
 const EVERY_MS = 5_000;
+
+/** What the state of the newest build says of the model. */
+const MODEL = { succeeded: "Built", queued: "Waits to be built", running: "Being built", failed: "Not built" };
 
 export async function mount(root, { id }) {
   const ending = new AbortController();
@@ -56,12 +61,13 @@ class SubjectView {
       ["(Choose)", "Scan", "Role", "Form", "Check", "Registration", "Added", "(Actions)"],
       this.captureBody,
     );
-    this.rigTable = table(["Rig", "Expressions", "Mean error", "Made", "(Actions)"], this.rigBody);
+    this.rigTable = table(["Rig", "Verdict", "Expressions", "Mean error", "Made", "(Actions)"], this.rigBody);
     this.elements = [
       h(
         "div",
         { class: "head" },
-        h("h1", { class: "grow" }, subject.name),
+        h("h1", {}, subject.name),
+        h("p", { class: "fine grow" }, h("code", { title: subject.id }, short(subject.id)), `, added ${when(subject.created_at)}`),
         h("a", { class: "button", href: `/?subject_id=${subject.id}` }, "Jobs"),
         h("a", { class: "button", href: `/upload?subject=${subject.id}` }, "Upload scans"),
         h("button", { type: "button", class: "danger", onclick: () => this.delete() }, "Delete subject"),
@@ -103,18 +109,19 @@ class SubjectView {
     show(
       this.model,
       job
-        ? [state(job.state), " ", h("a", { href: `/jobs/${job.id}` }, `the newest, ${when(job.created_at)}`)]
+        ? [state(job.state, MODEL[job.state]), " ", h("a", { href: `/jobs/${job.id}` }, `by the job of ${when(job.created_at)}`)]
         : "Not built yet.",
     );
   }
 
   mark() {
-    this.fit.disabled = !this.chosen.size;
+    const why = this.chosen.size ? null : "Choose expressions in the list of scans first";
+    refuse(this.fit, why);
     setText(
       this.fit,
       this.chosen.size ? `Fit ${count(this.chosen.size, "expression")}` : "Fit the chosen expressions",
     );
-    for (const more of this.rigBody.querySelectorAll("button[data-more]")) more.disabled = !this.chosen.size;
+    for (const more of this.rigBody.querySelectorAll("button[data-more]")) refuse(more, why);
   }
 
   captureRow(capture) {
@@ -172,7 +179,13 @@ class SubjectView {
       element: h(
         "tr",
         {},
-        h("th", { scope: "row" }, h("a", { href: `/rigs/${rig.id}` }, "Open the rig")),
+        h(
+          "th",
+          { scope: "row" },
+          h("a", { href: `/rigs/${rig.id}` }, "Open the rig"),
+          h("div", { class: "fine" }, short(rig.id)),
+        ),
+        h("td", { class: "tight" }, verdictOf(rig.summary) ?? "not judged"),
         h("td", {}, rig.expressions.join(", ")),
         h("td", { class: "tight" }, error === undefined ? "" : `${figure(error)} mm`),
         h("td", { class: "tight" }, when(rig.created_at)),

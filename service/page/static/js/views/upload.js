@@ -5,10 +5,12 @@
 import { get, pause, post } from "../api.js";
 import { announce, h, setText, show } from "../dom.js";
 import * as interrupted from "../interrupted.js";
-import { changed, kindsByName, serviceLimits, subjectsById } from "../library.js";
+import { changed, kindsByName, names, serviceLimits, subjectsById } from "../library.js";
 import { table } from "../parts/frame.js";
 import { optionFields, readOptions } from "../parts/options.js";
+import { refuse } from "../parts/refuse.js";
 import { ScanRow } from "../parts/scan_row.js";
+import { Session } from "../parts/session.js";
 import { toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
 import { dropped, sorted } from "../scan_files.js";
@@ -17,7 +19,8 @@ import { count } from "../words.js";
 
 const EVERY_MS = 1_000;
 const MOST_NAMED = 4;
-const ACTIVE = ["waiting", "sending", "checking"];
+const ACTIVE = ["waiting", "sending", "sent", "checking"];
+const ALL_STEPS = ["register", "model", "geometry"];
 
 let tray = null;
 
@@ -41,6 +44,7 @@ class Tray {
     this.limits = limits;
     this.schema = schema;
     this.rows = [];
+    this.sessions = [];
     this.waiting = [];
     this.isSending = false;
     this.subject = h("select", { id: "subject", onchange: () => this.mark() });
@@ -64,13 +68,20 @@ class Tray {
       h("option", { value: "raw" }, "as the scanner made them (raw)"),
       h("option", { value: "registered" }, "in the template's topology (registered)"),
     );
+    this.then = h(
+      "select",
+      { id: "then" },
+      h("option", { value: "" }, "only check them"),
+      h("option", { value: "all" }, "check them and make a rig of them"),
+    );
     this.options = optionFields(schema);
+    this.told = h("div", { class: "stack" });
     this.body = h("tbody");
     this.others = h("p", { class: "fine", hidden: true });
     const columns = ["File", "Name", "Role", "State", "Verdict", "(Actions)"];
     this.table = table(columns, this.body, { class: "scans" });
     this.table.hidden = true;
-    this.start = h("button", { class: "main", disabled: true }, "Upload");
+    this.start = h("button", { class: "main" }, "Upload");
     this.go = h("a", { class: "button", hidden: true }, "Go to the subject");
     this.zone = this.dropZone();
     this.settings = h(
@@ -82,6 +93,7 @@ class Tray {
         h("div", { class: "field" }, h("label", { for: "subject" }, "Subject"), this.subject),
         this.newField,
         h("div", { class: "field" }, h("label", { for: "form" }, "The scans are"), this.form),
+        h("div", { class: "field" }, h("label", { for: "then" }, "The service is to"), this.then),
       ),
       h("details", {}, h("summary", {}, "How the scans lie, if the check can not find it"), this.options),
       this.table,
@@ -100,8 +112,9 @@ class Tray {
       ),
     );
     this.resume = h("div", { class: "notice", hidden: true });
-    this.elements = [h("h1", {}, "Upload"), this.resume, this.zone, this.settings];
+    this.elements = [h("h1", {}, "Upload"), this.resume, this.zone, this.settings, this.told];
     this.tellInterrupted();
+    this.showRows();
     addEventListener("beforeunload", (event) => this.isSending && event.preventDefault());
   }
 
@@ -171,7 +184,7 @@ class Tray {
     show(
       this.subject,
       h("option", { value: "" }, "New subject"),
-      [...subjects.values()].map(({ id, name }) => h("option", { value: id }, name)),
+      [...names(subjects)].map(([id, name]) => h("option", { value: id }, name)),
     );
     const interruptedOne = this.rows.length ? null : interrupted.read().at(-1)?.subjectId;
     this.subject.value = [wanted, before, interruptedOne].find((id) => id && subjects.has(id)) ?? "";
@@ -184,15 +197,15 @@ class Tray {
   }
 
   tellInterrupted() {
-    const names = interrupted.read().map(({ filename }) => filename);
-    this.resume.hidden = !names.length;
+    const files = interrupted.read().map(({ filename }) => filename);
+    this.resume.hidden = !files.length;
     show(
       this.resume,
       h(
         "p",
         {},
-        `${count(names.length, "file was", "files were")} on the way when this page was closed: `,
-        h("strong", {}, some(names)),
+        `${count(files.length, "file was", "files were")} on the way when this page was closed: `,
+        h("strong", {}, some(files)),
         ". Drop the same files again, and they go on where they stopped.",
       ),
     );
@@ -201,7 +214,7 @@ class Tray {
   take(files) {
     const { scans, others } = sorted(files, this.limits);
     for (const scan of scans)
-      this.rows.push(new ScanRow(scan, { dropped: (row) => this.drop(row), changed: () => this.follow() }));
+      this.rows.push(new ScanRow(scan, { dropped: (row) => this.drop(row), again: (row) => this.again(row) }));
     this.others.hidden = !others.length;
     setText(
       this.others,
@@ -214,8 +227,16 @@ class Tray {
 
   drop(row) {
     this.rows = this.rows.filter((other) => other !== row);
-    this.waiting = this.waiting.filter((other) => other !== row);
     this.showRows();
+    const session = this.sessions.find((each) => each.has(row));
+    if (session?.drop(row)) this.lineUp(session);
+  }
+
+  /** Try again what failed together with a row. */
+  again(row) {
+    const session = this.sessions.find((each) => each.has(row));
+    session.again();
+    this.lineUp(session);
   }
 
   showRows() {
@@ -225,7 +246,7 @@ class Tray {
     );
     this.table.hidden = !this.rows.length;
     const ready = this.ready();
-    this.start.disabled = !ready.length;
+    refuse(this.start, ready.length ? null : "Choose files or drop them here first");
     setText(this.start, ready.length ? `Upload ${count(ready.length, "scan")}` : "Upload");
   }
 
@@ -251,15 +272,16 @@ class Tray {
       const order = {
         registered: this.form.value === "registered",
         options: readOptions(this.schema, this.settings),
+        then: this.then.value ? ALL_STEPS : [],
       };
-      // the neutral first: it says soonest whether the set is any good
+      // the neutral first: what is checked first says soonest whether the set is any good
       rows.sort((a, b) => (b.role.value === "neutral") - (a.role.value === "neutral"));
-      for (const row of rows) row.wait(subjectId, order);
-      this.waiting.push(...rows);
+      const session = new Session(rows, { subjectId, ...order });
+      this.sessions.push(session);
+      this.told.append(session.element);
       this.go.href = `/subjects/${subjectId}`;
       this.go.hidden = false;
-      this.sendAll();
-      this.follow();
+      this.lineUp(session);
     } catch (error) {
       toast(sentence(error), "bad");
     }
@@ -276,13 +298,21 @@ class Tray {
     return id;
   }
 
-  /** Send the rows that wait, one after the other: the neutral's verdict comes first. */
+  /** Have a session sent when those before it are. */
+  lineUp(session) {
+    if (!this.waiting.includes(session)) this.waiting.push(session);
+    this.sendAll();
+    this.follow();
+  }
+
+  /** Send the sessions that wait, one after the other. */
   async sendAll() {
     if (this.isSending) return;
     this.isSending = true;
     while (this.waiting.length) {
-      tellUploads(this.waiting.length);
-      await this.waiting.shift().run();
+      const tell = () => tellUploads(this.waiting.reduce((sum, { left }) => sum + left, 0));
+      await this.waiting[0].run(tell);
+      this.waiting.shift();
     }
     this.isSending = false;
     tellUploads(0);

@@ -31,7 +31,7 @@ def test_arrays_and_header_come_back(tmp_path: Path, count: int) -> None:
     path = tmp_path / "view.bin"
     arrays = _arrays(count)
     write_container(path, {"muscles": ["Zygomaticus major", "Lèvre"]}, arrays)
-    read = read_container(path)
+    read = read_container(str(path))
     assert read.header == {"unit": "mm", "muscles": ["Zygomaticus major", "Lèvre"]}
     assert list(read.arrays) == list(arrays)
     for name, array in arrays.items():

@@ -1,0 +1,115 @@
+"""The job that edits a person: fatter, older, operated on, paralysed; and all expressions again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from solver.edits.edit import apply
+from solver.edits.edited import Edited
+from solver.edits.replay import Replay, Replayed
+from solver.errors import SolveError
+from solver.fitting.model_checks import check_held
+from solver.model import SubjectModel
+from solver.pipeline.common import Options, take
+from solver.progress import Progress, Step, silent
+from solver.rig.edit_picture import edit_picture
+from solver.rig.edit_report import Compared, EditedPerson, edit_report, write_edit
+from solver.rig.result import ExpressionFit, load_activations, load_weights
+from solver.scene.document import check
+from solver.scene.edits import edits_of
+from solver.scene.physics import Physics, physics_of
+from solver.scene.places import Places
+
+
+def edit(
+    model: Path,
+    weights: Path,
+    rig: Path,
+    out: Path,
+    *,
+    assets: Mapping[str, Path] | None = None,
+    template: Path | None = None,
+    options: Options = None,
+    progress: Progress = silent,
+) -> list[Path]:
+    """Edit a person, and replay the rig's expressions before and after.
+
+    ``weights`` is the rig's ``muscle_weights.npz`` and ``rig`` its ``activations.npz`` or its
+    folder; ``template`` is the one that the model was made with (None: the built-in), whose
+    landmarks the scene may name, ``assets`` are files that it names. Options: ``scene``, with
+    ``edits`` and, as they differ from a rig's, ``material``, ``contact``, ``sliding`` and
+    ``activation_model``.
+
+    Writes ``edit.json`` (volumes, and how far every expression's motion drifts), ``edit.npz``,
+    ``edit.glb`` and ``edit.png``. Raises :class:`InputError` (``scene.*``) for a scene that does
+    not fit the person, :class:`SolveError` where the edited person finds no rest. An expression
+    that finds none is told, and left out.
+    """
+    scene = check(take(options, {"scene": {}})["scene"], "edit")
+    out.mkdir(parents=True, exist_ok=True)
+    progress(Step("read", 0.0, message=rig.name))
+    subject = SubjectModel.load(model)
+    S = load_weights(weights, subject)
+    fits = load_activations(rig / "activations.npz" if rig.is_dir() else rig, subject)
+    physics = physics_of(scene)
+    entries = scene["edits"]
+    edited = apply(edits_of(entries, Places.of(subject, template, assets or {})), subject, S)
+
+    def person(known: Edited, words: str, begin: float) -> tuple[Replayed, list[Replayed | None]]:
+        progress(Step("rest", begin, message=words))
+        return _replayed(known, physics, fits, words, begin, progress)
+
+    before, all_before = person(Edited.nothing(subject, S), "before the edits", 0.05)
+    after, all_after = person(edited, "after the edits", 0.45)
+    compared = [
+        Compared(fit.name, one, other, fit.skin)
+        for fit, one, other in zip(fits, all_before, all_after, strict=True)
+    ]
+    whole = EditedPerson(edited, subject, before, after, compared)
+    progress(Step("export", 0.86))
+    report = edit_report(whole)
+    files = [*write_edit(whole, report, out), out / "edit.png"]
+    edit_picture(whole, _title(entries), _detail(report), files[-1])
+    progress(Step("done", 1.0))
+    return files
+
+
+def _replayed(
+    person: Edited,
+    physics: Physics,
+    fits: Sequence[ExpressionFit],
+    words: str,
+    begin: float,
+    progress: Progress,
+) -> tuple[Replayed, list[Replayed | None]]:
+    """Return a person at rest and in every expression, None for one that finds no rest."""
+    face = physics.face(person)
+    check_held(face)
+    replay = Replay(person, face, physics.contacts(person))
+    found: list[Replayed | None] = []
+    for number, fit in enumerate(fits, start=1):
+        done = begin + 0.4 * number / len(fits)
+        try:
+            found.append(replay.pose(physics.activations(person, fit.activations), fit.jaw))
+        except SolveError as error:
+            found.append(None)
+            told = f"{fit.name}, {words}: {error.message}"
+            progress(Step("warning", done, message=told))
+        progress(Step("expressions", done, number, message=f"{fit.name}, {words}"))
+    return replay.neutral, found
+
+
+def _title(entries: Sequence[Mapping[str, Any]]) -> str:
+    kinds = dict.fromkeys(str(entry["kind"]) for entry in entries)
+    return "Edited: " + ", ".join(kinds)
+
+
+def _detail(report: Mapping[str, Any]) -> str:
+    volume, drift = report["volume"], report["drift_mm"]
+    words = (
+        f"volume {volume['change_ml']:+.1f} ml ({volume['change_percent']:+.1f} %), the face at "
+        f"rest moves {report['neutral']['moved_mm']:.2f} mm on average"
+    )
+    return words if drift is None else f"{words}, expressions drift {drift:.2f} mm"

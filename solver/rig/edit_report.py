@@ -1,0 +1,191 @@
+"""What edits did to a person: figures, and the files of an edited person."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from solver.anatomy.tetrahedra import volumes
+from solver.archive import csr_arrays
+from solver.contact.penetration import Gauge
+from solver.edits.edited import Edited
+from solver.edits.replay import Replayed
+from solver.model import SubjectModel
+from solver.normals import vertex_normals
+from solver.rig.gltf import in_turn, write_face
+from solver.surface import Floats
+from solver.triangles import vertex_areas
+
+FORMAT = 1
+ML = 1e-3
+"""Of a cubic millimetre."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One expression of the rig: ``before`` and ``after`` the edits, and as ``fitted`` (V, 3).
+
+    None where the flesh found no rest.
+    """
+
+    name: str
+    before: Replayed | None
+    after: Replayed | None
+    fitted: Floats
+
+
+@dataclass(frozen=True)
+class EditedPerson:
+    """What an edit leaves: the person before and after, at rest and in all expressions."""
+
+    edited: Edited
+    unedited: SubjectModel
+    before: Replayed
+    after: Replayed
+    expressions: Sequence[Compared]
+
+    @property
+    def moved_mm(self) -> Floats:
+        """Return how far (V,) the skin at rest has moved."""
+        return np.asarray(np.linalg.norm(self.after.skin - self.before.skin, axis=1))
+
+    def drift_mm(self, compared: Compared) -> Floats | None:
+        """Return how much (k,) an expression's motion of the face differs from that before."""
+        if compared.before is None or compared.after is None:
+            return None
+        face = self.unedited.face
+        motion = compared.after.skin[face] - self.after.skin[face]
+        wanted = compared.before.skin[face] - self.before.skin[face]
+        return np.asarray(np.linalg.norm(motion - wanted, axis=1))
+
+
+def edit_report(person: EditedPerson) -> dict[str, Any]:
+    """Return the figures of ``edit.json``: lengths in mm, volumes in ml."""
+    face = person.unedited.face
+    gauge = Gauge(person.edited.model)
+    expressions = [_expression(person, each, gauge) for each in person.expressions]
+    drifts = [each["drift_mm"] for each in expressions if each["drift_mm"] is not None]
+    return {
+        "format": FORMAT,
+        "volume": _volume(person),
+        "flesh": _flesh(person.edited, person.unedited),
+        "regions": _regions(person),
+        "neutral": {
+            "moved_mm": float(person.moved_mm[face].mean()),
+            "moved_max_mm": float(person.moved_mm[face].max()),
+            **_solved(person.after, gauge),
+        },
+        "expressions": expressions,
+        "drift_mm": float(np.mean(drifts)) if drifts else None,
+    }
+
+
+def write_edit(person: EditedPerson, report: dict[str, Any], out: Path) -> list[Path]:
+    """Write ``edit.json``, ``edit.npz`` and ``edit.glb`` and return their paths.
+
+    The GLB is the edited person at rest; its morph targets are the person before the edits and
+    every expression after them. The NPZ has them all, with the flesh's vertices ``x`` and what the
+    edits came to: ``growth``, ``stiffness``, ``density``, ``bones`` and S.
+    """
+    files = [out / "edit.json", out / "edit.npz", out / "edit.glb"]
+    files[0].write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    edited = person.edited
+    reached = [(each.name, each.after) for each in person.expressions if each.after is not None]
+    poses = [person.after, *(after for _, after in reached)]
+    with files[1].open("wb") as stream:
+        np.savez_compressed(
+            stream,
+            allow_pickle=False,
+            format=np.array(FORMAT),
+            names=np.array(["neutral", *(name for name, _ in reached)], dtype=np.str_),
+            skin=np.array([pose.skin for pose in poses], dtype=np.float32),
+            x=np.array([pose.x for pose in poses]),
+            growth=edited.growth,
+            stiffness=edited.stiffness,
+            density=edited.density,
+            bones=edited.bones,
+            **csr_arrays("S", edited.S),
+        )
+    shapes = {"unedited": person.before.skin, **{name: after.skin for name, after in reached}}
+    write_face(files[2], edited.model.skin.moved(person.after.skin), shapes, in_turn)
+    return files
+
+
+def _volume(person: EditedPerson) -> dict[str, float]:
+    tets = person.unedited.tets
+    before, after = (
+        float(volumes(pose.x, tets).sum()) * ML for pose in (person.before, person.after)
+    )
+    return {
+        "before_ml": before,
+        "after_ml": after,
+        "change_ml": after - before,
+        "change_percent": 100.0 * (after / before - 1.0),
+    }
+
+
+def _flesh(edited: Edited, unedited: SubjectModel) -> dict[str, Any]:
+    """Return the range of what the edits ask of the flesh, and how much muscle is left."""
+    size = volumes(unedited.rest, unedited.tets)
+
+    def muscle_ml(S: Any) -> float:
+        return float(size @ np.asarray(S[:, 1:].sum(axis=1)).ravel()) * ML
+
+    ranges = {
+        name: [float(values.min()), float(values.max())]
+        for name in ("growth", "stiffness", "density")
+        for values in [getattr(edited, name)]
+    }
+    bones = float(np.linalg.norm(edited.bones, axis=1).max())
+    return {**ranges, "bones_mm": bones, "muscle_ml": muscle_ml(edited.S)}
+
+
+def _regions(person: EditedPerson) -> dict[str, dict[str, float]]:
+    """Return how far each of the face's regions moved, and the volume it moved outward through."""
+    model = person.unedited
+    before = model.skin.moved(person.before.skin)
+    outward = ((person.after.skin - before.vertices) * vertex_normals(before)).sum(axis=1)
+    swept = outward * vertex_areas(before.vertices, before.faces) * ML
+    found = {}
+    for name, vertices in model.regions.items():
+        seen = np.intersect1d(vertices, model.face)
+        if len(seen):
+            found[name] = {
+                "moved_mm": float(person.moved_mm[seen].mean()),
+                "outward_ml": float(swept[seen].sum()),
+            }
+    return found
+
+
+def _expression(person: EditedPerson, compared: Compared, gauge: Gauge) -> dict[str, Any]:
+    face, before, after = person.unedited.face, compared.before, compared.after
+    drift = person.drift_mm(compared)
+    figures: dict[str, Any] = {
+        "name": compared.name,
+        "status": "found" if after is not None else "failed",
+        "drift_mm": None if drift is None else float(drift.mean()),
+        "drift_max_mm": None if drift is None else float(drift.max()),
+    }
+    if before is not None:
+        figures["motion_mm"] = _mean(before.skin[face] - person.before.skin[face])
+        figures["off_fit_mm"] = _mean(before.skin[face] - compared.fitted[face])
+    if after is not None:
+        figures |= _solved(after, gauge)
+    return figures
+
+
+def _solved(pose: Replayed, gauge: Gauge) -> dict[str, Any]:
+    return {
+        "inverted": pose.inverted,
+        "penetration_mm": gauge.at(pose.x, pose.jaw).most,
+        "seconds": round(pose.seconds, 2),
+    }
+
+
+def _mean(motion: Floats) -> float:
+    return float(np.linalg.norm(motion, axis=1).mean())
