@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict
 
-Role = Literal["neutral", "expression", "performance"]
+Role = Literal["neutral", "expression", "performance", "asset"]
 Kind = Literal[
     "check_scan",
     "register_scan",
@@ -16,6 +16,9 @@ Kind = Literal[
     "fit_activations",
     "fit_sequence",
     "build_preview",
+    "simulate",
+    "animate",
+    "edit",
 ]
 Scope = Literal["read", "write", "delete", "webhooks", "metrics", "admin"]
 State = Literal["queued", "running", "canceling", "succeeded", "failed", "canceled"]

@@ -20,11 +20,12 @@ MEDIA_TYPES = {
     ".ply": "model/ply",
     ".csv": "text/csv",
     ".html": "text/html",
+    ".mp4": "video/mp4",
 }
 
 
 FRAMES = "frames"
-"""The folder in ``out`` of a sequence's frames, files ``<first>-<last>.json``."""
+"""The folder in ``out`` of a sequence's or simulation's frames, files ``<first>-<last>.json``."""
 
 
 class AttemptFolder:

@@ -10,7 +10,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Task:
-    """A job as its call sees it: input files by role, scans by name, the folder for results.
+    """A job as its call sees it: input files by role, scans or assets by name, and ``out``.
 
     ``how`` is what every call passes on: the options and whom to tell of progress.
     """
@@ -107,6 +107,53 @@ def _build_preview(task: Task) -> None:
     pipeline.build_preview(files["model"], files["weights"], files["rig"], task.out, **task.how)
 
 
+def _simulate(task: Task) -> None:
+    from solver import pipeline
+
+    files = task.files
+    pipeline.simulate(
+        files["model"],
+        files["weights"],
+        files["rig"],
+        task.out,
+        assets=task.captures,
+        template=files.get("template"),
+        resume=task.resume,
+        **task.how,
+    )
+
+
+def _animate(task: Task) -> None:
+    from solver import pipeline
+
+    files = task.files
+    pipeline.animate(
+        files["model"],
+        files["weights"],
+        task.out,
+        assets=task.captures,
+        template=files.get("template"),
+        blendshapes=files.get("blendshapes"),
+        resume=task.resume,
+        **task.how,
+    )
+
+
+def _edit(task: Task) -> None:
+    from solver import pipeline
+
+    files = task.files
+    pipeline.edit(
+        files["model"],
+        files["weights"],
+        files["rig"],
+        task.out,
+        assets=task.captures,
+        template=files.get("template"),
+        **task.how,
+    )
+
+
 CALLS: dict[str, Call] = {
     "check_scan": Call(_check_scan, "check.json"),
     "register_scan": Call(_register_scan, "registration.json"),
@@ -115,4 +162,7 @@ CALLS: dict[str, Call] = {
     "fit_activations": Call(_fit_activations, "report.json"),
     "fit_sequence": Call(_fit_sequence, "sequence.json"),
     "build_preview": Call(_build_preview, "preview.json"),
+    "simulate": Call(_simulate, "animation.json"),
+    "animate": Call(_animate, "animation.json"),
+    "edit": Call(_edit, "edit.json"),
 }

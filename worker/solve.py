@@ -94,7 +94,7 @@ def solve(folder: Path, progress: Progress) -> dict[str, Any]:
     capture_role = "unknown"
     for item in job["inputs"]:
         capture_role = item.get("capture_role", capture_role)
-        if item["role"] == "capture":
+        if item["role"] in ("capture", "asset"):
             captures[item["name"]] = Path(item["path"])
         else:
             files[item["role"]] = Path(item["path"])

@@ -12,7 +12,7 @@ from service.schemas import Body, Id, Name, RetainUntil, View
 from service.store import retention
 from service.store.models import Capture, Job
 
-Role = Literal["neutral", "expression", "performance"]
+Role = Literal["neutral", "expression", "performance", "asset"]
 
 
 class NewCapture(Body):
@@ -35,7 +35,7 @@ class NewCapture(Body):
     name: Name
     role: Role = Field(
         description="`performance`: frames of registered skin points, a `.npy` file; "
-        "`fit_sequence` reads it"
+        "`fit_sequence` reads it; `asset`: a file that scenes name (a recording, a mesh, a map)"
     )
     upload_id: Id
     registered: bool = Field(

@@ -21,6 +21,7 @@ from service.uploads import repository as uploads
 FORMATS = (".obj", ".ply", ".stl", ".glb")
 RAW_FORMATS = (*FORMATS, ".xyz", ".pts", ".asc", ".csv", ".txt", ".xyzn", ".xyzrgb")
 PERFORMANCE_FORMATS = (".npy",)
+ASSET_FORMATS = (*FORMATS, ".csv", ".npy")
 LANDMARK_FORMATS = (".json", ".ljson", ".csv")
 
 
@@ -31,6 +32,8 @@ def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
     upload = uploads.get_complete(session, new.upload_id)
     if new.role == "performance":
         _check_performance(upload, new)
+    elif new.role == "asset":
+        _check_asset(upload, new)
     elif new.registered:
         _check_format(upload, "capture.format", "a registered scan", FORMATS)
     else:
@@ -68,8 +71,9 @@ def views(session: Session, captures: Sequence[Capture], settings: Settings) -> 
 def set_landmarks(session: Session, subject_id: str, capture_id: str, given: Landmarks) -> Capture:
     """Give a scan landmarks, in place of those it had; jobs submitted earlier keep theirs."""
     capture = repository.get(session, subject_id, capture_id)
-    if capture.role == "performance":
-        raise Problem(422, "capture.is_performance", f"{capture.name} takes no landmarks")
+    if capture.role in ("performance", "asset"):
+        code = f"capture.is_{capture.role}"
+        raise Problem(422, code, f"{capture.name} takes no landmarks")
     _give_landmarks(session, capture, given.upload_id)
     return capture
 
@@ -99,6 +103,12 @@ def _check_performance(upload: Upload, new: NewCapture) -> None:
             "capture.is_performance",
             f"{new.name}: a performance holds registered points and takes no landmarks",
         )
+
+
+def _check_asset(upload: Upload, new: NewCapture) -> None:
+    _check_format(upload, "capture.format", "an asset", ASSET_FORMATS)
+    if new.landmarks_upload_id is not None:
+        raise Problem(422, "capture.is_asset", f"{new.name}: an asset takes no landmarks")
 
 
 def _check_format(upload: Upload, code: str, what: str, formats: Sequence[str]) -> None:

@@ -1,7 +1,8 @@
-"""The frames of a sequence, from the files that its solver left so far."""
+"""The frames of a sequence or simulation, from the files that its solver left so far."""
 
 from __future__ import annotations
 
+import base64
 import json
 from typing import Any
 
@@ -13,14 +14,14 @@ from service.kinds import KINDS
 from service.store import jobs
 from service.store.files import Files
 
+LEAVE_FRAMES = ("sequence", "animation")
+
 
 def read(
     session: Session, files: Files, job_id: str, start: int, limit: int
 ) -> tuple[list[dict[str, Any]], int]:
     """Return the frames from the ``start``-th on, at most ``limit``, and how many are ready."""
-    job = get(session, job_id)
-    if KINDS[job.kind].leaves != "sequence":
-        raise Problem(409, "job.no_frames", f"a {job.kind} job has no frames", job_id=job_id)
+    _check(session, job_id)
     chunks = jobs.frames(session, job_id)
     found: list[dict[str, Any]] = []
     for chunk in chunks:
@@ -28,3 +29,18 @@ def read(
             frames = json.loads(files.read(chunk.sha256))["frames"]
             found += frames[max(start - chunk.first, 0) : start + limit - chunk.first]
     return found, chunks[-1].last + 1 if chunks else 0
+
+
+def newest_picture(session: Session, files: Files, job_id: str) -> bytes:
+    """Return a JPEG of the newest frame that has one."""
+    _check(session, job_id)
+    for chunk in reversed(jobs.frames(session, job_id)):
+        if picture := json.loads(files.read(chunk.sha256)).get("picture"):
+            return base64.b64decode(picture)
+    raise Problem(404, "job.no_picture", "none of the frames has a picture", job_id=job_id)
+
+
+def _check(session: Session, job_id: str) -> None:
+    job = get(session, job_id)
+    if KINDS[job.kind].leaves not in LEAVE_FRAMES:
+        raise Problem(409, "job.no_frames", f"a {job.kind} job has no frames", job_id=job_id)

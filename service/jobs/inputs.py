@@ -49,7 +49,7 @@ def resolve(session: Session, kind: Kind, new: NewJob) -> Inputs:
 
 def _refuse_unread(kind: Kind, new: NewJob) -> None:
     for member, reads in (
-        ("captures", {"captures", "capture", "performance"}),
+        ("captures", {"captures", "capture", "performance", "assets"}),
         ("rig_id", {"rig"}),
     ):
         if getattr(new, member) and reads.isdisjoint(kind.reads):
@@ -59,7 +59,7 @@ def _refuse_unread(kind: Kind, new: NewJob) -> None:
 def _about_one_capture(session: Session, kind: Kind, new: NewJob) -> Inputs:
     """Return the scan as it was uploaded with its landmarks, and what else ``kind`` reads."""
     capture = _the_capture(session, new)
-    _refuse_performance(capture)
+    _refuse_no_scan(capture)
     if capture.registered and kind.leaves == "registration":
         raise Problem(
             409,
@@ -89,14 +89,16 @@ def _the_capture(session: Session, new: NewJob) -> Capture:
     return captures.get(session, new.subject_id, new.captures[0])
 
 
-def _refuse_performance(capture: Capture) -> None:
-    if capture.role == "performance":
-        raise Problem(
-            422,
-            "capture.is_performance",
-            f"{capture.name} is a performance: fit_sequence reads it",
-            capture_id=capture.id,
-        )
+_NO_SCANS = {
+    "performance": "is a performance: fit_sequence reads it",
+    "asset": "is an asset: scenes name it",
+}
+
+
+def _refuse_no_scan(capture: Capture) -> None:
+    if why := _NO_SCANS.get(capture.role):
+        code = f"capture.is_{capture.role}"
+        raise Problem(422, code, f"{capture.name} {why}", capture_id=capture.id)
 
 
 def _neutral(session: Session, subject_id: str, *, of_an_expression: bool = False) -> Input:
@@ -131,7 +133,7 @@ def _template(session: Session, subject_id: str) -> list[Input]:
 
 
 def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
-    """Return a model, the rig if ``kind`` reads one, and what to fit."""
+    """Return a model, the rig if ``kind`` reads one, and what to fit or to play."""
     files = []
     if "rig" in kind.reads:
         rig = _parent(session, new)
@@ -146,6 +148,11 @@ def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
         files.append(_performance(session, new))
     elif "captures" in kind.reads:
         files += _expressions(session, new, model)
+    elif "assets" in kind.reads:
+        files += _assets(session, new)
+        files += _template(session, new.subject_id)
+    if "blendshapes" in kind.reads:
+        files += _blendshapes(session, rig)
     return Inputs(files, model_job_id=model.id)
 
 
@@ -159,6 +166,28 @@ def _performance(session: Session, new: NewJob) -> Input:
             capture_id=capture.id,
         )
     return _input("performance", capture.name, capture.filename, capture.sha256)
+
+
+def _assets(session: Session, new: NewJob) -> list[Input]:
+    """Return the files that a scene may name, by their captures' names."""
+    found = [captures.get(session, new.subject_id, each) for each in dict.fromkeys(new.captures)]
+    for capture in found:
+        if capture.role != "asset":
+            raise Problem(
+                422,
+                "capture.not_an_asset",
+                f"{capture.name} is a scan or performance, not an asset",
+                capture_id=capture.id,
+            )
+    return [_input("asset", each.name, each.filename, each.sha256) for each in found]
+
+
+def _blendshapes(session: Session, rig: Rig) -> list[Input]:
+    """Return what the newest animation of a rig solved, if there was one."""
+    found = rigs.blendshapes(session, rig)
+    if found is None:
+        return []
+    return [_input("blendshapes", found.name, found.name, found.sha256)]
 
 
 def _newest_model(session: Session, new: NewJob) -> Job:
@@ -211,7 +240,7 @@ def _chosen(session: Session, new: NewJob) -> list[Capture]:
     for capture_id in new.captures:
         if capture_id not in found:
             raise unknown("capture", capture_id)
-        _refuse_performance(found[capture_id])
+        _refuse_no_scan(found[capture_id])
         if found[capture_id].role == "neutral":
             raise Problem(
                 422,

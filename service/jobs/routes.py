@@ -198,7 +198,7 @@ def log(
 
 @router.get(
     "/{job_id}/frames",
-    summary="Read the frames of a sequence",
+    summary="Read the frames of a sequence or simulation",
     responses=problems(404, 409, 422),
 )
 def read_frames(
@@ -211,6 +211,18 @@ def read_frames(
     found, ready = frames.read(session, store.files, job_id, start, limit)
     views: Any = found
     return FramesView(frames=views, next=start + len(found), ready=ready)
+
+
+@router.get(
+    "/{job_id}/frames/picture",
+    summary="See the newest frame of a simulation",
+    response_class=Response,
+    responses={200: {"content": {"image/jpeg": {}}}, **problems(404, 409)},
+)
+def read_picture(job_id: Id, session: ReadSession, store: ReadStore) -> Response:
+    """Read a small picture of the newest frame that has one, also while the job runs."""
+    picture = frames.newest_picture(session, store.files, job_id)
+    return Response(picture, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
 
 def _view(session: Session, job_id: str, settings: Settings) -> JobView:

@@ -45,7 +45,7 @@ class NewJob(Body):
         default=[],
         max_length=1000,
         description="ids of expression captures; of one capture for `check_scan` and "
-        "`register_scan`, of one performance for `fit_sequence`",
+        "`register_scan`, of one performance for `fit_sequence`, of the assets that a scene names",
     )
     rig_id: Id | None = Field(default=None, description="the parent rig")
     options: dict[str, Any] = Field(default={}, description="the kind's options")
@@ -227,10 +227,33 @@ class FrameView(BaseModel):
     seconds: float
 
 
-class FramesView(BaseModel):
-    """Frames of a sequence; pass `next` as `start` to read on, `ready` are there by now."""
+class MotionFrameView(BaseModel):
+    """A frame of a simulation; angles in rad, lengths in mm, times in s."""
 
-    frames: list[FrameView]
+    frame: int = Field(description="its number, from 0")
+    time: float
+    activations: list[list[float]] = Field(
+        description="a row a muscle, xx, xy, xz, yy, yz, zz; relaxed is 1, 0, 0, 1, 0, 1"
+    )
+    jaw: list[float] = Field(description="two rotations and three translations of the mandible")
+    head: list[float] = Field(description="rotation vector and translation of the head")
+    eyes: list[list[float]] = Field(description="rotation vectors, the subject's left eye first")
+    penetration_mm: float = Field(description="how deep skin is in what it meets, at the worst")
+    behind_teeth: int = Field(description="vertices of the lips that are behind teeth")
+    inverted: int
+    iterations: int
+    halvings: int = Field(description="how often the step had to be cut")
+    residual: float
+    seconds: float
+
+
+class FramesView(BaseModel):
+    """Frames of a sequence or simulation.
+
+    Pass `next` as `start` to read on, `ready` are there by now.
+    """
+
+    frames: list[FrameView | MotionFrameView]
     next: int
     ready: int
 

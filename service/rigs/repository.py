@@ -45,6 +45,23 @@ def preview(session: Session, rig: Rig) -> Artifact | None:
     ).one_or_none()
 
 
+def blendshapes(session: Session, rig: Rig) -> Artifact | None:
+    """Return the blendshapes of a rig that its newest animation solved."""
+    return session.scalars(
+        select(Artifact)
+        .join(Job, Job.id == Artifact.job_id)
+        .where(
+            Job.subject_id == rig.subject_id,
+            Job.state == State.SUCCEEDED,
+            Job.kind == "animate",
+            Job.request["rig_id"].as_string() == rig.id,
+            Artifact.name == "blendshapes.npz",
+        )
+        .order_by(Job.created_at.desc())
+        .limit(1)
+    ).one_or_none()
+
+
 def artifact_of_rig(session: Session, rig: Rig, name: str) -> Artifact:
     """Return a rig's artifact by its name."""
     if name == previews.FILE and (found := preview(session, rig)):

@@ -10,9 +10,11 @@ from solver.pipeline.fits import fit_activations, fit_geometry
 from solver.pipeline.models import build_model
 from solver.pipeline.preview import build_preview
 from solver.pipeline.registration import register_scan
+from solver.pipeline.scenes import animate, simulate
 from solver.pipeline.sequence import fit_sequence
 
 __all__ = [
+    "animate",
     "build_model",
     "build_preview",
     "check_scan",
@@ -21,4 +23,5 @@ __all__ = [
     "fit_geometry",
     "fit_sequence",
     "register_scan",
+    "simulate",
 ]

@@ -165,3 +165,26 @@ def _packed(values: Floats, kind: str) -> str:
 def _unpacked(text: str, kind: str) -> Floats:
     content = zlib.decompress(base64.b64decode(text))
     return np.frombuffer(content, kind).reshape(-1, 3).astype(np.float64)
+
+
+def motion_report(frames: Sequence[MotionFrame]) -> dict[str, Any]:
+    """Return the figures of a simulation; lengths in mm, times in s or ms."""
+    seconds = [frame.seconds for frame in frames]
+    return {
+        "format": FORMAT,
+        "frames": len(frames),
+        "duration": frames[-1].time - frames[0].time,
+        "penetration_max_mm": max(frame.penetration_mm for frame in frames),
+        "behind_teeth": max(frame.behind_teeth for frame in frames),
+        "inverted": max(frame.inverted for frame in frames),
+        "moved_max_mm": round(max(_furthest(frame.moved) for frame in frames), 3),
+        "iterations": round(float(np.mean([frame.iterations for frame in frames])), 2),
+        "halvings": sum(frame.halvings for frame in frames),
+        "frame_ms": round(1e3 * float(np.median(seconds)), 1),
+        "frame_max_ms": round(1e3 * max(seconds), 1),
+        "seconds": round(sum(seconds), 2),
+    }
+
+
+def _furthest(moved: Floats) -> float:
+    return float(np.linalg.norm(moved, axis=1).max())

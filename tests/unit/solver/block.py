@@ -86,9 +86,20 @@ def head_block(cells=(8, 6, 2)):
         small,
         rest=small.rest * scale,
         skin=skin,
+        embedding=in_tets(small),
         jaw=JawFrame(small.jaw.origin * scale, np.eye(3)),
         regions={"left": np.flatnonzero(left), "right": np.flatnonzero(~left)},
     )
+
+
+def in_tets(model):
+    """Return the embedding with all four corners of a tet stored in every row, as contact has it."""
+    vertices = model.embedding.indices
+    tets = [np.flatnonzero((model.tets == vertex).any(axis=1))[0] for vertex in vertices]
+    corners = model.tets[tets]
+    shares = (corners == vertices[:, None]).astype(float)
+    indptr = 4 * np.arange(len(vertices) + 1)
+    return sp.csr_array((shares.ravel(), corners.ravel(), indptr), shape=model.embedding.shape)
 
 
 def dense_pattern(values):
