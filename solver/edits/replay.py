@@ -24,13 +24,14 @@ PARTS = 4
 
 @dataclass(frozen=True)
 class Replayed:
-    """An equilibrium: vertices ``x`` (p, 3) and the whole ``skin`` (V, 3), mm.
+    """An equilibrium: vertices ``x`` (p, 3), the ``skin`` (V, 3), both in mm, and the ``jaw`` (5,).
 
     ``inverted`` tets there are, and the ``seconds`` that it took to find from the person's rest.
     """
 
     x: Floats
     skin: Floats
+    jaw: Floats
     inverted: int
     seconds: float
 
@@ -65,4 +66,4 @@ class Replay:
 
     def _replayed(self, x: Floats, jaw: Floats, seconds: float) -> Replayed:
         face = self._face
-        return Replayed(x, face.whole_skin(x, jaw), face.flesh.inverted(x), seconds)
+        return Replayed(x, face.whole_skin(x, jaw), jaw, face.flesh.inverted(x), seconds)

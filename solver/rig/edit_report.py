@@ -12,6 +12,7 @@ import numpy as np
 
 from solver.anatomy.tetrahedra import volumes
 from solver.archive import csr_arrays
+from solver.contact.penetration import Gauge
 from solver.edits.edited import Edited
 from solver.edits.replay import Replayed
 from solver.model import SubjectModel
@@ -66,7 +67,8 @@ class EditedPerson:
 def edit_report(person: EditedPerson) -> dict[str, Any]:
     """Return the figures of ``edit.json``: lengths in mm, volumes in ml."""
     face = person.unedited.face
-    expressions = [_expression(person, each) for each in person.expressions]
+    gauge = Gauge(person.edited.model)
+    expressions = [_expression(person, each, gauge) for each in person.expressions]
     drifts = [each["drift_mm"] for each in expressions if each["drift_mm"] is not None]
     return {
         "format": FORMAT,
@@ -76,8 +78,7 @@ def edit_report(person: EditedPerson) -> dict[str, Any]:
         "neutral": {
             "moved_mm": float(person.moved_mm[face].mean()),
             "moved_max_mm": float(person.moved_mm[face].max()),
-            "inverted": person.after.inverted,
-            "seconds": round(person.after.seconds, 2),
+            **_solved(person.after, gauge),
         },
         "expressions": expressions,
         "drift_mm": float(np.mean(drifts)) if drifts else None,
@@ -161,7 +162,7 @@ def _regions(person: EditedPerson) -> dict[str, dict[str, float]]:
     return found
 
 
-def _expression(person: EditedPerson, compared: Compared) -> dict[str, Any]:
+def _expression(person: EditedPerson, compared: Compared, gauge: Gauge) -> dict[str, Any]:
     face, before, after = person.unedited.face, compared.before, compared.after
     drift = person.drift_mm(compared)
     figures: dict[str, Any] = {
@@ -174,9 +175,16 @@ def _expression(person: EditedPerson, compared: Compared) -> dict[str, Any]:
         figures["motion_mm"] = _mean(before.skin[face] - person.before.skin[face])
         figures["off_fit_mm"] = _mean(before.skin[face] - compared.fitted[face])
     if after is not None:
-        figures["inverted"] = after.inverted
-        figures["seconds"] = round(after.seconds, 2)
+        figures |= _solved(after, gauge)
     return figures
+
+
+def _solved(pose: Replayed, gauge: Gauge) -> dict[str, Any]:
+    return {
+        "inverted": pose.inverted,
+        "penetration_mm": gauge.at(pose.x, pose.jaw).most,
+        "seconds": round(pose.seconds, 2),
+    }
 
 
 def _mean(motion: Floats) -> float:

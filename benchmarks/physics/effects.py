@@ -1,0 +1,172 @@
+"""Show 5: edits of a fitted person, and what they do to volume and expressions; fibre muscles.
+
+Every scene of ``examples/scenes`` with edits and no motion is made, and expressions of the rig are
+replayed with the same activations, contact on. ``change_ml`` and ``change_percent`` are of the
+flesh's volume, ``moved_mm`` the mean motion of the face at rest, ``drift_mm`` how much the motions
+of the expressions differ from those before the edit, ``motion_mm`` being these, ``penetration_mm``
+the deepest of all poses. ``fibres`` compares the rig's expressions as simulated with its blended
+muscles and with muscles that contract along their fibres only: the mean distance to the fits.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse as sp
+
+from benchmarks.documents import Figures
+from solver.drawing.head import Head
+from solver.drawing.page import HEADER, Page
+from solver.drawing.render import faded, render
+from solver.edits.edit import apply
+from solver.edits.edited import Edited
+from solver.edits.replay import Replay, Replayed
+from solver.errors import SolveError
+from solver.model import SubjectModel
+from solver.rig.edit_report import Compared, EditedPerson, edit_report
+from solver.rig.pictures import THREE_QUARTER, face_camera
+from solver.rig.result import ExpressionFit, load_activations, load_weights
+from solver.scene.edits import edits_of
+from solver.scene.physics import Physics, physics_of
+from solver.scene.places import Places
+from solver.surface import Floats
+
+SCENES = Path(__file__).parents[2] / "examples" / "scenes"
+EFFECTS = ("fat", "slim", "full_cheeks", "chin_forward", "lip_filler", "palsy", "zombie")
+EXPRESSIONS = ("smile", "surprise", "disgust")
+CELL = (250, 300)
+NO_CONTACT = {"lips": False, "teeth": False, "eyes": False}
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A model with S (n, m + 1), some of its rig's expressions, and its places."""
+
+    model: SubjectModel
+    S: sp.csr_array
+    fits: Sequence[ExpressionFit]
+    places: Places
+
+    @classmethod
+    def load(
+        cls, model: Path, rig: Path, template: Path | None, names: Sequence[str] = EXPRESSIONS
+    ) -> Subject:
+        """Read a model, the folder of a rig and the model's template."""
+        person = SubjectModel.load(model)
+        fits = load_activations(rig / "activations.npz", person)
+        return cls(
+            person,
+            load_weights(rig / "muscle_weights.npz", person),
+            [fit for fit in fits if fit.name in names],
+            Places.of(person, template, {}),
+        )
+
+
+def run(subject: Subject, names: Sequence[str] = EFFECTS) -> dict[str, EditedPerson]:
+    """Make the edits of the scenes with these names."""
+    physics = physics_of({})
+    before, all_before = poses(Edited.nothing(subject.model, subject.S), physics, subject.fits)
+    people = {}
+    for name in names:
+        entries = json.loads((SCENES / f"{name}.json").read_text())["edits"]
+        edited = apply(edits_of(entries, subject.places), subject.model, subject.S)
+        after, all_after = poses(edited, physics, subject.fits)
+        compared = [
+            Compared(fit.name, one, other, fit.skin)
+            for fit, one, other in zip(subject.fits, all_before, all_after, strict=True)
+        ]
+        people[name] = EditedPerson(edited, subject.model, before, after, compared)
+    return people
+
+
+def figures(people: Mapping[str, EditedPerson]) -> Figures:
+    """Return the figures of every edit."""
+    return {name: _figures(edit_report(person)) for name, person in people.items()}
+
+
+def fibres(subject: Subject) -> Figures:
+    """Return the mean distances to the fits, expression by expression, without contact."""
+    nothing = Edited.nothing(subject.model, subject.S)
+    blended = physics_of({"contact": NO_CONTACT})
+    found = {
+        kind: poses(nothing, physics, subject.fits)[1]
+        for kind, physics in (
+            ("blended", blended),
+            ("fibre", replace(blended, fibre_muscles=True)),
+        )
+    }
+    face = subject.model.face
+    at_rest = subject.model.skin.vertices[face]
+
+    def off(pose: Replayed | None, skin: Floats) -> float | None:
+        return None if pose is None else _mean(pose.skin[face] - skin[face])
+
+    return {
+        fit.name: {
+            "motion_mm": _mean(fit.skin[face] - at_rest),
+            **{f"{kind}_mm": off(each[k], fit.skin) for kind, each in found.items()},
+        }
+        for k, fit in enumerate(subject.fits)
+    }
+
+
+def poses(
+    edited: Edited, physics: Physics, fits: Sequence[ExpressionFit]
+) -> tuple[Replayed, list[Replayed | None]]:
+    """Return an edited person at rest and in expressions, None for one that finds no rest."""
+    replay = Replay(edited, physics.face(edited), physics.contacts(edited))
+    found: list[Replayed | None] = []
+    for fit in fits:
+        try:
+            found.append(replay.pose(physics.activations(edited, fit.activations), fit.jaw))
+        except SolveError:
+            found.append(None)
+    return replay.neutral, found
+
+
+def sheet(people: Mapping[str, EditedPerson], path: Path) -> None:
+    """Draw all edited persons in columns: at rest from two sides, and in their expressions."""
+    first = next(iter(people.values()))
+    model = first.unedited
+    unedited = replace(
+        first,
+        edited=replace(first.edited, model=model),
+        after=first.before,
+        expressions=[replace(each, after=each.before) for each in first.expressions],
+    )
+    columns = {"unedited": unedited, **people}
+    width, height = CELL
+    page = Page(width * len(columns), HEADER + 30 + (2 + len(first.expressions)) * height)
+    page.heading("Edits", "one rig, the same activations in other flesh")
+    for column, (name, person) in enumerate(columns.items()):
+        left, head = column * width, Head(person.edited.model.skin)
+        page.text((left + width // 2, HEADER), name.replace("_", " "), 17, anchor="ma")
+        views = [(person.after.skin, 0.0), (person.after.skin, THREE_QUARTER)]
+        views += [(each.after.skin, 0.0) for each in person.expressions if each.after is not None]
+        for row, (skin, yaw) in enumerate(views):
+            camera = face_camera(model.skin.vertices, model.face, yaw)
+            image = faded(render([head.body(head.lit(skin))], camera, width, height))
+            page.panel((left, HEADER + 30 + row * height), image)
+    page.save(path)
+
+
+def _figures(report: Figures) -> Figures:
+    reached = [each for each in report["expressions"] if each["status"] == "found"]
+    solved = [report["neutral"], *reached]
+    return {
+        **{name: report["volume"][name] for name in ("change_ml", "change_percent")},
+        "moved_mm": report["neutral"]["moved_mm"],
+        "drift_mm": {each["name"]: each["drift_mm"] for each in report["expressions"]},
+        "motion_mm": {each["name"]: each["motion_mm"] for each in reached},
+        "inverted": sum(each["inverted"] for each in solved),
+        "penetration_mm": max(each["penetration_mm"] for each in solved),
+        "seconds": sum(each["seconds"] for each in solved),
+    }
+
+
+def _mean(motion: Floats) -> float:
+    return float(np.linalg.norm(motion, axis=1).mean())

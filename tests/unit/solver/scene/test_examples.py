@@ -1,0 +1,41 @@
+"""The example scenes are scenes, and name what the built-in person has."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from solver.anatomy.builtin import builtin_template
+from solver.scans.landmarks import landmark_vertices
+from solver.scene.document import check
+
+FOLDER = Path(__file__).parents[4] / "examples" / "scenes"
+SCENES = sorted(path.name for path in FOLDER.glob("*.json"))
+
+
+def named(value, key):
+    """Return all strings under a key, and in lists under it."""
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            found = [inner] if isinstance(inner, str) else inner if isinstance(inner, list) else []
+            if name == key:
+                yield from (each for each in found if isinstance(each, str))
+            yield from named(inner, key)
+    elif isinstance(value, list):
+        for each in value:
+            yield from named(each, key)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_an_example_is_a_scene_of_the_built_in_person(name):
+    scene = json.loads((FOLDER / name).read_text())
+    check(scene, "simulate" if {"keys", "head"} & set(scene) else "edit")
+    template = builtin_template()
+    assert {*named(scene, "at"), *named(scene, "spots")} <= set(landmark_vertices(template))
+    assert set(named(scene, "regions")) <= set(template.regions)
+
+
+def test_all_examples_are_told_of():
+    told = (FOLDER / "README.md").read_text()
+    assert SCENES
+    assert all(f"`{name}`" in told for name in SCENES)
