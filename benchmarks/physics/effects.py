@@ -4,8 +4,8 @@ Every scene of ``examples/scenes`` with edits and no motion is made, and express
 replayed with the same activations, contact on. ``change_ml`` and ``change_percent`` are of the
 flesh's volume, ``moved_mm`` the mean motion of the face at rest, ``drift_mm`` how much the motions
 of the expressions differ from those before the edit, ``motion_mm`` being these, ``penetration_mm``
-the deepest of all poses. ``fibres`` compares the rig's expressions as simulated with its blended
-muscles and with muscles that contract along their fibres only: the mean distance to the fits.
+the deepest of all poses. ``fibres`` compares the rig's muscles of six numbers with muscles that
+only contract along their fibres.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ from solver.edits.edit import apply
 from solver.edits.edited import Edited
 from solver.edits.replay import Replay, Replayed
 from solver.errors import SolveError
+from solver.fitting.face import Face
+from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.rig.edit_report import Compared, EditedPerson, edit_report
 from solver.rig.pictures import THREE_QUARTER, face_camera
@@ -33,12 +35,14 @@ from solver.rig.result import ExpressionFit, load_activations, load_weights
 from solver.scene.edits import edits_of
 from solver.scene.physics import Physics, physics_of
 from solver.scene.places import Places
+from solver.simulation.fibre_fit import fit_fibres
 from solver.surface import Floats
 
 SCENES = Path(__file__).parents[2] / "examples" / "scenes"
 EFFECTS = ("fat", "slim", "full_cheeks", "chin_forward", "lip_filler", "palsy", "zombie")
 EXPRESSIONS = ("smile", "surprise", "disgust")
 CELL = (250, 300)
+FIT_TOLERANCE = 1e-5
 NO_CONTACT = {"lips": False, "teeth": False, "eyes": False}
 
 
@@ -89,29 +93,27 @@ def figures(people: Mapping[str, EditedPerson]) -> Figures:
 
 
 def fibres(subject: Subject) -> Figures:
-    """Return the mean distances to the fits, expression by expression, without contact."""
-    nothing = Edited.nothing(subject.model, subject.S)
+    """Return the mean distances to the fits, expression by expression, without contact.
+
+    ``blended_mm`` are the muscles as they were fitted, ``projected_mm`` their contractions along
+    the fibres, ``fibre_mm`` contractions and jaw fitted anew.
+    """
+    model, nothing = subject.model, Edited.nothing(subject.model, subject.S)
     blended = physics_of({"contact": NO_CONTACT})
-    found = {
-        kind: poses(nothing, physics, subject.fits)[1]
-        for kind, physics in (
-            ("blended", blended),
-            ("fibre", replace(blended, fibre_muscles=True)),
-        )
-    }
-    face = subject.model.face
-    at_rest = subject.model.skin.vertices[face]
-
-    def off(pose: Replayed | None, skin: Floats) -> float | None:
-        return None if pose is None else _mean(pose.skin[face] - skin[face])
-
-    return {
-        fit.name: {
-            "motion_mm": _mean(fit.skin[face] - at_rest),
-            **{f"{kind}_mm": off(each[k], fit.skin) for kind, each in found.items()},
+    as_fitted = poses(nothing, blended, subject.fits)[1]
+    projected = poses(nothing, replace(blended, fibre_muscles=True), subject.fits)[1]
+    face = Face(model, linear=fastest(), tolerance=FIT_TOLERANCE)
+    found = {}
+    for fit, one, other in zip(subject.fits, as_fitted, projected, strict=True):
+        wanted = fit.skin[model.face]
+        best = face.face_points(fit_fibres(face, subject.S, wanted).x)
+        found[fit.name] = {
+            "motion_mm": _mean(wanted - model.skin.vertices[model.face]),
+            "blended_mm": None if one is None else _mean(one.skin[model.face] - wanted),
+            "fibre_mm": _mean(best - wanted),
+            "projected_mm": None if other is None else _mean(other.skin[model.face] - wanted),
         }
-        for k, fit in enumerate(subject.fits)
-    }
+    return found
 
 
 def poses(

@@ -44,6 +44,17 @@ def fibre_activations(model: SubjectModel, S: sp.csr_array, gamma: Floats) -> Fl
     return np.ascontiguousarray(active + isotropic[:, None] * IDENTITY)
 
 
+def activation_rates(
+    model: SubjectModel, S: sp.csr_array, muscle: int, gamma: float
+) -> tuple[Ints, Floats]:
+    """Return the tets (t,) that a muscle is in, and how (t, 6) they change with its ``gamma``."""
+    rows, columns = _entries(S)
+    own = np.flatnonzero(columns == muscle + 1)
+    along = _along(model, S)[own]
+    across = -0.5 * gamma**-1.5
+    return rows[own], S.data[own, None] * (along + across * (IDENTITY - along))
+
+
 def nearest_fibre(model: SubjectModel, S: sp.csr_array, a: Floats) -> Floats:
     """Return the contractions (m,) along the fibres that activations ``a`` (m, 6) come to.
 

@@ -25,7 +25,7 @@ from solver.simulation.state import Drive, Motion
 from solver.surface import Floats
 
 TOLERANCE = 1e-5
-SETTLED_MM = 0.02
+SETTLED_MM = 0.005
 SMALLEST_PART = 2.0**-6
 """Part of a step below which it is not cut further."""
 
@@ -73,7 +73,7 @@ class Simulator:
         The linear solver, the fastest by default.
     tolerance, settled_mm
         A step ends at this residual, relative to nodal forces at unit strain, or when corrections
-        stay shorter than this.
+        stay shorter than this, root mean square over the vertices.
     """
 
     def __init__(

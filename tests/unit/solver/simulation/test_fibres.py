@@ -11,9 +11,8 @@ from solver.simulation.fibres import LEAST, fibre_activations, nearest_fibre
 from tests.unit.solver.block import block_model
 
 
-@pytest.fixture(scope="module")
-def model():
-    """The block, the left muscle's fibres along x, the right one's at random."""
+def fibred_block():
+    """Return the block, the left muscle's fibres along x, the right one's at random."""
     block = block_model()
     rng = np.random.default_rng(3)
     fibres = rng.normal(size=(block.weights.nnz, 3))
@@ -21,6 +20,11 @@ def model():
     columns = block.weights.indices
     fibres[columns == 0], fibres[columns == 1] = 0.0, [1.0, 0.0, 0.0]
     return replace(block, fibres=fibres)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return fibred_block()
 
 
 def matrices(a):

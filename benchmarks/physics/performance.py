@@ -1,0 +1,129 @@
+"""Show 6: ten seconds of a recording, played by a person's muscles, quasi-static with contact.
+
+Figures are a job's (docs/simulation.md), with these besides: ``direct_mm`` compares with driving
+the shapes themselves (neutral + sum of weight times displacement), the distance over the face's
+points, mean of all frames and in the worst frame. ``shapes_mm`` is how far the solved blendshapes
+are off theirs, the mean of all and the worst. ``clamped`` counts the frames in which a muscle was
+kept from folding. ``glb.errors`` and ``glb.warnings`` are the Khronos validator's, None where it
+could not run.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.documents import Figures
+from benchmarks.physics.fitted import Fitted
+from myoface.demo.khronos_validator import khronos_validation
+from solver.anatomy.builtin_source import cache_directory
+from solver.anatomy.shapes import ShapeBasis
+from solver.animation.recording import RecordedDrives, from_recording
+from solver.drawing.head import Head
+from solver.drawing.page import HEADER, MARGIN, Page
+from solver.drawing.render import faded, render
+from solver.pipeline.play import fingerprint, finish, play, skin_of
+from solver.progress import silent
+from solver.rig.motion import MotionFrame
+from solver.rig.pictures import face_camera
+from solver.scans.live_link import LiveLinkTake
+from solver.scene.places import Places
+from solver.scene.stage import Stage
+from solver.surface import Floats
+
+START, FRAMES = 2000, 300
+"""Of alex_rom_3.csv: jaw, lips and cheeks, with hardly a frame at rest."""
+TITLE = "Ten seconds of a recording"
+CELL, SIDE, FOOTER = (270, 330), 90, 64
+SHOWN = 5
+
+
+@dataclass(frozen=True)
+class Played:
+    """A performance: ``skins`` (f, V, 3) are in the head's frame, ``direct`` what they stand for.
+
+    ``direct`` (f, k, 3) are the face's points where the shapes themselves lead, mm.
+    """
+
+    frames: Sequence[MotionFrame]
+    skins: Floats
+    direct: Floats
+
+    def distances(self, person: Fitted) -> Floats:
+        """Return how far the face's points are off, (f, k) in mm."""
+        off = self.skins[:, person.model.face] - self.direct
+        return np.asarray(np.linalg.norm(off, axis=2))
+
+
+def run(
+    person: Fitted,
+    basis: ShapeBasis,
+    take: LiveLinkTake,
+    out: Path,
+    *,
+    start: int = START,
+    frames: int = FRAMES,
+) -> tuple[Figures, Played]:
+    """Play a part of ``take``, write its files into ``out`` and measure it.
+
+    ``basis`` are the shapes that the person's blendshapes were solved for. What is in ``out`` of an
+    earlier run of the same is gone on with.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    drives = from_recording(take, person.shapes, person.model, start, start + frames)
+    stage = Stage({}, Places(person.model, {}), person.S, drives)
+    scene = fingerprint({"start": start, "frames": frames, "model": person.model.sha256}, [])
+    done = play(stage, out, scene, silent, resume=True, share=(0.0, 1.0))
+    skins = np.array([skin_of(stage, frame) for frame in done])
+    played = Played(done, skins, _direct(person, basis, drives))
+    off = played.distances(person).mean(axis=1)
+    shapes = [shape.mean_mm for shape in person.shapes.shapes.values()]
+    figures = {
+        "direct_mm": {"mean": float(off.mean()), "worst_frame": float(off.max())},
+        "shapes_mm": {"mean": float(np.mean(shapes)), "worst": max(shapes)},
+        "clamped": sum(drives(time).clamped > 0 for time in drives.times),
+    }
+    finish(stage, done, out, silent, title=TITLE, video=True, more=figures)
+    told = json.loads((out / "animation.json").read_text(encoding="utf-8"))
+    found = khronos_validation(out / "animation.glb", cache_directory() / "gltf-validator")
+    told["glb"] |= {"errors": found.errors, "warnings": found.warnings}
+    return told, played
+
+
+def _direct(person: Fitted, basis: ShapeBasis, drives: RecordedDrives) -> Floats:
+    """Return the face's points (f, k, 3) of the shapes' own blend."""
+    face = person.model.face
+    rows = [basis.expression_names.index(name) for name in person.shapes.blend.names]
+    shapes = basis.expressions[rows][:, face].astype(np.float64)
+    return np.asarray(person.model.skin.vertices[face] + np.tensordot(drives.weights, shapes, 1))
+
+
+def picture(path: Path, person: Fitted, played: Played) -> None:
+    """Draw frames in columns: driven directly, simulated, and the distance between them."""
+    model, (width, height) = person.model, CELL
+    head, camera = Head(model.skin), face_camera(model.skin.vertices, model.face, 0.0)
+    distances = played.distances(person)
+    page = Page(SIDE + SHOWN * width + MARGIN, HEADER + 30 + 3 * height + FOOTER)
+    detail = f"{len(played.frames)} frames, {distances.mean():.2f} mm apart on average"
+    page.heading(TITLE, detail)
+    for row, name in enumerate(("Shapes", "Muscles", "Apart")):
+        page.text((MARGIN, HEADER + 30 + row * height + height // 2), name, 18)
+    numbers = np.linspace(0, len(played.frames) - 1, SHOWN + 2).round().astype(int)[1:-1]
+    for column, number in enumerate(numbers):
+        left, frame, skin = SIDE + column * width, played.frames[number], played.skins[number]
+        words = f"{frame.time:.1f} s, mean {distances[number].mean():.2f} mm"
+        page.text((left + width // 2, HEADER), words, 17, anchor="ma")
+        shapes, apart = skin.copy(), np.full(len(skin), np.nan)
+        shapes[model.face], apart[model.face] = played.direct[number], distances[number]
+        lit = head.lit(skin)
+        for row, body in enumerate(
+            (head.body(head.lit(shapes)), head.body(lit), head.heat_map(lit, apart))
+        ):
+            page.panel((left, HEADER + 30 + row * height), faded(render([body], camera, *CELL)))
+    page.scale((SIDE + 20, HEADER + 30 + 3 * height + 12), 4 * width)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    page.save(path)
