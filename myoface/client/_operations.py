@@ -28,6 +28,7 @@ from myoface.resources import (
     Kind,
     LogLine,
     Me,
+    MotionFrame,
     NewKey,
     Progress,
     Resource,
@@ -369,6 +370,11 @@ def _follow(job: Job, watch: Watcher, patience: Patience) -> Flow[None]:
             if event.kind != "progress":
                 return
             watch(job.model_copy(update={"progress": Progress.model_validate(event.data)}))
+
+
+def _frame(values: dict[str, Any]) -> Frame | MotionFrame:
+    """Return a frame of a sequence, or of a simulation: that one has no status."""
+    return (Frame if "status" in values else MotionFrame).model_validate(values)
 
 
 def _succeeded(job: Job) -> Job:
