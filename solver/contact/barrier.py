@@ -20,10 +20,11 @@ from solver.contact.surface import ContactSurface, collision_mesh
 from solver.mechanics.boundary import Boundary
 from solver.surface import Floats, Surface
 
-DISTANCE_MM = 0.1
-"""Surfaces nearer than this push each other away."""
-STIFFNESS = 10.0
-"""The barrier's stiffness over that of the flesh."""
+DISTANCE_MM = 0.05
+"""Surfaces nearer than this push each other away: few are in a neutral face."""
+STIFFNESS = 800.0
+"""The barrier's stiffness over that of the flesh: pressed lips settle where it pushes firmly, not
+at its steep end."""
 SLIP_MM_S = 1.0
 """Speed below which friction holds: it then grows with the speed."""
 

@@ -91,22 +91,29 @@ def collision_mesh(points: Floats, faces: Ints) -> ipctk.CollisionMesh:
 def crossing_vertices(points: Floats, faces: Ints) -> Ints:
     """Return the corners of triangles and the ends of edges that cross each other, sorted."""
     edges = np.asarray(ipctk.edges(np.asfortranarray(faces, dtype=np.int32)), dtype=np.int64)
-    return np.flatnonzero(_crossing(np.ascontiguousarray(points), edges, faces))
+    faces = faces[np.argsort(points[faces, 0].min(axis=1))]
+    low, high = points[faces].min(axis=1), points[faces].max(axis=1)
+    ends = points[edges, 0]
+    # triangles are sorted along x: of all, those between these may be near an edge
+    first = np.searchsorted(low[:, 0], ends.min(axis=1) - (high - low)[:, 0].max())
+    last = np.searchsorted(low[:, 0], ends.max(axis=1))
+    return np.flatnonzero(_crossing(points, edges, faces, low, high, first, last))
 
 
 @nb.njit(cache=True)
-def _crossing(points: Floats, edges: Ints, faces: Ints) -> NDArray[np.bool_]:
-    """Mark (s,) the vertices of every edge and triangle that cross."""
-    low = np.empty((len(faces), 3))
-    high = np.empty((len(faces), 3))
-    for f in range(len(faces)):
-        for i in range(3):
-            a, b, c = points[faces[f, 0], i], points[faces[f, 1], i], points[faces[f, 2], i]
-            low[f, i], high[f, i] = min(a, b, c), max(a, b, c)
+def _crossing(
+    points: Floats, edges: Ints, faces: Ints, low: Floats, high: Floats, first: Ints, last: Ints
+) -> NDArray[np.bool_]:
+    """Mark (s,) the vertices of every edge and triangle that cross.
+
+    ``low`` and ``high`` (f, 3) bound the triangles, of which an edge is compared with those from
+    ``first`` to ``last``.
+    """
     marks = np.zeros(len(points), dtype=np.bool_)
-    for start, end in edges:
+    for number in range(len(edges)):
+        start, end = edges[number]
         p, q = points[start], points[end]
-        for f in range(len(faces)):
+        for f in range(first[number], last[number]):
             apart = False
             for i in range(3):
                 if max(p[i], q[i]) < low[f, i] or min(p[i], q[i]) > high[f, i]:

@@ -22,7 +22,7 @@ from solver.surface import Surface
 from tests.fixtures import fixture_model
 from tests.unit.solver.ball import ball
 
-GAP = 0.6 * DISTANCE_MM
+GAP = 0.4 * DISTANCE_MM
 STIFFNESS_PA = 3000.0
 
 
@@ -38,7 +38,7 @@ def on_itself(*parts):
 
 def two_balls():
     """One ball of skin over another one, nearly touching, not vertex above vertex."""
-    upper = ball([0.31, 5.0 + GAP / 2, 0.17], 5.0, 3)
+    upper = ball([0.11, 5.0 + GAP / 2, 0.07], 5.0, 3)
     lower = ball([0.0, -5.0 - GAP / 2, 0.0], 5.0, 3)
     return on_itself(upper, lower), len(upper.vertices)
 
@@ -104,7 +104,7 @@ def test_an_object_pulls_before_it_arrives():
     surface, _ = two_balls()
     x = surface.rest
     top = x[:, 1].max()
-    glass = ball([0.0, top + GAP + 3.0, 0.0], 3.0)
+    glass = ball([0.05, top + GAP + 3.0, 0.02], 3.0)
     barrier = Barrier(surface, STIFFNESS_PA, objects=[glass])
     place(barrier, x, glass.vertices)
     before = barrier.gradient(x)
@@ -113,7 +113,7 @@ def test_an_object_pulls_before_it_arrives():
     place(barrier, x, nearer)
     change = barrier.gradient(x) - before
     assert np.abs(change).max() > 1e-4
-    np.testing.assert_allclose(pull, change, atol=0.05 * np.abs(change).max())
+    np.testing.assert_allclose(pull, change, atol=0.1 * np.abs(change).max())
 
 
 def test_objects_alone_leave_skin_to_itself():
@@ -131,10 +131,10 @@ def test_friction_holds_back_and_obeys_coulomb():
     place(still, x)
     normal = np.abs(still.gradient(x)[:upper, 1].sum())
     moved = x.copy()
-    moved[:upper, 0] += 0.02
+    moved[:upper, 0] += 0.01
     smooth = Barrier(surface, STIFFNESS_PA)
     place(smooth, x)
-    # two tenths of a millimetre a second: slower than what slips
+    # a tenth of a millimetre a second: slower than what slips
     place(still, x, seconds=0.1)
     slow = (still.gradient(moved) - smooth.gradient(moved))[:upper, 0].sum()
     place(still, x, seconds=0.001)
