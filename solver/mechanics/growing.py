@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from solver.mechanics.linear import Factor, LinearSolver, analyse
 from solver.surface import Floats, Ints
@@ -50,9 +51,9 @@ class GrowingSolver:
         keys = _keys(extra)
         places = self._places(keys)
         if places is None:
-            whole = np.union1d(self._known, keys)
+            whole = _joined(self._known, keys)
             if len(whole) > LARGEST * len(self._fixed):
-                whole = np.union1d(self._fixed, keys)
+                whole = _joined(self._fixed, keys)
             self._analyse(whole)
             places = np.searchsorted(self._known, keys)
         values = np.zeros(len(self._known))
@@ -62,9 +63,8 @@ class GrowingSolver:
 
     def _places(self, keys: Ints) -> Ints | None:
         """Return where entries are in the analysed pattern, None if one of them is not."""
-        places = np.searchsorted(self._known, keys)
-        places[places == len(self._known)] = 0
-        return places if (self._known[places] == keys).all() else None
+        places, found = _look_up(self._known, keys)
+        return places if found.all() else None
 
     def _analyse(self, keys: Ints) -> None:
         rows, columns = np.divmod(keys, self._size)
@@ -91,3 +91,15 @@ def _keys(matrix: sp.csr_array) -> Ints:
     """Return row times size plus column of every stored entry."""
     rows = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
     return np.asarray(rows * matrix.shape[1] + matrix.indices)
+
+
+def _look_up(known: Ints, keys: Ints) -> tuple[Ints, NDArray[np.bool_]]:
+    """Return where each of some keys is, or belongs, in ``known``, sorted, and whether it is."""
+    places = np.searchsorted(known, keys)
+    return places, known[np.minimum(places, len(known) - 1)] == keys
+
+
+def _joined(known: Ints, keys: Ints) -> Ints:
+    """Return sorted keys with others put in: nearly all are there, and sorting them is dear."""
+    new = np.sort(keys[~_look_up(known, keys)[1]])
+    return np.insert(known, np.searchsorted(known, new), new)

@@ -45,6 +45,10 @@ COASTING = 0.5
 """Part of the residual that a step with an old factor leaves at most: else a new one is made."""
 
 
+_Step = tuple[Floats, Floats, float]
+"""Where a step ends, x (p, 3), the gradient (size,) there, and the part of it that was taken."""
+
+
 @dataclass(frozen=True)
 class Minimum:
     """Vertices x (p, 3) of least energy, the residual there, and the steps that led to it."""
@@ -108,9 +112,10 @@ class Newton:
                 found = self._newton(x, a, goal, gradient)
                 if found is None:
                     break
-            y, gradient = found
+            y, gradient, part = found
             length = np.sqrt(((y - x) ** 2).sum(axis=1).mean())
-            settled = settled + 1 if length <= self._settled_mm else 0
+            # a step that something is in the way of is short, and says nothing
+            settled = settled + 1 if part == 1.0 and length <= self._settled_mm else 0
             steps += 1
             x = y
         else:
@@ -154,8 +159,8 @@ class Newton:
 
     def _chord(
         self, x: Floats, a: Floats, goal: Boundary, gradient: Floats, accelerator: Accelerator
-    ) -> tuple[Floats, Floats] | None:
-        """Step with the last factor: return x and the gradient there, None if that is no use."""
+    ) -> _Step | None:
+        """Step with the last factor; return None if that is no use."""
         if self._factor is None:
             return None
         correction = self._factor.solve(-gradient)
@@ -166,12 +171,10 @@ class Newton:
         # NaN is no progress either
         if not np.linalg.norm(after) <= COASTING * np.linalg.norm(gradient):
             return None
-        return y, after
+        return y, after, 1.0
 
-    def _newton(
-        self, x: Floats, a: Floats, goal: Boundary, gradient: Floats
-    ) -> tuple[Floats, Floats] | None:
-        """Take a Newton step: return x and the gradient there, None if the energy does not fall."""
+    def _newton(self, x: Floats, a: Floats, goal: Boundary, gradient: Floats) -> _Step | None:
+        """Take a Newton step; return None if the energy does not fall along it."""
         direction = self._factorised(x, a).solve(-gradient)
         energy, slope = self._energy(x, a), float(gradient @ direction)
         part = self._feasible(x, self._flesh.moved(x, direction), goal)
@@ -184,7 +187,7 @@ class Newton:
                 gained = np.linalg.norm(after) <= COASTING * np.linalg.norm(gradient)
                 if self._share or part < 1.0 or not gained:
                     self._factor = None
-                return y, after
+                return y, after, part
             part *= 0.5
         return None
 

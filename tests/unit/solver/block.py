@@ -93,7 +93,7 @@ def head_block(cells=(8, 6, 2)):
 
 
 def in_tets(model):
-    """Return the embedding with all four corners of a tet stored in every row, as contact has it."""
+    """Return the embedding with a tet's four corners in every row, as contact has it."""
     vertices = model.embedding.indices
     tets = [np.flatnonzero((model.tets == vertex).any(axis=1))[0] for vertex in vertices]
     corners = model.tets[tets]
