@@ -199,6 +199,24 @@ class Frame(Resource):
     seconds: float
 
 
+class MotionFrame(Resource):
+    """A frame of a simulation, see docs/simulation.md; rad, mm and s."""
+
+    frame: int
+    time: float
+    activations: list[list[float]]
+    jaw: list[float]
+    head: list[float]
+    eyes: list[list[float]]
+    penetration_mm: float
+    behind_teeth: int
+    inverted: int
+    iterations: int
+    halvings: int
+    residual: float
+    seconds: float
+
+
 class Rig(Resource):
     """A fitted face."""
 

@@ -112,9 +112,16 @@ class Studio:
         return job
 
     def pretend(
-        self, job_id: str, artifacts: dict[str, str], summary: dict[str, Any] | None = None
+        self,
+        job_id: str,
+        artifacts: dict[str, str],
+        summary: dict[str, Any] | None = None,
+        rig: dict[str, str] | None = None,
     ) -> None:
-        """Do what a worker does with a job, without one; ``artifacts`` is name -> sha256."""
+        """Do what a worker does with a job, without one; ``artifacts`` is name -> sha256.
+
+        ``rig`` has the ids of the subject and the model's job, if the job leaves a rig.
+        """
         store = self.http.app.state.store.of(DEFAULT_TENANT)  # type: ignore[attr-defined]
         left = [
             Artifact(
@@ -129,7 +136,10 @@ class Studio:
         with store.write() as session:
             claim = jobs.take(session, job_id, "test", 10)
             assert claim
-            assert jobs.succeed(session, job_id, claim.attempt, left, summary=summary)
+            made = rig and Rig(
+                tenant_id=claim.tenant_id, job_id=job_id, expressions=[], summary={}, **rig
+            )
+            assert jobs.succeed(session, job_id, claim.attempt, left, summary=summary, rig=made)
 
     def pretend_rig(self, job_id: str, subject_id: str) -> tuple[Rig, Artifact]:
         """Do what a worker does that leaves a rig with a file, for the tenant whose job it is."""

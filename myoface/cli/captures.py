@@ -36,6 +36,7 @@ captures = typer.Typer(
     help="A subject's scans: add, check, register, list, delete.", no_args_is_help=True
 )
 
+NO_SCANS = ("performance", "asset")
 FRAMES = ".npy"
 """What files of a performance end in."""
 
@@ -59,6 +60,9 @@ def add(
     performance: Annotated[
         bool, typer.Option("--performance", help="frames of skin points, .npy")
     ] = False,
+    asset: Annotated[
+        bool, typer.Option("--asset", help="a file that scenes name: CSV, NPY, OBJ, PLY, STL, GLB")
+    ] = False,
     raw: Annotated[bool, typer.Option("--raw", help="as the scanner made it")] = False,
     landmarks: LandmarksFile = None,
     check: Annotated[bool, typer.Option("--check", help="and tell whether it can be used")] = False,
@@ -75,10 +79,14 @@ def add(
         raise typer.BadParameter("--neutral and --landmarks take one file")
     if performance and (neutral or raw or check):
         raise typer.BadParameter("--performance takes neither --neutral, --raw nor --check")
+    if asset and (performance or neutral or raw or check):
+        raise typer.BadParameter("--asset takes no --performance, --neutral, --raw or --check")
     for file in files:
-        if not performance and file.suffix.lower() == FRAMES:
+        if not (performance or asset) and file.suffix.lower() == FRAMES:
             raise typer.BadParameter(f"{file.name}: frames are added with --performance")
-    role: Role = "neutral" if neutral else "performance" if performance else "expression"
+    role: Role = "expression"
+    if neutral or performance or asset:
+        role = "neutral" if neutral else "performance" if performance else "asset"
     with Client(url) as client:
         added = [
             _upload(client, subject, file, role, registered=not raw, marks=landmarks)
@@ -107,7 +115,7 @@ def check(
 ) -> None:
     """Tell whether scans can be used, and what to do if not; ends with 3 if one is bad."""
     with Client(url) as client:
-        scans = (each for each in client.captures(subject) if each.role != "performance")
+        scans = (each for each in client.captures(subject) if each.role not in NO_SCANS)
         _check(client, subject, choose(scans, names), frame_options(unit, up, forward), output)
 
 
@@ -211,8 +219,8 @@ def waiting(captures: Iterable[Capture]) -> list[Capture]:
 
 
 def _form(capture: Capture, captures: list[Capture]) -> str:
-    if capture.role == "performance":
-        return "frames"
+    if capture.role in NO_SCANS:
+        return "frames" if capture.role == "performance" else "file"
     if capture.registered:
         return "registered"
     if capture.registration is None:

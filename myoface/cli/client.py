@@ -118,7 +118,7 @@ def show_kinds(
     elif kind in found:
         options = found[kind].options["properties"].items()
         rows = [
-            (name, json.dumps(schema["default"]), _allowed(schema), schema["description"])
+            (name, json.dumps(schema.get("default")), _allowed(schema), schema["description"])
             for name, schema in options
         ]
         show_table(("option", "default", "allowed", "what"), rows)
@@ -131,7 +131,7 @@ def _allowed(schema: dict[str, Any]) -> str:
     if "enum" in schema:
         return ", ".join(map(json.dumps, schema["enum"]))
     limits = [f"{sign} {schema[key]}" for key, sign in LIMITS.items() if key in schema]
-    return ", ".join(limits) or str(schema["type"])
+    return ", ".join(limits) or str(schema.get("type", "see GET /v1/solvers"))
 
 
 @jobs.command("submit")
@@ -142,9 +142,13 @@ def submit_job(
         list[str] | None, typer.Option(help="name or id of a capture; repeat")
     ] = None,
     rig: Annotated[
-        str | None, typer.Option(help="rig id, for fit_activations, fit_sequence, build_preview")
+        str | None, typer.Option(help="rig id, for fit_activations and all that plays a rig")
     ] = None,
     options: Annotated[str, typer.Option(help="JSON, see `myoface jobs kinds KIND`")] = "{}",
+    scene: Annotated[
+        Path | None,
+        typer.Option(exists=True, dir_okay=False, help="JSON, for simulate, animate and edit"),
+    ] = None,
     wait: Annotated[bool, typer.Option(help="follow the job until it ends")] = True,
     url: Url = DEFAULT_URL,
 ) -> None:
@@ -163,7 +167,7 @@ def submit_job(
             subject,
             captures=[each.id for each in chosen],
             rig_id=rig,
-            options=_read_options(options),
+            options=_read_options(options) | _read_scene(scene),
         )
         out.print(job.id)
         if wait:
@@ -178,6 +182,16 @@ def _read_options(text: str) -> dict[str, Any]:
     if not isinstance(options, dict):
         raise typer.BadParameter("--options must be a JSON object")
     return options
+
+
+def _read_scene(file: Path | None) -> dict[str, Any]:
+    """Return the option that a scene's file is."""
+    if file is None:
+        return {}
+    try:
+        return {"scene": json.loads(file.read_text(encoding="utf-8"))}
+    except ValueError as error:
+        raise typer.BadParameter(f"{file.name} is not JSON: {error}") from error
 
 
 @jobs.command("retry")

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -41,6 +41,15 @@ LinearSolver = Annotated[
 ]
 MaxIterations = Annotated[int, typer.Option(min=1, max=500, help="at most so many of Gauss-Newton")]
 CaptureRole = Literal["unknown", "neutral", "expression"]
+SceneFile = Annotated[
+    Path, typer.Argument(exists=True, dir_okay=False, help="JSON, see docs/simulation.md")
+]
+Assets = Annotated[
+    list[str] | None,
+    typer.Option("--asset", help="NAME=FILE, a file that the scene names; may be repeated"),
+]
+Video = Annotated[bool, typer.Option("--video", help="write a film, too")]
+Resume = Annotated[bool, typer.Option("--resume", help="go on after the frames in the folder")]
 TemplateFile = Annotated[
     Path | None, typer.Option("--template", exists=True, help="template NPZ; default: built-in")
 ]
@@ -202,9 +211,7 @@ def fit_sequence(
     ] = False,
     max_iterations: MaxIterations = 12,
     linear_solver: LinearSolver = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="go on after the frames in the folder")
-    ] = False,
+    resume: Resume = False,
 ) -> None:
     """Fit activations and jaw to every frame of a performance."""
     from solver.pipeline import fit_sequence as fit
@@ -251,6 +258,108 @@ def build_preview(
     out.print(f"{output / 'preview.bin'}", markup=False)
 
 
+@solve.command()
+def simulate(
+    model: Model,
+    rig: Rig,
+    scene: SceneFile,
+    output: NewFolder = Path("simulation"),
+    asset: Assets = None,
+    template: TemplateFile = None,
+    video: Video = False,
+    linear_solver: LinearSolver = None,
+    resume: Resume = False,
+) -> None:
+    """Play keys of expressions, muscles and jaw by a fitted face's flesh."""
+    from solver.pipeline import simulate as play
+
+    options = {"scene": _scene(scene), "video": video, "linear_solver": linear_solver}
+    weights, given = rig / "muscle_weights.npz", _assets(asset)
+    with JobView("simulate") as view, _made(output):
+        play(
+            model,
+            weights,
+            rig,
+            output,
+            assets=given,
+            template=template,
+            resume=resume,
+            options=options,
+            progress=view,
+        )
+    _show_animation(output)
+
+
+@solve.command()
+def animate(
+    model: Model,
+    rig: Rig,
+    scene: SceneFile,
+    output: NewFolder = Path("animation"),
+    asset: Assets = None,
+    template: TemplateFile = None,
+    blendshapes: Annotated[
+        Path | None,
+        typer.Option(exists=True, dir_okay=False, help="blendshapes.npz of an earlier animation"),
+    ] = None,
+    video: Video = False,
+    linear_solver: LinearSolver = None,
+    resume: Resume = False,
+) -> None:
+    """Play a recording of Live Link Face by a fitted face's flesh."""
+    from solver.pipeline import animate as play
+
+    options = {"scene": _scene(scene), "video": video, "linear_solver": linear_solver}
+    weights, given = rig / "muscle_weights.npz", _assets(asset)
+    with JobView("animate") as view, _made(output):
+        play(
+            model,
+            weights,
+            output,
+            assets=given,
+            template=template,
+            blendshapes=blendshapes,
+            resume=resume,
+            options=options,
+            progress=view,
+        )
+    _show_animation(output)
+
+
+@solve.command()
+def edit(
+    model: Model,
+    rig: Rig,
+    scene: SceneFile,
+    output: NewFolder = Path("edited"),
+    asset: Assets = None,
+    template: TemplateFile = None,
+) -> None:
+    """Fatten, slim, fill, operate on or paralyse a person, and replay the rig's expressions."""
+    from solver.pipeline import edit as change
+
+    weights, given = rig / "muscle_weights.npz", _assets(asset)
+    options = {"scene": _scene(scene)}
+    with JobView("edit") as view, _made(output):
+        change(
+            model,
+            weights,
+            rig,
+            output,
+            assets=given,
+            template=template,
+            options=options,
+            progress=view,
+        )
+    found = json.loads((output / "edit.json").read_text(encoding="utf-8"))
+    volume, neutral = found["volume"], found["neutral"]
+    out.print(
+        f"{volume['change_ml']:+.1f} ml, the face at rest moved {neutral['moved_mm']:.2f} mm on "
+        "average"
+    )
+    out.print(f"{output / 'edit.glb'}", markup=False)
+
+
 @solve.command("live-link")
 def live_link(
     recording: Annotated[
@@ -272,6 +381,36 @@ def live_link(
     write_performance(output, frames, len(frames), len(subject.face))
     out.print(f"{len(frames)} frames, {frames.fps:g} a second")
     out.print(f"{output}", markup=False)
+
+
+def _scene(file: Path) -> Any:
+    """Return what a scene's file holds."""
+    try:
+        return json.loads(file.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise typer.BadParameter(f"{file.name} is not JSON: {error}") from error
+
+
+def _assets(given: list[str] | None) -> dict[str, Path]:
+    """Return the files of ``NAME=FILE``."""
+    found = {}
+    for each in given or ():
+        name, _, path = each.partition("=")
+        if not path or not Path(path).is_file():
+            raise typer.BadParameter(
+                f"--asset {each}: NAME=FILE is expected, of a file that exists"
+            )
+        found[name] = Path(path)
+    return found
+
+
+def _show_animation(output: Path) -> None:
+    found = json.loads((output / "animation.json").read_text(encoding="utf-8"))
+    out.print(
+        f"{found['frames']} frames, {found['frame_ms']:.0f} ms a frame, skin at most "
+        f"{found['penetration_max_mm']:.2f} mm in what it meets, {found['inverted']} inverted tets"
+    )
+    out.print(f"{output / 'animation.glb'}", markup=False)
 
 
 def _named(scans: list[Path]) -> dict[str, Path]:

@@ -28,6 +28,7 @@ from myoface.resources import (
     Kind,
     LogLine,
     Me,
+    MotionFrame,
     NewKey,
     Progress,
     Resource,
@@ -230,14 +231,14 @@ class Operations:
         response = yield from patiently("GET", f"/v1/jobs/{job_id}/log", params={"after": after})
         return list(map(LogLine.model_validate, response.json()["lines"]))
 
-    def frames(self, job_id: str, start: int, follow: bool) -> Flow[list[Frame]]:
+    def frames(self, job_id: str, start: int, follow: bool) -> Flow[list[Frame | MotionFrame]]:
         """Return a page of frames; with ``follow``, wait for it unless the job has ended."""
         url = f"/v1/jobs/{job_id}"
         query = {"start": start, "limit": FRAMES_A_PAGE}
         while True:
             job = yield from patiently("GET", url, through=True)
             page = yield from patiently("GET", f"{url}/frames", through=True, params=query)
-            found = list(map(Frame.model_validate, page.json()["frames"]))
+            found = list(map(_frame, page.json()["frames"]))
             if found or not follow or job.json()["state"] in FINAL_STATES:
                 return found
             yield Pause(FRAMES_PAUSE)
@@ -369,6 +370,11 @@ def _follow(job: Job, watch: Watcher, patience: Patience) -> Flow[None]:
             if event.kind != "progress":
                 return
             watch(job.model_copy(update={"progress": Progress.model_validate(event.data)}))
+
+
+def _frame(values: dict[str, Any]) -> Frame | MotionFrame:
+    """Return a frame of a sequence, or of a simulation: that one has no status."""
+    return (Frame if "status" in values else MotionFrame).model_validate(values)
 
 
 def _succeeded(job: Job) -> Job:

@@ -34,6 +34,7 @@ from myoface.resources import (
     Kind,
     LogLine,
     Me,
+    MotionFrame,
     NewKey,
     Rig,
     Role,
@@ -273,8 +274,8 @@ class AsyncClient:
 
     async def frames(
         self, job_id: str, *, start: int = 0, follow: bool = False
-    ) -> AsyncIterator[Frame]:
-        """Yield the frames of a sequence that are ready, from the ``start``-th on.
+    ) -> AsyncIterator[Frame | MotionFrame]:
+        """Yield the frames of a sequence or simulation that are ready, from the ``start``-th on.
 
         With ``follow``, wait for more until the job has ended, however it ends.
         """

@@ -34,6 +34,7 @@ from myoface.resources import (
     Kind,
     LogLine,
     Me,
+    MotionFrame,
     NewKey,
     Rig,
     Role,
@@ -269,8 +270,10 @@ class Client:
             yield from lines
             after = lines[-1].number
 
-    def frames(self, job_id: str, *, start: int = 0, follow: bool = False) -> Iterator[Frame]:
-        """Yield the frames of a sequence that are ready, from the ``start``-th on.
+    def frames(
+        self, job_id: str, *, start: int = 0, follow: bool = False
+    ) -> Iterator[Frame | MotionFrame]:
+        """Yield the frames of a sequence or simulation that are ready, from the ``start``-th on.
 
         With ``follow``, wait for more until the job has ended, however it ends.
         """

@@ -52,7 +52,7 @@ class Progress:
     def stand(self, scan: Capture) -> tuple[Stand, str | None]:
         """Return what can be made of a scan; if nothing, why."""
         check = self.job(CHECK, scan.id)
-        if scan.role == "performance" or check is None:
+        if check is None:
             return Stand.READY, None
         if check.state not in FINAL:
             return Stand.WAITING, None

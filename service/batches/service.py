@@ -49,7 +49,7 @@ def create(session: Session, new: NewBatch, max_attempts: int) -> Batch:
     session.add(batch)
     session.flush()
     for capture in added:
-        if capture.role != "performance":
+        if capture.role in ("neutral", "expression"):
             _submit(session, batch, max_attempts, CHECK, [capture.id])
     return batch
 

@@ -5,18 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from solver.edits.edited import Edited
+from solver.edits.ends import off_the_ends
 from solver.edits.maps import into_volume
 from solver.errors import InputError
-from solver.model import SubjectModel
 from solver.surface import Floats
 
 LEAST, MOST = 0.6, 1.5
 """Limits of a growth f: flesh grows to f^3 of its volume."""
-CUT_MM = 20.0
-"""Flesh grows less the nearer it is to where the model ends, which stays as it is."""
 SOFTENING = 3.0
 """Flesh that grew is softer by f to this power: the same tissue in more volume."""
 
@@ -27,7 +24,7 @@ class Fat:
 
     Muscle grows by ``f_min``, passive flesh by ``f_max``; s_i0 is S's passive share of a tet.
     (0.9, 1.0) is slim, (1.0, 1.2) fat. A ``painted`` map (V,), see :mod:`solver.edits.maps`, draws
-    f towards 1, and so do the planes where the model's flesh ends. Where f > 1 the stiffness is
+    f towards 1, and so do the ends of the model's flesh. Where f > 1 the stiffness is
     divided by f^``softening``; the exponent is ours.
     """
 
@@ -47,16 +44,7 @@ class Fat:
                 )
         passive = before.S[:, [0]].toarray()[:, 0]
         whole = self.f_min * (1.0 - passive) + self.f_max * passive
-        share = into_volume(before.model, self.painted) * _off_the_cut(before.model)
+        share = into_volume(before.model, self.painted) * off_the_ends(before.model)
         growth = 1.0 + (whole - 1.0) * share
         softer = np.maximum(growth, 1.0) ** -self.softening
         return replace(before, growth=before.growth * growth, stiffness=before.stiffness * softer)
-
-
-def _off_the_cut(model: SubjectModel) -> Floats:
-    """Return 1 for tets (n,) far from where the flesh is cut off, and 0 there."""
-    if not len(model.cut):
-        return np.ones(len(model.tets))
-    centres = model.rest[model.tets].mean(axis=1)
-    t = np.minimum(cKDTree(model.rest[model.cut]).query(centres)[0] / CUT_MM, 1.0)
-    return np.asarray(t * t * (3.0 - 2.0 * t))

@@ -8,7 +8,8 @@ import json
 import shutil
 import tempfile
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -135,13 +136,26 @@ def finish(
 
 def _reach(stage: Stage, motion: Motion, drive: Drive | None, goal: Drive) -> Stepped:
     """Go to ``goal`` from where the frame before ended; the first frame is at rest there."""
-    if drive is not None:
-        return stage.simulator.step(motion, drive, goal)
     begun = time.perf_counter()
-    at_rest = stage.simulator.rest(goal)
+    if drive is None:
+        at_rest = stage.simulator.rest(goal)
+        spent = time.perf_counter() - begun
+        return Stepped(at_rest, at_rest.y, 0, 0, 0.0, spent, stage.inverted(at_rest.y))
+    iterations = halvings = 0
+    for target in _between(stage, drive, goal):
+        stepped = stage.simulator.step(motion, drive, target)
+        motion, drive = stepped.motion, target
+        iterations += stepped.iterations
+        halvings += stepped.halvings
     spent = time.perf_counter() - begun
-    inverted = stage.inverted(at_rest.y)
-    return Stepped(at_rest, at_rest.y, 0, 0, 0.0, spent, inverted)
+    return replace(stepped, iterations=iterations, halvings=halvings, seconds=spent)
+
+
+def _between(stage: Stage, drive: Drive, goal: Drive) -> Iterator[Drive]:
+    """Return what the flesh is asked for in the steps of one frame, ``goal`` at last."""
+    for moment in np.linspace(drive.time, goal.time, stage.steps_per_frame + 1)[1:-1]:
+        yield stage.drive(float(moment), stage.drives(float(moment)))
+    yield goal
 
 
 def _frame(

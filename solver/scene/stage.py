@@ -23,6 +23,8 @@ from solver.simulation.state import Drive
 from solver.surface import Floats, Surface
 
 DAMPING = 0.5
+STEPS = 4
+"""Of a dynamic face in a frame: flesh swings some 15 times a second, which long steps damp."""
 
 
 class Stage:
@@ -53,12 +55,14 @@ class Stage:
             self.model,
             {each.name: shape for each, shape in zip(self._objects, objects, strict=True)},
         )
+        dynamic = document.get("mode", "quasi_static") == "dynamic"
+        self.steps_per_frame: int = document.get("steps_per_frame", STEPS if dynamic else 1)
         masses = lumped_masses(self._face.flesh, self._edited.density)
         self.simulator = Simulator(
             self._face,
             self._physics.contacts(self._edited, objects),
             forces_of(document.get("forces", []), self._face, masses, places),
-            dynamic=document.get("mode", "quasi_static") == "dynamic",
+            dynamic=dynamic,
             density=self._edited.density,
             damping=document.get("damping", DAMPING),
             linear=linear,

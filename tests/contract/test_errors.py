@@ -14,7 +14,10 @@ CODE = re.compile(r"[a-z][a-z0-9_]*(?:\.[a-z0-9_]+)+|internal|timeout|worker_los
 RAISED = {"Problem": 1, "InputError": 0, "SolveError": 0, "Refused": 0, "Unreachable": 0}
 """Which argument of an error is its code."""
 HELPERS = {"unauthorized": 0, "_check_format": 1}
-MADE_OF_PARTS = ("http.", "live_link.", "options.", "template.", "model.", "capture.format")
+MADE_OF_PARTS = (
+    *("http.", "live_link.", "options.", "template.", "model."),
+    *("capture.format", "blendshapes.format"),
+)
 """Codes that the source puts together, or passes on."""
 STATUS = {"CHECKSUM_MISMATCH": "460"}
 

@@ -14,16 +14,25 @@ from service.store.queue import QUEUES
 from solver import pipeline
 from solver.errors import InputError
 from solver.mechanics.linear import DOUBLE, SOLVERS
-from solver.rig import sequence
+from solver.rig import motion, sequence
 from solver.scans import performance, raw, read
+from solver.scene import document
 from worker import attempt
+
+FILES = {
+    "fit_activations": 2,
+    "fit_sequence": 3,
+    "build_preview": 3,
+    "simulate": 3,
+    "animate": 2,
+    "edit": 3,
+}
+"""How many files a kind of job reads, besides captures."""
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_options_are_those_of_the_pipeline(kind: str, tmp_path: Path) -> None:
-    files = {"fit_activations": 2, "fit_sequence": 3, "build_preview": 3}.get(kind, 1) * [
-        tmp_path / "x"
-    ]
+    files = FILES.get(kind, 1) * [tmp_path / "x"]
     scans = [{"smile": tmp_path / "smile.obj"}] if "captures" in KINDS[kind].reads else []
     with pytest.raises(InputError) as caught:
         getattr(pipeline, kind)(*files, *scans, tmp_path, options={"no such option": 1})
@@ -39,17 +48,30 @@ def test_the_command_line_has_the_options_and_their_defaults(kind: str) -> None:
     command = get_command(solve).commands[kind.removeprefix("fit_").replace("_", "-")]
     given = {param.name: param for param in command.params}
     for option, schema in KINDS[kind].options["properties"].items():
-        assert given[option].default in (schema["default"], None)
+        assert given[option].default in (schema.get("default"), None)
+
+
+def test_scenes_are_those_of_the_solver() -> None:
+    for kind in ("simulate", "animate", "edit"):
+        assert KINDS[kind].options["$defs"] == document.DEFINITIONS
+        assert f"{kind}_scene" in document.DEFINITIONS
+
+
+def test_a_fault_in_a_scene_is_named_where_it_is() -> None:
+    scene = {"keys": [{"time": 0}], "forces": [{"kind": "wind", "m_s": [1, 2]}]}
+    [fault] = KINDS["simulate"].faults({"scene": scene})
+    assert fault == {"where": "options.scene.forces[0].m_s", "message": "[1, 2] is too short"}
 
 
 def test_scans_may_be_what_the_solver_reads() -> None:
     assert captures.FORMATS == read.FORMATS
     assert tuple(raw.FORMATS) == captures.RAW_FORMATS
     assert captures.PERFORMANCE_FORMATS == performance.FORMATS
+    assert set(read.FORMATS) < set(captures.ASSET_FORMATS)
 
 
 def test_frames_are_where_the_worker_looks() -> None:
-    assert attempt.FRAMES == sequence.FRAMES
+    assert attempt.FRAMES == sequence.FRAMES == motion.FRAMES
 
 
 def test_linear_solvers_are_those_of_the_solver() -> None:
@@ -57,6 +79,8 @@ def test_linear_solvers_are_those_of_the_solver() -> None:
         ("fit_geometry", DOUBLE),
         ("fit_activations", SOLVERS),
         ("fit_sequence", SOLVERS),
+        ("simulate", SOLVERS),
+        ("animate", SOLVERS),
     ):
         offered = KINDS[kind].options["properties"]["linear_solver"]["enum"]
         assert offered == [*names, None]

@@ -4,6 +4,7 @@ A scan's lines ``#! key value`` say it: ``seconds`` to take, ``fault`` to have, 
 which a ``child`` process sleeps.
 """
 
+import base64
 import json
 import os
 import signal
@@ -92,6 +93,73 @@ def build_preview(model, weights, rig, out, *, options=None, progress):
     (out / "preview.bin").write_bytes(b"MYOV" + json.dumps([presets, options]).encode())
     (out / "preview.json").write_text(json.dumps({"controls": 3}))
 
+
+def simulate(
+    model,
+    weights,
+    rig,
+    out,
+    *,
+    assets=None,
+    template=None,
+    resume=False,
+    options=None,
+    progress,
+):
+    """Leave frames of a scene, two a file; the scene's ``seconds`` are for each file."""
+    assert (model.name, weights.name) == ("model.npz", "muscle_weights.npz")
+    scene = options["scene"]
+    folder = out / "frames"
+    folder.mkdir(exist_ok=True)
+    total = int(scene["duration"] * scene["fps"])
+    for first in range(2 * len(list(folder.iterdir())), total, 2):
+        time.sleep(scene.get("damping", 0))
+        frames = [MOTION | {"frame": number, "time": number / 30} for number in (first, first + 1)]
+        picture = base64.b64encode(b"JPEG of %d" % first).decode() if first % 4 == 0 else None
+        partial = folder / "partial"
+        partial.write_text(json.dumps({"frames": frames, "state": {}, "picture": picture}))
+        partial.rename(folder / f"{first:06d}-{first + 1:06d}.json")
+        progress(Step("simulate", first / total, first + 2))
+    figures = {"frames": total, "assets": {name: path.name for name, path in assets.items()}}
+    (out / "animation.json").write_text(json.dumps(figures))
+    (out / "animation.mp4").write_bytes(b"film")
+
+
+def animate(
+    model,
+    weights,
+    out,
+    *,
+    assets=None,
+    template=None,
+    blendshapes=None,
+    resume=False,
+    options=None,
+    progress,
+):
+    figures = {"blendshapes": blendshapes and blendshapes.read_text()}
+    (out / "blendshapes.npz").write_text("solved")
+    (out / "animation.json").write_text(json.dumps(figures))
+
+
+def edit(model, weights, rig, out, *, assets=None, template=None, options=None, progress):
+    (out / "edit.json").write_text(json.dumps({"edits": len(options["scene"]["edits"])}))
+
+
+MOTION = {
+    "activations": [[1, 0, 0, 1, 0, 1]],
+    "jaw": [0] * 5,
+    "head": [0] * 6,
+    "eyes": [[0, 0, 0], [0, 0, 0]],
+    "penetration_mm": 0.1,
+    "behind_teeth": 0,
+    "inverted": 0,
+    "iterations": 3,
+    "halvings": 0,
+    "residual": 1e-6,
+    "seconds": 0.1,
+    "x": "eJwDAAAAAAE=",
+}
 
 FRAME = {
     "status": "fitted",

@@ -142,6 +142,22 @@ def test_fat_fades_where_the_flesh_is_cut_off(model):
     assert edited.growth[y < 7.0].max() < 1.15
 
 
+def test_fat_fades_along_the_border_of_what_follows_the_flesh(model):
+    kept = np.flatnonzero(model.skin.vertices[model.embedded, 0] < 130.0)
+    shown = replace(
+        model,
+        embedded=model.embedded[kept],
+        embedding=model.embedding[kept],
+        offset=model.offset[kept],
+        face=model.embedded[kept],
+    )
+    edited = apply([Fat(1.2, 1.2)], shown, shown.weights)
+    front = centres(shown)[:, 2] > 30.0
+    x = centres(shown)[:, 0]
+    np.testing.assert_allclose(edited.growth[x < 85.0], 1.2)
+    assert edited.growth[front & (x > 120.0)].min() < 1.15
+
+
 def test_a_chin_moves_with_its_teeth_and_nothing_else(model):
     forward = np.array([0.0, 0.0, 5.0])
     edit = Bone("mandible", np.array([75.0, 20.0, 10.0]), 30.0, forward)

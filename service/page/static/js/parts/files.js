@@ -63,15 +63,25 @@ export async function openPage({ id }) {
 /** Return an image of an artifact; its place is taken by a sentence if it can not be shown. */
 export function picture(artifact, alt, signal) {
   const image = h("img", { alt, class: "picture" });
-  const place = h("div", { class: "picture-place" }, image);
-  const fail = () =>
-    place.replaceChildren(h("p", { class: "fine" }, `The picture ${artifact.name} can not be shown.`));
+  image.onload = () => URL.revokeObjectURL(image.src);
+  return shown(artifact, image, signal);
+}
+
+/** Return a player of a film; its place is taken by a sentence if it can not be shown. */
+export function film(artifact, signal) {
+  const player = h("video", { controls: true, loop: true, class: "picture", "aria-label": artifact.name });
+  signal.addEventListener("abort", () => URL.revokeObjectURL(player.src));
+  return shown(artifact, player, signal);
+}
+
+function shown(artifact, element, signal) {
+  const place = h("div", { class: "picture-place" }, element);
+  const fail = () => place.replaceChildren(h("p", { class: "fine" }, `${artifact.name} can not be shown.`));
+  element.onerror = fail;
   request(`/v1/artifacts/${artifact.id}`, { signal })
     .then((response) => response.blob())
     .then((blob) => {
-      image.onload = () => URL.revokeObjectURL(image.src);
-      image.onerror = fail;
-      image.src = URL.createObjectURL(new Blob([blob], { type: artifact.media_type }));
+      element.src = URL.createObjectURL(new Blob([blob], { type: artifact.media_type }));
     })
     .catch(() => signal.aborted || fail());
   return place;

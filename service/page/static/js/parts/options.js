@@ -68,7 +68,19 @@ function control(shared, rules, value) {
       value,
     });
   }
+  if (isDocument(rules)) {
+    return h(
+      "textarea",
+      { ...shared, rows: 14, required: true, spellcheck: "false", autocomplete: "off" },
+      JSON.stringify(value ?? {}, null, 2),
+    );
+  }
   return h("input", { ...shared, type: "text", value: value === null ? "" : asText(value) });
+}
+
+/** Tell whether an option is a whole JSON document, such as a scene. */
+function isDocument(rules) {
+  return "$ref" in rules || rules.type === "object";
 }
 
 function asText(value) {

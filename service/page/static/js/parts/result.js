@@ -2,7 +2,7 @@
 
 import { h } from "../dom.js";
 import { figure, plain } from "../words.js";
-import { picture } from "./files.js";
+import { film, picture } from "./files.js";
 import { rigFindings, verdictOf } from "./certificate.js";
 import { findingList } from "./findings.js";
 import { state } from "./state.js";
@@ -13,12 +13,15 @@ const PICTURES = {
   "distance.png": "How far the registered face lies from the scan",
   "anatomy.png": "Skull and muscles inside the scan",
   "certificate.png": "The certificate of the fit",
+  "animation.png": "Moments of the animation",
+  "edit.png": "The person before and after the edits",
 };
 
 /** Return a panel for a job that succeeded; null for one that has nothing to show. */
 export function resultPanel(job, signal) {
   if (!job.result) return null;
   const { summary, artifacts, rig_id: rigId } = job.result;
+  const films = artifacts.filter(({ media_type: type }) => type.startsWith("video/"));
   const pictures = artifacts.filter(({ media_type: type }) => type === "image/png");
   const figures = Object.entries(summary?.figures ?? summary ?? {}).filter(
     ([, value]) => typeof value === "number" || typeof value === "string",
@@ -34,6 +37,7 @@ export function resultPanel(job, signal) {
         {},
         h("a", { class: "button", href: `/rigs/${job.rig_id}?take=${job.id}:0` }, "Play it on the rig"),
       ),
+    films.map((artifact) => film(artifact, signal)),
     pictures.map((artifact) => picture(artifact, PICTURES[artifact.name] ?? artifact.name, signal)),
     figures.length > 0 &&
       h(

@@ -18,7 +18,14 @@ const ROLES = [
   ["neutral", "Neutral"],
   ["expression", "Expression"],
   ["performance", "Performance"],
+  ["asset", "File for scenes"],
 ];
+
+/** What is no scan, and what becomes of it. */
+const UNCHECKED = {
+  performance: "A performance is not checked; fit it with a rig.",
+  asset: "Scenes can name it.",
+};
 
 /** A row; `stage` is ready, waiting, sending, sent, checking, over or failed. */
 export class ScanRow {
@@ -126,7 +133,7 @@ export class ScanRow {
       name: this.name.value,
       role,
       upload_id: this.uploadId,
-      registered: this.order.registered || role === "performance",
+      registered: this.order.registered || role in UNCHECKED,
       landmarks_upload_id: this.landmarksId ?? null,
     };
   }
@@ -149,7 +156,7 @@ export class ScanRow {
     });
   }
 
-  /** Be a scan of the subject: `check` is the job that judges it, null for a performance. */
+  /** Be a scan of the subject: `check` is the job that judges it, null for what is no scan. */
   take({ check }) {
     for (const file of [this.file, this.landmarks].filter(Boolean)) interrupted.forget(file);
     if (check) {
@@ -159,7 +166,7 @@ export class ScanRow {
       show(this.how);
       show(this.actions, h("a", { class: "button", href: `/jobs/${this.jobId}` }, "Details"));
     } else {
-      const words = "A performance is not checked; fit it with a rig.";
+      const words = UNCHECKED[this.role.value];
       this.finish("succeeded", "Uploaded", h("p", { class: "fine" }, words));
     }
   }

@@ -1,6 +1,6 @@
 // One job: what it does, how far it is, what came of it, and what can be done about it.
 
-import { get } from "../api.js";
+import { get, request } from "../api.js";
 import { announce, h, setText, show } from "../dom.js";
 import { watch } from "../events.js";
 import { applied, inLine, seconds } from "../jobs.js";
@@ -80,6 +80,7 @@ class JobView {
     );
     this.now = h("div", { class: "stack" });
     this.meter = meter(job);
+    this.newest = h("img", { alt: "The newest frame", class: "picture", hidden: true });
     this.progress = new Progress();
     this.log = new Log(job.id);
     this.result = h("div", { class: "stack" });
@@ -98,7 +99,7 @@ class JobView {
       h(
         "div",
         { class: "columns" },
-        h("div", { class: "stack" }, this.now, this.result, this.progress.element, this.log.element),
+        h("div", { class: "stack" }, this.now, this.newest, this.result, this.progress.element, this.log.element),
         h(
           "div",
           { class: "stack" },
@@ -139,6 +140,21 @@ class JobView {
     ]);
     this.set(job);
     this.hasAll = FINAL.has(job.state);
+    if (this.kind?.leaves === "animation") await this.showNewest();
+  }
+
+  /** Show the newest frame of a simulation until its result is there. */
+  async showNewest() {
+    this.newest.hidden = this.job.state !== "running";
+    if (this.newest.hidden) return;
+    try {
+      const response = await request(`/v1/jobs/${this.job.id}/frames/picture`, { signal: this.signal });
+      const before = this.newest.src;
+      this.newest.src = URL.createObjectURL(await response.blob());
+      URL.revokeObjectURL(before);
+    } catch {
+      this.newest.hidden = !this.newest.src; // there is no frame yet
+    }
   }
 
   hear(event) {
@@ -300,7 +316,7 @@ function parameters(kind, given) {
     { class: "facts" },
     known.map(([name, rules]) => {
       const value = given[name] ?? rules.default ?? null;
-      const text = value === null ? "automatic" : String(value);
+      const text = value === null ? "automatic" : typeof value === "object" ? code(value) : String(value);
       return [
         h("dt", {}, plain(name)),
         h(
@@ -312,6 +328,10 @@ function parameters(kind, given) {
       ];
     }),
   );
+}
+
+function code(value) {
+  return h("pre", { tabindex: 0, "aria-label": "JSON" }, JSON.stringify(value, null, 2));
 }
 
 function attemptRow(attempt) {

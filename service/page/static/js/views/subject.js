@@ -22,6 +22,13 @@ const EVERY_MS = 5_000;
 /** What the state of the newest build says of the model. */
 const MODEL = { succeeded: "Built", queued: "Waits to be built", running: "Being built", failed: "Not built" };
 
+/** What can be played by a rig's flesh. */
+const PLAYS = [
+  ["simulate", "Simulate"],
+  ["animate", "Animate"],
+  ["edit", "Edit"],
+];
+
 export async function mount(root, { id }) {
   const ending = new AbortController();
   const subject = await get(`/v1/subjects/${id}`, {}, ending.signal);
@@ -90,6 +97,7 @@ class SubjectView {
     this.checks = new Map(checks.items.reverse().map((job) => [job.captures[0], job]));
     captures.sort((a, b) => (b.role === "neutral") - (a.role === "neutral") || a.name.localeCompare(b.name));
     this.rigs = rigs;
+    this.assets = captures.filter(({ role }) => role === "asset").map(({ id }) => id);
     const ids = new Set(captures.map(({ id }) => id));
     this.chosen = new Set([...this.chosen].filter((id) => ids.has(id)));
     this.showCaptures(captures);
@@ -139,13 +147,13 @@ class SubjectView {
     });
     const act = (words, action, kind = null) =>
       button([words, h("span", { class: "unseen" }, ` ${name}`)], action, kind);
-    const isScan = role !== "performance";
+    const isScan = role !== "performance" && role !== "asset";
     const actions = h(
       "div",
       { class: "row end" },
       isScan && act("Check", () => this.order("check_scan", { captures: [id] })),
       isScan && !capture.registered && act("Register", () => this.order("register_scan", { captures: [id] })),
-      !isScan && act("Fit", () => this.fitPerformance(id)),
+      role === "performance" && act("Fit", () => this.fitPerformance(id)),
       act("Delete", () => this.deleteCapture(capture), "plain danger"),
     );
     let shown = null;
@@ -156,7 +164,7 @@ class SubjectView {
         h("td", { class: "tight" }, role === "expression" ? box : null),
         h("th", { scope: "row" }, name, h("div", { class: "fine" }, `${filename}, ${bytes(size)}`)),
         h("td", {}, plain(role)),
-        h("td", {}, capture.registered ? "Registered" : "Raw"),
+        h("td", {}, isScan && (capture.registered ? "Registered" : "Raw")),
         check,
         registration,
         h("td", { class: "tight" }, when(capture.created_at)),
@@ -201,6 +209,9 @@ class SubjectView {
               () => this.order("fit_activations", { rig_id: rig.id, captures: [...this.chosen] }),
               null,
               { "data-more": true },
+            ),
+            PLAYS.map(([kind, words]) =>
+              button(words, () => this.order(kind, { rig_id: rig.id, captures: this.assets })),
             ),
           ),
         ),
