@@ -189,7 +189,7 @@ def picture(path: Path, person: Fitted, played: dict[str, tuple[Played, Played]]
             depth = max(found.most for found in each.depths)
             label = f"{each.scene.title}, {how}: {depth:.2f} mm"
             middle = (2 * column + 1) * CELL[0]
-            page.text((middle, HEADER + row * CELL[1] + 6), label, 20, anchor="ma")
+            page.text((middle, HEADER + (row + 1) * CELL[1] - 10), label, 20, anchor="ms")
     path.parent.mkdir(parents=True, exist_ok=True)
     page.save(path)
 

@@ -25,7 +25,7 @@ from solver.model import SubjectModel
 from solver.surface import Floats, Ints
 from solver.triangles import adjacency
 
-INSET_MM = 0.075
+INSET_MM = 0.06
 DEEPER_MM = (0.1, 0.15, 0.2, 0.3, 0.4)
 """Where the surface still crosses itself it goes so deep, one after the other."""
 BESIDE_MM = 0.02
