@@ -21,7 +21,9 @@ Data = Annotated[Path | None, typer.Option(help="folder for everything the servi
 MaxBytes = Annotated[int | None, typer.Option(min=0, help="bytes that may be stored")]
 MaxQueued = Annotated[int | None, typer.Option(min=0, help="jobs that may wait")]
 MaxRunning = Annotated[int | None, typer.Option(min=0, help="jobs that may run at a time")]
-RetainDays = Annotated[int | None, typer.Option(min=1, help="days; default: the installation's")]
+RetainDays = Annotated[
+    str | None, typer.Option(metavar="DAYS", help="'none': the installation's; default: as it is")
+]
 
 
 @tenants.command("list")
@@ -105,9 +107,24 @@ def retain(
     rigs: RetainDays = None,
     data: Data = None,
 ) -> None:
-    """Set after how many days a tenant's things go; the installation's days hold where fewer."""
-    days = zip(KINDS, (subjects, scans, jobs, rigs), strict=True)
-    _change(data, tenant, **{f"retain_{kind}": most for kind, most in days})
+    """Set after how many days a tenant's things go; those that are not given stay as they are.
+
+    Of a tenant's days and the installation's the fewer hold.
+    """
+    given = zip(KINDS, (subjects, scans, jobs, rigs), strict=True)
+    days = {f"retain_{kind}": _days(kind, text) for kind, text in given if text is not None}
+    if not days:
+        raise typer.BadParameter(f"give at least one of --{', --'.join(KINDS)}")
+    _change(data, tenant, **days)
+
+
+def _days(kind: str, text: str) -> int | None:
+    """Return a number of days as it was typed; None: a tenant has none of its own."""
+    if text == "none":
+        return None
+    if not text.isdecimal() or int(text) < 1:
+        raise typer.BadParameter(f"{text!r} is neither days nor 'none'", param_hint=f"--{kind}")
+    return int(text)
 
 
 def _change(data: Path | None, tenant: str, **limits: int | None) -> None:
