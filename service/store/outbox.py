@@ -212,7 +212,8 @@ def settle(session: Session, parcel: Parcel, outcome: Outcome, pauses: Sequence[
     ).scalar_one_or_none()
     if mine is not None:
         _judge(session, hook, outcome, moment)
-        _put_off(session, hook.id, moment + wish)
+        if wish:
+            _put_off(session, hook.id, moment + wish)
 
 
 def switch_off(session: Session, webhook_id: str, reason: str, moment: datetime) -> None:
