@@ -396,25 +396,29 @@ def test_a_tenant_alone_has_all_threads_of_all_workers(studio: Studio, settings:
             over.set()
 
 
+def _take(studio: Studio, under_way: list[outbox.Parcel], threads: int) -> list[outbox.Parcel]:
+    with _store(studio).write() as session:
+        return outbox.take(session, under_way, threads, lease=10)
+
+
+def _are_of(hook: Webhook, parcels: list[outbox.Parcel]) -> list[bool]:
+    return [parcel.tenant_id == hook.tenant_id for parcel in parcels]
+
+
 def test_each_worker_counts_only_its_own_threads(studio: Studio, neighbour: Webhook) -> None:
     for hook in [_hook(studio, 1) for _ in range(6)]:
         studio.post(f"/v1/webhooks/{hook['id']}/test")
 
-    def take(under_way: list[outbox.Parcel]) -> list[outbox.Parcel]:
-        with _store(studio).write() as session:
-            return outbox.take(session, under_way, threads=4, lease=10)
-
-    def of_others(parcels: list[outbox.Parcel]) -> list[bool]:
-        return [parcel.tenant_id == neighbour.tenant_id for parcel in parcels]
-
     with _store(studio).write() as session:
         for _ in range(2):
             outbox.send(session, [session.get_one(Webhook, neighbour.id)], outbox.TEST, {})
-    first = take([])
-    assert of_others(first) == [False, True, False, True]
+    first = _take(studio, [], 4)
+    assert _are_of(neighbour, first) == [False, True, False, True]
     mine = [parcel for parcel in first if parcel.tenant_id != neighbour.tenant_id]
-    assert of_others(take(mine)) == [False, False]  # nobody else has anything due any more
-    assert of_others(take([])) == [False, False]  # another worker, whose threads are free
+    rest = _take(studio, mine, 4)
+    assert _are_of(neighbour, rest) == [False, False]  # nobody else has anything due any more
+    more = _take(studio, [], 4)
+    assert _are_of(neighbour, more) == [False, False]  # another worker, whose threads are free
 
 
 def test_tenants_take_turns_the_one_with_least_under_way_first(
@@ -427,18 +431,11 @@ def test_tenants_take_turns_the_one_with_least_under_way_first(
         outbox.send(session, [hook], outbox.TEST, {})
         outbox.send(session, [hook], outbox.TEST, {})
 
-    def take(under_way: list[outbox.Parcel], threads: int) -> list[outbox.Parcel]:
-        with _store(studio).write() as session:
-            return outbox.take(session, under_way, threads, lease=10)
-
-    def of_others(parcels: list[outbox.Parcel]) -> list[bool]:
-        return [parcel.tenant_id == neighbour.tenant_id for parcel in parcels]
-
-    [mine] = take([], 1)
-    assert of_others([mine]) == [False]
-    later = take([mine], 5)
-    assert of_others(later) == [True, False, True, False]
-    assert take([mine, *later], 9) == []
+    [mine] = _take(studio, [], 1)
+    assert _are_of(neighbour, [mine]) == [False]
+    later = _take(studio, [mine], 5)
+    assert _are_of(neighbour, later) == [True, False, True, False]
+    assert _take(studio, [mine, *later], 9) == []
 
 
 def test_several_workers_send_everything_once(studio: Studio, settings: Settings) -> None:
