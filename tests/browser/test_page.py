@@ -28,10 +28,10 @@ def _row(page: Any, file: str) -> Any:
     return page.locator(f'tr[data-file="{file}"]')
 
 
-def _drop(page: Any, paths: list[Path]) -> None:
+def _drop(page: Any, paths: list[Path], on: str = ".zone") -> None:
     """Drop files or folders as the desktop does."""
     session = page.context.new_cdp_session(page)
-    box = page.locator(".zone").bounding_box()
+    box = page.locator(on).bounding_box()
     data = {"items": [], "files": [str(path) for path in paths], "dragOperationsMask": 1}
     at = {"x": box["x"] + box["width"] / 2, "y": box["y"] + 10, "data": data}
     for kind in ("dragEnter", "dragOver", "drop"):
@@ -48,9 +48,9 @@ def test_a_dropped_scan_set_is_uploaded_and_judged(
     _scan(folder / "Ada_kiss.obj", verdict="bad")
     (folder / "Ada_smile-landmarks.csv").write_text("sellion,0,0,0\n")
     (folder / "Ada_smile.mtl").write_text("newmtl skin\n")
-    page = show("/upload")
+    page = show("/queue")
 
-    _drop(page, [folder])
+    _drop(page, [folder], on="h1")
 
     row = _row(page, "Ada_neutral.obj")
     row.wait_for()
