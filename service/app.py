@@ -20,6 +20,7 @@ from service.batches.advance import Advancer
 from service.batches.routes import router as batches
 from service.captures.routes import router as captures
 from service.deletions.routes import router as deletions
+from service.dependencies import check_parts
 from service.jobs.following import Feed
 from service.jobs.routes import router as jobs
 from service.keys.routes import router as keys
@@ -136,6 +137,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_middleware(RateHeaders)
     http.install(app, settings)
     metrics.install(app, store, settings)
+    check_parts(app)
     return app
 
 
