@@ -54,7 +54,11 @@ def days(settings: Settings, tenant: Tenant | None = None) -> Days:
     """Return the installation's days, or a tenant's: its own where those are fewer."""
     owners = (settings, tenant) if tenant else (settings,)
     stated = {kind: [getattr(owner, f"retain_{kind}") for owner in owners] for kind in KINDS}
-    return Days(**{kind: min(filter(None, each), default=None) for kind, each in stated.items()})
+    return Days(**{kind: _fewest(each) for kind, each in stated.items()})
+
+
+def _fewest(stated: Iterable[int | None]) -> int | None:
+    return min((most for most in stated if most is not None), default=None)
 
 
 def own_days(session: Session, settings: Settings) -> Days:
