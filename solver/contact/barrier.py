@@ -20,9 +20,9 @@ from solver.contact.surface import ContactSurface, collision_mesh
 from solver.mechanics.boundary import Boundary
 from solver.surface import Floats, Surface
 
-DISTANCE_MM = 0.05
+DISTANCE_MM = 0.08
 """Surfaces nearer than this push each other away: few are in a neutral face."""
-STIFFNESS = 800.0
+STIFFNESS = 200.0
 """The barrier's stiffness over that of the flesh: pressed lips settle where it pushes firmly, not
 at its steep end."""
 SLIP_MM_S = 1.0
