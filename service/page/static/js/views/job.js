@@ -145,15 +145,18 @@ class JobView {
 
   /** Show the newest frame of a simulation until its result is there. */
   async showNewest() {
-    this.newest.hidden = this.job.state !== "running";
-    if (this.newest.hidden) return;
+    if (this.job.state !== "running") {
+      this.newest.hidden = true;
+      return;
+    }
     try {
       const response = await request(`/v1/jobs/${this.job.id}/frames/picture`, { signal: this.signal });
       const before = this.newest.src;
       this.newest.src = URL.createObjectURL(await response.blob());
       URL.revokeObjectURL(before);
+      this.newest.hidden = false;
     } catch {
-      this.newest.hidden = !this.newest.src; // there is no frame yet
+      // there is no frame yet
     }
   }
 
