@@ -98,11 +98,13 @@ def landmarks_csv() -> list[bytes]:
 
 
 def live_link() -> list[bytes]:
-    """Return a recording of two frames."""
+    """Return recordings of two frames, without angles and with them."""
     header = ["Timecode", "BlendShapeCount", *(name[0].upper() + name[1:] for name in ARKIT_NAMES)]
     weights = ["0.5"] * len(ARKIT_NAMES)
     rows = [header, ["23:59:59:58.0", "52", *weights], ["00:00:00:01.0", "52", *weights]]
-    return ["\r\n".join(",".join(row) for row in rows).encode()]
+    angles = ["HeadYaw", "HeadPitch", "HeadRoll"], ["0.1", "-0.2", "0.3"], ["0", "1e-9", "-0.0"]
+    turned = [row + more for row, more in zip(rows, angles, strict=True)]
+    return ["\r\n".join(",".join(row) for row in table).encode() for table in (rows, turned)]
 
 
 def npy() -> list[bytes]:

@@ -67,5 +67,5 @@ def _views(person: EditedPerson) -> list[View]:
 
 
 def _scale_end(moved_mm: Floats) -> float:
-    usual = np.percentile(moved_mm, 98)
+    usual = np.percentile(moved_mm, 99.5)
     return next((end for end in MOST_MM if end >= usual), MOST_MM[-1])

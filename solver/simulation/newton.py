@@ -38,8 +38,9 @@ SHORTEST_STEP = 2.0**-24
 JAMMED, JAMS = 1e-3, 5
 """Part of the way that a step gains at least, and how often it may gain less."""
 
-SETTLED_STEPS = 2
-"""Steps in turn, each shorter than what counts as settled, that end a search."""
+SETTLED_STEPS, QUIET = 2, 3e-4
+"""Steps in turn, each shorter than what counts as settled, that end a search, and the residual
+above which nothing is settled."""
 
 COASTING = 0.5
 """Part of the residual that a step with an old factor leaves at most: else a new one is made."""
@@ -115,7 +116,8 @@ class Newton:
             y, gradient, part = found
             length = np.sqrt(((y - x) ** 2).sum(axis=1).mean())
             # a step that something is in the way of is short, and says nothing
-            settled = settled + 1 if part == 1.0 and length <= self._settled_mm else 0
+            quiet = part == 1.0 and self._residual(gradient) <= QUIET
+            settled = settled + 1 if quiet and length <= self._settled_mm else 0
             steps += 1
             x = y
         else:
