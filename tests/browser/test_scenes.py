@@ -15,7 +15,7 @@ Show = Callable[..., Any]
 
 def test_a_scene_is_played_and_its_newest_frame_is_seen(show: Show, studio: Studio) -> None:
     subject, _ = studio.rigged()
-    page = show(f"/subjects/{subject}")
+    page = show(f"/subjects/{subject}", refusals=True)
     page.get_by_role("button", name="Simulate").click()
     dialog = page.get_by_role("dialog")
     box = dialog.get_by_label("Scene")

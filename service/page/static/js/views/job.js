@@ -20,6 +20,7 @@ import { repeat } from "../repeat.js";
 import { navigate, title as nameWindow } from "../router.js";
 import { plain, span, when } from "../words.js";
 
+const NO_CONTENT = 204;
 const EVERY_MS = 3_000; // what events do not tell: attempts, place in the queue, log
 
 /** What the operator can do about errors that are not about the input. */
@@ -149,15 +150,12 @@ class JobView {
       this.newest.hidden = true;
       return;
     }
-    try {
-      const response = await request(`/v1/jobs/${this.job.id}/frames/picture`, { signal: this.signal });
-      const before = this.newest.src;
-      this.newest.src = URL.createObjectURL(await response.blob());
-      URL.revokeObjectURL(before);
-      this.newest.hidden = false;
-    } catch {
-      // there is no frame yet
-    }
+    const response = await request(`/v1/jobs/${this.job.id}/frames/picture`, { signal: this.signal });
+    if (response.status === NO_CONTENT) return;
+    const before = this.newest.src;
+    this.newest.src = URL.createObjectURL(await response.blob());
+    URL.revokeObjectURL(before);
+    this.newest.hidden = false;
   }
 
   hear(event) {
