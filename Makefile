@@ -1,6 +1,6 @@
 # Every target sets up what it needs by itself; `make help` lists them.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all chaos fuzz load two-hosts compose-check check up lock servers setup setup-dev clean
+.PHONY: help demo test test-all chaos fuzz load two-hosts compose-check check up lock fast-servers servers setup setup-dev clean
 
 BIN := .venv/bin
 TESTS := $(BIN)/python -m pytest
@@ -11,7 +11,7 @@ help: ## list the targets
 demo: setup ## the whole product on the built-in face: scans in over HTTP, a fitted rig and a report out
 	@$(BIN)/myoface demo
 
-test: check servers ## the checks, the fast tests and one end-to-end run (under 10 minutes on two cores)
+test: check fast-servers ## the checks, the fast tests and one end-to-end run (under 10 minutes on two cores)
 	@$(TESTS) -m "not slow or end_to_end"
 
 test-all: check servers ## every test there is, the slow ones too
@@ -45,7 +45,10 @@ up: setup ## the service with its broker and a worker, on http://127.0.0.1:8765
 lock: setup-dev ## lock the newest allowed versions of all packages, with hashes
 	@scripts/lock
 
-servers: ## install what the tests start by themselves: PostgreSQL, Redis, Chromium ... (Debian, root)
+fast-servers: ## install what `make test` starts by itself: PostgreSQL, Redis, docker-compose (Debian, root)
+	@scripts/servers fast
+
+servers: ## install all that tests start by themselves: also Chromium, Caddy, ip (Debian, root)
 	@scripts/servers
 
 setup: ## make .venv ready for running

@@ -78,7 +78,7 @@ class Patience:
     def pause(self, error: ApiError) -> float:
         """Return how long to wait after a failure, or raise ``error`` if there were too many."""
         self.failures += 1
-        wish = _wish(error)
+        wish = wished(error)
         if self.failures >= ATTEMPTS or (wish or 0) > LONGEST_WISH_S:
             raise error
         return wish or min(FIRST_PAUSE_S * 2**self.failures, LONGEST_PAUSE_S)
@@ -160,6 +160,12 @@ def unreachable(error: httpx.TransportError) -> ApiError:
     return fault
 
 
+def wished(error: ApiError) -> float | None:
+    """Return the seconds after which the service wants to be asked again, if it says so."""
+    text = str(error.problem.get("retry_after", ""))
+    return float(text) if text.isdigit() else None
+
+
 def _may_pass(error: ApiError) -> bool:
     return (
         error.code in (UNREACHABLE, IN_FLIGHT)
@@ -172,9 +178,3 @@ def _is_too_fast(error: ApiError) -> bool:
     """Whether the service asks to slow down; a quota is no matter of seconds."""
     is_quota = error.code.startswith("quota.")
     return error.status == httpx.codes.TOO_MANY_REQUESTS and not is_quota
-
-
-def _wish(error: ApiError) -> float | None:
-    """Return the seconds after which the service wants to be asked again, if it says so."""
-    text = str(error.problem.get("retry_after", ""))
-    return float(text) if text.isdigit() else None

@@ -13,12 +13,14 @@ from service import errors, http, metrics
 from service.access import bootstrap
 from service.access.keys import Keyring
 from service.access.rates import RateHeaders, Rates
+from service.access.seats import Seats
 from service.access.signed import Signer
 from service.audit.routes import router as audit
 from service.batches.advance import Advancer
 from service.batches.routes import router as batches
 from service.captures.routes import router as captures
 from service.deletions.routes import router as deletions
+from service.dependencies import check_parts
 from service.jobs.following import Feed
 from service.jobs.routes import router as jobs
 from service.keys.routes import router as keys
@@ -94,7 +96,19 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     )
     app.state.settings = settings
     app.state.store = store
-    app.state.feed = Feed(store, settings.max_tenant_streams, settings.max_key_streams)
+    app.state.feed = Feed(store)
+    app.state.streams = Seats(
+        "stream.too_many",
+        "streams of events",
+        settings.max_tenant_streams,
+        settings.max_key_streams,
+    )
+    app.state.downloads = Seats(
+        "download.too_many",
+        "downloads",
+        settings.max_tenant_downloads,
+        settings.max_key_downloads,
+    )
     app.state.keyring = keyring
     app.state.master = master
     app.state.rates = rates
@@ -123,6 +137,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_middleware(RateHeaders)
     http.install(app, settings)
     metrics.install(app, store, settings)
+    check_parts(app)
     return app
 
 

@@ -6,7 +6,7 @@ from collections.abc import Awaitable, Callable, Iterator
 from functools import cache
 from typing import Annotated, Any
 
-from fastapi import Depends, Query, Request
+from fastapi import Depends, FastAPI, Query, Request
 from sqlalchemy.orm import Session
 
 from service.access.principal import Caller, Scope, require
@@ -17,6 +17,8 @@ from service.store.store import Store
 # What does not wait is `async`: FastAPI would run each in a thread of its own, many a request.
 # The makers are cached: one dependency a name and scope, which a test can override by them.
 
+_asked_for: set[str] = set()
+
 
 @cache
 def part(name: str) -> Callable[[Request], Awaitable[Any]]:
@@ -25,7 +27,21 @@ def part(name: str) -> Callable[[Request], Awaitable[Any]]:
     async def of_app(request: Request) -> Any:
         return getattr(request.app.state, name)
 
+    _asked_for.add(name)
     return of_app
+
+
+def check_parts(app: FastAPI) -> None:
+    """Refuse, at the start, an application without a part that a route asks for.
+
+    Raises
+    ------
+    LookupError
+        naming those that are missing.
+    """
+    missing = sorted(name for name in _asked_for if not hasattr(app.state, name))
+    if missing:
+        raise LookupError(f"the application has no {', '.join(missing)}")
 
 
 SettingsDep = Annotated[Settings, Depends(part("settings"))]
@@ -63,9 +79,6 @@ ReadStore = Annotated[Store, Depends(own_store(Scope.READ))]
 FileStore = Annotated[Store, Depends(_for_downloading)]
 """For a file alone: a signed URL is as good as a key."""
 WriteStore = Annotated[Store, Depends(own_store(Scope.WRITE))]
-DeleteStore = Annotated[Store, Depends(own_store(Scope.DELETE))]
-AdminStore = Annotated[Store, Depends(own_store(Scope.ADMIN))]
-HookStore = Annotated[Store, Depends(own_store(Scope.WEBHOOKS))]
 
 # "function": the commit, and the wake-up calls after it, come before the response.
 ReadSession = Annotated[Session, Depends(own_session(Scope.READ), scope="function")]

@@ -81,6 +81,10 @@ class Settings(BaseSettings):
         default=128, ge=1, description="of events, open at a time in an API process"
     )
     max_key_streams: int = Field(default=64, ge=1, description="the same, of one key")
+    max_tenant_downloads: int = Field(
+        default=96, ge=1, description="of files, open at a time in an API process"
+    )
+    max_key_downloads: int = Field(default=48, ge=1, description="the same, of one key")
 
     max_attempts: int = Field(default=3, ge=1)
     lease: float = Field(

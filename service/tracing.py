@@ -1,10 +1,12 @@
 """Traces by OpenTelemetry, for an operator who has a collector; without one, nothing is imported.
 
 They are on where the extra ``otel`` is installed and the environment names a collector as
-OpenTelemetry has it (``OTEL_EXPORTER_OTLP_ENDPOINT``). A trace begins with a request, or with the
-caller's ``traceparent``; a job's row carries it through the queue, so that each attempt of a worker
-is a part of it. What instrumentation for frameworks adds of its own is not wanted here: paths,
-queries and addresses of clients. Spans hold ids, kinds and states; never a name, a path or a query.
+OpenTelemetry has it (``OTEL_EXPORTER_OTLP_ENDPOINT``). A trace begins with a request, with a link
+to its caller's if that sends a ``traceparent``: who calls, perhaps without a key, says neither
+which trace a span belongs to nor whether it is kept. A job's row carries the trace through the
+queue, so that each attempt of a worker is a part of it. What instrumentation for frameworks adds
+of its own is not wanted here: paths, queries and addresses of clients. Spans hold ids, kinds and
+states, never a name, a path or a query; the id of a request may be its caller's ``X-Request-Id``.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import structlog
 
 if TYPE_CHECKING:
+    from opentelemetry.context import Context
     from opentelemetry.trace import Span, Tracer
 
 ENDPOINTS = ("OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT")
@@ -48,9 +51,10 @@ def start(name: str) -> None:
 
 @contextmanager
 def serving(headers: Mapping[str, str], request_id: str) -> Iterator[Span | None]:
-    """Trace a request, as a part of its caller's trace if that sends a ``traceparent``."""
-    given = headers.get("traceparent")
-    with _span("request", "SERVER", given, {"myoface.request.id": request_id}) as span:
+    """Trace a request, with a link to its caller's span if that sends a ``traceparent``."""
+    caller = headers.get("traceparent")
+    attributes = {"myoface.request.id": request_id}
+    with _span("request", "SERVER", None, attributes, caller) as span:
         yield span
 
 
@@ -101,28 +105,38 @@ def traceparent() -> str | None:
 
 @contextmanager
 def _span(
-    name: str, kind: str, parent: str | None, attributes: Mapping[str, Any]
+    name: str,
+    kind: str,
+    parent: str | None,
+    attributes: Mapping[str, Any],
+    linked: str | None = None,
 ) -> Iterator[Span | None]:
     if _tracer is None:
         yield None
         return
-    from opentelemetry.context import Context
-    from opentelemetry.trace import SpanKind
-    from opentelemetry.trace.propagation import tracecontext
+    from opentelemetry.trace import Link, SpanKind, get_current_span
 
-    carrier = {} if parent is None else {"traceparent": parent}
-    context = tracecontext.TraceContextTextMapPropagator().extract(carrier, Context())
+    other = get_current_span(_context(linked)).get_span_context()
     with _tracer.start_as_current_span(
         name,
-        context,
+        _context(parent),
         SpanKind[kind],
         attributes,
+        links=[Link(other)] if other.is_valid else [],
         record_exception=False,  # what exceptions say may name a file
         set_status_on_exception=False,
     ) as span:
         trace_id = format(span.get_span_context().trace_id, "032x")
         with structlog.contextvars.bound_contextvars(trace_id=trace_id):
             yield span
+
+
+def _context(traceparent: str | None) -> Context:
+    from opentelemetry.context import Context
+    from opentelemetry.trace.propagation import tracecontext
+
+    carrier = {} if traceparent is None else {"traceparent": traceparent}
+    return tracecontext.TraceContextTextMapPropagator().extract(carrier, Context())
 
 
 def _spoil(span: Span) -> None:

@@ -62,7 +62,7 @@ class Deliverer:
     """Sends what is due, by ``settings.webhook_workers`` threads, until ``stopping`` is set.
 
     At most half of the threads wait for receivers that did not answer the last time, and no more
-    for the receivers of one tenant.
+    for the receivers of one tenant while another has something due.
     """
 
     def __init__(
@@ -101,17 +101,13 @@ class Deliverer:
         self._under_way = {
             future: parcel for future, parcel in self._under_way.items() if not future.done()
         }
-        workers = self._settings.webhook_workers
-        free = workers - len(self._under_way)
-        failing = sum(parcel.failing for parcel in self._under_way.values())
+        threads, parcels = self._settings.webhook_workers, self._under_way.values()
         with self._store.read() as session:
-            if not free or not outbox.is_due(session):
+            if len(parcels) == threads or not outbox.is_due(session):
                 return []
-        spare = max(max(workers // 2, 1) - failing, 0)
-        lease = self._settings.webhook_timeout + MARGIN
         with self._store.write() as session:
-            half = max(workers // 2, 1)
-            return outbox.take(session, most=free, failing=spare, of_tenant=half, lease=lease)
+            lease = self._settings.webhook_timeout + MARGIN
+            return outbox.take(session, parcels, threads, lease)
 
     def _deliver(self, parcel: Parcel) -> None:
         with tracing.working(

@@ -21,7 +21,12 @@ Data = Annotated[Path | None, typer.Option(help="folder for everything the servi
 MaxBytes = Annotated[int | None, typer.Option(min=0, help="bytes that may be stored")]
 MaxQueued = Annotated[int | None, typer.Option(min=0, help="jobs that may wait")]
 MaxRunning = Annotated[int | None, typer.Option(min=0, help="jobs that may run at a time")]
-RetainDays = Annotated[int | None, typer.Option(min=1, help="days; default: the installation's")]
+NewLimit = Annotated[
+    str | None, typer.Option(metavar="NUMBER", help="'none': no limit; default: as it is")
+]
+RetainDays = Annotated[
+    str | None, typer.Option(metavar="DAYS", help="'none': the installation's; default: as it is")
+]
 
 
 @tenants.command("list")
@@ -86,14 +91,14 @@ def make_key(
 @tenants.command("limit")
 def limit_tenant(
     tenant: Annotated[str, typer.Argument(help="tenant id")],
-    max_bytes: MaxBytes = None,
-    max_queued: MaxQueued = None,
-    max_running: MaxRunning = None,
+    max_bytes: NewLimit = None,
+    max_queued: NewLimit = None,
+    max_running: NewLimit = None,
     data: Data = None,
 ) -> None:
-    """Set a tenant's quotas; those that are not given have no limit."""
-    quotas = {"max_bytes": max_bytes, "max_queued": max_queued, "max_running": max_running}
-    _change(data, tenant, **quotas)
+    """Set a tenant's quotas; those that are not given stay as they are."""
+    given = {"max_bytes": max_bytes, "max_queued": max_queued, "max_running": max_running}
+    _change(data, tenant, **_numbers(given, least=0))
 
 
 @tenants.command("retain")
@@ -105,9 +110,30 @@ def retain(
     rigs: RetainDays = None,
     data: Data = None,
 ) -> None:
-    """Set after how many days a tenant's things go; the installation's days hold where fewer."""
-    days = zip(KINDS, (subjects, scans, jobs, rigs), strict=True)
-    _change(data, tenant, **{f"retain_{kind}": most for kind, most in days})
+    """Set after how many days a tenant's things go; those that are not given stay as they are.
+
+    Of a tenant's days and the installation's the fewer hold.
+    """
+    given = dict(zip(KINDS, (subjects, scans, jobs, rigs), strict=True))
+    days = _numbers(given, least=1)
+    _change(data, tenant, **{f"retain_{kind}": most for kind, most in days.items()})
+
+
+def _numbers(given: dict[str, str | None], *, least: int) -> dict[str, int | None]:
+    """Return what was typed for some options as numbers; ``none`` is None."""
+    numbers: dict[str, int | None] = {}
+    for name, text in given.items():
+        if text is None:
+            continue
+        option = f"--{name.replace('_', '-')}"
+        if text != "none" and (not text.isdecimal() or int(text) < least):
+            message = f"{text!r} is neither a number from {least} on nor 'none'"
+            raise typer.BadParameter(message, param_hint=option)
+        numbers[name] = None if text == "none" else int(text)
+    if not numbers:
+        options = ", ".join(f"--{name.replace('_', '-')}" for name in given)
+        raise typer.BadParameter(f"give at least one of {options}")
+    return numbers
 
 
 def _change(data: Path | None, tenant: str, **limits: int | None) -> None:

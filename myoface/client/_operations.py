@@ -12,7 +12,18 @@ import httpx
 
 from myoface import transfer
 from myoface.client._events import EventReader
-from myoface.connection import Flow, Open, Patience, Pause, Read, checked, once, patiently
+from myoface.connection import (
+    LONGEST_WISH_S,
+    Flow,
+    Open,
+    Patience,
+    Pause,
+    Read,
+    checked,
+    once,
+    patiently,
+    wished,
+)
 from myoface.errors import ApiError
 from myoface.resources import (
     FINAL_STATES,
@@ -259,7 +270,8 @@ class Operations:
                 yield from _follow(job, watch, patience)
             except ApiError as error:
                 if error.code == TOO_MANY_STREAMS:
-                    yield Pause(STREAM_PAUSE)  # asking again and again does as well
+                    # asking again and again does as well
+                    yield Pause(min(wished(error) or STREAM_PAUSE, LONGEST_WISH_S))
                 else:
                     yield from patience.bear(error)
 

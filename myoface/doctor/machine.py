@@ -116,7 +116,7 @@ def mesher() -> Finding:
     surface = Surface(np.asarray(cube.vertices), np.asarray(cube.faces))
     try:
         _, found = tetrahedralize(
-            surface, 5.0, envelope_mm=0.1, lengths=lengths, timeout_s=CHILD_TIMEOUT_S
+            surface, 5.0, envelope_mm=0.1, lengths=lengths, cpu_seconds=CHILD_TIMEOUT_S
         )
     except SolveError as error:
         return Finding("mesher", "fault", str(error), REINSTALL)

@@ -30,9 +30,11 @@ class DeadlineProtocol(H11Protocol):
     The first runs from the connection, or from the first byte after an answer, until the headers of
     a request have arrived. From then on `service.http.bodies` keeps the time.
 
-    The second runs while bytes of an answer wait for the client, and anew with every byte it takes:
-    one that is slow gets its file, one that has stopped is cut off. An answer goes on only when the
-    client has taken what was written, so that one piece of it is all that waits in memory.
+    The second runs while bytes of an answer wait for the client, and anew when some were taken:
+    one that is slow gets its file, one that has stopped is cut off. The kernel asks for more only
+    when half of what it may hold has gone, so the least rate is about 64 KB in that time; TLS, and
+    a client whose own kernel takes megabytes ahead, may need some hundred. An answer goes on only
+    when the client has taken what was written, so that one piece of it is all that waits in memory.
     """
 
     seconds: ClassVar[float]

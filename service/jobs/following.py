@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections import Counter
-from collections.abc import AsyncIterator, Iterator, Sequence, Set
-from contextlib import contextmanager
+from collections.abc import AsyncIterator, Sequence, Set
 from dataclasses import dataclass, field
 
 import structlog
@@ -17,8 +15,6 @@ from anyio import to_thread
 from sqlalchemy import and_, or_, select
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.access.principal import Principal
-from service.errors import Problem
 from service.store.database import clock
 from service.store.models import ApiKey, Event, Job
 from service.store.store import Store
@@ -31,8 +27,6 @@ MOST_AT_ONCE = 1000
 """So many events are read ahead for one who takes them slowly."""
 MOST_WATCHERS_AT_ONCE = 200
 """So many go into one query, which has two parameters for each."""
-COME_BACK = "5"
-"""Seconds after which a stream that was refused may be asked for again."""
 
 log = structlog.get_logger()
 
@@ -48,50 +42,13 @@ class _Watcher:
 
 
 class Feed:
-    """The events of all tenants' jobs: whoever follows one must be known to be allowed to.
+    """The events of all tenants' jobs: whoever follows one must be known to be allowed to."""
 
-    A tenant follows at most ``most_of_tenant`` at a time in this process, by one key at most
-    ``most_of_key``: each holds a connection, of which there are few.
-    """
-
-    def __init__(self, store: Store, most_of_tenant: int, most_of_key: int) -> None:
+    def __init__(self, store: Store) -> None:
         self._store = store
-        self._most_of_tenant = most_of_tenant
-        self._most_of_key = most_of_key
-        self._open: Counter[str] = Counter()
         self._watchers: set[_Watcher] = set()
         self._keys_seen = time.monotonic()
         self._task: asyncio.Task[None] | None = None
-
-    @contextmanager
-    def place(self, who: Principal) -> Iterator[None]:
-        """Count a stream of ``who`` for as long as it is open.
-
-        Raises
-        ------
-        Problem
-            429 ``stream.too_many`` if the tenant or the key has as many as it may.
-        """
-        places = {
-            f"key {who.key_id}": self._most_of_key,
-            f"tenant {who.tenant_id}": self._most_of_tenant,
-        }
-        for name, most in places.items():
-            if self._open[name] >= most:
-                problem = Problem(
-                    429,
-                    "stream.too_many",
-                    f"{most} streams of events are open for this {name.split()[0]} already",
-                    expected=most,
-                )
-                problem.headers = {"Retry-After": COME_BACK}
-                raise problem
-        self._open.update(places.keys())
-        try:
-            yield
-        finally:
-            self._open.subtract(places.keys())
-            self._open = +self._open  # those that nobody has any more are forgotten
 
     async def follow(self, job_id: str, after: int, key_id: str) -> AsyncIterator[Event]:
         """Give a job's events after the event ``after``, until it is over or deleted.

@@ -12,6 +12,7 @@ from sqlalchemy.orm import Session
 
 from service import paging
 from service.access.principal import Reader, Writer
+from service.access.seats import Seats
 from service.audit.record import record
 from service.dependencies import (
     Cursor,
@@ -150,8 +151,10 @@ ExistingJob = Annotated[str, Depends(_existing, scope="function")]
 FeedDep = Annotated[Feed, Depends(part("feed"))]
 
 
-async def _place(feed: FeedDep, who: Reader) -> AsyncIterator[None]:
-    with feed.place(who):
+async def _seat(
+    streams: Annotated[Seats, Depends(part("streams"))], who: Reader
+) -> AsyncIterator[None]:
+    with streams.seat(who):
         yield
 
 
@@ -160,7 +163,7 @@ async def _place(feed: FeedDep, who: Reader) -> AsyncIterator[None]:
     response_class=EventSourceResponse,
     summary="Watch a job",
     responses=problems(404, 422),
-    dependencies=[Depends(_place)],
+    dependencies=[Depends(_seat)],
 )
 async def events(
     job_id: ExistingJob,

@@ -8,7 +8,7 @@ from typing import Any
 from sqlalchemy.orm import Session
 
 from service import tracing
-from service.access.quotas import check_queued
+from service.access.quotas import check_bytes, check_queued
 from service.errors import Problem
 from service.jobs import repository
 from service.jobs.inputs import resolve
@@ -38,6 +38,7 @@ def submit(
         return job, False
     kind = check_options(new.kind, new.options)
     check_queued(session)
+    check_bytes(session, 0)  # what jobs leave counts: no more of it beyond the quota
     subjects.lock(session, new.subject_id)
     inputs = resolve(session, kind, new)
     job = Job(

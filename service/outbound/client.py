@@ -119,7 +119,8 @@ class Sender:
         """Refuse a URL that could never be sent to, without asking anybody.
 
         Where a name leads is not looked up: that may take long, and another answer may hold by the
-        time something is sent.
+        time something is sent. Its port tells enough, unless the name can lead into a network that
+        the operator allows.
 
         Raises
         ------
@@ -130,6 +131,8 @@ class Sender:
         addresses = _written(origin.host.decode())
         if addresses:
             _refuse(origin.host.decode(), origin.port, addresses, self._allow)
+        elif origin.port not in PORTS and not self._allow:
+            raise _wrong_port(origin.port)
 
     def post(self, url: str, body: bytes, headers: Mapping[str, str]) -> Answer:
         """Send ``body``; any status is an answer.
@@ -316,7 +319,11 @@ def _refuse(host: str, port: int, addresses: Sequence[Address], allow: Sequence[
     if not all(is_allowed(address, allow) for address in addresses):
         raise Refused("address.private", f"{host} is not a public address")
     if port not in PORTS and not all(is_named(address, allow) for address in addresses):
-        raise Refused("address.port", f"port {port} is not one of 80, 443 and 8443")
+        raise _wrong_port(port)
+
+
+def _wrong_port(port: int) -> Refused:
+    return Refused("address.port", f"port {port} is not one of 80, 443 and 8443")
 
 
 def _address(text: str) -> Address:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import AsyncIterator
 from datetime import UTC, datetime
 from typing import Annotated, Any
 
@@ -10,7 +11,8 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 
 from service import paging
 from service.access.principal import Reader
-from service.access.signed import Signer
+from service.access.seats import Seats
+from service.access.signed import FileReader, Signer
 from service.audit.record import record
 from service.dependencies import (
     Cursor,
@@ -32,6 +34,18 @@ router = APIRouter(prefix="/v1", tags=["rigs"])
 
 
 Signing = Annotated[Signer, Depends(part("signer"))]
+Downloads = Annotated[Seats, Depends(part("downloads"))]
+
+
+async def _seat(downloads: Downloads, who: FileReader) -> AsyncIterator[None]:
+    with downloads.seat(who):
+        yield
+
+
+async def _seat_by_key(downloads: Downloads, who: Reader) -> AsyncIterator[None]:
+    with downloads.seat(who):
+        yield
+
 
 FILE: dict[int | str, dict[str, Any]] = {
     200: {"description": "The file", "content": {"*/*": {}}},
@@ -71,12 +85,14 @@ def show(rig_id: Id, session: ReadSession, settings: SettingsDep) -> RigView:
     response_class=Response,
     summary="Ask about a rig's file by name",
     responses=FILE,
+    dependencies=[Depends(_seat_by_key)],
 )
 @router.get(
     "/rigs/{rig_id}/artifacts/{name}",
     response_class=Response,
     summary="Download a rig's file by name",
     responses=FILE,
+    dependencies=[Depends(_seat_by_key)],
 )
 def download_by_name(
     rig_id: Id, name: FileName, session: ReadSession, store: ReadStore, request: Request
@@ -91,12 +107,14 @@ def download_by_name(
     response_class=Response,
     summary="Ask about a file",
     responses=FILE,
+    dependencies=[Depends(_seat)],
 )
 @router.get(
     "/artifacts/{artifact_id}",
     response_class=Response,
     summary="Download a file",
     responses=FILE,
+    dependencies=[Depends(_seat)],
 )
 def download(artifact_id: Id, store: FileStore, request: Request) -> Response:
     """Download an artifact, with a key or by a signed URL.

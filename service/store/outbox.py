@@ -7,12 +7,13 @@ queue of their own: a worker takes some for the time of a lease, and one that di
 from __future__ import annotations
 
 import uuid
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
 
-from sqlalchemy import ColumnElement, Subquery, delete, func, or_, select, update
+from sqlalchemy import ColumnElement, delete, func, or_, select, update
 from sqlalchemy.orm import Session
 
 from service.store.database import clock
@@ -38,6 +39,7 @@ class Parcel:
 
     delivery_id: str
     attempt: int
+    tenant_id: str
     webhook_id: str
     url: str
     generations: Sequence[int]
@@ -143,27 +145,47 @@ def is_due(session: Session) -> bool:
     return session.execute(_due(clock(session)).limit(1)).first() is not None
 
 
-def take(session: Session, most: int, failing: int, of_tenant: int, lease: float) -> list[Parcel]:
-    """Take at most so many deliveries that are due, and of those to webhooks that fail.
+def take(
+    session: Session, under_way: Collection[Parcel], threads: int, lease: float
+) -> list[Parcel]:
+    """Take deliveries that are due, for those of a worker's ``threads`` that are free.
 
-    The tenants take turns, and have at most ``of_tenant`` at once; a webhook gets few at once, one
-    that fails gets one: a receiver that does not answer holds up nobody else's news.
+    The tenants take turns, the one with least under way here first. What is beyond half of the
+    threads for one tenant comes last: it gets those that nobody else has a use for. A webhook gets
+    few at once, one that fails gets one, and those that fail get half of the threads together: a
+    receiver that does not answer holds up nobody else's news.
     """
     moment = clock(session)
-    rows = session.execute(_due(moment)).all()
-    working = [row for row in rows if not row.is_failing and row.turn <= of_tenant]
-    others = [row for row in rows if row.is_failing and row.place == 1]
-    chosen = [*working, *others[:failing]][:most]
+    half = max(threads // 2, 1)
+    held = Counter((parcel.tenant_id, parcel.failing) for parcel in under_way)
+
+    def turn(row: Any) -> int:
+        of_tenant: int = row.turn + held[row.tenant_id, row.is_failing]
+        return of_tenant
+
+    rows = sorted(session.execute(_due(moment)).all(), key=turn)
+    working = [row for row in rows if not row.is_failing]
+    failing = [row for row in rows if row.is_failing and row.place == 1]
+    spare = max(half - sum(parcel.failing for parcel in under_way), 0)
+    chosen = [
+        *(row for row in working if turn(row) <= half),
+        *failing[:spare],
+        *(row for row in working if turn(row) > half),
+    ][: threads - len(under_way)]
     until = moment + timedelta(seconds=lease)
     return [parcel for row in chosen if (parcel := _claim(session, row, moment, until))]
 
 
 def settle(session: Session, parcel: Parcel, outcome: Outcome, pauses: Sequence[float]) -> None:
-    """Write down what became of a try; ``pauses`` are the seconds before each further one."""
+    """Write down what became of a try; ``pauses`` are the seconds before each further one.
+
+    A receiver that wants to be left alone is sent nothing of what waits for it.
+    """
     moment = clock(session)
     hook = session.get(Webhook, parcel.webhook_id, with_for_update=True)
     if hook is None:
         return  # it was deleted, with its deliveries
+    wish = min(timedelta(seconds=outcome.retry_after), LONGEST_WISH)
     values: dict[str, Any] = {
         "status": outcome.status,
         "ms": outcome.ms,
@@ -175,8 +197,7 @@ def settle(session: Session, parcel: Parcel, outcome: Outcome, pauses: Sequence[
         values |= {"state": DELIVERED, "finished_at": moment, "next_at": None}
     elif parcel.attempt <= len(pauses):
         pause = timedelta(seconds=pauses[parcel.attempt - 1])
-        wish = timedelta(seconds=outcome.retry_after)
-        values["next_at"] = moment + max(pause, min(wish, LONGEST_WISH))
+        values["next_at"] = moment + max(pause, wish)
     else:
         values |= {"state": FAILED, "finished_at": moment, "next_at": None}
     mine = session.execute(
@@ -191,6 +212,8 @@ def settle(session: Session, parcel: Parcel, outcome: Outcome, pauses: Sequence[
     ).scalar_one_or_none()
     if mine is not None:
         _judge(session, hook, outcome, moment)
+        if wish:
+            _put_off(session, hook.id, moment + wish)
 
 
 def switch_off(session: Session, webhook_id: str, reason: str, moment: datetime) -> None:
@@ -220,18 +243,16 @@ def _asks(hook: Webhook, type: str, kind: str | None) -> bool:
 def _due(moment: datetime) -> Any:
     """Return a query for what may be sent now, with its place at its webhook and in its tenant.
 
-    Those of the tenants that have least under way come first; in a tenant its webhooks take turns,
-    the oldest first. Webhooks that fail have turns of their own.
+    The place counts what is under way to the webhook, by whichever worker. In a tenant its webhooks
+    take turns, the oldest first; webhooks that fail have turns of their own.
     """
     is_failing = Webhook.failing_since.is_not(None)
-    sending = (
-        select(Delivery.webhook_id, Delivery.tenant_id, is_failing.label("is_failing"))
-        .join(Webhook, Webhook.id == Delivery.webhook_id)
+    at_webhook = (
+        select(Delivery.webhook_id, func.count().label("count"))
         .where(Delivery.state == PENDING, Delivery.lease_until > moment)
-        .cte()
+        .group_by(Delivery.webhook_id)
+        .subquery()
     )
-    at_webhook = _count(sending.c.webhook_id)
-    in_tenant = _count(sending.c.tenant_id, sending.c.is_failing)
     waiting = func.row_number().over(partition_by=Delivery.webhook_id, order_by=Delivery.next_at)
     due = (
         select(
@@ -247,24 +268,15 @@ def _due(moment: datetime) -> Any:
         .where(*_free(moment))
         .subquery()
     )
-    queued = func.row_number().over(
+    turn = func.row_number().over(
         partition_by=(due.c.tenant_id, due.c.is_failing),
         order_by=(due.c.place, due.c.next_at, due.c.id),
     )
-    turn = (queued + func.coalesce(in_tenant.c.count, 0)).label("turn")
-    theirs = (in_tenant.c.tenant_id == due.c.tenant_id) & (
-        in_tenant.c.is_failing == due.c.is_failing
-    )
     return (
-        select(due, turn)
-        .outerjoin(in_tenant, theirs)
+        select(due, turn.label("turn"))
         .where(due.c.place <= AT_ONCE_PER_WEBHOOK)
-        .order_by(turn, due.c.next_at, due.c.id)
+        .order_by("turn", due.c.next_at, due.c.id)
     )
-
-
-def _count(*by: ColumnElement[Any]) -> Subquery:
-    return select(*by, func.count().label("count")).group_by(*by).subquery()
 
 
 def _free(moment: datetime) -> Iterable[ColumnElement[bool]]:
@@ -292,6 +304,7 @@ def _claim(session: Session, row: Any, moment: datetime, until: datetime) -> Par
     return Parcel(
         delivery_id=row.id,
         attempt=attempt,
+        tenant_id=delivery.tenant_id,
         webhook_id=hook.id,
         url=hook.url,
         generations=generations,
@@ -301,6 +314,20 @@ def _claim(session: Session, row: Any, moment: datetime, until: datetime) -> Par
         data=event.data,
         created_at=event.created_at,
     )
+
+
+def _put_off(session: Session, webhook_id: str, until: datetime) -> None:
+    """Send nothing of what waits for a webhook before ``until``."""
+    waiting = (
+        select(Delivery.id)
+        .where(
+            Delivery.webhook_id == webhook_id,
+            Delivery.state == PENDING,
+            Delivery.next_at < until,
+        )
+        .with_for_update(skip_locked=True)  # of which one is just taken, it is under way
+    )
+    session.execute(update(Delivery).where(Delivery.id.in_(waiting)).values(next_at=until))
 
 
 def _judge(session: Session, hook: Webhook, outcome: Outcome, moment: datetime) -> None:

@@ -33,6 +33,7 @@ from service.store.transitions import FINAL
 ANSWERED = timedelta(days=1)
 """How long an ``Idempotency-Key`` is known."""
 BATCH = 200
+"""So many things go in a round."""
 KINDS = ("subjects", "scans", "jobs", "rigs")
 """Of what is kept: settings and tenants have a ``retain_`` of each."""
 
@@ -53,7 +54,11 @@ def days(settings: Settings, tenant: Tenant | None = None) -> Days:
     """Return the installation's days, or a tenant's: its own where those are fewer."""
     owners = (settings, tenant) if tenant else (settings,)
     stated = {kind: [getattr(owner, f"retain_{kind}") for owner in owners] for kind in KINDS}
-    return Days(**{kind: min(filter(None, each), default=None) for kind, each in stated.items()})
+    return Days(**{kind: _fewest(each) for kind, each in stated.items()})
+
+
+def _fewest(stated: Iterable[int | None]) -> int | None:
+    return min((most for most in stated if most is not None), default=None)
 
 
 def own_days(session: Session, settings: Settings) -> Days:
@@ -67,7 +72,10 @@ def until(days: int | None, since: datetime | None) -> datetime | None:
 
 
 def enforce(store: Store, settings: Settings) -> None:
-    """Delete what has been kept for long enough, and what was waiting for its jobs to end."""
+    """Delete what has been kept for long enough, and what was waiting for its jobs to end.
+
+    In many short transactions: SQLite has one writer at a time, and the others wait.
+    """
     with store.write() as session:
         deletion.go_on(session)
         moment = clock(session)
@@ -78,23 +86,26 @@ def enforce(store: Store, settings: Settings) -> None:
             age = moment - timedelta(days=settings.retain_audit)
             session.execute(delete(AuditEntry).where(AuditEntry.created_at < age))
             session.execute(delete(Deletion).where(Deletion.files_at < age))
-        _delete_due(session, moment, days(settings))
-        for tenant in session.scalars(select(Tenant).where(_has_own_days())).all():
-            _delete_due(session, moment, days(settings, tenant), tenant.id)
+    with store.read() as session:
+        tenants = session.scalars(select(Tenant).where(_has_own_days())).all()
+    left = BATCH
+    for tenant in (None, *tenants):
+        for most, since, query, remove in _rules(days(settings, tenant)):
+            if most is None or not left:
+                continue
+            due = query.where(since < moment - timedelta(days=most)).limit(left)
+            if tenant is not None:
+                due = due.where(since.class_.tenant_id == tenant.id)
+            left -= _delete(store, due, remove)
 
 
-def _delete_due(
-    session: Session, moment: datetime, kept: Days, tenant_id: str | None = None
-) -> None:
-    """Delete what has been kept for its days, everybody's or a tenant's."""
-    for most, since, query, remove in _rules(kept):
-        if most is None:
-            continue
-        due = query.where(since < moment - timedelta(days=most)).limit(BATCH)
-        if tenant_id is not None:
-            due = due.where(since.class_.tenant_id == tenant_id)
-        for row in session.scalars(due).all():
+def _delete(store: Store, due: Select[Any], remove: Remove) -> int:
+    """Delete what is due in a transaction of its own; returns how much it was."""
+    with store.write() as session:
+        rows = session.scalars(due).all()
+        for row in rows:
             remove(session, row, "retention")
+    return len(rows)
 
 
 Remove = Callable[[Session, Any, deletion.Reason], Deletion]

@@ -87,13 +87,22 @@ class UploadService:
         upload = self.get(upload_id)
         if upload.complete:
             return upload
-        with self._locked(upload_id):
-            pass  # held no longer than it takes to see that it is free: a writer would be refused
-        upload = self.get(upload_id)
-        if upload.offset < upload.size:
-            return upload
-        with self._locked(upload_id):
-            return self._complete(self.get(upload_id))
+        try:
+            with self._locked(upload_id):
+                pass  # no longer than it takes to see that it is free: a writer would be refused
+            upload = self.get(upload_id)
+            if _is_settled(upload):
+                return upload
+            with self._locked(upload_id):
+                upload = self.get(upload_id)
+                return upload if _is_settled(upload) else self._complete(upload)
+        except Problem as problem:
+            if problem.code != "upload.closed":
+                raise
+            upload = self.get(upload_id)
+            if not upload.complete:
+                raise
+            return upload  # its last bytes came between a look into the table and its lock
 
     def delete(self, upload_id: str) -> None:
         """Give an upload up; what was made from it stays. 423 while another request writes."""
@@ -158,7 +167,7 @@ class UploadService:
         part = self._part(upload.id)
         try:
             blob = self._store.files.put(part)
-        except FileNotFoundError as error:  # the sweeper was here
+        except FileNotFoundError as error:  # its row too: the `Tidier` removes none that has one
             raise Problem(
                 410, "upload.expired", "the upload has expired", upload_id=upload.id
             ) from error
@@ -199,6 +208,11 @@ class UploadService:
                     423, "upload.locked", "another request is writing", upload_id=upload_id
                 ) from error
             yield part
+
+
+def _is_settled(upload: Upload) -> bool:
+    """Tell whether nothing is left to do but for a client that sends more."""
+    return upload.complete or upload.offset < upload.size
 
 
 def _check_offset(upload: Upload, offset: int) -> None:

@@ -34,6 +34,7 @@ ENVELOPE = 0.08
 """Distance between flesh surface and skin as a part of the edge length."""
 GREATEST_ENVELOPE_MM = 1.6
 MESHER_SECONDS = 900.0
+"""Of processor time; a head at the usual edge length takes one or two minutes."""
 JAW_FREE_MM = 15.0
 """Within this distance of the mandible a cut plane is free: the jaw's angle moves with the jaw."""
 FACE_FREE_MM = 20.0
@@ -109,7 +110,7 @@ def _mesh(head: Template, edge_mm: float) -> Flesh:
         DEEP_FACTOR * edge_mm,
         envelope_mm=min(ENVELOPE * edge_mm, GREATEST_ENVELOPE_MM),
         lengths=edge_lengths(head, soup, edge_mm),
-        timeout_s=MESHER_SECONDS,
+        cpu_seconds=MESHER_SECONDS,
     )
     return choose_flesh(vertices, tets, label_tets(head, vertices, tets))
 

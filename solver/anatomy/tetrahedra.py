@@ -1,12 +1,13 @@
 """Tetrahedra by fTetWild, in a process of their own.
 
 fTetWild (Hu, Schneider, Wang, Zorin and Panozzo, "Fast tetrahedral meshing in the wild", 2020)
-takes any triangle soup, but it may crash or not come back, so it runs as a child that can be
-killed: ``python -m solver.anatomy.tetrahedra input.npz output.npz``.
+takes any triangle soup, but it may crash or not come back, so it runs as a child that ends itself
+after so many seconds of work: ``python -m solver.anatomy.tetrahedra input.npz output.npz SECONDS``.
 """
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 import tempfile
@@ -58,7 +59,7 @@ def tetrahedralize(
     *,
     envelope_mm: float,
     lengths: EdgeLengths,
-    timeout_s: float,
+    cpu_seconds: float,
 ) -> tuple[Floats, Ints]:
     """Fill the bounding box of a triangle soup with tetrahedra that follow its triangles.
 
@@ -75,8 +76,8 @@ def tetrahedralize(
         Largest distance between the triangles and the faces that follow them.
     lengths
         Wanted edge lengths where they differ.
-    timeout_s
-        The child is killed after this many seconds.
+    cpu_seconds
+        The child ends after so much processor time: a busy machine makes it slow, not wrong.
 
     Returns
     -------
@@ -99,17 +100,15 @@ def tetrahedralize(
             edge=edge_mm,
             envelope=envelope_mm,
         )
-        command = [sys.executable, "-m", "solver.anatomy.tetrahedra", str(source), str(target)]
-        try:
-            child = subprocess.run(
-                command, cwd=_ROOT, capture_output=True, timeout=timeout_s, check=False
-            )
-        except subprocess.TimeoutExpired as error:
+        files = [str(source), str(target)]
+        command = [sys.executable, "-m", "solver.anatomy.tetrahedra", *files, str(cpu_seconds)]
+        child = subprocess.run(command, cwd=_ROOT, capture_output=True, check=False)
+        if child.returncode == -signal.SIGPROF:
             raise SolveError(
                 "mesher.timeout",
-                f"the mesher was stopped after {timeout_s:.0f} seconds without a result",
-                seconds=timeout_s,
-            ) from error
+                f"the mesher had no result after {cpu_seconds:.0f} seconds of processor time",
+                seconds=cpu_seconds,
+            )
         if child.returncode != 0 or not target.exists():
             last_words = child.stderr.decode(errors="replace").strip()[-500:]
             raise SolveError(
@@ -178,4 +177,5 @@ def _run_child(source: Path, target: Path) -> None:
 
 
 if __name__ == "__main__":
+    signal.setitimer(signal.ITIMER_PROF, float(sys.argv[3]))  # whose signal ends the process
     _run_child(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -124,7 +124,10 @@ class Barrier:
         """See :class:`solver.mechanics.potential.Potential`."""
         own = self._skin_size
         stiffness = self._stiffness(x)[:own, :own]
-        return sp.csr_array(self._rows.T @ stiffness @ self._rows)
+        # few of the skin's vertices touch anything
+        touching = np.flatnonzero(np.diff(stiffness.indptr))
+        rows = self._rows[touching]
+        return sp.csr_array(rows.T @ stiffness[touching][:, touching] @ rows)
 
     def pull(self, x: Floats, goal: Boundary) -> Floats:
         """See :class:`solver.mechanics.potential.Potential`."""

@@ -51,7 +51,7 @@ def contact_potentials(
     Raises
     ------
     InputError
-        ``contact.crossed`` where the neutral skin crosses itself.
+        ``contact.crossed`` where the neutral skin crosses itself widely.
     """
     mouth = Mouth.of(model)
     potentials: list[Potential] = []

@@ -1,8 +1,9 @@
 """The skin as contact sees it: its triangles that may touch, a little inside themselves.
 
-Scans cross themselves by hundredths of a millimetre where lips are closed, and a barrier is
-infinite there. So the contact surface lies ``INSET_MM`` under the skin: two skins that touch may
-still cross by twice that, which nobody sees.
+Scans cross themselves where lips are closed, mostly by hundredths of a millimetre, and a barrier is
+infinite there. So the contact surface lies ``INSET_MM`` under the skin, and deeper where that is
+not enough: two skins that touch may cross by twice that. What crosses itself even so, as the thin
+walls of nostrils or the skin behind lids do in some people, touches nothing.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import ipctk
 import numba as nb
 import numpy as np
 import scipy.sparse as sp
+import structlog
 from numpy.typing import NDArray
 
 from solver.anatomy.embedding import rows_of
@@ -24,8 +26,16 @@ from solver.surface import Floats, Ints
 from solver.triangles import adjacency
 
 INSET_MM = 0.075
-DEEPER_MM = (0.1, 0.125, 0.15)
+DEEPER_MM = (0.1, 0.15, 0.2, 0.3, 0.4)
 """Where the surface still crosses itself it goes so deep, one after the other."""
+BESIDE_MM = 0.02
+"""A vertex is looked at this far outside the contact surface."""
+INSIDE = 0.5
+"""Winding number above which that place lies in flesh, which is then another part's."""
+MOST_LEFT_OUT = 0.2
+"""Part of the triangles that may cross."""
+
+log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True)
@@ -53,7 +63,7 @@ class ContactSurface:
     def of(cls, model: SubjectModel, faces: Ints) -> ContactSurface:
         """Return the surface of some of the skin's triangles (f, 3), all on embedded vertices.
 
-        Raises :class:`InputError` (``contact.crossed``) where the skin crosses itself too deeply.
+        Raises :class:`InputError` (``contact.crossed``) where the skin crosses itself widely.
         """
         skin, own = np.unique(faces, return_inverse=True)
         own = np.ascontiguousarray(own.reshape(faces.shape))
@@ -62,19 +72,27 @@ class ContactSurface:
         points = np.asarray(rows @ model.rest + offset)
         normals = _normals(points, own)
         inset = np.full(len(skin), INSET_MM)
-        for deeper in (*DEEPER_MM, np.inf):
+        near = adjacency(own, len(skin))
+        for deeper in DEEPER_MM:
             moved = points - inset[:, None] * normals
-            if not ipctk.has_intersections(collision_mesh(moved, own), moved):
+            crossed = _crossed(moved, own, normals)
+            if not crossed.any():
                 break
-            crossed = np.zeros(len(skin))
-            crossed[crossing_vertices(moved, own)] = 1.0
-            if np.isinf(deeper):
-                vertex = int(skin[crossed.argmax()])
-                message = f"the neutral skin crosses itself around vertex {vertex}: mend the scan"
-                raise InputError("contact.crossed", message, vertex=vertex)
-            around = crossed + adjacency(own, len(skin)) @ crossed > 0
-            inset[around] = deeper
-        return cls(skin, own, _shifted(model, rows, -inset[:, None] * normals), offset, moved)
+            inset[crossed | (near @ crossed > 0)] = deeper
+        moved = points - inset[:, None] * normals
+        kept = _uncrossed(moved, own, normals)
+        if len(kept) < (1.0 - MOST_LEFT_OUT) * len(own):
+            vertex = int(skin[own[~np.isin(own, kept)][0]])
+            message = f"the neutral skin crosses itself widely, around vertex {vertex}: mend it"
+            raise InputError("contact.crossed", message, vertex=vertex)
+        if len(kept) < len(own):
+            log.info(
+                "skin that crosses itself is left out of contact", triangles=len(own) - len(kept)
+            )
+        used, faces = np.unique(kept, return_inverse=True)
+        faces = np.ascontiguousarray(faces.reshape(-1, 3))
+        rows = _shifted(model, rows, -inset[:, None] * normals)
+        return cls(skin[used], faces, sp.csr_array(rows[used]), offset[used], moved[used])
 
     def points(self, x: Floats) -> Floats:
         """Return the positions (s, 3) at the tets' vertices x (p, 3)."""
@@ -86,6 +104,29 @@ def collision_mesh(points: Floats, faces: Ints) -> ipctk.CollisionMesh:
     corners = np.asfortranarray(faces, dtype=np.int32)
     edges = np.asfortranarray(ipctk.edges(corners))
     return ipctk.CollisionMesh(np.asfortranarray(points), edges, corners)
+
+
+def _crossed(points: Floats, faces: Ints, normals: Floats) -> NDArray[np.bool_]:
+    """Mark (s,) the vertices that lie in flesh not under their own skin, or where skin crosses.
+
+    The former by the generalised winding number (Jacobson et al. 2013), as the lips' overlap is
+    found (:mod:`solver.contact.overlap`), with all that it marks about what crosses.
+    """
+    marks = np.zeros(len(points), dtype=np.bool_)
+    if ipctk.has_intersections(collision_mesh(points, faces), np.asfortranarray(points)):
+        beside = np.ascontiguousarray(points + BESIDE_MM * normals)
+        winding = np.asarray(igl.fast_winding_number(points, faces, beside))
+        marks = winding > INSIDE
+        marks[crossing_vertices(points, faces)] = True
+    return marks
+
+
+def _uncrossed(points: Floats, faces: Ints, normals: Floats) -> Ints:
+    """Return the triangles (g, 3) that are left without those that cross or lie inside."""
+    kept = faces[~_crossed(points, faces, normals)[faces].any(axis=1)]
+    while ipctk.has_intersections(collision_mesh(points, kept), np.asfortranarray(points)):
+        kept = kept[~np.isin(kept, crossing_vertices(points, kept)).any(axis=1)]
+    return kept
 
 
 def crossing_vertices(points: Floats, faces: Ints) -> Ints:

@@ -28,10 +28,10 @@ def _row(page: Any, file: str) -> Any:
     return page.locator(f'tr[data-file="{file}"]')
 
 
-def _drop(page: Any, paths: list[Path]) -> None:
+def _drop(page: Any, paths: list[Path], on: str = ".zone") -> None:
     """Drop files or folders as the desktop does."""
     session = page.context.new_cdp_session(page)
-    box = page.locator(".zone").bounding_box()
+    box = page.locator(on).bounding_box()
     data = {"items": [], "files": [str(path) for path in paths], "dragOperationsMask": 1}
     at = {"x": box["x"] + box["width"] / 2, "y": box["y"] + 10, "data": data}
     for kind in ("dragEnter", "dragOver", "drop"):
@@ -48,9 +48,9 @@ def test_a_dropped_scan_set_is_uploaded_and_judged(
     _scan(folder / "Ada_kiss.obj", verdict="bad")
     (folder / "Ada_smile-landmarks.csv").write_text("sellion,0,0,0\n")
     (folder / "Ada_smile.mtl").write_text("newmtl skin\n")
-    page = show("/upload")
+    page = show("/queue")
 
-    _drop(page, [folder])
+    _drop(page, [folder], on="h1")
 
     row = _row(page, "Ada_neutral.obj")
     row.wait_for()
@@ -101,6 +101,46 @@ def test_a_session_is_added_in_one_call_and_becomes_a_rig(
     page.get_by_role("link", name="Open the rig").wait_for()
     made = [each for each in asked if each.startswith("POST") and "/v1/uploads" not in each]
     assert [each.rsplit("/", 1)[1] for each in made] == ["subjects", "batches"]
+
+
+@pytest.mark.parametrize("answer", ["Try again", "Leave out"])
+def test_a_file_that_is_refused_holds_the_set_back_until_the_operator_answers(
+    show: Show, studio: Studio, tmp_path: Path, answer: str
+) -> None:
+    names = ["neutral", "kiss", "smile"]
+    scans = [_scan(tmp_path / f"{name}.obj") for name in names]
+    refused = {"status": 413, "code": "quota.bytes", "detail": "no room is left"}
+    page = show("/upload", refusals=True)
+    begun = 0
+    asked: list[list[str]] = []
+
+    def on_upload(route: Any) -> None:
+        nonlocal begun
+        begun += 1
+        if begun == 2:
+            route.fulfill(status=413, content_type="application/problem+json", json=refused)
+        else:
+            route.continue_()
+
+    def on_batch(route: Any) -> None:
+        asked.append([scan["name"] for scan in route.request.post_data_json["captures"]])
+        route.continue_()
+
+    page.route(re.compile("/v1/uploads$"), on_upload)
+    page.route(re.compile("/v1/batches$"), on_batch)
+    page.set_input_files("#files", [str(path) for path in scans])
+    page.get_by_label("Name of the new subject").fill(f"Mira, {answer}")
+    page.get_by_role("button", name="Upload 3 scans").click()
+    _row(page, "kiss.obj").get_by_text("No room is left").wait_for()
+    _row(page, "smile.obj").locator(".state").get_by_text("Uploaded").wait_for()
+    page.wait_for_load_state("networkidle")
+    assert asked == []
+
+    _row(page, "kiss.obj").get_by_role("button", name=answer).click()
+    expected = [name for name in names if answer == "Try again" or name != "kiss"]
+    for name in expected:
+        _row(page, f"{name}.obj").locator(".state").get_by_text("Good").wait_for()
+    assert asked == [expected]
 
 
 def test_a_scan_replaces_an_earlier_one_if_the_operator_says_so(
@@ -165,6 +205,29 @@ def test_an_upload_goes_on_after_a_lost_connection_and_a_reload(
     assert offsets
     assert min(offsets) >= PIECE, "what had arrived is not sent twice"
     assert page.evaluate("localStorage.getItem('myoface.uploads')") is None
+
+
+def test_an_upload_that_is_just_made_a_file_is_asked_for_again(
+    show: Show, studio: Studio, tmp_path: Path
+) -> None:
+    scan = _scan(tmp_path / "neutral.obj", size=1 * MB)
+    page = show("/upload", refusals=True)
+    refused = {"status": 409, "code": "upload.offset", "detail": "another offset"}
+    unheard = ["PATCH", "HEAD"]  # a piece whose answer was lost, and the question what came of it
+
+    def on_upload(route: Any) -> None:
+        if unheard[:1] != [route.request.method]:
+            route.continue_()
+            return
+        body = {"json": refused} if unheard.pop(0) == "PATCH" else {}
+        route.fulfill(status=409, content_type="application/problem+json", **body)
+
+    page.route("**/v1/uploads/**", on_upload)
+    page.set_input_files("#files", str(scan))
+    page.get_by_label("Name of the new subject").fill("Noa")
+    page.get_by_role("button", name="Upload 1 scan").click()
+    _row(page, "neutral.obj").locator(".state").get_by_text("Good").wait_for()
+    assert unheard == []
 
 
 def test_a_job_is_watched_canceled_and_run_again(show: Show, studio: Studio) -> None:

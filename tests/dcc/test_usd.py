@@ -98,7 +98,7 @@ def test_what_a_tool_reads_first(path: Path) -> None:
     shapes = [each.GetName() for each in mesh.GetChildren() if each.IsA(UsdSkel.BlendShape)]
     assert shapes == ["smile", "ah", "Ah__wide_open", "Ah__wide_open_"]
     parts = [each.GetName() for each in mesh.GetChildren() if each.IsA(UsdGeom.Subset)]
-    assert parts == ["skin", "eyes", "teeth"]
+    assert parts == ["skin", "eyes", "teeth", "mouth"]
 
 
 def test_extents_hold_all_expressions(rig: Rig, path: Path) -> None:

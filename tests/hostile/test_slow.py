@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+import ssl
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +15,7 @@ from starlette.types import Receive, Scope, Send
 
 from service.app import create_app
 from service.settings import Settings
+from tests.certificate import self_signed
 from tests.hostile.edge import connected, serving, until_closed
 from tests.service_client import eventually
 
@@ -133,6 +135,31 @@ def test_who_reads_slowly_gets_all_of_it() -> None:
             time.sleep(PATIENCE / 4)
     assert received > BLOCKS * BLOCK
     assert time.monotonic() - started > 4 * PATIENCE
+
+
+@pytest.mark.parametrize("tls", [False, True])
+def test_who_reads_at_little_more_than_the_least_rate_is_not_cut_off(
+    tmp_path: Path, tls: bool
+) -> None:
+    patience = 1.5
+    rate = (8 if tls else 4) * 65_536 / patience
+    key, certificate = self_signed(tmp_path, "IP:127.0.0.1")
+    files = {"ssl_keyfile": str(key), "ssl_certfile": str(certificate)} if tls else {}
+    with serving(_Downloads(), patience, **files) as port, socket.socket() as plain:
+        plain.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 16_384)  # takes little ahead
+        plain.settimeout(10)
+        plain.connect(("127.0.0.1", port))
+        context = ssl.create_default_context(cafile=str(certificate))
+        with context.wrap_socket(plain, server_hostname="127.0.0.1") if tls else plain as reader:
+            reader.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n")
+            received, started = 0, time.monotonic()
+            while (seconds := time.monotonic() - started) < 3 * patience:
+                if received < rate * seconds:
+                    content = reader.recv(4096)
+                    assert content
+                    received += len(content)
+                else:
+                    time.sleep(0.01)
 
 
 def test_many_slow_ones_hold_up_nobody(port: int) -> None:

@@ -153,6 +153,11 @@ def test_ports_of_other_services_are_refused() -> None:
         with pytest.raises(Refused) as caught:
             sender.post(f"http://a:{port}/", b"{}", {})
         assert caught.value.code == "address.port"
+        with pytest.raises(Refused) as caught:
+            sender.check(f"http://a:{port}/")  # as early as that
+        assert caught.value.code == "address.port"
+    sender.check("http://a:8443/")
+    Sender(5, LOOPBACK, _names()).check("http://a:9000/")  # it may lead there, where any port is
 
 
 @pytest.mark.parametrize(

@@ -157,7 +157,11 @@ def test_a_tenant_is_added_with_its_first_key(tmp_path: Path) -> None:
     assert f"{tenant}  North           5" in run("tenants", "list")
     run("tenants", "limit", tenant, "--max-bytes", "1000")
     assert f"{tenant}  North    1000" in run("tenants", "list")
-    run("tenants", "retain", tenant, "--scans", "30", "--rigs", "60")
+    run("tenants", "retain", tenant, "--scans", "30", "--jobs", "7")
+    run("tenants", "retain", tenant, "--jobs", "none", "--rigs", "60")  # the scans' stay
+    run("tenants", "retain", tenant, code=2)
+    for text in ("0", "soon", "-3"):
+        run("tenants", "retain", tenant, "--scans", text, code=2)
     run("tenants", "retain", "nobody", "--scans", "30", code=2)
     with served(Settings(data_dir=tmp_path, host="127.0.0.1")) as studio:
         north = Studio(studio.http, key.read_text())

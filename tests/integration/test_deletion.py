@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sqlalchemy import select, update
+from sqlalchemy import event, func, select, update
+from sqlalchemy.orm import Session
 
 from service.settings import Settings
 from service.store import deletion, garbage, jobs, retention
@@ -179,6 +180,35 @@ def test_what_has_been_kept_for_long_enough_goes(studio: Studio) -> None:
     assert [each["id"] for each in studio.get("/v1/subjects")["items"]] == [young]
     assert studio.get("/v1/audit")["items"] == []
     assert {each["reason"] for each in studio.get("/v1/deletions")["items"]} == {"retention"}
+
+
+def test_a_round_deletes_so_many_things_and_those_of_a_tenant_at_a_time(
+    studio: Studio, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = _store(studio)
+    with store.write() as session:
+        for name in ("north", "south"):
+            tenant = Tenant(name=name, retain_subjects=7)
+            session.add(tenant)
+            session.flush()
+            for person in ("Alex", "Bo"):
+                session.add(Subject(tenant_id=tenant.id, name=person, created_at=OLD))
+    transactions: list[set[str]] = [set()]
+
+    def see(session: Session, *_: Any) -> None:
+        transactions[-1].update(row.tenant_id for row in session.deleted)
+
+    monkeypatch.setattr(retention, "BATCH", 3)
+    rounds = []
+    event.listen(Session, "before_flush", see)
+    event.listen(Session, "after_commit", lambda _: transactions.append(set()))
+    for _ in range(3):
+        retention.enforce(store, _settings(studio))
+        with store.read() as session:
+            rounds.append(session.scalar(select(func.count(Subject.id))))
+    event.remove(Session, "before_flush", see)
+    assert rounds == [1, 0, 0]
+    assert sorted(len(tenants) for tenants in transactions if tenants) == [1, 1, 1]
 
 
 def _end(studio: Studio, *job_ids: str) -> None:

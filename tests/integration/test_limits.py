@@ -80,6 +80,9 @@ def test_a_tenant_has_room_for_so_many_bytes_and_jobs(tmp_path: Path) -> None:
         assert usage["running"] == {"used": 0, "limit": 3}
         studio.post(f"/v1/jobs/{job}/cancel")
         assert studio.http.post("/v1/jobs", json=body).status_code == 201
+        _limit(studio, max_bytes=used["used"], max_queued=9)  # what jobs left went beyond it
+        refused = studio.http.post("/v1/jobs", json=body)
+        assert (refused.status_code, refused.json()["code"]) == (413, "quota.bytes")
 
 
 def test_landmarks_and_frames_are_among_the_stored_bytes(tmp_path: Path) -> None:

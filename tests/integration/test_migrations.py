@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import pytest
 from alembic import command
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from sqlalchemy import select, text
+from sqlalchemy import func, select, text
 
 from service.settings import Settings
 from service.store.database import Database
@@ -60,8 +61,35 @@ def test_uploads_from_before_know_what_they_were_used_for(database: Database) ->
     with database.engine.begin() as connection:
         for row in rows:
             connection.execute(text(f"INSERT INTO {row}"))
+    for move, revision in ((command.upgrade, "head"), (command.downgrade, "0007")):
+        database.migrate(move, revision)
     database.migrate()
     with database.read() as session:
         used = {row.id: row.used_by for row in session.execute(select(Upload.id, Upload.used_by))}
     assert used == {"scan": "c", "marks": "c", "template": "t", "new": None, "announced": None}
+    database.close()
+
+
+def test_many_uploads_from_before_are_soon_known(database: Database) -> None:
+    database.migrate(command.upgrade, "0007")
+    of_file = f"'{DEFAULT_TENANT}', 'x', 1, '2026-01-01 00:00:00'"
+    numbers = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 8000)"
+    rows = (
+        "subjects (id, tenant_id, name, created_at) "
+        f"VALUES ('s', '{DEFAULT_TENANT}', 'x', '2026-01-01 00:00:00')",
+        "captures (id, subject_id, name, role, registered, sha256, landmarks_sha256, tenant_id, "
+        f"filename, size, created_at) {numbers} "
+        f"SELECT i, 's', i, 'expression', true, 'a' || i, 'b' || i, {of_file} FROM n",
+        'uploads (id, sha256, complete, "offset", expires_at, tenant_id, filename, size, '
+        f"created_at) {numbers} "
+        f"SELECT i, 'b' || i, true, 1, '2026-01-01 00:00:00', {of_file} FROM n",
+    )
+    with database.engine.begin() as connection:
+        for row in rows:
+            connection.execute(text(f"INSERT INTO {row}"))
+    started = time.monotonic()
+    database.migrate()
+    assert time.monotonic() - started < 10
+    with database.read() as session:
+        assert session.scalar(select(func.count()).where(Upload.used_by == Upload.id)) == 8000
     database.close()

@@ -18,6 +18,8 @@ import uvicorn
 from service.app import create_app
 from service.settings import Settings
 from service.store.files import files_at
+from service.store.models import Upload
+from service.uploads.service import UploadService
 from tests.service_client import OFFSET_STREAM, Studio, eventually, served
 
 SCAN = b"".join(f"v {i} 0 0\n".encode() for i in range(50_000))
@@ -167,6 +169,29 @@ def test_a_broken_connection_loses_nothing_that_arrived(settings: Settings) -> N
     finally:
         server.should_exit = True
         thread.join()
+
+
+@pytest.mark.parametrize("sees_it", [True, False])
+def test_asking_while_the_last_bytes_come_tells_the_end(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch, sees_it: bool
+) -> None:
+    get = UploadService.get
+    with served(settings) as studio:
+        location = studio.start_upload("smile.obj", len(SCAN), SHA256)
+        looks = 0
+
+        def look(service: UploadService, upload_id: str) -> Upload:
+            nonlocal looks
+            looks += 1
+            before = get(service, upload_id)
+            if looks != (2 if sees_it else 1):
+                return before
+            assert studio.send(location, 0, SCAN).status_code == 204
+            return get(service, upload_id) if sees_it else before
+
+        monkeypatch.setattr(UploadService, "get", look)
+        asked = studio.http.head(location)
+        assert (asked.status_code, asked.headers["Upload-Offset"]) == (200, str(len(SCAN)))
 
 
 def test_giving_up_removes_the_bytes(settings: Settings) -> None:

@@ -77,13 +77,14 @@ def _facts(span: Any) -> dict[str, Any]:
     return {each.key: each.value.string_value or each.value.int_value for each in span.attributes}
 
 
-def test_a_trace_goes_from_the_caller_to_the_workers_attempt(
+def test_a_trace_goes_from_the_request_to_the_workers_attempt(
     collector: Collector, tmp_path: Path
 ) -> None:
     with running(tmp_path) as (_, studio):
         subject = studio.subject()
         body = {"kind": "build_model", "subject_id": subject}
-        headers = {"traceparent": f"00-{TRACE}-{CALLER}-01", "X-Request-Id": "shoot-17"}
+        # its caller's is not kept; that is not for the caller to say of this one
+        headers = {"traceparent": f"00-{TRACE}-{CALLER}-00", "X-Request-Id": "shoot-17"}
         job = studio.http.post("/v1/jobs", json=body, headers=headers).json()["id"]
         studio.finished(job)
         studio.get(f"/v1/jobs?subject_id={subject}&limit=17")
@@ -92,8 +93,12 @@ def test_a_trace_goes_from_the_caller_to_the_workers_attempt(
         eventually(lambda: bool(collector.spans("GET other")))
     [submitted] = collector.spans("POST /v1/jobs")
     [attempt] = collector.spans("attempt build_model")
-    assert submitted.trace_id.hex() == attempt.trace_id.hex() == TRACE
-    assert submitted.parent_span_id.hex() == CALLER
+    assert attempt.trace_id == submitted.trace_id
+    assert submitted.trace_id.hex() != TRACE
+    assert not submitted.parent_span_id
+    assert [(link.trace_id.hex(), link.span_id.hex()) for link in submitted.links] == [
+        (TRACE, CALLER)
+    ]
     assert attempt.parent_span_id == submitted.span_id
     assert _facts(submitted) == {
         "http.request.method": "POST",

@@ -28,7 +28,7 @@ from service.store import jobs, outbox
 from service.store.database import clock
 from service.store.models import Tenant, Webhook
 from service.store.store import Store
-from tests.receiver import LOOPBACK, Receiver, receiving
+from tests.receiver import LOOPBACK, Receiver, ok, receiving
 from tests.servers.production import Production
 from tests.service_client import Studio, eventually, running, served
 from worker.deliver import Deliverer
@@ -215,11 +215,33 @@ def test_a_receiver_that_is_busy_says_when_to_come_back(
             assert _until(studio, hook, "failed")["attempt"] == 4
 
 
+def test_a_receiver_that_is_busy_is_left_alone_by_all_that_waits_for_it(
+    studio: Studio, settings: Settings
+) -> None:
+    def busy(receiver: Receiver) -> None:
+        receiver.send_response(429)
+        receiver.send_header("Retry-After", "600")
+        receiver.end_headers()
+
+    with receiving(busy) as (port, got), receiving() as (other, told):
+        hook, ready = _hook(studio, port), _hook(studio, other)
+        for _ in range(6):
+            studio.post(f"/v1/webhooks/{hook['id']}/test")
+        with delivering(studio, settings):
+            eventually(lambda: any(each["status"] for each in _log(studio, hook)))
+            studio.post(f"/v1/webhooks/{ready['id']}/test")
+            eventually(lambda: len(told) == 1)
+        assert len(got) <= outbox.AT_ONCE_PER_WEBHOOK
+        earliest = datetime.now(UTC) + timedelta(seconds=570)
+        for each in _log(studio, hook):
+            assert datetime.fromisoformat(each["next_at"]) > earliest
+
+
 def test_a_receiver_can_put_a_try_off_for_a_day_at_most(studio: Studio) -> None:
     hook = _hook(studio, 1)
     studio.post(f"/v1/webhooks/{hook['id']}/test")
     with _store(studio).write() as session:
-        [parcel] = outbox.take(session, most=1, failing=0, of_tenant=1, lease=10)
+        [parcel] = outbox.take(session, [], threads=1, lease=10)
         wish = outbox.Outcome(status=429, retry_after=1e9)
         outbox.settle(session, parcel, wish, pauses=[1.0])
     next_at = datetime.fromisoformat(_log(studio, hook)[0]["next_at"])
@@ -290,13 +312,16 @@ def test_dead_receivers_hold_up_nobody(studio: Studio, settings: Settings) -> No
     def silent(_receiver: Receiver) -> None:
         over.wait(6)
 
+    settings = settings.model_copy(update={"webhook_timeout": 1})
     with receiving(silent) as (dead, _), receiving() as (port, got):
-        for _ in range(3):
-            hook = _hook(studio, dead, events=["batch.finished"])
+        hooks = [_hook(studio, dead, events=["batch.finished"]) for _ in range(3)]
+        for hook in hooks:
             for _ in range(20):
                 studio.post(f"/v1/webhooks/{hook['id']}/test")
         with delivering(studio, settings):
-            time.sleep(1.5)  # the dead ones have shown what they are
+            for hook in hooks:
+                path = f"/v1/webhooks/{hook['id']}"
+                eventually(lambda path=path: studio.get(path)["failing_since"])  # type: ignore[misc]
             good = _hook(studio, port)
             started = time.monotonic()
             for _ in range(5):
@@ -306,57 +331,111 @@ def test_dead_receivers_hold_up_nobody(studio: Studio, settings: Settings) -> No
             over.set()
 
 
-def test_slow_receivers_of_one_tenant_hold_up_no_other(studio: Studio, settings: Settings) -> None:
-    def slow(receiver: Receiver) -> None:
-        time.sleep(1.5)
-        receiver.send_response(204)
-        receiver.end_headers()
-
-    with _store(studio).write() as session:
+@pytest.fixture
+def neighbour(api: Studio) -> Iterator[Webhook]:
+    """Another tenant's webhook, without an address."""
+    store = _store(api)
+    with store.write() as session:
         session.add(other := Tenant(name="another studio"))
         session.flush()
-        told = Webhook(tenant_id=other.id, url="", events=[], kinds=[])
-        session.add(told)
-    with receiving(slow) as (port, taken), receiving() as (quick, got):
+        hook = Webhook(tenant_id=other.id, url="", events=[], kinds=[])
+        session.add(hook)
+    yield hook
+    with store.write() as session:
+        session.delete(session.get_one(Webhook, hook.id))
+
+
+def test_slow_receivers_of_one_tenant_hold_up_no_other_for_longer_than_an_answer(
+    studio: Studio, settings: Settings, neighbour: Webhook
+) -> None:
+    answers = threading.Semaphore(0)
+    order: list[str] = []
+
+    def slow(receiver: Receiver) -> None:
+        order.append("slow")
+        answers.acquire(timeout=5)
+        ok(receiver)
+
+    def quick(receiver: Receiver) -> None:
+        order.append("other")
+        ok(receiver)
+
+    settings = settings.model_copy(update={"webhook_timeout": 10})
+    with receiving(slow) as (port, taken), receiving(quick) as (other, got):
         for _ in range(4):
             hook = _hook(studio, port)
             for _ in range(3):
                 studio.post(f"/v1/webhooks/{hook['id']}/test")
         with delivering(studio, settings):
-            eventually(lambda: len(taken) == 2)  # half of the four threads
+            eventually(lambda: len(taken) == 4)  # all threads, for nobody else needs one
             with _store(studio).write() as session:
-                hook = session.get_one(Webhook, told.id)
-                hook.url = f"http://127.0.0.1:{quick}/in"
+                hook = session.get_one(Webhook, neighbour.id)
+                hook.url = f"http://127.0.0.1:{other}/in"
                 outbox.send(session, [hook], outbox.TEST, {})
-            eventually(lambda: len(got) == 1, seconds=1.2)
-            assert len(taken) == 2
+            answers.release()
+            eventually(lambda: len(got) == 1)
+            answers.release(11)
+    assert order[:5] == ["slow"] * 4 + ["other"]
+
+
+def test_a_tenant_alone_has_all_threads_of_all_workers(studio: Studio, settings: Settings) -> None:
+    over = threading.Event()
+
+    def slow(receiver: Receiver) -> None:
+        over.wait(5)
+        ok(receiver)
+
+    settings = settings.model_copy(update={"webhook_timeout": 10})
+    with receiving(slow) as (port, taken):
+        for _ in range(5):
+            hook = _hook(studio, port)
+            for _ in range(2):
+                studio.post(f"/v1/webhooks/{hook['id']}/test")
+        with delivering(studio, settings), delivering(studio, settings):
+            eventually(lambda: len(taken) == 8, seconds=4)
+            over.set()
+
+
+def _take(studio: Studio, under_way: list[outbox.Parcel], threads: int) -> list[outbox.Parcel]:
     with _store(studio).write() as session:
-        session.delete(session.get_one(Webhook, told.id))
+        return outbox.take(session, under_way, threads, lease=10)
 
 
-def test_tenants_take_turns_the_one_with_least_under_way_first(studio: Studio) -> None:
-    hooks = [_hook(studio, 1) for _ in range(3)]
-    for hook in hooks:
+def _are_of(hook: Webhook, parcels: list[outbox.Parcel]) -> list[bool]:
+    return [parcel.tenant_id == hook.tenant_id for parcel in parcels]
+
+
+def test_each_worker_counts_only_its_own_threads(studio: Studio, neighbour: Webhook) -> None:
+    for hook in [_hook(studio, 1) for _ in range(6)]:
+        studio.post(f"/v1/webhooks/{hook['id']}/test")
+
+    with _store(studio).write() as session:
+        for _ in range(2):
+            outbox.send(session, [session.get_one(Webhook, neighbour.id)], outbox.TEST, {})
+    first = _take(studio, [], 4)
+    assert _are_of(neighbour, first) == [False, True, False, True]
+    mine = [parcel for parcel in first if parcel.tenant_id != neighbour.tenant_id]
+    rest = _take(studio, mine, 4)
+    assert _are_of(neighbour, rest) == [False, False]  # nobody else has anything due any more
+    more = _take(studio, [], 4)
+    assert _are_of(neighbour, more) == [False, False]  # another worker, whose threads are free
+
+
+def test_tenants_take_turns_the_one_with_least_under_way_first(
+    studio: Studio, neighbour: Webhook
+) -> None:
+    for hook in [_hook(studio, 1) for _ in range(3)]:
         studio.post(f"/v1/webhooks/{hook['id']}/test")
     with _store(studio).write() as session:
-        session.add(other := Tenant(name="a third studio"))
-        session.flush()
-        theirs = Webhook(tenant_id=other.id, url="", events=[], kinds=[])
-        session.add(theirs)
-        session.flush()
-        outbox.send(session, [theirs], outbox.TEST, {})
-        outbox.send(session, [theirs], outbox.TEST, {})
+        hook = session.get_one(Webhook, neighbour.id)
+        outbox.send(session, [hook], outbox.TEST, {})
+        outbox.send(session, [hook], outbox.TEST, {})
 
-    def take(most: int) -> list[bool]:
-        with _store(studio).write() as session:
-            taken = outbox.take(session, most=most, failing=0, of_tenant=4, lease=10)
-        return [parcel.webhook_id == theirs.id for parcel in taken]
-
-    assert take(2) == [False, True]
-    assert take(3) == [False, True, False]
-    assert take(3) == []
-    with _store(studio).write() as session:
-        session.delete(session.get_one(Webhook, theirs.id))
+    [mine] = _take(studio, [], 1)
+    assert _are_of(neighbour, [mine]) == [False]
+    later = _take(studio, [mine], 5)
+    assert _are_of(neighbour, later) == [True, False, True, False]
+    assert _take(studio, [mine, *later], 9) == []
 
 
 def test_several_workers_send_everything_once(studio: Studio, settings: Settings) -> None:
@@ -382,7 +461,7 @@ def test_a_worker_that_died_has_lost_its_delivery_and_is_fenced(studio: Studio) 
 
     def take(lease: float) -> list[outbox.Parcel]:
         with store.write() as session:
-            return outbox.take(session, most=5, failing=5, of_tenant=5, lease=lease)
+            return outbox.take(session, [], threads=5, lease=lease)
 
     [first] = take(0.2)
     assert take(10) == []

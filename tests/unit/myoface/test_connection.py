@@ -100,3 +100,19 @@ def test_nobody_there_is_said_at_once() -> None:
         client.subjects()
     assert caught.value.code == "client.unreachable"
     assert len(asked) == 1
+
+
+@pytest.mark.parametrize(("header", "pause"), [("5", 5.0), ("3600", 120.0), (None, 2.0)])
+def test_a_stream_too_many_is_asked_for_when_the_service_says(
+    pauses: list[float], header: str | None, pause: float
+) -> None:
+    job = {"id": "1", "subject_id": "2", "kind": "build_model", "state": "running", "attempt": 1}
+    headers = {} if header is None else {"Retry-After": header}
+    client, asked = service(
+        httpx.Response(200, json=job),
+        refusal(429, {"code": "stream.too_many"}, **headers),
+        httpx.Response(200, json=job | {"state": "succeeded"}),
+    )
+    assert client.wait("1").state == "succeeded"
+    assert pauses == [pause]
+    assert len(asked) == 3

@@ -3,6 +3,7 @@
 import * as auth from "./auth.js";
 import { h, show } from "./dom.js";
 import { myScopes } from "./library.js";
+import { dropped } from "./scan_files.js";
 import { time } from "./words.js";
 import { navigate, start } from "./router.js";
 
@@ -19,6 +20,7 @@ document.addEventListener("connection", ({ detail: isThere }) => {
 
 document.addEventListener("keyneeded", ({ detail: problem }) => {
   if (location.pathname === "/sign-in") return;
+  if (problem.code !== "auth.missing") auth.forget();
   const next = location.pathname + location.search;
   navigate(`/sign-in?${new URLSearchParams({ next, why: problem.code })}`, { replace: true });
 });
@@ -34,6 +36,19 @@ async function showAccount() {
 
 document.addEventListener("uploads", ({ detail: open }) => {
   document.querySelector("nav a[href='/upload']").textContent = open ? `Upload (${open})` : "Upload";
+});
+
+// Files may be dropped on any view: they go to the upload's, which takes its own itself.
+addEventListener("dragover", (event) => {
+  if (event.dataTransfer.types.includes("Files")) event.preventDefault();
+});
+addEventListener("drop", async (event) => {
+  if (!event.dataTransfer.types.includes("Files")) return;
+  event.preventDefault();
+  if (location.pathname === "/upload") return;
+  const files = dropped(event.dataTransfer); // read before the event is over
+  await navigate("/upload");
+  document.dispatchEvent(new CustomEvent("filesdropped", { detail: await files }));
 });
 
 document.addEventListener("keychange", showAccount);

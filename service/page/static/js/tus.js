@@ -21,8 +21,9 @@ export const CAN_CHECK = Boolean(globalThis.crypto?.subtle);
  */
 export async function upload(file, { known = null, started, progress, waiting, signal }) {
   const retry = (action) => patiently(action, waiting, signal);
+  const ask = (id) => patiently(() => where(id, signal), waiting, signal, settles);
   let id = known;
-  let offset = known === null ? null : await retry(() => where(known, signal));
+  let offset = known === null ? null : await ask(known);
   if (offset === null) {
     id = await retry(() => create(file, signal));
     offset = 0;
@@ -36,7 +37,7 @@ export async function upload(file, { known = null, started, progress, waiting, s
     } catch (error) {
       if (error.code === "upload.checksum" && ++damaged < MOST_DAMAGED) continue;
       if (error.code !== "upload.offset") throw error;
-      offset = await retry(() => where(id, signal)); // another answer than we heard: ask
+      offset = await ask(id); // another answer than we heard: ask
       if (offset === null) throw error;
     }
     progress(offset);
@@ -105,14 +106,14 @@ async function read(blob) {
 }
 
 /** Try again while the service does not answer, is overloaded or still writes what came before. */
-async function patiently(action, waiting, signal) {
+async function patiently(action, waiting, signal, mends = passes) {
   for (let ms = 500; ; ms = Math.min(2 * ms, LONGEST_PAUSE_MS)) {
     try {
       const result = await action();
       waiting(null);
       return result;
     } catch (error) {
-      if (!passes(error)) throw error;
+      if (!mends(error)) throw error;
       waiting(error);
     }
     await pause(ms, signal);
@@ -122,6 +123,11 @@ async function patiently(action, waiting, signal) {
 /** Whether time mends an error: no answer in time, too many requests, another still writing. */
 function passes({ code, status }) {
   return code === "page.no_answer" || [408, 423, 429].includes(status) || (status >= 500 && status !== 507);
+}
+
+/** Whether time mends an error of asking how far an upload is: it may just be made a file. */
+function settles(error) {
+  return error.status === 409 || passes(error);
 }
 
 function base64(bytes) {

@@ -8,11 +8,14 @@ from alembic import op
 revision = "0008"
 down_revision = "0007"
 
-# Of two uses of the same bytes either will do: the file stays until both are gone.
+# Of two uses of the same bytes either will do: the file stays until both are gone. A query for
+# each column, so that its index serves; `|| ''` keeps SQLite from that of the tenants.
 WHAT_IT_BECAME = """
     UPDATE uploads SET used_by = COALESCE(
-        (SELECT min(id) FROM captures WHERE captures.tenant_id = uploads.tenant_id
-            AND uploads.sha256 IN (captures.sha256, captures.landmarks_sha256)),
+        (SELECT min(id) FROM captures WHERE captures.sha256 = uploads.sha256
+            AND captures.tenant_id || '' = uploads.tenant_id),
+        (SELECT min(id) FROM captures WHERE captures.landmarks_sha256 = uploads.sha256
+            AND captures.tenant_id || '' = uploads.tenant_id),
         (SELECT min(id) FROM templates WHERE templates.tenant_id = uploads.tenant_id
             AND uploads.sha256 = templates.sha256)
     ) WHERE complete

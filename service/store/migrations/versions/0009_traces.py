@@ -16,5 +16,4 @@ def upgrade() -> None:
 
 def downgrade() -> None:
     """Take back."""
-    with op.batch_alter_table("jobs") as table:
-        table.drop_column("traceparent")
+    op.drop_column("jobs", "traceparent")

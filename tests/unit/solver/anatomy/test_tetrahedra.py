@@ -33,7 +33,7 @@ def test_background_grid_fills_its_box():
 def test_ball_is_filled_without_inverted_tets():
     surface = ball(15.0)
     vertices, tets = tetrahedralize(
-        surface, 8.0, envelope_mm=0.5, lengths=lengths(8.0), timeout_s=120
+        surface, 8.0, envelope_mm=0.5, lengths=lengths(8.0), cpu_seconds=120
     )
     sizes = volumes(vertices, tets)
     assert sizes.min() > 0
@@ -43,16 +43,16 @@ def test_ball_is_filled_without_inverted_tets():
     assert dihedral_angles(vertices, tets).min() > 3
 
 
-def test_mesher_that_does_not_come_back_is_killed():
+def test_mesher_that_does_not_come_back_is_ended():
     with pytest.raises(SolveError) as caught:
-        tetrahedralize(ball(15.0), 8.0, envelope_mm=0.5, lengths=lengths(8.0), timeout_s=0.05)
+        tetrahedralize(ball(15.0), 8.0, envelope_mm=0.5, lengths=lengths(8.0), cpu_seconds=0.05)
     assert caught.value.code == "mesher.timeout"
 
 
 def test_mesher_that_dies_is_an_error_with_its_last_words():
     bad = EdgeLengths(*background_grid(np.zeros(3), np.ones(3), 1.0), np.full(8, -1.0))
     with pytest.raises(SolveError, match="positive") as caught:
-        tetrahedralize(ball(15.0), 8.0, envelope_mm=0.5, lengths=bad, timeout_s=120)
+        tetrahedralize(ball(15.0), 8.0, envelope_mm=0.5, lengths=bad, cpu_seconds=120)
     assert caught.value.code == "mesher.crashed"
 
 

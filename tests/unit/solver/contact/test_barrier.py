@@ -171,13 +171,28 @@ def test_the_contact_surface_lies_under_the_skin_and_turns_with_it():
     np.testing.assert_allclose(turned, (surface.rest - surface.offset) @ turn.T, atol=1e-9)
 
 
-def test_a_neutral_that_crosses_itself_deeply_is_refused():
+def crumpled(count):
+    """Return a face of which some skin vertices are thrown about, and its skin's triangles."""
     model = fixture_model("neutral_coarse")
     offset = model.offset.copy()
-    offset[:300] += np.random.default_rng(0).normal(scale=2.0, size=(300, 3))
+    offset[:count] += np.random.default_rng(0).normal(scale=2.0, size=(count, 3))
     faces = model.skin.faces[np.isin(model.skin.faces, model.embedded).all(axis=1)]
-    with pytest.raises(InputError, match="crosses itself"):
-        ContactSurface.of(replace(model, offset=offset), faces)
+    return replace(model, offset=offset), faces
+
+
+def test_skin_that_crosses_itself_is_left_out():
+    model, faces = crumpled(40)
+    surface = ContactSurface.of(model, faces)
+    assert 0.9 * len(faces) < len(surface.faces) < len(faces)
+    assert len(np.unique(surface.faces)) == len(surface.skin)
+    mesh = collision_mesh(surface.rest, surface.faces)
+    assert not ipctk.has_intersections(mesh, mesh.rest_positions)
+    np.testing.assert_allclose(surface.points(model.rest), surface.rest, atol=1e-9)
+
+
+def test_a_neutral_that_crosses_itself_widely_is_refused():
+    with pytest.raises(InputError, match="crosses itself widely"):
+        ContactSurface.of(*crumpled(1200))
 
 
 def test_objects_that_contact_can_not_begin_with_are_refused():

@@ -44,12 +44,17 @@ export class Session {
     for (const row of this.#with("failed")) row.wait(this.#order);
   }
 
-  /** Send the files, one after the other, then make scans of all that arrived, in one call. */
+  /**
+   * Send the files, one after the other, then make scans of them, in one call.
+   *
+   * While one has failed the others wait: it is tried again or left out, for a set is one batch.
+   */
   async run(told) {
     for (let [row] = this.#with("waiting"); row; [row] = this.#with("waiting")) {
       told();
       await row.send();
     }
+    if (this.#with("failed").length) return;
     const arrived = this.#with("sent");
     if (!arrived.length) return;
     try {

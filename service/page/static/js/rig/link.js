@@ -7,9 +7,10 @@
 //   scan=clear      the scan over the fit: `clear`, `wire`, or `beside` it
 //   inside=1        muscles and bones; muscle=NAME is the one that stands out
 //   section=x:12    a cut at 12 mm on this axis
-//   view=side       the camera, by name or as azimuth,elevation,zoom,x,y,z
+//   view=side       the camera, by name or as azimuth,elevation,zoom,x,y,z; without it the front,
+//                   or where a section is seen from
 
-import { VIEWS } from "./stage.js";
+import { CUT_VIEWS, VIEWS } from "./stage.js";
 
 export const HEATS = ["distance", "motion", "difference", "movement"];
 const SCANS = ["clear", "wire", "beside"];
@@ -26,7 +27,6 @@ export function fromQuery(query) {
     heat: null,
     section: null,
     take: null,
-    view: view(query.get("view") ?? ""),
   };
   const heat = RANGE.exec(query.get("heat") ?? "");
   if (heat && HEATS.includes(heat[1] ?? "distance") && Number(heat[2]) < Number(heat[3])) {
@@ -36,13 +36,19 @@ export function fromQuery(query) {
   if (section) state.section = { axis: section[1], at: Number(section[2]) };
   const take = /^([^:]+):(\d+)$/.exec(query.get("take") ?? "");
   if (take) state.take = { job: take[1], frame: Number(take[2]) };
+  state.view = view(query.get("view") ?? "") ?? usualView(state);
   return state;
 }
 
 function view(text) {
   const numbers = text.split(",").map(Number);
   if (numbers.length === 6 && numbers.every(Number.isFinite) && numbers[2] > 0) return numbers;
-  return text in VIEWS ? text : "front";
+  return text in VIEWS ? text : null;
+}
+
+/** Return the camera of an address that names none. */
+function usualView({ section }) {
+  return section ? CUT_VIEWS[section.axis] : "front";
 }
 
 /** Return the query, as text, that says what a state is. */
@@ -60,7 +66,7 @@ export function toQuery(state) {
   if (state.inside) add("inside", "1");
   if (state.muscle) add("muscle", state.muscle);
   if (state.section) add("section", `${state.section.axis}:${short(state.section.at)}`);
-  if (state.view !== "front") add("view", Array.isArray(state.view) ? state.view.join(",") : state.view);
+  if (String(state.view) !== String(usualView(state))) add("view", String(state.view));
   return parts.join("&");
 }
 

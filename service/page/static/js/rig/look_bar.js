@@ -1,7 +1,7 @@
 // How the face is shown: heat map, scan, inside, section, camera.
 
 import { h } from "../dom.js";
-import { VIEWS } from "./stage.js";
+import { CUT_VIEWS, VIEWS } from "./stage.js";
 
 const VIEW_NAMES = {
   front: ["Front", "From the front"],
@@ -10,8 +10,6 @@ const VIEW_NAMES = {
   "other-side": ["Left", "Left side"],
 };
 
-/** From where a cut across an axis is seen. */
-const CUT_VIEWS = { x: "side", y: [0, 60, 1, 0, 0, 0], z: "front" };
 const LEAST_FACING = 0.5; // cosine of the angle between the line of sight and the axis
 
 /**

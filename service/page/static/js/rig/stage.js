@@ -18,6 +18,9 @@ export const VIEWS = {
   "other-side": [90, 0],
 };
 
+/** From where a cut across an axis is seen. */
+export const CUT_VIEWS = { x: "side", y: [0, 60, 1, 0, 0, 0], z: "front" };
+
 /** Draws scenes into a canvas; `panes` are scenes side by side that the same camera looks at. */
 export class Stage extends EventTarget {
   #renderer;

@@ -156,8 +156,9 @@ class Tray {
     );
   }
 
-  /** Take what is dropped anywhere in the window, while this view is shown. */
+  /** Take what is dropped anywhere in the window, on another view too. */
   takeDrops(signal) {
+    document.addEventListener("filesdropped", ({ detail }) => this.take(detail), { signal });
     const over = (isOver) => this.zone.classList.toggle("over", isOver);
     addEventListener(
       "dragover",
