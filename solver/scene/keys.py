@@ -26,7 +26,7 @@ JAW_LIMITS = {
     "left_deg": (-15.0, 15.0),
     "move_mm": (-20.0, 20.0),
 }
-"""What a jaw can do, and a little more (fits bite some degrees deep): beyond it flesh would tear."""
+"""What a jaw can do, and a little more, as fits bite some degrees deep: beyond it flesh tears."""
 
 NO_MOVE = (0.0, 0.0, 0.0)
 
