@@ -44,7 +44,8 @@ def _document(text: str, section: SectionOf) -> None:
 def stamped(figures: Figures, arguments: list[str]) -> Figures:
     """Return the figures with the machine's size, the date and the command line beside them."""
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    name = Path(arguments[0]).stem
+    path = Path(arguments[0])
+    name = path.parent.name if path.stem == "__main__" else path.stem
     return {
         **figures,
         "machine": {"cores": os.cpu_count(), "memory_gib": round(memory)},

@@ -1,1 +1,5 @@
 """What living flesh does: checks against known answers, contact, sliding, speed, effects."""
+
+from benchmarks.physics.section import section
+
+__all__ = ["section"]

@@ -31,13 +31,13 @@ def read(
     return found, chunks[-1].last + 1 if chunks else 0
 
 
-def newest_picture(session: Session, files: Files, job_id: str) -> bytes:
-    """Return a JPEG of the newest frame that has one."""
+def newest_picture(session: Session, files: Files, job_id: str) -> bytes | None:
+    """Return a JPEG of the newest frame that has one, None before there is any."""
     _check(session, job_id)
     for chunk in reversed(jobs.frames(session, job_id)):
         if picture := json.loads(files.read(chunk.sha256)).get("picture"):
             return base64.b64decode(picture)
-    raise Problem(404, "job.no_picture", "none of the frames has a picture", job_id=job_id)
+    return None
 
 
 def _check(session: Session, job_id: str) -> None:

@@ -220,11 +220,17 @@ def read_frames(
     "/{job_id}/frames/picture",
     summary="See the newest frame of a simulation",
     response_class=Response,
-    responses={200: {"content": {"image/jpeg": {}}}, **problems(404, 409)},
+    responses={
+        200: {"content": {"image/jpeg": {}}},
+        204: {"description": "No frame has a picture yet"},
+        **problems(404, 409),
+    },
 )
 def read_picture(job_id: Id, session: ReadSession, store: ReadStore) -> Response:
     """Read a small picture of the newest frame that has one, also while the job runs."""
     picture = frames.newest_picture(session, store.files, job_id)
+    if picture is None:
+        return Response(status_code=204)
     return Response(picture, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
 

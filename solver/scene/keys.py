@@ -22,11 +22,11 @@ Entry = Mapping[str, Any]
 DEFAULT_FPS = 30.0
 
 JAW_LIMITS = {
-    "open_deg": (-2.0, 40.0),
+    "open_deg": (-10.0, 45.0),
     "left_deg": (-15.0, 15.0),
     "move_mm": (-20.0, 20.0),
 }
-"""What a jaw can do, and a little more: beyond it the flesh would tear."""
+"""What a jaw can do, and a little more, as fits bite some degrees deep: beyond it flesh tears."""
 
 NO_MOVE = (0.0, 0.0, 0.0)
 

@@ -102,7 +102,7 @@ def scene(blender: Path, rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> 
 def test_the_face_is_there_by_name_and_in_one_piece(rig: Rig, scene: Scene) -> None:
     assert scene.known["objects"] == ["face"]
     assert scene.known["keys"] == ["Basis", *NAMES]
-    assert scene.known["materials"] == ["skin", "teeth", "eyes"]
+    assert scene.known["materials"] == ["skin", "mouth", "teeth", "eyes"]
     assert scene.known["repaired"] is False
     assert len(scene.arrays["corners"]) == rig.model.skin.faces.size
 

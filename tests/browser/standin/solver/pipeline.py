@@ -4,6 +4,7 @@ A scan's lines ``#! key value`` say what happens: ``seconds`` to take, ``verdict
 to have, ``view`` for a rig that can be looked at.
 """
 
+import base64
 import json
 import os
 import time
@@ -65,6 +66,36 @@ def fit_geometry(model, captures, out, *, options=None, progress):
         report |= write_sample(out).summary()
     (out / "report.json").write_text(json.dumps(report))
     (out / "report.html").write_text("<!doctype html><title>Report</title><h1>Report</h1>")
+
+
+def simulate(
+    model,
+    weights,
+    rig,
+    out,
+    *,
+    assets=None,
+    template=None,
+    resume=False,
+    options=None,
+    progress,
+):
+    """Leave a frame with a picture, a file each, until the scene's ``duration`` in s is over."""
+    folder = out / "frames"
+    folder.mkdir()
+    total = int(10 * options["scene"]["duration"])
+    for number in range(total):
+        _picture(out / "newest.png", f"frame {number}")
+        picture = base64.b64encode((out / "newest.png").read_bytes()).decode()
+        partial = folder / "partial"
+        partial.write_text(json.dumps({"frames": [], "picture": picture}))
+        partial.rename(folder / f"{number:06d}-{number:06d}.json")
+        words = f"frame {number + 1} of {total}"
+        progress(Step("simulate", number / total, number + 1, message=words))
+        time.sleep(0.1)
+    (out / "newest.png").rename(out / "animation.png")
+    figures = {"frames": total, "penetration_max_mm": 0.12, "frame_ms": 410.0}
+    (out / "animation.json").write_text(json.dumps(figures))
 
 
 def _work(scans, progress, phases):

@@ -36,7 +36,7 @@ function field(name, rules, given) {
   }
   return h(
     "div",
-    { class: "field" },
+    { class: isDocument(rules) ? "field whole" : "field" },
     h("label", { for: id }, plain(name)),
     control(shared, rules, value),
     help,

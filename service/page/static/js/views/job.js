@@ -20,6 +20,7 @@ import { repeat } from "../repeat.js";
 import { navigate, title as nameWindow } from "../router.js";
 import { plain, span, when } from "../words.js";
 
+const NO_CONTENT = 204;
 const EVERY_MS = 3_000; // what events do not tell: attempts, place in the queue, log
 
 /** What the operator can do about errors that are not about the input. */
@@ -145,16 +146,16 @@ class JobView {
 
   /** Show the newest frame of a simulation until its result is there. */
   async showNewest() {
-    this.newest.hidden = this.job.state !== "running";
-    if (this.newest.hidden) return;
-    try {
-      const response = await request(`/v1/jobs/${this.job.id}/frames/picture`, { signal: this.signal });
-      const before = this.newest.src;
-      this.newest.src = URL.createObjectURL(await response.blob());
-      URL.revokeObjectURL(before);
-    } catch {
-      this.newest.hidden = !this.newest.src; // there is no frame yet
+    if (this.job.state !== "running") {
+      this.newest.hidden = true;
+      return;
     }
+    const response = await request(`/v1/jobs/${this.job.id}/frames/picture`, { signal: this.signal });
+    if (response.status === NO_CONTENT) return;
+    const before = this.newest.src;
+    this.newest.src = URL.createObjectURL(await response.blob());
+    URL.revokeObjectURL(before);
+    this.newest.hidden = false;
   }
 
   hear(event) {

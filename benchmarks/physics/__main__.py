@@ -1,0 +1,146 @@
+"""What living flesh does, against known answers and on a fitted person, and how long it takes.
+
+The checks need no person: without ``--model`` the flesh that flies is the built-in person's, or
+that of the subject that ``--anatomy`` and ``--faces`` choose. All else is of a person who is fitted
+already: ``--model``, ``--rig``, ``--template``, and ``--blendshapes`` that the job ``animate`` has
+left. Speed and performance play frames of ``--recording``. ``--show`` chooses; pictures, and the
+performance's files, go into ``--out``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+from pathlib import Path
+
+from benchmarks import report, subjects
+from benchmarks.documents import Figures
+from benchmarks.physics import checks, contact, effects, performance, sliding, speed
+from benchmarks.physics.fitted import Fitted
+from benchmarks.physics.section import section
+from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
+from solver.anatomy.template import Template
+from solver.animation.recording import from_recording
+from solver.model import SubjectModel
+from solver.scans.live_link import read_live_link
+
+SHOWS = ("checks", "contact", "sliding", "speed", "effects", "performance")
+QUICK_FRAMES = 20
+
+
+def main() -> None:
+    """Run from the command line."""
+    parser = report.parser(__doc__ or "")
+    subjects.add_options(parser)
+    parser.add_argument("--show", action="append", choices=SHOWS, help="default: all there is to")
+    parser.add_argument("--model", type=Path, help="model.npz")
+    parser.add_argument("--rig", type=Path, help="folder of a fitted rig")
+    parser.add_argument("--template", type=Path, help="the model's")
+    parser.add_argument("--blendshapes", type=Path, help="blendshapes.npz of the rig")
+    parser.add_argument("--recording", type=Path, help="CSV of Live Link Face")
+    parser.add_argument(
+        "--size", action="append", default=[], metavar="MM=MODEL", help="a model of another size"
+    )
+    parser.add_argument("--out", type=Path, default=Path("physics"), help="folder for pictures")
+    options = parser.parse_args()
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
+    report.finish(run(options), options, section)
+
+
+def run(options: argparse.Namespace) -> Figures:
+    """Run the chosen shows and return the figures by show."""
+    chosen = set(options.show or _possible(options))
+    options.out.mkdir(parents=True, exist_ok=True)
+    figures: Figures = {}
+    for name, show in (
+        ("checks", _checks),
+        ("contact", _contact),
+        ("sliding", _sliding),
+        ("speed", _speed),
+        ("effects", _effects),
+        ("performance", _performance),
+    ):
+        if name in chosen:
+            logging.info(name)
+            figures[name] = show(options)
+    return figures
+
+
+def _possible(options: argparse.Namespace) -> list[str]:
+    """Return the shows for which everything is given."""
+    needs = {
+        "checks": (),
+        "contact": ("model", "rig", "blendshapes"),
+        "sliding": ("model", "rig", "blendshapes"),
+        "speed": ("model", "rig", "blendshapes", "recording"),
+        "effects": ("model", "rig", "template"),
+        "performance": ("model", "rig", "blendshapes", "recording", "template"),
+    }
+    return [show for show, names in needs.items() if all(getattr(options, n) for n in names)]
+
+
+def _person(options: argparse.Namespace) -> Fitted:
+    return Fitted.load(options.model, options.rig, options.blendshapes)
+
+
+def _checks(options: argparse.Namespace) -> Figures:
+    if options.model:
+        model = SubjectModel.load(options.model)
+    else:
+        model, _ = subjects.load(options, COARSE_EDGE_MM if options.quick else EDGE_MM)
+    figures = checks.run(model)
+    checks.plot(options.out / "checks.png", figures)
+    return figures
+
+
+def _contact(options: argparse.Namespace) -> Figures:
+    person = _person(options)
+    played = contact.play_all(person)
+    contact.picture(options.out / "contact.png", person, played)
+    return contact.run(played)
+
+
+def _sliding(options: argparse.Namespace) -> Figures:
+    person = _person(options)
+    sliding.picture(options.out / "sliding.png", person)
+    return sliding.run(person)
+
+
+def _speed(options: argparse.Namespace) -> Figures:
+    person, start = _person(options), performance.START
+    frames = QUICK_FRAMES if options.quick else performance.FRAMES
+    take = read_live_link(options.recording)
+    drives = from_recording(take, person.shapes, person.model, start, start + frames)
+    models = {}
+    for given in options.size:
+        edge, _, path = given.partition("=")
+        models[float(edge)] = SubjectModel.load(Path(path))
+    figures = speed.run(person, drives, models)
+    if len(models) > 1:
+        speed.plot(options.out / "speed.png", figures)
+    return figures
+
+
+def _effects(options: argparse.Namespace) -> Figures:
+    subject = effects.Subject.load(options.model, options.rig, options.template)
+    people = effects.run(subject)
+    effects.sheet(people, options.out / "effects.png")
+    return {"edits": effects.figures(people), "fibres": effects.fibres(subject)}
+
+
+def _performance(options: argparse.Namespace) -> Figures:
+    person = _person(options)
+    basis = Template.load(options.template).shapes
+    if basis is None:
+        raise SystemExit("the template has no expressions to play a recording by")
+    take = read_live_link(options.recording)
+    frames = QUICK_FRAMES if options.quick else performance.FRAMES
+    figures, played = performance.run(
+        person, basis, take, options.out / "performance", frames=frames
+    )
+    performance.picture(options.out / "performance.png", person, played)
+    return figures
+
+
+if __name__ == "__main__":
+    main()
