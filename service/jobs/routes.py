@@ -223,7 +223,7 @@ def read_frames(
     responses={
         200: {"content": {"image/jpeg": {}}},
         204: {"description": "No frame has a picture yet"},
-        **problems(404, 409),
+        **problems(404, 409, 422),
     },
 )
 def read_picture(job_id: Id, session: ReadSession, store: ReadStore) -> Response:
