@@ -1,8 +1,9 @@
-"""What the jobs share: their options, and the place of a part's progress in the whole."""
+"""What the jobs share: options, a rig's file, the place of a part's progress in the whole."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from solver.errors import InputError
@@ -51,3 +52,8 @@ def refuse(faults: Sequence[InputError]) -> None:
         f"{len(faults)} scans can not be used: {messages}",
         faults=[fault.as_dict() for fault in faults],
     )
+
+
+def activations_file(rig: Path) -> Path:
+    """Return the ``activations.npz`` of a rig that is given as its folder or as that file."""
+    return rig / "activations.npz" if rig.is_dir() else rig

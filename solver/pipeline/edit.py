@@ -12,7 +12,7 @@ from solver.edits.replay import Replay, Replayed
 from solver.errors import SolveError
 from solver.fitting.model_checks import check_held
 from solver.model import SubjectModel
-from solver.pipeline.common import Options, take
+from solver.pipeline.common import Options, activations_file, take
 from solver.progress import Progress, Step, silent
 from solver.rig.edit_picture import edit_picture
 from solver.rig.edit_report import Compared, EditedPerson, edit_report, write_edit
@@ -52,7 +52,7 @@ def edit(
     progress(Step("read", 0.0, message=rig.name))
     subject = SubjectModel.load(model)
     S = load_weights(weights, subject)
-    fits = load_activations(rig / "activations.npz" if rig.is_dir() else rig, subject)
+    fits = load_activations(activations_file(rig), subject)
     physics = physics_of(scene)
     entries = scene["edits"]
     edited = apply(edits_of(entries, Places.of(subject, template, assets or {})), subject, S)

@@ -25,7 +25,7 @@ from solver.fitting.weights import transferred
 from solver.mechanics.flesh import IDENTITY
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
-from solver.pipeline.common import Options, check_choice, refuse, take
+from solver.pipeline.common import Options, activations_file, check_choice, refuse, take
 from solver.pipeline.targets import Distance, Targets
 from solver.pipeline.telling import Telling
 from solver.progress import Progress, Step, silent
@@ -151,7 +151,7 @@ def fit_activations(
     face, scans = _read(model, captures, given["linear_solver"] or fastest(), progress)
     subject = face.model
     S = load_weights(weights, subject)
-    carried = () if rig is None else load_activations(_activations_file(rig), subject)
+    carried = () if rig is None else load_activations(activations_file(rig), subject)
     told = Telling(subject, progress)
     told.tell(0.02, _odd(face, S, scans))
     told.tell(0.02, _replaced(subject, carried, scans))
@@ -339,7 +339,3 @@ def _export(
 def _later(progress: Progress, begin: float) -> Progress:
     """Return a progress whose way from 0 to 1 is the rest of the job from ``begin``."""
     return lambda step, /: progress(replace(step, fraction=begin + (1.0 - begin) * step.fraction))
-
-
-def _activations_file(rig: Path) -> Path:
-    return rig / "activations.npz" if rig.is_dir() else rig

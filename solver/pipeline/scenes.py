@@ -22,7 +22,7 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.model_checks import check_held
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
-from solver.pipeline.common import Options, take
+from solver.pipeline.common import Options, activations_file, take
 from solver.pipeline.play import EXPORT, fingerprint, finish, play
 from solver.progress import Progress, Step, silent
 from solver.rig.animation_video import check_video
@@ -70,7 +70,7 @@ def simulate(
     given = _options(options)
     scene = check(given["scene"], "simulate")
     person = _read(model, weights, assets, template, out, progress)
-    expressions = _activations_file(rig)
+    expressions = activations_file(rig)
     fits = load_activations(expressions, person.model)
     poses = {fit.name: Pose(fit.activations, fit.jaw) for fit in fits}
     drives = keyed(scene, poses, person.model, person.S)
@@ -165,10 +165,6 @@ def _read(
     subject = SubjectModel.load(model)
     S = load_weights(weights, subject)
     return _Person(subject, S, Places.of(subject, template, assets or {}))
-
-
-def _activations_file(rig: Path) -> Path:
-    return rig / "activations.npz" if rig.is_dir() else rig
 
 
 def _solved(
