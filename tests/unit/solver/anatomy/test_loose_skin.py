@@ -44,6 +44,24 @@ def test_skin_follows_what_hangs_on_it_and_fades():
     np.testing.assert_allclose(part[:, 0], np.exp(-away / length), atol=0.03)
 
 
+def test_lashes_go_with_the_lid_they_touch(monkeypatch):
+    """A strip from a vertex on flesh outwards, of no edge with it, moves as that vertex does."""
+    model = head_block()
+    skin = model.skin.vertices
+    root = model.embedded[len(model.embedded) // 2]
+    strip = skin[root] + np.array([[0.0, 0, 0.5], [1, 0, 0.5], [0, 0, 8], [1, 0, 8]])
+    number = len(skin) + np.arange(4)
+    faces = np.vstack([model.skin.faces, number[[0, 1, 2]], number[[1, 3, 2]]])
+    lashed = replace(model, skin=Surface(np.vstack([skin, strip]), faces))
+    last = len(faces) - np.arange(1, 3)
+    monkeypatch.setattr("solver.anatomy.loose_skin.skin_parts", lambda _: {"lashes": last})
+    loose = LooseSkin(lashed)
+    np.testing.assert_array_equal(loose.ids, number)
+    moved = np.zeros((len(model.embedded), 3))
+    moved[model.embedded == root] = [0.0, -8.0, 2.0]
+    np.testing.assert_allclose(loose.follow(moved), np.tile([0.0, -8.0, 2.0], (4, 1)), atol=0.05)
+
+
 def test_a_face_that_is_all_flesh_has_none():
     model = head_block()
     assert LooseSkin(model).follow(np.ones((len(model.embedded), 3))).shape == (0, 3)
