@@ -17,6 +17,7 @@ from benchmarks import report, subjects
 from benchmarks.documents import Figures
 from benchmarks.physics import checks, contact, effects, jobs, performance, sliding, speed
 from benchmarks.physics.fitted import Fitted
+from benchmarks.physics.gallery import gallery
 from benchmarks.physics.section import section
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from myoface.client import Client
@@ -144,6 +145,7 @@ def _performance(options: argparse.Namespace) -> Figures:
         person, basis, take, options.out / "performance", frames=frames
     )
     performance.picture(options.out / "performance.png", person, played)
+    gallery(person, options.template, options.out / "gallery.png")
     return figures
 
 
