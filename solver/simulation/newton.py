@@ -103,7 +103,8 @@ class Newton:
         gradient = self._gradient(x, a)
         accelerator = Accelerator()
         settled = steps = factorisations = 0
-        while self._residual(gradient) > self._tolerance and settled < SETTLED_STEPS:
+        # NaN is no minimum, here and below
+        while not self._residual(gradient) <= self._tolerance and settled < SETTLED_STEPS:
             found = self._chord(x, a, goal, gradient, accelerator)
             if found is None:
                 if factorisations == FACTORISATIONS:
@@ -123,7 +124,6 @@ class Newton:
         else:
             return Minimum(x, self._residual(gradient), advances + steps)
         residual = self._residual(gradient)
-        # NaN, too, is no minimum
         if not residual <= max(STALLED, self._tolerance):
             raise SolveError(
                 "simulate.diverged",

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from solver.errors import SolveError
+from solver.errors import InputError, SolveError
 from solver.fitting.face import Face
 from solver.mechanics.flesh import COROTATED_TRACE
 from solver.similarity import IDENTITY, Similarity, small_motion
 from solver.simulation.forces import Gravity
-from solver.simulation.inertia import lumped_masses
+from solver.simulation.inertia import Inertial, lumped_masses
 from solver.simulation.simulator import Simulator
 from solver.simulation.state import Drive, Motion
 from tests.unit.solver.block import block_model, poses
@@ -43,6 +43,25 @@ def energy(face, motion):
 def drive(face, pose, time=0.0, head=IDENTITY, objects=()):
     A = face.tet_activations(face.model.weights, pose.a)
     return Drive(time, A, pose.b, head, objects)
+
+
+def test_derivatives_of_inertia_damping_and_work_match_differences():
+    face = face_of(pascal=50.0)
+    flesh, rng = Inertial(face.flesh), np.random.default_rng(6)
+    y, flight = (flesh.rest + rng.standard_normal(flesh.rest.shape) for _ in range(2))
+    flesh.launch(masses_of(face), y, flight, 0.02, 5.0)
+    flesh.load = 100.0 * rng.standard_normal(flesh.rest.shape)
+    x, a = flesh.rest + 0.2 * rng.standard_normal(flesh.rest.shape), flesh.passive()
+    step = rng.standard_normal(flesh.size)
+    ends = [flesh.moved(x, sign * 1e-6 * step) for sign in (1, -1)]
+    slope = (flesh.energy(ends[0], a) - flesh.energy(ends[1], a)) / 2e-6
+    passive = face.flesh.gradient(x, a) @ step
+    assert abs(slope - passive) > 0.1 * abs(slope)
+    assert flesh.gradient(x, a) @ step == pytest.approx(slope, rel=1e-5)
+    change = (flesh.gradient(ends[0], a) - flesh.gradient(ends[1], a)) / 2e-6
+    curvature = flesh.hessian(x, a) @ step
+    np.testing.assert_allclose(curvature, change, atol=1e-5 * np.abs(change).max())
+    assert np.abs(curvature - face.flesh.hessian(x, a) @ step).max() > 0.01 * np.abs(change).max()
 
 
 def test_quasi_static_steps_end_in_the_equilibria_of_a_fit():
@@ -238,3 +257,31 @@ def test_what_can_not_be_reached_fails_with_its_time():
         steps.step(motion, before, replace(before, time=1.0, objects=lid(-5.0)))
     assert caught.value.code == "simulate.jammed"
     assert 0.5 < caught.value.context["time"] < 1.0
+
+
+class Nonsense:
+    """A force that is no number once a time has come."""
+
+    def at(self, motion, time, /):
+        return np.full_like(motion.x, np.nan if time > 0.0 else 0.0)
+
+
+def test_what_is_no_number_is_no_rest():
+    face = face_of()
+    steps = simulator(face, forces=[Nonsense()])
+    before = drive(face, face.rest_pose())
+    motion = steps.rest(before)
+    with pytest.raises(SolveError) as caught:
+        steps.step(motion, before, replace(before, time=1.0))
+    assert caught.value.code == "simulate.diverged"
+
+
+@pytest.mark.parametrize("time", [0.0, -0.1, np.nan])
+def test_time_goes_on(time):
+    face = face_of()
+    steps = simulator(face, dynamic=True)
+    before = drive(face, face.rest_pose())
+    motion = steps.rest(before)
+    with pytest.raises(InputError) as caught:
+        steps.step(motion, before, replace(before, time=time))
+    assert caught.value.code == "scene.times"
