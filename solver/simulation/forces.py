@@ -90,7 +90,8 @@ class Wind:
         skin = self._embedding @ motion.x + motion.head.turn(self._offset)
         doubled = area_normals(skin, self._triangles)
         area = 0.5 * np.linalg.norm(doubled, axis=1)
-        normal = 0.5 * doubled / area[:, None]
+        # a triangle without area has no normal, and the wind no hold on it
+        normal = 0.5 * doubled / np.maximum(area, 1e-12)[:, None]
         moving = (self._embedding @ motion.v)[self._triangles].mean(axis=1)
         along = ((self.velocity(time) - moving) * normal).sum(axis=1)
         pressure = 0.5 * AIR * DRAG * np.abs(along) * along
