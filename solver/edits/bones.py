@@ -25,7 +25,8 @@ class Bone:
 
     ``at`` (3,) is a point on the bone or on the skin before it: the handle is the bone's nearest
     point. At a distance d of it the motion is (1 - d^2 / ``radius_mm``^2)^2 ``move_mm``, for the
-    bone, the flesh on it and the teeth in it. Positions are those at rest, the jaw closed.
+    bone, the flesh on it and the teeth in it; eyeballs stay. Positions are those at rest, the jaw
+    closed.
     """
 
     bone: Literal["cranium", "mandible"]
@@ -84,6 +85,7 @@ def _vertices(model: SubjectModel, bone: str) -> tuple[Ints, Ints]:
     """Return the flesh's vertices on a bone, and the skin's that stay with it."""
     if bone == "mandible":
         return model.mandible, model.attached_mandible
-    rigid = np.setdiff1d(np.arange(len(model.skin.vertices)), model.embedded)
-    with_cranium = np.setdiff1d(rigid, model.attached_mandible)
+    eyes = [model.regions.get(f"{side}_eyeball", []) for side in ("left", "right")]
+    others = np.concatenate([model.embedded, model.attached_mandible, *eyes])
+    with_cranium = np.setdiff1d(np.arange(len(model.skin.vertices)), others)
     return np.concatenate([model.cranium, model.sliding]), with_cranium

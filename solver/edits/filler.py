@@ -41,18 +41,20 @@ class Filler:
             )
         away = distance_to_path(model.rest[model.tets].mean(axis=1), self.path)
         shares = np.exp(-0.5 * (away / self.radius_mm) ** 2)
-        volumes = shape_gradients(model.rest, model.tets)[1]
+        volumes = shape_gradients(model.rest, model.tets)[1] * before.growth**3
         room = float(volumes @ shares)
-        growth = np.cbrt(1.0 + self.ml * MM3_PER_ML / max(room, 1e-12) * shares)
-        if not growth.max() <= MOST:
-            most = (MOST**3 - 1.0) * room / MM3_PER_ML / shares.max()
+        # far from the path no share is left, not even in the last digits
+        most = (MOST**3 - 1.0) * room / MM3_PER_ML / shares.max() if room > 0.0 else 0.0
+        if not self.ml <= most:
             raise InputError(
                 "scene.filler",
                 f"{self.ml} ml do not fit into the flesh within {self.radius_mm} mm of the path: "
-                f"at most {most:.2f} ml do; make the path longer or the radius larger",
+                f"at most {most:.2f} ml do; lead the path through flesh, make it longer or the "
+                "radius larger",
                 found_ml=self.ml,
                 expected_ml=round(most, 3),
             )
+        growth = np.cbrt(1.0 + self.ml * MM3_PER_ML / room * shares)
         return replace(before, growth=before.growth * growth)
 
 

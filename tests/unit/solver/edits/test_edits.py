@@ -122,6 +122,14 @@ def test_filler_takes_the_volume_it_was_given(model):
     assert edited.growth[np.argmin(away)] > 1.005 > 1.0001 > edited.growth[np.argmax(away)]
 
 
+def test_filler_takes_its_volume_in_flesh_that_has_grown(model):
+    path = np.array([[50.0, 60.0, 35.0], [100.0, 60.0, 35.0]])
+    fat = apply([Fat(1.2, 1.2)], model, model.weights)
+    both = apply([Fat(1.2, 1.2), Filler(path, 2.0, radius_mm=15.0)], model, model.weights)
+    volumes = shape_gradients(model.rest, model.tets)[1]
+    np.testing.assert_allclose(volumes @ (both.growth**3 - fat.growth**3), 2000.0)
+
+
 def test_the_distance_to_a_path_has_its_ends_and_corners():
     path = np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0]])
     points = np.array([[-3.0, 4, 0], [5, 0, 2], [12, 5, 0], [13, 14, 0], [10, 0, 0]])
@@ -174,6 +182,26 @@ def test_a_chin_moves_with_its_teeth_and_nothing_else(model):
     np.testing.assert_array_equal(edited.model.rest, model.rest)
 
 
+def test_eyeballs_stay_round_where_the_bone_beside_them_moves(model):
+    eye, brow = 3, 4
+    points = model.skin.vertices.copy()
+    points[[eye, brow]] = [[75.0, 60.0, 3.0], [80.0, 60.0, 3.0]]
+    bare = np.setdiff1d(model.embedded, [eye, brow])
+    rows = np.isin(model.embedded, bare)
+    seen = replace(
+        model,
+        skin=model.skin.moved(points),
+        embedded=bare,
+        embedding=model.embedding[rows],
+        offset=model.offset[rows],
+        regions={**model.regions, "left_eyeball": np.array([eye])},
+    )
+    edit = Bone("cranium", points[brow], 60.0, np.array([0.0, 0.0, 5.0]))
+    moved = apply([edit], seen, seen.weights).model.skin.vertices - points
+    assert moved[brow, 2] > 4.0
+    assert not moved[eye].any()
+
+
 def test_a_moved_cranium_takes_its_own_teeth_and_sliding_flesh(model):
     sliding = model.cranium[:5]
     loose = replace(model, cranium=model.cranium[5:], sliding=sliding)
@@ -197,6 +225,7 @@ def test_a_moved_cranium_takes_its_own_teeth_and_sliding_flesh(model):
         (Paralysis(strength=1.5), "scene.strength", "1.5"),
         (Filler(np.array([[75.0, 60, 35]]), 50.0), "scene.filler", "at most"),
         (Filler(np.zeros((0, 3)), 1.0), "scene.filler", "path"),
+        (Filler(np.array([[75.0, 60, 900]]), 0.1), "scene.filler", "at most 0.00 ml"),
         (Bone("mandible", np.array([75.0, 20, 0]), 5.0, np.array([0, 0, 9.0])), "scene.bone", "13"),
         (Bone("mandible", np.array([75.0, 20, 90]), 30.0, np.ones(3)), "scene.bone", "90 mm off"),
     ],
