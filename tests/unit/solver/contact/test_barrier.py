@@ -205,6 +205,9 @@ def test_objects_that_contact_can_not_begin_with_are_refused():
         return Surface(np.array([0.0, 0.0, z]) + box.vertices, np.asarray(box.faces, np.int64))
 
     check_objects(model, {"glass": glass(front + 3.0)})
+    parts = glass(front + 3.0), glass(front + 3.5)
+    crossed = np.vstack([parts[0].faces, parts[1].faces + len(box.vertices)])
+    check_objects(model, {"two": Surface(np.vstack([part.vertices for part in parts]), crossed)})
     with pytest.raises(InputError, match="glass begins in the face") as error:
         check_objects(model, {"glass": glass(front - 2.0)})
     assert error.value.code == "scene.object_inside"
