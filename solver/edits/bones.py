@@ -85,7 +85,8 @@ def _vertices(model: SubjectModel, bone: str) -> tuple[Ints, Ints]:
     """Return the flesh's vertices on a bone, and the skin's that stay with it."""
     if bone == "mandible":
         return model.mandible, model.attached_mandible
-    eyes = [model.regions.get(f"{side}_eyeball", []) for side in ("left", "right")]
+    none = np.empty(0, np.int64)
+    eyes = [model.regions.get(f"{side}_eyeball", none) for side in ("left", "right")]
     others = np.concatenate([model.embedded, model.attached_mandible, *eyes])
     with_cranium = np.setdiff1d(np.arange(len(model.skin.vertices)), others)
     return np.concatenate([model.cranium, model.sliding]), with_cranium
