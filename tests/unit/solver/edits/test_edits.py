@@ -14,6 +14,7 @@ from solver.edits.maps import into_volume, patches, spots
 from solver.edits.paralysis import Paralysis
 from solver.edits.tissue import Density, Stiffness
 from solver.errors import InputError
+from solver.fitting.face import Face
 from solver.mechanics.flesh import shape_gradients
 from solver.surface import Surface
 from tests.unit.solver.block import head_block
@@ -209,6 +210,14 @@ def test_a_moved_cranium_takes_its_own_teeth_and_sliding_flesh(model):
     edited = apply([edit], loose, loose.weights)
     np.testing.assert_allclose(edited.bones[sliding[0]], [3.0, 0, 0])
     assert (edited.bones[loose.mandible] == 0).all()
+
+
+def test_stiffer_flesh_is_held_to_its_bone_as_firmly(model):
+    loose = replace(model, cranium=model.cranium[5:], sliding=model.cranium[:5])
+    edited = apply([Stiffness(20.0)], loose, loose.weights)
+    held = [Face(loose, stiffness=each).flesh.sliding for each in (None, edited.stiffness)]
+    assert held[0].stiffness.min() > 0.0
+    np.testing.assert_allclose(held[1].stiffness, 20.0 * held[0].stiffness)
 
 
 @pytest.mark.parametrize(
