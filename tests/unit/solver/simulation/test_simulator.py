@@ -285,3 +285,30 @@ def test_time_goes_on(time):
     with pytest.raises(InputError) as caught:
         steps.step(motion, before, replace(before, time=time))
     assert caught.value.code == "scene.times"
+
+
+class Hurdle(Lid):
+    """A lid, far away, that no step of more than a quarter of a second begins under."""
+
+    def begin(self, x, now, seconds):
+        if seconds > 0.26:
+            raise SolveError("simulate.jammed", "too fast")
+
+
+def test_a_step_is_halved_as_often_as_need_be_and_ends_where_short_ones_do():
+    face = face_of()
+    before = drive(face, face.rest_pose(), objects=lid(200.0))
+    nod = small_motion(np.array([0.4, 0.0, 0.2, 5.0, 0.0, 1.0]))
+    goal = drive(face, poses(1)[0], 1.0, nod, lid(200.0))
+    steps = simulator(face, [Hurdle()], dynamic=True)
+    start = steps.rest(before)
+    halved = steps.step(start, before, goal)
+    # once from one second to a quarter, and once when half a second was tried again
+    assert halved.halvings == 3
+    motion, here = start, before
+    for part in (0.25, 0.5, 0.75, 1.0):
+        target = before.toward(goal, part)
+        motion, here = steps.step(motion, here, target).motion, target
+    assert np.abs(halved.motion.v).max() > 1.0
+    np.testing.assert_allclose(halved.motion.x, motion.x, atol=1e-5)
+    np.testing.assert_allclose(halved.motion.v, motion.v, atol=1e-3)
