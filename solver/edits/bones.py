@@ -8,6 +8,7 @@ from typing import Literal
 import igl
 import numpy as np
 
+from solver.anatomy.loose_skin import LooseSkin
 from solver.edits.edited import Edited
 from solver.errors import InputError
 from solver.model import SubjectModel
@@ -87,6 +88,8 @@ def _vertices(model: SubjectModel, bone: str) -> tuple[Ints, Ints]:
         return model.mandible, model.attached_mandible
     none = np.empty(0, np.int64)
     eyes = [model.regions.get(f"{side}_eyeball", none) for side in ("left", "right")]
-    others = np.concatenate([model.embedded, model.attached_mandible, *eyes])
+    # skin beyond the flesh follows the flesh that the bone moves
+    follows = [model.embedded, LooseSkin(model).ids]
+    others = np.concatenate([*follows, model.attached_mandible, *eyes])
     with_cranium = np.setdiff1d(np.arange(len(model.skin.vertices)), others)
     return np.concatenate([model.cranium, model.sliding]), with_cranium

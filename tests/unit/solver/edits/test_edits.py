@@ -184,23 +184,32 @@ def test_a_chin_moves_with_its_teeth_and_nothing_else(model):
 
 
 def test_eyeballs_stay_round_where_the_bone_beside_them_moves(model):
-    eye, brow = 3, 4
-    points = model.skin.vertices.copy()
-    points[[eye, brow]] = [[75.0, 60.0, 3.0], [80.0, 60.0, 3.0]]
-    bare = np.setdiff1d(model.embedded, [eye, brow])
-    rows = np.isin(model.embedded, bare)
-    seen = replace(
-        model,
-        skin=model.skin.moved(points),
-        embedded=bare,
-        embedding=model.embedding[rows],
-        offset=model.offset[rows],
-        regions={**model.regions, "left_eyeball": np.array([eye])},
-    )
-    edit = Bone("cranium", points[brow], 60.0, np.array([0.0, 0.0, 5.0]))
+    tooth = len(model.skin.vertices) - 1
+    points = np.vstack([model.skin.vertices, model.skin.vertices[tooth] + [5.0, 0.0, 0.0]])
+    regions = {**model.regions, "left_eyeball": np.array([tooth + 1])}
+    seen = replace(model, skin=model.skin.moved(points), regions=regions)
+    edit = Bone("cranium", points[tooth], 60.0, np.array([0.0, 0.0, 5.0]))
     moved = apply([edit], seen, seen.weights).model.skin.vertices - points
-    assert moved[brow, 2] > 4.0
-    assert not moved[eye].any()
+    assert moved[tooth, 2] > 4.0
+    assert np.count_nonzero(moved) == 1
+
+
+def test_skin_beyond_the_flesh_is_left_to_follow_it(model):
+    """It would move twice: with the bone, and with the flesh on the bone."""
+    kept = np.flatnonzero(model.skin.vertices[model.embedded, 0] < 130.0)
+    shown = replace(
+        model,
+        embedded=model.embedded[kept],
+        embedding=model.embedding[kept],
+        offset=model.offset[kept],
+        face=model.embedded[kept],
+    )
+    beyond = np.setdiff1d(model.embedded, shown.embedded)
+    edit = Bone("cranium", np.array([150.0, 90.0, 0.0]), 80.0, np.array([5.0, 0.0, 0.0]))
+    edited = apply([edit], shown, shown.weights)
+    assert len(beyond)
+    assert np.abs(edited.bones).max() > 3.0
+    assert not (edited.model.skin.vertices - shown.skin.vertices)[beyond].any()
 
 
 def test_a_moved_cranium_takes_its_own_teeth_and_sliding_flesh(model):
