@@ -103,8 +103,7 @@ class Newton:
         gradient = self._gradient(x, a)
         accelerator = Accelerator()
         settled = steps = factorisations = 0
-        # NaN is no minimum, here and below
-        while not self._residual(gradient) <= self._tolerance and settled < SETTLED_STEPS:
+        while self._residual(gradient) > self._tolerance and settled < SETTLED_STEPS:
             found = self._chord(x, a, goal, gradient, accelerator)
             if found is None:
                 if factorisations == FACTORISATIONS:
@@ -121,9 +120,8 @@ class Newton:
             settled = settled + 1 if quiet and length <= self._settled_mm else 0
             steps += 1
             x = y
-        else:
-            return Minimum(x, self._residual(gradient), advances + steps)
         residual = self._residual(gradient)
+        # NaN, too, is no minimum
         if not residual <= max(STALLED, self._tolerance):
             raise SolveError(
                 "simulate.diverged",

@@ -248,34 +248,6 @@ def test_flesh_gives_way_to_what_is_pushed_into_it_and_nothing_crosses():
     np.testing.assert_allclose(back.y, face.model.rest, atol=1e-5)
 
 
-def test_what_can_not_be_reached_fails_with_its_time():
-    face = face_of()
-    steps = simulator(face, [Lid()])
-    before = drive(face, face.rest_pose(), objects=lid(20.0))
-    motion = steps.rest(before)
-    with pytest.raises(SolveError) as caught:
-        steps.step(motion, before, replace(before, time=1.0, objects=lid(-5.0)))
-    assert caught.value.code == "simulate.jammed"
-    assert 0.5 < caught.value.context["time"] < 1.0
-
-
-class Nonsense:
-    """A force that is no number once a time has come."""
-
-    def at(self, motion, time, /):
-        return np.full_like(motion.x, np.nan if time > 0.0 else 0.0)
-
-
-def test_what_is_no_number_is_no_rest():
-    face = face_of()
-    steps = simulator(face, forces=[Nonsense()])
-    before = drive(face, face.rest_pose())
-    motion = steps.rest(before)
-    with pytest.raises(SolveError) as caught:
-        steps.step(motion, before, replace(before, time=1.0))
-    assert caught.value.code == "simulate.diverged"
-
-
 @pytest.mark.parametrize("time", [0.0, -0.1, np.nan])
 def test_time_goes_on(time):
     face = face_of()
@@ -312,3 +284,14 @@ def test_a_step_is_halved_as_often_as_need_be_and_ends_where_short_ones_do():
     assert np.abs(halved.motion.v).max() > 1.0
     np.testing.assert_allclose(halved.motion.x, motion.x, atol=1e-5)
     np.testing.assert_allclose(halved.motion.v, motion.v, atol=1e-3)
+
+
+def test_what_can_not_be_reached_fails_with_its_time():
+    face = face_of()
+    steps = simulator(face, [Lid()])
+    before = drive(face, face.rest_pose(), objects=lid(20.0))
+    motion = steps.rest(before)
+    with pytest.raises(SolveError) as caught:
+        steps.step(motion, before, replace(before, time=1.0, objects=lid(-5.0)))
+    assert caught.value.code == "simulate.jammed"
+    assert 0.5 < caught.value.context["time"] < 1.0
