@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sp
 
-from benchmarks.documents import Figures, Table
+from benchmarks.documents import Figures
 from solver.drawing.head import Head
 from solver.drawing.page import HEADER, Page
 from solver.drawing.render import faded, render
@@ -90,46 +90,6 @@ def run(subject: Subject, names: Sequence[str] = EFFECTS) -> dict[str, EditedPer
 def figures(people: Mapping[str, EditedPerson]) -> Figures:
     """Return the figures of every edit."""
     return {name: _figures(edit_report(person)) for name, person in people.items()}
-
-
-def tables(edits: Figures, muscles: Figures) -> list[Table]:
-    """Return what :func:`figures` and :func:`fibres` found, for the document."""
-    of_edits = [
-        [
-            name.replace("_", " "),
-            each["change_ml"],
-            each["change_percent"],
-            each["moved_mm"],
-            _drift(each),
-            each["penetration_mm"],
-            each["inverted"],
-        ]
-        for name, each in edits.items()
-    ]
-    keys = ("motion_mm", "blended_mm", "fibre_mm", "projected_mm")
-    of_muscles = [[name, *(each[key] for key in keys)] for name, each in muscles.items()]
-    return [
-        Table(
-            [
-                "edit",
-                "volume, ml",
-                "%",
-                "rest moves, mm",
-                "expressions drift, mm",
-                "penetration, mm",
-                "inverted",
-            ],
-            of_edits,
-        ),
-        Table(
-            ["expression", "moves, mm", "six numbers", "fibres, fitted", "fibres, projected"],
-            of_muscles,
-        ),
-    ]
-
-
-def _drift(each: Figures) -> float:
-    return float(np.mean([drift for drift in each["drift_mm"].values() if drift is not None]))
 
 
 def fibres(subject: Subject) -> Figures:

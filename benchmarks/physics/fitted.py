@@ -17,7 +17,7 @@ from solver.similarity import IDENTITY, Similarity
 from solver.simulation.state import Drive
 
 STIFFNESS_PA = 3000.0
-"""Of facial soft tissue: Young's modulus about 8 kPa."""
+"""Of facial soft tissue: Young's modulus 7.5 kPa."""
 
 
 @dataclass(frozen=True)

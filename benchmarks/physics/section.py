@@ -97,7 +97,13 @@ def _effects(found: Figures) -> Sequence[Part]:
         for name, each in found["edits"].items()
     ]
     header = ["edit", "volume, ml", "face at rest moves, mm", "expressions move, mm"]
-    return [Table([*header, "and drift, mm", "deepest contact, mm"], rows, "Edits")]
+    keys = ("motion_mm", "blended_mm", "fibre_mm", "projected_mm")
+    missed = [[name, *(each[key] for key in keys)] for name, each in found["fibres"].items()]
+    names = ["expression", "moves, mm", "missed with six numbers a muscle, mm"]
+    return [
+        Table([*header, "and drift, mm", "deepest contact, mm"], rows, "Edits"),
+        Table([*names, "fibres, fitted, mm", "fibres, projected, mm"], missed, "Fibre muscles"),
+    ]
 
 
 def _means(*each: Mapping[str, float | None]) -> list[float | None]:

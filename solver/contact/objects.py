@@ -43,6 +43,8 @@ def check_objects(model: SubjectModel, objects: Mapping[str, Surface]) -> None:
             np.vstack([face.vertices, each.vertices]),
             np.vstack([face.faces, each.faces + len(face.vertices)]),
         )
+        # parts of an object may cross each other
+        both.can_collide = ipctk.make_static_obstacle_filter(len(face.vertices))
         if depth > 0.0 or ipctk.has_intersections(both, both.rest_positions):
             raise InputError(
                 "scene.object_inside",

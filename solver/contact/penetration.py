@@ -13,6 +13,7 @@ from solver.contact.mouth import Mouth
 from solver.contact.one_sided import OneSided
 from solver.contact.potentials import arches
 from solver.mechanics.boundary import Boundary
+from solver.mechanics.jaw import move
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints, Surface
 
@@ -58,7 +59,7 @@ class Gauge:
         """Measure vertices x (p, 3), the jaw at b (5,), and objects in the head's frame."""
         lips = teeth = 0.0
         if self._mouth is not None:
-            found = crossing_at(self._mouth, self._mouth.points(x))
+            found = crossing_at(self._mouth, self._mouth_points(self._mouth, x, jaw))
             lips = found.lips
             teeth = max(found.upper_teeth or 0.0, found.lower_teeth or 0.0)
         placed = Boundary(np.empty((0, 3)), jaw)
@@ -71,6 +72,16 @@ class Gauge:
         pairs = [pair for each in objects for pair in ((skin, each), (each.vertices, own))]
         depths = [depth_inside(points, surface) for points, surface in pairs]
         return Penetration(lips, teeth, max(depths, default=0.0), behind)
+
+    def _mouth_points(self, mouth: Mouth, x: Floats, b: Floats) -> Floats:
+        """Return the positions (m, 3) of the mouth, lower teeth where the jaw takes them.
+
+        An edit bends the mandible, whose vertices then say no more where its teeth are.
+        """
+        points = mouth.points(x)
+        on_jaw = np.isin(mouth.skin, self._model.attached_mandible)
+        points[on_jaw] = move(self._model.jaw, self._model.skin.vertices[mouth.skin[on_jaw]], b)
+        return points
 
 
 def depth_inside(points: Floats, surface: Surface) -> float:

@@ -8,6 +8,7 @@ from typing import Literal
 import igl
 import numpy as np
 
+from solver.anatomy.loose_skin import LooseSkin
 from solver.edits.edited import Edited
 from solver.errors import InputError
 from solver.model import SubjectModel
@@ -25,7 +26,8 @@ class Bone:
 
     ``at`` (3,) is a point on the bone or on the skin before it: the handle is the bone's nearest
     point. At a distance d of it the motion is (1 - d^2 / ``radius_mm``^2)^2 ``move_mm``, for the
-    bone, the flesh on it and the teeth in it. Positions are those at rest, the jaw closed.
+    bone, the flesh on it and the teeth in it; eyeballs stay. Positions are those at rest, the jaw
+    closed.
     """
 
     bone: Literal["cranium", "mandible"]
@@ -84,6 +86,10 @@ def _vertices(model: SubjectModel, bone: str) -> tuple[Ints, Ints]:
     """Return the flesh's vertices on a bone, and the skin's that stay with it."""
     if bone == "mandible":
         return model.mandible, model.attached_mandible
-    rigid = np.setdiff1d(np.arange(len(model.skin.vertices)), model.embedded)
-    with_cranium = np.setdiff1d(rigid, model.attached_mandible)
+    none = np.empty(0, np.int64)
+    eyes = [model.regions.get(f"{side}_eyeball", none) for side in ("left", "right")]
+    # skin beyond the flesh follows the flesh that the bone moves
+    follows = [model.embedded, LooseSkin(model).ids]
+    others = np.concatenate([*follows, model.attached_mandible, *eyes])
+    with_cranium = np.setdiff1d(np.arange(len(model.skin.vertices)), others)
     return np.concatenate([model.cranium, model.sliding]), with_cranium

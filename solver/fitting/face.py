@@ -97,12 +97,13 @@ class Face:
         held = np.concatenate([model.cranium, model.mandible, model.cut])
         if pinned:
             held = np.concatenate([held, model.sliding])
+        mu = material.mu if stiffness is None else material.mu * stiffness
         self.flesh = Flesh(
             model.rest,
             model.tets,
             np.unique(held),
             material,
-            sliding=no_planes() if pinned else self._sliding_planes(material.mu),
+            sliding=no_planes() if pinned else self._sliding_planes(mu),
             stiffness=stiffness,
             growth=growth,
         )
@@ -311,7 +312,7 @@ class Face:
         x[self.flesh.free] += response.reshape(-1, 3)
         return x
 
-    def _sliding_planes(self, mu: float) -> Planes:
+    def _sliding_planes(self, mu: Floats | float) -> Planes:
         """Return the planes along the skull that the model's sliding vertices stay on."""
         model = self.model
         if not len(model.sliding):

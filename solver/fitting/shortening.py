@@ -27,8 +27,9 @@ def fibre_tensors(model: SubjectModel, volumes: Floats, S: sp.csr_array) -> Floa
 def shortened(tensor: Floats, stretch: float) -> Floats:
     """Return the activation (6,) that brings fibres to ``stretch`` and keeps the muscle's volume.
 
-    ``tensor`` (3, 3) is the mean of d d^T. Its deviator is the logarithmic strain, so that a ring
-    shortens in its plane and thickens across.
+    ``tensor`` (3, 3) is the mean of d d^T. Its deviator is the logarithmic strain: parallel fibres
+    come to ``stretch``, those of a ring to its root in both directions of their plane, which
+    thickens by 1 / ``stretch``; fibres of all directions do nothing.
     """
     values, axes = np.linalg.eigh(tensor)
     strain = 1.5 * np.log(stretch) * (values - values.mean()) / values.max()

@@ -269,7 +269,7 @@ class Flesh:
         return out
 
     def openings(self, x: Floats) -> Floats:
-        """Return det F of every tet, (n,)."""
+        """Return det F of every tet, (n,); where flesh has grown, that of F F_p^-1."""
         out = np.empty(len(self.tets))
         elements.openings(np.ascontiguousarray(x), self.tets, self.gradients, out)
         return out

@@ -20,7 +20,7 @@ class Potential(Protocol):
         """Let everything rigid be where ``boundary`` says, from here on."""
 
     def value(self, x: Floats) -> float:
-        """Return the energy, infinite where x is not feasible."""
+        """Return the energy of a feasible x; :meth:`longest` tells what is."""
 
     def gradient(self, x: Floats) -> Floats:
         """Return the energy's derivative (p, 3), held vertices included."""

@@ -48,15 +48,16 @@ class Planes:
         return np.asarray(self.stiffness[:, None, None] * outer)
 
 
-def planes(rest: Floats, tets: Ints, vertices: Ints, normals: Floats, mu: float) -> Planes:
+def planes(rest: Floats, tets: Ints, vertices: Ints, normals: Floats, mu: Floats | float) -> Planes:
     """Return the planes through the rest positions of ``vertices`` (k,), with their stiffness.
 
     ``rest`` (p, 3) and ``tets`` (n, 4) are the flesh's, ``normals`` (k, 3) of unit length, ``mu``
-    is the flesh's.
+    is that of all tets or of each (n,).
     """
     volume = np.abs(np.linalg.det(rest[tets[:, 1:]] - rest[tets[:, :1]])) / 6.0
-    size = np.cbrt(np.bincount(tets.ravel(), np.repeat(volume / 4.0, 4), len(rest)))
-    return Planes(vertices, rest[vertices], normals, STIFFNESS * mu * size[vertices])
+    # mu times the size of what is around a vertex, cubed
+    cubes = np.bincount(tets.ravel(), np.repeat(mu**3 * volume / 4.0, 4), len(rest))
+    return Planes(vertices, rest[vertices], normals, STIFFNESS * np.cbrt(cubes[vertices]))
 
 
 def no_planes() -> Planes:

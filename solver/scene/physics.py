@@ -31,7 +31,7 @@ LAWS: Mapping[str, Material] = {
 FITTED_LAW = "corotated_trace"
 """The law that rigs are fitted with: their activations lead to their poses."""
 STIFFNESS_PA = 3000.0
-"""mu of facial soft tissue: a Young's modulus of some 9 kPa."""
+"""mu of facial soft tissue: a Young's modulus of 7.5 kPa, and of 8.6 by the other two laws."""
 
 
 @dataclass(frozen=True)

@@ -15,15 +15,13 @@ import scipy.sparse as sp
 
 from solver.anatomy.tetrahedra import volumes
 from solver.errors import InputError
+from solver.fitting.stretches import COLUMN, FROBENIUS, ROW
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
 
 LEAST, MOST = 0.3, 1.5
 """Limits of gamma: a muscle shortens to a third and gives way to half as much again."""
-SYM_ROW, SYM_COLUMN = np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2])
-TWICE = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])
-"""How often an entry of Sym(3) stands in the matrix."""
 
 
 def fibre_activations(model: SubjectModel, S: sp.csr_array, gamma: Floats) -> Floats:
@@ -36,7 +34,6 @@ def fibre_activations(model: SubjectModel, S: sp.csr_array, gamma: Floats) -> Fl
     stretch = np.concatenate([[1.0], gamma])[columns]
     across = 1.0 / np.sqrt(stretch)
     entries = S.data * (stretch - across)
-    entries[columns == 0] = 0.0
     active = np.stack(
         [np.bincount(rows, entries * along[:, k], minlength=S.shape[0]) for k in range(6)], axis=1
     )
@@ -63,7 +60,7 @@ def nearest_fibre(model: SubjectModel, S: sp.csr_array, a: Floats) -> Floats:
     """
     rows, columns = _entries(S)
     along = _along(model, S)
-    stretch = np.einsum("ek,k,ek->e", along, TWICE, np.vstack([IDENTITY, a])[columns])
+    stretch = np.einsum("ek,k,ek->e", along, FROBENIUS, np.vstack([IDENTITY, a])[columns])
     weight = S.data * volumes(model.rest, model.tets)[rows]
     count = S.shape[1]
     whole = np.bincount(columns, weight, minlength=count)
@@ -83,4 +80,4 @@ def _along(model: SubjectModel, S: sp.csr_array) -> Floats:
         raise InputError(
             "model.fibres", "the model has no fibre directions: build it again to use fibre muscles"
         )
-    return np.asarray(model.fibres[:, SYM_ROW] * model.fibres[:, SYM_COLUMN])
+    return np.asarray(model.fibres[:, ROW] * model.fibres[:, COLUMN])

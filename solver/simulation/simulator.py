@@ -12,7 +12,7 @@ from time import perf_counter
 
 import numpy as np
 
-from solver.errors import SolveError
+from solver.errors import InputError, SolveError
 from solver.fitting.face import Face
 from solver.mechanics.boundary import Boundary
 from solver.mechanics.linear import fastest
@@ -122,9 +122,14 @@ class Simulator:
     def step(self, now: Motion, before: Drive, goal: Drive) -> Stepped:
         """Go from ``now``, where ``before`` led to, to ``goal``.
 
-        Raises :class:`SolveError`: ``simulate.jammed``, ``simulate.diverged`` or
-        ``solve.singular``, with the ``time`` that was not reached.
+        Raises :class:`InputError` (``scene.times``) for a goal that is not later, and
+        :class:`SolveError`: ``simulate.jammed``, ``simulate.diverged`` or ``solve.singular``, with
+        the ``time`` that was not reached.
         """
+        if not goal.time > before.time:
+            raise InputError(
+                "scene.times", f"a moment at {goal.time:g} s is not later than the one before"
+            )
         return self._go(now, before, goal, 1.0, dynamic=self._dynamic)
 
     def _go(

@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 
 from benchmarks.physics import effects
+from benchmarks.physics.section import section
 from solver.fitting.face import Face, Pose
 from solver.rig.result import ExpressionFit
 from solver.scene.places import Places
@@ -35,9 +36,11 @@ def test_edits_are_made_measured_and_drawn(subject, tmp_path):
     assert found["fat"]["change_ml"] > 1.0
     assert found["palsy"]["change_ml"] == pytest.approx(0.0, abs=1e-6)
     assert found["palsy"]["drift_mm"]["wide"] > found["fat"]["drift_mm"]["wide"] > 0.0
-    edits, muscles = effects.tables(found, effects.fibres(subject))
+    told = section({"effects": {"edits": found, "fibres": effects.fibres(subject)}})
+    edits, muscles = told.parts
     assert [row[0] for row in edits.rows] == ["fat", "palsy"]
-    assert all(len(row) == len(table.header) for table in (edits, muscles) for row in table.rows)
+    assert [row[0] for row in muscles.rows] == ["wide"]
+    assert all(len(row) == len(table.header) for table in told.parts for row in table.rows)
     effects.sheet(people, tmp_path / "sheet.png")
     assert Image.open(tmp_path / "sheet.png").width == 3 * effects.CELL[0]
 

@@ -212,3 +212,12 @@ def test_objects_that_contact_can_not_begin_with_are_refused():
     for faces in (whole.faces[1:], whole.faces[:, ::-1]):
         with pytest.raises(InputError, match="not a closed surface"):
             check_objects(model, {"glass": Surface(whole.vertices, faces)})
+
+
+def test_parts_of_an_object_may_cross_each_other():
+    model = fixture_model("neutral_coarse")
+    skin = model.skin.vertices[model.face]
+    tip = skin[skin[:, 2].argmax()]
+    parts = [ball(tip + np.array([shift, 0.0, 15.0]), 8.0) for shift in (0.0, 6.0)]
+    faces = np.vstack([parts[0].faces, parts[1].faces + len(parts[0].vertices)])
+    check_objects(model, {"two": Surface(np.vstack([each.vertices for each in parts]), faces)})

@@ -14,6 +14,7 @@ from solver.edits.maps import into_volume, patches, spots
 from solver.edits.paralysis import Paralysis
 from solver.edits.tissue import Density, Stiffness
 from solver.errors import InputError
+from solver.fitting.face import Face
 from solver.mechanics.flesh import shape_gradients
 from solver.surface import Surface
 from tests.unit.solver.block import head_block
@@ -122,6 +123,14 @@ def test_filler_takes_the_volume_it_was_given(model):
     assert edited.growth[np.argmin(away)] > 1.005 > 1.0001 > edited.growth[np.argmax(away)]
 
 
+def test_filler_takes_its_volume_in_flesh_that_has_grown(model):
+    path = np.array([[50.0, 60.0, 35.0], [100.0, 60.0, 35.0]])
+    fat = apply([Fat(1.2, 1.2)], model, model.weights)
+    both = apply([Fat(1.2, 1.2), Filler(path, 2.0, radius_mm=15.0)], model, model.weights)
+    volumes = shape_gradients(model.rest, model.tets)[1]
+    np.testing.assert_allclose(volumes @ (both.growth**3 - fat.growth**3), 2000.0)
+
+
 def test_the_distance_to_a_path_has_its_ends_and_corners():
     path = np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0]])
     points = np.array([[-3.0, 4, 0], [5, 0, 2], [12, 5, 0], [13, 14, 0], [10, 0, 0]])
@@ -174,6 +183,35 @@ def test_a_chin_moves_with_its_teeth_and_nothing_else(model):
     np.testing.assert_array_equal(edited.model.rest, model.rest)
 
 
+def test_eyeballs_stay_round_where_the_bone_beside_them_moves(model):
+    tooth = len(model.skin.vertices) - 1
+    points = np.vstack([model.skin.vertices, model.skin.vertices[tooth] + [5.0, 0.0, 0.0]])
+    regions = {**model.regions, "left_eyeball": np.array([tooth + 1])}
+    seen = replace(model, skin=model.skin.moved(points), regions=regions)
+    edit = Bone("cranium", points[tooth], 60.0, np.array([0.0, 0.0, 5.0]))
+    moved = apply([edit], seen, seen.weights).model.skin.vertices - points
+    assert moved[tooth, 2] > 4.0
+    assert np.count_nonzero(moved) == 1
+
+
+def test_skin_beyond_the_flesh_is_left_to_follow_it(model):
+    """It would move twice: with the bone, and with the flesh on the bone."""
+    kept = np.flatnonzero(model.skin.vertices[model.embedded, 0] < 130.0)
+    shown = replace(
+        model,
+        embedded=model.embedded[kept],
+        embedding=model.embedding[kept],
+        offset=model.offset[kept],
+        face=model.embedded[kept],
+    )
+    beyond = np.setdiff1d(model.embedded, shown.embedded)
+    edit = Bone("cranium", np.array([150.0, 90.0, 0.0]), 80.0, np.array([5.0, 0.0, 0.0]))
+    edited = apply([edit], shown, shown.weights)
+    assert len(beyond)
+    assert np.abs(edited.bones).max() > 3.0
+    assert not (edited.model.skin.vertices - shown.skin.vertices)[beyond].any()
+
+
 def test_a_moved_cranium_takes_its_own_teeth_and_sliding_flesh(model):
     sliding = model.cranium[:5]
     loose = replace(model, cranium=model.cranium[5:], sliding=sliding)
@@ -181,6 +219,14 @@ def test_a_moved_cranium_takes_its_own_teeth_and_sliding_flesh(model):
     edited = apply([edit], loose, loose.weights)
     np.testing.assert_allclose(edited.bones[sliding[0]], [3.0, 0, 0])
     assert (edited.bones[loose.mandible] == 0).all()
+
+
+def test_stiffer_flesh_is_held_to_its_bone_as_firmly(model):
+    loose = replace(model, cranium=model.cranium[5:], sliding=model.cranium[:5])
+    edited = apply([Stiffness(20.0)], loose, loose.weights)
+    held = [Face(loose, stiffness=each).flesh.sliding for each in (None, edited.stiffness)]
+    assert held[0].stiffness.min() > 0.0
+    np.testing.assert_allclose(held[1].stiffness, 20.0 * held[0].stiffness)
 
 
 @pytest.mark.parametrize(
@@ -197,6 +243,8 @@ def test_a_moved_cranium_takes_its_own_teeth_and_sliding_flesh(model):
         (Paralysis(strength=1.5), "scene.strength", "1.5"),
         (Filler(np.array([[75.0, 60, 35]]), 50.0), "scene.filler", "at most"),
         (Filler(np.zeros((0, 3)), 1.0), "scene.filler", "path"),
+        (Filler(np.array([[75.0, 60, 200]]), 1.0), "scene.filler", "no flesh"),
+        (Filler(np.array([[75.0, 60, 45]]), 1.0, radius_mm=1e-3), "scene.filler", "no flesh"),
         (Bone("mandible", np.array([75.0, 20, 0]), 5.0, np.array([0, 0, 9.0])), "scene.bone", "13"),
         (Bone("mandible", np.array([75.0, 20, 90]), 30.0, np.ones(3)), "scene.bone", "90 mm off"),
     ],

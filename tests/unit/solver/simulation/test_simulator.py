@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from solver.errors import SolveError
+from solver.errors import InputError, SolveError
 from solver.fitting.face import Face
 from solver.mechanics.flesh import COROTATED_TRACE
 from solver.similarity import IDENTITY, Similarity, small_motion
 from solver.simulation.forces import Gravity
-from solver.simulation.inertia import lumped_masses
+from solver.simulation.inertia import Inertial, lumped_masses
 from solver.simulation.simulator import Simulator
 from solver.simulation.state import Drive, Motion
 from tests.unit.solver.block import block_model, poses
@@ -43,6 +43,25 @@ def energy(face, motion):
 def drive(face, pose, time=0.0, head=IDENTITY, objects=()):
     A = face.tet_activations(face.model.weights, pose.a)
     return Drive(time, A, pose.b, head, objects)
+
+
+def test_derivatives_of_inertia_damping_and_work_match_differences():
+    face = face_of(pascal=50.0)
+    flesh, rng = Inertial(face.flesh), np.random.default_rng(6)
+    y, flight = (flesh.rest + rng.standard_normal(flesh.rest.shape) for _ in range(2))
+    flesh.launch(masses_of(face), y, flight, 0.02, 5.0)
+    flesh.load = 100.0 * rng.standard_normal(flesh.rest.shape)
+    x, a = flesh.rest + 0.2 * rng.standard_normal(flesh.rest.shape), flesh.passive()
+    step = rng.standard_normal(flesh.size)
+    ends = [flesh.moved(x, sign * 1e-6 * step) for sign in (1, -1)]
+    slope = (flesh.energy(ends[0], a) - flesh.energy(ends[1], a)) / 2e-6
+    passive = face.flesh.gradient(x, a) @ step
+    assert abs(slope - passive) > 0.1 * abs(slope)
+    assert flesh.gradient(x, a) @ step == pytest.approx(slope, rel=1e-5)
+    change = (flesh.gradient(ends[0], a) - flesh.gradient(ends[1], a)) / 2e-6
+    curvature = flesh.hessian(x, a) @ step
+    np.testing.assert_allclose(curvature, change, atol=1e-5 * np.abs(change).max())
+    assert np.abs(curvature - face.flesh.hessian(x, a) @ step).max() > 0.01 * np.abs(change).max()
 
 
 def test_quasi_static_steps_end_in_the_equilibria_of_a_fit():
@@ -227,6 +246,44 @@ def test_flesh_gives_way_to_what_is_pushed_into_it_and_nothing_crosses():
     assert stepped.inverted == 0
     back = steps.step(stepped.motion, goal, replace(before, time=2.0))
     np.testing.assert_allclose(back.y, face.model.rest, atol=1e-5)
+
+
+@pytest.mark.parametrize("time", [0.0, -0.1, np.nan])
+def test_time_goes_on(time):
+    face = face_of()
+    steps = simulator(face, dynamic=True)
+    before = drive(face, face.rest_pose())
+    motion = steps.rest(before)
+    with pytest.raises(InputError) as caught:
+        steps.step(motion, before, replace(before, time=time))
+    assert caught.value.code == "scene.times"
+
+
+class Hurdle(Lid):
+    """A lid, far away, that no step of more than a quarter of a second begins under."""
+
+    def begin(self, x, now, seconds):
+        if seconds > 0.26:
+            raise SolveError("simulate.jammed", "too fast")
+
+
+def test_a_step_is_halved_as_often_as_need_be_and_ends_where_short_ones_do():
+    face = face_of()
+    before = drive(face, face.rest_pose(), objects=lid(200.0))
+    nod = small_motion(np.array([0.4, 0.0, 0.2, 5.0, 0.0, 1.0]))
+    goal = drive(face, poses(1)[0], 1.0, nod, lid(200.0))
+    steps = simulator(face, [Hurdle()], dynamic=True)
+    start = steps.rest(before)
+    halved = steps.step(start, before, goal)
+    # once from one second to a quarter, and once when half a second was tried again
+    assert halved.halvings == 3
+    motion, here = start, before
+    for part in (0.25, 0.5, 0.75, 1.0):
+        target = before.toward(goal, part)
+        motion, here = steps.step(motion, here, target).motion, target
+    assert np.abs(halved.motion.v).max() > 1.0
+    np.testing.assert_allclose(halved.motion.x, motion.x, atol=1e-5)
+    np.testing.assert_allclose(halved.motion.v, motion.v, atol=1e-3)
 
 
 def test_what_can_not_be_reached_fails_with_its_time():
