@@ -2,9 +2,9 @@
 
     min_d  1/2 sum_ij (d_i - d_j)^2 + 1/2 sum_i A_i |d_i|^2 / l^2
 
-over the edges ij of the skin and the vertices i, of displacements d; those on flesh are given. So
-what the chin does to the neck fades over the length l, and no edge opens where the flesh ends. From
-lashes and tear film an edge goes to the skin wherever they touch it.
+over the edges ij of the skin and the vertices i, of displacements d; those on flesh and on the jaw
+are given. So what the chin does to the neck fades over the length l, and no edge opens where the
+flesh ends. From lashes and tear film an edge goes to the skin wherever they touch it.
 """
 
 from __future__ import annotations
@@ -38,17 +38,18 @@ class LooseSkin:
         self.ids = np.flatnonzero(hangs)
         own = np.asarray(edges.sum(axis=1)) + vertex_areas(skin, faces) / FADE_MM**2
         system = sp.csr_array(sp.diags_array(own) - edges)[self.ids]
-        self._pull = -system[:, model.embedded]
+        self._given = np.concatenate([model.embedded, model.attached_mandible])
+        self._pull = -system[:, self._given]
         self._factor = splu(sp.csc_array(system[:, self.ids])) if len(self.ids) else None
 
     def follow(self, moved: Floats) -> Floats:
-        """Return the displacements (k, 3) where the embedded vertices are displaced by ``moved``.
+        """Return the displacements (k, 3) where the skin is displaced by ``moved`` (V, 3), in mm.
 
-        Lengths in mm; ``moved`` (e, 3) is by ``model.embedded``.
+        Of that only what is on flesh and on the mandible counts.
         """
         if self._factor is None:
             return np.empty((0, 3))
-        return np.asarray(self._factor.solve(np.asarray(self._pull @ moved)))
+        return np.asarray(self._factor.solve(np.asarray(self._pull @ moved[self._given])))
 
 
 def _edges(model: SubjectModel) -> sp.csr_array:

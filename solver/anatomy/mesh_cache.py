@@ -15,7 +15,7 @@ from solver.anatomy.template import Template
 from solver.errors import InputError
 from solver.progress import Progress, silent
 
-MAKING = 3
+MAKING = 4
 """Part of the name in the cache; counts up where meshes are made in another way."""
 
 log = structlog.get_logger(__name__)

@@ -43,6 +43,9 @@ FRONTALIS_MM = 6.0
 """Forehead: the skull's vertices this near to the frontalis slide instead of being fixed."""
 EMBED_MM = 0.25
 """Skin further from the flesh than this part of the edge length does not follow it."""
+LINING_MM = 8.0
+"""Skin beyond the flesh goes with the jaw this near to it, as the mouth's lining does: not the
+neck's."""
 FITTING_ROUNDS = 3
 """Of binding the skin to the mesh and fitting the mesh to the skin."""
 
@@ -178,7 +181,8 @@ def _bound_skin(head: Template, flesh: Flesh, edge_mm: float) -> tuple[Ints, Bou
     loose = ~near & in_front
     to_jaw = cKDTree(head.mandible.vertices).query(parted[loose])[0]
     to_skull = cKDTree(head.cranium.vertices).query(parted[loose])[0]
-    jaw_skin = np.union1d(head.attached_mandible, skin[loose][to_jaw < to_skull])
+    lining = (to_jaw < to_skull) & (to_jaw < LINING_MM)
+    jaw_skin = np.union1d(head.attached_mandible, skin[loose][lining])
     return skin[near], Bound(bound.tet[near], bound.shares[near], bound.distance[near]), jaw_skin
 
 

@@ -290,11 +290,10 @@ class Face:
         """
         model = self.model
         skin = model.skin.vertices.copy()
-        attached, embedded = model.attached_mandible, model.embedded
+        attached = model.attached_mandible
         skin[attached] = jaw.move(model.jaw, skin[attached], b)
-        on_flesh = model.embedding @ x + model.offset
-        skin[self._loose_skin.ids] += self._loose_skin.follow(on_flesh - skin[embedded])
-        skin[embedded] = on_flesh
+        skin[model.embedded] = model.embedding @ x + model.offset
+        skin[self._loose_skin.ids] += self._loose_skin.follow(skin - model.skin.vertices)
         return skin
 
     @cached_property

@@ -32,7 +32,7 @@ def test_skin_follows_what_hangs_on_it_and_fades():
     model, number = with_a_neck(head_block())
     loose = LooseSkin(model)
     np.testing.assert_array_equal(loose.ids, np.sort(number[1:].ravel()))
-    moved = np.tile([1.0, -20.0, 3.0], (len(model.embedded), 1))
+    moved = np.tile([1.0, -20.0, 3.0], (len(model.skin.vertices), 1))
     found = np.zeros_like(model.skin.vertices)
     found[loose.ids] = loose.follow(moved)
     part = found[number[1:, number.shape[1] // 2]] / moved[0]
@@ -57,11 +57,11 @@ def test_lashes_go_with_the_lid_they_touch(monkeypatch):
     monkeypatch.setattr("solver.anatomy.loose_skin.skin_parts", lambda _: {"lashes": last})
     loose = LooseSkin(lashed)
     np.testing.assert_array_equal(loose.ids, number)
-    moved = np.zeros((len(model.embedded), 3))
-    moved[model.embedded == root] = [0.0, -8.0, 2.0]
+    moved = np.zeros((len(lashed.skin.vertices), 3))
+    moved[root] = [0.0, -8.0, 2.0]
     np.testing.assert_allclose(loose.follow(moved), np.tile([0.0, -8.0, 2.0], (4, 1)), atol=0.05)
 
 
 def test_a_face_that_is_all_flesh_has_none():
     model = head_block()
-    assert LooseSkin(model).follow(np.ones((len(model.embedded), 3))).shape == (0, 3)
+    assert LooseSkin(model).follow(np.ones_like(model.skin.vertices)).shape == (0, 3)
