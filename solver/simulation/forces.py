@@ -29,6 +29,9 @@ AIR = 1.2e-6
 DRAG = 1.2
 """Drag coefficient of a plate across the wind (Hoerner 1965: 1.17)."""
 
+SMALLEST_MM2 = 1e-12
+"""A triangle that is smaller, as two vertices at one place leave, has no normal and no wind."""
+
 GUST_HZ = (0.4, 3.0)
 """The three sines of a gust lie between these frequencies."""
 
@@ -90,7 +93,7 @@ class Wind:
         skin = self._embedding @ motion.x + motion.head.turn(self._offset)
         doubled = area_normals(skin, self._triangles)
         area = 0.5 * np.linalg.norm(doubled, axis=1)
-        normal = 0.5 * doubled / area[:, None]
+        normal = 0.5 * doubled / np.maximum(area, SMALLEST_MM2)[:, None]
         moving = (self._embedding @ motion.v)[self._triangles].mean(axis=1)
         along = ((self.velocity(time) - moving) * normal).sum(axis=1)
         pressure = 0.5 * AIR * DRAG * np.abs(along) * along

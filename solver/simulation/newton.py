@@ -120,8 +120,6 @@ class Newton:
             settled = settled + 1 if quiet and length <= self._settled_mm else 0
             steps += 1
             x = y
-        else:
-            return Minimum(x, self._residual(gradient), advances + steps)
         residual = self._residual(gradient)
         # NaN, too, is no minimum
         if not residual <= max(STALLED, self._tolerance):

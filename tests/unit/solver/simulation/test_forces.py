@@ -1,5 +1,7 @@
 """Forces from outside: their sums are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from solver.similarity import IDENTITY, small_motion
 from solver.simulation.forces import AIR, DRAG, Gravity, Pull, Wind
 from solver.simulation.inertia import lumped_masses
 from solver.simulation.state import Motion
+from solver.surface import Surface
 from tests.unit.solver.block import head_block
 
 TURNED = small_motion(np.array([0.0, 0.0, np.pi / 2, 10.0, 0.0, 0.0]))
@@ -50,6 +53,15 @@ def test_wind_on_a_flat_face_is_that_on_a_plate(face):
     np.testing.assert_allclose(behind, -total, atol=1e-6 * plate)
     turned = Wind(face, (9.0, 0.0, 0.0)).at(motion(face, TURNED), 0.0)
     assert np.abs(turned).max() < 1e-6 * plate
+
+
+def test_a_triangle_without_area_takes_no_wind(face):
+    model = face.model
+    corner = model.skin.faces[0, 0]
+    flat = np.vstack([[corner, corner, model.skin.faces[0, 1]], model.skin.faces])
+    pinched = Face(replace(model, skin=Surface(model.skin.vertices, flat)))
+    forces = [Wind(each, (0.0, 0.0, -9.0)).at(motion(face), 0.0) for each in (face, pinched)]
+    np.testing.assert_array_equal(*forces)
 
 
 def test_gusts_come_and_go_the_same_for_a_seed(face):
