@@ -118,14 +118,11 @@ def expression_targets(model: SubjectModel, basis: ShapeBasis | None) -> dict[st
     A corrective comes after the shape it corrects, and has its motion too.
 
     Raises :class:`InputError`: ``blendshapes.none`` if the template (whose ``shapes`` are
-    ``basis``) knows no expressions, ``blendshapes.topology`` if they are of another skin.
+    ``basis``) knows no expressions that ARKit drives, ``blendshapes.topology`` if they are of
+    another skin.
     """
-    if basis is None or not basis.expression_names:
-        raise InputError(
-            "blendshapes.none",
-            f"the template {model.template.get('name', '')} has no expressions that a recording "
-            "could drive",
-        )
+    if basis is None:
+        raise _no_expressions(model)
     vertices = len(model.skin.vertices)
     if basis.expressions.shape[1] != vertices:
         raise InputError(
@@ -141,11 +138,21 @@ def expression_targets(model: SubjectModel, basis: ShapeBasis | None) -> dict[st
         moves = np.linalg.norm(motion, axis=1).max() > LEAST_MOTION_MM
         if moves and arkit_source(name) in ARKIT_NAMES:
             motions[name] = motion
+    if not motions:
+        raise _no_expressions(model)
     neutral = model.skin.vertices[model.face]
     targets = {name: neutral + motion for name, motion in motions.items() if name not in CORRECTED}
     for name in motions.keys() - targets.keys():
         targets[name] = neutral + motions[name] + motions.get(CORRECTED[name], 0.0)
     return targets
+
+
+def _no_expressions(model: SubjectModel) -> InputError:
+    return InputError(
+        "blendshapes.none",
+        f"the template {model.template.get('name', '')} has no expressions that a recording "
+        "could drive",
+    )
 
 
 def solve_blendshapes(

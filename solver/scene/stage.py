@@ -12,6 +12,7 @@ from solver.animation.gaze import Gaze
 from solver.contact.objects import check_objects
 from solver.contact.penetration import Gauge, Penetration
 from solver.edits.edit import apply
+from solver.errors import InputError
 from solver.scene.edits import edits_of
 from solver.scene.forces import forces_of
 from solver.scene.objects import objects_of
@@ -22,6 +23,8 @@ from solver.simulation.simulator import Simulator
 from solver.simulation.state import Drive
 from solver.surface import Floats, Surface
 
+MOST_FRAMES = 20_000
+"""Of a scene: ten minutes at 30 a second, and a few gigabytes while its files are written."""
 DAMPING = 0.5
 STEPS = 4
 """Of a dynamic face in a frame: flesh swings some 15 times a second, which long steps damp."""
@@ -43,12 +46,14 @@ class Stage:
         drives: Drives,
         linear: str | None = None,
     ) -> None:
+        _check_length(drives)
         self.drives = drives
         self._physics = physics_of(document)
         self._edited = apply(edits_of(document.get("edits", []), places), places.model, S)
         self.model = self._edited.model
         self._face = self._physics.face(self._edited)
-        self._objects = objects_of(document.get("objects", []), places)
+        interpolation = document.get("interpolation", "smooth")
+        self._objects = objects_of(document.get("objects", []), places, interpolation)
         begin = self.drive(float(drives.times[0]), drives(float(drives.times[0])))
         objects = self._seen(begin)
         check_objects(
@@ -98,3 +103,14 @@ class Stage:
             each.shape.moved(into(vertices))
             for each, vertices in zip(self._objects, drive.objects, strict=True)
         ]
+
+
+def _check_length(drives: Drives) -> None:
+    frames = len(drives.times)
+    if frames > MOST_FRAMES:
+        raise InputError(
+            "scene.long",
+            f"the scene has {frames} frames; at most {MOST_FRAMES} can be simulated in one job",
+            found=frames,
+            expected=MOST_FRAMES,
+        )

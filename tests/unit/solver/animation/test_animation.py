@@ -201,6 +201,14 @@ def test_a_template_without_expressions_can_not_be_driven() -> None:
         (None, "blendshapes.none"),
         (
             ShapeBasis(
+                np.zeros((0, *MODEL.skin.vertices.shape), np.float32),
+                np.ones((1, *MODEL.skin.vertices.shape), np.float32),
+                ("cheekRaiserLeft",),
+            ),
+            "blendshapes.none",
+        ),
+        (
+            ShapeBasis(
                 np.zeros((0, 9, 3), np.float32), np.ones((1, 9, 3), np.float32), ("jawOpen",)
             ),
             "blendshapes.topology",
