@@ -19,14 +19,7 @@ from solver.scans import performance, raw, read
 from solver.scene import document
 from worker import attempt
 
-FILES = {
-    "fit_activations": 2,
-    "fit_sequence": 3,
-    "build_preview": 3,
-    "simulate": 3,
-    "animate": 2,
-    "edit": 3,
-}
+FILES = {"fit_activations": 2, "fit_sequence": 3, "build_preview": 3}
 """How many files a kind of job reads, besides captures."""
 
 
