@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -21,6 +21,7 @@ from myoface.cli.app import (
     Unit,
     Up,
     frame_options,
+    read_scene,
 )
 from myoface.cli.console import JobView, out, show_registration, show_verdict
 
@@ -276,7 +277,7 @@ def simulate(
     """Play keys of expressions, muscles and jaw by a fitted face's flesh."""
     from solver.pipeline import simulate as play
 
-    options = {"scene": _scene(scene), "video": video, "linear_solver": linear_solver}
+    options = {"scene": read_scene(scene), "video": video, "linear_solver": linear_solver}
     person = _person(model, rig, asset, template)
     with JobView("simulate") as view, _made(output):
         play(person, output, resume=resume, options=options, progress=view)
@@ -302,7 +303,7 @@ def animate(
     """Play a recording of Live Link Face by a fitted face's flesh."""
     from solver.pipeline import animate as play
 
-    options = {"scene": _scene(scene), "video": video, "linear_solver": linear_solver}
+    options = {"scene": read_scene(scene), "video": video, "linear_solver": linear_solver}
     person = _person(model, rig, asset, template)
     with JobView("animate") as view, _made(output):
         play(
@@ -328,7 +329,7 @@ def edit(
     """Fatten, slim, fill, operate on or paralyse a person, and replay the rig's expressions."""
     from solver.pipeline import edit as change
 
-    options = {"scene": _scene(scene)}
+    options = {"scene": read_scene(scene)}
     person = _person(model, rig, asset, template)
     with JobView("edit") as view, _made(output):
         change(person, output, options=options, progress=view)
@@ -362,14 +363,6 @@ def live_link(
     write_performance(output, frames, len(frames), len(subject.face))
     out.print(f"{len(frames)} frames, {frames.fps:g} a second")
     out.print(f"{output}", markup=False)
-
-
-def _scene(file: Path) -> Any:
-    """Return what a scene's file holds."""
-    try:
-        return json.loads(file.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise typer.BadParameter(f"{file.name} is not JSON: {error}") from error
 
 
 def _person(model: Path, rig: Path, assets: list[str] | None, template: Path | None) -> PersonFiles:
