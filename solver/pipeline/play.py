@@ -204,7 +204,7 @@ class _Chunks:
         if time.monotonic() - self._pictured < PICTURE_SECONDS:
             return None
         skin = frame.placed(skin_of(self._stage, frame))
-        objects = self._stage.objects(frame.time)
+        objects = [each.at(frame.time) for each in self._stage.objects]
         light = self._filming.light(skin)
         pixels = self._filming.picture(skin, light, PICTURE_SIZE, objects=objects)
         content = io.BytesIO()

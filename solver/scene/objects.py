@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from scipy.spatial.transform import Rotation
 
 from solver.animation.tracks import Interpolation, Track, track
 from solver.errors import InputError
 from solver.scans.raw import read_raw
 from solver.scene.places import Places
-from solver.surface import Floats, Surface
+from solver.similarity import small_motion
+from solver.surface import Surface
 
 MOST_VERTICES = 20_000
 """Of one object: contact looks at every triangle in every step."""
@@ -33,11 +33,9 @@ class Obstacle:
     shape: Surface
     path: Track
 
-    def at(self, time: float) -> Floats:
-        """Return its vertices (o, 3) in the world at ``time`` in s."""
-        place = self.path(time)
-        turned = Rotation.from_rotvec(place[:3]).apply(self.shape.vertices)
-        return np.asarray(turned + place[3:])
+    def at(self, time: float) -> Surface:
+        """Return it in the world at ``time`` in s."""
+        return self.shape.moved(small_motion(self.path(time))(self.shape.vertices))
 
 
 def objects_of(

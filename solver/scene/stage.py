@@ -33,7 +33,8 @@ STEPS = 4
 class Stage:
     """What a scene, that its schema has found good, makes of a person with the S (n, m + 1).
 
-    ``drives`` say what the face does; ``linear`` names the linear solver. Raises
+    ``drives`` say what the face does; ``linear`` names the linear solver; ``objects`` are what the
+    face meets. Raises
     :class:`~solver.errors.InputError` (``scene.*``, ``force.point``, ``contact.crossed``) for what
     the person does not have or can not be.
     """
@@ -53,12 +54,12 @@ class Stage:
         self.model = self._edited.model
         self._face = self._physics.face(self._edited)
         interpolation = document.get("interpolation", "smooth")
-        self._objects = objects_of(document.get("objects", []), places, interpolation)
+        self.objects = objects_of(document.get("objects", []), places, interpolation)
         begin = self.drive(float(drives.times[0]), drives(float(drives.times[0])))
         objects = self._seen(begin)
         check_objects(
             self.model,
-            {each.name: shape for each, shape in zip(self._objects, objects, strict=True)},
+            {each.name: shape for each, shape in zip(self.objects, objects, strict=True)},
         )
         dynamic = document.get("mode", "quasi_static") == "dynamic"
         self.steps_per_frame: int = document.get("steps_per_frame", STEPS if dynamic else 1)
@@ -78,7 +79,8 @@ class Stage:
     def drive(self, time: float, pose: PosedFrame) -> Drive:
         """Return what the flesh is asked for at ``time``, when the face does ``pose``."""
         A = self._physics.activations(self._edited, pose.a)
-        return Drive(time, A, pose.jaw, pose.head, tuple(each.at(time) for each in self._objects))
+        objects = tuple(each.at(time).vertices for each in self.objects)
+        return Drive(time, A, pose.jaw, pose.head, objects)
 
     def skin(self, y: Floats, jaw: Floats, eyes: Floats) -> Floats:
         """Return the whole skin (V, 3) of flesh y (p, 3), both in the head's frame."""
@@ -87,10 +89,6 @@ class Stage:
     def penetration(self, y: Floats, drive: Drive) -> Penetration:
         """Return how deep flesh y (p, 3), in the head's frame, is in what it meets."""
         return self._gauge.at(y, drive.jaw, self._seen(drive))
-
-    def objects(self, time: float) -> list[Surface]:
-        """Return the objects in the world at ``time`` in s."""
-        return [each.shape.moved(each.at(time)) for each in self._objects]
 
     def inverted(self, y: Floats) -> int:
         """Return the number of inverted tets of flesh y (p, 3)."""
@@ -101,7 +99,7 @@ class Stage:
         into = drive.head.inverse()
         return [
             each.shape.moved(into(vertices))
-            for each, vertices in zip(self._objects, drive.objects, strict=True)
+            for each, vertices in zip(self.objects, drive.objects, strict=True)
         ]
 
 
