@@ -102,8 +102,8 @@ def animate(
         staged(Blendshapes(known.model.muscle_names, {}))
         shapes = _solved(known, person.template, kept, progress, resume=resume)
     else:
-        shapes = Blendshapes.load(blendshapes, known.model)
-    shapes.save(kept)
+        shapes = Blendshapes.load(blendshapes, known.model, known.S)
+    shapes.save(kept, known.model, known.S)
     stage = staged(shapes)
     whole, share = person.fingerprint(scene, blendshapes=blendshapes), (SOLVED, EXPORT)
     frames = play(stage, out, whole, progress, resume=resume, share=share)
@@ -139,12 +139,12 @@ def _solved(
     targets = expression_targets(model, anatomy.shapes)
     done: dict[str, Solved] = {}
     if resume and kept.is_file():
-        done.update(Blendshapes.load(kept, model).shapes)
+        done.update(Blendshapes.load(kept, model, person.S).shapes)
 
     def told(name: str, solved: Solved) -> None:
         done[name] = solved
         if len(done) % SAVED_EVERY == 0:
-            Blendshapes(model.muscle_names, done).save(kept)
+            Blendshapes(model.muscle_names, done).save(kept, model, person.S)
         fraction = READ + (SOLVED - READ) * len(done) / len(targets)
         words = f"{name}, {len(done)} of {len(targets)}"
         error = solved.mean_mm

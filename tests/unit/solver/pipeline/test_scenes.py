@@ -209,7 +209,7 @@ def recording(path: Path, smiles: list[float], **columns: str) -> Path:
 def test_a_recording_is_played_by_the_muscles(rig: Path, tmp_path: Path) -> None:
     left = np.array([WIDE[0], IDENTITY])
     shapes = {"mouthSmile_L": Solved(Pose(left, np.zeros(5)), 0.1)}
-    Blendshapes(MODEL.muscle_names, shapes).save(tmp_path / "shapes.npz")
+    Blendshapes(MODEL.muscle_names, shapes).save(tmp_path / "shapes.npz", MODEL, MODEL.weights)
     take = recording(tmp_path / "take.csv", [0.0, 0.5, 1.0, 1.0])
     animate(
         person_of(rig, assets={"take": take}),
@@ -222,7 +222,8 @@ def test_a_recording_is_played_by_the_muscles(rig: Path, tmp_path: Path) -> None
     moved = skins(tmp_path / "out")
     assert np.abs(moved[2] - moved[0]).max() > 1.0
     np.testing.assert_allclose(moved[3], moved[2], atol=0.05)
-    assert Blendshapes.load(tmp_path / "out/blendshapes.npz", MODEL).shapes.keys() == shapes.keys()
+    kept = Blendshapes.load(tmp_path / "out/blendshapes.npz", MODEL, MODEL.weights)
+    assert kept.shapes.keys() == shapes.keys()
 
 
 @pytest.mark.parametrize(
