@@ -88,12 +88,12 @@ def animate(
     out.mkdir(parents=True, exist_ok=True)
     known = person.read(progress)
     recording = scene["recording"]
-    take = read_live_link(known.places.asset(recording["asset"]))
+    recorded = read_live_link(known.places.asset(recording["asset"]))
 
     def staged(shapes: Blendshapes) -> Stage:
         start, end = recording.get("start", 0), recording.get("end")
         head = head_of(scene.get("head", []))
-        drives = from_recording(take, shapes, known.model, start, end, head=head)
+        drives = from_recording(recorded, shapes, known.model, start, end, head=head)
         return Stage(scene, known.places, known.S, drives, given["linear_solver"])
 
     kept = out / "blendshapes.npz"

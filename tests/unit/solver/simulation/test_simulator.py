@@ -248,5 +248,6 @@ def test_a_force_that_is_no_number_is_no_rest():
     face = face_of()
     steps = simulator(face, forces=[Broken()])
     with pytest.raises(SolveError) as caught:
-        steps.rest(drive(face, face.rest_pose()))
+        steps.rest(drive(face, face.rest_pose(), time=2.5))
     assert caught.value.code == "simulate.diverged"
+    assert caught.value.context["time"] == 2.5
