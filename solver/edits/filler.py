@@ -16,6 +16,7 @@ from solver.surface import Floats
 
 MM3_PER_ML = 1000.0
 RADIUS_MM = 2.5
+LEAST_ROOM_MM3 = 1e-9
 MOST = 1.35
 """Growth f of a tet at most: above, a bit of filler would be as large as the flesh around it."""
 
@@ -33,7 +34,7 @@ class Filler:
     radius_mm: float = RADIUS_MM
 
     def __call__(self, before: Edited) -> Edited:
-        """Return the person with it; raises ``scene.filler`` for too much of it in one place."""
+        """Return the person with it; raises ``scene.filler`` where there is no room for it."""
         model = before.model
         if not (self.ml > 0.0 and self.radius_mm > 0.0 and len(self.path)):
             raise InputError(
@@ -43,7 +44,13 @@ class Filler:
         shares = np.exp(-0.5 * (away / self.radius_mm) ** 2)
         volumes = shape_gradients(model.rest, model.tets)[1]
         room = float(volumes @ shares)
-        growth = np.cbrt(1.0 + self.ml * MM3_PER_ML / max(room, 1e-12) * shares)
+        if room < LEAST_ROOM_MM3:
+            raise InputError(
+                "scene.filler",
+                f"there is no flesh within {self.radius_mm} mm of the path: lay it under the skin, "
+                "or make the radius larger",
+            )
+        growth = np.cbrt(1.0 + self.ml * MM3_PER_ML / room * shares)
         if not growth.max() <= MOST:
             most = (MOST**3 - 1.0) * room / MM3_PER_ML / shares.max()
             raise InputError(

@@ -90,6 +90,7 @@ def test_keys_pass_through_their_values_and_never_beyond() -> None:
     [
         ([Key(0.0), Key(0.0)], "scene.times"),
         ([Key(np.nan)], "scene.times"),
+        ([Key(0.0), Key(1e-320)], "scene.times"),
         ([Key(0.0, {"grin": 1.0})], "scene.expression"),
         ([Key(0.0, {}, {"tongue": IDENTITY})], "scene.muscle"),
     ],

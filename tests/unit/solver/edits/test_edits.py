@@ -197,6 +197,8 @@ def test_a_moved_cranium_takes_its_own_teeth_and_sliding_flesh(model):
         (Paralysis(strength=1.5), "scene.strength", "1.5"),
         (Filler(np.array([[75.0, 60, 35]]), 50.0), "scene.filler", "at most"),
         (Filler(np.zeros((0, 3)), 1.0), "scene.filler", "path"),
+        (Filler(np.array([[75.0, 60, 200]]), 1.0), "scene.filler", "no flesh"),
+        (Filler(np.array([[75.0, 60, 45]]), 1.0, radius_mm=1e-3), "scene.filler", "no flesh"),
         (Bone("mandible", np.array([75.0, 20, 0]), 5.0, np.array([0, 0, 9.0])), "scene.bone", "13"),
         (Bone("mandible", np.array([75.0, 20, 90]), 30.0, np.ones(3)), "scene.bone", "90 mm off"),
     ],
