@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from solver.pipeline import PersonFiles
 
 
 @dataclass(frozen=True)
@@ -110,47 +113,28 @@ def _build_preview(task: Task) -> None:
 def _simulate(task: Task) -> None:
     from solver import pipeline
 
-    files = task.files
-    pipeline.simulate(
-        files["model"],
-        files["weights"],
-        files["rig"],
-        task.out,
-        assets=task.captures,
-        template=files.get("template"),
-        resume=task.resume,
-        **task.how,
-    )
+    pipeline.simulate(_person(task), task.out, resume=task.resume, **task.how)
 
 
 def _animate(task: Task) -> None:
     from solver import pipeline
 
-    files = task.files
-    pipeline.animate(
-        files["model"],
-        files["weights"],
-        task.out,
-        assets=task.captures,
-        template=files.get("template"),
-        blendshapes=files.get("blendshapes"),
-        resume=task.resume,
-        **task.how,
-    )
+    solved = task.files.get("blendshapes")
+    pipeline.animate(_person(task), task.out, blendshapes=solved, resume=task.resume, **task.how)
 
 
 def _edit(task: Task) -> None:
     from solver import pipeline
 
+    pipeline.edit(_person(task), task.out, **task.how)
+
+
+def _person(task: Task) -> PersonFiles:
+    from solver.pipeline import PersonFiles
+
     files = task.files
-    pipeline.edit(
-        files["model"],
-        files["weights"],
-        files["rig"],
-        task.out,
-        assets=task.captures,
-        template=files.get("template"),
-        **task.how,
+    return PersonFiles(
+        files["model"], files["weights"], files["rig"], task.captures, files.get("template")
     )
 
 

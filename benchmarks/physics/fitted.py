@@ -33,12 +33,13 @@ class Fitted:
     def load(cls, model: Path, rig: Path, shapes: Path) -> Fitted:
         """Read the files of jobs: a model, the folder of a rig, and blendshapes."""
         person = SubjectModel.load(model)
+        S = load_weights(rig / "muscle_weights.npz", person)
         fits = load_activations(rig / "activations.npz", person)
         return cls(
             person,
-            load_weights(rig / "muscle_weights.npz", person),
+            S,
             {fit.name: Pose(fit.activations, fit.jaw) for fit in fits},
-            Blendshapes.load(shapes, person),
+            Blendshapes.load(shapes, person, S),
         )
 
     def face(self, *, pinned: bool = False) -> Face:

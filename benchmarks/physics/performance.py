@@ -26,7 +26,7 @@ from solver.animation.recording import RecordedDrives, from_recording
 from solver.drawing.head import Head
 from solver.drawing.page import HEADER, MARGIN, Page
 from solver.drawing.render import faded, render
-from solver.pipeline.play import fingerprint, finish, play, skin_of
+from solver.pipeline.play import finish, play, skin_of
 from solver.progress import silent
 from solver.rig.motion import MotionFrame
 from solver.rig.pictures import face_camera
@@ -76,7 +76,7 @@ def run(
     out.mkdir(parents=True, exist_ok=True)
     drives = from_recording(take, person.shapes, person.model, start, start + frames)
     stage = Stage({}, Places(person.model, {}), person.S, drives)
-    scene = fingerprint({"start": start, "frames": frames, "model": person.model.sha256}, [])
+    scene = f"{person.model.sha256} {start} {frames}"
     done = play(stage, out, scene, silent, resume=True, share=(0.0, 1.0))
     skins = np.array([skin_of(stage, frame) for frame in done])
     played = Played(done, skins, _direct(person, basis, drives))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -62,6 +63,14 @@ NewFolder = Annotated[Path, typer.Option("--output", "-o", file_okay=False, help
 def frame_options(unit: UnitName, up: Axis, forward: Axis) -> dict[str, str]:
     """Return how a raw scan lies in space, as options of ``check_scan`` and ``register_scan``."""
     return {"unit": unit, "up": up, "forward": forward}
+
+
+def read_scene(file: Path) -> Any:
+    """Return what a scene's file holds."""
+    try:
+        return json.loads(file.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise typer.BadParameter(f"{file.name} is not JSON: {error}") from error
 
 
 def read_settings(**given: Any) -> Settings:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from myoface.cli.app import NewFolder, SubjectId, Url
+from myoface.cli.app import NewFolder, SubjectId, Url, read_scene
 from myoface.cli.captures import choose, show_captures
 from myoface.cli.console import JobView, out, show_table, show_verdict, transfer_bar
 from myoface.client import DEFAULT_URL, Client
@@ -162,12 +162,13 @@ def submit_job(
                 client.captures(subject)
             )  # a rig has them in the order of their scans
             chosen = [each for each in listed if each.role == "expression"]
+        given = {} if scene is None else {"scene": read_scene(scene)}
         job = client.submit(
             cast(Kind, kind),
             subject,
             captures=[each.id for each in chosen],
             rig_id=rig,
-            options=_read_options(options) | _read_scene(scene),
+            options=_read_options(options) | given,
         )
         out.print(job.id)
         if wait:
@@ -182,16 +183,6 @@ def _read_options(text: str) -> dict[str, Any]:
     if not isinstance(options, dict):
         raise typer.BadParameter("--options must be a JSON object")
     return options
-
-
-def _read_scene(file: Path | None) -> dict[str, Any]:
-    """Return the option that a scene's file is."""
-    if file is None:
-        return {}
-    try:
-        return {"scene": json.loads(file.read_text(encoding="utf-8"))}
-    except ValueError as error:
-        raise typer.BadParameter(f"{file.name} is not JSON: {error}") from error
 
 
 @jobs.command("retry")

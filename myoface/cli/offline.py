@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -21,8 +21,12 @@ from myoface.cli.app import (
     Unit,
     Up,
     frame_options,
+    read_scene,
 )
 from myoface.cli.console import JobView, out, show_registration, show_verdict
+
+if TYPE_CHECKING:
+    from solver.pipeline import PersonFiles
 
 solve = typer.Typer(help="Solve here, without a service.", no_args_is_help=True)
 
@@ -273,20 +277,10 @@ def simulate(
     """Play keys of expressions, muscles and jaw by a fitted face's flesh."""
     from solver.pipeline import simulate as play
 
-    options = {"scene": _scene(scene), "video": video, "linear_solver": linear_solver}
-    weights, given = rig / "muscle_weights.npz", _assets(asset)
+    options = {"scene": read_scene(scene), "video": video, "linear_solver": linear_solver}
+    person = _person(model, rig, asset, template)
     with JobView("simulate") as view, _made(output):
-        play(
-            model,
-            weights,
-            rig,
-            output,
-            assets=given,
-            template=template,
-            resume=resume,
-            options=options,
-            progress=view,
-        )
+        play(person, output, resume=resume, options=options, progress=view)
     _show_animation(output)
 
 
@@ -309,15 +303,12 @@ def animate(
     """Play a recording of Live Link Face by a fitted face's flesh."""
     from solver.pipeline import animate as play
 
-    options = {"scene": _scene(scene), "video": video, "linear_solver": linear_solver}
-    weights, given = rig / "muscle_weights.npz", _assets(asset)
+    options = {"scene": read_scene(scene), "video": video, "linear_solver": linear_solver}
+    person = _person(model, rig, asset, template)
     with JobView("animate") as view, _made(output):
         play(
-            model,
-            weights,
+            person,
             output,
-            assets=given,
-            template=template,
             blendshapes=blendshapes,
             resume=resume,
             options=options,
@@ -338,19 +329,10 @@ def edit(
     """Fatten, slim, fill, operate on or paralyse a person, and replay the rig's expressions."""
     from solver.pipeline import edit as change
 
-    weights, given = rig / "muscle_weights.npz", _assets(asset)
-    options = {"scene": _scene(scene)}
+    options = {"scene": read_scene(scene)}
+    person = _person(model, rig, asset, template)
     with JobView("edit") as view, _made(output):
-        change(
-            model,
-            weights,
-            rig,
-            output,
-            assets=given,
-            template=template,
-            options=options,
-            progress=view,
-        )
+        change(person, output, options=options, progress=view)
     found = json.loads((output / "edit.json").read_text(encoding="utf-8"))
     volume, neutral = found["volume"], found["neutral"]
     out.print(
@@ -383,25 +365,21 @@ def live_link(
     out.print(f"{output}", markup=False)
 
 
-def _scene(file: Path) -> Any:
-    """Return what a scene's file holds."""
-    try:
-        return json.loads(file.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise typer.BadParameter(f"{file.name} is not JSON: {error}") from error
+def _person(model: Path, rig: Path, assets: list[str] | None, template: Path | None) -> PersonFiles:
+    """Return the person that a scene is about; ``assets`` are ``NAME=FILE``."""
+    from solver.pipeline import PersonFiles
 
-
-def _assets(given: list[str] | None) -> dict[str, Path]:
-    """Return the files of ``NAME=FILE``."""
-    found = {}
-    for each in given or ():
+    found: dict[str, Path] = {}
+    for each in assets or ():
         name, _, path = each.partition("=")
-        if not path or not Path(path).is_file():
+        if not (name and Path(path).is_file()):
             raise typer.BadParameter(
                 f"--asset {each}: NAME=FILE is expected, of a file that exists"
             )
+        if name in found:
+            raise typer.BadParameter(f"--asset {each}: another file is called {name}, too")
         found[name] = Path(path)
-    return found
+    return PersonFiles(model, rig / "muscle_weights.npz", rig, found, template)
 
 
 def _show_animation(output: Path) -> None:

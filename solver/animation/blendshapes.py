@@ -10,6 +10,7 @@ what the two have beyond that one.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -66,8 +67,8 @@ class Blendshapes:
         poses = {name: shape.pose for name, shape in self.shapes.items()}
         return Blend.of(poses, len(self.muscles))
 
-    def save(self, path: Path) -> None:
-        """Write the shapes as NPZ, replacing the file whole."""
+    def save(self, path: Path, model: SubjectModel, S: sp.csr_array) -> None:
+        """Write the shapes as NPZ, replacing the file whole; they are of ``model`` with S."""
         names, shapes = list(self.shapes), list(self.shapes.values())
         blend = self.blend
         arrays: Arrays = {
@@ -76,19 +77,21 @@ class Blendshapes:
             "mean_mm": np.array([shape.mean_mm for shape in shapes]),
             "settled": np.array([shape.settled for shape in shapes], bool),
         }
-        Archive({"format": FORMAT, "muscles": self.muscles, "names": names}, arrays).write(path)
+        header = {"format": FORMAT, "rig": _rig_hash(model, S), "muscles": self.muscles}
+        Archive({**header, "names": names}, arrays).write(path)
 
     @classmethod
-    def load(cls, path: Path, model: SubjectModel) -> Blendshapes:
-        """Read shapes that :meth:`save` wrote of ``model``.
+    def load(cls, path: Path, model: SubjectModel, S: sp.csr_array) -> Blendshapes:
+        """Read shapes that :meth:`save` wrote of ``model`` with S.
 
         Raises :class:`InputError`: ``blendshapes.unreadable``, ``blendshapes.format``, or
-        ``blendshapes.model`` if other muscles drive them.
+        ``blendshapes.model`` if they are another model's or another S's.
         """
         archive = Archive.read(path, "blendshapes", "a set of blendshapes", FORMAT)
         data = archive.arrays
         try:
             names, muscles = archive.header["names"], tuple(archive.header["muscles"])
+            rig = archive.header["rig"]
             shapes = {
                 name: Solved(
                     Pose(data["activations"][row], data["jaw"][row]),
@@ -103,13 +106,19 @@ class Blendshapes:
                 f"{path.name} is not a set of blendshapes: {error}",
                 file=path.name,
             ) from error
-        if muscles != model.muscle_names:
+        if rig != _rig_hash(model, S):
             raise InputError(
-                "blendshapes.model",
-                f"{path.name} belongs to a model with other muscles",
-                file=path.name,
+                "blendshapes.model", f"{path.name} belongs to another rig", file=path.name
             )
         return cls(muscles, shapes)
+
+
+def _rig_hash(model: SubjectModel, S: sp.csr_array) -> str:
+    """Return the hash of what activations mean: of the model, and of its S (n, m + 1)."""
+    digest = hashlib.sha256(model.sha256.encode())
+    for array, kind in ((S.data, "<f8"), (S.indices, "<i8"), (S.indptr, "<i8")):
+        digest.update(np.ascontiguousarray(array, kind).tobytes())
+    return digest.hexdigest()
 
 
 def expression_targets(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, Floats]:
@@ -118,14 +127,11 @@ def expression_targets(model: SubjectModel, basis: ShapeBasis | None) -> dict[st
     A corrective comes after the shape it corrects, and has its motion too.
 
     Raises :class:`InputError`: ``blendshapes.none`` if the template (whose ``shapes`` are
-    ``basis``) knows no expressions, ``blendshapes.topology`` if they are of another skin.
+    ``basis``) knows no expressions that ARKit drives, ``blendshapes.topology`` if they are of
+    another skin.
     """
-    if basis is None or not basis.expression_names:
-        raise InputError(
-            "blendshapes.none",
-            f"the template {model.template.get('name', '')} has no expressions that a recording "
-            "could drive",
-        )
+    if basis is None:
+        raise _no_expressions(model)
     vertices = len(model.skin.vertices)
     if basis.expressions.shape[1] != vertices:
         raise InputError(
@@ -141,11 +147,21 @@ def expression_targets(model: SubjectModel, basis: ShapeBasis | None) -> dict[st
         moves = np.linalg.norm(motion, axis=1).max() > LEAST_MOTION_MM
         if moves and arkit_source(name) in ARKIT_NAMES:
             motions[name] = motion
+    if not motions:
+        raise _no_expressions(model)
     neutral = model.skin.vertices[model.face]
     targets = {name: neutral + motion for name, motion in motions.items() if name not in CORRECTED}
     for name in motions.keys() - targets.keys():
         targets[name] = neutral + motions[name] + motions.get(CORRECTED[name], 0.0)
     return targets
+
+
+def _no_expressions(model: SubjectModel) -> InputError:
+    return InputError(
+        "blendshapes.none",
+        f"the template {model.template.get('name', '')} has no expressions that a recording "
+        "could drive",
+    )
 
 
 def solve_blendshapes(

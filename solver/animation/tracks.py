@@ -14,6 +14,9 @@ from solver.surface import Floats
 Interpolation = Literal["smooth", "linear"]
 """``smooth`` is a monotone cubic (Fritsch and Carlson 1980), which goes beyond no key's value."""
 
+SHORTEST_SECONDS = 1e-9
+"""Between two keys: values change at no infinite rate."""
+
 Track = Callable[[float], Floats]
 
 
@@ -43,7 +46,7 @@ def check_times(times: Sequence[float], what: str) -> None:
     for number, time in enumerate(times):
         if not np.isfinite(time):
             raise InputError("scene.times", f"the time of {what} {number} is {time}", key=number)
-        if number and time <= times[number - 1]:
+        if number and time - times[number - 1] < SHORTEST_SECONDS:
             raise InputError(
                 "scene.times",
                 f"{what} {number} at {time:g} s is not later than the one before",

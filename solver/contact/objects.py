@@ -7,9 +7,10 @@ from collections.abc import Mapping
 import ipctk
 import numpy as np
 
-from solver.contact.penetration import depth_inside
+from solver.contact.penetration import depth_inside, is_inside
 from solver.contact.potentials import touching
 from solver.contact.surface import ContactSurface, collision_mesh
+from solver.drawing.parts import skin_parts
 from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.surface import Surface
@@ -23,7 +24,8 @@ def check_objects(model: SubjectModel, objects: Mapping[str, Surface]) -> None:
     ------
     InputError
         ``scene.object_open`` where one is not closed and turned outward, ``scene.object_inside``
-        where one begins inside the face or crosses its skin; ``contact.crossed`` as
+        where one begins inside the face, crosses its skin or is wholly in the head, from where it
+        would come out through the skin; ``contact.crossed`` as
         :meth:`ContactSurface.of`.
     """
     for name, each in objects.items():
@@ -37,8 +39,11 @@ def check_objects(model: SubjectModel, objects: Mapping[str, Surface]) -> None:
         return
     skin = ContactSurface.of(model, touching(model, None, lips=False, eyes=False, objects=True))
     face = Surface(skin.rest, skin.faces)
+    head = Surface(model.skin.vertices, model.skin.faces[skin_parts(model.skin)["skin"]])
     for name, each in objects.items():
         depth = max(depth_inside(each.vertices, face), depth_inside(face.vertices, each))
+        if is_inside(each.vertices, head).all():
+            depth = depth_inside(each.vertices, head)
         both = collision_mesh(
             np.vstack([face.vertices, each.vertices]),
             np.vstack([face.faces, each.faces + len(face.vertices)]),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import igl
 import numpy as np
+from numpy.typing import NDArray
 
 from solver.contact.crossing import crossing_at
 from solver.contact.mouth import Mouth
@@ -84,15 +85,20 @@ class Gauge:
         return points
 
 
-def depth_inside(points: Floats, surface: Surface) -> float:
-    """Return how deep the deepest of points (k, 3) lies inside a surface, 0 if none does.
+def is_inside(points: Floats, surface: Surface) -> NDArray[np.bool_]:
+    """Tell which of points (k, 3) lie inside a surface.
 
-    A surface with holes, such as a face, has an inside by its generalised winding number (Jacobson
-    et al. 2013).
+    One with holes, such as a face, has an inside by its generalised winding number (Jacobson et al.
+    2013).
     """
-    points = np.ascontiguousarray(points)
-    winding = np.asarray(igl.fast_winding_number(surface.vertices, surface.faces, points))
-    inside = np.ascontiguousarray(points[winding > INSIDE])
+    places = np.ascontiguousarray(points)
+    winding = igl.fast_winding_number(surface.vertices, surface.faces, places)
+    return np.asarray(np.asarray(winding) > INSIDE)
+
+
+def depth_inside(points: Floats, surface: Surface) -> float:
+    """Return how deep the deepest of points (k, 3) lies inside a surface, 0 if none does."""
+    inside = np.ascontiguousarray(points[is_inside(points, surface)])
     if not len(inside):
         return 0.0
     squared, *_ = igl.point_mesh_squared_distance(inside, surface.vertices, surface.faces)

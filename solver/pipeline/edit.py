@@ -11,36 +11,28 @@ from solver.edits.edited import Edited
 from solver.edits.replay import Replay, Replayed
 from solver.errors import SolveError
 from solver.fitting.model_checks import check_held
-from solver.model import SubjectModel
-from solver.pipeline.common import Options, activations_file, take
+from solver.pipeline.common import Options, take
+from solver.pipeline.person import PersonFiles
 from solver.progress import Progress, Step, silent
 from solver.rig.edit_picture import edit_picture
 from solver.rig.edit_report import Compared, EditedPerson, edit_report, write_edit
-from solver.rig.result import ExpressionFit, load_activations, load_weights
+from solver.rig.result import ExpressionFit
 from solver.scene.document import check
 from solver.scene.edits import edits_of
 from solver.scene.physics import Physics, physics_of
-from solver.scene.places import Places
 
 
 def edit(
-    model: Path,
-    weights: Path,
-    rig: Path,
+    person: PersonFiles,
     out: Path,
     *,
-    assets: Mapping[str, Path] | None = None,
-    template: Path | None = None,
     options: Options = None,
     progress: Progress = silent,
 ) -> list[Path]:
     """Edit a person, and replay the rig's expressions before and after.
 
-    ``weights`` is the rig's ``muscle_weights.npz`` and ``rig`` its ``activations.npz`` or its
-    folder; ``template`` is the one that the model was made with (None: the built-in), whose
-    landmarks the scene may name, ``assets`` are files that it names. Options: ``scene``, with
-    ``edits`` and, as they differ from a rig's, ``material``, ``contact``, ``sliding`` and
-    ``activation_model``.
+    Options: ``scene``, with ``edits`` and, as they differ from a rig's, ``material``, ``contact``,
+    ``sliding`` and ``activation_model``.
 
     Writes ``edit.json`` (volumes, and how far every expression's motion drifts), ``edit.npz``,
     ``edit.glb`` and ``edit.png``. Raises :class:`InputError` (``scene.*``) for a scene that does
@@ -49,25 +41,19 @@ def edit(
     """
     scene = check(take(options, {"scene": {}})["scene"], "edit")
     out.mkdir(parents=True, exist_ok=True)
-    progress(Step("read", 0.0, message=rig.name))
-    subject = SubjectModel.load(model)
-    S = load_weights(weights, subject)
-    fits = load_activations(activations_file(rig), subject)
+    known = person.read(progress)
+    fits = person.expressions(known.model)
     physics = physics_of(scene)
     entries = scene["edits"]
-    edited = apply(edits_of(entries, Places.of(subject, template, assets or {})), subject, S)
-
-    def person(known: Edited, words: str, begin: float) -> tuple[Replayed, list[Replayed | None]]:
-        progress(Step("rest", begin, message=words))
-        return _replayed(known, physics, fits, words, begin, progress)
-
-    before, all_before = person(Edited.nothing(subject, S), "before the edits", 0.05)
-    after, all_after = person(edited, "after the edits", 0.45)
+    unedited = Edited.nothing(known.model, known.S)
+    edited = apply(edits_of(entries, known.places), known.model, known.S)
+    before, all_before = _replayed(unedited, physics, fits, "before the edits", 0.05, progress)
+    after, all_after = _replayed(edited, physics, fits, "after the edits", 0.45, progress)
     compared = [
         Compared(fit.name, one, other, fit.skin)
         for fit, one, other in zip(fits, all_before, all_after, strict=True)
     ]
-    whole = EditedPerson(edited, subject, before, after, compared)
+    whole = EditedPerson(edited, known.model, before, after, compared)
     progress(Step("export", 0.86))
     report = edit_report(whole)
     files = [*write_edit(whole, report, out), out / "edit.png"]
@@ -85,6 +71,7 @@ def _replayed(
     progress: Progress,
 ) -> tuple[Replayed, list[Replayed | None]]:
     """Return a person at rest and in every expression, None for one that finds no rest."""
+    progress(Step("rest", begin, message=words))
     face = physics.face(person)
     check_held(face)
     replay = Replay(person, face, physics.contacts(person))

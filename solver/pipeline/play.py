@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
-import json
 import shutil
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -50,8 +48,8 @@ def play(
     """Simulate all frames of a stage and return them; they are in ``out/frames`` as they come.
 
     With ``resume`` the frames that are there are kept, and the simulation goes on after them.
-    ``scene`` is the hash of what is simulated (:func:`fingerprint`), ``share`` where in the whole
-    job's progress this begins and ends. Raises :class:`~solver.errors.SolveError` (``simulate.*``)
+    ``scene`` is the hash of what is simulated, ``share`` where in the whole job's progress this
+    begins and ends. Raises :class:`~solver.errors.SolveError` (``simulate.*``)
     with the ``frame`` that could not be reached; those before it stay.
     """
     if not resume:
@@ -90,15 +88,6 @@ def play(
 def skin_of(stage: Stage, frame: MotionFrame) -> Floats:
     """Return the whole skin (V, 3) of a frame, in the head's frame."""
     return stage.skin(stage.model.rest + frame.moved, frame.jaw, frame.eyes)
-
-
-def fingerprint(document: Mapping[str, Any], files: Iterable[Path]) -> str:
-    """Return the hash of a scene and of the files that it is played with."""
-    digest = hashlib.sha256(json.dumps(document, sort_keys=True).encode())
-    for path in files:
-        with path.open("rb") as stream:
-            digest.update(hashlib.file_digest(stream, "sha256").digest())
-    return digest.hexdigest()
 
 
 def finish(
@@ -215,7 +204,7 @@ class _Chunks:
         if time.monotonic() - self._pictured < PICTURE_SECONDS:
             return None
         skin = frame.placed(skin_of(self._stage, frame))
-        objects = self._stage.objects(frame.time)
+        objects = [each.at(frame.time) for each in self._stage.objects]
         light = self._filming.light(skin)
         pixels = self._filming.picture(skin, light, PICTURE_SIZE, objects=objects)
         content = io.BytesIO()

@@ -6,7 +6,7 @@ All files are documented in docs/simulation.md.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,10 @@ from solver.rig.animation_gltf import write_animation_glb
 from solver.rig.animation_npz import write_animation_npz
 from solver.rig.animation_picture import Filming, Shot, contact_sheet
 from solver.rig.animation_video import write_video
+from solver.rig.gltf import Solid
 from solver.rig.motion import MotionFrame
-from solver.surface import Floats, Ints, Surface
+from solver.scene.objects import Obstacle
+from solver.surface import Floats, Ints
 
 MOST_SHOTS = 8
 """Frames in the picture."""
@@ -29,14 +31,6 @@ FILM = (480, 576)
 LIT_FRAMES = 6
 """Of so many frames, one is lit by itself."""
 SLOWEST, USUAL_FPS = 1.0, 30.0
-
-Objects = Callable[[float], Sequence[Surface]]
-"""What the face meets at a time in s, in the world, mm."""
-
-
-def nothing(_time: float) -> Sequence[Surface]:
-    """Return that the face meets nothing."""
-    return ()
 
 
 def write_animation(
@@ -48,20 +42,24 @@ def write_animation(
     title: str,
     report: dict[str, Any],
     vertices: Ints,
-    objects: Objects = nothing,
+    objects: Sequence[Obstacle] = (),
     video: bool = False,
 ) -> list[Path]:
     """Write ``frames``, whose ``skins`` (f, v, 3) are in the head's frame, mm; return the paths.
 
     ``animation.json`` is the ``report`` with what is to say of the other files, ``animation.npz``
-    has the ``vertices`` (k,) of the skin. ``objects`` are drawn, not exported; ``video`` adds
+    has the ``vertices`` (k,) of the skin. ``objects`` are what the face meets; ``video`` adds
     ``animation.mp4``, for which :func:`~solver.rig.animation_video.check_video` is to be asked.
     """
     names = ["animation.json", "animation.glb", "animation.npz", "animation.png"]
     table, glb, arrays, sheet = (out / name for name in names)
     times = np.array([frame.time for frame in frames])
     heads = np.array([frame.head for frame in frames])
-    written = write_animation_glb(glb, model.skin, skins, heads, times - times[0])
+    solids = [
+        Solid(each.name, each.shape, np.array([each.path(time) for time in times]))
+        for each in objects
+    ]
+    written = write_animation_glb(glb, model.skin, skins, heads, times - times[0], solids)
     write_animation_npz(arrays, model, frames, skins, vertices)
     figures = {**report, "glb": {**asdict(written), "bytes": glb.stat().st_size}}
     table.write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
@@ -76,13 +74,16 @@ def write_animation(
     return files
 
 
-def _shot(frame: MotionFrame, skin: Singles, objects: Objects) -> Shot:
+def _shot(frame: MotionFrame, skin: Singles, objects: Sequence[Obstacle]) -> Shot:
     placed = frame.placed(skin.astype(np.float64))
-    return Shot(f"{frame.time:.2f} s", placed, tuple(objects(frame.time)))
+    return Shot(f"{frame.time:.2f} s", placed, tuple(each.at(frame.time) for each in objects))
 
 
 def _film(
-    filming: Filming, frames: Sequence[MotionFrame], skins: Singles, objects: Objects
+    filming: Filming,
+    frames: Sequence[MotionFrame],
+    skins: Singles,
+    objects: Sequence[Obstacle],
 ) -> Iterator[Pixels]:
     """Draw all frames; light, which takes longest, is interpolated between some of them."""
 

@@ -3,11 +3,13 @@
 Skins are a few shapes (:mod:`solver.rig.animation_basis`), stored as whole numbers
 (KHR_mesh_quantization) of the vertices that move. Keys are the frames that are needed; between
 them weights lie on straight lines, and the head turns steadily. Weights lie between 0 and 1, where
-animation tools hold them; so the first shape, ``start``, has the weight 1 throughout.
+animation tools hold them; so the first shape, ``start``, has the weight 1 throughout. What the face
+meets are nodes of their own.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,7 +25,7 @@ from solver.rig.animation_basis import (
     spanning,
 )
 from solver.rig.animation_keys import Error, needed_keys
-from solver.rig.gltf import METRES, Buffer, animation, head_tracks, write_morphed
+from solver.rig.gltf import METRES, Buffer, Solid, Tracks, animation, rigid_tracks, write_morphed
 from solver.surface import Floats, Ints, Surface
 
 SHAPES_MM, KEYS_MM = 0.1, 0.05
@@ -47,19 +49,27 @@ class AnimatedGlb:
 
 
 def write_animation_glb(
-    path: Path, neutral: Surface, skins: Singles, heads: Floats, times: Floats
+    path: Path,
+    neutral: Surface,
+    skins: Singles,
+    heads: Floats,
+    times: Floats,
+    solids: Sequence[Solid] = (),
 ) -> AnimatedGlb:
     """Write ``skins`` (f, v, 3), mm in the head's frame, of the moments ``times`` (f,) in s.
 
-    ``heads`` (f, 6) are rotation vectors in rad and shifts in mm, which a node carries. Lengths in
-    the file are in metres.
+    ``heads`` (f, 6) are rotation vectors in rad and shifts in mm, which the face's node carries;
+    ``solids`` have nodes beside it. Lengths in the file are in metres.
     """
     basis = spanning(neutral, skins, SHAPES_MM)
     normals = normal_shapes(neutral, skins, basis)
     stretch = np.clip(1.0 / np.maximum(_greatest(normals), 1e-9), 1.0, MOST_STRETCH)
     rounded = _rounded(basis, stretch)
     keys = needed_keys(len(times), _skin_error(rounded, times), KEYS_MM)
-    turns = needed_keys(len(times), _head_error(neutral, heads, times), KEYS_MM)
+
+    def rigid(buffer: Buffer, shape: Surface, places: Floats) -> Tracks:
+        turns = needed_keys(len(times), _rigid_error(shape, places, times), KEYS_MM)
+        return rigid_tracks(buffer, times[turns], places[turns])
 
     def targets(buffer: Buffer, _normals: Floats) -> list[gl.Attributes]:
         places = buffer.places(basis.moving, len(neutral.vertices))
@@ -74,13 +84,12 @@ def write_animation_glb(
     def animate(buffer: Buffer, _count: int) -> gl.Animation:
         at_keys = buffer.dense(times[keys], gl.SCALAR, bounds=True)
         weights = buffer.dense((basis.weights[keys] / stretch).ravel(), gl.SCALAR)
-        tracks = {gl.WEIGHTS: (at_keys, weights)}
-        if heads.any():
-            tracks |= head_tracks(buffer, times[turns], heads[turns])
-        return animation("animation", tracks)
+        head = rigid(buffer, neutral, heads) if heads.any() else {}
+        others = [rigid(buffer, each.shape, each.places) for each in solids]
+        return animation("animation", {gl.WEIGHTS: (at_keys, weights), **head}, *others)
 
     names = ["start", *(f"shape_{number}" for number in range(1, len(basis.shapes)))]
-    write_morphed(path, neutral, names, targets, animate, extensions=[QUANTISATION])
+    write_morphed(path, neutral, names, targets, animate, extensions=[QUANTISATION], solids=solids)
     shown = _between(rounded.weights[keys], times[keys], times)
     error = greatest_error(neutral, skins, replace(rounded, weights=shown))
     return AnimatedGlb(len(names), len(keys), error)
@@ -104,18 +113,18 @@ def _skin_error(basis: Basis, times: Floats) -> Error:
     return error
 
 
-def _head_error(neutral: Surface, heads: Floats, times: Floats) -> Error:
-    """Return the error of a head that turns from frame to frame, seen at its corners.
+def _rigid_error(shape: Surface, places: Floats, times: Floats) -> Error:
+    """Return the error of what turns and moves from frame to frame, seen at its box's corners.
 
     By glTF it turns steadily (slerp); Blender draws quaternions' entries as lines. Both count.
     """
-    box = np.array([neutral.vertices.min(axis=0), neutral.vertices.max(axis=0)])
+    box = np.array([shape.vertices.min(axis=0), shape.vertices.max(axis=0)])
     corners = np.stack(np.meshgrid(*box.T), axis=-1).reshape(-1, 3)
-    turns = Rotation.from_rotvec(heads[:, :3])
+    turns = Rotation.from_rotvec(places[:, :3])
 
     def error(first: int, last: int, frames: Ints) -> Floats:
         ends, now = times[[first, last]], times[frames]
-        shifts = _between(heads[[first, last], 3:], ends, now) - heads[frames, 3:]
+        shifts = _between(places[[first, last], 3:], ends, now) - places[frames, 3:]
         quaternions = turns[[first, last]].as_quat()
         quaternions[1] *= np.copysign(1.0, quaternions[0] @ quaternions[1])
         steady = Slerp(ends, turns[[first, last]])(now)

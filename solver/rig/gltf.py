@@ -25,13 +25,28 @@ MOVE_SECONDS, HOLD_SECONDS = 0.6, 0.4
 GENERATOR = "Myoface"
 ERROR_ATTRIBUTE = "_ERROR_MM"
 NOTHING: Mapping[str, Floats] = MappingProxyType({})
+Tracks = Mapping[str, tuple[int, int]]
+"""What of a node is moved -> accessors of its times and its values."""
 MATERIALS = {  # linear base colour and opacity, roughness
     "skin": ((0.67, 0.40, 0.30, 1.0), 0.55),
     "eyes": ((0.80, 0.80, 0.78, 1.0), 0.10),
     "teeth": ((0.78, 0.72, 0.60, 1.0), 0.25),
     "mouth": ((0.42, 0.10, 0.10, 1.0), 0.35),
     "lashes": ((0.10, 0.07, 0.06, 0.15), 0.60),
+    "object": ((0.35, 0.45, 0.52, 0.30), 0.20),
 }
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A rigid thing beside the face: its ``shape`` in mm, and its ``places`` (f, 6) in the world.
+
+    They are rotation vectors in rad and shifts in mm, frame by frame.
+    """
+
+    name: str
+    shape: Surface
+    places: Floats
 
 
 def write_glb(path: Path, rig: Rig) -> None:
@@ -81,10 +96,12 @@ def write_morphed(
     animate: Callable[[Buffer, int], gl.Animation | None],
     attributes: Mapping[str, Floats] = NOTHING,
     extensions: Sequence[str] = (),
+    solids: Sequence[Solid] = (),
 ) -> None:
     """Write as :func:`write_face` morph targets that ``make_targets`` puts into the buffer.
 
     It gets the neutral's normals (v, 3); a reader needs the ``extensions`` of glTF to read them.
+    ``solids`` are nodes 1, 2 ... by their names.
     """
     buffer = Buffer()
     normals = vertex_normals(neutral)
@@ -97,12 +114,16 @@ def write_morphed(
     targets = make_targets(buffer, normals)
     animation = animate(buffer, len(names))
     parts = _parts_in_order(neutral)
+    materials = [*parts, "object"] if solids else list(parts)
     document = gl.GLTF2(
         asset=gl.Asset(version="2.0", generator=GENERATOR),
         scene=0,
-        scenes=[gl.Scene(name="face", nodes=[0])],
-        nodes=[gl.Node(name="face", mesh=0)],
-        materials=[_material(part) for part in parts],
+        scenes=[gl.Scene(name="face", nodes=list(range(1 + len(solids))))],
+        nodes=[
+            gl.Node(name="face", mesh=0),
+            *(_node(solid, number) for number, solid in enumerate(solids, start=1)),
+        ],
+        materials=[_material(part) for part in materials],
         meshes=[
             gl.Mesh(
                 name="face",
@@ -118,7 +139,8 @@ def write_morphed(
                     )
                     for number, faces in enumerate(parts.values())
                 ],
-            )
+            ),
+            *(_mesh(buffer, solid, len(parts)) for solid in solids),
         ],
         animations=[] if animation is None else [animation],
         accessors=buffer.accessors,
@@ -129,6 +151,30 @@ def write_morphed(
     )
     document.set_binary_blob(bytes(buffer.content))
     document.save_binary(str(path))
+
+
+def _mesh(buffer: Buffer, solid: Solid, material: int) -> gl.Mesh:
+    """Return a solid's triangles; without normals they are drawn flat, as edges of objects are."""
+    vertices = solid.shape.vertices * METRES
+    corners = buffer.dense(vertices, gl.VEC3, gl.ARRAY_BUFFER, bounds=True)
+    triangles = gl.Primitive(
+        attributes=gl.Attributes(POSITION=corners),
+        indices=buffer.indices(solid.shape.faces),
+        material=material,
+        mode=gl.TRIANGLES,
+    )
+    return gl.Mesh(name=solid.name, primitives=[triangles])
+
+
+def _node(solid: Solid, mesh: int) -> gl.Node:
+    """Return a solid's node, where the first frame has it."""
+    place = solid.places[0]
+    return gl.Node(
+        name=solid.name,
+        mesh=mesh,
+        rotation=Rotation.from_rotvec(place[:3]).as_quat().tolist(),
+        translation=(place[3:] * METRES).tolist(),
+    )
 
 
 def _parts_in_order(skin: Surface) -> dict[str, Ints]:
@@ -177,34 +223,37 @@ def in_turn(buffer: Buffer, count: int) -> gl.Animation | None:
     return animation("expressions", {gl.WEIGHTS: (at_keys, values)})
 
 
-def head_tracks(buffer: Buffer, times: Floats, heads: Floats) -> dict[str, tuple[int, int]]:
-    """Add the motion of a head, ``heads`` (f, 6) at ``times`` (f,), for :func:`animation`.
+def rigid_tracks(buffer: Buffer, times: Floats, places: Floats) -> Tracks:
+    """Add a rigid motion, ``places`` (f, 6) at ``times`` (f,), for :func:`animation`.
 
     They are rotation vectors in rad and shifts in mm.
     """
-    turns = Rotation.from_rotvec(heads[:, :3]).as_quat()
+    turns = Rotation.from_rotvec(places[:, :3]).as_quat()
     turns *= _same_side(turns)[:, None]
     at_keys = buffer.dense(times, gl.SCALAR, bounds=True)
     return {
         gl.ROTATION: (at_keys, buffer.dense(turns, gl.VEC4)),
-        gl.TRANSLATION: (at_keys, buffer.dense(heads[:, 3:] * METRES, gl.VEC3)),
+        gl.TRANSLATION: (at_keys, buffer.dense(places[:, 3:] * METRES, gl.VEC3)),
     }
 
 
-def animation(name: str, tracks: Mapping[str, tuple[int, int]]) -> gl.Animation:
-    """Return an animation of node 0: what is moved -> accessors of its times and its values.
+def animation(name: str, *tracks: Tracks) -> gl.Animation:
+    """Return an animation of node 0, 1 ... by the ``tracks`` of each.
 
     Values between two times lie on a straight line.
     """
+    moved = [(node, path, each[path]) for node, each in enumerate(tracks) for path in each]
     return gl.Animation(
         name=name,
         samplers=[
             gl.AnimationSampler(input=times, output=values, interpolation=gl.ANIM_LINEAR)
-            for times, values in tracks.values()
+            for _, _, (times, values) in moved
         ],
         channels=[
-            gl.AnimationChannel(sampler=number, target=gl.AnimationChannelTarget(node=0, path=path))
-            for number, path in enumerate(tracks)
+            gl.AnimationChannel(
+                sampler=number, target=gl.AnimationChannelTarget(node=node, path=path)
+            )
+            for number, (node, path, _) in enumerate(moved)
         ],
     )
 

@@ -135,6 +135,8 @@ def read_motion(folder: Path, scene: str, rest: Floats) -> Ready:
     for path in sorted(folder.glob("*.json")):
         try:
             content = json.loads(path.read_bytes())
+            if content["format"] != FORMAT:
+                raise ValueError(f"their format is {content['format']}, not {FORMAT}")
             read = [MotionFrame.of(each) for each in content["frames"]]
             state = [_unpacked(content["state"][name], "<f8") for name in ("x", "v")]
             motion = Motion(state[0], state[1], read[-1].placed)

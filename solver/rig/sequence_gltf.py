@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pygltflib as gl
 
-from solver.rig.gltf import Buffer, animation, head_tracks, write_face
+from solver.rig.gltf import Buffer, animation, rigid_tracks, write_face
 from solver.rig.sequence import SequenceFrame
 from solver.surface import Floats, Surface
 
@@ -78,5 +78,5 @@ def _animation(
         at_frames = buffer.dense(times, gl.SCALAR, bounds=True)
         tracks[gl.WEIGHTS] = at_frames, buffer.dense(weights.ravel(), gl.SCALAR)
     if heads.any():
-        tracks |= head_tracks(buffer, times, heads)
+        tracks |= rigid_tracks(buffer, times, heads)
     return animation("sequence", tracks) if tracks else None

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from scipy.spatial.transform import Rotation
 
-from solver.animation.tracks import Track, track
+from solver.animation.tracks import Interpolation, Track, track
 from solver.errors import InputError
 from solver.scans.raw import read_raw
 from solver.scene.places import Places
-from solver.surface import Floats, Surface
+from solver.similarity import small_motion
+from solver.surface import Surface
 
 MOST_VERTICES = 20_000
 """Of one object: contact looks at every triangle in every step."""
@@ -33,24 +33,28 @@ class Obstacle:
     shape: Surface
     path: Track
 
-    def at(self, time: float) -> Floats:
-        """Return its vertices (o, 3) in the world at ``time`` in s."""
-        place = self.path(time)
-        turned = Rotation.from_rotvec(place[:3]).apply(self.shape.vertices)
-        return np.asarray(turned + place[3:])
+    def at(self, time: float) -> Surface:
+        """Return it in the world at ``time`` in s."""
+        return self.shape.moved(small_motion(self.path(time))(self.shape.vertices))
 
 
-def objects_of(entries: Sequence[Mapping[str, Any]], places: Places) -> list[Obstacle]:
+def objects_of(
+    entries: Sequence[Mapping[str, Any]], places: Places, interpolation: Interpolation = "smooth"
+) -> list[Obstacle]:
     """Return the objects of entries that their schema has found good.
 
-    Raises :class:`InputError`: ``scene.times`` for keys that are not one after the other,
-    ``scene.object_large`` for one with too many vertices, as :class:`Places`, and as
-    :func:`~solver.scans.raw.read_raw` for its file.
+    Raises :class:`InputError`: ``scene.object_name`` for two of one name, ``scene.times`` for keys
+    that are not one after the other, ``scene.object_large`` for one with too many vertices, as
+    :class:`Places`, and as :func:`~solver.scans.raw.read_raw` for its file.
     """
-    return [_object(entry, places) for entry in entries]
+    names = [entry["name"] for entry in entries]
+    for number, name in enumerate(names):
+        if name in names[:number]:
+            raise InputError("scene.object_name", f"two objects are named {name!r}", found=name)
+    return [_object(entry, places, interpolation) for entry in entries]
 
 
-def _object(entry: Mapping[str, Any], places: Places) -> Obstacle:
+def _object(entry: Mapping[str, Any], places: Places, interpolation: Interpolation) -> Obstacle:
     name, origin = entry["name"], places.point(entry.get("at", (0.0, 0.0, 0.0)))
     shape = _shape(name, entry["mesh"], places)
     path = entry.get("path", [])
@@ -66,7 +70,7 @@ def _object(entry: Mapping[str, Any], places: Places) -> Obstacle:
     if not path:
         still = np.concatenate([np.zeros(3), origin])
         return Obstacle(name, shape, lambda _time: still)
-    moved = track([key["time"] for key in path], values, f"{name}'s key")
+    moved = track([key["time"] for key in path], values, f"{name}'s key", interpolation)
     return Obstacle(name, shape, moved)
 
 

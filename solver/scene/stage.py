@@ -12,6 +12,7 @@ from solver.animation.gaze import Gaze
 from solver.contact.objects import check_objects
 from solver.contact.penetration import Gauge, Penetration
 from solver.edits.edit import apply
+from solver.errors import InputError
 from solver.scene.edits import edits_of
 from solver.scene.forces import forces_of
 from solver.scene.objects import objects_of
@@ -22,6 +23,8 @@ from solver.simulation.simulator import Simulator
 from solver.simulation.state import Drive
 from solver.surface import Floats, Surface
 
+MOST_FRAMES = 20_000
+"""Of a scene: ten minutes at 30 a second, and a few gigabytes while its files are written."""
 DAMPING = 0.5
 STEPS = 4
 """Of a dynamic face in a frame: flesh swings some 15 times a second, which long steps damp."""
@@ -30,7 +33,8 @@ STEPS = 4
 class Stage:
     """What a scene, that its schema has found good, makes of a person with the S (n, m + 1).
 
-    ``drives`` say what the face does; ``linear`` names the linear solver. Raises
+    ``drives`` say what the face does; ``linear`` names the linear solver; ``objects`` are what the
+    face meets. Raises
     :class:`~solver.errors.InputError` (``scene.*``, ``force.point``, ``contact.crossed``) for what
     the person does not have or can not be.
     """
@@ -43,17 +47,19 @@ class Stage:
         drives: Drives,
         linear: str | None = None,
     ) -> None:
+        _check_length(drives)
         self.drives = drives
         self._physics = physics_of(document)
         self._edited = apply(edits_of(document.get("edits", []), places), places.model, S)
         self.model = self._edited.model
         self._face = self._physics.face(self._edited)
-        self._objects = objects_of(document.get("objects", []), places)
+        interpolation = document.get("interpolation", "smooth")
+        self.objects = objects_of(document.get("objects", []), places, interpolation)
         begin = self.drive(float(drives.times[0]), drives(float(drives.times[0])))
         objects = self._seen(begin)
         check_objects(
             self.model,
-            {each.name: shape for each, shape in zip(self._objects, objects, strict=True)},
+            {each.name: shape for each, shape in zip(self.objects, objects, strict=True)},
         )
         dynamic = document.get("mode", "quasi_static") == "dynamic"
         self.steps_per_frame: int = document.get("steps_per_frame", STEPS if dynamic else 1)
@@ -73,7 +79,8 @@ class Stage:
     def drive(self, time: float, pose: PosedFrame) -> Drive:
         """Return what the flesh is asked for at ``time``, when the face does ``pose``."""
         A = self._physics.activations(self._edited, pose.a)
-        return Drive(time, A, pose.jaw, pose.head, tuple(each.at(time) for each in self._objects))
+        objects = tuple(each.at(time).vertices for each in self.objects)
+        return Drive(time, A, pose.jaw, pose.head, objects)
 
     def skin(self, y: Floats, jaw: Floats, eyes: Floats) -> Floats:
         """Return the whole skin (V, 3) of flesh y (p, 3), both in the head's frame."""
@@ -82,10 +89,6 @@ class Stage:
     def penetration(self, y: Floats, drive: Drive) -> Penetration:
         """Return how deep flesh y (p, 3), in the head's frame, is in what it meets."""
         return self._gauge.at(y, drive.jaw, self._seen(drive))
-
-    def objects(self, time: float) -> list[Surface]:
-        """Return the objects in the world at ``time`` in s."""
-        return [each.shape.moved(each.at(time)) for each in self._objects]
 
     def inverted(self, y: Floats) -> int:
         """Return the number of inverted tets of flesh y (p, 3)."""
@@ -96,5 +99,16 @@ class Stage:
         into = drive.head.inverse()
         return [
             each.shape.moved(into(vertices))
-            for each, vertices in zip(self._objects, drive.objects, strict=True)
+            for each, vertices in zip(self.objects, drive.objects, strict=True)
         ]
+
+
+def _check_length(drives: Drives) -> None:
+    frames = len(drives.times)
+    if frames > MOST_FRAMES:
+        raise InputError(
+            "scene.long",
+            f"the scene has {frames} frames; at most {MOST_FRAMES} can be simulated in one job",
+            found=frames,
+            expected=MOST_FRAMES,
+        )

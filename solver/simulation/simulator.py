@@ -107,7 +107,7 @@ class Simulator:
     def rest(self, drive: Drive) -> Motion:
         """Return the face at rest in the pose, and under the forces, of ``drive``.
 
-        Raises :class:`SolveError` as :meth:`step`.
+        Raises :class:`SolveError` as :meth:`step`, with the drive's own ``time``.
         """
         start = replace(
             drive,
@@ -117,7 +117,12 @@ class Simulator:
         )
         rest = self._face.model.rest
         motion = Motion(drive.head(rest), np.zeros_like(rest), drive.head)
-        return self._go(motion, start, drive, RISE_PART, dynamic=False).motion
+        try:
+            return self._go(motion, start, drive, RISE_PART, dynamic=False).motion
+        except SolveError as error:
+            # the way to the first pose is before all time
+            error.context["time"] = drive.time
+            raise
 
     def step(self, now: Motion, before: Drive, goal: Drive) -> Stepped:
         """Go from ``now``, where ``before`` led to, to ``goal``.

@@ -13,7 +13,7 @@ import pytest
 
 from myoface.stack import Stack
 from service.settings import Settings
-from solver.pipeline import simulate
+from solver.pipeline import PersonFiles, simulate
 from solver.rig.result import ExpressionFit, save_activations, save_weights
 from tests.service_client import QUICK, ROOT, Studio, eventually, served
 from tests.unit.solver.block import head_block
@@ -63,8 +63,8 @@ def test_killed_processes_cost_no_frame_and_the_animation_ends_once(
     with np.load(io.BytesIO(content)) as data:
         pieced = data["skin"]
     options = {"scene": SWAY}
-    names = ("model.npz", "muscle_weights.npz", "activations.npz")
-    simulate(*(tmp_path / name for name in names), tmp_path / "whole", options=options)
+    person = PersonFiles(tmp_path / "model.npz", tmp_path / "muscle_weights.npz", tmp_path)
+    simulate(person, tmp_path / "whole", options=options)
     with np.load(tmp_path / "whole" / "animation.npz") as data:
         assert np.abs(data["skin"][40] - data["skin"][0]).max() > 2.0
         np.testing.assert_allclose(pieced, data["skin"], atol=0.05)

@@ -7,13 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from myoface.demo.khronos_validator import khronos_validation
 from solver.anatomy.builtin_source import cache_directory
 from solver.rig.animation_gltf import write_animation_glb
-from solver.rig.gltf import write_glb
+from solver.rig.gltf import Solid, write_glb
 from solver.rig.result import ExpressionFit, Rig
+from solver.surface import Surface
 from tests.fixtures import fixture_model, ict_capture
+
+BOX = trimesh.creation.box([80.0, 60.0, 2.0])
 
 
 @pytest.mark.parametrize("names", [["smile", "surprise", "neutral"], []])
@@ -40,7 +44,14 @@ def test_nor_any_of_an_animation(tmp_path: Path) -> None:
     heads = np.zeros((12, 6))
     heads[:, 1] = 0.4 * np.sin(times)
     path = tmp_path / "animation.glb"
-    write_animation_glb(path, neutral, skins, heads, times)
+    turning = np.zeros((12, 6))
+    turning[:, 2], turning[:, 5] = 3.0 * times, 150.0
+    pane = Surface(*(np.asarray(each) for each in (BOX.vertices, BOX.faces)))
+    solids = [
+        Solid("glass", pane, turning),
+        Solid("Wand \u2713", pane, np.tile(turning[3], (12, 1))),
+    ]
+    write_animation_glb(path, neutral, skins, heads, times, solids)
     check(path)
 
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
+import importlib.util
+import inspect
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -19,14 +23,8 @@ from solver.scans import performance, raw, read
 from solver.scene import document
 from worker import attempt
 
-FILES = {
-    "fit_activations": 2,
-    "fit_sequence": 3,
-    "build_preview": 3,
-    "simulate": 3,
-    "animate": 2,
-    "edit": 3,
-}
+ROOT = Path(__file__).parents[2]
+FILES = {"fit_activations": 2, "fit_sequence": 3, "build_preview": 3}
 """How many files a kind of job reads, besides captures."""
 
 
@@ -49,6 +47,28 @@ def test_the_command_line_has_the_options_and_their_defaults(kind: str) -> None:
     given = {param.name: param for param in command.params}
     for option, schema in KINDS[kind].options["properties"].items():
         assert given[option].default in (schema.get("default"), None)
+
+
+@pytest.mark.parametrize("folder", ["tests/standin", "tests/browser/standin"])
+def test_stand_ins_are_called_as_the_pipeline_is(folder: str) -> None:
+    made = importlib.util.spec_from_file_location("standin", ROOT / folder / "solver/pipeline.py")
+    assert made is not None
+    assert made.loader is not None
+    standin = importlib.util.module_from_spec(made)
+    made.loader.exec_module(standin)
+    for kind in KINDS.keys() & vars(standin).keys():
+        real, played = (_arguments(getattr(each, kind)) for each in (pipeline, standin))
+        assert played[0] == real[0], kind
+        assert played[1] <= real[1], kind
+    files = {each.name for each in dataclasses.fields(pipeline.PersonFiles)}
+    assert set(standin.PersonFiles._fields) == files
+
+
+def _arguments(call: Callable[..., object]) -> tuple[list[str], set[str]]:
+    """Return the names of what is given by its place, and by its name only."""
+    known = inspect.signature(call).parameters.values()
+    named = {each.name for each in known if each.kind is each.KEYWORD_ONLY}
+    return [each.name for each in known if each.name not in named], named
 
 
 def test_scenes_are_those_of_the_solver() -> None:

@@ -20,11 +20,11 @@ from scipy.spatial.transform import Rotation
 from solver.anatomy.builtin import builtin_expression
 from solver.normals import vertex_normals
 from solver.rig.animation_gltf import KEYS_MM, write_animation_glb
-from solver.rig.gltf import write_glb
+from solver.rig.gltf import Solid, write_glb
 from solver.rig.result import ExpressionFit, Rig
 from solver.rig.sequence import SequenceFrame
 from solver.rig.sequence_gltf import REACHED_MM, AnimatedSkin
-from solver.surface import Floats
+from solver.surface import Floats, Surface
 from tests.unit.solver.block import block_model
 
 ROOT = Path(__file__).parents[2]
@@ -183,9 +183,12 @@ def test_an_animation_is_made_of_few_shapes(blender: Path, tmp_path: Path) -> No
     )
     heads = np.array([_frame(number).head for number in range(12)])
     path = tmp_path / "animation.glb"
-    written = write_animation_glb(path, neutral, skins, heads, np.arange(12) / FPS)
+    pane = Surface(1000.0 * np.eye(3), np.array([[0, 1, 2]]))
+    solids = [Solid("glass", pane, heads)]
+    written = write_animation_glb(path, neutral, skins, heads, np.arange(12) / FPS, solids)
     assert written.max_error_mm < 0.2
     scene = imported(blender, path, [float(number) for number in range(12)])
+    assert set(scene.known["objects"]) == {"face", "glass"}
     assert scene.known["range"] == [0, 11]
     for number, skin in enumerate(skins):
         off = np.linalg.norm(scene.mm(f"frame_{number}") - _placed(skin, number), axis=1).max()

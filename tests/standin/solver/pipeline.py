@@ -10,6 +10,8 @@ import os
 import signal
 import subprocess
 import time
+from pathlib import Path
+from typing import NamedTuple
 
 from solver.errors import InputError
 from solver.progress import Step
@@ -94,20 +96,17 @@ def build_preview(model, weights, rig, out, *, options=None, progress):
     (out / "preview.json").write_text(json.dumps({"controls": 3}))
 
 
-def simulate(
-    model,
-    weights,
-    rig,
-    out,
-    *,
-    assets=None,
-    template=None,
-    resume=False,
-    options=None,
-    progress,
-):
-    """Leave frames of a scene, two a file; the scene's ``seconds`` are for each file."""
-    assert (model.name, weights.name) == ("model.npz", "muscle_weights.npz")
+class PersonFiles(NamedTuple):
+    model: Path
+    weights: Path
+    rig: Path
+    assets: dict[str, Path]
+    template: Path | None
+
+
+def simulate(person, out, *, resume=False, options=None, progress):
+    """Leave frames of a scene, two a file; the scene's ``damping`` is the time for each, s."""
+    assert (person.model.name, person.weights.name) == ("model.npz", "muscle_weights.npz")
     scene = options["scene"]
     folder = out / "frames"
     folder.mkdir(exist_ok=True)
@@ -120,29 +119,18 @@ def simulate(
         partial.write_text(json.dumps({"frames": frames, "state": {}, "picture": picture}))
         partial.rename(folder / f"{first:06d}-{first + 1:06d}.json")
         progress(Step("simulate", first / total, first + 2))
-    figures = {"frames": total, "assets": {name: path.name for name, path in assets.items()}}
+    figures = {"frames": total, "assets": {name: path.name for name, path in person.assets.items()}}
     (out / "animation.json").write_text(json.dumps(figures))
     (out / "animation.mp4").write_bytes(b"film")
 
 
-def animate(
-    model,
-    weights,
-    out,
-    *,
-    assets=None,
-    template=None,
-    blendshapes=None,
-    resume=False,
-    options=None,
-    progress,
-):
+def animate(person, out, *, blendshapes=None, resume=False, options=None, progress):
     figures = {"blendshapes": blendshapes and blendshapes.read_text()}
     (out / "blendshapes.npz").write_text("solved")
     (out / "animation.json").write_text(json.dumps(figures))
 
 
-def edit(model, weights, rig, out, *, assets=None, template=None, options=None, progress):
+def edit(person, out, *, options=None, progress):
     (out / "edit.json").write_text(json.dumps({"edits": len(options["scene"]["edits"])}))
 
 

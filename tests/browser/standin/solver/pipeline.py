@@ -9,6 +9,7 @@ import json
 import os
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 from PIL import Image, ImageDraw
 
@@ -68,18 +69,15 @@ def fit_geometry(model, captures, out, *, options=None, progress):
     (out / "report.html").write_text("<!doctype html><title>Report</title><h1>Report</h1>")
 
 
-def simulate(
-    model,
-    weights,
-    rig,
-    out,
-    *,
-    assets=None,
-    template=None,
-    resume=False,
-    options=None,
-    progress,
-):
+class PersonFiles(NamedTuple):
+    model: Path
+    weights: Path
+    rig: Path
+    assets: dict[str, Path]
+    template: Path | None
+
+
+def simulate(person, out, *, resume=False, options=None, progress):
     """Leave a frame with a picture, a file each, until the scene's ``duration`` in s is over."""
     folder = out / "frames"
     folder.mkdir()

@@ -90,6 +90,7 @@ def test_keys_pass_through_their_values_and_never_beyond() -> None:
     [
         ([Key(0.0), Key(0.0)], "scene.times"),
         ([Key(np.nan)], "scene.times"),
+        ([Key(0.0), Key(1e-320)], "scene.times"),
         ([Key(0.0, {"grin": 1.0})], "scene.expression"),
         ([Key(0.0, {}, {"tongue": IDENTITY})], "scene.muscle"),
     ],
@@ -185,20 +186,31 @@ def test_blendshapes_are_solved_once(tmp_path: Path) -> None:
     for name, points in targets.items():
         away = np.linalg.norm(points - model.skin.vertices[model.face], axis=1).mean()
         assert shapes.shapes[name].mean_mm < 0.2 * away
-    shapes.save(tmp_path / "blendshapes.npz")
-    kept = Blendshapes.load(tmp_path / "blendshapes.npz", model)
+    file = tmp_path / "blendshapes.npz"
+    shapes.save(file, model, S)
+    kept = Blendshapes.load(file, model, S)
     np.testing.assert_array_equal(kept.blend.activations, shapes.blend.activations)
     again = solve_blendshapes(face, S, targets, kept.shapes, lambda name, _: heard.append(name))
     assert len(heard) == 2
     assert again.shapes["jawOpen"] is kept.shapes["jawOpen"]
-    with pytest.raises(InputError) as caught:
-        Blendshapes.load(tmp_path / "blendshapes.npz", replace(model, muscle_names=("a", "b")))
-    assert caught.value.code == "blendshapes.model"
+    wider = replace(model, rest=1.01 * model.rest)
+    for other, weights in ((wider, S), (model, 0.5 * S)):
+        with pytest.raises(InputError) as caught:
+            Blendshapes.load(file, other, weights)
+        assert caught.value.code == "blendshapes.model"
 
 
 def test_a_template_without_expressions_can_not_be_driven() -> None:
     for basis, code in (
         (None, "blendshapes.none"),
+        (
+            ShapeBasis(
+                np.zeros((0, *MODEL.skin.vertices.shape), np.float32),
+                np.ones((1, *MODEL.skin.vertices.shape), np.float32),
+                ("cheekRaiserLeft",),
+            ),
+            "blendshapes.none",
+        ),
         (
             ShapeBasis(
                 np.zeros((0, 9, 3), np.float32), np.ones((1, 9, 3), np.float32), ("jawOpen",)

@@ -205,9 +205,10 @@ def test_objects_that_contact_can_not_begin_with_are_refused():
         return Surface(np.array([0.0, 0.0, z]) + box.vertices, np.asarray(box.faces, np.int64))
 
     check_objects(model, {"glass": glass(front + 3.0)})
-    with pytest.raises(InputError, match="glass begins in the face") as error:
-        check_objects(model, {"glass": glass(front - 2.0)})
-    assert error.value.code == "scene.object_inside"
+    for z in (front - 2.0, 20.0):  # across the skin, and in the head, where no flesh is near
+        with pytest.raises(InputError, match="glass begins in the face") as error:
+            check_objects(model, {"glass": glass(z)})
+        assert error.value.code == "scene.object_inside"
     whole = glass(front + 3.0)
     for faces in (whole.faces[1:], whole.faces[:, ::-1]):
         with pytest.raises(InputError, match="not a closed surface"):

@@ -11,7 +11,7 @@ from PIL import Image
 
 from solver.errors import InputError
 from solver.fitting.face import Face, Pose
-from solver.pipeline.edit import edit
+from solver.pipeline import PersonFiles, edit
 from solver.progress import Step
 from solver.rig.gltf_check import validate_glb
 from solver.rig.result import ExpressionFit, save_activations, save_weights
@@ -42,14 +42,8 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(rig: Path, out: Path, *edits: dict[str, object], **scene: object) -> list[Step]:
     steps: list[Step] = []
     options = {"scene": {"edits": list(edits), **scene}}
-    files = edit(
-        rig / "model.npz",
-        rig / "muscle_weights.npz",
-        rig,
-        out,
-        options=options,
-        progress=steps.append,
-    )
+    person = PersonFiles(rig / "model.npz", rig / "muscle_weights.npz", rig)
+    files = edit(person, out, options=options, progress=steps.append)
     assert all(file.stat().st_size > 0 for file in files)
     return steps
 

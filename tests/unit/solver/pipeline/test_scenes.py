@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 
 from solver.anatomy.tetrahedra import volume_ml
@@ -16,7 +17,7 @@ from solver.animation.blendshapes import Blendshapes, Solved
 from solver.errors import InputError, SolveError
 from solver.fitting.face import Face, Pose
 from solver.mechanics.flesh import IDENTITY
-from solver.pipeline import animate, simulate
+from solver.pipeline import PersonFiles, animate, simulate
 from solver.progress import Step
 from solver.rig.gltf_check import validate_glb
 from solver.rig.result import ExpressionFit, save_activations, save_weights
@@ -45,15 +46,19 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def play(rig: Path, out: Path, scene: dict[str, Any], **how: Any) -> dict[str, Any]:
-    files = simulate(
-        rig / "model.npz",
-        rig / "muscle_weights.npz",
-        rig,
-        out,
-        options={"scene": scene},
-        **how,
-    )
+def person_of(rig: Path, **more: Any) -> PersonFiles:
+    return PersonFiles(rig / "model.npz", rig / "muscle_weights.npz", rig, **more)
+
+
+def play(
+    rig: Path,
+    out: Path,
+    scene: dict[str, Any],
+    assets: dict[str, Path] | None = None,
+    **how: Any,
+) -> dict[str, Any]:
+    person = person_of(rig, assets=assets or {})
+    files = simulate(person, out, options={"scene": scene}, **how)
     assert all(file.stat().st_size > 0 for file in files)
     report: dict[str, Any] = json.loads((out / "animation.json").read_text())
     return report
@@ -113,9 +118,19 @@ def test_what_was_interrupted_goes_on_as_if_it_had_not_been(rig: Path, tmp_path:
     assert report["frames"] == 25
     assert all(path.stat().st_mtime_ns == written for path, written in ready.items())
     np.testing.assert_allclose(skins(tmp_path / "parts"), skins(tmp_path / "whole"), atol=0.02)
-    with pytest.raises(InputError) as raised:
-        play(rig, tmp_path / "parts", {**scene, "damping": 2}, resume=True)
-    assert raised.value.code == "simulate.other_scene"
+    (tmp_path / "more.csv").write_text("a file that the scene does not name")
+    for other, assets in (
+        ({**scene, "damping": 2}, {}),
+        (scene, {"more": tmp_path / "more.csv"}),
+    ):
+        with pytest.raises(InputError) as raised:
+            play(rig, tmp_path / "parts", other, assets, resume=True)
+        assert raised.value.code == "simulate.other_scene"
+    last = sorted((tmp_path / "parts/frames").iterdir())[-1]
+    last.write_bytes(last.read_bytes()[:-99])
+    with pytest.raises(InputError, match=last.name) as raised:
+        play(rig, tmp_path / "parts", scene, resume=True)
+    assert raised.value.code == "simulate.frames"
 
 
 def test_what_can_not_be_reached_is_told_and_the_frames_before_stay(
@@ -155,6 +170,11 @@ def test_what_can_not_be_reached_is_told_and_the_frames_before_stay(
         ({"edits": [{"kind": "density", "factor": 2, "map": {"asset": "map"}}]}, "scene.map"),
         ({"objects": [{"name": "glass", "mesh": {"asset": "glass"}}]}, "scene.asset"),
         ({"objects": [{**GLASS, "at": [75, 60, 46]}]}, "scene.object_inside"),
+        ({"objects": [{**GLASS, "at": [75, 60, 46]}, GLASS]}, "scene.object_name"),
+        ({"objects": [{**GLASS, "path": [{"time": 1}, {"time": 1}]}]}, "scene.times"),
+        ({"objects": [{"name": "map", "mesh": {"asset": "map"}}]}, "scan.format"),
+        ({"objects": [{"name": "large", "mesh": {"asset": "large"}}]}, "scene.object_large"),
+        ({"duration": 600, "fps": 240}, "scene.long"),
         (
             {"objects": [{"name": "open", "mesh": {"asset": "open"}, "at": [0, 0, 300]}]},
             "scene.object_open",
@@ -166,7 +186,9 @@ def test_bad_scenes_are_refused_before_anything_is_solved(
 ) -> None:
     np.save(tmp_path / "map.npy", np.ones(3))
     (tmp_path / "open.obj").write_text("v 0 0 0\nv 9 0 0\nv 0 9 0\nv 0 0 9\nf 1 2 3\nf 1 2 4\n")
-    assets = {"map": tmp_path / "map.npy", "open": tmp_path / "open.obj"}
+    trimesh.creation.icosphere(6).export(tmp_path / "large.stl")
+    names = ("map.npy", "open.obj", "large.stl")
+    assets = {name[:-4]: tmp_path / name for name in names}
     with pytest.raises(InputError) as raised:
         play(rig, tmp_path / "out", scene, assets=assets)
     assert raised.value.code == code
@@ -187,13 +209,11 @@ def recording(path: Path, smiles: list[float], **columns: str) -> Path:
 def test_a_recording_is_played_by_the_muscles(rig: Path, tmp_path: Path) -> None:
     left = np.array([WIDE[0], IDENTITY])
     shapes = {"mouthSmile_L": Solved(Pose(left, np.zeros(5)), 0.1)}
-    Blendshapes(MODEL.muscle_names, shapes).save(tmp_path / "shapes.npz")
+    Blendshapes(MODEL.muscle_names, shapes).save(tmp_path / "shapes.npz", MODEL, MODEL.weights)
     take = recording(tmp_path / "take.csv", [0.0, 0.5, 1.0, 1.0])
     animate(
-        rig / "model.npz",
-        rig / "muscle_weights.npz",
+        person_of(rig, assets={"take": take}),
         tmp_path / "out",
-        assets={"take": take},
         blendshapes=tmp_path / "shapes.npz",
         options={"scene": {"recording": {"asset": "take"}}},
     )
@@ -202,4 +222,30 @@ def test_a_recording_is_played_by_the_muscles(rig: Path, tmp_path: Path) -> None
     moved = skins(tmp_path / "out")
     assert np.abs(moved[2] - moved[0]).max() > 1.0
     np.testing.assert_allclose(moved[3], moved[2], atol=0.05)
-    assert Blendshapes.load(tmp_path / "out/blendshapes.npz", MODEL).shapes.keys() == shapes.keys()
+    kept = Blendshapes.load(tmp_path / "out/blendshapes.npz", MODEL, MODEL.weights)
+    assert kept.shapes.keys() == shapes.keys()
+
+
+@pytest.mark.parametrize(
+    ("scene", "code"),
+    [
+        ({"recording": {"asset": "mesh"}}, "live_link.columns"),
+        ({"recording": {"asset": "take", "start": 3}}, "scene.frames"),
+        ({"recording": {"asset": "take"}, "head": [{"time": 1}, {"time": 0}]}, "scene.times"),
+        (
+            {"recording": {"asset": "take"}, "objects": [{**GLASS, "at": [75, 60, 46]}]},
+            "scene.object_inside",
+        ),
+    ],
+)
+def test_bad_scenes_are_refused_before_blendshapes_are_solved(
+    rig: Path, tmp_path: Path, scene: dict[str, Any], code: str
+) -> None:
+    (tmp_path / "mesh.obj").write_text("v 0 0 0\nv 9 0 0\nv 0 9 0\nf 1 2 3\n")
+    take = recording(tmp_path / "take.csv", [0.0, 0.5, 1.0])
+    person = person_of(rig, assets={"take": take, "mesh": tmp_path / "mesh.obj"})
+    steps: list[Step] = []
+    with pytest.raises(InputError) as raised:
+        animate(person, tmp_path / "out", options={"scene": scene}, progress=steps.append)
+    assert raised.value.code == code
+    assert [step.phase for step in steps] == ["read"]

@@ -13,12 +13,14 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from solver.anatomy.builtin import builtin_expression
+from solver.animation.tracks import track
 from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.npz import read_arrays
 from solver.rig import animation_video
 from solver.rig.animation import write_animation
 from solver.rig.motion import MotionFrame
+from solver.scene.objects import Obstacle
 from solver.surface import Floats, Surface
 from tests.unit.solver.block import block_model
 
@@ -64,9 +66,8 @@ def test_all_files_show_the_same(tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(radius=25.0)
     faces = np.asarray(ball.faces, np.int64)
 
-    def objects(time: float) -> list[Surface]:
-        place = np.array([60.0 * (time - 2.0), 0.0, 160.0])
-        return [Surface(np.asarray(ball.vertices) + place, faces)]
+    shape = Surface(np.asarray(ball.vertices), faces)
+    path = track([2.0, 3.0], np.array([[0, 0, 0, x, 0, 160.0] for x in (0.0, 60.0)]), "key")
 
     files = write_animation(
         tmp_path,
@@ -76,7 +77,7 @@ def test_all_files_show_the_same(tmp_path: Path) -> None:
         title="Opening",
         report={"inverted": 0},
         vertices=model.face,
-        objects=objects,
+        objects=[Obstacle("ball", shape, path)],
         video=True,
     )
     ends = ("json", "glb", "npz", "png", "mp4")

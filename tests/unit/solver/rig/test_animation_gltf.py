@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from solver.normals import vertex_normals
 from solver.rig.animation_gltf import KEYS_MM, SHAPES_MM, write_animation_glb
 from solver.rig.animation_keys import needed_keys
+from solver.rig.gltf import Solid
 from solver.rig.gltf_check import validate_glb
 from solver.surface import Floats, Ints, Surface
 
@@ -62,6 +63,32 @@ def test_skins_read_back(tmp_path: Path) -> None:
         assert away < written.max_error_mm + 2.0 * KEYS_MM
 
 
+def test_what_the_face_meets_is_where_it_was(tmp_path: Path) -> None:
+    pane = trimesh.creation.box([80.0, 60.0, 2.0])
+    glass = Surface(np.asarray(pane.vertices, np.float64), np.asarray(pane.faces, np.int64))
+    places = np.zeros((FRAMES, 6))
+    places[:, 2], places[:, 4], places[:, 5] = 2.5 * TIMES, 30.0 * np.sin(3.0 * TIMES), 140.0
+    still = np.tile([0.0, 1.2, 0.0, 0.0, 0.0, 200.0], (FRAMES, 1))
+    solids = [Solid("glass", glass, places), Solid("wall", glass, still)]
+    path = tmp_path / "animation.glb"
+    write_animation_glb(path, NEUTRAL, moving_skins(), STILL, TIMES, solids)
+    shown = Shown(path)
+    assert validate_glb(path, shown.names) == []
+    assert [node.name for node in shown.document.nodes] == ["face", "glass", "wall"]
+    assert len(shown.tracks[1, "rotation"][0]) < FRAMES
+    assert len(shown.tracks[2, "rotation"][0]) == 2
+    for node, solid in enumerate(solids, start=1):
+        mesh = shown.document.meshes[shown.document.nodes[node].mesh]
+        corners = shown.values(mesh.primitives[0].attributes.POSITION) * 1e3
+        np.testing.assert_allclose(corners, glass.vertices, atol=1e-4)
+        begin = shown.document.nodes[node]
+        np.testing.assert_allclose(begin.translation, 1e-3 * solid.places[0, 3:])
+        for time, place in zip(TIMES, solid.places, strict=True):
+            expected = Rotation.from_rotvec(place[:3]).apply(corners) + place[3:]
+            away = np.linalg.norm(shown.rigid(node, time, corners) - expected, axis=1)
+            assert away.max() < KEYS_MM + 1e-3
+
+
 def test_what_is_still_takes_no_room(tmp_path: Path) -> None:
     skins = np.tile(NEUTRAL.vertices.astype(np.float32), (FRAMES, 1, 1))
     written = write_animation_glb(tmp_path / "animation.glb", NEUTRAL, skins, STILL, TIMES)
@@ -108,8 +135,9 @@ class Shown:
         for channel in animation.channels:
             sampler = animation.samplers[channel.sampler]
             times = self.values(sampler.input)[:, 0]
-            self.tracks[channel.target.path] = times, self.values(sampler.output)
-        times, weights = self.tracks["weights"]
+            target = channel.target.node, channel.target.path
+            self.tracks[target] = times, self.values(sampler.output)
+        times, weights = self.tracks[0, "weights"]
         self.times, self.weights = times, weights.reshape(len(times), len(self.names))
 
     def change(self, time: float, what: str) -> Floats:
@@ -121,11 +149,14 @@ class Shown:
         return NEUTRAL.vertices + 1e3 * self.change(time, "POSITION")
 
     def placed(self, time: float) -> Floats:
-        times, turns = self.tracks["rotation"]
-        turn = Slerp(times, Rotation.from_quat(turns))(time)
-        times, shifts = self.tracks["translation"]
+        return self.rigid(0, time, self.skin(time))
+
+    def rigid(self, node: int, time: float, points: Floats) -> Floats:
+        times, turns = self.tracks[node, "rotation"]
+        turn = Slerp(times, Rotation.from_quat(turns))(np.clip(time, times[0], times[-1]))
+        times, shifts = self.tracks[node, "translation"]
         shift = [1e3 * np.interp(time, times, track) for track in shifts.T]
-        return turn.apply(self.skin(time)) + shift
+        return np.asarray(turn.apply(points) + shift)
 
     def values(self, number: int) -> Floats:
         accessor = self.document.accessors[number]

@@ -40,7 +40,7 @@ def test_the_schema_is_one_and_defaults_are_allowed():
     for name in ("simulate", "animate", "edit"):
         schema = {"$ref": f"#/$defs/{name}_scene", "$defs": DEFINITIONS}
         jsonschema.Draft202012Validator.check_schema(schema)
-    assert check(EVERYTHING, "simulate") is EVERYTHING
+    assert check(EVERYTHING, "simulate") == EVERYTHING
     check({}, "simulate")
     check({"recording": {"asset": "take", "start": 3}}, "animate")
     check({"edits": []}, "edit")
@@ -64,6 +64,14 @@ def test_the_schema_is_one_and_defaults_are_allowed():
             "scene.objects[0].mesh.box_mm",
             "short",
         ),
+        ({"fps": float("nan")}, "scene.fps", "nan is not a number"),
+        ({"head": [{"time": 0, "move_mm": [0, float("nan"), 0]}]}, "scene.head[0].move_mm[1]", "n"),
+        ({"duration": float("inf")}, "scene.duration", "maximum"),
+        (
+            {"keys": [{"time": 0, "jaw": {"open_deg": 10**400}}]},
+            "scene.keys[0].jaw.open_deg",
+            "max",
+        ),
         ({"edits": [{"kind": "wings"}]}, "scene.edits[0].kind", "'wings' is not one of"),
         (
             {"edits": [{"kind": "fat", "f_min": 1}]},
@@ -77,6 +85,17 @@ def test_the_first_fault_is_named(scene, where, words):
         check(scene, "simulate")
     assert raised.value.code == "scene.schema"
     assert raised.value.context["where"] == where
+
+
+def test_whole_numbers_are_integers_however_they_are_written():
+    scene = {
+        "steps_per_frame": 2.0,
+        "forces": [{"kind": "point", "at": 5.0, "mn": [0.5, 1.0, 0]}],
+    }
+    found = check(scene, "simulate")
+    numbers = [found["steps_per_frame"], found["forces"][0]["at"], *found["forces"][0]["mn"]]
+    assert numbers == [2, 5, 0.5, 1, 0]
+    assert [type(each) for each in numbers] == [int, int, float, int, int]
 
 
 def test_an_animation_needs_its_recording():

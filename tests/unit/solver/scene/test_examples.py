@@ -1,6 +1,7 @@
 """The example scenes are scenes, and name what the built-in person has."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,8 @@ from solver.anatomy.builtin import builtin_template
 from solver.scans.landmarks import landmark_vertices
 from solver.scene.document import check
 
-FOLDER = Path(__file__).parents[4] / "examples" / "scenes"
+ROOT = Path(__file__).parents[4]
+FOLDER = ROOT / "examples" / "scenes"
 SCENES = sorted(path.name for path in FOLDER.glob("*.json"))
 
 
@@ -33,6 +35,15 @@ def test_an_example_is_a_scene_of_the_built_in_person(name):
     template = builtin_template()
     assert {*named(scene, "at"), *named(scene, "spots")} <= set(landmark_vertices(template))
     assert set(named(scene, "regions")) <= set(template.regions)
+
+
+def test_the_scene_of_the_documentation_is_one():
+    text = (ROOT / "docs" / "simulation.md").read_text()
+    [document] = re.findall(r"```json\n(.*?)```", text, re.DOTALL)
+    scene = check(json.loads(document), "simulate")
+    muscles = [name for key in scene["keys"] for name in key.get("muscles", {})]
+    assert muscles
+    assert set(muscles) <= {muscle.name for muscle in builtin_template().muscles}
 
 
 def test_all_examples_are_told_of():

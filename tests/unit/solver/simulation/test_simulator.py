@@ -295,3 +295,16 @@ def test_what_can_not_be_reached_fails_with_its_time():
         steps.step(motion, before, replace(before, time=1.0, objects=lid(-5.0)))
     assert caught.value.code == "simulate.jammed"
     assert 0.5 < caught.value.context["time"] < 1.0
+
+
+def test_a_force_that_is_no_number_is_no_rest():
+    class Broken:
+        def at(self, motion, _time, /):
+            return np.full_like(motion.x, np.nan)
+
+    face = face_of()
+    steps = simulator(face, forces=[Broken()])
+    with pytest.raises(SolveError) as caught:
+        steps.rest(drive(face, face.rest_pose(), time=2.5))
+    assert caught.value.code == "simulate.diverged"
+    assert caught.value.context["time"] == 2.5
