@@ -1,13 +1,13 @@
 """Contact: fitted lips stay out of each other and in front of the teeth.
 
-    c(x) = w/2 sum_p max(0, d_p(x) - s)^2 + w/2 sum_p h_p(x)^2
+    c(x) = w_d/2 sum_p max(0, d_p(x) - s)^2 + w_h/2 sum_p h_p(x)^2
 
-over the lips' vertices p: d_p is how deep p lies in the other lip, less than the slack s being free,
-and h_p how deep behind a row of teeth, beyond what is free. Teeth are the fields that simulations
-have (:mod:`solver.contact.arches`), so a lip comes out to the front from any depth. Lips have no
-barrier, as they do in simulations: it allows no crossing, and scans and the ways of fits have lips
-that cross. What a vertex has crossed there is found anew at every x; c is continuous where that
-begins, as it begins within the slack.
+over the lips' vertices p: d_p is how deep p lies in the other lip, less than the slack s being
+free, and h_p how deep behind a row of teeth, beyond what is free. Teeth are the fields that
+simulations have (:mod:`solver.contact.arches`), so a lip comes out to the front from any depth.
+Between lips simulations have a barrier; it allows no crossing, and scans, and so fits on their way,
+have lips that cross. What a vertex has crossed there is found anew at every x; c is continuous
+where that begins, as it begins within the slack.
 """
 
 from __future__ import annotations
@@ -27,21 +27,35 @@ from solver.errors import SolveError
 from solver.model import SubjectModel
 from solver.surface import Floats, Surface
 
-WEIGHT = 600.0
+LIPS_WEIGHT, TEETH_WEIGHT = 600.0, 150.0
 """A lip's vertex in contact counts like so many vertices of the face skin: its depth beyond the
-slack has to be small even where a scan, by interpolation or registration, crosses itself."""
+slack has to be small even where a scan, by interpolation or registration, crosses itself. Teeth
+count less, as such scans have lips some millimetres deep in them."""
 LIPS_SLACK_MM = 0.2
 TEETH_SLACK_MM = 1.0
-"""Free, as is what is deeper in the neutral: scans of expressions have lips in teeth by registration
-or interpolation, up to 3 mm. With 0.3 instead, a fit of S comes 6 % less near to them."""
+"""Free, as is what is deeper in the neutral. With 0.3 a fit of S came 6 % less near to scans that
+lie 2.4 mm deep."""
 
 
 @dataclass(frozen=True)
 class _Touching:
-    """h vertices in contact: ``depth`` (h,) beyond what is free, and its derivative (h, 3 p)."""
+    """h vertices in contact.
+
+    ``depth`` (h,) is what is not free, ``slope`` (h, 3 p) its derivative, and ``weight`` (h,).
+    """
 
     depth: Floats
     slope: sp.csr_array
+    weight: Floats
+
+    @classmethod
+    def together(cls, parts: list[_Touching]) -> _Touching:
+        """Return the vertices of all parts."""
+        return cls(
+            np.concatenate([part.depth for part in parts]),
+            sp.csr_array(sp.vstack([part.slope for part in parts])),
+            np.concatenate([part.weight for part in parts]),
+        )
 
 
 class Teeth:
@@ -68,22 +82,28 @@ class Teeth:
         found = []
         if self._upper is not None:
             depth, slope = self._upper.at(points)
-            deep = np.flatnonzero(depth)
-            found.append(_Touching(depth[deep], along(self._rows[deep], slope[deep])))
+            found.append(self._deep(depth, slope, self._rows))
         if self._lower is not None:
             local, shares, turn = self._mandible.seen(points, x)
             depth, slope = self._lower.at(local)
-            deep = np.flatnonzero(depth)
-            corners = np.tile(self._mandible.corners, (len(deep), 1))
-            apart = self._rows[deep] - rows_of(corners, shares[deep], len(x))
-            found.append(_Touching(depth[deep], along(apart, slope[deep] @ turn)))
+            corners = np.tile(self._mandible.corners, (len(points), 1))
+            apart = self._rows - rows_of(corners, shares, len(x))
+            found.append(self._deep(depth, slope @ turn, apart))
         return found
+
+    @staticmethod
+    def _deep(depth: Floats, slope: Floats, rows: sp.csr_array) -> _Touching:
+        """Return what is deep among points that move with ``rows @ x``."""
+        deep = np.flatnonzero(depth)
+        by_x = along(sp.csr_array(rows[deep]), slope[deep])
+        return _Touching(depth[deep], by_x, np.full(len(deep), TEETH_WEIGHT))
 
 
 class Contact:
-    """The term c, a :class:`solver.fitting.terms.Term`; w is :data:`WEIGHT` / k, k face vertices.
+    """The term c, a :class:`solver.fitting.terms.Term`.
 
-    Fits of several expressions share the ``teeth``. Its methods raise :class:`SolveError`
+    w_d and w_h are :data:`LIPS_WEIGHT` and :data:`TEETH_WEIGHT` over k, for k face vertices. Fits
+    of several expressions share the ``teeth``. Its methods raise :class:`SolveError`
     (``solve.not_finite``) where x is not finite.
     """
 
@@ -91,23 +111,25 @@ class Contact:
         self._mouth = mouth
         self._teeth = teeth
         # the data's weights sum to one over the face
-        self._weight = WEIGHT / len(model.face)
+        self._share = 1.0 / len(model.face)
         self._last: tuple[Floats, _Touching] | None = None
 
     def value(self, x: Floats) -> float:
         """See :class:`solver.fitting.terms.Term`."""
-        depth = self._touching(x).depth
-        return 0.5 * self._weight * float(depth @ depth)
+        touching = self._touching(x)
+        return 0.5 * self._share * float(touching.weight @ touching.depth**2)
 
     def gradient(self, x: Floats) -> Floats:
         """See :class:`solver.fitting.terms.Term`."""
         touching = self._touching(x)
-        return self._weight * np.asarray(touching.slope.T @ touching.depth).reshape(x.shape)
+        push = self._share * touching.weight * touching.depth
+        return np.asarray(touching.slope.T @ push).reshape(x.shape)
 
     def curvature(self, x: Floats) -> sp.csr_array:
         """See :class:`solver.fitting.terms.Term`."""
-        slope = self._touching(x).slope
-        return sp.csr_array(self._weight * (slope.T @ slope))
+        touching = self._touching(x)
+        weights = sp.diags_array(self._share * touching.weight)
+        return sp.csr_array(touching.slope.T @ (weights @ touching.slope))
 
     def _touching(self, x: Floats) -> _Touching:
         """Find the contacts at x; gradient and curvature ask for the same x again."""
@@ -115,9 +137,7 @@ class Contact:
             raise SolveError("solve.not_finite", "the flesh has run away: x is not finite")
         if self._last is None or not np.array_equal(self._last[0], x):
             found = [_lips(self._mouth, x), *self._teeth.touching(x)]
-            depth = np.concatenate([part.depth for part in found])
-            slope = sp.csr_array(sp.vstack([part.slope for part in found]))
-            self._last = x.copy(), _Touching(depth, slope)
+            self._last = x.copy(), _Touching.together(found)
         return self._last[1]
 
 
@@ -133,4 +153,5 @@ def _lips(mouth: Mouth, x: Floats) -> _Touching:
     nearest = rows_of(deep.corners, deep.shares, count)
     vertex = rows_of(deep.ids[:, None], np.ones((len(deep.ids), 1)), count)
     apart = sp.csr_array((nearest - vertex) @ mouth.rows)
-    return _Touching(deep.depth - LIPS_SLACK_MM, along(apart, deep.out))
+    weight = np.full(len(deep.ids), LIPS_WEIGHT)
+    return _Touching(deep.depth - LIPS_SLACK_MM, along(apart, deep.out), weight)
