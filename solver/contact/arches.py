@@ -104,8 +104,12 @@ def _cylindrical(arm: Floats) -> tuple[Floats, Floats, Floats]:
 def _samples(surface: Surface) -> Floats:
     """Return points all over the triangles, no more than :data:`SAMPLE_MM` apart."""
     corners = surface.vertices[surface.faces]
-    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
-    count = int(np.ceil(longest / SAMPLE_MM))
-    first, second = np.triu_indices(count + 1)
-    shares = np.stack([first, second - first, count - second], axis=1) / count
-    return np.asarray(np.einsum("kc,fci->kfi", shares, corners).reshape(-1, 3))
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    counts = np.maximum(np.ceil(longest / SAMPLE_MM).astype(int), 1)
+    found = []
+    for count in np.unique(counts):
+        first, second = np.triu_indices(count + 1)
+        shares = np.stack([first, second - first, count - second], axis=1) / count
+        points = np.einsum("kc,fci->kfi", shares, corners[counts == count])
+        found.append(points.reshape(-1, 3))
+    return np.vstack(found)

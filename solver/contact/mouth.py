@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from solver.anatomy.embedding import rows_of
 from solver.anatomy.lip_sides import LOWER, UPPER, lip_sides
+from solver.contact.mandible import Mandible
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
 
@@ -140,29 +141,12 @@ def _following(model: SubjectModel, skin: Ints) -> tuple[sp.csr_array, Floats]:
     in_flesh = np.isin(skin, model.embedded)
     on_jaw = np.isin(skin, model.attached_mandible)
     offset = model.skin.vertices[skin].copy()
-    corners = _frame(model.rest, model.mandible)
-    homogeneous = [
-        np.vstack([points.T, np.ones(len(points))])
-        for points in (model.rest[corners], offset[on_jaw])
-    ]
-    shares = np.linalg.solve(*homogeneous).T
-    rigid = rows_of(np.tile(corners, (len(shares), 1)), shares, len(model.rest))
+    mandible = Mandible.of(model)
+    shares = mandible.shares(offset[on_jaw])
+    rigid = rows_of(np.tile(mandible.corners, (len(shares), 1)), shares, len(model.rest))
     number = np.searchsorted(model.embedded, skin[in_flesh])
     offset[on_jaw] = 0.0
     offset[in_flesh] = model.offset[number]
     moving = np.concatenate([np.flatnonzero(in_flesh), np.flatnonzero(on_jaw)])
     put = rows_of(moving[:, None], np.ones((len(moving), 1)), len(skin)).T
     return sp.csr_array(put @ sp.vstack([model.embedding[number], rigid])), offset
-
-
-def _frame(points: Floats, ids: Ints) -> Ints:
-    """Return four of the points ``ids``: each the farthest from the span of those before."""
-    span = points[ids] - points[ids].mean(axis=0)
-    chosen = [int(np.argmax(np.linalg.norm(span, axis=1)))]
-    span = points[ids] - points[ids[chosen[0]]]
-    for _ in range(3):
-        distance = np.linalg.norm(span, axis=1)
-        chosen.append(int(np.argmax(distance)))
-        along = span[chosen[-1]] / distance[chosen[-1]]
-        span = span - np.outer(span @ along, along)
-    return ids[chosen]

@@ -36,6 +36,32 @@ class Obstacle(Protocol):
         """
 
 
+class Excess:
+    """How much deeper than they may points lie by an obstacle, all in its frame.
+
+    ``rest`` (k, 3) is where they are in the neutral face. As deep as there is free, and so is less
+    than ``free`` mm.
+    """
+
+    def __init__(self, obstacle: Obstacle, rest: Floats, free: float) -> None:
+        self._obstacle = obstacle
+        depth, _, counts, _ = obstacle.depths(rest)
+        self._allowed = np.where(counts > 0.0, np.maximum(depth, free), free)
+
+    def at(self, points: Floats) -> tuple[Floats, Floats]:
+        """Return h (k,), zero where nothing pushes, and its gradients (k, 3)."""
+        depth, out, counts, fades = self._obstacle.depths(points)
+        excess = np.maximum(depth - self._allowed, 0.0)
+        slope = counts[:, None] * out + excess[:, None] * fades
+        slope[excess == 0.0] = 0.0
+        return counts * excess, slope
+
+    def behind(self, points: Floats, tolerance: float) -> Ints:
+        """Return which lie deeper by ``tolerance`` than they may, well over the field."""
+        depth, _, counts, _ = self._obstacle.depths(points)
+        return np.flatnonzero((depth - np.maximum(self._allowed, 0.0) > tolerance) & (counts > 0.5))
+
+
 class OneSided:
     """A :class:`solver.mechanics.potential.Potential` of skin vertices and one obstacle.
 
@@ -62,15 +88,13 @@ class OneSided:
         stiffness: Floats,
         carried: JawFrame | None = None,
     ) -> None:
-        self._obstacle = obstacle
+        self._excess = Excess(obstacle, rows @ rest + offset, -MARGIN_MM)
         self._rows = rows
         self._offset = offset
         self._stiffness = stiffness
         self._carried = carried
         self._jaw = np.zeros(jaw.DEGREES_OF_FREEDOM)
         self._last: tuple[Floats, tuple[Floats, Floats]] | None = None
-        depth, _, counts, _ = obstacle.depths(rows @ rest + offset)
-        self._allowed = np.where(counts > 0.0, np.maximum(depth, -MARGIN_MM), -MARGIN_MM)
 
     def begin(self, x: Floats, now: Boundary, seconds: float) -> None:  # noqa: ARG002 - nothing lags
         """See :class:`solver.mechanics.potential.Potential`."""
@@ -115,8 +139,7 @@ class OneSided:
 
     def behind(self, x: Floats, tolerance: float) -> Ints:
         """Return which vertices lie deeper by ``tolerance`` than they may, well over the field."""
-        depth, _, counts, _ = self._obstacle.depths(self._seen_at(x))
-        return np.flatnonzero((depth - np.maximum(self._allowed, 0.0) > tolerance) & (counts > 0.5))
+        return self._excess.behind(self._seen_at(x), tolerance)
 
     def _depths(self, x: Floats) -> tuple[Floats, Floats]:
         """Return h (k,), zero where nothing pushes, and the head's frame's gradients (k, 3).
@@ -124,11 +147,8 @@ class OneSided:
         Value, gradient and Hessian ask for the same x again.
         """
         if self._last is None or not np.array_equal(self._last[0], x):
-            depth, out, counts, fades = self._obstacle.depths(self._seen_at(x))
-            excess = np.maximum(depth - self._allowed, 0.0)
-            slope = counts[:, None] * out + excess[:, None] * fades
-            slope[excess == 0.0] = 0.0
-            self._last = x.copy(), (counts * excess, slope @ self._turn.T)
+            h, slope = self._excess.at(self._seen_at(x))
+            self._last = x.copy(), (h, slope @ self._turn.T)
         return self._last[1]
 
     def _seen_at(self, x: Floats) -> Floats:

@@ -1,9 +1,8 @@
-"""Where lips lie in each other or in teeth: points, and the places on what they have crossed."""
+"""Where lips lie in each other: vertices, and the places on what they have crossed."""
 
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass
-from functools import cached_property
 
 import igl
 import numba as nb
@@ -18,8 +17,6 @@ OUTSIDE_MM = 0.05
 """A vertex is looked at this far outside its own skin."""
 INSIDE = 0.5
 """Winding number above which that place lies in flesh, which is then that of the other lip."""
-ON_EDGE = 1e-6
-"""Share below which a point lies on the opposite edge."""
 DEEPEST_MM = 6.0
 """Flesh of a lip is thicker than this: nothing deeper is looked for."""
 BESIDE_MM = 1.0
@@ -92,48 +89,6 @@ def between_lips(mouth: Mouth, points: Floats) -> Overlap:
     other = np.einsum("hc,hci,hi->h", found.shares, normals[found.corners], found.out)
     own = np.einsum("hi,hi->h", normals[ids], found.out)
     return found.where((other > BACK) & (own < -BACK))
-
-
-@dataclass(frozen=True)
-class Shell:
-    """An open surface: its triangles ``faces`` (f, 3) by vertices of the mouth."""
-
-    faces: Ints
-
-    @cached_property
-    def alone(self) -> tuple[Ints, Ints]:
-        """Return the vertices used (u,), sorted, and the triangles (f, 3) numbered by them."""
-        used, own = np.unique(self.faces, return_inverse=True)
-        return used, np.ascontiguousarray(own.reshape(self.faces.shape))
-
-    @cached_property
-    def border(self) -> Ints:
-        """Return the vertices of edges that only one triangle has."""
-        edges = np.sort(np.stack([self.faces, np.roll(self.faces, -1, axis=1)], -1), axis=-1)
-        edges, count = np.unique(edges.reshape(-1, 2), axis=0, return_counts=True)
-        return np.unique(edges[count == 1])
-
-
-def behind(points: Floats, ids: Ints, shell: Shell, reach: float) -> Overlap:
-    """Find which of the vertices ``ids`` lie behind a shell, by less than ``reach`` mm.
-
-    Where the nearest point lies on the shell's border, a vertex is beside it, not behind.
-    """
-    used, faces = shell.alone
-    distance, face, closest, _ = igl.signed_distance(
-        np.ascontiguousarray(points[ids]),
-        np.ascontiguousarray(points[used]),
-        faces,
-        igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL,
-        -reach,
-        reach,
-    )
-    deep = np.flatnonzero((np.asarray(distance) < 0.0) & (np.asarray(distance) > -reach))
-    corners = shell.faces[np.asarray(face)[deep]]
-    a, b, c = (np.ascontiguousarray(points[corners[:, k]]) for k in range(3))
-    shares = np.asarray(igl.barycentric_coordinates(np.ascontiguousarray(closest[deep]), a, b, c))
-    on_border = (np.isin(corners, shell.border) | (shares < ON_EDGE)).all(axis=1)
-    return Overlap.at(points, ids[deep][~on_border], corners[~on_border], shares[~on_border])
 
 
 @nb.njit(cache=True)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from solver.contact.mouth import Mouth
 from solver.fitting.activation import ActivationOptions
-from solver.fitting.contact import Contact
+from solver.fitting.contact import Contact, Teeth
 from solver.fitting.face import Face
 from solver.fitting.objective import Regulariser, Target
 from solver.fitting.terms import SkinDistance, Term, Together
@@ -28,7 +28,10 @@ def terms(face: Face, targets: Mapping[str, Target]) -> dict[str, Term]:
     data = distances(face, targets)
     if mouth is None:
         return data
-    return {name: Together((term, Contact(face.model, mouth))) for name, term in data.items()}
+    teeth = Teeth(face.model, mouth)
+    return {
+        name: Together((term, Contact(face.model, mouth, teeth))) for name, term in data.items()
+    }
 
 
 def unseen_regulariser(face: Face) -> Regulariser:

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import scipy.sparse as sp
-import trimesh
 
 from solver.contact.arches import Arch
 from solver.contact.eyes import Eyeball
@@ -11,18 +10,10 @@ from solver.contact.one_sided import MARGIN_MM, OneSided
 from solver.mechanics import jaw
 from solver.mechanics.boundary import Boundary
 from solver.model import JawFrame
-from solver.surface import Surface
 from tests.unit.solver.ball import ball
+from tests.unit.solver.teeth import HEIGHT, RADIUS, fan, row_of_teeth
 
-RADIUS, HEIGHT = 25.0, 10.0
 JAW = JawFrame(np.array([0.0, 30.0, -60.0]), np.eye(3))
-
-
-def row_of_teeth():
-    """Return a wall around the vertical axis: its front is a row of teeth without gaps."""
-    wall = trimesh.creation.annulus(RADIUS - 6.0, RADIUS, HEIGHT, sections=96)
-    turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-    return Surface(np.asarray(wall.vertices) @ turn.T, np.asarray(wall.faces, np.int64))
 
 
 def kept(obstacle, points, carried=None):
@@ -34,13 +25,6 @@ def kept(obstacle, points, carried=None):
 
 def at(b):
     return Boundary(np.empty((0, 3)), b)
-
-
-def fan(radius, height=0.0, half=50.0, count=21):
-    angle = np.radians(np.linspace(-half, half, count))
-    return np.stack(
-        [radius * np.sin(angle), np.full(count, height), radius * np.cos(angle)], axis=1
-    )
 
 
 def test_a_row_of_teeth_is_as_deep_as_its_wall():
