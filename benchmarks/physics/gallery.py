@@ -68,4 +68,8 @@ def _end(
     drives = keyed(scene, person.poses, person.model, person.S)
     stage = Stage(scene, places, person.S, drives)
     last = play(stage, folder / title, title, silent, resume=False, share=(0.0, 1.0))[-1]
-    return Shot(title, last.placed(skin_of(stage, last)), tuple(stage.objects(last.time)))
+    return Shot(
+        title,
+        last.placed(skin_of(stage, last)),
+        tuple(each.at(last.time) for each in stage.objects),
+    )
