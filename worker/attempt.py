@@ -27,6 +27,9 @@ MEDIA_TYPES = {
 FRAMES = "frames"
 """The folder in ``out`` of a sequence's or simulation's frames, files ``<first>-<last>.json``."""
 
+KEPT = ("blendshapes.npz",)
+"""Files in ``out`` that take minutes: the next attempt goes on with what is in them."""
+
 
 class AttemptFolder:
     """``<work>/<job>.<attempt>`` with ``job.json``, ``inputs/``, ``out/`` and ``tmp/``.
@@ -37,10 +40,11 @@ class AttemptFolder:
     def __init__(self, work: Path, claim: Claim) -> None:
         self.path = work / f"{claim.job_id}.{claim.attempt}"
         self._claim = claim
-        self._kept = set(claim.frames)
+        self._stored = set(claim.frames)
+        self._written: dict[str, int] = {}
 
     def stage(self, files: Files) -> None:
-        """Fetch the inputs, and the frames that earlier attempts left.
+        """Fetch the inputs, and the frames and files that earlier attempts left.
 
         Each input has a folder of its own: two may have the same file name.
         """
@@ -52,11 +56,13 @@ class AttemptFolder:
             inputs.append({**item, "path": str(path)})
         for name, sha256 in self._claim.frames.items():
             files.fetch(sha256, self.path / "out" / FRAMES / name)
+        for name, sha256 in self._claim.kept.items():
+            files.fetch(sha256, self.path / "out" / name)
         job = {
             "kind": self._claim.kind,
             "inputs": inputs,
             "options": self._claim.options,
-            "resume": bool(self._claim.frames),
+            "resume": bool(self._claim.frames or self._claim.kept),
         }
         (self.path / "job.json").write_text(json.dumps(job))
 
@@ -70,33 +76,31 @@ class AttemptFolder:
 
     def store(self, files: Files) -> list[Artifact]:
         """Put the outputs into the file store."""
-        artifacts = []
-        for path in sorted(filter(Path.is_file, (self.path / "out").iterdir())):
-            blob = files.put(path)
-            artifacts.append(
-                Artifact(
-                    tenant_id=self._claim.tenant_id,
-                    job_id=self._claim.job_id,
-                    name=path.name,
-                    size=blob.size,
-                    sha256=blob.sha256,
-                    media_type=MEDIA_TYPES.get(path.suffix, "application/octet-stream"),
-                )
-            )
-        return artifacts
+        paths = sorted(filter(Path.is_file, (self.path / "out").iterdir()))
+        return [self._put(path, files) for path in paths]
 
     def new_frames(self, files: Files) -> list[dict[str, Any]]:
         """Put the frames that are ready since the last call into the file store; returns rows."""
         rows = []
         for path in sorted((self.path / "out" / FRAMES).glob("*.json")):
-            if path.name not in self._kept:
+            if path.name not in self._stored:
                 first, last = map(int, path.stem.split("-"))
                 blob = files.put(path)
                 rows.append(
                     {"first": first, "last": last, "size": blob.size, "sha256": blob.sha256}
                 )
-                self._kept.add(path.name)
+                self._stored.add(path.name)
         return rows
+
+    def new_kept(self, files: Files) -> dict[str, Artifact]:
+        """Put those of :data:`KEPT` that were written since the last call into the file store."""
+        found = {}
+        for path in filter(Path.is_file, (self.path / "out" / name for name in KEPT)):
+            written = path.stat().st_mtime_ns
+            if written != self._written.get(path.name):
+                found[path.name] = self._put(path, files)
+                self._written[path.name] = written
+        return found
 
     def rig(self, result: dict[str, Any]) -> Rig | None:
         """Return the rig, if this kind of job leaves one."""
@@ -115,6 +119,17 @@ class AttemptFolder:
     def remove(self) -> None:
         """Remove the folder."""
         shutil.rmtree(self.path, ignore_errors=True)
+
+    def _put(self, path: Path, files: Files) -> Artifact:
+        blob = files.put(path)
+        return Artifact(
+            tenant_id=self._claim.tenant_id,
+            job_id=self._claim.job_id,
+            name=path.name,
+            size=blob.size,
+            sha256=blob.sha256,
+            media_type=MEDIA_TYPES.get(path.suffix, "application/octet-stream"),
+        )
 
     def _read(self, name: str) -> dict[str, Any] | None:
         try:

@@ -16,6 +16,7 @@ from service.settings import Settings
 from service.store import jobs
 from service.store.claims import Abilities, claim_next
 from service.store.jobs import Claim
+from service.store.models import Artifact
 from service.store.store import Store
 from service.store.transitions import State
 from worker.attempt import AttemptFolder
@@ -42,6 +43,7 @@ class _News(NamedTuple):
     steps: list[dict[str, Any]]
     lines: list[str]
     chunks: list[dict[str, Any]]
+    kept: dict[str, Artifact]
 
 
 class Supervisor:
@@ -55,7 +57,7 @@ class Supervisor:
         self._can = can
         self._stopping = stopping
         self._renewed = 0.0
-        self._unwritten = _News([], [], [])
+        self._unwritten = _News([], [], [], {})
 
     def run_next(self, queue: str) -> bool:
         """Claim the best job of a queue, do it and commit; False: there is none to be had."""
@@ -64,7 +66,7 @@ class Supervisor:
         if claim is None:
             return False
         self._renewed = time.monotonic()
-        self._unwritten = _News([], [], [])
+        self._unwritten = _News([], [], [], {})
         ids: dict[str, Any] = {"job_id": claim.job_id, "attempt": claim.attempt}
         with (
             structlog.contextvars.bound_contextvars(**ids),
@@ -125,6 +127,8 @@ class Supervisor:
         news.steps.extend(process.steps())
         news.lines.extend(process.lines())
         news.chunks.extend(folder.new_frames(self._store.files))
+        # after the frames: what they were made with is whole then
+        news.kept.update(folder.new_kept(self._store.files))
         try:
             with self._store.write() as session:
                 state = jobs.beat(
@@ -135,6 +139,7 @@ class Supervisor:
                     steps=news.steps,
                     lines=news.lines,
                     chunks=news.chunks,
+                    kept=news.kept.values(),
                 )
         except SQLAlchemyError as error:
             log.warning("database.unreachable", error=str(error))
@@ -142,7 +147,7 @@ class Supervisor:
                 raise LeaseLostError from error
             return
         self._renewed = time.monotonic()
-        self._unwritten = _News([], [], [])
+        self._unwritten = _News([], [], [], {})
         if state is None:
             raise LeaseLostError
         if state is State.CANCELING:

@@ -5,7 +5,7 @@ A worker's updates also name its attempt: a worker that lost its lease changes n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
@@ -52,6 +52,8 @@ class Claim:
     model_job_id: str | None
     frames: dict[str, str]
     """The frames that earlier attempts left: file name -> sha256."""
+    kept: dict[str, str]
+    """The other files that they left to go on with: name -> sha256."""
     traceparent: str | None = None
     """The span of the request that the job came from."""
 
@@ -93,6 +95,7 @@ def take(session: Session, job_id: str, worker: str, lease: float) -> Claim | No
         rig_id=job.request["rig_id"],
         model_job_id=job.model_job_id,
         frames={chunk.filename: chunk.sha256 for chunk in frames(session, job_id)},
+        kept={artifact.name: artifact.sha256 for artifact in _artifacts(session, job_id)},
         traceparent=job.traceparent,
     )
 
@@ -113,11 +116,12 @@ def beat(
     steps: Sequence[dict[str, Any]] = (),
     lines: Sequence[str] = (),
     chunks: Sequence[dict[str, Any]] = (),
+    kept: Iterable[Artifact] = (),
 ) -> State | None:
-    """Renew the lease and write down what the solver said and which frames it left since the last.
+    """Renew the lease and write down what the solver said and which files it left since the last.
 
     ``chunks`` are columns of :class:`FrameChunk`: ``first``, ``last``, ``size`` and
-    ``sha256``.
+    ``sha256``. ``kept`` is half done: nobody is shown it before the job has succeeded.
 
     Returns ``running`` or ``canceling``; None: the attempt is no longer this worker's.
     """
@@ -141,6 +145,7 @@ def beat(
     for chunk in chunks:
         # a worker that did not hear that they were written tells them again
         session.merge(FrameChunk(job_id=job_id, attempt=attempt, **chunk))
+    _leave(session, kept)
     return state
 
 
@@ -157,10 +162,22 @@ def succeed(
     values: dict[str, Any] = {"error": None, "summary": summary}
     if _step(session, job_id, State.SUCCEEDED, Job.attempt == attempt, **values) is None:
         return False
-    session.add_all(artifacts)
+    _leave(session, artifacts)
     if rig is not None:
         session.add(rig)
     return True
+
+
+def _artifacts(session: Session, job_id: str) -> Sequence[Artifact]:
+    return session.scalars(select(Artifact).where(Artifact.job_id == job_id)).all()
+
+
+def _leave(session: Session, artifacts: Iterable[Artifact]) -> None:
+    """Add the files of a job, each in the place of the one of its name that was left before."""
+    for artifact in artifacts:
+        same = (Artifact.job_id == artifact.job_id, Artifact.name == artifact.name)
+        session.execute(delete(Artifact).where(*same))
+        session.add(artifact)
 
 
 def fail(session: Session, job_id: str, attempt: int, error: dict[str, Any]) -> bool:

@@ -68,9 +68,11 @@ def write_animation(
     shots = [_shot(frames[number], skins[number], objects) for number in shown]
     contact_sheet(filming, shots, title, _detail(frames, times), sheet)
     files = [table, glb, arrays, sheet]
+    film = out / "animation.mp4"
+    film.unlink(missing_ok=True)  # one of another scene is not to stay beside the new files
     if video:
-        files.append(out / "animation.mp4")
-        write_video(files[-1], _film(filming, frames, skins, objects), FILM, _fps(times))
+        files.append(film)
+        write_video(film, _film(filming, frames, skins, objects), FILM, _fps(times))
     return files
 
 

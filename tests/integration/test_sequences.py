@@ -123,7 +123,7 @@ def test_the_real_solver_goes_on_in_an_attempt_s_folder(tmp_path: Path) -> None:
     ready = write_frames(tmp_path / "before", 0, [before])
     frames = {ready.name: store.put(ready).sha256}
     claim = Claim(
-        "job", DEFAULT_TENANT, 2, "fit_sequence", "ada", inputs, {"step": 2}, None, None, frames
+        "job", DEFAULT_TENANT, 2, "fit_sequence", "ada", inputs, {"step": 2}, None, None, frames, {}
     )
     folder = AttemptFolder(tmp_path, claim)
     folder.stage(store)

@@ -16,14 +16,14 @@ from sqlalchemy import select
 from sqlalchemy.exc import OperationalError
 
 from service.settings import Settings
-from service.store import jobs
+from service.store import garbage, jobs
 from service.store.jobs import Claim
 from service.store.models import DEFAULT_TENANT, Job, LogLine, Subject
 from service.store.store import Store
 from service.store.transitions import State
 from worker import solve
 from worker.abilities import abilities
-from worker.attempt import FRAMES, AttemptFolder
+from worker.attempt import FRAMES, KEPT, AttemptFolder
 from worker.kinds import Call
 from worker.supervise import Supervisor
 
@@ -106,6 +106,44 @@ def test_what_was_said_during_an_outage_is_written_down_after_it(
             (0, 29)
         ]
         assert session.get_one(Job, claim.job_id).progress["phase"] == "phase 4"
+
+
+def test_what_takes_minutes_is_kept_for_the_next_attempt(settings: Settings, store: Store) -> None:
+    claim = _claimed(store)
+    supervisor = Supervisor(store, settings, abilities(settings), threading.Event())
+    process, folder = Talking(), AttemptFolder(settings.work, claim)
+    folder.stage(store.files)
+    assert json.loads((folder.path / "job.json").read_text())["resume"] is False
+    shapes = folder.path / "out" / KEPT[0]
+    for content in ("five", "ten"):
+        shapes.write_text(content)
+        supervisor._beat(claim, process, folder)
+        supervisor._beat(claim, process, folder)
+    assert folder.new_kept(store.files) == {}
+    (kept,) = AttemptFolder(settings.work, claim).new_kept(store.files).values()
+    with store.write() as session:  # told once more, as after a commit whose answer was lost
+        jobs.beat(session, claim.job_id, claim.attempt, 30, kept=[kept])
+        jobs.lose(session, claim.job_id, claim.attempt, {"code": "x"})
+        again = jobs.take(session, claim.job_id, "me", 30)
+    with store.write() as session:  # the one that lost its job
+        assert jobs.beat(session, claim.job_id, claim.attempt, 30, kept=[kept]) is None
+    assert again is not None
+    supervisor._renewed = float("inf")
+    folder = AttemptFolder(settings.work, again)
+    folder.stage(store.files)
+    shapes = folder.path / "out" / KEPT[0]
+    assert shapes.read_text() == "ten"
+    assert json.loads((folder.path / "job.json").read_text())["resume"] is True
+    shapes.write_text("all")
+    (folder.path / "result.json").write_text(json.dumps({"summary": {}, "expressions": []}))
+    supervisor._settle(again, folder, 0)
+    with store.read() as session:
+        (artifact,) = session.get_one(Job, claim.job_id).artifacts
+    assert store.files.read(artifact.sha256) == b"all"
+    for _ in range(2):  # put aside, then removed
+        garbage.collect(store, 0)
+    assert [stored.sha256 for stored in store.files.stored()] == [artifact.sha256]
+    assert list(store.files.aside()) == []
 
 
 def test_a_result_is_written_down_when_the_database_is_back(

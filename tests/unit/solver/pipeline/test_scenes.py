@@ -72,11 +72,14 @@ def skins(out: Path) -> np.ndarray:
 
 def test_a_keyed_expression_is_reached(rig: Path, tmp_path: Path) -> None:
     steps: list[Step] = []
+    film = tmp_path / "animation.mp4"
+    film.write_text("the film of a scene that was played before")
     report = play(rig, tmp_path, {"fps": 10, "keys": KEYS}, progress=steps.append)
     assert (report["frames"], report["duration"]) == (6, 0.5)
     assert report["inverted"] == report["behind_teeth"] == 0
     assert [step.fraction for step in steps] == sorted(step.fraction for step in steps)
     assert "frame 6 of 6" in [step.message for step in steps]
+    assert not film.exists()
     face = Face(MODEL)
     wide = face.move(MODEL.weights, face.rest_state(MODEL.weights), Pose(WIDE, JAW))
     at_rest, grown = volume_ml(MODEL.rest, MODEL.tets), volume_ml(wide.x, MODEL.tets)
