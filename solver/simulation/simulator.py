@@ -117,7 +117,12 @@ class Simulator:
         )
         rest = self._face.model.rest
         motion = Motion(drive.head(rest), np.zeros_like(rest), drive.head)
-        return self._go(motion, start, drive, RISE_PART, dynamic=False).motion
+        try:
+            return self._go(motion, start, drive, RISE_PART, dynamic=False).motion
+        except SolveError as error:
+            # the way there has no time of its own
+            error.context["time"] = drive.time
+            raise
 
     def step(self, now: Motion, before: Drive, goal: Drive) -> Stepped:
         """Go from ``now``, where ``before`` led to, to ``goal``.
@@ -139,7 +144,7 @@ class Simulator:
             try:
                 now, minimum = self._once(now, drive, target, dynamic=dynamic)
             except SolveError as error:
-                if not error.code.startswith("simulate.") or part == SMALLEST_PART:
+                if part == SMALLEST_PART:
                     error.context["time"] = target.time
                     raise
                 self._newton.forget()

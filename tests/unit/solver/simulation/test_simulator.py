@@ -238,3 +238,48 @@ def test_what_can_not_be_reached_fails_with_its_time():
         steps.step(motion, before, replace(before, time=1.0, objects=lid(-5.0)))
     assert caught.value.code == "simulate.jammed"
     assert 0.5 < caught.value.context["time"] < 1.0
+
+
+def test_a_first_pose_that_can_not_be_reached_fails_with_its_own_time():
+    face = face_of()
+    steps = simulator(face, forces=[Squeeze(face)])
+    with pytest.raises(SolveError) as caught:
+        steps.rest(drive(face, face.rest_pose(), time=2.0))
+    assert caught.value.code == "simulate.diverged"
+    assert caught.value.context["time"] == 2.0
+
+
+class Squeeze:
+    """A force on the upper side of a block that no flesh withstands at once."""
+
+    def __init__(self, face):
+        height = face.model.rest[:, 2]
+        self.force = np.outer(height > height.max() - 0.1, [0.0, 0.0, -1e7])
+
+    def at(self, motion, time):
+        return self.force
+
+
+class Crusher(Lid):
+    """A lid so hard, where it goes far in one step, that no factorisation bears it."""
+
+    FAR_MM = 2.0
+
+    def begin(self, x, now, seconds):
+        self.place(now)
+        self.begun = self.height
+
+    def hessian(self, x):
+        matrix = super().hessian(x)
+        return matrix if self.begun - self.height < self.FAR_MM else -1e9 * matrix
+
+
+def test_a_step_too_hard_to_factorise_is_halved():
+    face = face_of()
+    top = face.model.rest[:, 2].max()
+    steps = simulator(face, [Crusher()])
+    before = drive(face, face.rest_pose(), objects=lid(top + 2.0))
+    goal = replace(before, time=1.0, objects=lid(top - 4.0))
+    stepped = steps.step(steps.rest(before), before, goal)
+    assert stepped.halvings > 0
+    assert stepped.y[:, 2].max() < top - 4.0
