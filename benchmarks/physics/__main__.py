@@ -15,16 +15,17 @@ from pathlib import Path
 
 from benchmarks import report, subjects
 from benchmarks.documents import Figures
-from benchmarks.physics import checks, contact, effects, performance, sliding, speed
+from benchmarks.physics import checks, contact, effects, jobs, performance, sliding, speed
 from benchmarks.physics.fitted import Fitted
 from benchmarks.physics.section import section
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
+from myoface.client import Client
 from solver.anatomy.template import Template
 from solver.animation.recording import from_recording
 from solver.model import SubjectModel
 from solver.scans.live_link import read_live_link
 
-SHOWS = ("checks", "contact", "sliding", "speed", "effects", "performance")
+SHOWS = ("checks", "contact", "sliding", "speed", "effects", "performance", "jobs")
 QUICK_FRAMES = 20
 
 
@@ -41,6 +42,8 @@ def main() -> None:
     parser.add_argument(
         "--size", action="append", default=[], metavar="MM=MODEL", help="a model of another size"
     )
+    parser.add_argument("--url", help="a running service")
+    parser.add_argument("--rig-id", help="a rig of that service")
     parser.add_argument("--out", type=Path, default=Path("physics"), help="folder for pictures")
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
@@ -59,6 +62,7 @@ def run(options: argparse.Namespace) -> Figures:
         ("speed", _speed),
         ("effects", _effects),
         ("performance", _performance),
+        ("jobs", _jobs),
     ):
         if name in chosen:
             logging.info(name)
@@ -75,6 +79,7 @@ def _possible(options: argparse.Namespace) -> list[str]:
         "speed": ("model", "rig", "blendshapes", "recording"),
         "effects": ("model", "rig", "template"),
         "performance": ("model", "rig", "blendshapes", "recording", "template"),
+        "jobs": ("url", "rig_id"),
     }
     return [show for show, names in needs.items() if all(getattr(options, n) for n in names)]
 
@@ -140,6 +145,11 @@ def _performance(options: argparse.Namespace) -> Figures:
     )
     performance.picture(options.out / "performance.png", person, played)
     return figures
+
+
+def _jobs(options: argparse.Namespace) -> Figures:
+    with Client(options.url) as client:
+        return jobs.run(client, client.rig(options.rig_id), options.out)
 
 
 if __name__ == "__main__":

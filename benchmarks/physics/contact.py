@@ -2,7 +2,8 @@
 
 Five scenes, each played frame by frame quasi-statically. ``penetration_max_mm`` is the deepest
 that skin lies in skin, in teeth or in an object in any frame, ``lips_mm``, ``teeth_mm`` and
-``objects_mm`` of each sort; ``behind_teeth`` the most vertices of lips behind teeth, ``frame_s``
+``objects_mm`` of each sort; ``pressed_mm`` how far an object goes on after it would touch, less
+than a frame's way too little; ``behind_teeth`` the most vertices of lips behind teeth, ``frame_s``
 the median of a frame, ``inverted`` the most inverted tets.
 """
 
@@ -152,9 +153,22 @@ def play_all(person: Fitted) -> dict[str, tuple[Played, Played]]:
 def run(played: dict[str, tuple[Played, Played]]) -> Figures:
     """Return the figures of what :func:`play_all` has played."""
     return {
-        name: {"without": measured(without), "with": measured(kept)}
+        name: {
+            "pressed_mm": pressed(without),
+            "without": measured(without),
+            "with": measured(kept),
+        }
         for name, (without, kept) in played.items()
     }
+
+
+def pressed(without: Played) -> float | None:
+    """Return how far the object goes on after the frame in which it enters the face."""
+    entered = [number for number, depth in enumerate(without.depths) if depth.objects > 0.0]
+    if not entered:
+        return None
+    way = without.scene.shifts[-1] - without.scene.shifts[entered[0]]
+    return float(np.linalg.norm(way))
 
 
 def measured(played: Played) -> Figures:

@@ -39,6 +39,7 @@ def _contact(found: Figures) -> Sequence[Part]:
     rows = [
         [
             scene.replace("_", " "),
+            both["pressed_mm"],
             both["without"]["penetration_max_mm"],
             both["with"]["penetration_max_mm"],
             both["without"]["behind_teeth"],
@@ -47,7 +48,13 @@ def _contact(found: Figures) -> Sequence[Part]:
         ]
         for scene, both in found.items()
     ]
-    header = ["scene", "deepest without contact, mm", "with, mm", "vertices behind teeth without"]
+    header = [
+        "scene",
+        "pressed, mm",
+        "deepest without contact, mm",
+        "with, mm",
+        "vertices behind teeth without",
+    ]
     return [Table([*header, "with", "a frame, s"], rows, "Contact")]
 
 
@@ -114,6 +121,13 @@ def _performance(found: Figures) -> Sequence[Part]:
     return [Table(["figure", "found"], rows, "A recording of ten seconds")]
 
 
+def _jobs(found: Figures) -> Sequence[Part]:
+    keys = ("seconds", "change_percent", "drift_mm", "penetration_mm", "inverted")
+    rows = [[name.replace("_", " "), *(each[key] for key in keys)] for name, each in found.items()]
+    header = ["job", "s", "volume, %", "expressions drift, mm", "deepest contact, mm", "inverted"]
+    return [Table(header, rows, "As jobs of a service")]
+
+
 PARTS: dict[str, Callable[[Figures], Sequence[Part]]] = {
     "checks": _checks,
     "contact": _contact,
@@ -121,4 +135,5 @@ PARTS: dict[str, Callable[[Figures], Sequence[Part]]] = {
     "speed": _speed,
     "effects": _effects,
     "performance": _performance,
+    "jobs": _jobs,
 }

@@ -20,6 +20,9 @@ import numpy as np
 from solver.errors import SolveError
 from solver.surface import Floats, Ints, Surface
 
+ML = 1e-3
+"""Of a cubic millimetre."""
+
 _ROOT = Path(__file__).parents[2]
 _CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 # The six tetrahedra of a cube around its main diagonal (Kuhn's subdivision), by corner number.
@@ -133,6 +136,11 @@ def volumes(vertices: Floats, tets: Ints) -> Floats:
     """Return the signed volumes (t,) in mm^3."""
     edges = vertices[tets[:, 1:]] - vertices[tets[:, :1]]
     return np.asarray(np.linalg.det(edges) / 6.0)
+
+
+def volume_ml(vertices: Floats, tets: Ints) -> float:
+    """Return the signed volume of all tets in ml."""
+    return ML * float(volumes(vertices, tets).sum())
 
 
 def barycentric_in_tets(points: Floats, corners: Floats) -> Floats:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 
 from solver.anatomy.bone_normals import bone_normals
+from solver.anatomy.loose_skin import LooseSkin
 from solver.errors import SolveError
 from solver.mechanics import equilibrium, jaw
 from solver.mechanics.equilibrium import Equilibrium, Stiffness
@@ -281,12 +283,22 @@ class Face:
         return np.asarray(self.face_embedding @ x + self.face_offset)
 
     def whole_skin(self, x: Floats, b: Floats) -> Floats:
-        """Return every vertex of the scan topology (V, 3), rigid parts with their bone."""
-        skin = self.model.skin.vertices.copy()
-        attached = self.model.attached_mandible
-        skin[attached] = jaw.move(self.model.jaw, skin[attached], b)
-        skin[self.model.embedded] = self.model.embedding @ x + self.model.offset
+        """Return every vertex of the scan topology (V, 3).
+
+        Rigid parts go with their bone, skin beyond the flesh follows that on it.
+        """
+        model = self.model
+        skin = model.skin.vertices.copy()
+        attached, embedded = model.attached_mandible, model.embedded
+        skin[attached] = jaw.move(model.jaw, skin[attached], b)
+        on_flesh = model.embedding @ x + model.offset
+        skin[self._loose_skin.ids] += self._loose_skin.follow(on_flesh - skin[embedded])
+        skin[embedded] = on_flesh
         return skin
+
+    @cached_property
+    def _loose_skin(self) -> LooseSkin:
+        return LooseSkin(self.model)
 
     def carried(self, S: sp.csr_array, state: State, target: Pose) -> Floats:
         """Predict x (p, 3) at ``target`` by the flesh's linear response to the change of pose."""

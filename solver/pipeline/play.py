@@ -125,7 +125,7 @@ def finish(
             frames,
             skins,
             title=title,
-            report={**motion_report(frames), **more},
+            report={**motion_report(frames, model), **more},
             vertices=model.face,
             objects=stage.objects,
             video=video,

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from solver.anatomy.tetrahedra import volumes
+from solver.anatomy.tetrahedra import ML, volume_ml, volumes
 from solver.archive import csr_arrays
 from solver.contact.penetration import Gauge
 from solver.edits.edited import Edited
@@ -22,8 +22,6 @@ from solver.surface import Floats
 from solver.triangles import vertex_areas
 
 FORMAT = 1
-ML = 1e-3
-"""Of a cubic millimetre."""
 
 
 @dataclass(frozen=True)
@@ -118,9 +116,7 @@ def write_edit(person: EditedPerson, report: dict[str, Any], out: Path) -> list[
 
 def _volume(person: EditedPerson) -> dict[str, float]:
     tets = person.unedited.tets
-    before, after = (
-        float(volumes(pose.x, tets).sum()) * ML for pose in (person.before, person.after)
-    )
+    before, after = (volume_ml(pose.x, tets) for pose in (person.before, person.after))
     return {
         "before_ml": before,
         "after_ml": after,

@@ -15,7 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from solver.anatomy.tetrahedra import volume_ml
 from solver.errors import InputError
+from solver.model import SubjectModel
 from solver.similarity import IDENTITY, Similarity, small_motion
 from solver.simulation.state import Motion
 from solver.surface import Floats
@@ -167,9 +169,15 @@ def _unpacked(text: str, kind: str) -> Floats:
     return np.frombuffer(content, kind).reshape(-1, 3).astype(np.float64)
 
 
-def motion_report(frames: Sequence[MotionFrame]) -> dict[str, Any]:
-    """Return the figures of a simulation; lengths in mm, times in s or ms."""
+def motion_report(frames: Sequence[MotionFrame], model: SubjectModel) -> dict[str, Any]:
+    """Return the figures of a simulation; lengths in mm, times in s or ms, volumes in ml.
+
+    The flesh's volume is compared with that of the ``model`` at rest.
+    """
     seconds = [frame.seconds for frame in frames]
+    at_rest = volume_ml(model.rest, model.tets)
+    moved = [volume_ml(model.rest + frame.moved, model.tets) for frame in frames]
+    changes = [100.0 * (volume / at_rest - 1.0) for volume in moved]
     return {
         "format": FORMAT,
         "frames": len(frames),
@@ -178,6 +186,8 @@ def motion_report(frames: Sequence[MotionFrame]) -> dict[str, Any]:
         "behind_teeth": max(frame.behind_teeth for frame in frames),
         "inverted": max(frame.inverted for frame in frames),
         "moved_max_mm": round(max(_furthest(frame.moved) for frame in frames), 3),
+        "volume_ml": round(at_rest, 2),
+        "volume_change_percent": [round(min(changes), 3), round(max(changes), 3)],
         "iterations": round(float(np.mean([frame.iterations for frame in frames])), 2),
         "halvings": sum(frame.halvings for frame in frames),
         "frame_ms": round(1e3 * float(np.median(seconds)), 1),

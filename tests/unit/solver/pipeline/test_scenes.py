@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from solver.anatomy.tetrahedra import volume_ml
 from solver.animation.blendshapes import Blendshapes, Solved
 from solver.errors import InputError, SolveError
 from solver.fitting.face import Face, Pose
@@ -73,6 +74,11 @@ def test_a_keyed_expression_is_reached(rig: Path, tmp_path: Path) -> None:
     assert "frame 6 of 6" in [step.message for step in steps]
     face = Face(MODEL)
     wide = face.move(MODEL.weights, face.rest_state(MODEL.weights), Pose(WIDE, JAW))
+    at_rest, grown = volume_ml(MODEL.rest, MODEL.tets), volume_ml(wide.x, MODEL.tets)
+    assert report["volume_ml"] == pytest.approx(at_rest, abs=0.01)
+    change = 100.0 * (grown / at_rest - 1.0)
+    assert abs(change) > 0.1
+    assert change == pytest.approx(max(report["volume_change_percent"], key=abs), rel=0.05)
     moved = skins(tmp_path)
     np.testing.assert_allclose(moved[0], MODEL.skin.vertices, atol=1e-3)
     np.testing.assert_allclose(moved[-1], face.face_points(wide.x), atol=0.05)
