@@ -57,7 +57,7 @@ def contact_potentials(
     potentials: list[Potential] = []
     faces = touching(model, mouth, lips=lips, eyes=eyes, objects=bool(objects))
     if len(faces):
-        surface = ContactSurface.of(model, faces)
+        surface = ContactSurface.of(model, faces, mouth)
         barrier = Barrier(surface, stiffness_pa, objects=objects, itself=lips, friction=friction)
         potentials.append(barrier)
     if teeth and mouth is not None:
