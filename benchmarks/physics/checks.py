@@ -21,7 +21,6 @@ from scipy.optimize import brentq
 
 from benchmarks.documents import Figures
 from benchmarks.physics.box import box
-from benchmarks.physics.fitted import STIFFNESS_PA
 from benchmarks.plots import COLOURS, HEIGHT_IN, STYLE, WIDTH_IN, power_law, save
 from solver.anatomy.domain import boundary
 from solver.edits.edited import DENSITY
@@ -35,6 +34,7 @@ from solver.mechanics.flesh import (
     Material,
 )
 from solver.model import SubjectModel
+from solver.scene.physics import STIFFNESS_PA
 from solver.similarity import IDENTITY
 from solver.simulation.inertia import Inertial, lumped_masses
 from solver.simulation.simulator import Simulator

@@ -18,7 +18,7 @@ import numpy as np
 import trimesh
 
 from benchmarks.documents import Figures
-from benchmarks.physics.fitted import STIFFNESS_PA, Fitted
+from benchmarks.physics.fitted import Fitted
 from benchmarks.physics.headset import headset
 from solver.contact.objects import check_objects
 from solver.contact.penetration import Gauge, Penetration
@@ -30,6 +30,7 @@ from solver.drawing.render import Body, Lit, faded, render
 from solver.edits.edited import DENSITY
 from solver.fitting.face import Face, Pose
 from solver.rig.pictures import SIDE, THREE_QUARTER, WIDTH
+from solver.scene.physics import STIFFNESS_PA
 from solver.simulation.simulator import Simulator, Stepped
 from solver.surface import Floats, Surface
 

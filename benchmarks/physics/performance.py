@@ -70,14 +70,12 @@ def run(
 ) -> tuple[Figures, Played]:
     """Play a part of ``take``, write its files into ``out`` and measure it.
 
-    ``basis`` are the shapes that the person's blendshapes were solved for. What is in ``out`` of an
-    earlier run of the same is gone on with.
+    ``basis`` are the shapes that the person's blendshapes were solved for.
     """
     out.mkdir(parents=True, exist_ok=True)
     drives = from_recording(take, person.shapes, person.model, start, start + frames)
     stage = Stage({}, Places(person.model, {}), person.S, drives)
-    scene = f"{person.model.sha256} {start} {frames}"
-    done = play(stage, out, scene, silent, resume=True, share=(0.0, 1.0))
+    done = play(stage, out, TITLE, silent, resume=False, share=(0.0, 1.0))
     skins = np.array([skin_of(stage, frame) for frame in done])
     played = Played(done, skins, _direct(person, basis, drives))
     off = played.distances(person).mean(axis=1)

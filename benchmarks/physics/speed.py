@@ -16,7 +16,7 @@ import scipy.sparse as sp
 
 from benchmarks import plots
 from benchmarks.documents import Figures
-from benchmarks.physics.fitted import STIFFNESS_PA, Fitted
+from benchmarks.physics.fitted import Fitted
 from solver.animation.frame import Drives
 from solver.contact.potentials import contact_potentials
 from solver.edits.edited import DENSITY
@@ -24,6 +24,7 @@ from solver.fitting.face import Face
 from solver.mechanics.flesh import COROTATED_TRACE
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
+from solver.scene.physics import STIFFNESS_PA
 from solver.simulation.simulator import Simulator, Stepped
 from solver.simulation.state import Drive
 from solver.surface import Floats

@@ -149,7 +149,7 @@ class Simulator:
             try:
                 now, minimum = self._once(now, drive, target, dynamic=dynamic)
             except SolveError as error:
-                if not error.code.startswith("simulate.") or part == SMALLEST_PART:
+                if part == SMALLEST_PART:
                     error.context["time"] = target.time
                     raise
                 self._newton.forget()

@@ -74,6 +74,15 @@ def test_edits_add_up_in_their_order(model):
     np.testing.assert_allclose(both.stiffness, 4 * one.stiffness * other.stiffness)
 
 
+def test_edits_that_add_up_to_too_much_are_refused(model):
+    for fat in (Fat(1.4, 1.4), Fat(0.6, 0.6)):
+        once = apply([fat], model, model.weights)
+        assert np.abs(np.log(once.growth)).max() > 0.3
+        with pytest.raises(InputError, match="together") as raised:
+            apply([fat, fat], model, model.weights)
+        assert raised.value.code == "scene.growth"
+
+
 def test_a_paralysed_muscle_is_passive_flesh(model):
     before = model.weights.copy()
     edited = apply([Paralysis(("left",), strength=0.25)], model, before)

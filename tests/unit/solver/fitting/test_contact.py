@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from solver.anatomy.builtin import builtin_template
 from solver.contact.crossing import crossing
 from solver.contact.mouth import AROUND, LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
 from solver.errors import InputError, SolveError
@@ -16,6 +15,7 @@ from solver.model import JawFrame
 from solver.surface import Surface
 from tests.unit.solver.ball import ball
 from tests.unit.solver.block import block_model
+from tests.unit.solver.builtin_head import builtin_head
 from tests.unit.solver.teeth import HEIGHT, RADIUS, fan, row_of_teeth
 
 OVERLAP = 1.5
@@ -160,32 +160,7 @@ def test_derivatives_behind_teeth_match_differences():
 
 @pytest.fixture(scope="module")
 def head():
-    """The built-in head with its skin for flesh: every vertex of the flesh follows itself."""
-    try:
-        template = builtin_template()
-    except InputError as error:
-        pytest.skip(error.message)
-    skin = template.skin
-    flesh = np.setdiff1d(
-        skin.faces[template.flesh_faces],
-        np.concatenate([template.attached_cranium, template.attached_mandible]),
-    )
-    count = len(flesh)
-    rest = np.vstack([skin.vertices[flesh], template.mandible.vertices])
-    rows = sp.csr_array((np.ones(count), (np.arange(count), np.arange(count))), (count, len(rest)))
-    return replace(
-        block_model(),
-        rest=rest,
-        mandible=np.arange(count, len(rest)),
-        skin=skin,
-        embedded=flesh,
-        embedding=rows,
-        offset=np.zeros((count, 3)),
-        attached_mandible=template.attached_mandible,
-        face=template.face_vertices,
-        jaw=JawFrame(template.condyles.mean(axis=0), np.eye(3)),
-        regions=template.regions,
-    )
+    return builtin_head()
 
 
 def closed(model, angle):

@@ -308,3 +308,28 @@ def test_a_force_that_is_no_number_is_no_rest():
         steps.rest(drive(face, face.rest_pose(), time=2.5))
     assert caught.value.code == "simulate.diverged"
     assert caught.value.context["time"] == 2.5
+
+
+class Crusher(Lid):
+    """A lid so hard, where it goes far in one step, that no factorisation bears it."""
+
+    FAR_MM = 2.0
+
+    def begin(self, x, now, seconds):
+        self.place(now)
+        self.begun = self.height
+
+    def hessian(self, x):
+        matrix = super().hessian(x)
+        return matrix if self.begun - self.height < self.FAR_MM else -1e9 * matrix
+
+
+def test_a_step_too_hard_to_factorise_is_halved():
+    face = face_of()
+    top = face.model.rest[:, 2].max()
+    steps = simulator(face, [Crusher()])
+    before = drive(face, face.rest_pose(), objects=lid(top + 2.0))
+    goal = replace(before, time=1.0, objects=lid(top - 4.0))
+    stepped = steps.step(steps.rest(before), before, goal)
+    assert stepped.halvings > 0
+    assert stepped.y[:, 2].max() < top - 4.0
