@@ -44,11 +44,15 @@ class Penetration:
 
 
 class Gauge:
-    """Measures the penetration of one model's flesh, frame by frame."""
+    """Measures the penetration of one model's flesh, frame by frame.
 
-    def __init__(self, model: SubjectModel) -> None:
+    ``unedited`` is the person before edits, the model itself by default: lips are behind teeth
+    where they lie deeper in them than that person's do at rest.
+    """
+
+    def __init__(self, model: SubjectModel, unedited: SubjectModel | None = None) -> None:
         self._model = model
-        self._mouth = Mouth.of(model)
+        self._mouth = Mouth.of(unedited or model)
         self._arches: list[OneSided] = []
         if self._mouth is not None:
             self._arches = arches(model, self._mouth, 1.0)
@@ -75,13 +79,16 @@ class Gauge:
         return Penetration(lips, teeth, max(depths, default=0.0), behind)
 
     def _mouth_points(self, mouth: Mouth, x: Floats, b: Floats) -> Floats:
-        """Return the positions (m, 3) of the mouth, lower teeth where the jaw takes them.
+        """Return the positions (m, 3) of the mouth, teeth where edits and the jaw put them.
 
         An edit bends the mandible, whose vertices then say no more where its teeth are.
         """
-        points = mouth.points(x)
-        on_jaw = np.isin(mouth.skin, self._model.attached_mandible)
-        points[on_jaw] = move(self._model.jaw, self._model.skin.vertices[mouth.skin[on_jaw]], b)
+        model = self._model
+        points = model.skin.vertices[mouth.skin]
+        on_flesh = np.isin(mouth.skin, model.embedded)
+        on_jaw = np.isin(mouth.skin, model.attached_mandible)
+        points[on_flesh] = mouth.points(x)[on_flesh]
+        points[on_jaw] = move(model.jaw, points[on_jaw], b)
         return points
 
 

@@ -74,7 +74,7 @@ class Stage:
             linear=linear,
         )
         self._gaze = Gaze(self.model)
-        self._gauge = Gauge(self.model)
+        self._gauge = Gauge(self.model, self._edited.unedited)
 
     def drive(self, time: float, pose: PosedFrame) -> Drive:
         """Return what the flesh is asked for at ``time``, when the face does ``pose``."""
