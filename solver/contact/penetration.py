@@ -52,13 +52,19 @@ class Gauge:
 
     def __init__(self, model: SubjectModel, unedited: SubjectModel | None = None) -> None:
         self._model = model
-        self._mouth = Mouth.of(unedited or model)
+        self._unedited = unedited or model
+        self._mouth = Mouth.of(self._unedited)
         self._arches: list[OneSided] = []
         if self._mouth is not None:
             self._arches = arches(model, self._mouth, 1.0)
         faces = model.skin.faces
         on_flesh = faces[np.isin(faces, model.embedded).all(axis=1)]
         self._faces: Ints = np.searchsorted(model.embedded, on_flesh)
+
+    def neutral(self) -> Penetration:
+        """Measure the unedited person at rest: scans of closed lips cross themselves."""
+        gauge = self if self._unedited is self._model else Gauge(self._unedited)
+        return gauge.at(self._unedited.rest, np.zeros(5))
 
     def at(self, x: Floats, jaw: Floats, objects: Sequence[Surface] = ()) -> Penetration:
         """Measure vertices x (p, 3), the jaw at b (5,), and objects in the head's frame."""

@@ -2,9 +2,9 @@
 
 Scans cross themselves where lips are closed, mostly by hundredths of a millimetre, and a barrier is
 infinite there. So the contact surface lies ``INSET_MM`` under the skin, with lips that cross moved
-apart, and deeper where that is not enough: two skins that touch may cross by twice that, or as far
-as in the neutral. What crosses itself even so, as the thin walls of nostrils or the skin behind
-lids do in some people, does not meet itself.
+apart: two skins that touch may cross by twice that, or as far as in the neutral. What crosses
+itself even so, as the thin walls of nostrils or the skin behind lids do in some people, does not
+meet itself. (To go deeper there makes it worse: folds and thin walls cross all the more.)
 """
 
 from __future__ import annotations
@@ -29,8 +29,6 @@ from solver.surface import Floats, Ints
 from solver.triangles import adjacency
 
 INSET_MM = 0.06
-DEEPER_MM = (0.1, 0.15, 0.2, 0.3, 0.4)
-"""Where the surface still crosses itself it goes so deep, one after the other."""
 BESIDE_MM = 0.02
 """A vertex is looked at this far outside the contact surface."""
 INSIDE = 0.5
@@ -78,16 +76,7 @@ class ContactSurface:
         rows, offset = sp.csr_array(model.embedding[number]), model.offset[number]
         points = np.asarray(rows @ model.rest + offset)
         normals = _normals(points, own)
-        apart = _apart(mouth, model, skin)
-        inset = np.full(len(skin), INSET_MM)
-        near = adjacency(own, len(skin))
-        for deeper in DEEPER_MM:
-            moved = points + apart - inset[:, None] * normals
-            crossed = _crossed(moved, own, normals)
-            if not crossed.any():
-                break
-            inset[crossed | (near @ crossed > 0)] = deeper
-        shift = apart - inset[:, None] * normals
+        shift = _apart(mouth, model, skin) - INSET_MM * normals
         moved = points + shift
         crossed = _crossed(moved, own, normals)
         if crossed[own].any(axis=1).mean() > MOST_CROSSED:
@@ -96,7 +85,7 @@ class ContactSurface:
             raise InputError("contact.crossed", message, vertex=vertex)
         if crossed.any():
             log.info("skin that crosses itself does not meet itself", vertices=int(crossed.sum()))
-        crossed |= near @ crossed > 0
+        crossed |= adjacency(own, len(skin)) @ crossed > 0
         rows = _shifted(model, rows, shift)
         return cls(skin, own, rows, offset, moved, crossed)
 

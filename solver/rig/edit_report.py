@@ -82,6 +82,7 @@ def edit_report(person: EditedPerson) -> dict[str, Any]:
             "moved_max_mm": float(person.moved_mm[face].max()),
             **_solved(person.after, gauge),
         },
+        "penetration_neutral_mm": gauge.neutral().most,
         "expressions": expressions,
         "drift_mm": float(np.mean(drifts)) if drifts else None,
     }
