@@ -83,7 +83,7 @@ def run(subject: Subject, names: Sequence[str] = EFFECTS) -> dict[str, EditedPer
             Compared(fit.name, one, other, fit.skin)
             for fit, one, other in zip(subject.fits, all_before, all_after, strict=True)
         ]
-        people[name] = EditedPerson(edited, subject.model, before, after, compared)
+        people[name] = EditedPerson(edited, before, after, compared)
     return people
 
 

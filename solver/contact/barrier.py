@@ -15,10 +15,11 @@ import ipctk
 import numba as nb
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from solver.contact.surface import ContactSurface, collision_mesh
 from solver.mechanics.boundary import Boundary
-from solver.surface import Floats, Surface
+from solver.surface import Floats, Ints, Surface
 
 DISTANCE_MM = 0.08
 """Surfaces nearer than this push each other away: few are in a neutral face."""
@@ -192,10 +193,16 @@ def _joined(
         np.vstack([part.vertices for part in parts]),
         np.vstack([part.faces + start for part, start in zip(parts, starts, strict=True)]),
     )
-    allowed = ipctk.make_static_obstacle_filter(len(surface.skin))
-    if not itself:
-        patches = np.repeat(np.arange(len(parts)), sizes).astype(np.int32)
-        allowed = allowed & ipctk.make_vertex_patches_filter(patches)
-    # a filter of the library's: one in Python would wait for ever on its threads
-    mesh.can_collide = allowed
+    # filters of the library's: one in Python would wait for ever on its threads
+    patches = ipctk.make_vertex_patches_filter(_patches(surface, sizes, itself=itself))
+    mesh.can_collide = ipctk.make_static_obstacle_filter(len(surface.skin)) & patches
     return mesh
+
+
+def _patches(surface: ContactSurface, sizes: Ints, *, itself: bool) -> NDArray[np.int32]:
+    """Return numbers of the vertices: those with the same one do not meet."""
+    if not itself:
+        return np.repeat(np.arange(len(sizes)), sizes).astype(np.int32)
+    patches = np.arange(1, sizes.sum() + 1, dtype=np.int32)
+    patches[: len(surface.skin)][surface.crossed] = 0
+    return patches

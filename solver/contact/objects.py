@@ -48,8 +48,9 @@ def check_objects(model: SubjectModel, objects: Mapping[str, Surface]) -> None:
             np.vstack([face.vertices, each.vertices]),
             np.vstack([face.faces, each.faces + len(face.vertices)]),
         )
-        # parts of an object may cross each other
-        both.can_collide = ipctk.make_static_obstacle_filter(len(face.vertices))
+        # parts of an object may cross each other, and so may the skin
+        sides = np.repeat([0, 1], [len(face.vertices), len(each.vertices)])
+        both.can_collide = ipctk.make_vertex_patches_filter(sides.astype(np.int32))
         if depth > 0.0 or ipctk.has_intersections(both, both.rest_positions):
             raise InputError(
                 "scene.object_inside",

@@ -36,22 +36,26 @@ class Obstacle(Protocol):
         """
 
 
-class Excess:
-    """How much deeper than they may points lie by an obstacle, all in its frame.
+def free_depths(obstacle: Obstacle, rest: Floats, least: float) -> Floats:
+    """Return how deep (k,) in mm points may lie: as deep as they do in the neutral face.
 
-    ``rest`` (k, 3) is where they are in the neutral face. As deep as there is free, and so is less
-    than ``free`` mm.
+    ``rest`` (k, 3) is where they are there, in the obstacle's frame. Less than ``least`` is free.
     """
+    depth, _, counts, _ = obstacle.depths(rest)
+    return np.where(counts > 0.0, np.maximum(depth, least), least)
 
-    def __init__(self, obstacle: Obstacle, rest: Floats, free: float) -> None:
+
+class Excess:
+    """How much deeper than they may, ``free`` (k,), points lie by an obstacle, all in its frame."""
+
+    def __init__(self, obstacle: Obstacle, free: Floats) -> None:
         self._obstacle = obstacle
-        depth, _, counts, _ = obstacle.depths(rest)
-        self._allowed = np.where(counts > 0.0, np.maximum(depth, free), free)
+        self._free = free
 
     def at(self, points: Floats) -> tuple[Floats, Floats]:
         """Return h (k,), zero where nothing pushes, and its gradients (k, 3)."""
         depth, out, counts, fades = self._obstacle.depths(points)
-        excess = np.maximum(depth - self._allowed, 0.0)
+        excess = np.maximum(depth - self._free, 0.0)
         slope = counts[:, None] * out + excess[:, None] * fades
         slope[excess == 0.0] = 0.0
         return counts * excess, slope
@@ -59,7 +63,7 @@ class Excess:
     def behind(self, points: Floats, tolerance: float) -> Ints:
         """Return which lie deeper by ``tolerance`` than they may, well over the field."""
         depth, _, counts, _ = self._obstacle.depths(points)
-        return np.flatnonzero((depth - np.maximum(self._allowed, 0.0) > tolerance) & (counts > 0.5))
+        return np.flatnonzero((depth - np.maximum(self._free, 0.0) > tolerance) & (counts > 0.5))
 
 
 class OneSided:
@@ -71,8 +75,8 @@ class OneSided:
         The obstacle, where it is at rest.
     rows, offset
         (k, p) CSR and (k, 3): the vertices are ``rows @ x + offset``.
-    rest
-        (p, 3) the flesh at rest, where nothing pushes.
+    free
+        (k,) how deep they may lie, mm: :func:`free_depths`.
     stiffness
         (k,) per vertex, energy over mm^2.
     carried
@@ -84,11 +88,11 @@ class OneSided:
         obstacle: Obstacle,
         rows: sp.csr_array,
         offset: Floats,
-        rest: Floats,
+        free: Floats,
         stiffness: Floats,
         carried: JawFrame | None = None,
     ) -> None:
-        self._excess = Excess(obstacle, rows @ rest + offset, -MARGIN_MM)
+        self._excess = Excess(obstacle, free)
         self._rows = rows
         self._offset = offset
         self._stiffness = stiffness

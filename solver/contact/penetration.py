@@ -44,17 +44,27 @@ class Penetration:
 
 
 class Gauge:
-    """Measures the penetration of one model's flesh, frame by frame."""
+    """Measures the penetration of one model's flesh, frame by frame.
 
-    def __init__(self, model: SubjectModel) -> None:
+    ``unedited`` is the person before edits, the model itself by default: lips are behind teeth
+    where they lie deeper in them than that person's do at rest.
+    """
+
+    def __init__(self, model: SubjectModel, unedited: SubjectModel | None = None) -> None:
         self._model = model
-        self._mouth = Mouth.of(model)
+        self._unedited = unedited or model
+        self._mouth = Mouth.of(self._unedited)
         self._arches: list[OneSided] = []
         if self._mouth is not None:
             self._arches = arches(model, self._mouth, 1.0)
         faces = model.skin.faces
         on_flesh = faces[np.isin(faces, model.embedded).all(axis=1)]
         self._faces: Ints = np.searchsorted(model.embedded, on_flesh)
+
+    def neutral(self) -> Penetration:
+        """Measure the unedited person at rest: scans of closed lips cross themselves."""
+        gauge = self if self._unedited is self._model else Gauge(self._unedited)
+        return gauge.at(self._unedited.rest, np.zeros(5))
 
     def at(self, x: Floats, jaw: Floats, objects: Sequence[Surface] = ()) -> Penetration:
         """Measure vertices x (p, 3), the jaw at b (5,), and objects in the head's frame."""
@@ -75,13 +85,16 @@ class Gauge:
         return Penetration(lips, teeth, max(depths, default=0.0), behind)
 
     def _mouth_points(self, mouth: Mouth, x: Floats, b: Floats) -> Floats:
-        """Return the positions (m, 3) of the mouth, lower teeth where the jaw takes them.
+        """Return the positions (m, 3) of the mouth, teeth where edits and the jaw put them.
 
         An edit bends the mandible, whose vertices then say no more where its teeth are.
         """
-        points = mouth.points(x)
-        on_jaw = np.isin(mouth.skin, self._model.attached_mandible)
-        points[on_jaw] = move(self._model.jaw, self._model.skin.vertices[mouth.skin[on_jaw]], b)
+        model = self._model
+        points = model.skin.vertices[mouth.skin]
+        on_flesh = np.isin(mouth.skin, model.embedded)
+        on_jaw = np.isin(mouth.skin, model.attached_mandible)
+        points[on_flesh] = mouth.points(x)[on_flesh]
+        points[on_jaw] = move(model.jaw, points[on_jaw], b)
         return points
 
 

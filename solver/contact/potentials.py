@@ -10,7 +10,7 @@ from solver.contact.arches import Arch
 from solver.contact.barrier import Barrier
 from solver.contact.eyes import Eyeball
 from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
-from solver.contact.one_sided import STIFFNESS, OneSided
+from solver.contact.one_sided import MARGIN_MM, STIFFNESS, OneSided, free_depths
 from solver.contact.surface import ContactSurface
 from solver.mechanics.potential import Potential
 from solver.model import SubjectModel
@@ -22,6 +22,7 @@ def contact_potentials(
     model: SubjectModel,
     stiffness_pa: float,
     *,
+    unedited: SubjectModel | None = None,
     lips: bool = True,
     teeth: bool = True,
     eyes: bool = True,
@@ -33,9 +34,13 @@ def contact_potentials(
     Parameters
     ----------
     model
-        The face; at its rest nothing pushes (but for lips within a tenth of a millimetre).
+        The face; at its rest nothing pushes (but for lips within a tenth of a millimetre, and
+        teeth that an edit has moved into them).
     stiffness_pa
         The flesh's.
+    unedited
+        The person before edits, the face itself by default: lips may lie as deep in teeth as
+        that person's do at rest.
     lips
         Skin meets skin: lips, and lids with ``eyes``; all skin if there are ``objects``.
     teeth
@@ -53,11 +58,11 @@ def contact_potentials(
     InputError
         ``contact.crossed`` where the neutral skin crosses itself widely.
     """
-    mouth = Mouth.of(model)
+    mouth = Mouth.of(unedited or model)
     potentials: list[Potential] = []
     faces = touching(model, mouth, lips=lips, eyes=eyes, objects=bool(objects))
     if len(faces):
-        surface = ContactSurface.of(model, faces)
+        surface = ContactSurface.of(model, faces, mouth)
         barrier = Barrier(surface, stiffness_pa, objects=objects, itself=lips, friction=friction)
         potentials.append(barrier)
     if teeth and mouth is not None:
@@ -84,17 +89,22 @@ def touching(
 
 
 def arches(model: SubjectModel, mouth: Mouth, stiffness_pa: float) -> list[OneSided]:
-    """Return what keeps lips in front of upper and of lower teeth, as far as there are any."""
-    points = mouth.points(model.rest)
+    """Return what keeps lips in front of upper and of lower teeth, as far as there are any.
+
+    ``mouth`` is that of the unedited person: lips may lie in teeth that an edit has moved as deep
+    as they did where these were before.
+    """
+    before, now = mouth.points(model.rest), model.skin.vertices[mouth.skin]
     lips = np.flatnonzero(mouth.label == LIPS)
-    stiffness = STIFFNESS * stiffness_pa * vertex_areas(points, mouth.flesh)[lips]
+    stiffness = STIFFNESS * stiffness_pa * vertex_areas(before, mouth.flesh)[lips]
     kept = []
     for label, carried in ((UPPER_TEETH, None), (LOWER_TEETH, model.jaw)):
         faces = mouth.faces_of(label)
         if len(faces):
-            arch = Arch.of(Surface(points, faces))
+            free = free_depths(Arch.of(Surface(before, faces)), before[lips], -MARGIN_MM)
+            arch = Arch.of(Surface(now, faces))
             rows, offset = mouth.rows[lips], mouth.offset[lips]
-            kept.append(OneSided(arch, rows, offset, model.rest, stiffness, carried))
+            kept.append(OneSided(arch, rows, offset, free, stiffness, carried))
     return kept
 
 
@@ -112,7 +122,8 @@ def eyeballs(model: SubjectModel, stiffness_pa: float) -> list[OneSided]:
             rows, offset = model.embedding[number], model.offset[number]
             stiffness = STIFFNESS * stiffness_pa * area[lids]
             eyeball = Eyeball.of(skin[ball])
-            kept.append(OneSided(eyeball, rows, offset, model.rest, stiffness))
+            free = free_depths(eyeball, rows @ model.rest + offset, -MARGIN_MM)
+            kept.append(OneSided(eyeball, rows, offset, free, stiffness))
     return kept
 
 

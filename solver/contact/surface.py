@@ -1,9 +1,10 @@
 """The skin as contact sees it: its triangles that may touch, a little inside themselves.
 
 Scans cross themselves where lips are closed, mostly by hundredths of a millimetre, and a barrier is
-infinite there. So the contact surface lies ``INSET_MM`` under the skin, and deeper where that is
-not enough: two skins that touch may cross by twice that. What crosses itself even so, as the thin
-walls of nostrils or the skin behind lids do in some people, touches nothing.
+infinite there. So the contact surface lies ``INSET_MM`` under the skin, with lips that cross moved
+apart: two skins that touch may cross by twice that, or as far as in the neutral. What crosses
+itself even so, as the thin walls of nostrils or the skin behind lids do in some people, does not
+meet itself. (To go deeper there makes it worse: folds and thin walls cross all the more.)
 """
 
 from __future__ import annotations
@@ -20,19 +21,19 @@ from numpy.typing import NDArray
 
 from solver.anatomy.embedding import rows_of
 from solver.anatomy.tetrahedra import barycentric_in_tets
+from solver.contact.mouth import Mouth
+from solver.contact.parting import parted
 from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
 from solver.triangles import adjacency
 
 INSET_MM = 0.06
-DEEPER_MM = (0.1, 0.15, 0.2, 0.3, 0.4)
-"""Where the surface still crosses itself it goes so deep, one after the other."""
 BESIDE_MM = 0.02
 """A vertex is looked at this far outside the contact surface."""
 INSIDE = 0.5
 """Winding number above which that place lies in flesh, which is then another part's."""
-MOST_LEFT_OUT = 0.2
+MOST_CROSSED = 0.2
 """Part of the triangles that may cross."""
 
 log = structlog.get_logger(__name__)
@@ -51,6 +52,8 @@ class ContactSurface:
         inset is a part of ``rows``: it turns with the flesh.
     rest
         (s, 3) the positions in the neutral face.
+    crossed
+        (s,) bool, what crosses there, with its neighbours: no two of these meet.
     """
 
     skin: Ints
@@ -58,12 +61,14 @@ class ContactSurface:
     rows: sp.csr_array
     offset: Floats
     rest: Floats
+    crossed: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, model: SubjectModel, faces: Ints) -> ContactSurface:
+    def of(cls, model: SubjectModel, faces: Ints, mouth: Mouth | None = None) -> ContactSurface:
         """Return the surface of some of the skin's triangles (f, 3), all on embedded vertices.
 
-        Raises :class:`InputError` (``contact.crossed``) where the skin crosses itself widely.
+        The lips of a ``mouth`` are moved apart. Raises :class:`InputError` (``contact.crossed``)
+        where the skin crosses itself widely.
         """
         skin, own = np.unique(faces, return_inverse=True)
         own = np.ascontiguousarray(own.reshape(faces.shape))
@@ -71,28 +76,18 @@ class ContactSurface:
         rows, offset = sp.csr_array(model.embedding[number]), model.offset[number]
         points = np.asarray(rows @ model.rest + offset)
         normals = _normals(points, own)
-        inset = np.full(len(skin), INSET_MM)
-        near = adjacency(own, len(skin))
-        for deeper in DEEPER_MM:
-            moved = points - inset[:, None] * normals
-            crossed = _crossed(moved, own, normals)
-            if not crossed.any():
-                break
-            inset[crossed | (near @ crossed > 0)] = deeper
-        moved = points - inset[:, None] * normals
-        kept = _uncrossed(moved, own, normals)
-        if len(kept) < (1.0 - MOST_LEFT_OUT) * len(own):
-            vertex = int(skin[own[~np.isin(own, kept)][0]])
+        shift = _apart(mouth, model, skin) - INSET_MM * normals
+        moved = points + shift
+        crossed = _crossed(moved, own, normals)
+        if crossed[own].any(axis=1).mean() > MOST_CROSSED:
+            vertex = int(skin[crossed][0])
             message = f"the neutral skin crosses itself widely, around vertex {vertex}: mend it"
             raise InputError("contact.crossed", message, vertex=vertex)
-        if len(kept) < len(own):
-            log.info(
-                "skin that crosses itself is left out of contact", triangles=len(own) - len(kept)
-            )
-        used, faces = np.unique(kept, return_inverse=True)
-        faces = np.ascontiguousarray(faces.reshape(-1, 3))
-        rows = _shifted(model, rows, -inset[:, None] * normals)
-        return cls(skin[used], faces, sp.csr_array(rows[used]), offset[used], moved[used])
+        if crossed.any():
+            log.info("skin that crosses itself does not meet itself", vertices=int(crossed.sum()))
+        crossed |= adjacency(own, len(skin)) @ crossed > 0
+        rows = _shifted(model, rows, shift)
+        return cls(skin, own, rows, offset, moved, crossed)
 
     def points(self, x: Floats) -> Floats:
         """Return the positions (s, 3) at the tets' vertices x (p, 3)."""
@@ -121,12 +116,13 @@ def _crossed(points: Floats, faces: Ints, normals: Floats) -> NDArray[np.bool_]:
     return marks
 
 
-def _uncrossed(points: Floats, faces: Ints, normals: Floats) -> Ints:
-    """Return the triangles (g, 3) that are left without those that cross or lie inside."""
-    kept = faces[~_crossed(points, faces, normals)[faces].any(axis=1)]
-    while ipctk.has_intersections(collision_mesh(points, kept), np.asfortranarray(points)):
-        kept = kept[~np.isin(kept, crossing_vertices(points, kept)).any(axis=1)]
-    return kept
+def _apart(mouth: Mouth | None, model: SubjectModel, skin: Ints) -> Floats:
+    """Return how far skin vertices (s,) are moved where a mouth's lips are moved apart, (s, 3)."""
+    moves = np.zeros_like(model.skin.vertices)
+    if mouth is not None:
+        points = mouth.points(model.rest)
+        moves[mouth.skin] = parted(mouth, points) - points
+    return moves[skin]
 
 
 def crossing_vertices(points: Floats, faces: Ints) -> Ints:

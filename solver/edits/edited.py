@@ -21,6 +21,8 @@ class Edited:
     model
         The person; bones that were moved, and the skin vertices that stay with them (teeth), are
         where they are now. Its flesh, ``rest`` included, is as it was.
+    unedited
+        The person before all edits.
     growth, stiffness, density
         (n,) per tet: f of F_p = f I, a factor of the material's stiffness, and g/mm^3.
     bones
@@ -30,6 +32,7 @@ class Edited:
     """
 
     model: SubjectModel
+    unedited: SubjectModel
     growth: Floats
     stiffness: Floats
     density: Floats
@@ -40,4 +43,4 @@ class Edited:
     def nothing(cls, model: SubjectModel, S: sp.csr_array) -> Edited:
         """Return the face as it is."""
         ones = np.ones(len(model.tets))
-        return cls(model, ones, ones, DENSITY * ones, np.zeros_like(model.rest), S)
+        return cls(model, model, ones, ones, DENSITY * ones, np.zeros_like(model.rest), S)

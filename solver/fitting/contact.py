@@ -21,7 +21,7 @@ from solver.anatomy.embedding import rows_of
 from solver.contact.arches import Arch
 from solver.contact.mandible import Mandible
 from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
-from solver.contact.one_sided import Excess, along
+from solver.contact.one_sided import Excess, along, free_depths
 from solver.contact.overlap import between_lips
 from solver.errors import SolveError
 from solver.model import SubjectModel
@@ -72,7 +72,8 @@ class Teeth:
             faces = mouth.faces_of(label)
             if not len(faces):
                 return None
-            return Excess(Arch.of(Surface(rest, faces)), rest[lips], TEETH_SLACK_MM)
+            arch = Arch.of(Surface(rest, faces))
+            return Excess(arch, free_depths(arch, rest[lips], TEETH_SLACK_MM))
 
         self._upper, self._lower = row(UPPER_TEETH), row(LOWER_TEETH)
 

@@ -316,6 +316,7 @@ class Face:
         model = self.model
         if not len(model.sliding):
             return no_planes()
-        normals = bone_normals(model.bones["cranium"], model.rest[model.sliding])
+        points = self._held_rest[model.sliding]
+        normals = bone_normals(model.bones["cranium"], points)
         found = planes(model.rest, model.tets, model.sliding, normals, mu)
-        return replace(found, points=self._held_rest[model.sliding])
+        return replace(found, points=points)

@@ -53,7 +53,7 @@ def edit(
         Compared(fit.name, one, other, fit.skin)
         for fit, one, other in zip(fits, all_before, all_after, strict=True)
     ]
-    whole = EditedPerson(edited, known.model, before, after, compared)
+    whole = EditedPerson(edited, before, after, compared)
     progress(Step("export", 0.86))
     report = edit_report(whole)
     files = [*write_edit(whole, report, out), out / "edit.png"]

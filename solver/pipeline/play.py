@@ -103,6 +103,7 @@ def finish(
     """Write what a scene leaves; ``more`` figures are for ``animation.json``."""
     progress(Step("export", EXPORT))
     model = stage.model
+    neutral_mm = round(stage.gauge.neutral().most, 4)
     with tempfile.TemporaryFile() as stream:
         shape = (len(frames), *model.skin.vertices.shape)
         skins = np.memmap(stream, np.float32, "w+", shape=shape)
@@ -114,7 +115,7 @@ def finish(
             frames,
             skins,
             title=title,
-            report={**motion_report(frames, model), **more},
+            report={**motion_report(frames, model), "penetration_neutral_mm": neutral_mm, **more},
             vertices=model.face,
             objects=stage.objects,
             video=video,

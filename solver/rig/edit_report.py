@@ -42,10 +42,14 @@ class EditedPerson:
     """What an edit leaves: the person before and after, at rest and in all expressions."""
 
     edited: Edited
-    unedited: SubjectModel
     before: Replayed
     after: Replayed
     expressions: Sequence[Compared]
+
+    @property
+    def unedited(self) -> SubjectModel:
+        """Return the person before the edits."""
+        return self.edited.unedited
 
     @property
     def moved_mm(self) -> Floats:
@@ -65,7 +69,7 @@ class EditedPerson:
 def edit_report(person: EditedPerson) -> dict[str, Any]:
     """Return the figures of ``edit.json``: lengths in mm, volumes in ml."""
     face = person.unedited.face
-    gauge = Gauge(person.edited.model)
+    gauge = Gauge(person.edited.model, person.unedited)
     expressions = [_expression(person, each, gauge) for each in person.expressions]
     drifts = [each["drift_mm"] for each in expressions if each["drift_mm"] is not None]
     return {
@@ -78,6 +82,7 @@ def edit_report(person: EditedPerson) -> dict[str, Any]:
             "moved_max_mm": float(person.moved_mm[face].max()),
             **_solved(person.after, gauge),
         },
+        "penetration_neutral_mm": gauge.neutral().most,
         "expressions": expressions,
         "drift_mm": float(np.mean(drifts)) if drifts else None,
     }

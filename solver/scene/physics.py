@@ -71,6 +71,7 @@ class Physics:
         return contact_potentials(
             edited.model,
             self.material.mu,
+            unedited=edited.unedited,
             lips=self.lips,
             teeth=self.teeth,
             eyes=self.eyes,

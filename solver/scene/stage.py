@@ -74,7 +74,7 @@ class Stage:
             linear=linear,
         )
         self._gaze = Gaze(self.model)
-        self._gauge = Gauge(self.model)
+        self.gauge = Gauge(self.model, self._edited.unedited)
 
     def drive(self, time: float, pose: PosedFrame) -> Drive:
         """Return what the flesh is asked for at ``time``, when the face does ``pose``."""
@@ -88,7 +88,7 @@ class Stage:
 
     def penetration(self, y: Floats, drive: Drive) -> Penetration:
         """Return how deep flesh y (p, 3), in the head's frame, is in what it meets."""
-        return self._gauge.at(y, drive.jaw, self._seen(drive))
+        return self.gauge.at(y, drive.jaw, self._seen(drive))
 
     def inverted(self, y: Floats) -> int:
         """Return the number of inverted tets of flesh y (p, 3)."""

@@ -9,7 +9,10 @@ import scipy.sparse as sp
 import trimesh
 
 from solver.contact.barrier import DISTANCE_MM, Barrier
+from solver.contact.crossing import crossing
+from solver.contact.mouth import LIPS, Mouth
 from solver.contact.objects import check_objects
+from solver.contact.parting import parted
 from solver.contact.surface import (
     INSET_MM,
     ContactSurface,
@@ -33,7 +36,8 @@ def on_itself(*parts):
     faces = np.vstack([part.faces + start for part, start in zip(parts, starts, strict=False)])
     count = len(points)
     own = sp.eye_array(count, format="csr")
-    return ContactSurface(np.arange(count), faces, own, np.zeros((count, 3)), points)
+    crossed = np.zeros(count, dtype=bool)
+    return ContactSurface(np.arange(count), faces, own, np.zeros((count, 3)), points, crossed)
 
 
 def two_balls():
@@ -181,14 +185,45 @@ def crumpled(count):
     return replace(model, offset=offset), faces
 
 
-def test_skin_that_crosses_itself_is_left_out():
+def test_skin_that_crosses_itself_does_not_meet_itself_but_objects():
     model, faces = crumpled(40)
     surface = ContactSurface.of(model, faces)
-    assert 0.9 * len(faces) < len(surface.faces) < len(faces)
-    assert len(np.unique(surface.faces)) == len(surface.skin)
+    assert 0 < surface.crossed.sum() < 0.2 * len(surface.skin)
     mesh = collision_mesh(surface.rest, surface.faces)
-    assert not ipctk.has_intersections(mesh, mesh.rest_positions)
+    assert ipctk.has_intersections(mesh, mesh.rest_positions)
     np.testing.assert_allclose(surface.points(model.rest), surface.rest, atol=1e-9)
+    # a small ball just over a vertex that crosses
+    over = surface.rest[surface.crossed][0] + [0.0, 0.0, 1.0 + GAP]
+    thing = ball(over, 1.0, 2)
+    barrier = Barrier(surface, STIFFNESS_PA, objects=[thing])
+    held = Boundary(np.empty((0, 3)), np.zeros(5), (thing.vertices,))
+    barrier.begin(model.rest, held, 1.0)
+    alone = Barrier(surface, STIFFNESS_PA)
+    alone.begin(model.rest, Boundary(np.empty((0, 3)), np.zeros(5)), 1.0)
+    assert 0.0 <= alone.value(model.rest) < barrier.value(model.rest) < np.inf
+    assert alone.longest(model.rest, model.rest + 0.01, held) == 1.0
+
+
+def test_lips_that_cross_are_moved_apart_and_meet():
+    """Half of the depth each: the contact surfaces of two balls touch where the skins cross."""
+    deep = 0.3
+    upper = ball([0.0, 5.0 - deep / 2, 0.0], 5.0, 4)
+    lower = ball([0.0, deep / 2 - 5.0, 0.0], 5.0, 4)
+    both = on_itself(upper, lower)
+    count = len(both.rest)
+    own = sp.eye_array(count, format="csr")
+    mouth = Mouth(both.skin, np.full(count, LIPS), both.faces, own, np.zeros((count, 3)))
+    assert crossing(mouth, both.rest).lips == pytest.approx(deep, abs=0.05)
+    apart = parted(mouth, both.rest)
+    assert crossing(mouth, apart).lips == 0.0
+    mesh = collision_mesh(apart, both.faces)
+    assert not ipctk.has_intersections(mesh, mesh.rest_positions)
+    moved = apart - both.rest
+    assert np.abs(moved).max() < deep
+    top = moved[: len(upper.vertices), 1]
+    assert top.max() == pytest.approx(-moved[len(upper.vertices) :, 1].min(), rel=0.2)
+    far = np.abs(both.rest[:, 1]) > 3.0
+    assert not moved[far].any()
 
 
 def test_a_neutral_that_crosses_itself_widely_is_refused():

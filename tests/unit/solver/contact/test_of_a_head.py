@@ -8,7 +8,7 @@ import pytest
 from solver.contact.crossing import crossing
 from solver.contact.mouth import Mouth
 from solver.contact.penetration import Gauge
-from solver.contact.potentials import arches, eyeballs
+from solver.contact.potentials import arches, contact_potentials, eyeballs
 from solver.edits.bones import Bone
 from solver.edits.edit import apply
 from solver.mechanics import jaw
@@ -52,6 +52,37 @@ def test_lips_are_led_out_in_front_of_teeth_wherever_the_jaw_is(head, number):
     teeth.place(at(OPEN))
     beside = back if number == 0 else jaw.move(head.jaw, back, OPEN)
     assert teeth.value(beside) == pytest.approx(pushed)
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_lips_are_pushed_out_by_teeth_that_an_edit_moves_forward(head, number):
+    label, bone = (("upper_teeth", "cranium"), ("lower_teeth", "mandible"))[number]
+    # the lips lie on the teeth, some a little in them
+    skin = head.skin.vertices.copy()
+    skin[head.regions[label], 2] += 4.0
+    near = replace(head, skin=head.skin.moved(skin))
+    front = skin[head.regions[label]]
+    front = front[np.argmax(front[:, 2])]
+    edit = Bone(bone, front, 30.0, np.array([0.0, 0.0, 5.0]))
+    model = apply([edit], near, near.weights).model
+    gauge, closed = Gauge(model, near), np.zeros(5)
+    before = Gauge(near).at(near.rest, closed)
+    assert before.behind_teeth == 0
+    assert gauge.at(near.rest, closed).behind_teeth > 20
+    potentials = contact_potentials(model, 3000.0, unedited=near, lips=False, eyes=False)
+    x = near.rest.copy()
+    for potential in potentials:
+        potential.place(at(closed))
+    for _ in range(30):
+        for potential in potentials:
+            # on a head without tets each vertex is on its own
+            stiffness = potential.hessian(x).diagonal().reshape(-1, 3).sum(axis=1, keepdims=True)
+            x -= potential.gradient(x) / np.maximum(stiffness, 1e-9)
+    found = gauge.at(x, closed)
+    assert found.behind_teeth == 0
+    assert found.teeth < before.teeth + 0.2
+    lip = flesh(model, *(UPPER_LIP, LOWER_LIP)[number])
+    assert (x - near.rest)[lip, 2].max() > 1.5
 
 
 def test_lids_lie_on_their_eyeballs(head):

@@ -6,7 +6,7 @@ import scipy.sparse as sp
 
 from solver.contact.arches import Arch
 from solver.contact.eyes import Eyeball
-from solver.contact.one_sided import MARGIN_MM, OneSided
+from solver.contact.one_sided import MARGIN_MM, OneSided, free_depths
 from solver.mechanics import jaw
 from solver.mechanics.boundary import Boundary
 from solver.model import JawFrame
@@ -19,8 +19,8 @@ JAW = JawFrame(np.array([0.0, 30.0, -60.0]), np.eye(3))
 def kept(obstacle, points, carried=None):
     count = len(points)
     rows = sp.eye_array(count, format="csr")
-    far = points + np.array([0.0, 0.0, 40.0])
-    return OneSided(obstacle, rows, np.zeros((count, 3)), far, np.full(count, 7.0), carried)
+    free = np.full(count, -MARGIN_MM)
+    return OneSided(obstacle, rows, np.zeros((count, 3)), free, np.full(count, 7.0), carried)
 
 
 def at(b):
@@ -100,7 +100,8 @@ def test_the_neutral_is_pushed_by_nothing():
     arch = Arch.of(row_of_teeth())
     rest = np.vstack([fan(RADIUS - 1.0), fan(RADIUS + MARGIN_MM / 2), fan(RADIUS + 1.0)])
     rows = sp.eye_array(len(rest), format="csr")
-    potential = OneSided(arch, rows, np.zeros_like(rest), rest, np.ones(len(rest)))
+    free = free_depths(arch, rest, -MARGIN_MM)
+    potential = OneSided(arch, rows, np.zeros_like(rest), free, np.ones(len(rest)))
     assert potential.value(rest) == 0.0
     assert not len(potential.behind(rest, 0.2))
     assert potential.value(rest - [0.0, 0.0, 1.5]) > 1.0

@@ -7,6 +7,7 @@ import pytest
 
 from solver.fitting.face import Face
 from solver.surface import Surface
+from tests.unit.solver.ball import ball
 from tests.unit.solver.block import block_model, poses
 
 
@@ -49,6 +50,20 @@ def test_displaced_bones_take_what_is_held_and_what_slides_along(model):
     step = 1e-6 * np.eye(5)
     rate = np.stack([(face.mandible(b + h) - face.mandible(b - h)) / 2e-6 for h in step], axis=-1)
     np.testing.assert_allclose(face.mandible_jacobian(b)[model.mandible], rate, atol=1e-6)
+
+
+def test_displaced_flesh_slides_along_the_bone_under_it(model):
+    """On a round bone: where the flesh was before, the bone looks elsewhere."""
+    middle, away = model.rest.mean(axis=0), np.array([6.0, 4.0, 0.0])
+    skull, moved = (
+        replace(model, bones={"cranium": ball(centre, 60.0, 3)})
+        for centre in (middle - [0.0, 0.0, 70.0], middle - [0.0, 0.0, 70.0] + away)
+    )
+    bones = np.zeros_like(model.rest)
+    bones[np.concatenate([model.cranium, model.sliding])] = away
+    before, after = Face(skull).flesh.sliding, Face(moved, bones=bones).flesh.sliding
+    np.testing.assert_allclose(after.normals, before.normals, atol=1e-9)
+    np.testing.assert_allclose(after.points, before.points + away)
 
 
 def test_grown_flesh_takes_more_room(model):
