@@ -30,6 +30,9 @@ ARMIJO = 1e-4
 SHORTEST_STEP = 2.0**-30
 GROWTH = 4.0
 
+CRUSHED = 1e-3
+"""det F below which a tet is too stiff for its neighbours to be solved for."""
+
 SHARES = (0.0, 0.05, 0.15, 0.4, 1.0)
 """How far the Hessian is projected, one after the other, until it is positive definite."""
 
@@ -115,6 +118,9 @@ def factorise(
 
     The first of :data:`SHARES` to be tried is number ``first``; 0 is the Hessian itself. Near
     buckling a small share is often enough, and keeps more of Newton's speed than all of it.
+
+    Raises :class:`SolveError`: ``solve.crushed`` where a tet has next to no volume left, else
+    ``solve.singular``.
     """
     for number in range(first, len(SHARES)):
         matrix = flesh.hessian(x, a, project=SHARES[number])
@@ -126,6 +132,16 @@ def factorise(
             return linear.factor(matrix.data), number
         except NotPositiveDefiniteError:
             pass
+    openings = flesh.openings(x)
+    flattest = int(openings.argmin())
+    if openings[flattest] < CRUSHED:
+        place = np.round(flesh.rest[flesh.tets[flattest]].mean(axis=0))
+        raise SolveError(
+            "solve.crushed",
+            f"the flesh around {place.tolist()} is crushed: what holds it has come together there",
+            tet=flattest,
+            place_mm=place.tolist(),
+        )
     raise SolveError(
         "solve.singular", "the flesh's stiffness is singular: a part of it is held by nothing"
     )

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from solver.errors import SolveError
 from solver.fitting.face import Face
 from solver.mechanics import equilibrium, linear
 from solver.mechanics.equilibrium import Stiffness
@@ -57,3 +58,15 @@ def test_a_column_buckles_however_near_the_stiffness_is_said_to_be(column):
     found = equilibrium.solve(flesh, solver, x, a, near=old)
     assert found.minimum
     assert np.abs(found.x - x).max() > 3.0
+
+
+def test_what_can_not_be_factorised_says_why(column):
+    class Hopeless:
+        def factor(self, data):
+            raise linear.NotPositiveDefiniteError
+
+    flesh, _, x = column
+    for squeeze, code in ((1.0, "solve.singular"), (1e-4, "solve.crushed")):
+        with pytest.raises(SolveError) as raised:
+            equilibrium.factorise(flesh, Hopeless(), x * [1.0, 1.0, squeeze], flesh.passive())
+        assert raised.value.code == code
