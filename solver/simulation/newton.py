@@ -25,6 +25,7 @@ from solver.mechanics.potential import Potential
 from solver.surface import Floats
 
 FACTORISATIONS = 30
+"""Of a search; one that needs more had better go a shorter way."""
 STALLED = 1e-3
 """Residual at which a search that can get no further still counts."""
 
@@ -93,22 +94,30 @@ class Newton:
         self._factor = None
         self._share = 0
 
-    def minimise(self, x: Floats, a: Floats, now: Boundary, goal: Boundary) -> Minimum:
+    def minimise(
+        self,
+        x: Floats,
+        a: Floats,
+        now: Boundary,
+        goal: Boundary,
+        factorisations: int = FACTORISATIONS,
+    ) -> Minimum:
         """Go from x (p, 3) at ``now`` to the least energy at ``goal`` with activations a (n, 6).
 
-        Raises :class:`SolveError`: ``simulate.jammed`` where the boundary gets no further,
-        ``simulate.diverged`` where the energy comes to no minimum.
+        The search ends after so many ``factorisations``. Raises :class:`SolveError`:
+        ``simulate.jammed`` where the boundary gets no further, ``simulate.diverged`` where the
+        energy comes to no minimum.
         """
         x, advances = self._advance(x, a, now, goal)
         gradient = self._gradient(x, a)
         accelerator = Accelerator()
-        settled = steps = factorisations = 0
+        settled = steps = 0
         while self._residual(gradient) > self._tolerance and settled < SETTLED_STEPS:
             found = self._chord(x, a, goal, gradient, accelerator)
             if found is None:
-                if factorisations == FACTORISATIONS:
+                if factorisations == 0:
                     break
-                factorisations += 1
+                factorisations -= 1
                 accelerator = Accelerator()
                 found = self._newton(x, a, goal, gradient)
                 if found is None:

@@ -20,7 +20,7 @@ from solver.mechanics.potential import Potential
 from solver.similarity import Similarity
 from solver.simulation.forces import Force
 from solver.simulation.inertia import Inertial, lumped_masses
-from solver.simulation.newton import Minimum, Newton
+from solver.simulation.newton import FACTORISATIONS, Minimum, Newton
 from solver.simulation.state import Drive, Motion
 from solver.surface import Floats
 
@@ -32,6 +32,8 @@ SMALLEST_PART = 2.0**-6
 RISE_SECONDS, RISE_PART = 1.0, 0.25
 """Time that the way to a first pose counts as, for friction, and the part of it that is a step: in
 one go flesh buckles."""
+RISE_FACTORISATIONS = 150
+"""Of a part of that way: growth and forces are there at once, whatever the part."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +120,9 @@ class Simulator:
         rest = self._face.model.rest
         motion = Motion(drive.head(rest), np.zeros_like(rest), drive.head)
         try:
-            return self._go(motion, start, drive, RISE_PART, dynamic=False).motion
+            return self._go(
+                motion, start, drive, RISE_PART, RISE_FACTORISATIONS, dynamic=False
+            ).motion
         except SolveError as error:
             # the way to the first pose is before all time
             error.context["time"] = drive.time
@@ -135,19 +139,29 @@ class Simulator:
             raise InputError(
                 "scene.times", f"a moment at {goal.time:g} s is not later than the one before"
             )
-        return self._go(now, before, goal, 1.0, dynamic=self._dynamic)
+        return self._go(now, before, goal, 1.0, FACTORISATIONS, dynamic=self._dynamic)
 
     def _go(
-        self, now: Motion, before: Drive, goal: Drive, largest: float, *, dynamic: bool
+        self,
+        now: Motion,
+        before: Drive,
+        goal: Drive,
+        largest: float,
+        factorisations: int,
+        *,
+        dynamic: bool,
     ) -> Stepped:
-        """Go to ``goal`` in parts of the way, powers of two; none is larger than ``largest``."""
+        """Go to ``goal`` in parts of the way, powers of two; none is larger than ``largest``.
+
+        Each part may take so many ``factorisations``.
+        """
         begun = perf_counter()
         done, part, drive = 0.0, largest, before
         iterations = halvings = 0
         while done < 1.0:
             target = before.toward(goal, done + part)
             try:
-                now, minimum = self._once(now, drive, target, dynamic=dynamic)
+                now, minimum = self._once(now, drive, target, factorisations, dynamic=dynamic)
             except SolveError as error:
                 if part == SMALLEST_PART:
                     error.context["time"] = target.time
@@ -171,7 +185,7 @@ class Simulator:
         )
 
     def _once(
-        self, now: Motion, before: Drive, goal: Drive, *, dynamic: bool
+        self, now: Motion, before: Drive, goal: Drive, factorisations: int, *, dynamic: bool
     ) -> tuple[Motion, Minimum]:
         """Take one step of backward Euler, or find one equilibrium."""
         seconds = goal.time - before.time
@@ -188,7 +202,7 @@ class Simulator:
         end = Boundary(self._face.held_positions(goal.jaw), goal.jaw, _seen(goal.head, goal))
         for potential in self._potentials:
             potential.begin(y, start, seconds)
-        minimum = self._newton.minimise(y, goal.A, start, end)
+        minimum = self._newton.minimise(y, goal.A, start, end, factorisations)
         x = goal.head(minimum.x)
         v = (x - now.x) / seconds if dynamic else np.zeros_like(x)
         return Motion(x, v, goal.head), minimum
