@@ -26,6 +26,9 @@ DISTANCE_MM = 0.08
 STIFFNESS = 200.0
 """The barrier's stiffness over that of the flesh: pressed lips settle where it pushes firmly, not
 at its steep end."""
+FURTHEST_MM = 30.0
+"""No step goes further: where Newton's leads metres away, all is in the way of all, and to look for
+what it meets takes seconds."""
 SLIP_MM_S = 1.0
 """Speed below which friction holds: it then grows with the speed."""
 
@@ -141,11 +144,13 @@ class Barrier:
     def longest(self, x: Floats, y: Floats, goal: Boundary) -> float:
         """See :class:`solver.mechanics.potential.Potential`."""
         start = self._points(x, self._objects)
-        end = self._points(y, goal.objects)
+        motion = self._points(y, goal.objects) - start
+        far = float(np.linalg.norm(motion, axis=1).max(initial=0.0))
+        part = min(FURTHEST_MM / far, 1.0) if far else 1.0
         step = ipctk.compute_collision_free_stepsize(
-            self._mesh, start, end, 0.0, None, ipctk.AdditiveCCD()
+            self._mesh, start, start + part * motion, 0.0, None, ipctk.AdditiveCCD()
         )
-        return float(step)
+        return part * float(step)
 
     @cached_property
     def _skin_size(self) -> int:

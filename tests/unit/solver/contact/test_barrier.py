@@ -8,7 +8,7 @@ import pytest
 import scipy.sparse as sp
 import trimesh
 
-from solver.contact.barrier import DISTANCE_MM, Barrier
+from solver.contact.barrier import DISTANCE_MM, FURTHEST_MM, Barrier
 from solver.contact.crossing import crossing
 from solver.contact.mouth import LIPS, Mouth
 from solver.contact.objects import check_objects
@@ -129,6 +129,19 @@ def test_objects_alone_leave_skin_to_itself():
     assert barrier.value(surface.rest) == 0.0
 
 
+def test_no_step_goes_metres():
+    surface, upper = two_balls()
+    barrier = Barrier(surface, STIFFNESS_PA)
+    place(barrier, surface.rest)
+    away = surface.rest.copy()
+    away[:upper, 1] += 3000.0
+    held = Boundary(np.empty((0, 3)), np.zeros(5))
+    assert barrier.longest(surface.rest, away, held) == pytest.approx(FURTHEST_MM / 3000.0)
+    away[:upper, 1] -= 6000.0
+    part = barrier.longest(surface.rest, away, held)
+    assert 0.0 < part * 3000.0 < 2.0 * GAP
+
+
 def test_friction_holds_back_and_obeys_coulomb():
     surface, upper = two_balls()
     x, coefficient = surface.rest, 0.4
@@ -199,9 +212,10 @@ def test_skin_that_crosses_itself_does_not_meet_itself_but_objects():
     held = Boundary(np.empty((0, 3)), np.zeros(5), (thing.vertices,))
     barrier.begin(model.rest, held, 1.0)
     alone = Barrier(surface, STIFFNESS_PA)
-    alone.begin(model.rest, Boundary(np.empty((0, 3)), np.zeros(5)), 1.0)
+    nothing = Boundary(np.empty((0, 3)), np.zeros(5))
+    alone.begin(model.rest, nothing, 1.0)
     assert 0.0 <= alone.value(model.rest) < barrier.value(model.rest) < np.inf
-    assert alone.longest(model.rest, model.rest + 0.01, held) == 1.0
+    assert alone.longest(model.rest, model.rest + 0.01, nothing) == 1.0
 
 
 def test_lips_that_cross_are_moved_apart_and_meet():
