@@ -9,7 +9,9 @@ import httpx
 
 UNREACHABLE = "client.unreachable"
 NUMBER = re.compile(r"(-?\d[\d,]*(\.\d+)?)")
-LOCATING_KEYS = ("file", "line", "vertex", "expected", "found", "field")
+LOCATING_KEYS = ("file", "line", "vertex", "frame", "time", "expected", "found", "field")
+
+MOMENTS = ("frame", "time")
 
 
 class StackError(RuntimeError):
@@ -54,8 +56,18 @@ def describe(problem: dict[str, Any]) -> str:
     """Return a problem document as one line: what, where (unless that said it), code."""
     text = str(problem.get("detail") or problem.get("message") or problem.get("title") or "failed")
     known = {key: problem[key] for key in LOCATING_KEYS if problem.get(key) is not None}
-    where = [f"{key} {value}" for key, value in known.items() if not _says(text, value)]
+    told = {key: f"{key} {_short(value)}" for key, value in known.items()}
+    where = [
+        words
+        for key, words in told.items()
+        # a number in a sentence is seldom that of a frame
+        if not (words in text if key in MOMENTS else _says(text, known[key]))
+    ]
     return f"{text} ({', '.join([*where, problem.get('code', 'unknown')])})"
+
+
+def _short(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _says(text: str, value: Any) -> bool:

@@ -11,7 +11,7 @@ import typer
 
 from myoface.cli.app import NewFolder, SubjectId, Url, read_scene
 from myoface.cli.captures import choose, show_captures
-from myoface.cli.console import JobView, out, show_table, show_verdict, transfer_bar
+from myoface.cli.console import JobView, complain, out, show_table, show_verdict, transfer_bar
 from myoface.client import DEFAULT_URL, Client
 from myoface.errors import describe
 from myoface.resources import Artifact, Job, Kind, Result
@@ -255,8 +255,13 @@ def cancel_job(
 def download_job(job: JobId, output: NewFolder = Path("job"), url: Url = DEFAULT_URL) -> None:
     """Download the files that a job left, such as a model's pictures."""
     with Client(url) as client:
-        found = client.job(job).result
-        _download(client, found.artifacts if found else [], output)
+        found = client.job(job)
+        if found.result is None:
+            ended = "failed" if found.state == "failed" else f"is {found.state}"
+            why = f": {describe(found.error)}" if found.error else ""
+            complain(f"the {found.kind} job {ended} and has left no files{why}")
+            raise typer.Exit(1)
+        _download(client, found.result.artifacts, output)
 
 
 def _download(client: Client, artifacts: Iterable[Artifact], folder: Path) -> None:

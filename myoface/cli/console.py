@@ -31,6 +31,9 @@ VERDICTS = {
     "bad": ("red", "bad: it can not be used"),
 }
 
+NEWS_SECONDS = 10.0
+"""Between two lines about one phase, where there is no terminal to show a live bar."""
+
 out = Console(highlight=False, soft_wrap=True)
 err = Console(stderr=True, highlight=False, soft_wrap=True)
 
@@ -89,8 +92,8 @@ def transfer_bar(title: str) -> Iterator[Transferred]:
 class JobView:
     """Shows a job's phase, iteration and mean error while it runs, and times its phases.
 
-    On a terminal it is a live bar; elsewhere (a log, CI) one line per phase. ``phases`` holds
-    phase -> seconds afterwards.
+    On a terminal it is a live bar; elsewhere (a log, CI) a line for every phase, and one for its
+    news now and then. ``phases`` holds phase -> seconds afterwards.
     """
 
     def __init__(self, title: str) -> None:
@@ -98,6 +101,7 @@ class JobView:
         self.phases: dict[str, float] = {}
         self._phase = "queued"
         self._since = time.monotonic()
+        self._told = ("", 0.0)
         self._warned: set[str | None] = set()
         self._bars = Progress(
             TextColumn("{task.fields[title]}"),
@@ -141,11 +145,20 @@ class JobView:
                 self._warned.add(step.message)
                 out.print(f"{self.title}: warning: {step.message}", markup=False)
             return
-        if step.phase != self._phase:
+        words, turns = summary(step), step.phase != self._phase
+        if turns:
             self._turn(step.phase)
-            if not out.is_terminal:
-                out.print(f"{self.title}: {step.phase}")
-        self._bars.update(self._task, completed=step.fraction, description=summary(step))
+        if not out.is_terminal:
+            self._tell(words, at_once=turns)
+        self._bars.update(self._task, completed=step.fraction, description=escape(words))
+
+    def _tell(self, words: str, *, at_once: bool) -> None:
+        """Print a line, unless it says nothing new or the one before is not old yet."""
+        before, moment = self._told
+        now = time.monotonic()
+        if at_once or (words != before and now - moment >= NEWS_SECONDS):
+            self._told = (words, now)
+            out.print(f"{self.title}: {words}", markup=False)
 
     def _turn(self, phase: str) -> None:
         moment = time.monotonic()
@@ -162,4 +175,4 @@ def summary(step: Step) -> str:
         words.append(f"mean {step.mean_error_mm:.3f} mm")
     if step.message:
         words.append(step.message)
-    return escape(" · ".join(words))
+    return " · ".join(words)

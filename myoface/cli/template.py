@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,6 +22,7 @@ Given = Annotated[
     Path | None,
     typer.Argument(exists=True, help="NPZ, or a template folder or its ZIP; default: built-in"),
 ]
+NAMES_WIDTH = 96
 MARKS = {"error": "[bold red]error[/]", "warning": "[yellow]look at[/]"}
 
 
@@ -97,11 +99,15 @@ def show(
         Path | None, typer.Option("--output", "-o", file_okay=False, help="folder for pictures")
     ] = None,
 ) -> None:
-    """Show what a template holds; with --output also draw its anatomy and its skin."""
+    """Show what a template holds, landmarks by name; with --output also draw it, and its skin."""
     from solver.anatomy.template_report import template_figures
 
     loaded = _load(given)
     show_table(("what", "how much"), list(_rows(template_figures(loaded))))
+    if loaded.landmarks:
+        out.print("names of landmarks", style="bold")
+        names = ", ".join(loaded.landmarks)
+        out.print(textwrap.indent(textwrap.fill(names, NAMES_WIDTH), "  "), markup=False)
     if output is not None:
         from solver.rig.pictures import template_picture
         from solver.rig.skin_picture import skin_picture

@@ -54,7 +54,7 @@ class KeyedDrives:
         moments = [key.time for key in keys]
 
         def tracked(values: list[Floats], width: int) -> Track:
-            return track(moments, np.reshape(values, (len(keys), width)), "key", interpolation)
+            return track(moments, np.reshape(values, (len(keys), width)), "keys", interpolation)
 
         self._weights = tracked(
             [np.array([key.expressions.get(name, 0.0) for name in used]) for key in keys], len(used)
@@ -112,7 +112,7 @@ def _check_names(keys: Sequence[Key], poses: Mapping[str, Pose], model: SubjectM
                 if name not in known:
                     raise InputError(
                         code,
-                        f"key {number} names the {noun} {name!r}, which is not one of the face's",
+                        f"keys[{number}] names the {noun} {name!r}, which is not one of the face's",
                         key=number,
                         found=name,
                         expected=known,

@@ -38,7 +38,7 @@ class RecordedDrives:
         self.weights: Floats = np.clip(take.weights[frames][:, columns], 0.0, 1.0)
         turns = np.hstack([take.head[frames], take.eyes[frames].reshape(-1, 6)])
         values = np.hstack([self.weights, turns])
-        self._track = track(self.times, values, "frame", "linear")
+        self._track = track(self.times, values, "frames", "linear")
         self._neck = neck(model)
         self._head = head
 

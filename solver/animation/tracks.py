@@ -27,7 +27,7 @@ def track(
 
     Before the first key and after the last they are as there, and zero if there is none. Raises
     :class:`InputError` (``scene.times``) if a key is not later than the one before, or its time is
-    no number; ``what`` has the keys, in words.
+    no number; ``what`` is the list of the keys, as the scene calls it.
     """
     check_times(times, what)
     if not len(times):
@@ -45,10 +45,10 @@ def check_times(times: Sequence[float], what: str) -> None:
     """Raise ``scene.times`` unless every time is a number and later than the one before."""
     for number, time in enumerate(times):
         if not np.isfinite(time):
-            raise InputError("scene.times", f"the time of {what} {number} is {time}", key=number)
+            raise InputError("scene.times", f"the time of {what}[{number}] is {time}", key=number)
         if number and time - times[number - 1] < SHORTEST_SECONDS:
             raise InputError(
                 "scene.times",
-                f"{what} {number} at {time:g} s is not later than the one before",
+                f"{what}[{number}] at {time:g} s is not later than the one before",
                 key=number,
             )

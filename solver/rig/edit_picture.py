@@ -15,7 +15,7 @@ from solver.surface import Floats
 
 CELL = (270, 330)
 LEFT, FOOTER = 90, 64
-MOST_EXPRESSIONS = 4
+VIEWS_AT_REST, MOST_EXPRESSIONS = 3, 4
 MOST_MM = (1.0, 2.0, 4.0, 8.0, 16.0)
 """Ends of the colour scale: the least that holds nearly all of the motion."""
 
@@ -23,8 +23,14 @@ View = tuple[str, float, Floats, Floats]
 
 
 def edit_picture(person: EditedPerson, title: str, detail: str, path: Path) -> None:
-    """Draw the person at rest from three sides and in up to four expressions, in columns."""
+    """Draw the person at rest from three sides and in up to four expressions, in columns.
+
+    Where there are more, or some found no rest, the heading says how many are shown.
+    """
     views = _views(person)
+    shown, there = len(views) - VIEWS_AT_REST, len(person.expressions)
+    if shown < there:
+        detail = f"{detail}; {shown} of {there} expressions are shown"
     width, height = CELL
     page = Page(LEFT + width * len(views) + MARGIN, HEADER + 30 + 3 * height + FOOTER)
     page.heading(title, detail)
@@ -63,7 +69,7 @@ def _views(person: EditedPerson) -> list[View]:
         if each.before is not None and each.after is not None:
             name = each.name.replace("_", " ")
             views.append((name, 0.0, each.before.skin, each.after.skin))
-    return views[: 3 + MOST_EXPRESSIONS]
+    return views[: VIEWS_AT_REST + MOST_EXPRESSIONS]
 
 
 def _scale_end(moved_mm: Floats) -> float:

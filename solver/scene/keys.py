@@ -66,7 +66,7 @@ def keyed(
         interpolation=document.get("interpolation", "smooth"),
     )
     for number, key in enumerate(keys):
-        check_jaw(drives(key.time).jaw, f"key {number}")
+        check_jaw(drives(key.time).jaw, f"keys[{number}]")
     return drives
 
 

@@ -70,7 +70,7 @@ def _object(entry: Mapping[str, Any], places: Places, interpolation: Interpolati
     if not path:
         still = np.concatenate([np.zeros(3), origin])
         return Obstacle(name, shape, lambda _time: still)
-    moved = track([key["time"] for key in path], values, f"{name}'s key", interpolation)
+    moved = track([key["time"] for key in path], values, f"{name}'s path", interpolation)
     return Obstacle(name, shape, moved)
 
 

@@ -68,6 +68,11 @@ def test_a_session_at_the_station(myoface: Command, url: str, tmp_path: Path) ->
     assert "neutral: registered, 80% of the face seen, 0.30 mm off the scan" in registered
     assert mesh == "registered # smile by registered # neutral by nose,0,0,0"
     assert "frown.obj has a NaN in line 3" in registered
+    listed = myoface("jobs", "list", "--subject", subject, "--state", "failed").output
+    failed = listed.splitlines()[1].split()[0]
+    told = myoface("jobs", "download", failed, "-o", tmp_path / "none", code=1).output
+    assert "the register_scan job failed and has left no files: frown.obj has a NaN" in told
+    assert not (tmp_path / "none").exists()
     myoface("captures", "delete", subject, "frown")
     assert "no raw scan waits" in myoface("captures", "register", subject).output
     marks.write_text("nose,1,1,1")

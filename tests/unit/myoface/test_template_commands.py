@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,6 +53,7 @@ def test_show_prints_the_hash_and_draws(saved: Path, tmp_path: Path) -> None:
     told = run("show", saved, "-o", tmp_path / "pictures")
     assert Template.load(saved).sha256 in told
     assert "puller_l" in told
+    assert set(Template.load(saved).landmarks) <= set(re.split(r"[,\s]+", told))
     for name in ("anatomy.png", "skin.png"):
         assert (tmp_path / "pictures" / name).stat().st_size > 10_000
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -86,17 +87,17 @@ def test_keys_pass_through_their_values_and_never_beyond() -> None:
 
 
 @pytest.mark.parametrize(
-    ("keys", "code"),
+    ("keys", "code", "where"),
     [
-        ([Key(0.0), Key(0.0)], "scene.times"),
-        ([Key(np.nan)], "scene.times"),
-        ([Key(0.0), Key(1e-320)], "scene.times"),
-        ([Key(0.0, {"grin": 1.0})], "scene.expression"),
-        ([Key(0.0, {}, {"tongue": IDENTITY})], "scene.muscle"),
+        ([Key(0.0), Key(0.0)], "scene.times", "keys[1]"),
+        ([Key(np.nan)], "scene.times", "keys[0]"),
+        ([Key(0.0), Key(1e-320)], "scene.times", "keys[1]"),
+        ([Key(0.0), Key(1.0, {"grin": 1.0})], "scene.expression", "keys[1]"),
+        ([Key(0.0, {}, {"tongue": IDENTITY})], "scene.muscle", "keys[0]"),
     ],
 )
-def test_keys_that_can_not_be(keys: list[Key], code: str) -> None:
-    with pytest.raises(InputError) as caught:
+def test_keys_that_can_not_be(keys: list[Key], code: str, where: str) -> None:
+    with pytest.raises(InputError, match=re.escape(where)) as caught:
         from_keys(keys, POSES, MODEL, np.zeros(1))
     assert caught.value.code == code
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from solver.drawing.page import Page
 from solver.errors import InputError
 from solver.fitting.face import Face, Pose
 from solver.pipeline import PersonFiles, edit
@@ -80,6 +83,22 @@ def test_a_fat_block_is_larger_and_its_expression_still_reaches(rig: Path, tmp_p
     [wide] = report["expressions"]
     assert wide["drift_mm"] < 0.5 * wide["motion_mm"]
     assert Image.open(tmp_path / "edit.png").width > 1000
+
+
+def test_the_picture_says_how_many_expressions_it_leaves_out(
+    rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    headings: list[str] = []
+    monkeypatch.setattr(Page, "heading", lambda _page, _title, detail: headings.append(detail))
+    run(rig, tmp_path / "one", PALSY)
+    assert "expressions are shown" not in headings[0]
+    shutil.copytree(rig, tmp_path / "rig")
+    person = PersonFiles(rig / "model.npz", rig / "muscle_weights.npz", rig)
+    [wide] = person.expressions(MODEL)
+    many = [replace(wide, name=f"wide_{number}") for number in range(5)]
+    save_activations(tmp_path / "rig" / "activations.npz", many, MODEL)
+    run(tmp_path / "rig", tmp_path / "many", PALSY)
+    assert headings[1].endswith("; 4 of 5 expressions are shown")
 
 
 @pytest.mark.parametrize(
