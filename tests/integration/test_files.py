@@ -84,7 +84,7 @@ def test_a_missing_file_is_known_at_once(files: Files, tmp_path: Path) -> None:
 
 def test_a_damaged_file_is_not_handed_out(files: Files, scan: Path, tmp_path: Path) -> None:
     files.put(scan)
-    damaged = SCAN[:-1] + b"x"
+    damaged = SCAN[:-1] + bytes([SCAN[-1] ^ 1])
     if isinstance(files, FolderFiles):
         files.path(SHA256).unlink()
         files.path(SHA256).write_bytes(damaged)
