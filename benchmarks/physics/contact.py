@@ -2,9 +2,9 @@
 
 Five scenes, each played frame by frame quasi-statically. ``penetration_max_mm`` is the deepest
 that skin lies in skin, in teeth or in an object in any frame, ``lips_mm``, ``teeth_mm`` and
-``objects_mm`` of each sort; ``pressed_mm`` how far an object goes on after it would touch, less
-than a frame's way too little; ``behind_teeth`` the most vertices of lips behind teeth, ``frame_s``
-the median of a frame, ``inverted`` the most inverted tets.
+``objects_mm`` of each sort; ``pressed_mm`` how far an object goes on after it would touch;
+``behind_teeth`` the most vertices of lips behind teeth, ``frame_s`` the median of a frame,
+``inverted`` the most inverted tets.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from benchmarks.documents import Figures
 from benchmarks.physics.fitted import Fitted
 from benchmarks.physics.headset import headset
 from solver.contact.objects import check_objects
-from solver.contact.penetration import Gauge, Penetration
+from solver.contact.penetration import Gauge, Penetration, depth_inside
 from solver.contact.potentials import contact_potentials
 from solver.drawing.head import Head
 from solver.drawing.page import HEADER, Page
@@ -29,6 +29,7 @@ from solver.drawing.raster import Camera
 from solver.drawing.render import Body, Lit, faded, render
 from solver.edits.edited import DENSITY
 from solver.fitting.face import Face, Pose
+from solver.model import SubjectModel
 from solver.rig.pictures import SIDE, THREE_QUARTER, WIDTH
 from solver.scene.physics import STIFFNESS_PA
 from solver.simulation.simulator import Simulator, Stepped
@@ -43,6 +44,7 @@ GLASS_MM = (60.0, 26.0, 10.0)
 PRESSED_MM, GLASS_PRESSED_MM = 8.0, 4.0
 """How far the headset and the glass go where the face was."""
 APART_MM = 2.0
+NEAR_MM = 0.01
 OBJECT = np.array([0.10, 0.14, 0.20])
 CELL = (WIDTH // 4, 400)
 
@@ -51,6 +53,7 @@ CELL = (WIDTH // 4, 400)
 class Scene:
     """Poses frame by frame, an object and its shifts (f, 3), and what a picture of the end shows.
 
+    The object is pressed ``pressed_mm`` further than to where it first touches the neutral.
     ``centre`` (3,) and ``span`` are the camera's, ``cut`` is the x of a plane to cut at.
     """
 
@@ -61,6 +64,7 @@ class Scene:
     centre: Floats
     span: float
     cut: float
+    pressed_mm: float | None = None
 
     def objects(self, frame: int) -> tuple[Surface, ...]:
         """Return the object where it is in a frame."""
@@ -105,16 +109,41 @@ def scenes(person: Fitted) -> dict[str, Scene]:
     pressed[FRAMES:, 2] = np.linspace(0.0, -APART_MM - GLASS_PRESSED_MM, FRAMES)
     worn = headset(model, APART_MM, PRESSED_MM)
     put_on = np.zeros((FRAMES, 3))
-    put_on[:, 2] = np.linspace(0.0, -APART_MM - PRESSED_MM, FRAMES)
+    put_on[:, 2] = np.linspace(0.0, -_gap(model, worn) - PRESSED_MM, FRAMES)
     eyes = skin[np.concatenate([model.regions["left_eyeball"], model.regions["right_eyeball"]])]
     at_eyes = {"centre": eyes.mean(axis=0), "span": 190.0, "cut": middle[0] + 40.0}
     return {
         "closing_jaw": Scene("jaw closes", along(rest, opened, closed), None, still, **at_mouth),
         "smile": Scene("smile", along(rest, person.poses["smile"]), None, still, **at_mouth),
         "pucker": Scene("pucker", along(rest, kissing), None, still, **at_mouth),
-        "glass": Scene("kiss on glass", along(rest, kissing, kissing), glass, pressed, **at_mouth),
-        "headset": Scene("headset", [rest] * FRAMES, worn, put_on, **at_eyes),
+        "glass": Scene(
+            "kiss on glass",
+            along(rest, kissing, kissing),
+            glass,
+            pressed,
+            **at_mouth,
+            pressed_mm=GLASS_PRESSED_MM,
+        ),
+        "headset": Scene(
+            "headset", [rest] * FRAMES, worn, put_on, **at_eyes, pressed_mm=PRESSED_MM
+        ),
     }
+
+
+def _gap(model: SubjectModel, thing: Surface) -> float:
+    """Return how far a thing before the face may go back, in mm, until it touches the neutral."""
+    faces = model.skin.faces
+    skin = Surface(model.skin.vertices, faces[np.isin(faces, model.embedded).all(axis=1)])
+    points = skin.vertices[model.embedded]
+    free, touching = 0.0, 2.0 * PRESSED_MM
+    while touching - free > NEAR_MM:
+        middle = (free + touching) / 2
+        moved = thing.moved(thing.vertices - [0.0, 0.0, middle])
+        if max(depth_inside(points, moved), depth_inside(moved.vertices, skin)) > 0.0:
+            touching = middle
+        else:
+            free = middle
+    return free
 
 
 def _moved(person: Fitted, face: Face, pose: Pose) -> Floats:
@@ -155,21 +184,12 @@ def run(played: dict[str, tuple[Played, Played]]) -> Figures:
     """Return the figures of what :func:`play_all` has played."""
     return {
         name: {
-            "pressed_mm": pressed(without),
+            "pressed_mm": without.scene.pressed_mm,
             "without": measured(without),
             "with": measured(kept),
         }
         for name, (without, kept) in played.items()
     }
-
-
-def pressed(without: Played) -> float | None:
-    """Return how far the object goes on after the frame in which it enters the face."""
-    entered = [number for number, depth in enumerate(without.depths) if depth.objects > 0.0]
-    if not entered:
-        return None
-    way = without.scene.shifts[-1] - without.scene.shifts[entered[0]]
-    return float(np.linalg.norm(way))
 
 
 def measured(played: Played) -> Figures:
