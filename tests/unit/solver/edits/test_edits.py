@@ -160,15 +160,20 @@ def test_fat_fades_where_the_flesh_is_cut_off(model):
     assert edited.growth[y < 7.0].max() < 1.15
 
 
-def test_fat_fades_along_the_border_of_what_follows_the_flesh(model):
+def partly_on_flesh(model):
+    """Return the model with skin that follows the flesh only where x is below 130 mm."""
     kept = np.flatnonzero(model.skin.vertices[model.embedded, 0] < 130.0)
-    shown = replace(
+    return replace(
         model,
         embedded=model.embedded[kept],
         embedding=model.embedding[kept],
         offset=model.offset[kept],
         face=model.embedded[kept],
     )
+
+
+def test_fat_fades_along_the_border_of_what_follows_the_flesh(model):
+    shown = partly_on_flesh(model)
     edited = apply([Fat(1.2, 1.2)], shown, shown.weights)
     front = centres(shown)[:, 2] > 30.0
     x = centres(shown)[:, 0]
@@ -205,14 +210,7 @@ def test_eyeballs_stay_round_where_the_bone_beside_them_moves(model):
 
 def test_skin_beyond_the_flesh_is_left_to_follow_it(model):
     """It would move twice: with the bone, and with the flesh on the bone."""
-    kept = np.flatnonzero(model.skin.vertices[model.embedded, 0] < 130.0)
-    shown = replace(
-        model,
-        embedded=model.embedded[kept],
-        embedding=model.embedding[kept],
-        offset=model.offset[kept],
-        face=model.embedded[kept],
-    )
+    shown = partly_on_flesh(model)
     beyond = np.setdiff1d(model.embedded, shown.embedded)
     edit = Bone("cranium", np.array([150.0, 90.0, 0.0]), 80.0, np.array([5.0, 0.0, 0.0]))
     edited = apply([edit], shown, shown.weights)
