@@ -17,16 +17,19 @@ import numpy as np
 
 from benchmarks import report
 from benchmarks.documents import Section, Table
-from solver.anatomy import ict_facekit
+from solver.anatomy.bones import jaw_residual
 from solver.anatomy.build import build_subject_model, model_summary
-from solver.anatomy.ict_captures import identity
-from solver.anatomy.ict_facekit import FaceKit, read_facekit
-from solver.anatomy.ict_template import build_ict_template
-from solver.anatomy.jaw_frame import jaw_residual
 from solver.anatomy.meshing import EDGE_MM, with_mesh
 from solver.anatomy.template import Template
 from solver.model import SubjectModel
 from solver.surface import Floats
+from solver.templates import ict_facekit
+from solver.templates.ict_facekit import (
+    FaceKit,
+    identity,
+    read_facekit,
+)
+from solver.templates.ict_template import build_ict_template
 
 SMALL_MM3 = 600.0
 """Muscles below this volume are the small ones."""

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from solver.model import SubjectModel
-from solver.normals import vertex_normals
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Floats, Ints, Surface, vertex_normals
 
 HEIGHT_MM = 6.0
 RADIUS_MM = 8.0

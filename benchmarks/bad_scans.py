@@ -12,8 +12,8 @@ import numpy as np
 import trimesh
 
 from solver.anatomy.template import Template
-from solver.scans.landmarks import landmark_vertices
-from solver.scans.obj import write_obj
+from solver.meshio.obj import write_obj
+from solver.registration.landmarks import landmark_vertices
 from solver.surface import Floats, Surface
 
 

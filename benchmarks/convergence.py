@@ -25,13 +25,23 @@ from benchmarks.reference import CONVERGED
 from benchmarks.speed.clock import History
 from benchmarks.subjects import COARSE_EDGE_MM
 from solver.errors import SolveError
-from solver.fitting import activation, geometry, per_tet, reference, standard
+from solver.fitting import (
+    activation,
+    chosen,
+    geometry,
+    per_tet,
+    reference,
+)
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, State
 from solver.fitting.geometry import GeometryOptions
-from solver.fitting.objective import Regulariser, Target
+from solver.fitting.objective import (
+    Regulariser,
+    SkinDistance,
+    Target,
+    Term,
+)
 from solver.fitting.per_tet import PerTetOptions
-from solver.fitting.terms import SkinDistance, Term
 from solver.mechanics.flesh import COROTATED_DET
 from solver.model import SubjectModel
 
@@ -129,7 +139,7 @@ def _rounds(
             distance = targets[name].distances(face.face_points(state.estimate))
             errors[name].append(float(np.nanmean(distance)))
 
-    data, easy = standard.terms(face, targets), standard.distances(face, targets)
+    data, easy = chosen.terms(face, targets), chosen.distances(face, targets)
     fitted = geometry.fit(face, data, options, easy=easy, listen=listen)
     listen(options.rounds, fitted.states)
     return errors

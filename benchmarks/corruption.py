@@ -8,8 +8,11 @@ import igl
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from solver.drawing.raster import Camera, look
-from solver.scans.raw import RawScan
+from solver.drawing.render import (
+    Camera,
+    look,
+)
+from solver.meshio.read import RawScan
 from solver.surface import Floats, Ints, Surface
 
 CAMERAS = [

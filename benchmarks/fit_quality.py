@@ -30,13 +30,13 @@ from benchmarks.documents import Figures, Plot, Section, Table
 from benchmarks.pictures import Compared
 from benchmarks.subject_fits import Fits
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
-from solver.anatomy.capture_set import CaptureSet
 from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.per_tet import PerTetOptions
 from solver.mechanics.flesh import COROTATED_DET
 from solver.model import SubjectModel
+from solver.templates.export import CaptureSet
 
 QUICK_ROUNDS = 6
 FEW_SCANS = 3

@@ -35,13 +35,16 @@ from benchmarks.speed import forward, ipopt, solvers
 from benchmarks.speed.clock import Stopwatch, peak_gib
 from benchmarks.speed.frames import frames
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
-from solver.anatomy.capture_set import CaptureSet
-from solver.anatomy.ict_performance import performance_frames
-from solver.fitting import geometry, standard
+from solver.fitting import (
+    chosen,
+    geometry,
+)
 from solver.fitting.face import Face
 from solver.fitting.objective import Target
 from solver.mechanics.flesh import COROTATED_DET
 from solver.mechanics.linear import fastest
+from solver.templates.export import CaptureSet
+from solver.templates.ict_facekit import performance_frames
 
 SIZES_MM = (19.0, 13.0, 9.0, 5.5)
 """Tets' edges of the scaling: about 1.9, 3.5, 7 and 19 thousand vertices."""
@@ -94,7 +97,7 @@ def run(options: argparse.Namespace) -> Figures:
     log.info("geometry")
     with Stopwatch() as watch:
         fitted = geometry.fit(
-            precise, standard.terms(face, train), easy=standard.distances(face, train)
+            precise, chosen.terms(face, train), easy=chosen.distances(face, train)
         )
     memory = peak_gib()
     log.info("geometry: %.1f s, %.2f GiB", watch.seconds, memory)

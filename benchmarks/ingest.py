@@ -22,11 +22,15 @@ import trimesh
 from benchmarks import report
 from benchmarks.bad_scans import BAD_SCANS, Subject
 from benchmarks.documents import Section, Table
-from solver.anatomy.builtin import builtin_capture_set, builtin_expression, builtin_template
-from solver.anatomy.ict_captures import ict_capture_set
+from solver.meshio.obj import write_obj
 from solver.pipeline.checks import check_scan
-from solver.scans.obj import write_obj
 from solver.surface import Surface
+from solver.templates.builtin.build import (
+    builtin_capture_set,
+    builtin_expression,
+    builtin_template,
+)
+from solver.templates.ict_facekit import ict_capture_set
 
 SIZES = (200_000, 1_000_000)
 SUBJECTS = ("A", "B", "C")

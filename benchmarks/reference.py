@@ -26,8 +26,12 @@ from solver.errors import SolveError
 from solver.fitting import activation, reference
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, State
-from solver.fitting.objective import Regulariser, Target
-from solver.fitting.terms import SkinDistance, Term
+from solver.fitting.objective import (
+    Regulariser,
+    SkinDistance,
+    Target,
+    Term,
+)
 from solver.model import SubjectModel
 
 CONVERGED = ActivationOptions(max_iterations=200, tolerance=1e-7)

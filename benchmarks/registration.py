@@ -25,16 +25,18 @@ import numpy as np
 from benchmarks import report
 from benchmarks.corruption import Corruption, corrupted
 from benchmarks.documents import Section, Table
-from solver.anatomy.ict_captures import ict_capture_set
-from solver.anatomy.ict_template import build_ict_template
-from solver.anatomy.shapes import ShapeBasis
-from solver.anatomy.template import Template
+from solver.anatomy.template import ShapeBasis, Template
+from solver.meshio.read import (
+    RawScan,
+    read_raw,
+)
+from solver.registration.mend import mend
 from solver.registration.register import Registration, register
 from solver.registration.topology import Topology, topology
-from solver.scans.mend import mend
-from solver.scans.raw import RawScan, read_raw
 from solver.similarity import weighted_motion
 from solver.surface import Floats, Surface
+from solver.templates.ict_facekit import ict_capture_set
+from solver.templates.ict_template import build_ict_template
 
 RAW = ("meshmonk/DemoFace_10K.obj", "menpo3d/james.obj")
 UNITS_MM = (1.0, 10.0, 1000.0, 25.4)

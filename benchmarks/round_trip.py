@@ -14,10 +14,13 @@ import numpy as np
 from benchmarks import report, subjects
 from benchmarks.documents import Figures, Section, Table
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
-from solver.drawing.colours import both_sides
+from solver.drawing.head import both_sides
+from solver.fitting.activation import Resting
 from solver.fitting.face import Face, Pose
-from solver.fitting.resting import Resting
-from solver.fitting.shortening import fibre_tensors, shortened
+from solver.fitting.stretches import (
+    fibre_tensors,
+    shortened,
+)
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.round_trip import round_trip
 

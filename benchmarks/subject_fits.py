@@ -14,13 +14,16 @@ from benchmarks.documents import Figures
 from solver.contact.crossing import crossing
 from solver.contact.mouth import Mouth
 from solver.errors import SolveError
-from solver.fitting import chosen, geometry, per_tet, standard
+from solver.fitting import (
+    chosen,
+    geometry,
+    per_tet,
+)
+from solver.fitting.activation import Resting
 from solver.fitting.face import Face, State
 from solver.fitting.geometry import GeometryOptions
-from solver.fitting.objective import Target
+from solver.fitting.objective import Target, Term
 from solver.fitting.per_tet import PerTetOptions
-from solver.fitting.resting import Resting
-from solver.fitting.terms import Term
 from solver.surface import Floats, Surface
 
 log = logging.getLogger(__name__)
@@ -85,7 +88,7 @@ def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> tuple[sp
         log.info("round %d: %.3f mm", number, geometry.mean_error(face, targets, states))
 
     start = time.perf_counter()
-    data, easy = standard.terms(face, targets), standard.distances(face, targets)
+    data, easy = chosen.terms(face, targets), chosen.distances(face, targets)
     fitted = geometry.fit(face, data, schedule, easy=easy, listen=listen)
     seconds = time.perf_counter() - start
     return fitted.S, Fits(face, dict(scans), fitted.states, seconds, {})
@@ -93,15 +96,15 @@ def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> tuple[sp
 
 def by_activations(face: Face, S: sp.csr_array, scans: Scans) -> Fits:
     """Fit activations and jaw to every scan, S being known."""
-    regulariser, rest = standard.unseen_regulariser(face), Resting(face, S)
+    regulariser, rest = chosen.unseen_regulariser(face), Resting(face, S)
 
     def fit(data: Term) -> State:
-        found = chosen.fit(face, S, data, regulariser, rest, standard.UNSEEN_STOP)
+        found = chosen.fit(face, S, data, regulariser, rest, chosen.UNSEEN_STOP)
         if found.status == "failed":
             raise SolveError("fit.failed", "; ".join(notice.message for notice in found.notices))
         return found.state
 
-    return _each(face, scans, standard.terms(face, _targets(face, scans)), fit)
+    return _each(face, scans, chosen.terms(face, _targets(face, scans)), fit)
 
 
 def by_tets(face: Face, scans: Scans, options: PerTetOptions) -> Fits:
@@ -110,7 +113,7 @@ def by_tets(face: Face, scans: Scans, options: PerTetOptions) -> Fits:
     def fit(data: Term) -> State:
         return per_tet.fit(face, data, options=options).state
 
-    return _each(face, scans, standard.terms(face, _targets(face, scans)), fit)
+    return _each(face, scans, chosen.terms(face, _targets(face, scans)), fit)
 
 
 def _each(face: Face, scans: Scans, data: Mapping[str, Term], fit: Callable[[Term], State]) -> Fits:

@@ -7,12 +7,15 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from solver.anatomy.build import build_subject_model
-from solver.anatomy.builtin import builtin_capture_set, builtin_template
-from solver.anatomy.capture_set import CaptureSet
-from solver.anatomy.ict_captures import ict_capture_set
-from solver.anatomy.ict_template import build_ict_template
-from solver.anatomy.mesh_cache import meshed
+from solver.anatomy.meshing import meshed
 from solver.model import SubjectModel
+from solver.templates.builtin.build import (
+    builtin_capture_set,
+    builtin_template,
+)
+from solver.templates.export import CaptureSet
+from solver.templates.ict_facekit import ict_capture_set
+from solver.templates.ict_template import build_ict_template
 
 EDGE_MM, COARSE_EDGE_MM = 9.0, 18.0
 """Tets' edges of benchmarks: as in jobs, and small enough for IPOPT."""

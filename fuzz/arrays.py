@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from solver.anatomy.template import Template
-from solver.archive import Arrays
-from solver.npz import read_arrays
+from solver.storage import Arrays, read_arrays
 from tests.ball_head import ball_head
 
 VALUES = [0, -1, 1, 2**31, 2**62, -(2**62), 0.5, 1e300, np.nan, np.inf]

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import atheris  # type: ignore[import-untyped]
 
-with atheris.instrument_imports(include=["solver.scans", "solver.archive", "service"]):
+with atheris.instrument_imports(include=["solver.scans", "solver.storage", "service"]):
     from fuzz.targets import targets
 
 

@@ -15,16 +15,15 @@ from service.errors import Problem
 from service.http import strict_json
 from service.outbound import client as outbound
 from service.uploads.schemas import parse_checksum, parse_metadata
-from solver.anatomy.template_folder import read_template
-from solver.archive import Archive
 from solver.errors import InputError
-from solver.scans.landmarks import read_landmarks
+from solver.meshio.read import read_raw, read_registered
+from solver.registration.landmarks import read_landmarks
+from solver.registration.mend import mend
 from solver.scans.live_link import read_live_link
-from solver.scans.mend import mend
 from solver.scans.performance import open_performance
-from solver.scans.raw import read_raw
-from solver.scans.read import read_registered
+from solver.storage import Archive
 from solver.surface import Surface
+from solver.templates.folder import read_template
 
 Read = Callable[[Path], object]
 

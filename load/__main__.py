@@ -24,7 +24,7 @@ from myoface.resources import Job
 from myoface.stack import Stack
 from service.settings import Settings
 from service.store.queue import QUEUES
-from solver.anatomy.builtin import builtin_capture_set
+from solver.templates.builtin.build import builtin_capture_set
 
 MOST_READ_S = 0.15
 MOST_GROWTH = 5.0

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import scipy.sparse as sp
 
-from solver.archive import Archive, Arrays, csr_arrays, csr_from, with_prefix
 from solver.errors import InputError
+from solver.storage import Archive, Arrays, csr_arrays, csr_from, with_prefix
 from solver.surface import Floats, Ints, Surface
 
 FORMAT = 1

@@ -6,10 +6,8 @@ import numpy as np
 import scipy.sparse as sp
 import trimesh
 
-from solver.anatomy.depths import Depth
-from solver.anatomy.template import Muscle, Template
-from solver.anatomy.template_mesh import TemplateMesh
-from solver.scans.landmarks import IBUG_68
+from solver.anatomy.template import Depth, Muscle, Template, TemplateMesh
+from solver.registration.landmarks import IBUG_68
 from solver.surface import Surface
 
 

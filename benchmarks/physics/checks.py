@@ -23,7 +23,7 @@ from benchmarks.documents import Figures
 from benchmarks.physics.box import box
 from benchmarks.plots import COLOURS, HEIGHT_IN, STYLE, WIDTH_IN, power_law, save
 from solver.anatomy.domain import boundary
-from solver.edits.edited import DENSITY
+from solver.edits.edit import DENSITY
 from solver.fitting.face import Face
 from solver.mechanics import equilibrium, linear
 from solver.mechanics.flesh import (
@@ -34,13 +34,16 @@ from solver.mechanics.flesh import (
     Material,
 )
 from solver.model import SubjectModel
-from solver.scene.physics import STIFFNESS_PA
+from solver.scene.stage import STIFFNESS_PA
 from solver.similarity import IDENTITY
-from solver.simulation.inertia import Inertial, lumped_masses
+from solver.simulation.inertia import (
+    Drive,
+    Inertial,
+    Motion,
+    lumped_masses,
+)
 from solver.simulation.simulator import Simulator
-from solver.simulation.state import Drive, Motion
-from solver.surface import Floats, Ints
-from solver.triangles import area_normals
+from solver.surface import Floats, Ints, area_normals
 
 MATERIALS = {
     "corotated, trace": COROTATED_TRACE,

@@ -20,18 +20,21 @@ import trimesh
 from benchmarks.documents import Figures
 from benchmarks.physics.fitted import Fitted
 from benchmarks.physics.headset import headset
-from solver.contact.objects import check_objects
-from solver.contact.penetration import Gauge, Penetration, depth_inside
+from solver.contact.crossing import (
+    Gauge,
+    Penetration,
+    depth_inside,
+)
 from solver.contact.potentials import contact_potentials
 from solver.drawing.head import Head
 from solver.drawing.page import HEADER, Page
-from solver.drawing.raster import Camera
-from solver.drawing.render import Body, Lit, faded, render
-from solver.edits.edited import DENSITY
+from solver.drawing.render import Body, Camera, Lit, faded, render
+from solver.edits.edit import DENSITY
 from solver.fitting.face import Face, Pose
 from solver.model import SubjectModel
 from solver.rig.pictures import SIDE, THREE_QUARTER, WIDTH
-from solver.scene.physics import STIFFNESS_PA
+from solver.scene.objects import check_objects
+from solver.scene.stage import STIFFNESS_PA
 from solver.simulation.simulator import Simulator, Stepped
 from solver.surface import Floats, Surface
 

@@ -22,9 +22,12 @@ from benchmarks.documents import Figures
 from solver.drawing.head import Head
 from solver.drawing.page import HEADER, Page
 from solver.drawing.render import faded, render
-from solver.edits.edit import apply
-from solver.edits.edited import Edited
-from solver.edits.replay import Replay, Replayed
+from solver.edits.edit import (
+    Edited,
+    Replay,
+    Replayed,
+    apply,
+)
 from solver.errors import SolveError
 from solver.fitting.face import Face
 from solver.mechanics.linear import fastest
@@ -32,10 +35,13 @@ from solver.model import SubjectModel
 from solver.rig.edit_report import Compared, EditedPerson, edit_report
 from solver.rig.pictures import THREE_QUARTER, face_camera
 from solver.rig.result import ExpressionFit, load_activations, load_weights
-from solver.scene.edits import edits_of
-from solver.scene.physics import Physics, physics_of
 from solver.scene.places import Places
-from solver.simulation.fibre_fit import fit_fibres
+from solver.scene.stage import (
+    Physics,
+    edits_of,
+    physics_of,
+)
+from solver.simulation.fibres import fit_fibres
 from solver.surface import Floats
 
 SCENES = Path(__file__).parents[2] / "examples" / "scenes"

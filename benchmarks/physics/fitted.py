@@ -13,9 +13,9 @@ from solver.fitting.face import Face, Pose
 from solver.mechanics.flesh import COROTATED_TRACE
 from solver.model import SubjectModel
 from solver.rig.result import load_activations, load_weights
-from solver.scene.physics import STIFFNESS_PA
+from solver.scene.stage import STIFFNESS_PA
 from solver.similarity import IDENTITY, Similarity
-from solver.simulation.state import Drive
+from solver.simulation.inertia import Drive
 
 
 @dataclass(frozen=True)

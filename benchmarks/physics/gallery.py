@@ -13,7 +13,10 @@ import trimesh
 from benchmarks.physics.fitted import Fitted
 from benchmarks.physics.headset import headset
 from benchmarks.physics.jobs import FOLDER
-from solver.pipeline.play import play, skin_of
+from solver.pipeline.scenes import (
+    play,
+    skin_of,
+)
 from solver.progress import silent
 from solver.rig.animation_picture import Filming, Shot, contact_sheet
 from solver.scene.document import check

@@ -20,19 +20,23 @@ import numpy as np
 from benchmarks.documents import Figures
 from benchmarks.physics.fitted import Fitted
 from myoface.demo.khronos_validator import khronos_validation
-from solver.anatomy.builtin_source import cache_directory
-from solver.anatomy.shapes import ShapeBasis
+from solver.anatomy.template import ShapeBasis
 from solver.animation.recording import RecordedDrives, from_recording
 from solver.drawing.head import Head
 from solver.drawing.page import HEADER, MARGIN, Page
 from solver.drawing.render import faded, render
-from solver.pipeline.play import finish, play, skin_of
+from solver.pipeline.scenes import (
+    finish,
+    play,
+    skin_of,
+)
 from solver.progress import silent
 from solver.rig.motion import MotionFrame
 from solver.rig.pictures import face_camera
 from solver.scans.live_link import LiveLinkTake
 from solver.scene.places import Places
 from solver.scene.stage import Stage
+from solver.storage import cache_directory
 from solver.surface import Floats
 
 START, FRAMES = 2000, 300

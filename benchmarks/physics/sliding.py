@@ -14,9 +14,9 @@ import numpy as np
 
 from benchmarks.documents import Figures
 from benchmarks.physics.fitted import Fitted
-from solver.anatomy.bone_normals import bone_normals
+from solver.anatomy.bones import bone_normals
 from solver.anatomy.domain import boundary
-from solver.drawing import colours
+from solver.drawing import head as drawing_head
 from solver.drawing.head import Head
 from solver.drawing.page import HEADER, Page
 from solver.drawing.render import Body, Lit, faded, render
@@ -94,7 +94,7 @@ def picture(path: Path, person: Fitted) -> None:
         shown = np.full(len(moved), np.nan)
         shown[model.face] = moved[model.face]
         skull = Lit(Surface(state.x, inner))
-        colour = colours.linear(colours.heat(along_bone(state), MOST_MM))
+        colour = drawing_head.linear(drawing_head.heat(along_bone(state), MOST_MM))
         bodies = {
             f"{name}: skin": head.heat_map(head.lit(skin), shown, MOST_MM),
             f"{name}: at the skull": Body(skull, colour, gloss=0.04),

@@ -17,16 +17,16 @@ import scipy.sparse as sp
 from benchmarks import plots
 from benchmarks.documents import Figures
 from benchmarks.physics.fitted import Fitted
-from solver.animation.frame import Drives
+from solver.animation.keys import Drives
 from solver.contact.potentials import contact_potentials
-from solver.edits.edited import DENSITY
+from solver.edits.edit import DENSITY
 from solver.fitting.face import Face
 from solver.mechanics.flesh import COROTATED_TRACE
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
-from solver.scene.physics import STIFFNESS_PA
+from solver.scene.stage import STIFFNESS_PA
+from solver.simulation.inertia import Drive
 from solver.simulation.simulator import Simulator, Stepped
-from solver.simulation.state import Drive
 from solver.surface import Floats
 
 WARM = 2

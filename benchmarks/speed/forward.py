@@ -11,14 +11,16 @@ import scipy.sparse as sp
 from benchmarks.documents import Figures
 from benchmarks.speed.clock import Stopwatch
 from benchmarks.speed.solvers import CONVERGED, IPOPT_W_A, prepared
-from solver.anatomy.capture_set import CaptureSet
-from solver.fitting import activation, standard
+from solver.fitting import (
+    activation,
+    chosen,
+)
 from solver.fitting.face import Face, Pose, State
-from solver.fitting.objective import Target
-from solver.fitting.terms import SkinDistance
+from solver.fitting.objective import SkinDistance, Target
 from solver.mechanics.linear import Factor, LinearSolver, fastest
 from solver.model import SubjectModel
 from solver.surface import Floats
+from solver.templates.export import CaptureSet
 
 NEIGHBOUR = 0.95
 """Part of the way from rest to an expression: where the warm start of that expression is."""
@@ -74,7 +76,7 @@ def scaling(
     for edge in sorted(models, key=lambda edge: edge != common):
         model = models[edge]
         face, S = Face(model, linear=fastest()), model.weights
-        regulariser = replace(standard.unseen_regulariser(face), w_a=IPOPT_W_A)
+        regulariser = replace(chosen.unseen_regulariser(face), w_a=IPOPT_W_A)
         rest, preparing = prepared(face, S)
         fits, iterations = [], []
         for name in names:

@@ -7,14 +7,16 @@ import scipy.sparse as sp
 
 from benchmarks.documents import Figures
 from benchmarks.speed.clock import Stopwatch
-from solver.anatomy.ict_performance import IctPerformance
 from solver.errors import SolveError
-from solver.fitting import activation, standard
+from solver.fitting import (
+    activation,
+    chosen,
+)
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face
-from solver.fitting.objective import Target
+from solver.fitting.objective import SkinDistance, Target
 from solver.fitting.sequence import Tracker
-from solver.fitting.terms import SkinDistance
+from solver.templates.ict_facekit import IctPerformance
 
 COLD = ActivationOptions(max_iterations=60, tolerance=1e-4)
 
@@ -28,7 +30,7 @@ def frames(
     objective of the compared frames over the mean of their cold fits, less one. A frame that can
     not be fitted stays as the one before, and is in ``failed``.
     """
-    regulariser, rest = standard.unseen_regulariser(face), face.rest_state(S)
+    regulariser, rest = chosen.unseen_regulariser(face), face.rest_state(S)
     tracker = Tracker(face, S, regulariser, rest)
     alone = set(numbers[:: max(len(numbers) // compared, 1)])
     milliseconds, errors, inverted, pairs, failed = [], [], 0, [], []

@@ -13,12 +13,20 @@ from benchmarks.documents import Figures
 from benchmarks.speed.clock import History, Stopwatch
 from benchmarks.speed.solvers import CONVERGED, IPOPT_W_A, prepared
 from solver.errors import SolveError
-from solver.fitting import activation, reference, standard
+from solver.fitting import (
+    activation,
+    chosen,
+    reference,
+)
+from solver.fitting.activation import Resting
 from solver.fitting.face import Face
-from solver.fitting.objective import Regulariser, Target
+from solver.fitting.objective import (
+    Regulariser,
+    SkinDistance,
+    Target,
+    Term,
+)
 from solver.fitting.reference import NotConvergedError
-from solver.fitting.resting import Resting
-from solver.fitting.terms import SkinDistance, Term
 
 IPOPT_ITERATIONS = 200
 SAME_OBJECTIVE = 1e-3
@@ -40,7 +48,7 @@ def against_ipopt(face: Face, targets: Mapping[str, Target]) -> list[Figures]:
     """
     S = face.model.weights
     rest, _ = prepared(face, S)
-    regulariser = replace(standard.unseen_regulariser(face), w_a=IPOPT_W_A)
+    regulariser = replace(chosen.unseen_regulariser(face), w_a=IPOPT_W_A)
     found = []
     for name, target in targets.items():
         data = SkinDistance(face, target)

@@ -11,13 +11,15 @@ import scipy.sparse as sp
 from benchmarks.documents import Figures
 from benchmarks.speed.clock import Stopwatch
 from solver.errors import SolveError
-from solver.fitting import activation, per_tet, standard
-from solver.fitting.activation import ActivationFit, ActivationOptions
+from solver.fitting import (
+    activation,
+    chosen,
+    per_tet,
+)
+from solver.fitting.activation import ActivationFit, ActivationOptions, Resting
 from solver.fitting.face import Face
-from solver.fitting.objective import Target
+from solver.fitting.objective import SkinDistance, Target
 from solver.fitting.per_tet import PerTetOptions
-from solver.fitting.resting import Resting
-from solver.fitting.terms import SkinDistance
 
 TOLERANCE = 1e-4
 """Gain of a step, as a part of the objective, below which a solve ends."""
@@ -35,7 +37,7 @@ def activations(
     face: Face, S: sp.csr_array, rest: Resting, targets: Mapping[str, Target]
 ) -> list[Figures]:
     """Fit every target by A, cold: from the resting face ``rest``, which is :func:`prepared`."""
-    regulariser = standard.unseen_regulariser(face)
+    regulariser = chosen.unseen_regulariser(face)
     found = []
     for name, target in targets.items():
         data = SkinDistance(face, target)
@@ -87,7 +89,7 @@ def compile_kernels(face: Face, phace: Face | None, target: Target) -> None:
     """Run every solver for a moment, so that no compilation is timed."""
     S, rest = face.model.weights, face.rest_state(face.model.weights)
     data = SkinDistance(face, target)
-    regulariser = standard.unseen_regulariser(face)
+    regulariser = chosen.unseen_regulariser(face)
     activation.fit(face, S, data, regulariser, rest, ActivationOptions(1))
     if phace is not None:
         with contextlib.suppress(SolveError):

@@ -20,12 +20,12 @@ from myoface.cli.console import complain, out, show_table
 from myoface.client import Client
 from myoface.demo.khronos_validator import khronos_validation
 from myoface.demo.outcome import Bars, Outcome, millimetres
-from solver.anatomy.builtin_source import cache_directory
 from solver.rig.gltf_check import validate_glb
+from solver.storage import cache_directory
 
 if TYPE_CHECKING:
     from myoface.demo.session import Options
-    from solver.anatomy.capture_set import CaptureSet
+    from solver.templates.export import CaptureSet
 
 BUILTIN_BARS = Bars(train_mm=0.9, test_mm=1.0)
 ICT_BARS = Bars(train_mm=0.85, test_mm=0.90)
@@ -100,11 +100,11 @@ def _inputs(
     capture_sets: Path | None,
 ) -> tuple[Path | None, CaptureSet]:
     if anatomy is None or faces is None:
-        from solver.anatomy.builtin import builtin_capture_set
+        from solver.templates.builtin.build import builtin_capture_set
 
         return None, builtin_capture_set()
-    from solver.anatomy.ict_captures import ict_capture_set
-    from solver.anatomy.ict_template import build_ict_template
+    from solver.templates.ict_facekit import ict_capture_set
+    from solver.templates.ict_template import build_ict_template
 
     captures = ict_capture_set(faces, subject, capture_sets)
     template = output / "template.npz"

@@ -354,9 +354,9 @@ def live_link(
     output: NewFile = Path("performance.npy"),
 ) -> None:
     """Make a performance of a Live Link Face recording, for a model of an ICT-FaceKit head."""
-    from solver.anatomy.ict_performance import model_performance
     from solver.model import SubjectModel
     from solver.scans.performance import write_performance
+    from solver.templates.ict_facekit import model_performance
 
     subject = SubjectModel.load(model)
     frames = model_performance(faces, recording, subject)

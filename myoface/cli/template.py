@@ -50,7 +50,7 @@ def build(
     ] = True,
 ) -> None:
     """Build a template from --anatomy and --faces, from --folder, or the --builtin one."""
-    from solver.anatomy.mesh_cache import meshed
+    from solver.anatomy.meshing import meshed
 
     sources = [anatomy is not None and faces is not None, folder is not None, builtin]
     if sum(sources) != 1 or (anatomy is None) != (faces is None):
@@ -74,7 +74,7 @@ def check(
     json_file: Annotated[Path | None, typer.Option("--json", help="report; - prints it")] = None,
 ) -> None:
     """Say what is wrong with a template; exit code 1 if it can not be used."""
-    from solver.anatomy.template_report import report_template
+    from solver.templates.checks import report_template
 
     report = report_template(_load(given))
     text = json.dumps(report.as_dict(), indent=2)
@@ -100,7 +100,7 @@ def show(
     ] = None,
 ) -> None:
     """Show what a template holds, landmarks by name; with --output also draw it, and its skin."""
-    from solver.anatomy.template_report import template_figures
+    from solver.templates.checks import template_figures
 
     loaded = _load(given)
     show_table(("what", "how much"), list(_rows(template_figures(loaded))))
@@ -109,8 +109,7 @@ def show(
         names = ", ".join(loaded.landmarks)
         out.print(textwrap.indent(textwrap.fill(names, NAMES_WIDTH), "  "), markup=False)
     if output is not None:
-        from solver.rig.pictures import template_picture
-        from solver.rig.skin_picture import skin_picture
+        from solver.rig.pictures import skin_picture, template_picture
 
         output.mkdir(parents=True, exist_ok=True)
         for name, draw in (("anatomy.png", template_picture), ("skin.png", skin_picture)):
@@ -121,7 +120,7 @@ def show(
 @template.command()
 def export(given: Given = None, output: NewFolder = Path("template")) -> None:
     """Write a template as a folder of meshes and tables, to change it or as an example."""
-    from solver.anatomy.template_export import write_template
+    from solver.templates.export import write_template
 
     write_template(_load(given), output)
     out.print(f"{output}", markup=False)
@@ -129,7 +128,7 @@ def export(given: Given = None, output: NewFolder = Path("template")) -> None:
 
 def _made(anatomy: Path | None, faces: Path | None, folder: Path | None) -> Template:
     if anatomy is not None and faces is not None:
-        from solver.anatomy.ict_template import build_ict_template
+        from solver.templates.ict_template import build_ict_template
 
         with out.status("fitting skull and muscles into the head (about a minute)"):
             return build_ict_template(anatomy, faces)
@@ -137,9 +136,9 @@ def _made(anatomy: Path | None, faces: Path | None, folder: Path | None) -> Temp
 
 
 def _load(given: Path | None) -> Template:
-    from solver.anatomy.builtin import builtin_template
     from solver.anatomy.template import Template
-    from solver.anatomy.template_folder import read_template
+    from solver.templates.builtin.build import builtin_template
+    from solver.templates.folder import read_template
 
     if given is None:
         return builtin_template()

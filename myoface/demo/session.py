@@ -14,7 +14,7 @@ from myoface.cli.console import JobView, err, transfer_bar
 from myoface.client import Client
 from myoface.errors import ApiError
 from myoface.resources import Artifact, Job, Kind, Result, Role
-from solver.anatomy.capture_set import CaptureSet
+from solver.templates.export import CaptureSet
 
 LOG_TAIL = 20
 WORTH_TELLING_S = 0.05

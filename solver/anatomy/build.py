@@ -8,17 +8,14 @@ import igl
 import numpy as np
 import structlog
 
+from solver.anatomy.bones import jaw_frame
 from solver.anatomy.domain import boundary, joined
 from solver.anatomy.embedding import barycentric
-from solver.anatomy.fibres import fibre_directions
-from solver.anatomy.jaw_frame import jaw_frame
 from solver.anatomy.meshing import EDGE_MM, make_mesh
-from solver.anatomy.muscle_weights import enclosed_volume, muscle_volumes
-from solver.anatomy.template import Template
-from solver.anatomy.template_mesh import TemplateMesh
+from solver.anatomy.muscle_weights import enclosed_volume, fibre_directions, muscle_volumes
+from solver.anatomy.template import Template, TemplateMesh
 from solver.anatomy.tetrahedra import dihedral_angles, volumes
-from solver.anatomy.transfer import carry, skin_warp
-from solver.anatomy.transport import transport
+from solver.anatomy.transfer import carry, skin_warp, transport
 from solver.errors import InputError, SolveError
 from solver.model import SubjectModel
 from solver.progress import Progress, Step, silent

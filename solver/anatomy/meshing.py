@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import tempfile
 from dataclasses import dataclass, replace
+from pathlib import Path
 
+import igl
 import numpy as np
+import scipy.sparse as sp
+import structlog
+from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
-from solver.anatomy.closing import closed
 from solver.anatomy.domain import (
     DEEP_FACTOR,
     Flesh,
@@ -19,15 +25,48 @@ from solver.anatomy.domain import (
     label_tets,
 )
 from solver.anatomy.embedding import barycentric, rows_of
-from solver.anatomy.guidance import guidance
 from solver.anatomy.muscle_weights import initial_weights
 from solver.anatomy.relaxation import relaxed
-from solver.anatomy.template import Template
-from solver.anatomy.template_mesh import TemplateMesh
+from solver.anatomy.template import Template, TemplateMesh
 from solver.anatomy.tetrahedra import tetrahedralize
-from solver.errors import SolveError
+from solver.anatomy.transfer import guidance
+from solver.errors import InputError, SolveError
 from solver.progress import Progress, Step, silent
+from solver.storage import cache_directory
 from solver.surface import Floats, Ints, Surface
+
+# From the parted pose, in which the flesh is meshed, back to the neutral pose.
+
+
+def closed(head: Template, vertices: Floats, tets: Ints, outside: Ints, held: Ints) -> Floats:
+    """Return the flesh's vertices (p, 3), meshed with parted lips, with the lips closed.
+
+    Vertices of the ``outside`` faces (f, 3) move with the skin they lie on, ``held`` ones stay
+    and the others follow harmonically; tets between the lips may come out inverted.
+    """
+    skin_side = np.setdiff1d(outside, held)
+    skin = Surface(head.parted.vertices, head.skin.faces[head.flesh_faces])
+    face, shares, _ = barycentric(vertices[skin_side], skin)
+    displacement = np.einsum("nk,nkd->nd", shares, -head.parting[skin.faces[face]])
+    known = np.concatenate([skin_side, held])
+    values = np.vstack([displacement, np.zeros((len(held), 3))])
+    return vertices + harmonic_displacement(vertices, tets, known, values)
+
+
+def harmonic_displacement(vertices: Floats, tets: Ints, known: Ints, values: Floats) -> Floats:
+    """Return the displacement (p, 3) that is ``values`` (k, 3) at ``known`` (k,) and harmonic.
+
+    Linear finite elements; the vertices (p, 3) give the metric.
+    """
+    laplacian = sp.csc_array(igl.cotmatrix(vertices, tets))
+    displacement = np.zeros_like(vertices)
+    displacement[known] = values
+    free = np.setdiff1d(np.arange(len(vertices)), known)
+    inner = sp.csc_matrix(-laplacian[free][:, free])
+    right = laplacian[free][:, known] @ values
+    displacement[free] = splu(inner, permc_spec="MMD_AT_PLUS_A").solve(np.ascontiguousarray(right))
+    return displacement
+
 
 EDGE_MM = 9.0
 ENVELOPE = 0.08
@@ -212,3 +251,51 @@ def _drawn_along(head: Template, points: Floats) -> np.ndarray:
     near_face = cKDTree(face).query(points)[0] < FACE_FREE_MM
     near_jaw = cKDTree(head.mandible.vertices).query(points)[0] < JAW_FREE_MM
     return np.asarray(near_jaw | (throat & near_face))
+
+
+# A template's tets where its file carries none of the wanted size: made once, then kept.
+
+
+MAKING = 4
+"""Part of the name in the cache; counts up where meshes are made in another way."""
+
+log = structlog.get_logger(__name__)
+
+
+def meshed(template: Template, edge_mm: float = EDGE_MM, progress: Progress = silent) -> Template:
+    """Return the template with tets of ``edge_mm``: its own, those in the cache, or new ones.
+
+    New ones take minutes and are not reproducible, so they are kept in the cache folder under the
+    hash of what they were made from. Raises as :func:`solver.anatomy.meshing.make_mesh`.
+    """
+    if template.mesh is not None and template.mesh.edge_mm == edge_mm:
+        return template
+    bare = replace(template, mesh=None)
+    path = cache_directory() / f"meshed-{MAKING}-{bare.sha256[:16]}-{edge_mm:g}mm.npz"
+    kept = _kept(path)
+    if kept is None:
+        log.info("making the template's tets", template=template.name, to=str(path))
+        _keep(with_mesh(bare, edge_mm, progress), path)
+        kept = Template.load(path)
+    return kept
+
+
+def _kept(path: Path) -> Template | None:
+    """Return the template in the cache; none if there is none, or a file that was spoilt."""
+    if not path.exists():
+        return None
+    try:
+        return Template.load(path)
+    except InputError as error:
+        log.warning("the template's tets are made anew", reason=str(error))
+        path.unlink(missing_ok=True)
+        return None
+
+
+def _keep(template: Template, path: Path) -> None:
+    """Store the template unless another process was faster: then its tets are everybody's."""
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+        whole = Path(folder) / path.name
+        template.save(whole)
+        if not path.exists():
+            os.replace(whole, path)

@@ -7,18 +7,211 @@ one NPZ file without pickles.
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, field
+from dataclasses import astuple, dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
 
-from solver.anatomy.depths import Depth
-from solver.anatomy.shapes import ShapeBasis
-from solver.anatomy.template_arrays import check_arrays
-from solver.anatomy.template_mesh import TemplateMesh
-from solver.archive import Archive, Arrays, with_prefix
+from solver.anatomy.embedding import rows_of, shares_in_tets
 from solver.errors import InputError
+from solver.storage import Archive, Arrays, csr_arrays, csr_from, with_prefix
 from solver.surface import Floats, Ints, Surface
+
+# Soft-tissue depths: how far bone lies under the skin at landmarks, with their sources.
+
+
+@dataclass(frozen=True)
+class Depth:
+    """The mean depth in mm of ``bone`` (cranium or mandible) under a landmark of the skin.
+
+    ``deviation`` is the standard deviation over persons in mm, None where it is not known.
+    """
+
+    landmark: str
+    bone: str
+    mean: float
+    deviation: float | None
+    source: str
+
+
+# What is known of how a topology varies: over persons and over expressions.
+
+
+@dataclass(frozen=True)
+class ShapeBasis:
+    """Linear shapes of a template's skin, all displacements in mm from the template's neutral.
+
+    identity
+        (k, n, 3) float32, one standard deviation of each component; coefficients are independent
+        with unit variance. k = 0 where nothing is known.
+    expressions
+        (e, n, 3) float32, each at its full strength (weight 1); weights lie in [0, 1].
+    expression_names
+        The e names, as ARKit calls them where it has one.
+    """
+
+    identity: NDArray[np.float32]
+    expressions: NDArray[np.float32]
+    expression_names: tuple[str, ...]
+
+
+# Whether a template's arrays fit together: shapes, finite numbers, indices in range.
+
+
+def check_arrays(template: Template, file: str) -> None:
+    """Raise what is wrong with a template's arrays; ``file`` is named in the message.
+
+    Raises
+    ------
+    InputError
+        ``template.shape``, ``template.nan`` or ``template.range``, with the ``array``'s name.
+    """
+    check = _Check(file)
+    check.surface("skin", template.skin)
+    skin = len(template.skin.vertices)
+    check.surface("cranium", template.cranium)
+    check.surface("mandible", template.mandible)
+    check.numbers("flesh_faces", template.flesh_faces, len(template.skin.faces))
+    for name in ("face_vertices", "attached_cranium", "attached_mandible"):
+        check.numbers(name, getattr(template, name), skin)
+    for name in ("flesh_faces", "face_vertices"):
+        if not len(getattr(template, name)):
+            check.wrong("shape", name, "is empty")
+    for name, ids in template.regions.items():
+        check.numbers(f"region {name}", ids, skin)
+    for name, vertex in template.landmarks.items():
+        check.numbers(f"landmark {name}", np.array([vertex]), skin)
+    check.points("parting", template.parting, (skin, 3))
+    check.points("condyles", template.condyles, (2, 3))
+    check.points("planes", np.array([template.back_z, template.bottom_y]), (2,))
+    for muscle in template.muscles:
+        check.surface(f"muscle {muscle.name}", muscle.surface)
+        axis = np.stack([muscle.fibre, muscle.origin, muscle.insertion])
+        check.points(f"axis of muscle {muscle.name}", axis, (3, 3))
+    if template.shapes is not None:
+        shapes = template.shapes
+        check.points("identity shapes", shapes.identity, (None, skin, 3))
+        check.points("expressions", shapes.expressions, (len(shapes.expression_names), skin, 3))
+    if template.mesh is not None:
+        mesh = template.mesh
+        check.points("mesh vertices", mesh.vertices, (None, 3))
+        count = len(mesh.vertices)
+        check.numbers("mesh tets", mesh.tets, count, columns=4)
+        for name in ("cranium", "mandible", "cut", "sliding"):
+            check.numbers(f"mesh {name}", getattr(mesh, name), count)
+        for name in ("embedded", "attached_mandible"):
+            check.numbers(f"mesh {name}", getattr(mesh, name), skin)
+        check.numbers("mesh embedded_in", mesh.embedded_in, len(mesh.tets))
+        check.points("mesh shares", mesh.shares, (len(mesh.embedded_in), 4))
+        weights = mesh.weights
+        check.points("mesh weights", weights.data, (len(weights.indices),))
+        check.numbers("mesh weights", weights.indices, weights.shape[1])
+        for name, found, wanted in (
+            ("weights", weights.shape[0], len(mesh.tets)),
+            ("embedded_in", len(mesh.embedded_in), len(mesh.embedded)),
+        ):
+            if found != wanted:
+                check.wrong("shape", f"mesh {name}", f"has {found} rows, not {wanted}")
+
+
+class _Check:
+    def __init__(self, file: str) -> None:
+        self._file = file
+
+    def wrong(self, code: str, array: str, what: str) -> None:
+        raise InputError(
+            f"template.{code}", f"{self._file}: {array} {what}", file=self._file, array=array
+        )
+
+    def points(self, name: str, array: np.ndarray, shape: tuple[int | None, ...]) -> None:
+        fits = array.ndim == len(shape) and all(
+            wanted in (None, found) for wanted, found in zip(shape, array.shape, strict=True)
+        )
+        if not fits or array.dtype.kind not in "fi":
+            wanted = " x ".join("any" if n is None else str(n) for n in shape)
+            self.wrong("shape", name, f"has shape {array.shape} of {array.dtype}, not {wanted}")
+        if not np.isfinite(array).all():
+            place = np.argwhere(~np.isfinite(array))[0]
+            self.wrong("nan", name, f"has an entry that is not finite, at {place.tolist()}")
+
+    def numbers(self, name: str, array: np.ndarray, count: int, columns: int = 0) -> None:
+        fits = array.shape[1:] == ((columns,) if columns else ()) and array.ndim > 0
+        if not fits or array.dtype.kind != "i":
+            self.wrong("shape", name, f"has shape {array.shape} of {array.dtype}")
+        outside = np.argwhere((array < 0) | (array >= count))
+        if len(outside):
+            place = tuple(outside[0])
+            self.wrong("range", name, f"has {array[place]} at {list(map(int, place))}, of {count}")
+
+    def surface(self, name: str, surface: Surface) -> None:
+        self.points(f"{name} vertices", surface.vertices, (None, 3))
+        self.numbers(f"{name} faces", surface.faces, len(surface.vertices), columns=3)
+
+
+# The template's tetrahedra: made once, carried into every person.
+
+
+@dataclass(frozen=True)
+class TemplateMesh:
+    """Tetrahedra of the flesh in the neutral pose; mm.
+
+    edge_mm
+        The edge length on the face that was asked for.
+    vertices
+        (p, 3) rest vertices.
+    tets
+        (n, 4) vertex numbers, every volume positive.
+    cranium, mandible, cut, sliding
+        Vertex numbers, disjoint; see :class:`solver.model.SubjectModel`.
+    embedded, embedded_in, shares
+        (e,) skin vertices that follow the flesh, the tets (e,) under them, and the (e, 4)
+        barycentric coordinates of their nearest point on the flesh's outside, none negative.
+    attached_mandible
+        Skin vertices that move rigidly with the mandible.
+    weights
+        (n, m + 1) initial S, which every person shares.
+    """
+
+    edge_mm: float
+    vertices: Floats
+    tets: Ints
+    cranium: Ints
+    mandible: Ints
+    cut: Ints
+    sliding: Ints
+    embedded: Ints
+    embedded_in: Ints
+    shares: Floats
+    attached_mandible: Ints
+    weights: sp.csr_array
+
+    @property
+    def surface_rows(self) -> sp.csr_array:
+        """Return rows (e, p) that carry each embedded vertex's point on the flesh's outside."""
+        return rows_of(self.tets[self.embedded_in], self.shares, len(self.vertices))
+
+    def embedding(self, skin: Floats) -> sp.csr_array:
+        """Return rows (e, p) that carry the embedded vertices of ``skin`` (n, 3) themselves."""
+        corners = self.tets[self.embedded_in]
+        shares = shares_in_tets(skin[self.embedded], self.vertices, corners, self.shares)
+        return rows_of(corners, shares, len(self.vertices))
+
+    def arrays(self) -> Arrays:
+        """Return the mesh as named arrays, for a file."""
+        plain = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "weights"}
+        return {name: np.asarray(value) for name, value in plain.items()} | csr_arrays(
+            "weights", self.weights
+        )
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays, muscle_count: int) -> TemplateMesh:
+        """Return the mesh that :meth:`arrays` described."""
+        plain = {f.name: arrays[f.name] for f in fields(cls) if f.name != "weights"}
+        weights = csr_from("weights", arrays, muscle_count + 1)
+        return cls(**{**plain, "edge_mm": float(arrays["edge_mm"]), "weights": weights})
+
 
 FORMAT = 1
 
@@ -119,7 +312,7 @@ class Template:
         """Read a template written by :meth:`save`.
 
         Raises :class:`InputError`: ``template.unreadable`` or ``template.format`` if the file is
-        not one, else as :func:`solver.anatomy.template_arrays.check_arrays`.
+        not one, else as :func:`solver.anatomy.template.check_arrays`.
         """
         archive = Archive.read(path, "template", "a template", FORMAT)
         try:

@@ -5,12 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import igl
 import numpy as np
+import scipy.sparse as sp
 
-from solver.anatomy.skin_depth import SkinDepth
-from solver.anatomy.template import Muscle, Template
+from solver.anatomy.depth_warp import SkinDepth
+from solver.anatomy.domain import boundary
+from solver.anatomy.embedding import barycentric
+from solver.anatomy.relaxation import Guides, relaxed
+from solver.anatomy.template import Muscle, Template, TemplateMesh
+from solver.anatomy.tetrahedra import barycentric_in_tets, dihedral_angles
 from solver.anatomy.warp import Warp, interpolate, spread
-from solver.surface import Floats, Surface
+from solver.errors import SolveError
+from solver.surface import Floats, Ints, Surface
 
 CORRESPONDENCES = 900
 SMOOTHING_MM = 2.0
@@ -100,3 +107,147 @@ def _deep_enough(points: Floats, moved: Floats, before: _Depths, after: _Depths)
         if np.array_equal(moved, start):
             break
     return moved
+
+
+# How all points of the flesh move when its tetrahedra do.
+
+
+class FleshMotion:
+    """A smooth warp corrected so that it moves a mesh's vertices as they really moved.
+
+    The corrections at the vertices are interpolated in the tetrahedron around a point, or at the
+    nearest point of the mesh's boundary. So muscles stay where S has them.
+    """
+
+    def __init__(self, vertices: Floats, tets: Ints, moved: Floats, warp: Warp) -> None:
+        """Take a mesh, ``vertices`` (p, 3) and ``tets`` (t, 4), and where it ``moved``, (p, 3)."""
+        self._vertices, self._tets, self._warp = vertices, tets, warp
+        self._surface = Surface(vertices, boundary(tets))
+        self._correction = moved - warp(vertices)
+        self._tree = igl.AABB()
+        self._tree.init(vertices, tets)
+
+    def __call__(self, points: Floats) -> Floats:
+        """Return the images (n, 3) of ``points`` (n, 3)."""
+        points = np.ascontiguousarray(points)
+        tet = np.asarray(igl.in_element(self._vertices, self._tets, points, self._tree))
+        correction = np.empty_like(points)
+        inside, outside = np.flatnonzero(tet >= 0), np.flatnonzero(tet < 0)
+        corners = self._tets[tet[inside]]
+        shares = barycentric_in_tets(points[inside], self._vertices[corners])
+        correction[inside] = np.einsum("nk,nkd->nd", shares, self._correction[corners])
+        if len(outside):
+            face, shares, _ = barycentric(points[outside], self._surface)
+            corners = self._surface.faces[face]
+            correction[outside] = np.einsum("nk,nkd->nd", shares, self._correction[corners])
+        return self._warp(points) + correction
+
+
+# What pulls a mesh of flesh: the skin it carries, the bones it lies on, and its place.
+
+
+FACE_PULL = 20.0
+SKIN_PULL = 4.0
+"""Of a skin vertex, on the face and elsewhere; 1/mm^2."""
+BONE_PULL = 10.0
+"""Of a vertex on a bone or cut plane."""
+STAY = 0.1
+"""Of every vertex to where it starts, so that nothing drifts that is not pulled."""
+
+
+def guidance(
+    head: Template,
+    skin: Floats,
+    embedded: Ints,
+    surface_rows: sp.csr_array,
+    held: Ints,
+    held_at: Floats,
+    start: Floats,
+) -> Guides:
+    """Return the springs of a mesh.
+
+    Parameters
+    ----------
+    head
+        Says which skin vertices are the face's.
+    skin
+        (n, 3) positions the skin should have.
+    embedded, surface_rows
+        (e,) skin vertices that follow the mesh, and the (e, p) rows of their surface points.
+    held, held_at
+        (h,) vertices on bones and cut planes, and where they belong, (h, 3).
+    start
+        (p, 3) positions of all vertices.
+    """
+    count = len(start)
+    pull = np.where(np.isin(embedded, head.face_vertices), FACE_PULL, SKIN_PULL)
+    return Guides.joined(
+        [
+            Guides(surface_rows, skin[embedded], pull),
+            Guides.of_vertices(held, held_at, BONE_PULL, count),
+            Guides.of_vertices(np.arange(count), start, STAY, count),
+        ]
+    )
+
+
+# A template's tetrahedra carried into a person: the same tets, muscles and S for everybody.
+#
+# The skin's warp carries all vertices; then the mesh is relaxed, pulled by the person's skin
+# through its embedding and by the person's bones through the places it has on the template's.
+
+
+LEAST_DEG = 5.0
+"""A mesh with a smaller dihedral angle is of no use."""
+
+
+def transport(
+    template: Template, mesh: TemplateMesh, person: Template, warp: Warp
+) -> tuple[TemplateMesh, Template]:
+    """Return the template's mesh in a person, and the person with muscles moved as their tets are.
+
+    Parameters
+    ----------
+    template
+        The head the mesh was made for.
+    mesh
+        The template's tets.
+    person
+        The template carried into the person by ``warp``.
+    warp
+        The map of space between their skins.
+
+    Raises
+    ------
+    SolveError
+        ``mesh.inverted`` or ``mesh.flat``.
+    """
+    start = warp(mesh.vertices)
+    place = start.copy()
+    cranium = np.concatenate([mesh.cranium, mesh.sliding])
+    for ids, before, after in (
+        (cranium, template.cranium, person.cranium),
+        (mesh.mandible, template.mandible, person.mandible),
+    ):
+        place[ids] = _follow(mesh.vertices[ids], before, after)
+    held = np.concatenate([cranium, mesh.mandible, mesh.cut])
+    guides = guidance(
+        person, person.skin.vertices, mesh.embedded, mesh.surface_rows, held, place[held], start
+    )
+    moved = relaxed(start, mesh.tets, guides)
+    narrow = dihedral_angles(moved, mesh.tets).min()
+    if narrow < LEAST_DEG:
+        raise SolveError(
+            "mesh.flat",
+            f"a tetrahedron is left with a dihedral angle of {narrow:.1f} degrees",
+            degrees=float(narrow),
+        )
+    motion = FleshMotion(mesh.vertices, mesh.tets, moved, warp)
+    muscles = tuple(carried_muscle(muscle, motion) for muscle in template.muscles)
+    return replace(mesh, vertices=moved), replace(person, muscles=muscles)
+
+
+def _follow(points: Floats, before: Surface, after: Surface) -> Floats:
+    """Return where points (n, 3) near a surface go when it moves."""
+    face, shares, _ = barycentric(points, before)
+    moved = (after.vertices - before.vertices)[before.faces[face]]
+    return np.asarray(points + np.einsum("nk,nkd->nd", shares, moved))

@@ -2,20 +2,149 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Literal, Protocol
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
+from scipy.spatial.transform import Rotation
 
-from solver.animation.blend import Blend, unfolded
-from solver.animation.frame import PosedFrame
-from solver.animation.head import HeadKey, HeadMotion, neck
-from solver.animation.tracks import Interpolation, Track, track
+from solver.animation.blendshapes import (
+    Blend,
+    unfolded,
+)
 from solver.errors import InputError
 from solver.fitting.face import Pose
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel
+from solver.similarity import Similarity
 from solver.surface import Floats
+
+# One moment of an animation.
+
+
+@dataclass(frozen=True)
+class PosedFrame:
+    """Activations ``a`` (m, 6), ``jaw`` (5,), ``head`` into the world (scale 1), ``eyes`` (2, 3).
+
+    Eyes, the subject's left one first, are rotation vectors in radians in the head's frame.
+    ``clamped`` counts the muscles that were kept from folding
+    (:mod:`solver.animation.blendshapes`).
+    """
+
+    a: Floats
+    jaw: Floats
+    head: Similarity
+    eyes: Floats
+    clamped: int = 0
+
+
+class Drives(Protocol):
+    """What the face does at any time; ``times`` (f,) in seconds are those of its frames."""
+
+    times: Floats
+
+    def __call__(self, time: float) -> PosedFrame:
+        """Return the pose at ``time`` in seconds, between frames too."""
+
+
+# Values over time between keys.
+
+
+Interpolation = Literal["smooth", "linear"]
+"""``smooth`` is a monotone cubic (Fritsch and Carlson 1980), which goes beyond no key's value."""
+
+SHORTEST_SECONDS = 1e-9
+"""Between two keys: values change at no infinite rate."""
+
+Track = Callable[[float], Floats]
+
+
+def track(
+    times: Sequence[float], values: Floats, what: str, interpolation: Interpolation = "smooth"
+) -> Track:
+    """Return values (c,) at any time from ``values`` (k, c) at the keys' ``times`` (k,) in s.
+
+    Before the first key and after the last they are as there, and zero if there is none. Raises
+    :class:`InputError` (``scene.times``) if a key is not later than the one before, or its time is
+    no number; ``what`` is the list of the keys, as the scene calls it.
+    """
+    check_times(times, what)
+    if not len(times):
+        return lambda _time: np.zeros(values.shape[1])
+    if len(times) == 1:
+        return lambda _time: values[0]
+    first, last = times[0], times[-1]
+    if interpolation == "smooth":
+        curve = PchipInterpolator(times, values)
+        return lambda time: np.asarray(curve(min(max(time, first), last)))
+    return lambda time: np.array([np.interp(time, times, column) for column in values.T])
+
+
+def check_times(times: Sequence[float], what: str) -> None:
+    """Raise ``scene.times`` unless every time is a number and later than the one before."""
+    for number, time in enumerate(times):
+        if not np.isfinite(time):
+            raise InputError("scene.times", f"the time of {what}[{number}] is {time}", key=number)
+        if number and time - times[number - 1] < SHORTEST_SECONDS:
+            raise InputError(
+                "scene.times",
+                f"{what}[{number}] at {time:g} s is not later than the one before",
+                key=number,
+            )
+
+
+# Where the head is: keys of its turns and shifts, about a pivot in the neck.
+
+
+BELOW_JAW_MM, BEHIND_JAW_MM = 40.0, 20.0
+"""Where heads turn, from the middle of the jaw's condyles: about the upper neck."""
+
+
+@dataclass(frozen=True)
+class HeadKey:
+    """At ``time`` in s the head is turned by ``rotation`` (3,), a vector in rad, and moved.
+
+    ``shift`` (3,) is in mm.
+    """
+
+    time: float
+    rotation: Floats
+    shift: Floats
+
+
+def neck(model: SubjectModel) -> Floats:
+    """Return the point (3,) about which the subject's head turns, mm."""
+    return np.asarray(model.jaw.origin - [0.0, BELOW_JAW_MM, BEHIND_JAW_MM])
+
+
+def turned(pivot: Floats, rotation: Floats, shift: Floats) -> Similarity:
+    """Return the turn by a rotation vector (3,) about ``pivot`` (3,), and the ``shift`` (3,)."""
+    matrix = Rotation.from_rotvec(rotation).as_matrix()
+    return Similarity(1.0, matrix, pivot - matrix @ pivot + shift)
+
+
+class HeadMotion:
+    """The head between keys, before the first as there, after the last as there.
+
+    Turns and shifts are interpolated by component. Without a key the head stays where it is.
+    Raises :class:`InputError` (``scene.times``) for keys that are not one after the other.
+    """
+
+    def __init__(
+        self, keys: Sequence[HeadKey], pivot: Floats, interpolation: Interpolation = "smooth"
+    ) -> None:
+        self._pivot = pivot
+        values = [np.concatenate([key.rotation, key.shift]) for key in keys]
+        self._track = track(
+            [key.time for key in keys], np.reshape(values, (len(keys), 6)), "head", interpolation
+        )
+
+    def __call__(self, time: float) -> Similarity:
+        """Return the motion into the world at ``time`` in s."""
+        place = self._track(time)
+        return turned(self._pivot, place[:3], place[3:])
 
 
 @dataclass(frozen=True)
@@ -33,7 +162,7 @@ class Key:
 
 
 class KeyedDrives:
-    """A :class:`~solver.animation.frame.Drives` between keys; see :func:`from_keys`."""
+    """A :class:`~solver.animation.keys.Drives` between keys; see :func:`from_keys`."""
 
     def __init__(
         self,
@@ -69,7 +198,7 @@ class KeyedDrives:
         self._jaw = tracked([key.jaw for key in keys], 5)
 
     def __call__(self, time: float) -> PosedFrame:
-        """See :class:`~solver.animation.frame.Drives`."""
+        """See :class:`~solver.animation.keys.Drives`."""
         pose = self._blend.pose(self._weights(time))
         a = pose.a
         a[self._muscles] += self._moves(time).reshape(-1, 6)
@@ -117,3 +246,34 @@ def _check_names(keys: Sequence[Key], poses: Mapping[str, Pose], model: SubjectM
                         found=name,
                         expected=known,
                     )
+
+
+# Eyeballs, which no muscle of the face moves: they turn in the head by themselves.
+
+
+SIDES = ("left", "right")
+
+
+class Gaze:
+    """Turns the eyeballs of a subject, the regions ``left_eyeball`` and ``right_eyeball``.
+
+    A skin without them stays as it is.
+    """
+
+    def __init__(self, model: SubjectModel) -> None:
+        skin = model.skin.vertices
+        regions = [model.regions.get(f"{side}_eyeball", np.zeros(0, int)) for side in SIDES]
+        self._balls = [(ids, _centre(skin[ids])) for ids in regions]
+
+    def turn(self, skin: Floats, eyes: Floats) -> Floats:
+        """Return a skin (V, 3) in the head's frame with eyes turned by vectors (2, 3) in rad."""
+        turned = skin.copy()
+        for (ids, centre), vector in zip(self._balls, eyes, strict=True):
+            turned[ids] = centre + Rotation.from_rotvec(vector).apply(skin[ids] - centre)
+        return turned
+
+
+def _centre(points: Floats) -> Floats:
+    """Return the centre (3,) of the sphere nearest to ``points`` (n, 3)."""
+    system = np.column_stack([2.0 * points, np.ones(len(points))])
+    return np.asarray(np.linalg.lstsq(system, np.sum(points**2, axis=1), rcond=None)[0][:3])

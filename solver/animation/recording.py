@@ -6,20 +6,24 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from solver.anatomy.ict_performance import arkit_source
-from solver.animation.blend import unfolded
-from solver.animation.blendshapes import Blendshapes
-from solver.animation.frame import PosedFrame
-from solver.animation.head import HeadKey, HeadMotion, neck, turned
-from solver.animation.tracks import track
+from solver.animation.blendshapes import Blendshapes, unfolded
+from solver.animation.keys import (
+    HeadKey,
+    HeadMotion,
+    PosedFrame,
+    neck,
+    track,
+    turned,
+)
 from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.scans.live_link import ARKIT_NAMES, LiveLinkTake
 from solver.surface import Floats
+from solver.templates.ict_facekit import arkit_source
 
 
 class RecordedDrives:
-    """A :class:`~solver.animation.frame.Drives` of a recording; see :func:`from_recording`.
+    """A :class:`~solver.animation.keys.Drives` of a recording; see :func:`from_recording`.
 
     ``weights`` (f, e) are what drives each blendshape in the frames.
     """
@@ -43,7 +47,7 @@ class RecordedDrives:
         self._head = head
 
     def __call__(self, time: float) -> PosedFrame:
-        """See :class:`~solver.animation.frame.Drives`."""
+        """See :class:`~solver.animation.keys.Drives`."""
         weights, head, eyes = np.split(self._track(time), [-9, -6])
         pose = self._blend.pose(weights)
         a, clamped = unfolded(pose.a)

@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from solver.contact.surface import ContactSurface, collision_mesh
-from solver.mechanics.boundary import Boundary
+from solver.mechanics.potential import Boundary
 from solver.surface import Floats, Ints, Surface
 
 DISTANCE_MM = 0.08

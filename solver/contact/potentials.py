@@ -6,16 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from solver.contact.arches import Arch
 from solver.contact.barrier import Barrier
-from solver.contact.eyes import Eyeball
 from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
-from solver.contact.one_sided import MARGIN_MM, STIFFNESS, OneSided, free_depths
+from solver.contact.one_sided import MARGIN_MM, STIFFNESS, Arch, Eyeball, OneSided, free_depths
 from solver.contact.surface import ContactSurface
 from solver.mechanics.potential import Potential
 from solver.model import SubjectModel
-from solver.surface import Ints, Surface
-from solver.triangles import vertex_areas
+from solver.surface import Ints, Surface, vertex_areas
 
 
 def contact_potentials(
@@ -49,7 +46,7 @@ def contact_potentials(
         Lids meet eyeballs, where the model has both.
     objects
         Closed surfaces from outside, in the head's frame, where they are to begin with; that they
-        do not cross the skin there is for :func:`solver.contact.objects.check_objects`.
+        do not cross the skin there is for :func:`solver.scene.objects.check_objects`.
     friction
         Coefficient between skins and with objects.
 

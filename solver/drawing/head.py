@@ -2,13 +2,152 @@
 
 from __future__ import annotations
 
+import colorsys
+import re
+
 import igl
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
-from solver.drawing import colours
-from solver.drawing.parts import skin_parts
 from solver.drawing.render import Body, Lit
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Floats, Ints, Surface, adjacency
+
+# Colours of pictures: what skin, eyes, bones and muscles look like, and the error's scale.
+
+
+GAMMA = 2.2
+SKIN = (0.62, 0.43, 0.34)  # linear, as all here except the muscles' and the error's
+TEETH = (0.72, 0.66, 0.54)
+MOUTH = (0.45, 0.16, 0.15)
+SCLERA = (0.74, 0.72, 0.69)
+IRIS = (0.10, 0.16, 0.17)
+PUPIL = (0.008, 0.008, 0.01)
+BONE = (0.72, 0.64, 0.50)
+FAT = (0.80, 0.62, 0.33)
+UNMEASURED = (0.60, 0.60, 0.61)
+PARTS = {"skin": SKIN, "teeth": TEETH, "mouth": MOUTH, "eyes": SCLERA}
+IRIS_MM, PUPIL_MM = 6.0, 2.4  # radii; an adult iris is 11.7 mm across (Rüfer et al. 2005)
+
+HEAT_MAX_MM = 2.0
+HEAT = np.array(  # sRGB at equal steps from 0 to HEAT_MAX_MM, ever darker
+    [
+        (0.84, 0.91, 0.94),
+        (0.56, 0.79, 0.87),
+        (0.97, 0.89, 0.58),
+        (0.98, 0.66, 0.32),
+        (0.88, 0.33, 0.20),
+        (0.55, 0.05, 0.18),
+    ]
+)
+
+
+def heat(error_mm: Floats, most_mm: float = HEAT_MAX_MM) -> Floats:
+    """Return the sRGB colour (n, 3) of distances (n,) in mm, the last from ``most_mm`` on."""
+    share = np.clip(error_mm / most_mm, 0, 1)
+    steps = np.linspace(0, 1, len(HEAT))
+    return np.column_stack([np.interp(share, steps, HEAT[:, k]) for k in range(3)])
+
+
+def linear(srgb: Floats) -> Floats:
+    """Return linear colours of sRGB colours."""
+    return np.asarray(srgb, np.float64) ** GAMMA
+
+
+def both_sides(muscle: str) -> str:
+    """Return a muscle's name without its side: ``left buccinator`` -> ``buccinator``."""
+    words = re.split(r"[\s_]+", muscle)
+    return " ".join(word for word in words if word.lower() not in ("left", "right", "l", "r"))
+
+
+def muscle_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:
+    """Return muscle without side -> sRGB colour: hues by the golden ratio, alike in strength.
+
+    Neighbours in the list get hues far apart, and the two sides of a muscle share one.
+    """
+    kinds = list(dict.fromkeys(both_sides(name) for name in names))
+    colours = {}
+    for number, kind in enumerate(kinds):
+        hue = (0.985 + number * 0.381966) % 1.0
+        lightness = (0.40, 0.56, 0.48, 0.66)[number % 4]
+        colours[kind] = colorsys.hls_to_rgb(hue, lightness, 0.58)
+    return colours
+
+
+# Which parts a scan topology is made of: skin, eyeballs, teeth, the rest of the mouth, lashes.
+#
+# A subject model does not name them, so they are told apart by shape: they are separate components,
+# eyeballs are spheres, and what is small lies at an eye or is a tooth.
+
+
+EYE_RADIUS_MM = (9.0, 18.0)
+ROUNDNESS = 0.07  # deviation from the best sphere, by its radius (the cornea's bulge gives 0.04)
+NEAR_EYE = 2.2  # radii: lashes and tear film lie within
+TOOTH_MM = 34.0  # crown and root
+
+
+def skin_parts(skin: Surface) -> dict[str, Ints]:
+    """Return part -> face numbers for ``skin``, ``eyes``, ``teeth``, ``mouth`` and ``lashes``.
+
+    Every face belongs to one part; parts that are not there are left out. ``mouth`` is gums and
+    tongue, ``lashes`` is everything else about the eyes.
+    """
+    kinds = np.array(_kinds(skin))
+    label = _components(skin)[skin.faces[:, 0]]
+    names = ("skin", "eyes", "teeth", "mouth", "lashes")
+    faces = {name: np.flatnonzero(kinds[label] == name) for name in names}
+    return {name: numbers for name, numbers in faces.items() if len(numbers)}
+
+
+def _components(skin: Surface) -> Ints:
+    count = len(skin.vertices)
+    edges = adjacency(skin.faces, count)
+    return np.asarray(connected_components(edges, directed=False)[1], np.int64)
+
+
+def _kinds(skin: Surface) -> list[str]:
+    """Return the part of every component."""
+    label = _components(skin)
+    points = [skin.vertices[label == number] for number in range(label.max() + 1)]
+    spheres = [_sphere(component) for component in points]
+    eyes = [sphere for sphere in spheres if sphere is not None]
+    largest = int(np.argmax([len(component) for component in points]))
+    kinds = []
+    for number, component in enumerate(points):
+        centre = component.mean(axis=0)
+        if number == largest:
+            kinds.append("skin")
+        elif spheres[number] is not None:
+            kinds.append("eyes")
+        elif any(np.linalg.norm(centre - eye) < NEAR_EYE * radius for eye, radius in eyes):
+            kinds.append("lashes")
+        elif np.ptp(component, axis=0).max() < TOOTH_MM:
+            kinds.append("teeth")
+        else:
+            kinds.append("mouth")
+    if "teeth" not in kinds:  # rows of teeth in one piece: wider than deep, as no tongue is
+        sizes = [np.ptp(component, axis=0) for component in points]
+        kinds = [
+            "teeth" if kind == "mouth" and size[0] > size[2] else kind
+            for kind, size in zip(kinds, sizes, strict=True)
+        ]
+    return kinds
+
+
+def _sphere(points: Floats) -> tuple[Floats, float] | None:
+    """Return centre and radius if the points lie on most of a sphere of an eye's size."""
+    if len(points) < 12:
+        return None
+    system = np.column_stack([2 * points, np.ones(len(points))])
+    solution = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
+    centre = solution[:3]
+    distance = np.linalg.norm(points - centre, axis=1)
+    radius = float(distance.mean())
+    round_enough = distance.std() < ROUNDNESS * radius
+    whole = np.ptp(points, axis=0).min() > 1.6 * radius
+    if EYE_RADIUS_MM[0] < radius < EYE_RADIUS_MM[1] and round_enough and whole:
+        return centre, radius
+    return None
+
 
 EYE_SUBDIVISIONS = 2
 NONE = np.zeros((0, 3), np.int64)
@@ -22,9 +161,9 @@ class Head:
 
     def __init__(self, neutral: Surface) -> None:
         parts = {name: neutral.faces[faces] for name, faces in skin_parts(neutral).items()}
-        self._colour = np.tile(colours.SKIN, (len(neutral.vertices), 1))
+        self._colour = np.tile(SKIN, (len(neutral.vertices), 1))
         for name, faces in parts.items():
-            self._colour[faces] = colours.PARTS.get(name, colours.SKIN)
+            self._colour[faces] = PARTS.get(name, SKIN)
         self.skin = parts["skin"]
         self.teeth = parts.get("teeth", NONE)
         self.mouth = parts.get("mouth", NONE)
@@ -54,22 +193,22 @@ class Head:
         """Return the head, or some of its faces, in natural colours."""
         return Body(lit, self._colour, faces=faces, opacity=opacity)
 
-    def heat_map(self, lit: Lit, error_mm: Floats, most_mm: float = colours.HEAT_MAX_MM) -> Body:
+    def heat_map(self, lit: Lit, error_mm: Floats, most_mm: float = HEAT_MAX_MM) -> Body:
         """Return the head in the colours of a distance (v,) in mm, grey where it is NaN."""
-        colour = np.tile(colours.UNMEASURED, (len(self._colour), 1))
+        colour = np.tile(UNMEASURED, (len(self._colour), 1))
         measured = np.flatnonzero(np.isfinite(error_mm))
-        colour[measured] = colours.linear(colours.heat(error_mm[measured], most_mm))
+        colour[measured] = linear(heat(error_mm[measured], most_mm))
         return Body(lit, colour, gloss=0.04)
 
 
 def _eye_colour(points: Floats) -> Floats:
     """Return the colours (n, 3) of two eyeballs that look forward."""
-    colour = np.tile(colours.SCLERA, (len(points), 1))
+    colour = np.tile(SCLERA, (len(points), 1))
     is_left = points[:, 0] > points[:, 0].mean()
     for eye in (np.flatnonzero(is_left), np.flatnonzero(~is_left)):
         offset = points[eye] - (points[eye].min(axis=0) + points[eye].max(axis=0)) / 2
         radius = np.hypot(offset[:, 0], offset[:, 1])
         front = offset[:, 2] > 0
-        colour[eye[front & (radius < colours.IRIS_MM)]] = colours.IRIS
-        colour[eye[front & (radius < colours.PUPIL_MM)]] = colours.PUPIL
+        colour[eye[front & (radius < IRIS_MM)]] = IRIS
+        colour[eye[front & (radius < PUPIL_MM)]] = PUPIL
     return colour

@@ -7,8 +7,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from solver.drawing.colours import HEAT_MAX_MM, heat
-from solver.drawing.raster import Pixels
+from solver.drawing.head import (
+    HEAT_MAX_MM,
+    heat,
+)
+from solver.drawing.render import Pixels
 
 INK, GREY = (38, 40, 46), (112, 116, 124)
 PAPER = (249, 249, 250)

@@ -8,8 +8,8 @@ from typing import Literal
 import igl
 import numpy as np
 
-from solver.anatomy.loose_skin import LooseSkin
-from solver.edits.edited import Edited
+from solver.anatomy.embedding import LooseSkin
+from solver.edits.edit import Edited
 from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints, Surface

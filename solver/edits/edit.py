@@ -2,14 +2,61 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from time import perf_counter
 from typing import Protocol
 
+import numpy as np
 import scipy.sparse as sp
 
-from solver.edits.edited import Edited
 from solver.errors import InputError
+from solver.fitting.face import Face
+from solver.mechanics.potential import Potential
 from solver.model import SubjectModel
+from solver.similarity import IDENTITY as NO_MOTION
+from solver.simulation.inertia import Drive
+from solver.simulation.simulator import Simulator
+from solver.surface import Floats
+
+# What edits make of a face: the only thing that simulations see of them.
+
+
+DENSITY = 1e-3
+"""Of flesh, in g/mm^3: water's."""
+
+
+@dataclass(frozen=True)
+class Edited:
+    """An edited person: anatomy, and what became of the flesh.
+
+    model
+        The person; bones that were moved, and the skin vertices that stay with them (teeth), are
+        where they are now. Its flesh, ``rest`` included, is as it was.
+    unedited
+        The person before all edits.
+    growth, stiffness, density
+        (n,) per tet: f of F_p = f I, a factor of the material's stiffness, and g/mm^3.
+    bones
+        (p, 3) in mm, added to the rest of vertices on bones: held ones and those that slide.
+    S
+        (n, m + 1) blends the activations.
+    """
+
+    model: SubjectModel
+    unedited: SubjectModel
+    growth: Floats
+    stiffness: Floats
+    density: Floats
+    bones: Floats
+    S: sp.csr_array
+
+    @classmethod
+    def nothing(cls, model: SubjectModel, S: sp.csr_array) -> Edited:
+        """Return the face as it is."""
+        ones = np.ones(len(model.tets))
+        return cls(model, model, ones, ones, DENSITY * ones, np.zeros_like(model.rest), S)
+
 
 LEAST_GROWTH, MOST_GROWTH = 0.5, 1.8
 """Lengths over those at rest that flesh may have with all edits: flesh that grows more finds no
@@ -45,3 +92,59 @@ def apply(edits: Iterable[Edit], model: SubjectModel, S: sp.csr_array) -> Edited
                 found=round(found, 3),
             )
     return edited
+
+
+# Expressions replayed on an edited person: the same activations in other flesh.
+
+
+SECONDS = 1.0
+"""The way from rest to an expression counts as taking so long, for friction."""
+PARTS = 4
+"""Steps of that way: in one of them lips would be pressed through each other, or buckle."""
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """An equilibrium: vertices ``x`` (p, 3), the ``skin`` (V, 3), both in mm, and the ``jaw`` (5,).
+
+    ``inverted`` tets there are, and the ``seconds`` that it took to find from the person's rest.
+    """
+
+    x: Floats
+    skin: Floats
+    jaw: Floats
+    inverted: int
+    seconds: float
+
+
+class Replay:
+    """An edited person, quasi-static, from whose rest every expression starts.
+
+    ``face`` has the edits' stiffness, growth and bones, ``potentials`` are its contacts. Raises
+    :class:`~solver.errors.SolveError` where the edited person finds no rest.
+    """
+
+    def __init__(self, edited: Edited, face: Face, potentials: Sequence[Potential]) -> None:
+        begun = perf_counter()
+        self._face = face
+        self._simulator = Simulator(face, potentials, [], dynamic=False, density=edited.density)
+        self._drive = Drive(0.0, face.flesh.passive(), np.zeros(5), NO_MOTION)
+        self._rest = self._simulator.rest(self._drive)
+        self.neutral = self._replayed(self._rest.x, self._drive.jaw, perf_counter() - begun)
+        """The edited person at rest."""
+
+    def pose(self, A: Floats, jaw: Floats) -> Replayed:
+        """Return the equilibrium for activations ``A`` (n, 6) of the tets and a ``jaw`` (5,).
+
+        Raises :class:`~solver.errors.SolveError` if there is none.
+        """
+        begun = perf_counter()
+        goal, motion, drive = Drive(SECONDS, A, jaw, NO_MOTION), self._rest, self._drive
+        for part in np.arange(1, PARTS + 1) / PARTS:
+            target = self._drive.toward(goal, float(part))
+            motion, drive = self._simulator.step(motion, drive, target).motion, target
+        return self._replayed(motion.x, jaw, perf_counter() - begun)
+
+    def _replayed(self, x: Floats, jaw: Floats, seconds: float) -> Replayed:
+        face = self._face
+        return Replayed(x, face.whole_skin(x, jaw), jaw, face.flesh.inverted(x), seconds)

@@ -12,8 +12,7 @@ from scipy.sparse.linalg import splu
 from solver.errors import InputError
 from solver.mechanics.flesh import shape_gradients
 from solver.model import SubjectModel
-from solver.surface import Floats, Ints
-from solver.triangles import vertex_areas
+from solver.surface import Floats, Ints, vertex_areas
 
 BLUR_MM = 2.0
 """How far what is painted runs into its surroundings on the skin."""

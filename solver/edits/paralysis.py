@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import scipy.sparse as sp
 
-from solver.edits.edited import Edited
+from solver.edits.edit import Edited
 from solver.errors import InputError
 from solver.surface import Floats, Ints
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import scipy.sparse as sp
 
@@ -17,8 +18,7 @@ from solver.errors import SolveError
 from solver.fitting import gauss_newton
 from solver.fitting.face import Face, Pose, State
 from solver.fitting.gauss_newton import GaussNewton, Step
-from solver.fitting.objective import Regulariser
-from solver.fitting.terms import Term
+from solver.fitting.objective import Regulariser, SkinDistance, Target, Term
 from solver.surface import Floats
 
 DAMPING_START = 0.1
@@ -207,3 +207,28 @@ class _Trust:
     def shrink(self, taken: float) -> None:
         """Trust in steps half as long as the one ``taken``."""
         self.reach = max(0.5 * min(self.reach, taken), LEAST_TRUST)
+
+
+# The neutral face, which every fit of an expression can begin with.
+
+
+class Resting:
+    """What all expressions of a face with S share: ``state``, the neutral face as an equilibrium.
+
+    Raises :class:`SolveError` if there is none.
+    """
+
+    def __init__(self, face: Face, S: sp.csr_array) -> None:
+        self._face = face
+        self._S = S
+        self.state: State = face.rest_state(S)
+
+    @cached_property
+    def matrix(self) -> Floats:
+        """Return the Gauss-Newton matrix (:func:`gauss_newton.curvature`) for points all alike.
+
+        It is computed when first asked for.
+        """
+        target = Target.from_points(self._face.face_points(self.state.x))
+        data = SkinDistance(self._face, target)
+        return gauss_newton.curvature(self._face, self._S, data, self.state)

@@ -6,21 +6,27 @@ notices that say why it is no better.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 import scipy.sparse as sp
 
-from solver.errors import SolveError
+from solver.contact.mouth import Mouth
+from solver.errors import Notice, SolveError
 from solver.fitting import activation, reference
-from solver.fitting.activation import ActivationOptions, Listener
+from solver.fitting.activation import ActivationOptions, Listener, Resting
+from solver.fitting.contact import Contact, Teeth
 from solver.fitting.face import Face, State
-from solver.fitting.notices import Notice
-from solver.fitting.objective import Regulariser
+from solver.fitting.objective import (
+    Regulariser,
+    SkinDistance,
+    Target,
+    Term,
+    Together,
+)
 from solver.fitting.reference import NotConvergedError, Reference
-from solver.fitting.resting import Resting
-from solver.fitting.terms import Term
 
 Solver = Literal["reduced", "ipopt"]
 Status = Literal["converged", "stopped", "failed"]
@@ -171,3 +177,34 @@ def slowness(face: Face) -> list[Notice]:
         return []
     message = f"solver ipopt takes minutes for an expression on a mesh of {vertices} vertices"
     return [Notice("solver.slow", message, {"found": vertices})]
+
+
+# What jobs and benchmarks fit: the terms of every expression, and the weights of an unseen one.
+
+
+UNSEEN = {"w_a": 1e-3, "w_v": 1e-2, "w_b": 1e-6}
+"""Weights for an expression that S was not fitted to: w_a low from the start."""
+
+UNSEEN_STOP = ActivationOptions(max_iterations=25, tolerance=1e-3)
+
+
+def distances(face: Face, targets: Mapping[str, Target]) -> dict[str, Term]:
+    """Return the distance of every expression, without contact: what a fit of S begins with."""
+    return {name: SkinDistance(face, target) for name, target in targets.items()}
+
+
+def terms(face: Face, targets: Mapping[str, Target]) -> dict[str, Term]:
+    """Return the terms of every expression: the distance, and contact if the model has lips."""
+    mouth = Mouth.of(face.model)
+    data = distances(face, targets)
+    if mouth is None:
+        return data
+    teeth = Teeth(face.model, mouth)
+    return {
+        name: Together((term, Contact(face.model, mouth, teeth))) for name, term in data.items()
+    }
+
+
+def unseen_regulariser(face: Face) -> Regulariser:
+    """Return the regulariser of an expression that S was not fitted to, around the resting face."""
+    return Regulariser(**UNSEEN, prior=face.rest_pose())

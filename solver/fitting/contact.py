@@ -4,7 +4,7 @@
 
 over the lips' vertices p: d_p is how deep p lies in the other lip, less than the slack s being
 free, and h_p how deep behind a row of teeth, beyond what is free. Teeth are the fields that
-simulations have (:mod:`solver.contact.arches`), so a lip comes out to the front from any depth.
+simulations have (:mod:`solver.contact.one_sided`), so a lip comes out to the front from any depth.
 Between lips simulations have a barrier; it allows no crossing, and scans, and so fits on their way,
 have lips that cross. What a vertex has crossed there is found anew at every x; c is continuous
 where that begins, as it begins within the slack.
@@ -18,10 +18,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.anatomy.embedding import rows_of
-from solver.contact.arches import Arch
-from solver.contact.mandible import Mandible
-from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
-from solver.contact.one_sided import Excess, along, free_depths
+from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mandible, Mouth
+from solver.contact.one_sided import Arch, Excess, along, free_depths
 from solver.contact.overlap import between_lips
 from solver.errors import SolveError
 from solver.model import SubjectModel
@@ -101,7 +99,7 @@ class Teeth:
 
 
 class Contact:
-    """The term c, a :class:`solver.fitting.terms.Term`.
+    """The term c, a :class:`solver.fitting.objective.Term`.
 
     w_d and w_h are :data:`LIPS_WEIGHT` and :data:`TEETH_WEIGHT` over k, for k face vertices. Fits
     of several expressions share the ``teeth``. Its methods raise :class:`SolveError`
@@ -116,18 +114,18 @@ class Contact:
         self._last: tuple[Floats, _Touching] | None = None
 
     def value(self, x: Floats) -> float:
-        """See :class:`solver.fitting.terms.Term`."""
+        """See :class:`solver.fitting.objective.Term`."""
         touching = self._touching(x)
         return 0.5 * self._share * float(touching.weight @ touching.depth**2)
 
     def gradient(self, x: Floats) -> Floats:
-        """See :class:`solver.fitting.terms.Term`."""
+        """See :class:`solver.fitting.objective.Term`."""
         touching = self._touching(x)
         push = self._share * touching.weight * touching.depth
         return np.asarray(touching.slope.T @ push).reshape(x.shape)
 
     def curvature(self, x: Floats) -> sp.csr_array:
-        """See :class:`solver.fitting.terms.Term`."""
+        """See :class:`solver.fitting.objective.Term`."""
         touching = self._touching(x)
         weights = sp.diags_array(self._share * touching.weight)
         return sp.csr_array(touching.slope.T @ (weights @ touching.slope))

@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from solver.anatomy.bone_normals import bone_normals
-from solver.anatomy.loose_skin import LooseSkin
+from solver.anatomy.bones import bone_normals
+from solver.anatomy.embedding import LooseSkin
 from solver.errors import SolveError
 from solver.mechanics import equilibrium, jaw
 from solver.mechanics.equilibrium import Equilibrium, Stiffness

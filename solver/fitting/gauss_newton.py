@@ -18,9 +18,8 @@ import scipy.sparse as sp
 
 from solver.errors import SolveError
 from solver.fitting.face import Face, State
-from solver.fitting.objective import JAW_UNITS, Regulariser
+from solver.fitting.objective import JAW_UNITS, Regulariser, Term
 from solver.fitting.sensitivity import Sensitivity
-from solver.fitting.terms import Term
 from solver.surface import Floats
 
 PRODUCTS = 16

@@ -13,14 +13,20 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from solver.fitting import activation, chosen, joint
-from solver.fitting.activation import ActivationOptions
+from solver.errors import InputError, Notice, SolveError
+from solver.fitting import (
+    activation,
+    chosen,
+    joint,
+    reference,
+)
+from solver.fitting.activation import ActivationOptions, Resting
 from solver.fitting.chosen import ChosenFit
 from solver.fitting.face import Face, State
-from solver.fitting.joint import GeometryProblem, Iterate
-from solver.fitting.objective import Regulariser, Target
-from solver.fitting.resting import Resting
-from solver.fitting.terms import Term
+from solver.fitting.joint import GeometryProblem, Iterate, replace_values
+from solver.fitting.objective import Regulariser, Target, Term
+from solver.fitting.reference import NotConvergedError
+from solver.fitting.reference.common import Listener as IpoptListener
 
 WHOLE_ROUNDS = 5
 """Rounds at the end that see all terms."""
@@ -83,7 +89,7 @@ def fit(
     ``easy`` takes the place of ``data`` in all but the last rounds (:data:`WHOLE_ROUNDS`): the
     distance without contact, which many small steps would otherwise be needed for.
     Without ``start`` it is the model's geometric S; it has to have that one's pattern.
-    ``structure`` L (k, nnz) adds 1/2 |L (S - start)|^2 (:mod:`solver.fitting.symmetry`). An
+    ``structure`` L (k, nnz) adds 1/2 |L (S - start)|^2 (:mod:`solver.fitting.joint`). An
     expression that can not be settled at the end is the best that was found of it, and its ending
     says so.
     """
@@ -156,3 +162,85 @@ def mean_error(face: Face, targets: Mapping[str, Target], states: Mapping[str, S
         for name, target in targets.items()
     ]
     return float(np.mean(errors))
+
+
+# The multi-target problem by IPOPT, for jobs: small meshes only.
+
+
+MOST_TETS = 2000
+"""Tets times expressions beyond which a solve takes hours and gigabytes."""
+
+TOLERANCE = 1e-4
+ITERATIONS_A_ROUND = 50
+
+
+def most_iterations(options: GeometryOptions) -> int:
+    """Return how many iterations stand for the rounds of the options."""
+    return ITERATIONS_A_ROUND * options.rounds
+
+
+def check_size(face: Face, expressions: int) -> None:
+    """Raise ``options.too_large`` if IPOPT would not come back in reasonable time."""
+    count = expressions * len(face.model.tets)
+    if count > MOST_TETS:
+        raise InputError(
+            "options.too_large",
+            f"{expressions} expressions on {len(face.model.tets)} tetrahedra are too many for "
+            f"solver ipopt, which takes {MOST_TETS} together: use solver reduced",
+            expected=MOST_TETS,
+            found=count,
+        )
+
+
+def fit_by_ipopt(
+    face: Face,
+    data: Mapping[str, Term],
+    options: GeometryOptions,
+    listen: IpoptListener | None = None,
+    *,
+    start: sp.csr_array | None = None,
+    structure: sp.csr_array | None = None,
+) -> tuple[GeometryFit, tuple[Notice, ...]]:
+    """Fit S, activations and jaws with the last round's weights, as :func:`geometry.fit` does.
+
+    Where IPOPT stops early, what it had is settled and kept, and a notice says why. Raises
+    :class:`InputError` (:func:`check_size`).
+    """
+    check_size(face, len(data))
+    S = face.model.weights if start is None else start
+    structure = sp.csr_array((0, S.nnz)) if structure is None else structure
+    rest = face.rest_state(S)
+    w_a, w_s = options.weights(options.rounds - 1)
+    regulariser = Regulariser(w_a, options.w_v, options.w_b, rest.pose)
+    problem = GeometryProblem(face, data, regulariser, w_s, S.data, structure)
+    notices: tuple[Notice, ...] = ()
+    try:
+        found = reference.geometry(
+            problem,
+            S,
+            dict.fromkeys(data, rest),
+            tolerance=TOLERANCE,
+            max_iterations=most_iterations(options),
+            listen=listen,
+        )
+    except NotConvergedError as error:
+        found = error.last
+        message = f"{error.message}; the best result so far is kept"
+        notices = (Notice(error.code, message, error.context),)
+    # IPOPT keeps the simplex to its tolerance only
+    fitted = replace_values(S, joint.project(found.S.data, S.indptr))
+    states = {name: _near(face, fitted, found, name, rest) for name in data}
+    steps = dict.fromkeys(data, found.iterations)
+    return ended(face, fitted, data, regulariser, states, steps), notices
+
+
+def _near(
+    face: Face, S: sp.csr_array, found: reference.GeometryReference, name: str, rest: State
+) -> State:
+    """Settle what IPOPT found of an expression; the resting face if that fails."""
+    if not np.isfinite(found.x[name]).all():
+        return rest
+    try:
+        return face.settle(S, found.poses[name], found.x[name])
+    except SolveError:
+        return rest

@@ -12,12 +12,45 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 
 from solver.errors import SolveError
-from solver.mechanics.anderson import Accelerator
 from solver.mechanics.flesh import Flesh
 from solver.mechanics.linear import Factor, LinearSolver, NotPositiveDefiniteError
+from solver.mechanics.material import BARRIER_START
 from solver.surface import Floats
+
+# Anderson's acceleration of corrections with an old stiffness.
+#
+# Walker and Ni (2011), Anderson acceleration for fixed-point iterations: the corrections so far
+# tell in which few modes the stiffness is wrong.
+
+
+KEPT = 8
+"""Corrections that it looks back on."""
+
+
+class Accelerator:
+    """Takes points (size,) with the corrections (size,) there, and makes better corrections."""
+
+    def __init__(self) -> None:
+        self._points: list[Floats] = []
+        self._corrections: list[Floats] = []
+
+    def step(self, point: Floats, correction: Floats) -> Floats:
+        """Return the step from ``point``, the ``correction`` there itself if it is the first."""
+        self._points = [*self._points[-KEPT:], point]
+        self._corrections = [*self._corrections[-KEPT:], correction]
+        if len(self._points) < 2:
+            return correction
+        changes = np.diff(self._corrections, axis=0).T
+        # they get shorter by orders of magnitude: all count alike
+        scale = np.linalg.norm(changes, axis=0)
+        if not (np.isfinite(scale).all() and scale.all()):
+            return correction
+        weights = np.linalg.lstsq(changes / scale, correction, rcond=1e-6)[0] / scale
+        return np.asarray(correction - (np.diff(self._points, axis=0).T + changes) @ weights)
+
 
 TOLERANCE = 1e-7
 """Residual |grad E| over the nodal forces at unit strain."""
@@ -94,8 +127,8 @@ class Equilibrium:
 
     ``estimate`` (p, 3) is that step's end: the equilibrium to second order, x itself where that is
     solved. ``factor`` is the Hessian's at x, or where it served last on the way: about
-    :data:`REACH_MM` away at most, :data:`SAME_MM` where solved (:mod:`solver.mechanics.lagged` has
-    its own from further away). ``residual`` is |grad E| over the nodal forces at unit strain,
+    :data:`REACH_MM` away at most, :data:`SAME_MM` where solved (:class:`Lagged` has its own from
+    further away). ``residual`` is |grad E| over the nodal forces at unit strain,
     ``iterations`` counts Newton steps.
     """
 
@@ -309,3 +342,135 @@ def _line_search(
             break
         found, step = longer, GROWTH * step
     return found and (found[0], step)
+
+
+# Equilibrium near a known one: Newton's method with a stiffness from somewhere near.
+#
+# A factorisation costs as much as several corrections with an old one. So these go on while they
+# get shorter, with Anderson's acceleration: it finds the few modes in which the old stiffness is
+# wrong.
+
+
+LONG_MM, CLOSE_MM = 0.75, 0.2
+"""A longer correction asks for a new stiffness; the end of a shorter one is good enough."""
+
+LAGGED_CONTRACTION = 1.2
+"""A correction that is as many times as long as the one before asks for a new stiffness too: an
+accelerated one may be longer now and then."""
+
+LAGGED_CORRECTIONS = 8
+FACTORISATIONS = 5
+PARTS = (1.0, 0.5, 0.25, 0.125)
+"""Parts of a correction that are tried where it would crush a tet."""
+
+UNTANGLINGS = 6
+"""Rounds of carrying crushed tets along: each may crush others."""
+
+
+def correct(
+    flesh: Flesh, linear: LinearSolver, x: Floats, a: Floats, stiffness: Stiffness
+) -> Equilibrium | None:
+    """Return the equilibrium near ``x`` (p, 3) to within :data:`CLOSE_MM`, None if it is far.
+
+    ``stiffness`` is one nearby; the result has the last that served. Its residual is that before
+    the last correction. Raises :class:`SolveError` (``solve.singular``).
+    """
+    accelerator = Accelerator()
+    left = FACTORISATIONS
+    # a projected stiffness is too stiff for its corrections to tell how far it still is
+    bound = LONG_MM if stiffness.share == 0 else 0.0
+    for number in range(LAGGED_CORRECTIONS):
+        gradient = flesh.gradient(x, a)
+        direction = stiffness.solve(-gradient) if bound else None
+        if direction is None or not np.abs(direction).max() <= bound:
+            if not left:
+                return None
+            left -= 1
+            # flesh that needed some projection a moment ago hardly does without now
+            stiffness = Stiffness(flesh, linear, x, a, max(stiffness.share - 1, 0))
+            direction = stiffness.solve(-gradient)
+            accelerator = Accelerator()
+        length = float(np.abs(direction).max())
+        step = accelerator.step(x[flesh.free].ravel(), direction)
+        last = length <= CLOSE_MM
+        moved = _moved(flesh, x, direction if last else step)
+        if moved is None:
+            return None
+        if last:
+            residual = float(np.linalg.norm(gradient)) / flesh.force_scale
+            return Equilibrium(moved, moved, stiffness, residual, number)
+        x, bound = moved, LAGGED_CONTRACTION * length
+    return None
+
+
+def _moved(flesh: Flesh, x: Floats, motion: Floats) -> Floats | None:
+    """Return x (p, 3) with as much of the ``motion`` (size,) as crushes no tet."""
+    for part in PARTS:
+        moved = flesh.moved(x, part * motion)
+        if flesh.narrowing(x, moved) >= NARROWEST:
+            return moved
+    return None
+
+
+def untangled(flesh: Flesh, upright: Floats, moved: Floats) -> Floats | None:
+    """Return ``moved`` (p, 3) with every tet that it crushes carried along whole; None if it fails.
+
+    A linear prediction turns a few crushed tets beside the jaw inside out. Their free corners go
+    with those that are held, or all four together, from where ``upright`` (p, 3) has them.
+    """
+    if flesh.narrowing(upright, moved) >= NARROWEST:
+        return moved
+    before = flesh.openings(upright)
+    least = NARROWEST * np.minimum(before, BARRIER_START)
+    for _ in range(UNTANGLINGS):
+        crushed = flesh.openings(moved) < least
+        if not crushed.any():
+            return moved
+        for tet in flesh.tets[crushed]:
+            free = flesh.free_numbers[tet] >= 0
+            leading = tet if free.all() else tet[~free]
+            shift = (moved[leading] - upright[leading]).mean(axis=0)
+            moved[tet[free]] = upright[tet[free]] + shift
+    return None
+
+
+# Flesh that is slow to leave where it is: an implicit Euler step of an overdamped motion.
+#
+#     E(x, a) + tau/2 |x - x_0|^2_K
+#
+# with K the stiffness at rest and x_0 the place before the step. Near buckling, where the flesh by
+# itself would snap, such a step stays short; without motion it feels nothing (a proximal point
+# method, Rockafellar 1976; the time step is 1 / tau).
+
+
+class Viscous(Flesh):
+    """The same flesh with the ``viscosity`` tau, a part of its stiffness, and ``anchor`` x_0."""
+
+    def __init__(self, flesh: Flesh) -> None:
+        # it is the same flesh, with all that was computed for it
+        vars(self).update(vars(flesh))
+        self.viscosity = 0.0
+        self.anchor = flesh.rest
+        self._stiffness = flesh.hessian(flesh.rest, flesh.passive())
+
+    def energy(self, x: Floats, a: Floats) -> float:
+        """See :meth:`Flesh.energy`."""
+        moved = self._moved(x)
+        return super().energy(x, a) + 0.5 * self.viscosity * float(
+            moved @ (self._stiffness @ moved)
+        )
+
+    def gradient(self, x: Floats, a: Floats) -> Floats:
+        """See :meth:`Flesh.gradient`."""
+        drag: Floats = self.viscosity * (self._stiffness @ self._moved(x))
+        return super().gradient(x, a) + drag
+
+    def hessian(self, x: Floats, a: Floats, *, project: float = 0.0) -> sp.csr_array:
+        """See :meth:`Flesh.hessian`."""
+        matrix = super().hessian(x, a, project=project)
+        matrix.data += self.viscosity * self._stiffness.data
+        return matrix
+
+    def _moved(self, x: Floats) -> Floats:
+        moved: Floats = (x - self.anchor)[self.free].ravel()
+        return moved

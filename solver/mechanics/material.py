@@ -21,8 +21,7 @@ import math
 
 import numba as nb
 
-from solver.mechanics.polar import Matrix, Symmetric, cofactor, dot, polar, stretch
-from solver.mechanics.svd3 import signed_svd
+from solver.mechanics.polar import Matrix, Symmetric, cofactor, dot, polar, signed_svd, stretch
 from solver.surface import Floats
 
 SYM_ROW = (0, 0, 0, 1, 1, 2)

@@ -8,10 +8,9 @@ from solver.pipeline.checks import check_scan
 from solver.pipeline.edit import edit
 from solver.pipeline.fits import fit_activations, fit_geometry
 from solver.pipeline.models import build_model
-from solver.pipeline.person import PersonFiles
 from solver.pipeline.preview import build_preview
 from solver.pipeline.registration import register_scan
-from solver.pipeline.scenes import animate, simulate
+from solver.pipeline.scenes import PersonFiles, animate, simulate
 from solver.pipeline.sequence import fit_sequence
 
 __all__ = [

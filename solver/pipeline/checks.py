@@ -6,15 +6,15 @@ import json
 import time
 from pathlib import Path
 
-from solver.anatomy.builtin import builtin_template
 from solver.anatomy.template import Template
 from solver.errors import InputError
 from solver.pipeline.common import Options, take
 from solver.progress import Progress, Step, silent
+from solver.registration.pose import FRAME
 from solver.scans.check import check
 from solver.scans.check_picture import check_picture
 from solver.scans.findings import verdict
-from solver.scans.units import FRAME
+from solver.templates.builtin.build import builtin_template
 
 ROLES = ("unknown", "neutral", "expression")
 
@@ -33,8 +33,8 @@ def check_scan(
     Writes ``check.json`` (``verdict`` good, usable or bad; ``findings``, each with ``code``,
     ``severity``, ``message`` and ``advice``; ``figures``) and ``check.png``. A bad scan, also one
     that can not be read, is a verdict and no exception. ``landmarks`` is a file of
-    :func:`solver.scans.landmarks.read_landmarks`. Options: ``unit``, ``up`` and ``forward`` of the
-    file, and ``role``: in a ``neutral`` an open mouth and closed eyes are errors, in an
+    :func:`solver.registration.landmarks.read_landmarks`. Options: ``unit``, ``up`` and ``forward``
+    of the file, and ``role``: in a ``neutral`` an open mouth and closed eyes are errors, in an
     ``expression`` they are none; ``unknown`` only mentions them. Raises
     :class:`solver.errors.InputError` for options and templates that can not be used.
     """

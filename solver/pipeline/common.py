@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from solver.errors import InputError
-from solver.progress import Step
+import numpy as np
+
+from solver.errors import InputError, Notice
+from solver.fitting import target_checks
+from solver.fitting.objective import Target
+from solver.meshio.read import RegisteredScan
+from solver.model import SubjectModel
+from solver.progress import Progress, Step
+from solver.rig.result import ExpressionFit
+from solver.surface import Floats, Ints, Surface, vertex_normals
 
 Options = Mapping[str, Any] | None
 
@@ -57,3 +66,79 @@ def refuse(faults: Sequence[InputError]) -> None:
 def activations_file(rig: Path) -> Path:
     """Return the ``activations.npz`` of a rig that is given as its folder or as that file."""
     return rig / "activations.npz" if rig.is_dir() else rig
+
+
+# Registered scans as targets: the distance to their points, or to their surface.
+
+
+Distance = Literal["point", "plane"]
+"""What counts: the whole distance to a scan's vertex, or its part along the scan's normal there.
+
+Along the surface a plane lets the skin slide: registration is least certain in that direction.
+"""
+
+
+class Targets:
+    """Makes targets of the scans of one person."""
+
+    def __init__(self, model: SubjectModel, distance: Distance) -> None:
+        self._face, self._distance = model.face, distance
+        self._triangles = _face_triangles(model)
+
+    def of_scan(self, scan: RegisteredScan) -> Target:
+        """Return the target of a scan of the whole topology."""
+        return self.of_points(scan.vertices[self._face], scan.confidence[self._face])
+
+    def of_points(self, points: Floats, confidence: Floats) -> Target:
+        """Return the target of the face's points (k, 3), NaN where nothing was seen."""
+        if self._distance == "point":
+            return Target.from_points(points, confidence)
+        return Target.from_points(points, confidence, _normals(points, self._triangles))
+
+
+def _face_triangles(model: SubjectModel) -> Ints:
+    """Return the skin's triangles within the face, (f, 3), by numbers of the face's points."""
+    number = np.full(len(model.skin.vertices), -1)
+    number[model.face] = np.arange(len(model.face))
+    triangles = number[model.skin.faces]
+    return np.asarray(triangles[(triangles >= 0).all(axis=1)])
+
+
+def _normals(points: Floats, triangles: Ints) -> Floats:
+    """Return the unit normals (k, 3) of what is seen; NaN at a point of no triangle."""
+    whole = triangles[np.isfinite(points[triangles]).all(axis=(1, 2))]
+    normals = vertex_normals(Surface(np.nan_to_num(points), whole))
+    normals[np.bincount(whole.ravel(), minlength=len(points)) == 0] = np.nan
+    return normals
+
+
+# The warnings of a job: told while it runs, and kept for its report.
+
+
+class Telling:
+    """Notices are sent as steps of the phase ``warning`` and sorted by expression."""
+
+    def __init__(self, model: SubjectModel, progress: Progress) -> None:
+        self._model = model
+        self._progress = progress
+        self._notices: list[Notice] = []
+
+    def tell(self, fraction: float, notices: Iterable[Notice]) -> None:
+        """Tell notices when ``fraction`` of the job is done."""
+        for notice in notices:
+            self._notices.append(notice)
+            self._progress(Step("warning", fraction, message=notice.message))
+
+    def about(self, fit: ExpressionFit, fraction: float, solve: Iterable[Notice]) -> ExpressionFit:
+        """Return a fit with all that was told of it, what its solve says and what it leaves."""
+        own = {"expression": fit.name}
+        left = target_checks.after_fit(self._model, fit.name, fit.error_mm)
+        self.tell(fraction, [replace(each, context={**own, **each.context}) for each in solve])
+        self.tell(fraction, left)
+        mine = [each for each in self._notices if each.context.get("expression") == fit.name]
+        return replace(fit, notices=tuple(mine))
+
+    @property
+    def general(self) -> tuple[Notice, ...]:
+        """Return the notices that are about no expression."""
+        return tuple(each for each in self._notices if "expression" not in each.context)

@@ -6,20 +6,26 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from solver.edits.edit import apply
-from solver.edits.edited import Edited
-from solver.edits.replay import Replay, Replayed
+from solver.edits.edit import (
+    Edited,
+    Replay,
+    Replayed,
+    apply,
+)
 from solver.errors import SolveError
-from solver.fitting.model_checks import check_held
+from solver.fitting.target_checks import check_held
 from solver.pipeline.common import Options, take
-from solver.pipeline.person import PersonFiles
+from solver.pipeline.scenes import PersonFiles
 from solver.progress import Progress, Step, silent
-from solver.rig.edit_picture import edit_picture
+from solver.rig.animation_picture import edit_picture
 from solver.rig.edit_report import Compared, EditedPerson, edit_report, write_edit
 from solver.rig.result import ExpressionFit
 from solver.scene.document import check
-from solver.scene.edits import edits_of
-from solver.scene.physics import Physics, physics_of
+from solver.scene.stage import (
+    Physics,
+    edits_of,
+    physics_of,
+)
 
 
 def edit(

@@ -11,29 +11,40 @@ from typing import Any, get_args
 import numpy as np
 import scipy.sparse as sp
 
-from solver.errors import InputError, SolveError
-from solver.fitting import chosen, geometry, geometry_ipopt, standard, target_checks
+from solver.errors import InputError, Notice, SolveError
+from solver.fitting import (
+    chosen,
+    geometry,
+    target_checks,
+)
+from solver.fitting.activation import Resting
 from solver.fitting.chosen import ChosenFit, Solver
 from solver.fitting.face import Face, State
 from solver.fitting.geometry import GeometryFit, GeometryOptions
-from solver.fitting.model_checks import check_held, idle_muscles
-from solver.fitting.notices import Notice
+from solver.fitting.joint import mirror_structure, transferred
 from solver.fitting.objective import Target
-from solver.fitting.resting import Resting
-from solver.fitting.symmetry import mirror_structure
-from solver.fitting.weights import transferred
+from solver.fitting.target_checks import (
+    check_held,
+    idle_muscles,
+)
 from solver.mechanics.flesh import IDENTITY
 from solver.mechanics.linear import fastest
+from solver.meshio.read import RegisteredScan, read_registered
 from solver.model import SubjectModel
-from solver.pipeline.common import Options, activations_file, check_choice, refuse, take
-from solver.pipeline.targets import Distance, Targets
-from solver.pipeline.telling import Telling
+from solver.pipeline.common import (
+    Distance,
+    Options,
+    Targets,
+    Telling,
+    activations_file,
+    check_choice,
+    refuse,
+    take,
+)
 from solver.progress import Progress, Step, silent
 from solver.rig.certificate import certify, with_round_trips
 from solver.rig.export import write_rig
 from solver.rig.result import ExpressionFit, Rig, load_activations, load_weights
-from solver.scans.read import read_registered
-from solver.scans.registered import RegisteredScan
 
 
 def fit_geometry(
@@ -64,7 +75,7 @@ def fit_geometry(
     subject = face.model
     schedule = GeometryOptions(rounds=given["rounds"])
     if given["solver"] == "ipopt":
-        geometry_ipopt.check_size(face, len(scans))
+        geometry.check_size(face, len(scans))
     priors = {"start": _begun(subject, start), "structure": _mirrored(subject, given["symmetry"])}
     told = Telling(subject, progress)
     told.tell(0.02, [*_odd(face, face.model.weights, scans), *_too_few(scans)])
@@ -101,7 +112,7 @@ def _geometry(
         error = geometry.mean_error(face, targets, states)
         progress(Step("geometry", done, number + 1, mean_error_mm=error))
 
-    data, easy = standard.terms(face, targets), standard.distances(face, targets)
+    data, easy = chosen.terms(face, targets), chosen.distances(face, targets)
     return geometry.fit(face, data, schedule, easy=easy, listen=listen, **priors)
 
 
@@ -114,11 +125,11 @@ def _geometry_by_ipopt(
     progress: Progress,
 ) -> GeometryFit:
     def listen(iteration: int, value: float) -> None:
-        part = min(iteration / geometry_ipopt.most_iterations(schedule), 1.0)
+        part = min(iteration / geometry.most_iterations(schedule), 1.0)
         progress(Step("geometry", 0.02 + 0.78 * part, iteration, value))
 
-    data = standard.terms(face, targets)
-    fitted, notices = geometry_ipopt.fit(face, data, schedule, listen, **priors)
+    data = chosen.terms(face, targets)
+    fitted, notices = geometry.fit_by_ipopt(face, data, schedule, listen, **priors)
     told.tell(0.8, notices)
     return fitted
 
@@ -142,7 +153,7 @@ def fit_activations(
     stays at rest, unless all do.
     """
     known = {
-        "max_iterations": standard.UNSEEN_STOP.max_iterations,
+        "max_iterations": chosen.UNSEEN_STOP.max_iterations,
         "distance": "point",
         "solver": "reduced",
         "linear_solver": None,
@@ -158,10 +169,10 @@ def fit_activations(
     if given["solver"] == "ipopt":
         told.tell(0.02, chosen.slowness(face))
     rest = Resting(face, S)
-    regulariser = standard.unseen_regulariser(face)
-    stop = replace(standard.UNSEEN_STOP, max_iterations=given["max_iterations"])
+    regulariser = chosen.unseen_regulariser(face)
+    stop = replace(chosen.UNSEEN_STOP, max_iterations=given["max_iterations"])
     targets = _targets(subject, scans, given["distance"])
-    data = standard.terms(face, targets)
+    data = chosen.terms(face, targets)
     fitted = []
     begin = time.perf_counter()
     for number, (name, scan) in enumerate(scans.items()):
@@ -179,7 +190,7 @@ def fit_activations(
     _refuse_failures(fitted)
     kept = [fit for fit in carried if fit.name not in scans]
     chosen_options = {name: given[name] for name in ("distance", "solver")}
-    settings = {**standard.UNSEEN, **asdict(stop), **chosen_options}
+    settings = {**chosen.UNSEEN, **asdict(stop), **chosen_options}
     seconds = {**_geometry_seconds(carried), "activations": time.perf_counter() - begin}
     whole = Rig(subject, S, (*kept, *fitted), seconds, told.general)
     return _export(face, whole, settings, out, _later(progress, 0.5))

@@ -7,14 +7,12 @@ import time
 from pathlib import Path
 
 from solver.fitting.face import Face
-from solver.fitting.model_checks import check_held
+from solver.fitting.target_checks import check_held
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.pipeline.common import Options, take
 from solver.progress import Progress, Step, silent
-from solver.rig.preview.file import write_preview
-from solver.rig.preview.make import make_preview
-from solver.rig.preview.picture import preview_picture
+from solver.rig.preview.make import make_preview, preview_picture, write_preview
 from solver.rig.result import load_activations, load_weights
 
 TOLERANCE = 1e-5

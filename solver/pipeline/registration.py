@@ -6,20 +6,20 @@ import json
 import os
 from pathlib import Path
 
-from solver.anatomy.builtin import builtin_template
 from solver.anatomy.template import Template
+from solver.meshio.read import read_raw, read_registered, write_registered
 from solver.pipeline.common import Options, take
 from solver.progress import Progress, Step, silent
-from solver.registration.picture import distance_picture
+from solver.registration.landmarks import (
+    match,
+    read_landmarks,
+)
+from solver.registration.mend import mend
+from solver.registration.pose import FRAME
 from solver.registration.register import register
-from solver.registration.report import report
+from solver.registration.report import distance_picture, report
 from solver.registration.topology import topology
-from solver.scans.landmarks import match, read_landmarks
-from solver.scans.mend import mend
-from solver.scans.raw import read_raw
-from solver.scans.read import read_registered
-from solver.scans.registered import write_registered
-from solver.scans.units import FRAME
+from solver.templates.builtin.build import builtin_template
 
 LANDMARKER_VARIABLE = "MYOFACE_FACE_LANDMARKER"
 """Environment variable with the path of MediaPipe's face landmarker; without it none is used."""
@@ -38,7 +38,7 @@ def register_scan(
     """Register a raw scan: a neutral, or an expression if the person's ``neutral`` is given.
 
     ``neutral`` is the person's registered neutral, ``landmarks`` an optional file of
-    :func:`solver.scans.landmarks.read_landmarks`, in the scan's own unit and axes. Options:
+    :func:`solver.registration.landmarks.read_landmarks`, in the scan's own unit and axes. Options:
     ``unit``, ``up`` and ``forward`` of the scan. Writes ``registered.ply`` (the template's
     vertices in mm with the property ``confidence``), ``registration.json`` and ``distance.png``.
     Raises :class:`solver.errors.InputError` for files that can not be used and for a scan without

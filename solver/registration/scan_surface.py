@@ -13,9 +13,14 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from solver.errors import InputError
-from solver.scans.raw import RawScan
-from solver.surface import Floats, Ints, Surface
-from solver.triangles import adjacency, area_normals
+from solver.meshio.read import RawScan
+from solver.surface import (
+    Floats,
+    Ints,
+    Surface,
+    adjacency,
+    area_normals,
+)
 
 MAX_VERTICES = 120_000
 """More than this is thinned: a 1.5 mm grid on a head, well below a template's edges."""

@@ -16,14 +16,92 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
-from solver.anatomy.shapes import ShapeBasis
-from solver.normals import vertex_normals
-from solver.registration.correspondence import Pins, motion_columns, pair, pinned
+from solver.anatomy.template import ShapeBasis, Template
+from solver.registration.mend import Samples
+from solver.registration.pose import Pose
 from solver.registration.scan_surface import ScanSurface
 from solver.registration.topology import Topology
 from solver.similarity import Similarity, small_motion
-from solver.surface import Floats, Surface
+from solver.surface import Floats, Ints, Surface, vertex_areas, vertex_normals
+
+# Pairs of model points and scan points, with the weight each pair deserves.
+
+
+MIN_COSINE = 0.5
+"""Normals further apart than 60 degrees are not of the same place."""
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """What the scan says about each model point, in the template's frame.
+
+    ``points`` and ``normals`` (n, 3) of the scan; ``offset`` (n,) how far the scan lies along its
+    normal, in mm; ``weights`` (n,) in [0, 1], zero where there is nothing to follow.
+    """
+
+    points: Floats
+    normals: Floats
+    offset: Floats
+    weights: Floats
+
+
+@dataclass(frozen=True)
+class Pins:
+    """Landmarks: ``points`` (k, 3) of the scan and the ``vertices`` (k,) they mark."""
+
+    points: Floats
+    vertices: Ints
+
+
+def pair(
+    scan: ScanSurface,
+    motion: Similarity,
+    points: Floats,
+    normals: Floats,
+    reach: float,
+    *,
+    alike: bool = False,
+) -> Pairs:
+    """Return the closest points of a moved scan to model ``points`` (n, 3).
+
+    ``reach`` (mm) is the distance at which a pair's weight is a quarter (Geman & McClure 1987) and
+    a third of the one at which it is none; neither edges of the scan nor surfaces that face
+    elsewhere count. With ``alike``, points that face the same way come before closer ones.
+    """
+    back = motion.inverse()
+    found = scan.alike(back(points), back.turn(normals)) if alike else scan.closest(back(points))
+    targets, directions = motion(found.points), motion.turn(found.normals)
+    distance = found.distance * motion.scale
+    cosine = np.einsum("nd,nd->n", normals, directions)
+    weights = 1 / (1 + (distance / reach) ** 2) ** 2
+    weights *= np.clip((cosine - MIN_COSINE) / (0.9 - MIN_COSINE), 0.0, 1.0)
+    weights[found.at_edge | (distance > 3 * reach)] = 0.0
+    offset = np.einsum("nd,nd->n", targets - points, directions)
+    return Pairs(targets, directions, offset, weights)
+
+
+def pinned(pairs: Pairs, points: Floats, targets: Floats, weight: float) -> Pairs:
+    """Add landmarks: model ``points`` (k, 3) held at ``targets`` (k, 3) along all three axes."""
+    axes = np.tile(np.eye(3), (len(points), 1))
+    places, goals = np.repeat(points, 3, axis=0), np.repeat(targets, 3, axis=0)
+    return Pairs(
+        np.concatenate([pairs.points, goals]),
+        np.concatenate([pairs.normals, axes]),
+        np.concatenate([pairs.offset, np.einsum("nd,nd->n", goals - places, axes)]),
+        np.concatenate([pairs.weights, np.full(len(axes), weight)]),
+    )
+
+
+def motion_columns(pairs: Pairs, *, sizes: bool) -> Floats:
+    """Return the change (n, 6 or 7) of ``offset`` by the scan's rotation, shift and growth."""
+    columns = [np.cross(pairs.points, pairs.normals), pairs.normals]
+    if sizes:
+        columns.append(np.einsum("nd,nd->n", pairs.points, pairs.normals)[:, None])
+    return np.hstack(columns)
+
 
 REACHES_MM = (12.0, 12.0, 10.0, 10.0, 8.0, 8.0, 6.0, 6.0, *(4.0,) * 6, *(3.0,) * 8, *(2.0,) * 6)
 NOISE_SHARE = 0.2
@@ -126,3 +204,135 @@ def _solve(normal: Floats, right: Floats, bounded: int) -> Floats:
     lower, upper = np.full(len(right), -np.inf), np.full(len(right), np.inf)
     lower[:bounded], upper[:bounded] = 0.0, STRONGEST
     return np.asarray(lsq_linear(root.T, np.linalg.solve(root, right), (lower, upper)).x)
+
+
+# Rigid motion, and uniform scale where asked for, of a scan onto a model of fixed shape.
+
+
+RIGID_REACHES_MM = (12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 4.0, 3.0, 3.0, 3.0, 3.0, 3.0)
+
+
+def align(
+    scan: ScanSurface,
+    motion: Similarity,
+    points: Floats,
+    normals: Floats,
+    trust: Floats | None = None,
+    *,
+    sizes: bool,
+) -> Similarity:
+    """Return ``motion`` improved by robust point-to-plane steps (Chen & Medioni 1992).
+
+    Parameters
+    ----------
+    points, normals
+        (n, 3) of the model, in mm.
+    trust
+        (n,) weights of the model's points, all 1 by default.
+    sizes
+        Whether the scan's size may change.
+    """
+    for reach in RIGID_REACHES_MM:
+        pairs = pair(scan, motion, points, normals, reach)
+        weights = pairs.weights if trust is None else pairs.weights * trust
+        columns = motion_columns(pairs, sizes=sizes)
+        weighted = columns * weights[:, None]
+        normal = weighted.T @ columns
+        normal[np.diag_indices_from(normal)] += 1e-9 * np.trace(normal) + 1e-12
+        step = np.asarray(np.linalg.solve(normal, -weighted.T @ pairs.offset), np.float64)
+        motion = motion.then(small_motion(step[:6], float(step[6]) if sizes else 0.0))
+    return motion
+
+
+# A template's shapes fitted roughly to a scan: who it is like, and with which expression.
+#
+#     min over c, similarity of  sum_i w_i (n_i . (x_i(c) - q_i))^2 / s^2  +  |c / sigma|^2
+#
+# with closest points q_i of the scan. A quick look, not a registration: a few thousand points, no
+# free form. Persons and expressions are fitted together, as nothing is known of the scan.
+
+
+IDENTITIES = 30
+EXPRESSION_SD = 0.35
+LIKENESS_REACHES_MM = (10.0, 8.0, 6.0, 5.0, *(4.0,) * 5, *(3.0,) * 5)
+LIKENESS_NOISE_SHARE = 0.25
+LIKENESS_INDEPENDENT = 0.05
+"""Neighbouring distances go together: so many of them count as one observation."""
+FACING = 0.6
+IGNORED = ("eyeLook", "Pupil", "tongue")
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """The fitted template: its whole ``skin`` (n, 3) in mm in its own frame, the scan's pose."""
+
+    skin: Floats
+    pose: Pose
+
+
+def fit_likeness(scan: Samples, pose: Pose, template: Template, face: Surface) -> Likeness:
+    """Fit the template's shapes to a scan from a good ``pose``.
+
+    ``face`` is the part of the skin that is fitted, in the template's numbers. A template without
+    shapes is returned as it is, in that pose.
+    """
+    skin, shapes = template.skin.vertices, template.shapes
+    if shapes is None:
+        return Likeness(skin, pose)
+    numbers, faces = np.unique(face.faces, return_inverse=True)
+    faces = faces.reshape(-1, 3).astype(np.int64)
+    chosen = [
+        number
+        for number, name in enumerate(shapes.expression_names)
+        if not name.startswith(IGNORED)
+    ]
+    basis = np.concatenate([shapes.identity[:IDENTITIES], shapes.expressions[chosen]])
+    people = min(IDENTITIES, len(shapes.identity))
+    precision = np.full(len(basis), EXPRESSION_SD**-2)
+    precision[:people] = 1.0
+    weights, found = _fit(scan, pose, skin[numbers], faces, basis[:, numbers], precision, people)
+    return Likeness(skin + np.tensordot(weights, basis, 1), found)
+
+
+def _fit(
+    scan: Samples,
+    pose: Pose,
+    rest: Floats,
+    faces: Ints,
+    basis: NDArray[np.float32],
+    precision: Floats,
+    people: int,
+) -> tuple[Floats, Pose]:
+    """Return the weights (k,) of ``basis`` (k, n, 3) and the pose, fitted together.
+
+    The weights behind the first ``people`` are expressions, kept within [0, STRONGEST].
+    """
+    count = len(basis)
+    weights = np.zeros(count)
+    tree = KDTree(scan.points)
+    area = vertex_areas(rest, faces)
+    scale, rotation, translation = pose.scale, pose.rotation, pose.translation
+    for reach in LIKENESS_REACHES_MM:
+        model = rest + np.tensordot(weights, basis, 1)
+        normals = vertex_normals(Surface(model, faces))
+        gap, near = tree.query((model - translation) @ rotation / scale)
+        matched = scale * scan.points[near] @ rotation.T + translation
+        facing = np.abs((scan.normals[near] @ rotation.T * normals).sum(axis=1))
+        error = ((matched - model) * normals).sum(axis=1)
+        trust = area / area.mean() * np.clip(1 - (gap * scale / reach) ** 2, 0, 1) ** 2
+        trust *= (facing > FACING) * LIKENESS_INDEPENDENT / (LIKENESS_NOISE_SHARE * reach) ** 2
+        centre = matched.mean(axis=0)
+        p = matched - centre
+        shape_rows = np.einsum("knd,nd->nk", basis, normals)
+        motion_rows = [np.cross(p, normals), normals, (p * normals).sum(axis=1)[:, None]]
+        rows = np.hstack([shape_rows, *(-part for part in motion_rows)])
+        normal = rows.T @ (trust[:, None] * rows) + 1e-9 * np.eye(rows.shape[1])
+        normal[range(count), range(count)] += precision
+        step = np.linalg.solve(normal, rows.T @ (trust * (error + shape_rows @ weights)))
+        weights = step[:count]
+        weights[people:] = np.clip(weights[people:], 0.0, STRONGEST)
+        turn = Rotation.from_rotvec(step[count : count + 3]).as_matrix()
+        growth = float(np.clip(1 + step[-1], 0.95, 1.05))
+        translation = growth * turn @ (translation - centre) + centre + step[count + 3 : -1]
+        rotation, scale = turn @ rotation, growth * scale
+    return weights, Pose(scale, rotation, translation, pose.residual_mm, pose.coverage)

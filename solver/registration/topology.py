@@ -5,12 +5,85 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from solver.anatomy.template import Template
-from solver.registration.hidden import rigid_groups
-from solver.registration.outer import outer_skin
+from solver.anatomy.warp import interpolate, spread
+from solver.drawing.head import skin_parts
+from solver.drawing.render import (
+    Camera,
+    look,
+)
+from solver.similarity import weighted_motion
 from solver.surface import Floats, Ints
+
+# Parts that no scan shows: eyeballs, teeth, gums and tongue go where the skin takes them.
+
+
+GUIDES = 500
+SMOOTHING_MM = 5.0
+
+
+def rigid_groups(template: Template) -> list[Ints]:
+    """Return the vertices of what moves as one: each eye with its lashes, each jaw's teeth."""
+    skin = template.skin
+    parts = skin_parts(skin)
+    groups = []
+    eyes = [parts[name] for name in ("eyes", "lashes") if name in parts]
+    if eyes:
+        vertices = np.unique(skin.faces[np.concatenate(eyes)])
+        is_left = skin.vertices[vertices, 0] > 0
+        groups += [vertices[is_left], vertices[~is_left]]
+    mouth = [parts[name] for name in ("teeth", "mouth") if name in parts]
+    if mouth:
+        vertices = np.unique(skin.faces[np.concatenate(mouth)])
+        lower = np.isin(vertices, template.attached_mandible)
+        groups += [vertices[lower], vertices[~lower]]
+    return [group for group in groups if len(group)]
+
+
+def carry_hidden(
+    groups: list[Ints], rest: Floats, start: Floats, fitted: Floats, outer: Ints
+) -> Floats:
+    """Return ``fitted`` (n, 3) with every group moved rigidly from ``rest`` (n, 3).
+
+    A group goes where the shapes have put it in ``start`` (n, 3), and from there with the outer
+    skin around it, vertices ``outer`` (k,), which free-form registration took to ``fitted``.
+    """
+    guides = outer[spread(start[outer], GUIDES)]
+    warp = interpolate(start[guides], fitted[guides], SMOOTHING_MM)
+    result = fitted.copy()
+    for group in groups:
+        motion = weighted_motion(rest[group], warp(start[group]), np.ones(len(group)))
+        result[group] = motion(rest[group])
+    return result
+
+
+# Which skin a scanner can see: not the linings of mouth, nose and lids.
+
+
+PIXELS = 640
+YAWS = np.radians([0, 30, 60, 90, 130, 180, 230, 270, 300, 330])
+PITCHES = np.radians([-35, 0, 35])
+
+
+def outer_skin(template: Template) -> NDArray[np.bool_]:
+    """Return which skin vertices (n,) of the template's flesh are seen from outside."""
+    skin = template.skin
+    centre = (skin.vertices.min(axis=0) + skin.vertices.max(axis=0)) / 2
+    span = 1.2 * float(np.ptp(skin.vertices, axis=0).max())
+    seen = np.zeros(len(skin.faces), dtype=bool)
+    for yaw in YAWS:
+        for pitch in PITCHES:
+            triangle = look(Camera(centre, span, yaw, pitch), skin, PIXELS, PIXELS).triangle
+            seen[np.unique(triangle[triangle >= 0])] = True
+    flesh = np.zeros(len(skin.faces), dtype=bool)
+    flesh[template.flesh_faces] = True
+    outer = np.zeros(len(skin.vertices), dtype=bool)
+    outer[skin.faces[seen & flesh]] = True
+    return outer
+
 
 TOUCHING_MM = 2.1
 FAR_MM = 8.0

@@ -6,24 +6,106 @@ All files are documented in docs/simulation.md.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
+from fractions import Fraction
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+from zipfile import ZIP_DEFLATED, ZipFile
 
 import numpy as np
 
-from solver.drawing.raster import Pixels
+from solver.drawing.render import Pixels
+from solver.errors import InputError
 from solver.model import SubjectModel
-from solver.rig.animation_basis import Singles
-from solver.rig.animation_gltf import write_animation_glb
-from solver.rig.animation_npz import write_animation_npz
+from solver.rig.animation_gltf import Singles, write_animation_glb
 from solver.rig.animation_picture import Filming, Shot, contact_sheet
-from solver.rig.animation_video import write_video
 from solver.rig.gltf import Solid
 from solver.rig.motion import MotionFrame
 from solver.scene.objects import Obstacle
+from solver.similarity import small_motion
 from solver.surface import Floats, Ints
+
+# ``animation.npz``: an animation as arrays; docs/simulation.md describes it.
+
+
+FORMAT = 1
+TRACKS = (
+    *("time", "activations", "jaw", "head", "eyes"),
+    *("penetration_mm", "behind_teeth", "inverted", "iterations", "seconds"),
+)
+"""What is taken of every frame, see :class:`~solver.rig.motion.MotionFrame`."""
+FASTEST = 1
+"""The level of compression: skins hardly shrink, however long one tries."""
+
+
+def write_animation_npz(
+    path: Path,
+    model: SubjectModel,
+    frames: Sequence[MotionFrame],
+    skins: Singles,
+    vertices: Ints,
+) -> None:
+    """Write what drove ``frames``, and ``vertices`` (k,) of their skins in the world, mm.
+
+    ``skins`` (f, v, 3), in the head's frame, are read one by one, so that they may be mapped.
+    """
+    arrays = {name: np.array([getattr(frame, name) for frame in frames]) for name in TRACKS}
+    arrays |= {
+        "format": np.array(FORMAT),
+        "muscles": np.array(model.muscle_names, dtype=np.str_),
+        "vertices": vertices,
+    }
+    with ZipFile(path, "w", ZIP_DEFLATED, compresslevel=FASTEST) as archive:
+        for name, values in arrays.items():
+            with archive.open(f"{name}.npy", "w") as stream:
+                np.lib.format.write_array(stream, values, allow_pickle=False)
+        with archive.open("skin.npy", "w", force_zip64=True) as stream:
+            header = {"descr": "<f4", "fortran_order": False}
+            shape = (len(frames), len(vertices), 3)
+            np.lib.format.write_array_header_1_0(stream, {**header, "shape": shape})
+            for frame, skin in zip(frames, skins, strict=True):
+                placed = small_motion(frame.head)(skin[vertices].astype(np.float64))
+                stream.write(placed.astype("<f4").tobytes())
+
+
+# ``animation.mp4``: frames as a film, by PyAV (the extra ``video``).
+
+
+CODECS = {"libx264": {"crf": "18", "preset": "medium"}, "mpeg4": {"qscale": "3"}}
+"""What is tried, the best first; not every FFmpeg has the first."""
+
+
+def check_video() -> None:
+    """Raise :class:`InputError` (``options.video``) where films can not be written."""
+    if find_spec("av") is None:
+        raise InputError(
+            "options.video",
+            "a film needs PyAV, which is not installed: pip install 'myoface[video]'",
+        )
+
+
+def write_video(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], fps: float) -> None:
+    """Write sRGB ``pictures`` (h, w, 3) from 0 to 1 at ``fps``; ``size`` is (w, h), even numbers.
+
+    Raises as :func:`check_video`.
+    """
+    check_video()
+    import av
+
+    codec = next(name for name in CODECS if name in av.codecs_available)
+    rate = Fraction(fps).limit_denominator(1001)
+    with av.open(str(path), "w", options={"movflags": "faststart"}) as film:
+        stream = film.add_stream(codec, rate=rate, options=CODECS[codec])
+        assert isinstance(stream, av.VideoStream)
+        stream.width, stream.height = size
+        stream.pix_fmt = "yuv420p"
+        for picture in pictures:
+            pixels = np.ascontiguousarray((picture * 255.0 + 0.5).astype(np.uint8))
+            film.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
+        film.mux(stream.encode())
+
 
 MOST_SHOTS = 8
 """Frames in the picture."""
@@ -49,7 +131,7 @@ def write_animation(
 
     ``animation.json`` is the ``report`` with what is to say of the other files, ``animation.npz``
     has the ``vertices`` (k,) of the skin. ``objects`` are what the face meets; ``video`` adds
-    ``animation.mp4``, for which :func:`~solver.rig.animation_video.check_video` is to be asked.
+    ``animation.mp4``, for which :func:`~solver.rig.animation.check_video` is to be asked.
     """
     names = ["animation.json", "animation.glb", "animation.npz", "animation.png"]
     table, glb, arrays, sheet = (out / name for name in names)

@@ -1,6 +1,6 @@
 """``animation.glb``: a simulated face as an animated skin, small enough to be handed on.
 
-Skins are a few shapes (:mod:`solver.rig.animation_basis`), stored as whole numbers
+Skins are a few shapes (:mod:`solver.rig.animation_gltf`), stored as whole numbers
 (KHR_mesh_quantization) of the vertices that move. Keys are the frames that are needed; between
 them weights lie on straight lines, and the head turns steadily. Weights lie between 0 and 1, where
 animation tools hold them; so the first shape, ``start``, has the weight 1 throughout. What the face
@@ -9,24 +9,198 @@ meets are nodes of their own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pygltflib as gl
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from solver.rig.animation_basis import (
-    Basis,
-    Singles,
-    greatest_error,
-    normal_shapes,
-    spanning,
+from solver.rig.gltf import (
+    METRES,
+    Buffer,
+    Solid,
+    Tracks,
+    animation,
+    rigid_tracks,
+    write_face,
+    write_morphed,
 )
-from solver.rig.animation_keys import Error, needed_keys
-from solver.rig.gltf import METRES, Buffer, Solid, Tracks, animation, rigid_tracks, write_morphed
-from solver.surface import Floats, Ints, Surface
+from solver.rig.motion import SequenceFrame
+from solver.surface import Floats, Ints, Surface, vertex_normals
+
+# Few shapes that span many skins, so that a frame of an animation is a few weights.
+#
+# A truncated singular value decomposition has the least mean error; what shows is the greatest. So
+# vertices that are furthest off are weighed up until the greatest error is small enough
+# (iteratively reweighted least squares), and where that does not help a few shapes more are taken.
+
+
+Singles = NDArray[np.float32]
+
+MOST_SHAPES = 64
+FIRST_SHAPES = 6
+MORE_SHAPES = 1.4
+"""So many times as many shapes are tried next."""
+REWEIGHTINGS, LAST_REWEIGHTINGS = 2, 8
+"""Before there are more shapes, and where there may be no more."""
+LEAST_IMPORTANCE = np.float32(1e-3)
+"""Of a coordinate, by the mean: all of them count."""
+MOST_SAMPLES = 400
+"""The shapes are those of so many frames at most, evenly taken; all frames are made of them."""
+STILL_MM = 1e-3
+"""What moves less is left out, a vertex or a shape."""
+BLOCK = 64
+"""Frames that are looked at together."""
+SMALLEST_SHAPE = 1e-9
+"""Square of a shape, by the greatest, that counts as none."""
+RIDGE = 1e-6
+"""Part of the greatest variance of weights that keeps normals from growing where shapes hide."""
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Skins are about neutral + weights @ shapes at the vertices ``moving`` (k,); others are still.
+
+    ``shapes`` (s, k, 3) are in mm, ``weights`` (f, s) lie between 0 and 1 and reach both, but for
+    the first one's, which is 1 throughout: that shape is what all others count from.
+    """
+
+    moving: Ints
+    shapes: Singles
+    weights: Floats
+
+
+def spanning(neutral: Surface, skins: Singles, within_mm: float) -> Basis:
+    """Return a basis of ``skins`` (f, v, 3), mm, with no vertex further off than ``within_mm``.
+
+    Unless there are :data:`MOST_SHAPES`, or frames that were not sampled ask for more.
+    """
+    moving = _moving(neutral, skins)
+    chosen = np.unique(np.linspace(0, len(skins) - 1, MOST_SAMPLES).round().astype(int))
+    samples = _motion(neutral, skins[chosen], moving)
+    directions, importance = _directions(samples, within_mm)
+    towards = (directions * importance).astype(np.float64)
+    # skins of fewer dimensions leave shapes of nothing
+    solve = np.linalg.pinv(towards @ directions.T, rcond=SMALLEST_SHAPE, hermitian=True)
+    amounts = np.vstack(
+        [_motion(neutral, block, moving) @ towards.T @ solve for block in _blocks(skins)]
+    )
+    least, most = amounts.min(axis=0), amounts.max(axis=0)
+    longest = np.linalg.norm(directions.reshape(len(directions), -1, 3), axis=2).max(axis=1)
+    used = (most - least) * longest > STILL_MM
+    span = (most - least)[used]
+    start = least @ directions
+    shapes = np.vstack([start[None], span[:, None] * directions[used]])
+    weights = np.hstack([np.ones((len(amounts), 1)), (amounts - least)[:, used] / span])
+    return Basis(moving, shapes.reshape(-1, len(moving), 3).astype(np.float32), weights)
+
+
+def normal_shapes(neutral: Surface, skins: Singles, basis: Basis) -> Singles:
+    """Return changes of the moving vertices' normals (s, k, 3), whose blend is the skins' normals.
+
+    They are the least squares over frames of the animation: normals are not linear in the motion.
+    """
+    chosen = np.unique(np.linspace(0, len(skins) - 1, MOST_SAMPLES).round().astype(int))
+    at_rest = vertex_normals(neutral)[basis.moving]
+    weights = basis.weights[chosen]
+    right = np.zeros((weights.shape[1], at_rest.size))
+    for row, frame in zip(weights, chosen, strict=True):
+        surface = neutral.moved(skins[frame].astype(np.float64))
+        right += row[:, None] * (vertex_normals(surface)[basis.moving] - at_rest).ravel()
+    gram = weights.T @ weights
+    gram[np.diag_indices_from(gram)] += RIDGE * gram.max()
+    changes = np.linalg.solve(gram, right)
+    return changes.reshape(-1, *at_rest.shape).astype(np.float32)
+
+
+def greatest_error(neutral: Surface, skins: Singles, basis: Basis) -> float:
+    """Return how far a vertex of ``skins`` (f, v, 3) is off what the basis makes of them, mm."""
+    still = np.setdiff1d(np.arange(skins.shape[1]), basis.moving)
+    shapes = basis.shapes.reshape(len(basis.shapes), -1)
+    worst = 0.0
+    for number, block in enumerate(_blocks(skins)):
+        rows = basis.weights[number * BLOCK : number * BLOCK + len(block)].astype(np.float32)
+        off = _motion(neutral, block, basis.moving) - rows @ shapes
+        others = _motion(neutral, block, still)
+        worst = max(worst, *(_longest(each) for each in (off, others)))
+    return worst
+
+
+def _directions(samples: Singles, within_mm: float) -> tuple[Singles, Singles]:
+    """Return shapes (s, 3 k) that make all ``samples`` (f, 3 k), and how much coordinates count.
+
+    The importance (3 k,) is what the shapes are the best by.
+    """
+    importance = np.ones(samples.shape[1], np.float32)
+    most = min(MOST_SHAPES, len(samples))
+    count, tries = min(FIRST_SHAPES, most), 0
+    while True:
+        gram = ((samples * importance) @ samples.T).astype(np.float64)
+        along = np.linalg.eigh(gram)[1][:, -count:].astype(np.float32)
+        directions = along.T @ samples
+        off = (samples - along @ directions).reshape(len(samples), -1, 3)
+        errors = np.linalg.norm(off, axis=2).max(axis=0)
+        tries += 1
+        if errors.max() <= within_mm or (count == most and tries == LAST_REWEIGHTINGS):
+            return directions, importance
+        if tries >= REWEIGHTINGS and count < most:
+            count, tries = min(int(MORE_SHAPES * count), most), 0
+        importance = importance * np.repeat(errors / errors.mean(), 3)
+        importance = np.maximum(importance / importance.mean(), LEAST_IMPORTANCE)
+
+
+def _moving(neutral: Surface, skins: Singles) -> Ints:
+    """Return the vertices that leave their place; one, if all are still."""
+    vertices = neutral.vertices.astype(np.float32)
+    most = np.zeros(len(vertices), np.float32)
+    for block in _blocks(skins):
+        most = np.maximum(most, np.abs(block - vertices).max(axis=(0, 2)))
+    moving = np.flatnonzero(most > STILL_MM)
+    return moving if len(moving) else np.zeros(1, np.int64)
+
+
+def _motion(neutral: Surface, skins: Singles, vertices: Ints) -> Singles:
+    """Return how far ``vertices`` (k,) are from the neutral in each skin, (f, 3 k)."""
+    at_rest = neutral.vertices[vertices].astype(np.float32)
+    return np.asarray((skins[:, vertices] - at_rest).reshape(len(skins), -1))
+
+
+def _blocks(skins: Singles) -> Iterator[Singles]:
+    return (skins[first : first + BLOCK] for first in range(0, len(skins), BLOCK))
+
+
+def _longest(motion: Singles) -> float:
+    return float(np.linalg.norm(motion.reshape(len(motion), -1, 3), axis=2).max(initial=0.0))
+
+
+# Fewer keys: frames that lie between others, as near as can be seen, are left out.
+
+
+Error = Callable[[int, int, Ints], Floats]
+"""How far frames (k,) between two others are off, mm, where those two are the only keys."""
+
+
+def needed_keys(frames: int, error: Error, within_mm: float) -> Ints:
+    """Return the frames (k,) that keep all others within so much (Douglas and Peucker 1973)."""
+    if frames < 3:
+        return np.arange(frames)
+    kept = {0, frames - 1}
+    open_ends = [(0, frames - 1)]
+    while open_ends:
+        first, last = open_ends.pop()
+        between = np.arange(first + 1, last)
+        if not len(between):
+            continue
+        off = error(first, last, between)
+        if off.max() > within_mm:
+            worst = int(between[off.argmax()])
+            kept.add(worst)
+            open_ends += [(first, worst), (worst, last)]
+    return np.array(sorted(kept))
+
 
 SHAPES_MM, KEYS_MM = 0.1, 0.05
 """What vertices may be off for the shapes that are left out, and for the keys that are."""
@@ -147,3 +321,75 @@ def _greatest(vectors: Singles) -> Floats:
 def _between(values: Floats, keys: Floats, times: Floats) -> Floats:
     """Return ``values`` (k, c) at ``keys`` (k,) at other ``times`` (f,), on straight lines."""
     return np.array([np.interp(times, keys, column) for column in values.T]).T
+
+
+# ``sequence.glb``: a fitted sequence as an animated skin, for viewers and animation tools.
+#
+# The skins of all frames are spanned by few shapes, found as the frames come: a frame that the
+# shapes so far do not reach adds what is left of it. So a frame is a few weights, and nothing waits
+# for the end of the sequence.
+
+
+REACHED_MM = 0.2
+"""How far a vertex may be off its place in the animation, unless there are too many shapes."""
+MOST_SEQUENCE_SHAPES = 48
+
+
+class AnimatedSkin:
+    """Takes the skins (v, 3), mm, of a sequence's frames."""
+
+    def __init__(self, neutral: Surface) -> None:
+        self._neutral = neutral
+        self._shapes = np.zeros((0, neutral.vertices.size), np.float32)
+        self._weights: list[Floats] = []
+        self._frames: list[SequenceFrame] = []
+
+    def add(self, frame: SequenceFrame, skin: Floats) -> None:
+        """Take a frame, fitted or not."""
+        motion = (skin - self._neutral.vertices).astype(np.float32).ravel()
+        weights = self._shapes @ motion
+        rest = motion - weights @ self._shapes
+        off = np.linalg.norm(rest.reshape(-1, 3), axis=1).max()
+        if len(weights) < MOST_SEQUENCE_SHAPES and off > REACHED_MM:
+            length = np.linalg.norm(rest)
+            self._shapes = np.vstack([self._shapes, rest / length])
+            weights = np.append(weights, length)
+        self._weights.append(weights.astype(np.float64))
+        self._frames.append(frame)
+
+    def write(self, path: Path, fps: float) -> None:
+        """Write the animation, in metres; a node carries the motion of the head.
+
+        A shape that is needed both ways is two morph targets: animation tools hold weights between
+        0 and 1.
+        Without a frame, or if neither face nor head moves, it is the neutral.
+        """
+        weights = np.zeros((len(self._weights), len(self._shapes)))
+        for row, values in zip(weights, self._weights, strict=True):
+            row[: len(values)] = values
+        shapes, tracks = {}, [np.zeros((len(weights), 0))]
+        for number, (track, shape) in enumerate(zip(weights.T, self._shapes, strict=True)):
+            for name, way in ((f"shape_{number}", 1.0), (f"shape_{number}_back", -1.0)):
+                one_way = np.maximum(way * track, 0.0)
+                if (most := one_way.max()) > 0.0:
+                    shapes[name] = self._neutral.vertices + (way * most * shape).reshape(-1, 3)
+                    tracks.append(one_way[:, None] / most)
+
+        def animate(buffer: Buffer, _count: int) -> gl.Animation | None:
+            return _animation(buffer, self._frames, np.hstack(tracks), fps)
+
+        write_face(path, self._neutral, shapes, animate)
+
+
+def _animation(
+    buffer: Buffer, frames: Sequence[SequenceFrame], weights: Floats, fps: float
+) -> gl.Animation | None:
+    heads = np.array([frame.head for frame in frames]).reshape(-1, 6)
+    times = np.array([frame.frame / fps for frame in frames])
+    tracks = {}
+    if weights.size:
+        at_frames = buffer.dense(times, gl.SCALAR, bounds=True)
+        tracks[gl.WEIGHTS] = at_frames, buffer.dense(weights.ravel(), gl.SCALAR)
+    if heads.any():
+        tracks |= rigid_tracks(buffer, times, heads)
+    return animation("sequence", tracks) if tracks else None

@@ -10,10 +10,11 @@ import numpy as np
 
 from solver.drawing.head import Head
 from solver.drawing.page import HEADER, MARGIN, Page
-from solver.drawing.raster import Pixels
-from solver.drawing.render import Body, Lit, faded, render
+from solver.drawing.render import Body, Lit, Pixels, faded, render
 from solver.model import SubjectModel
-from solver.rig.pictures import THREE_QUARTER, face_camera
+from solver.rig.edit_report import EditedPerson
+from solver.rig.motion import SequenceFrame
+from solver.rig.pictures import SIDE, THREE_QUARTER, face_camera
 from solver.surface import Floats, Surface
 
 CELL = (300, 360)
@@ -85,3 +86,122 @@ def contact_sheet(
 
 def _glass(surface: Surface) -> Body:
     return Body(Lit(surface), np.tile(OBJECT, (len(surface.vertices), 1)), opacity=OBJECT_OPACITY)
+
+
+# A sheet of an edited person: before, after, and how far the skin has moved.
+
+
+EDIT_CELL = (270, 330)
+LEFT, FOOTER = 90, 64
+VIEWS_AT_REST, MOST_EXPRESSIONS = 3, 4
+MOST_MM = (1.0, 2.0, 4.0, 8.0, 16.0)
+"""Ends of the colour scale: the least that holds nearly all of the motion."""
+
+View = tuple[str, float, Floats, Floats]
+
+
+def edit_picture(person: EditedPerson, title: str, detail: str, path: Path) -> None:
+    """Draw the person at rest from three sides and in up to four expressions, in columns.
+
+    Where there are more, or some found no rest, the heading says how many are shown.
+    """
+    views = _views(person)
+    shown, there = len(views) - VIEWS_AT_REST, len(person.expressions)
+    if shown < there:
+        detail = f"{detail}; {shown} of {there} expressions are shown"
+    width, height = EDIT_CELL
+    page = Page(LEFT + width * len(views) + MARGIN, HEADER + 30 + 3 * height + FOOTER)
+    page.heading(title, detail)
+    for row, name in enumerate(("Before", "After", "Moved")):
+        page.text((MARGIN, HEADER + 30 + row * height + height // 2), name, 20)
+    moved = [np.linalg.norm(after - before, axis=1) for _, _, before, after in views]
+    model = person.unedited
+    most = _scale_end(np.concatenate([each[model.face] for each in moved]))
+    head_before, head_after = Head(model.skin), Head(person.edited.model.skin)
+    for column, (name, yaw, before, after) in enumerate(views):
+        left = LEFT + column * width
+        page.text((left + width // 2, HEADER), name, 17, anchor="ma")
+        solved = head_after.lit(after)
+        bodies = (
+            head_before.body(head_before.lit(before)),
+            head_after.body(solved),
+            head_after.heat_map(solved, moved[column], most),
+        )
+        camera = face_camera(model.skin.vertices, model.face, yaw)
+        for row, body in enumerate(bodies):
+            image = faded(render([body], camera, width, height))
+            page.panel((left, HEADER + 30 + row * height), image)
+    page.scale((LEFT + 20, HEADER + 30 + 3 * height + 12), 3 * width - 60, most)
+    page.save(path)
+
+
+def _views(person: EditedPerson) -> list[View]:
+    """Return name, camera's angle and skins before and after of every column."""
+    before, after = person.before.skin, person.after.skin
+    views = [
+        ("at rest", 0.0, before, after),
+        ("three quarters", THREE_QUARTER, before, after),
+        ("left side", SIDE, before, after),
+    ]
+    for each in person.expressions:
+        if each.before is not None and each.after is not None:
+            name = each.name.replace("_", " ")
+            views.append((name, 0.0, each.before.skin, each.after.skin))
+    return views[: VIEWS_AT_REST + MOST_EXPRESSIONS]
+
+
+def _scale_end(moved_mm: Floats) -> float:
+    usual = np.percentile(moved_mm, 99.5)
+    return next((end for end in MOST_MM if end >= usual), MOST_MM[-1])
+
+
+# A contact sheet of a sequence: some of its frames as seen, as fitted, and the error.
+
+
+SEQUENCE_CELL = (270, 330)
+LEFT, FOOTER = 90, 64
+
+
+@dataclass(frozen=True)
+class SequenceShot:
+    """A fitted frame on the scan topology: ``seen`` and ``skin`` (v, 3), and ``error_mm`` (v,).
+
+    ``error_mm`` is NaN where nothing was seen; there ``seen`` is the fitted skin.
+    """
+
+    frame: SequenceFrame
+    seen: Floats
+    skin: Floats
+    error_mm: Floats
+
+
+def sequence_picture(
+    model: SubjectModel, shots: Sequence[SequenceShot], title: str, detail: str, path: Path
+) -> None:
+    """Draw the frames in columns: seen, fitted, error in mm; heads without their motion."""
+    head = Head(model.skin)
+    width, height = SEQUENCE_CELL
+    page = Page(LEFT + width * len(shots) + MARGIN, HEADER + 30 + 3 * height + FOOTER)
+    page.heading(title, detail)
+    camera = face_camera(model.skin.vertices, model.face, 0.0)
+    for row, name in enumerate(("Seen", "Fit", "Error")):
+        page.text((MARGIN, HEADER + 30 + row * height + height // 2), name, 20)
+    for column, shot in enumerate(shots):
+        left = LEFT + column * width
+        page.text(
+            (left + width // 2, HEADER),
+            f"frame {shot.frame.frame}, mean {shot.frame.mean_mm:.2f} mm",
+            17,
+            anchor="ma",
+        )
+        solved = head.lit(shot.skin)
+        bodies = (
+            head.body(head.lit(shot.seen)),
+            head.body(solved),
+            head.heat_map(solved, shot.error_mm),
+        )
+        for row, body in enumerate(bodies):
+            image = faded(render([body], camera, width, height))
+            page.panel((left, HEADER + 30 + row * height), image)
+    page.scale((LEFT + 20, HEADER + 30 + 3 * height + 12), min(4 * width, width * len(shots)) - 60)
+    page.save(path)

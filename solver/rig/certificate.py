@@ -11,14 +11,163 @@ import scipy.sparse as sp
 
 from solver.contact.crossing import Crossing, crossing
 from solver.contact.mouth import Mouth
+from solver.fitting.activation import Resting
 from solver.fitting.face import Face, Pose
-from solver.fitting.resting import Resting
+from solver.fitting.objective import determinants
+from solver.fitting.stretches import fibre_tensors, matrices
+from solver.mechanics import jaw
 from solver.mechanics.equilibrium import factorise
 from solver.mechanics.linear import LinearSolver, analyse
-from solver.rig.plausibility import JawMotion, Muscles, jaw_motion, muscles
+from solver.model import SubjectModel
 from solver.rig.result import ExpressionFit, Rig
 from solver.rig.round_trip import round_trip
-from solver.surface import Floats
+from solver.surface import Floats, Ints
+
+# Whether muscles and jaw of a fit do what they can do in a living face.
+
+
+SHORTEST, LONGEST = 0.5, 2.0
+"""Stretches of a muscle in any direction; see :data:`MUSCLE_SOURCE`."""
+
+MUSCLE_SOURCE = (
+    "A muscle makes force down to half its best length (Zajac 1989), and one that halves its "
+    "length thickens to twice its size at most, as it keeps its volume."
+)
+
+LONGEST_FIBRE = 1.1
+"""A muscle pulls; one whose activation lengthens its fibres by more than this pushes."""
+
+VOLUMES = (0.7, 1.3)
+"""Volume of a contracted muscle by its volume at rest; water does not go."""
+
+LEAST_FLESH_MM3 = 10.0
+"""A muscle of which S leaves less than this moves nothing, and is not judged."""
+
+
+@dataclass(frozen=True)
+class Muscles:
+    """The m muscles of one expression, each array (m,).
+
+    ``shortest`` and ``longest`` are the eigenvalues of S(a_j), ``volume`` its determinant,
+    ``fibres`` the stretch d^T S(a_j) d along the fibre directions d, mean over the muscle's flesh
+    (NaN without fibres), ``flesh_mm3`` how much of the flesh is the muscle's.
+    """
+
+    shortest: Floats
+    longest: Floats
+    volume: Floats
+    fibres: Floats
+    flesh_mm3: Floats
+
+    def faults(self, muscle: int) -> list[str]:
+        """Return in plain words what a muscle does that muscles can not do."""
+        if self.flesh_mm3[muscle] < LEAST_FLESH_MM3:
+            return []
+        least, most = self.shortest[muscle], self.longest[muscle]
+        fibres, volume = self.fibres[muscle], self.volume[muscle]
+        faults = []
+        if least <= 0.0:
+            faults.append("is turned inside out")
+        elif least < SHORTEST:
+            faults.append(f"shrinks to {100 * least:.0f} % in one direction")
+        if most > LONGEST:
+            faults.append(f"stretches to {100 * most:.0f} % in one direction")
+        if fibres > LONGEST_FIBRE:
+            faults.append(f"pushes: its fibres lengthen to {100 * fibres:.0f} %")
+        if least > 0.0 and not VOLUMES[0] <= volume <= VOLUMES[1]:
+            faults.append(f"has {100 * volume:.0f} % of its volume")
+        return faults
+
+    @property
+    def inside_out(self) -> Ints:
+        """Return the numbers of the muscles that are turned inside out."""
+        return np.flatnonzero((self.shortest <= 0.0) & (self.flesh_mm3 >= LEAST_FLESH_MM3))
+
+
+def muscles(model: SubjectModel, volumes: Floats, S: sp.csr_array, a: Floats) -> Muscles:
+    """Return the figures of activations ``a`` (m, 6); ``volumes`` (n,) are the tets' at rest."""
+    tensors = matrices(a)
+    stretches = np.linalg.eigvalsh(tensors)
+    fibres = np.einsum("jkl,jkl->j", fibre_tensors(model, volumes, S), tensors)
+    flesh = np.bincount(S.indices, S.data * _by_entry(volumes, S), minlength=len(a) + 1)[1:]
+    return Muscles(
+        np.asarray(stretches[:, 0], np.float64),
+        np.asarray(stretches[:, 2], np.float64),
+        determinants(a),
+        fibres,
+        np.asarray(flesh, np.float64),
+    )
+
+
+def _by_entry(of_tets: Floats, S: sp.csr_array) -> Floats:
+    """Return a value of every tet (n,) for each stored entry of S."""
+    return np.asarray(np.repeat(of_tets, np.diff(S.indptr)))
+
+
+JAW_RANGES = {
+    "opening_deg": (-6.0, 51.0),
+    "opening_mm": (-4.0, 67.0),
+    "sideways_mm": (-18.0, 18.0),
+    "condyles_forward_mm": (-2.0, 28.0),
+    "condyles_down_mm": (-2.0, 15.0),
+}
+"""From rest, in degrees and mm; see :data:`JAW_SOURCE`."""
+
+JAW_SOURCE = (
+    "Mean and two standard deviations of adults: opening between the incisors 49.3 (9.1) mm and "
+    "to the side 11.8 (3.1) mm (500 patients in Basel, Swiss Dental Journal), rotation 39.1 (5.9)° "
+    "and path of the condyles 20.5 (4.0) mm (60 healthy students, Muto and Kanazawa 1996). Teeth, "
+    "2 to 4 mm apart at rest, and sockets allow little the other way."
+)
+
+JAW_WORDS = {
+    "opening_deg": ("closes by {:.0f}°", "opens by {:.0f}°"),
+    "opening_mm": ("closes {:.1f} mm beyond rest", "opens by {:.0f} mm"),
+    "sideways_mm": ("goes {:.0f} mm to the right", "goes {:.0f} mm to the left"),
+    "condyles_forward_mm": ("is {:.1f} mm behind its sockets", "leaves its sockets by {:.0f} mm"),
+    "condyles_down_mm": ("is {:.1f} mm up in its sockets", "drops from its sockets by {:.0f} mm"),
+}
+
+
+@dataclass(frozen=True)
+class JawMotion:
+    """The mandible's motion from rest: rotation in degrees, ``point`` and condyles in mm.
+
+    ``opening_mm`` (down) and ``sideways_mm`` (to the subject's left) are taken at ``point``, the
+    ``lower incisors`` where the model names lower teeth, else the ``chin``.
+    """
+
+    point: str
+    opening_deg: float
+    opening_mm: float
+    sideways_mm: float
+    condyles_forward_mm: float
+    condyles_down_mm: float
+
+    def faults(self) -> list[str]:
+        """Return in plain words what the jaw does that jaws can not do."""
+        faults = []
+        for name, (low, high) in JAW_RANGES.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                faults.append(JAW_WORDS[name][value > 0].format(abs(value)))
+        return faults
+
+
+def jaw_motion(model: SubjectModel, b: Floats) -> JawMotion:
+    """Return the mandible's motion for b (5,)."""
+    teeth = np.intersect1d(model.regions.get("lower_teeth", []), model.attached_mandible)
+    bone = model.skin.vertices[teeth.astype(np.int64)] if len(teeth) else model.rest[model.mandible]
+    front = bone[(bone @ model.jaw.axes[2]).argmax()][None]
+    motion = (jaw.move(model.jaw, front, b) - front)[0] @ model.jaw.axes.T
+    return JawMotion(
+        point="lower incisors" if len(teeth) else "chin",
+        opening_deg=float(np.degrees(b[0])),
+        opening_mm=float(-motion[1]),
+        sideways_mm=float(motion[0]),
+        condyles_forward_mm=float(b[4]),
+        condyles_down_mm=float(-b[3]),
+    )
 
 
 @dataclass(frozen=True)

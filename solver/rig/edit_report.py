@@ -11,15 +11,12 @@ from typing import Any
 import numpy as np
 
 from solver.anatomy.tetrahedra import ML, volume_ml, volumes
-from solver.archive import csr_arrays
-from solver.contact.penetration import Gauge
-from solver.edits.edited import Edited
-from solver.edits.replay import Replayed
+from solver.contact.crossing import Gauge
+from solver.edits.edit import Edited, Replayed
 from solver.model import SubjectModel
-from solver.normals import vertex_normals
 from solver.rig.gltf import in_turn, write_face
-from solver.surface import Floats
-from solver.triangles import vertex_areas
+from solver.storage import csr_arrays
+from solver.surface import Floats, vertex_areas, vertex_normals
 
 FORMAT = 1
 

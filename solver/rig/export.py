@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from solver.rig.activations_csv import write_activations_csv
 from solver.rig.certificate import Certificate
 from solver.rig.gltf import write_glb
 from solver.rig.pictures import fit_picture
-from solver.rig.report import report, write_report
+from solver.rig.report import report, write_activations_csv, write_report
 from solver.rig.result import Rig, save_activations, save_weights
 from solver.rig.view.write import write_inside, write_view
 from solver.rig.web_page import write_page

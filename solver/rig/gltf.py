@@ -12,10 +12,9 @@ import numpy as np
 import pygltflib as gl
 from scipy.spatial.transform import Rotation
 
-from solver.drawing.parts import skin_parts
-from solver.normals import vertex_normals
+from solver.drawing.head import skin_parts
 from solver.rig.result import ExpressionFit, Rig
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Floats, Ints, Surface, vertex_normals
 
 METRES = 1e-3
 STILL_MM = 1e-3  # a vertex that moves less than a micrometre is left out of a sparse target

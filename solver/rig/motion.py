@@ -6,20 +6,22 @@ All files are documented in docs/simulation.md.
 from __future__ import annotations
 
 import base64
+import csv
 import json
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from solver.anatomy.tetrahedra import volume_ml
 from solver.errors import InputError
+from solver.mechanics.jaw import DEGREES_OF_FREEDOM
 from solver.model import SubjectModel
 from solver.similarity import IDENTITY, Similarity, small_motion
-from solver.simulation.state import Motion
+from solver.simulation.inertia import Motion
 from solver.surface import Floats
 
 FORMAT = 1
@@ -45,7 +47,7 @@ class MotionFrame:
         (p, 3) in mm: how far the flesh's vertices are off their rest, in the head's frame.
     penetration_mm, behind_teeth
         How deep skin is in teeth, in other skin or in objects, at the worst, and the number of the
-        lips' vertices behind teeth, see :class:`~solver.contact.penetration.Penetration`.
+        lips' vertices behind teeth, see :class:`~solver.contact.crossing.Penetration`.
     inverted
         Number of tets with det F <= 0.
     iterations, halvings, residual, seconds
@@ -200,3 +202,194 @@ def motion_report(frames: Sequence[MotionFrame], model: SubjectModel) -> dict[st
 
 def _furthest(moved: Floats) -> float:
     return float(np.linalg.norm(moved, axis=1).max())
+
+
+# The result of a sequence on disk: frames as they come, and what is left at the end.
+#
+# All files are documented in docs/sequences.md.
+
+
+Status = Literal["fitted", "kept", "unseen"]
+ENTRIES = ("xx", "xy", "xz", "yy", "yz", "zz")
+
+
+@dataclass(frozen=True)
+class SequenceFrame:
+    """One frame, fitted.
+
+    frame
+        Its number in the performance.
+    status
+        ``fitted``; ``kept``: the fit failed and the pose is the frame before's; ``unseen``: too
+        little of the face was seen, the pose is kept too.
+    activations, jaw
+        (m, 6) and (5,), as of an expression.
+    head
+        (6,) rotation vector (rad) and translation (mm): the head in the studio, x -> R x + t; zero
+        where it was not asked for.
+    mean_mm, p95_mm, max_mm
+        Distance between fit and frame over the face's points that were seen, None without any.
+    coverage
+        Share of the face's points that were seen.
+    inverted
+        Number of tets with det F <= 0.
+    iterations, seconds
+        How the solve went.
+    """
+
+    frame: int
+    status: Status
+    activations: Floats
+    jaw: Floats
+    head: Floats
+    mean_mm: float | None
+    p95_mm: float | None
+    max_mm: float | None
+    coverage: float
+    inverted: int
+    iterations: int
+    seconds: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the frame as JSON values."""
+        arrays = {name: getattr(self, name).tolist() for name in ("activations", "jaw", "head")}
+        return {**asdict(self), **arrays}
+
+    @classmethod
+    def of(cls, values: dict[str, Any]) -> SequenceFrame:
+        """Return the frame that :meth:`as_dict` gave these values of."""
+        arrays = {name: np.array(values[name], float) for name in ("activations", "jaw", "head")}
+        return cls(**{**values, **arrays})
+
+
+def write_frames(folder: Path, first: int, frames: Sequence[SequenceFrame]) -> Path:
+    """Write frames, the ``first``-th of the sequence and on, whole or not at all."""
+    folder.mkdir(parents=True, exist_ok=True)
+    content = {"format": FORMAT, "frames": [frame.as_dict() for frame in frames]}
+    path = folder / f"{first:06d}-{first + len(frames) - 1:06d}.json"
+    partial = path.with_suffix(".partial")
+    partial.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
+    partial.replace(path)
+    return path
+
+
+def read_frames(folder: Path, muscles: int) -> list[SequenceFrame]:
+    """Return the frames that :func:`write_frames` left in a folder, none if it is not there.
+
+    Raises :class:`InputError` (``sequence.frames``) if there is a gap or another model's frames.
+    """
+    frames: list[SequenceFrame] = []
+    for path in sorted(folder.glob("*.json")):
+        try:
+            read = [SequenceFrame.of(each) for each in json.loads(path.read_bytes())["frames"]]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InputError(
+                "sequence.frames", f"{path.name} holds no frames: {error}", file=path.name
+            ) from error
+        is_next = path.stem == f"{len(frames):06d}-{len(frames) + len(read) - 1:06d}"
+        if not is_next or any(each.activations.shape != (muscles, 6) for each in read):
+            raise InputError(
+                "sequence.frames",
+                f"{path.name} does not follow on the {len(frames)} frames before it",
+                file=path.name,
+            )
+        frames += read
+    return frames
+
+
+def write_sequence(
+    out: Path,
+    frames: Sequence[SequenceFrame],
+    muscles: Sequence[str],
+    fps: float,
+    report: dict[str, Any],
+) -> list[Path]:
+    """Write ``sequence.npz``, ``activations.csv`` and ``sequence.json``; returns their paths."""
+    files = [out / "sequence.npz", out / "activations.csv", out / "sequence.json"]
+    _write_arrays(files[0], frames, muscles, fps)
+    _write_table(files[1], frames, muscles, fps)
+    files[2].write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    return files
+
+
+def sequence_report(frames: Sequence[SequenceFrame], fps: float, name: str) -> dict[str, Any]:
+    """Return the figures of a sequence; distances in mm over frames, times in seconds or ms."""
+    fitted = [frame for frame in frames if frame.status == "fitted"]
+    errors = [frame.mean_mm for frame in fitted if frame.mean_mm is not None]
+    seconds = [frame.seconds for frame in fitted]
+    return {
+        "performance": name,
+        "frames": len(frames),
+        "fitted": len(fitted),
+        "kept": _numbers(frames, "kept"),
+        "unseen": _numbers(frames, "unseen"),
+        "fps": fps,
+        "mean_mm": _rounded(np.mean, errors),
+        "median_mm": _rounded(np.median, errors),
+        "p95_mm": _rounded(lambda values: np.percentile(values, 95), errors),
+        "worst_frame": max(fitted, key=lambda frame: frame.mean_mm or 0.0).frame
+        if fitted
+        else None,
+        "max_mm": max((frame.max_mm for frame in fitted if frame.max_mm is not None), default=None),
+        "inverted": sum(frame.inverted for frame in frames),
+        "iterations": _rounded(np.mean, [frame.iterations for frame in fitted]),
+        "frame_ms": _rounded(np.median, [1e3 * each for each in seconds]),
+        "frames_per_second": round(len(seconds) / sum(seconds), 2) if sum(seconds) else None,
+    }
+
+
+def _numbers(frames: Iterable[SequenceFrame], status: Status) -> list[int]:
+    return [frame.frame for frame in frames if frame.status == status]
+
+
+def _rounded(statistic: Any, values: Sequence[float]) -> float | None:
+    return round(float(statistic(values)), 4) if values else None
+
+
+def _write_arrays(
+    path: Path, frames: Sequence[SequenceFrame], muscles: Sequence[str], fps: float
+) -> None:
+    def column(name: str) -> list[Any]:
+        return [getattr(frame, name) for frame in frames]
+
+    number = np.array(column("frame"), np.int64)
+    with path.open("wb") as stream:
+        np.savez_compressed(
+            stream,
+            allow_pickle=False,
+            format=np.array(FORMAT),
+            muscles=np.array(muscles, dtype=np.str_),
+            fps=np.array(fps),
+            frame=number,
+            time=number / fps,
+            status=np.array(column("status"), dtype=np.str_),
+            activations=np.array(column("activations")),
+            jaw=np.array(column("jaw")),
+            head=np.array(column("head")),
+            **{
+                name: np.array(column(name), np.float64) for name in ("mean_mm", "p95_mm", "max_mm")
+            },
+            coverage=np.array(column("coverage"), np.float64),
+            inverted=np.array(column("inverted"), np.int64),
+            iterations=np.array(column("iterations"), np.int64),
+            seconds=np.array(column("seconds"), np.float64),
+        )
+
+
+def _write_table(
+    path: Path, frames: Sequence[SequenceFrame], muscles: Sequence[str], fps: float
+) -> None:
+    """Write a row a frame; spreadsheets and animation tools read it."""
+    jaw = [f"jaw.{number}" for number in range(1, DEGREES_OF_FREEDOM + 1)]
+    head = ["head.rx", "head.ry", "head.rz", "head.tx", "head.ty", "head.tz"]
+    entries = [f"{muscle}.{entry}" for muscle in muscles for entry in ENTRIES]
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        rows = csv.writer(stream)
+        rows.writerow(["frame", "time", "status", "mean_mm", *jaw, *head, *entries])
+        for frame in frames:
+            values = [*frame.jaw, *frame.head, *frame.activations.ravel()]
+            error = "" if frame.mean_mm is None else f"{frame.mean_mm:.4f}"
+            rows.writerow(
+                [frame.frame, f"{frame.frame / fps:.4f}", frame.status, error]
+                + [f"{value:.6f}" for value in values]
+            )

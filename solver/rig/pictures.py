@@ -2,21 +2,89 @@
 
 from __future__ import annotations
 
+import colorsys
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from solver.anatomy.template import Template
-from solver.drawing import colours
-from solver.drawing.head import Head
-from solver.drawing.page import HEADER, MARGIN, Colour, Page, swatch_columns, swatch_height
-from solver.drawing.raster import Camera
-from solver.drawing.render import Body, Lit, faded, render
+from solver.drawing.head import BONE, FAT, GAMMA, Head, both_sides, linear, muscle_colours
+from solver.drawing.page import HEADER, INK, MARGIN, Colour, Page, swatch_columns, swatch_height
+from solver.drawing.render import Body, Camera, Lit, faded, render
 from solver.model import SubjectModel
 from solver.rig.result import ExpressionFit
-from solver.rig.strokes import fibre_threads
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Floats, Ints, Surface, vertex_normals
+
+# Short threads along the fibres of muscles, for pictures.
+
+
+LEAST_SHARE = 0.1
+"""A thread runs through each tet of which the muscle has this share."""
+STEP_MM, STEPS = 1.0, 4
+"""A thread follows the fibres this far both ways."""
+RADIUS_MM = 0.35
+NEIGHBOURS = 6
+_SIDES = 3
+
+
+def fibre_threads(model: SubjectModel) -> dict[str, Surface]:
+    """Return muscle -> thin tubes along its fibres, in mm.
+
+    Muscles without a tet of :data:`LEAST_SHARE` are left out, and all if the model has no fibres.
+    """
+    if model.fibres is None:
+        return {}
+    entries = model.weights.tocoo()
+    centres = model.rest[model.tets].mean(axis=1)
+    threads = {}
+    for column, name in enumerate(model.muscle_names, start=1):
+        own = np.flatnonzero((entries.col == column) & (entries.data >= LEAST_SHARE))
+        if len(own):
+            points = centres[entries.row[own]]
+            threads[name] = _tubes(_traced(points, model.fibres[own]))
+    return threads
+
+
+def _traced(points: Floats, directions: Floats) -> Floats:
+    """Return polylines (k, 2 STEPS + 1, 3) through the points of a field."""
+    tree = cKDTree(points)
+    count = min(NEIGHBOURS, len(points))
+    halves = []
+    for sign in (-1.0, 1.0):
+        place, ahead, line = points, directions, []
+        for _ in range(STEPS):
+            near = tree.query(place, k=range(1, count + 1))[1]
+            ahead = directions[near].mean(axis=1)
+            ahead = ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
+            place = place + sign * STEP_MM * ahead
+            line.append(place)
+        halves.append(line)
+    return np.stack([*halves[0][::-1], points, *halves[1]], axis=1)
+
+
+def _tubes(lines: Floats) -> Surface:
+    """Return triangles around polylines (k, s, 3), thinner towards both ends."""
+    count, steps, _ = lines.shape
+    along = np.gradient(lines, axis=1)
+    along /= np.maximum(np.linalg.norm(along, axis=2, keepdims=True), 1e-9)
+    least = np.eye(3)[np.abs(along).argmin(axis=2)]
+    across = np.cross(along, least)
+    across /= np.linalg.norm(across, axis=2, keepdims=True)
+    other = np.cross(along, across)
+    width = RADIUS_MM * np.sin(np.linspace(0.15, np.pi - 0.15, steps)) ** 0.5
+    angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
+    circle = (
+        np.cos(angle)[:, None] * across[:, :, None] + np.sin(angle)[:, None] * other[:, :, None]
+    )
+    vertices = lines[:, :, None] + width[:, None, None] * circle
+    number: Ints = np.arange(count * steps * _SIDES).reshape(count, steps, _SIDES)
+    a, b = number[:, :-1], number[:, 1:]
+    after_a, after_b = np.roll(a, -1, axis=2), np.roll(b, -1, axis=2)
+    faces = np.stack([np.stack([a, after_a, after_b], -1), np.stack([a, after_b, b], -1)])
+    return Surface(vertices.reshape(-1, 3), faces.reshape(-1, 3))
+
 
 WIDTH = 1600
 ROLES = {"train": "training expression", "test": "unseen expression"}
@@ -84,7 +152,7 @@ def template_picture(template: Template, path: Path) -> None:
 
 
 def _draw_anatomy(anatomy: _Anatomy, path: Path, title: str, detail: str) -> None:
-    palette = colours.muscle_colours(tuple(anatomy.muscles))
+    palette = muscle_colours(tuple(anatomy.muscles))
     head = Head(anatomy.skin)
     lit = head.lit(anatomy.skin.vertices)
     inside = _inside(anatomy, palette, head.body(lit, np.vstack([head.eyes, head.teeth])))
@@ -109,7 +177,7 @@ def fibres_picture(model: SubjectModel, path: Path) -> None:
 
 def tets_picture(model: SubjectModel, path: Path) -> None:
     """Draw sections through the tets, coloured by the muscle with the greatest share in each."""
-    palette = colours.muscle_colours(model.muscle_names)
+    palette = muscle_colours(model.muscle_names)
     colour = _tet_colours(model, palette)
     centre = model.rest[model.tets].mean(axis=1) - model.jaw.origin
     front = model.skin.vertices[model.face, 2].max() - model.jaw.origin[2]
@@ -127,7 +195,7 @@ def tets_picture(model: SubjectModel, path: Path) -> None:
         "Tetrahedra",
         f"{len(model.tets)} tets, {len(model.rest)} vertices; colour: muscle with the greatest "
         "share, fat where none has any",
-        {**palette, "fat and passive flesh": _srgb(colours.FAT)},
+        {**palette, "fat and passive flesh": _srgb(FAT)},
     )
 
 
@@ -168,9 +236,9 @@ def _inside(anatomy: _Anatomy, palette: dict[str, Colour], organs: Body) -> Body
     used, numbers = np.unique(organs.drawn.faces, return_inverse=True)
     eyes_and_teeth = Surface(organs.drawn.vertices[used], numbers.reshape(-1, 3).astype(np.int64))
     pieces = [(eyes_and_teeth, organs.colour[used])]
-    pieces += [(bone, np.array([colours.BONE])) for bone in anatomy.bones.values()]
+    pieces += [(bone, np.array([BONE])) for bone in anatomy.bones.values()]
     for name, muscle in anatomy.muscles.items():
-        pieces.append((muscle, colours.linear(np.array([palette[colours.both_sides(name)]]))))
+        pieces.append((muscle, linear(np.array([palette[both_sides(name)]]))))
     counts = [len(piece.vertices) for piece, _ in pieces]
     starts = np.cumsum(counts) - counts
     surface = Surface(
@@ -183,13 +251,13 @@ def _inside(anatomy: _Anatomy, palette: dict[str, Colour], organs: Body) -> Body
 
 def _tet_colours(model: SubjectModel, palette: dict[str, Colour]) -> Floats:
     """Return the linear colour (n, 3) of each tet: its main muscle's, paler with its share."""
-    muscle_colours = [palette[colours.both_sides(name)] for name in model.muscle_names]
+    by_muscle = [palette[both_sides(name)] for name in model.muscle_names]
     shares = model.weights[:, 1:].tocsr()
     main = np.asarray(shares.argmax(axis=1)).ravel()
     passive = np.asarray(model.weights[:, [0]].todense())
-    active = colours.linear(np.array(muscle_colours))[main]
+    active = linear(np.array(by_muscle))[main]
     strength = np.where(passive < 1, 0.55 + 0.45 * (1 - passive), 0.0)
-    return np.asarray(strength * active + (1 - strength) * np.array(colours.FAT))
+    return np.asarray(strength * active + (1 - strength) * np.array(FAT))
 
 
 def _tet_body(model: SubjectModel, keep: np.ndarray, colour: Floats) -> Body:
@@ -208,5 +276,82 @@ def _tet_body(model: SubjectModel, keep: np.ndarray, colour: Floats) -> Body:
 
 
 def _srgb(colour: Colour) -> Colour:
-    red, green, blue = (float(value) ** (1 / colours.GAMMA) for value in colour)
+    red, green, blue = (float(value) ** (1 / GAMMA) for value in colour)
     return red, green, blue
+
+
+# A picture of a template's skin: its regions in colours, its landmarks by number.
+
+
+SKIN_WIDTH, CELL_HEIGHT = 1800, 900
+VIEWS = (("front", 0.0), ("left", np.radians(55.0)))
+FACING = 0.15
+"""Landmarks on skin that is turned further away (cosine) are not drawn."""
+DOT = 3
+
+
+def skin_picture(template: Template, path: Path) -> None:
+    """Draw the skin from the front and the left, with a list of regions and landmarks."""
+    palette = _palette(list(template.regions))
+    legend = {**palette, **_numbered(template)}
+    rows = -(-len(legend) // swatch_columns(SKIN_WIDTH - 2 * MARGIN))
+    page = Page(SKIN_WIDTH, HEADER + CELL_HEIGHT + MARGIN + rows * swatch_height() + MARGIN)
+    page.heading(
+        f"Skin of template {template.name} {template.version}",
+        f"{len(template.regions)} regions, {len(template.landmarks)} landmarks",
+    )
+    body = _body(template, palette)
+    width = SKIN_WIDTH // len(VIEWS)
+    for column, (_, yaw) in enumerate(VIEWS):
+        camera = _camera(template, yaw)
+        corner = (column * width, HEADER)
+        page.panel(corner, render([body], camera, width, CELL_HEIGHT))
+        _mark(page, template, camera, corner, width)
+    page.swatches((MARGIN, HEADER + CELL_HEIGHT + MARGIN), legend, SKIN_WIDTH - 2 * MARGIN)
+    page.save(path)
+
+
+def _body(template: Template, palette: dict[str, Colour]) -> Body:
+    head = Head(template.skin)
+    lit = head.lit(template.skin.vertices)
+    colour = head.body(lit).colour.copy()
+    for name, vertices in template.regions.items():
+        colour[vertices] = linear(np.array(palette[name]))
+    return Body(lit, colour, gloss=0.0)
+
+
+def _mark(
+    page: Page, template: Template, camera: Camera, corner: tuple[int, int], width: int
+) -> None:
+    """Put a dot and the number of each landmark that faces the camera."""
+    if not template.landmarks:
+        return
+    vertices = np.array(list(template.landmarks.values()))
+    points = template.skin.vertices[vertices]
+    flesh = Surface(template.skin.vertices, template.skin.faces[template.flesh_faces])
+    facing = vertex_normals(flesh)[vertices] @ camera.axes[2]
+    for number, (x, y, _) in enumerate(camera.project(points, width, CELL_HEIGHT), start=1):
+        if facing[number - 1] > FACING:
+            place = (corner[0] + round(x), corner[1] + round(y))
+            box = [place[0] - DOT, place[1] - DOT, place[0] + DOT, place[1] + DOT]
+            page.draw.ellipse(box, fill=INK)
+            page.text((place[0] + DOT + 2, place[1]), str(number), 13, anchor="lm")
+
+
+def _numbered(template: Template) -> dict[str, Colour]:
+    ink: Colour = (INK[0] / 255, INK[1] / 255, INK[2] / 255)
+    return {f"{number}  {name}": ink for number, name in enumerate(template.landmarks, start=1)}
+
+
+def _palette(names: list[str]) -> dict[str, Colour]:
+    """Return pale sRGB colours, hues by the golden ratio."""
+    return {
+        name: colorsys.hls_to_rgb((0.04 + number * 0.381966) % 1.0, 0.72, 0.55)
+        for number, name in enumerate(names)
+    }
+
+
+def _camera(template: Template, yaw: float) -> Camera:
+    face: Floats = template.skin.vertices[template.face_vertices]
+    low, high = face.min(axis=0), face.max(axis=0)
+    return Camera((low + high) / 2, span=1.3 * float(high[1] - low[1]), yaw=yaw)

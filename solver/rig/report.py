@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import json
 import math
@@ -15,11 +16,15 @@ import scipy.sparse as sp
 
 from solver.contact.crossing import Crossing
 from solver.model import SubjectModel
-from solver.rig.certificate import Certificate, ExpressionCheck, FleshCheck
-from solver.rig.checks import Verdict, overall, use
-from solver.rig.plausibility import Muscles
+from solver.rig.certificate import Certificate, ExpressionCheck, FleshCheck, Muscles
+from solver.rig.checks import (
+    Judgement,
+    Verdict,
+    judge,
+    overall,
+    use,
+)
 from solver.rig.result import ExpressionFit, Rig
-from solver.rig.verdict import Judgement, judge
 from solver.surface import Floats
 
 PACKAGES = ("myoface", "numpy", "scipy", "numba")
@@ -203,3 +208,27 @@ def _version(package: str) -> str | None:
         return version(package)
     except PackageNotFoundError:
         return None
+
+
+# ``activations.csv``: what every muscle does in every expression, for spreadsheets and scripts.
+
+
+ENTRIES = ("xx", "xy", "xz", "yy", "yz", "zz")
+JAW = ("jaw.1", "jaw.2", "jaw.3", "jaw.4", "jaw.5")
+
+
+def write_activations_csv(path: Path, rig: Rig, figures: dict[str, Any]) -> None:
+    """Write a row for every expression and muscle, as docs/rig-format.md describes.
+
+    ``figures`` are :func:`solver.rig.report.report` of the rig.
+    """
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        rows = csv.writer(stream)
+        rows.writerow(["expression", "role", "muscle", "fibres", *ENTRIES, *JAW])
+        for fit in rig.expressions:
+            muscles = figures["expressions"][fit.name]["muscles"]
+            jaw = [f"{value:.6f}" for value in fit.jaw]
+            for muscle, activation in zip(rig.model.muscle_names, fit.activations, strict=True):
+                values = [f"{value:.6f}" for value in activation]
+                fibres = muscles[muscle]["fibres"]  # None is an empty cell
+                rows.writerow([fit.name, fit.role, muscle, fibres, *values, *jaw])

@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from solver.errors import InputError
-from solver.fitting.notices import Notice
+from solver.errors import InputError, Notice
 from solver.model import SubjectModel
-from solver.npz import read_arrays
 from solver.rig.round_trip import RoundTrip
+from solver.storage import read_arrays
 from solver.surface import Floats, Ints
 
 FORMAT = 1

@@ -13,12 +13,10 @@ import scipy.sparse as sp
 
 from solver.errors import SolveError
 from solver.fitting import activation
-from solver.fitting.activation import ActivationOptions
+from solver.fitting.activation import ActivationOptions, Resting
 from solver.fitting.face import Face, Pose
-from solver.fitting.objective import Regulariser, Target
-from solver.fitting.resting import Resting
+from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.stretches import FROBENIUS
-from solver.fitting.terms import SkinDistance
 from solver.mechanics.flesh import IDENTITY
 from solver.surface import Floats
 

@@ -29,14 +29,13 @@ try:
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError("USD is an extra: pip install 'myoface[usd]'") from error
 
-from solver.drawing.parts import skin_parts
+from solver.drawing.head import skin_parts
 from solver.errors import InputError
 from solver.mechanics import jaw
 from solver.model import SubjectModel
-from solver.normals import vertex_normals
 from solver.rig.gltf import HOLD_SECONDS, MATERIALS, MOVE_SECONDS, STILL_MM, worst_error
 from solver.rig.result import ExpressionFit, load_activations
-from solver.surface import Floats, Surface
+from solver.surface import Floats, Surface, vertex_normals
 
 FORMATS = [".usdc", ".usda", ".usd"]
 FRAMES_PER_SECOND = 30.0

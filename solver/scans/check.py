@@ -16,27 +16,46 @@ from numpy.typing import NDArray
 
 from solver.anatomy.template import Template
 from solver.errors import InputError
-from solver.scans.cover import Cover, cover
-from solver.scans.eyes import closed_eyes
-from solver.scans.face_findings import (
+from solver.meshio.read import (
+    RawScan,
+    read_raw,
+)
+from solver.registration.mend import Samples, mend
+from solver.registration.pose import (
+    FacePoints,
+    Placement,
+    face_of,
+    is_face,
+    known_scales,
+    place_samples,
+    samples_of,
+)
+from solver.registration.shape_fit import fit_likeness
+from solver.scans.cover import (
+    Cover,
+    cover,
+    has_second_face,
+    visible_part,
+)
+from solver.scans.findings import (
     Features,
+    Finding,
+    axis_findings,
     cover_findings,
     feature_findings,
+    file_findings,
+    landmark_findings,
+    of_error,
     roughness_findings,
+    unit_findings,
+    winding_findings,
 )
-from solver.scans.file_findings import file_findings
-from solver.scans.findings import Finding, of_error
-from solver.scans.landmark_findings import landmark_findings
-from solver.scans.likeness import fit_likeness
-from solver.scans.mend import mend
-from solver.scans.mouth import lip_gap
-from solver.scans.parts import has_second_face, visible_part
-from solver.scans.place_findings import axis_findings, unit_findings, winding_findings
-from solver.scans.pose import FacePoints, is_face
-from solver.scans.raw import RawScan, read_raw
-from solver.scans.roughness import roughness, spikes
-from solver.scans.sample import Samples
-from solver.scans.units import Placement, face_of, known_scales, place_samples, samples_of
+from solver.scans.mouth import (
+    closed_eyes,
+    lip_gap,
+    roughness,
+    spikes,
+)
 from solver.surface import Floats, Surface
 
 AROUND_FACE_MM = 25.0
@@ -67,7 +86,7 @@ class Check:
 def check(
     path: Path, template: Template, frame: Mapping[str, Any], role: str, landmarks: Path | None
 ) -> Check:
-    """Check the raw scan at ``path``; ``frame`` as for :func:`solver.scans.units.place_samples`.
+    """Check the raw scan at ``path``; ``frame`` as :func:`place_samples` takes it.
 
     ``role`` is ``neutral``, ``expression`` or ``unknown``: an open mouth or closed eyes are only
     wrong in a neutral. Raises :class:`InputError` only for options that do not exist.

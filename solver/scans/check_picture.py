@@ -8,12 +8,14 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from scipy.spatial import KDTree
 
-from solver.drawing.raster import Camera, look
+from solver.drawing.render import (
+    Camera,
+    look,
+)
+from solver.registration.mend import estimated_normals
 from solver.scans.check import Check
-from solver.scans.relief import FAR_MM
-from solver.scans.sample import estimated_normals
-from solver.surface import Floats, Ints, Surface
-from solver.triangles import area_normals
+from solver.scans.cover import FAR_MM
+from solver.surface import Floats, Ints, Surface, area_normals
 
 WIDTH, HEIGHT = 420, 520
 SUPERSAMPLING = 2

@@ -6,10 +6,34 @@ place; ``docs/scans.md`` lists the same.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+from scipy.spatial import KDTree
+
+from solver.anatomy.template import Template
 from solver.errors import InputError
+from solver.meshio.read import RawScan
+from solver.registration.landmarks import (
+    match,
+    read_landmarks,
+)
+from solver.registration.mend import (
+    WELDED_SHARE,
+    Mending,
+    Samples,
+)
+from solver.registration.pose import (
+    CLOSE_MM,
+    UNITS,
+    FacePoints,
+    Placement,
+)
+from solver.scans.cover import Cover
+from solver.scans.mouth import Roughness
 
 Severity = Literal["info", "warning", "error"]
 Verdict = Literal["good", "usable", "bad"]
@@ -97,3 +121,348 @@ def verdict(findings: list[Finding]) -> Verdict:
     if "error" in severities:
         return "bad"
     return "usable" if "warning" in severities else "good"
+
+
+# Findings about the face itself: what is missing, how rough it is, its mouth and its eyes.
+
+
+HOLE_MM2, CUT_OFF_MM2 = 180.0, 500.0
+LEAST_COVER, LEAST_SIDE = 0.7, 0.6
+NOISE_MM, MUCH_NOISE_MM = 0.5, 1.5
+COARSE_MM = 6.0
+COARSE_NOISE = 0.2
+"""A coarse scan is that much rougher, by its spacing: the quadratic misses folds of the skin."""
+MANY_SPIKES = 4
+LIPS_APART_MM = 3.0
+
+
+@dataclass(frozen=True)
+class Features:
+    """Mouth and eyes: the gap between the lips in mm and which eyes are surely closed."""
+
+    lip_gap_mm: float
+    closed: dict[str, bool]
+
+
+def cover_findings(cover: Cover, features: Features) -> list[Finding]:
+    """Return what is missing of a face: a side, its end, or holes; open lips are no hole."""
+    found = []
+    shares = {side: cover.share(side) for side in ("left", "right", "upper", "lower")}
+    worst = min(shares, key=lambda side: shares[side])
+    whole = cover.share()
+    if whole < LEAST_COVER or shares[worst] < LEAST_SIDE:
+        message = f"{1 - whole:.0%} of the face is missing, most of it on the {worst} side."
+        if worst in ("upper", "lower"):
+            message = f"{1 - whole:.0%} of the face is missing, most of it in the {worst} half."
+        found.append(Finding("scan.coverage", "error", message, {"covered": round(whole, 3)}))
+    cut = [hole for hole in cover.holes if hole.at_rim and hole.area_mm2 > CUT_OFF_MM2]
+    if cut and not found:
+        area = sum(hole.area_mm2 for hole in cut)
+        regions = ", ".join(dict.fromkeys(hole.region for hole in cut))
+        message = f"The scan ends before the face does: {area / 100:.0f} cm2 miss at the {regions}."
+        found.append(Finding("scan.cut_off", "warning", message, {"area_mm2": round(area)}))
+    holes = [hole for hole in cover.holes if not hole.at_rim and hole.area_mm2 > HOLE_MM2]
+    if features.lip_gap_mm >= LIPS_APART_MM:  # a rough fit may have the chin where the mouth is
+        holes = [hole for hole in holes if not hole.region.endswith(("lip", "chin"))]
+    if holes:
+        largest = holes[0]
+        number = "a hole" if len(holes) == 1 else f"{len(holes)} holes"
+        message = (
+            f"The face has {number}; the largest, {largest.area_mm2 / 100:.1f} cm2, is at the "
+            f"{largest.region}."
+        )
+        places = [{"region": h.region, "area_mm2": round(h.area_mm2)} for h in holes[:10]]
+        found.append(Finding("scan.holes", "warning", message, {"holes": places}))
+    return found
+
+
+def roughness_findings(rough: Roughness, spikes: int) -> list[Finding]:
+    """Return whether a face is noisy, spiky or coarse."""
+    found = []
+    limit = NOISE_MM + COARSE_NOISE * max(rough.spacing_mm - 3.0, 0.0)
+    if rough.noise_mm > limit:
+        severity: Severity = "error" if rough.noise_mm > limit + MUCH_NOISE_MM else "warning"
+        message = f"The surface is noisy: {rough.noise_mm:.1f} mm; a good scan has below 0.3 mm."
+        figures = {"found": round(rough.noise_mm, 2), "expected": NOISE_MM}
+        found.append(Finding("scan.noise", severity, message, figures))
+    if rough.spacing_mm > COARSE_MM:
+        message = f"The scan is coarse: a vertex every {rough.spacing_mm:.0f} mm on the face."
+        figures = {"found": round(rough.spacing_mm, 1), "expected": COARSE_MM}
+        found.append(Finding("scan.coarse", "warning", message, figures))
+    if spikes >= MANY_SPIKES:
+        message = f"{spikes} spikes stick out on or around the face."
+        found.append(Finding("scan.spikes", "warning", message, {"found": spikes}))
+    return found
+
+
+def feature_findings(features: Features, role: str) -> list[Finding]:
+    """Return whether the mouth is open or the eyes are closed, which a neutral may not have.
+
+    In a scan of unknown ``role`` they are only mentioned, in an expression not at all.
+    """
+    if role == "expression":
+        return []
+    severity: Severity = "error" if role == "neutral" else "info"
+    found = []
+    if features.lip_gap_mm >= LIPS_APART_MM:
+        message = f"The mouth is open: the lips are {features.lip_gap_mm:.0f} mm apart."
+        figures = {"found": features.lip_gap_mm}
+        found.append(Finding("scan.mouth_open", severity, message, figures))
+    closed = [side for side, is_closed in features.closed.items() if is_closed]
+    if closed:
+        both = len(closed) == 2
+        message = "Both eyes are closed." if both else f"The {closed[0]} eye is closed."
+        found.append(Finding("scan.eyes_closed", severity, message, {"eyes": closed}))
+    return found
+
+
+# Findings about the file and its mesh, before anything is known of a face.
+
+
+MANY_NOT_FINITE = 0.2
+FEW_FLAT = 0.0005
+FEW_FLIPPED = 0.005
+MANY_UNUSED = 0.2
+TOUCHING_EDGES = 0.005
+"""Where corners are joined by place, parts that touch give so many edges of three triangles."""
+DENSE = 400_000
+
+
+def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
+    """Return what is wrong with a scan as it was stored, given what was mended in it."""
+    vertices, triangles = len(raw.vertices), max(len(raw.faces), 1)
+    found: list[Finding] = []
+
+    def add(code: str, severity: Severity, message: str, **figures: object) -> None:
+        found.append(Finding(code, severity, message, figures))
+
+    if raw.format != raw.suffix_format:
+        add(
+            "scan.wrong_extension",
+            "warning",
+            f"{raw.file} holds {raw.format.upper()}, not {raw.suffix_format.upper()} as its "
+            "suffix says; it was read as what it holds.",
+            expected=raw.suffix_format,
+            found=raw.format,
+        )
+    if mending.not_finite:
+        share = mending.not_finite / vertices
+        add(
+            "scan.nan",
+            "error" if share > MANY_NOT_FINITE else "warning",
+            f"{_count(mending.not_finite, 'vertex', 'vertices')} of {vertices} "
+            f"{'is' if mending.not_finite == 1 else 'are'} not a number; the first is vertex "
+            f"{mending.first_not_finite} (counted from 0).",
+            vertex=mending.first_not_finite,
+            found=mending.not_finite,
+        )
+    if mending.duplicate:
+        welded = mending.duplicate > WELDED_SHARE * vertices
+        usual = raw.format in ("glb", "stl")  # which can not share vertices across a seam
+        add(
+            "scan.duplicate_vertices",
+            "warning" if welded and not usual else "info",
+            f"{_count(mending.duplicate, 'vertex lies', 'vertices lie')} exactly in the place of "
+            "another.",
+            found=mending.duplicate,
+        )
+    if mending.flat:
+        add(
+            "scan.zero_area_faces",
+            "warning" if mending.flat > FEW_FLAT * triangles else "info",
+            f"{_count(mending.flat, 'triangle has', 'triangles have')} no area.",
+            found=mending.flat,
+        )
+    if mending.repeated:
+        add(
+            "scan.repeated_faces",
+            "warning" if mending.repeated > FEW_FLAT * triangles else "info",
+            f"{_count(mending.repeated, 'triangle is', 'triangles are')} there twice.",
+            found=mending.repeated,
+        )
+    if mending.unused:
+        add(
+            "scan.unused_vertices",
+            "warning" if mending.unused > MANY_UNUSED * vertices else "info",
+            f"{_count(mending.unused, 'vertex is', 'vertices are')} in no triangle.",
+            found=mending.unused,
+        )
+    if mending.non_manifold:
+        usual = raw.format == "stl" or mending.duplicate > WELDED_SHARE * vertices
+        few = usual and mending.non_manifold < TOUCHING_EDGES * 1.5 * triangles
+        add(
+            "scan.non_manifold",
+            "info" if few else "warning",
+            f"At {_count(mending.non_manifold, 'edge', 'edges')} three or more triangles meet.",
+            found=mending.non_manifold,
+        )
+    if mending.flipped:
+        add(
+            "scan.inconsistent_normals",
+            "warning" if mending.flipped > FEW_FLIPPED * triangles else "info",
+            f"{_count(mending.flipped, 'triangle faces', 'triangles face')} the other way than "
+            "the surface around.",
+            found=mending.flipped,
+        )
+    if raw.empty_groups:
+        names = ", ".join(raw.empty_groups[:5])
+        add(
+            "scan.empty_groups",
+            "warning",
+            f"{_count(len(raw.empty_groups), 'group holds', 'groups hold')} no triangle: {names}.",
+            groups=list(raw.empty_groups[:20]),
+        )
+    if len(raw.faces) == 0 and raw.normals is None:
+        add(
+            "scan.no_normals",
+            "warning",
+            f"{raw.file} is a point cloud without normals; they are found from neighbours.",
+        )
+    if vertices > DENSE:
+        add(
+            "scan.dense",
+            "warning",
+            f"{vertices:,} vertices are more than a registration can use.",
+            found=vertices,
+            expected=DENSE,
+        )
+    return found
+
+
+def _count(number: int, one: str, many: str) -> str:
+    return f"{number:,} {one if number == 1 else many}"
+
+
+# Findings about landmarks that came with a scan: whether they belong to it.
+
+
+OFF_SURFACE_MM = 6.0
+
+
+def landmark_findings(
+    path: Path, template: Template, scan: Samples, place: Placement
+) -> list[Finding]:
+    """Return what is wrong with the landmarks in ``path``; ``scan`` is in the file's own frame."""
+    try:
+        points = read_landmarks(path)
+        match(path.name, points, template)
+    except InputError as error:
+        return [of_error(error)]
+    gap = KDTree(scan.points).query(np.array(list(points.values())))[0] * place.mm_per_unit
+    worst = int(np.argmax(gap))
+    if gap[worst] <= OFF_SURFACE_MM:
+        return []
+    name = list(points)[worst]
+    return [
+        Finding(
+            "landmarks.off_surface",
+            "error",
+            f"{path.name}: {name} lies {gap[worst]:.0f} mm off the scan.",
+            {"landmark": name, "found": float(gap[worst]), "expected": OFF_SURFACE_MM},
+        )
+    ]
+
+
+# Findings about what is in a scan and how it lies: a face at all, its unit, axes and winding.
+
+
+MOST_INWARD, SOME_INWARD = 0.8, 0.1
+
+
+def unit_findings(scan: RawScan, place: Placement, frame: Mapping[str, Any]) -> list[Finding]:
+    """Return what the face's size says about the unit that was given, declared or assumed."""
+    given = str(frame["unit"])
+    expected = UNITS.get(given, scan.mm_per_unit or 1.0)
+    figures = {"expected": expected, "found": place.mm_per_unit, "unit": place.unit}
+    if place.mm_per_unit == expected:
+        return []
+    if place.unit is None and _is_slip(place.mm_per_unit / expected) is None:
+        return [
+            Finding(
+                "scan.unit_unknown",
+                "error",
+                f"No unit makes the face in {scan.file} as large as a face.",
+                figures,
+            )
+        ]
+    ratio = expected / place.mm_per_unit
+    size = f"{ratio:g} times too large" if ratio > 1 else f"{1 / ratio:g} times too small"
+    source = (
+        "as given" if given != "auto" else "as the format says" if scan.mm_per_unit else "in mm"
+    )
+    as_what = f"in {place.unit}" if place.unit else f"at {place.mm_per_unit:g} mm a unit"
+    return [
+        Finding(
+            "scan.scale",
+            "error" if given != "auto" else "warning",
+            f"Read {source}, the face would be {size}; it fits {as_what}.",
+            figures,
+        )
+    ]
+
+
+def _is_slip(ratio: float) -> float | None:
+    return next((slip for slip in (1e-3, 0.1, 10.0, 1e3) if np.isclose(ratio, slip)), None)
+
+
+def axis_findings(place: Placement, frame: Mapping[str, Any]) -> list[Finding]:
+    """Return how the scan is turned against y up and z forward."""
+    figures = {"up": place.up, "forward": place.forward}
+    upright = float(place.rotation[1] @ (0.0, 1.0, 0.0))
+    if frame["up"] != "auto" or (place.up, place.forward) == ("y", "z"):
+        return []
+    if place.up.startswith("-") and place.up != "-x":
+        message = f"The head stands upside down: {place.up} of the file points to its top."
+        return [Finding("scan.upside_down", "warning", message, figures | {"upright": upright})]
+    message = f"{place.up} of the file points to the top of the head, {place.forward} forward."
+    return [Finding("scan.axes", "info", message, figures)]
+
+
+def winding_findings(
+    scan: RawScan, samples: Samples, face: FacePoints, place: Placement
+) -> list[Finding]:
+    """Return whether the triangles face inwards, which flipped normals and mirroring both do.
+
+    Stored normals tell the two apart: mirroring turns them with the surface, but not the order of
+    the triangles' corners.
+    """
+    if not samples.oriented:
+        return []
+    inward = _share_inward(samples, face, place)
+    if inward < SOME_INWARD:
+        return []
+    figures = {"share": round(inward, 3)}
+    if inward < MOST_INWARD:
+        message = f"{inward:.0%} of the face's surface is inside out."
+        return [Finding("scan.inverted_normals", "warning", message, figures)]
+    stored = None
+    if scan.normals is not None and len(scan.faces):
+        stored = _share_inward(_stored(scan), face, place)
+    inverted = Finding(
+        "scan.inverted_normals", "warning", "The whole surface is inside out.", figures
+    )
+    if stored is not None and stored < 0.5:
+        message = "The scan is mirrored: its triangles face inwards, its normals outwards."
+        return [Finding("scan.mirrored", "error", message, figures)]
+    if stored is not None or not len(scan.faces):
+        return [inverted]
+    message = (
+        "The scan may be mirrored: its triangles face inwards, as mirroring makes them. "
+        "Compare a mole or the parting with the person."
+    )
+    return [inverted, Finding("scan.mirrored", "warning", message, figures)]
+
+
+def _stored(scan: RawScan) -> Samples:
+    assert scan.normals is not None
+    chosen = np.random.default_rng(0).permutation(len(scan.vertices))[:20000]
+    return Samples(scan.vertices[chosen], np.nan_to_num(scan.normals[chosen]), True)
+
+
+def _share_inward(samples: Samples, face: FacePoints, place: Placement) -> float:
+    """Return the share of the face's points whose closest sample faces the other way."""
+    there = samples.moved(place.pose.scale, place.pose.rotation, place.pose.translation)
+    gap, near = KDTree(there.points).query(face.points)
+    facing = (there.normals[near] * face.normals).sum(axis=1)[gap < CLOSE_MM]
+    clear = facing[np.abs(facing) > 0.5]
+    return float((clear < 0).mean()) if len(clear) else 0.0

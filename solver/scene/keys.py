@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from solver.animation.head import HeadKey
-from solver.animation.keys import Key, KeyedDrives, from_keys
+from solver.animation.keys import HeadKey, Key, KeyedDrives, from_keys
 from solver.errors import InputError
 from solver.fitting.face import Pose
-from solver.fitting.shortening import fibre_tensors, shortened
+from solver.fitting.stretches import (
+    fibre_tensors,
+    shortened,
+)
 from solver.mechanics.flesh import shape_gradients
 from solver.model import SubjectModel
 from solver.surface import Floats

@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from solver.anatomy.builtin import NAME as BUILTIN
-from solver.anatomy.builtin import builtin_template
 from solver.anatomy.template import Template
 from solver.edits import maps
 from solver.errors import InputError
 from solver.model import SubjectModel
-from solver.npz import map_array
-from solver.scans.landmarks import landmark_vertices
+from solver.registration.landmarks import landmark_vertices
+from solver.storage import map_array
 from solver.surface import Floats
+from solver.templates.builtin.build import NAME as BUILTIN
+from solver.templates.builtin.build import builtin_template
 
 Place = str | int | Sequence[float]
 

@@ -2,26 +2,219 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import scipy.sparse as sp
 
-from solver.animation.frame import Drives, PosedFrame
-from solver.animation.gaze import Gaze
-from solver.contact.objects import check_objects
-from solver.contact.penetration import Gauge, Penetration
-from solver.edits.edit import apply
+from solver.animation.keys import (
+    Drives,
+    Gaze,
+    PosedFrame,
+)
+from solver.contact.crossing import (
+    Gauge,
+    Penetration,
+)
+from solver.contact.potentials import contact_potentials
+from solver.edits.bones import Bone
+from solver.edits.edit import Edit, Edited, apply
+from solver.edits.fat import (
+    RADIUS_MM,
+    SOFTENING,
+    Density,
+    Fat,
+    Filler,
+    Stiffness,
+    under_skin,
+)
+from solver.edits.paralysis import Paralysis
 from solver.errors import InputError
-from solver.scene.edits import edits_of
-from solver.scene.forces import forces_of
-from solver.scene.objects import objects_of
-from solver.scene.physics import physics_of
+from solver.fitting.face import Face
+from solver.mechanics.flesh import (
+    COROTATED_DET,
+    COROTATED_TRACE,
+    IDENTITY,
+    NEO_HOOKEAN,
+    Material,
+)
+from solver.mechanics.linear import fastest
+from solver.mechanics.potential import Potential
+from solver.scene.objects import check_objects, objects_of
 from solver.scene.places import Places
-from solver.simulation.inertia import lumped_masses
+from solver.simulation.fibres import fibre_activations, nearest_fibre
+from solver.simulation.forces import GRAVITY, Force, Gravity, Pull, Wind
+from solver.simulation.inertia import Drive, lumped_masses
 from solver.simulation.simulator import Simulator
-from solver.simulation.state import Drive
 from solver.surface import Floats, Surface
+
+# A scene's ``edits``: from JSON, as ``edit.schema.json`` describes it, to what they do.
+
+
+Entry = Mapping[str, Any]
+
+
+def edits_of(entries: Sequence[Entry], places: Places) -> list[Edit]:
+    """Return the edits of entries that their schema has found good.
+
+    Raises :class:`~solver.errors.InputError` as :class:`~solver.scene.places.Places` for places,
+    regions and maps that the person does not have.
+    """
+    return [KINDS[entry["kind"]](entry, places) for entry in entries]
+
+
+def _fat(entry: Entry, places: Places) -> Edit:
+    softening = entry.get("softening", SOFTENING)
+    return Fat(entry["f_min"], entry["f_max"], places.painted(entry.get("map")), softening)
+
+
+def _filler(entry: Entry, places: Places) -> Edit:
+    points = np.array([places.point(stop["at"]) for stop in entry["path"]])
+    depths = np.array([stop.get("depth_mm", 0.0) for stop in entry["path"]])
+    path = under_skin(places.model, points, depths)
+    return Filler(path, entry["ml"], entry.get("radius_mm", RADIUS_MM))
+
+
+def _bone(entry: Entry, places: Places) -> Edit:
+    at, move = places.point(entry["at"]), np.array(entry["move_mm"], np.float64)
+    return Bone(entry["bone"], at, entry["radius_mm"], move)
+
+
+def _stiffness(entry: Entry, places: Places) -> Edit:
+    return Stiffness(entry["factor"], places.painted(entry.get("map")))
+
+
+def _density(entry: Entry, places: Places) -> Edit:
+    return Density(entry["factor"], places.painted(entry.get("map")))
+
+
+def _paralysis(entry: Entry, _places: Places) -> Edit:
+    muscles = entry.get("muscles")
+    return Paralysis(
+        None if muscles is None else tuple(muscles), entry.get("side"), entry.get("strength", 0.0)
+    )
+
+
+KINDS: Mapping[str, Callable[[Entry, Places], Edit]] = {
+    "fat": _fat,
+    "filler": _filler,
+    "bone": _bone,
+    "stiffness": _stiffness,
+    "density": _density,
+    "paralysis": _paralysis,
+}
+
+
+# A scene's ``forces``.
+
+
+def forces_of(
+    entries: Sequence[Mapping[str, Any]], face: Face, masses: Floats, places: Places
+) -> list[Force]:
+    """Return the forces of entries that their schema has found good; ``masses`` (p,) are in g.
+
+    Raises :class:`~solver.errors.InputError` as :meth:`Places.vertex`, and ``force.point``.
+    """
+    return [_force(entry, face, masses, places) for entry in entries]
+
+
+def _force(entry: Mapping[str, Any], face: Face, masses: Floats, places: Places) -> Force:
+    if entry["kind"] == "gravity":
+        return Gravity(masses, entry.get("mm_s2", GRAVITY))
+    if entry["kind"] == "wind":
+        return Wind(face, entry["m_s"], entry.get("gusts", 0.0), entry.get("seed", 0))
+    return Pull(
+        face.model,
+        places.vertex(entry["at"]),
+        entry["mn"],
+        radius_mm=entry.get("radius_mm", 5.0),
+        ramp=entry.get("ramp", 0.0),
+    )
+
+
+# A scene's ``material``, ``contact``, ``sliding`` and ``activation_model``: what flesh is.
+
+
+LAWS: Mapping[str, Material] = {
+    "corotated_trace": COROTATED_TRACE,
+    "corotated_det": COROTATED_DET,
+    "neo_hookean": NEO_HOOKEAN,
+}
+FITTED_LAW = "corotated_trace"
+"""The law that rigs are fitted with: their activations lead to their poses."""
+STIFFNESS_PA = 3000.0
+"""mu of facial soft tissue: a Young's modulus of 7.5 kPa, and of 8.6 by the other two laws."""
+
+
+@dataclass(frozen=True)
+class Physics:
+    """What a scene's flesh is made of, and what it meets.
+
+    ``material`` is in Pa. Flesh slides on the skull with ``sliding``; ``lips`` is contact of skin
+    with itself, ``teeth`` of lips with teeth, ``eyes`` of lids with eyeballs, ``friction`` its
+    coefficient. With ``fibre_muscles`` these contract along their fibres only
+    (:mod:`solver.simulation.fibres`).
+    """
+
+    material: Material
+    sliding: bool = True
+    lips: bool = True
+    teeth: bool = True
+    eyes: bool = True
+    friction: float = 0.0
+    fibre_muscles: bool = False
+
+    def face(self, edited: Edited) -> Face:
+        """Return an edited person's face."""
+        return Face(
+            edited.model,
+            material=self.material,
+            linear=fastest(),
+            pinned=not self.sliding,
+            stiffness=edited.stiffness,
+            growth=edited.growth,
+            bones=edited.bones,
+        )
+
+    def contacts(self, edited: Edited, objects: Sequence[Surface] = ()) -> list[Potential]:
+        """Return what keeps the skin out of itself, of teeth, eyeballs and ``objects``."""
+        if not (self.lips or self.teeth or self.eyes or objects):
+            return []
+        return contact_potentials(
+            edited.model,
+            self.material.mu,
+            unedited=edited.unedited,
+            lips=self.lips,
+            teeth=self.teeth,
+            eyes=self.eyes,
+            objects=objects,
+            friction=self.friction,
+        )
+
+    def activations(self, edited: Edited, a: Floats) -> Floats:
+        """Return the activations (n, 6) of the tets for those of the muscles, ``a`` (m, 6)."""
+        S = edited.S
+        if self.fibre_muscles:
+            return fibre_activations(edited.model, S, nearest_fibre(edited.model, S, a))
+        return np.ascontiguousarray(S @ np.vstack([IDENTITY, a]))
+
+
+def physics_of(document: Mapping[str, Any]) -> Physics:
+    """Return the physics of a scene that its schema has found good."""
+    material, contact = document.get("material", {}), document.get("contact", {})
+    law = LAWS[material.get("law", FITTED_LAW)]
+    return Physics(
+        material=law.in_pascal(material.get("stiffness_pa", STIFFNESS_PA)),
+        sliding=document.get("sliding", True),
+        lips=contact.get("lips", True),
+        teeth=contact.get("teeth", True),
+        eyes=contact.get("eyes", True),
+        friction=contact.get("friction", 0.0),
+        fibre_muscles=document.get("activation_model", "blended") == "fibre",
+    )
+
 
 MOST_FRAMES = 20_000
 """Of a scene: ten minutes at 30 a second, and a few gigabytes while its files are written."""

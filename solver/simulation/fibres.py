@@ -10,12 +10,19 @@ which keeps its volume; A_i = s_i0 I + sum_j s_ij S_j.
 
 from __future__ import annotations
 
+from contextlib import suppress
+from dataclasses import dataclass
+
 import numpy as np
 import scipy.sparse as sp
+from scipy.optimize import lsq_linear
 
 from solver.anatomy.tetrahedra import volumes
-from solver.errors import InputError
+from solver.errors import InputError, SolveError
+from solver.fitting.face import Face
 from solver.fitting.stretches import COLUMN, FROBENIUS, ROW
+from solver.mechanics import equilibrium
+from solver.mechanics.equilibrium import Equilibrium
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
@@ -81,3 +88,119 @@ def _along(model: SubjectModel, S: sp.csr_array) -> Floats:
             "model.fibres", "the model has no fibre directions: build it again to use fibre muscles"
         )
     return np.asarray(model.fibres[:, ROW] * model.fibres[:, COLUMN])
+
+
+# Fitting fibre muscles to a target skin: one contraction a muscle, and the jaw.
+#
+# Gauss-Newton on the mean square distance of the face's vertices, the equilibrium x(gamma, b) being
+# differentiated as everywhere: dx/dtheta = -H^-1 d(grad E)/dtheta.
+
+
+MOST_STEPS = 12
+SHORTEST = 2.0**-4
+"""Part of a step below which it is given up."""
+GAIN = 1e-3
+"""Part of the distance that a step gains at least, or it is the last."""
+REST = 1e-2
+"""Weight of relaxed muscles and a closed jaw, in mm^2 by rad^2 or mm^2 or contraction^2."""
+ROUNDING = 1e-9
+"""A limit that is reached leaves this much room."""
+
+
+@dataclass(frozen=True)
+class FibreFit:
+    """Contractions ``gamma`` (m,), the ``jaw`` (5,), and vertices ``x`` (p, 3) they lead to."""
+
+    gamma: Floats
+    jaw: Floats
+    x: Floats
+
+
+def fit_fibres(face: Face, S: sp.csr_array, target: Floats) -> FibreFit:
+    """Fit the face's points (k, 3) to ``target`` (k, 3) from rest, in mm.
+
+    Raises :class:`~solver.errors.InputError` (``model.fibres``) for a model without fibres.
+    """
+    return _Fit(face, S, target).solve()
+
+
+class _Fit:
+    """Unknowns theta (m + 5,) are contractions and jaw."""
+
+    def __init__(self, face: Face, S: sp.csr_array, target: Floats) -> None:
+        self._face = face
+        self._S = S
+        self._target = target
+        muscles = face.model.muscle_count
+        self._relaxed = np.concatenate([np.ones(muscles), np.zeros(5)])
+        self._low = np.concatenate([np.full(muscles, LEAST), np.full(5, -np.inf)])
+        self._high = np.concatenate([np.full(muscles, MOST), np.full(5, np.inf)])
+
+    def solve(self) -> FibreFit:
+        theta = self._relaxed
+        state = self.settle(theta, self._face.model.rest)
+        for _ in range(MOST_STEPS):
+            before = self._value(theta, state)
+            found = self._searched(theta, self._step(theta, state), state, before)
+            if found is None:
+                break
+            theta, state = found
+            if self._value(theta, state) > (1.0 - GAIN) * before:
+                break
+        return FibreFit(theta[:-5], theta[-5:], state.x)
+
+    def settle(self, theta: Floats, x: Floats) -> Equilibrium:
+        """Return the equilibrium of theta, found from x (p, 3)."""
+        face = self._face
+        x = x.copy()
+        x[face.flesh.held] = face.held_positions(theta[-5:])
+        A = fibre_activations(face.model, self._S, theta[:-5])
+        return equilibrium.solve(face.flesh, face.linear, x, A, tolerance=face.tolerance)
+
+    def jacobian(self, theta: Floats, state: Equilibrium) -> Floats:
+        """Return the derivative (3 k, m + 5) of the face's points by theta."""
+        face, flesh, model = self._face, self._face.flesh, self._face.model
+        A = fibre_activations(model, self._S, theta[:-5])
+        by_activation = flesh.forces_by_activation(state.x, A)
+        loads = np.zeros((flesh.size, len(theta)))
+        for muscle in range(model.muscle_count):
+            tets, rates = activation_rates(model, self._S, muscle, float(theta[muscle]))
+            forces = np.zeros((len(model.tets), 4, 3))
+            forces[tets] = np.einsum("tvdk,tk->tvd", by_activation[tets], rates)
+            loads[:, muscle] = flesh.scatter(forces)
+        direct = face.mandible_jacobian(theta[-5:])
+        loads[:, -5:] = flesh.coupling(state.x, A, direct)
+        motion = np.zeros((len(model.rest), 3, len(theta)))
+        motion[:, :, -5:] = direct
+        motion[flesh.free] = -state.factor.solve(loads).reshape(-1, 3, len(theta))
+        points = face.face_embedding @ motion.reshape(len(model.rest), -1)
+        return np.asarray(points.reshape(-1, len(theta)))
+
+    def _step(self, theta: Floats, state: Equilibrium) -> Floats:
+        """Return the step of Gauss-Newton within the limits."""
+        scale, pull = np.sqrt(len(self._target)), np.sqrt(REST)
+        system = [self.jacobian(theta, state) / scale, pull * np.eye(len(theta))]
+        right = [-self._off(state).ravel() / scale, pull * (self._relaxed - theta)]
+        room = self._low - theta - ROUNDING, self._high - theta + ROUNDING
+        return np.asarray(lsq_linear(np.vstack(system), np.concatenate(right), room).x)
+
+    def _searched(
+        self, theta: Floats, step: Floats, state: Equilibrium, before: float
+    ) -> tuple[Floats, Equilibrium] | None:
+        """Return where the first part of a step that gains leads to, None if none does."""
+        part = 1.0
+        while part >= SHORTEST:
+            tried = theta + part * step
+            with suppress(SolveError):  # too far: half of it may not be
+                reached = self.settle(tried, state.x)
+                if self._value(tried, reached) < before:
+                    return tried, reached
+            part *= 0.5
+        return None
+
+    def _value(self, theta: Floats, state: Equilibrium) -> float:
+        distance = (self._off(state) ** 2).sum() / len(self._target)
+        return float(distance + REST * ((theta - self._relaxed) ** 2).sum())
+
+    def _off(self, state: Equilibrium) -> Floats:
+        return self._face.face_points(state.x) - self._target

@@ -14,9 +14,8 @@ import numpy as np
 from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.model import SubjectModel
-from solver.simulation.state import Motion
-from solver.surface import Floats
-from solver.triangles import area_normals
+from solver.simulation.inertia import Motion
+from solver.surface import Floats, area_normals
 
 Vector = Floats | Sequence[float]
 

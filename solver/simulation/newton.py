@@ -15,13 +15,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.errors import SolveError
-from solver.mechanics.anderson import Accelerator
-from solver.mechanics.boundary import Boundary
-from solver.mechanics.equilibrium import ARMIJO, NARROWEST, factorise
+from solver.mechanics.equilibrium import ARMIJO, NARROWEST, Accelerator, factorise
 from solver.mechanics.flesh import Flesh
-from solver.mechanics.growing import GrowingSolver
-from solver.mechanics.linear import Factor
-from solver.mechanics.potential import Potential
+from solver.mechanics.linear import Factor, GrowingSolver
+from solver.mechanics.potential import Boundary, Potential
 from solver.surface import Floats
 
 FACTORISATIONS = 30

@@ -14,14 +14,17 @@ import numpy as np
 
 from solver.errors import InputError, SolveError
 from solver.fitting.face import Face
-from solver.mechanics.boundary import Boundary
 from solver.mechanics.linear import fastest
-from solver.mechanics.potential import Potential
+from solver.mechanics.potential import Boundary, Potential
 from solver.similarity import Similarity
 from solver.simulation.forces import Force
-from solver.simulation.inertia import Inertial, lumped_masses
+from solver.simulation.inertia import (
+    Drive,
+    Inertial,
+    Motion,
+    lumped_masses,
+)
 from solver.simulation.newton import FACTORISATIONS, Minimum, Newton
-from solver.simulation.state import Drive, Motion
 from solver.surface import Floats
 
 TOLERANCE = 1e-5

@@ -19,8 +19,8 @@ from service.settings import Settings
 from service.store import jobs
 from service.store.models import DEFAULT_TENANT, Artifact, Job, Rig, Subject
 from service.store.store import Store
-from solver.rig.sequence import SequenceFrame
-from solver.rig.sequence_gltf import AnimatedSkin
+from solver.rig.animation_gltf import AnimatedSkin
+from solver.rig.motion import SequenceFrame
 from solver.surface import Floats
 from tests.browser.sample_rig import Sample, write_sample
 from tests.browser.stage import CHROMIUM

@@ -19,13 +19,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from solver.anatomy.builtin import builtin_capture_set, builtin_template
-from solver.anatomy.capture_set import CaptureSet
-from solver.anatomy.ict_captures import ict_capture_set
-from solver.normals import vertex_normals
 from solver.rig.view.format import write_container
-from solver.surface import Floats, Ints, Surface
-from solver.triangles import adjacency
+from solver.surface import Floats, Ints, Surface, adjacency, vertex_normals
+from solver.templates.builtin.build import (
+    builtin_capture_set,
+    builtin_template,
+)
+from solver.templates.export import CaptureSet
+from solver.templates.ict_facekit import ict_capture_set
 
 ICT_FACE = 9409  # ICT-FaceKit: the vertices below are face, ears and neck without eyes and mouth
 CELL_MM = 8.0

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from solver.anatomy.builtin_source import cache_directory
+from solver.storage import cache_directory
 from tests.service_client import Studio
 
 pytestmark = pytest.mark.slow

@@ -14,7 +14,7 @@ from fastapi.testclient import TestClient
 from service.app import create_app
 from service.page.routes import PATHS, POLICY, TYPES
 from service.settings import Settings
-from solver.drawing.colours import HEAT
+from solver.drawing.head import HEAT
 
 STATIC = Path(__file__).parents[2] / "service" / "page" / "static"
 VENDOR = STATIC / "vendor"

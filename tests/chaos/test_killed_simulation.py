@@ -15,7 +15,7 @@ import pytest
 
 from myoface.stack import Stack
 from service.settings import Settings
-from solver.anatomy.shapes import ShapeBasis
+from solver.anatomy.template import ShapeBasis
 from solver.model import SubjectModel
 from solver.pipeline import PersonFiles, simulate
 from solver.pipeline.scenes import SAVED_EVERY

@@ -10,10 +10,10 @@ import pytest
 import trimesh
 
 from myoface.demo.khronos_validator import khronos_validation
-from solver.anatomy.builtin_source import cache_directory
 from solver.rig.animation_gltf import write_animation_glb
 from solver.rig.gltf import Solid, write_glb
 from solver.rig.result import ExpressionFit, Rig
+from solver.storage import cache_directory
 from solver.surface import Surface
 from tests.fixtures import fixture_model, ict_capture
 

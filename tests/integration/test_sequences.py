@@ -16,8 +16,11 @@ from service.store.files import FolderFiles
 from service.store.jobs import Claim
 from service.store.models import DEFAULT_TENANT
 from solver.mechanics.flesh import IDENTITY
+from solver.rig.motion import (
+    SequenceFrame,
+    write_frames,
+)
 from solver.rig.result import save_weights
-from solver.rig.sequence import SequenceFrame, write_frames
 from tests.service_client import Studio, eventually
 from tests.unit.solver.block import block_model
 from worker.attempt import AttemptFolder

@@ -6,16 +6,85 @@ higher. The best state of all is kept.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
+import numpy as np
+
 from solver.errors import SolveError
-from solver.fitting.face import State
+from solver.fitting import stretches
+from solver.fitting.face import Pose, State
+from solver.fitting.objective import Term
 from solver.fitting.per_tet.damping import Damping
-from solver.fitting.per_tet.objective import Objective
-from solver.fitting.per_tet.saddle import SaddleSolver
-from solver.fitting.per_tet.steps import Step
+from solver.fitting.per_tet.objective import Objective, PerTetOptions
+from solver.fitting.per_tet.saddle import Quadratic, SaddleSolver
+from solver.fitting.per_tet.tissue import Tissue
+from solver.mechanics.equilibrium import Viscous
+from solver.surface import Floats
+
+# From one equilibrium of a per-tet model to the next, along a Gauss-Newton step.
+
+
+CORRECTIONS = 8
+"""Newton steps to an equilibrium nearby."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step (a, b) from a state where f is ``value``, and the damping if it is taken as it is."""
+
+    state: State
+    value: float
+    model: Quadratic
+    a: Floats
+    b: Floats
+    lowered: Damping
+
+    @classmethod
+    def of(
+        cls,
+        objective: Objective,
+        solver: SaddleSolver,
+        state: State,
+        value: float,
+        damping: Damping,
+    ) -> Step:
+        """Minimise the damped Gauss-Newton model at a state."""
+        model = objective.quadratic(state, damping)
+        return cls(state, value, model, *damping.limited(state.pose.a, *solver.step(model, state)))
+
+    def pose(self, part: float = 1.0) -> Pose:
+        """Return the pose that a part of the step leads to."""
+        before = self.state.pose
+        return Pose(stretches.moved(before.a, part * self.a), before.b + part * self.b)
+
+    def descend(self, objective: Objective, tries: int) -> tuple[State, Damping] | None:
+        """Return the first state along the step, halved and halved, with a lower f, and a damping.
+
+        None if there is none in so many ``tries``.
+        """
+        for halving in range(tries):
+            try:
+                trial = self._reach(objective.tissue, self.pose(0.5**halving))
+            except SolveError:
+                continue
+            if trial.equilibrium.minimum and objective.value(trial) < self.value:
+                return trial, self.lowered.raised(2.0**halving)
+        return None
+
+    def _reach(self, tissue: Tissue, pose: Pose) -> State:
+        """Go to the equilibrium of a pose nearby; raises :class:`SolveError`.
+
+        Approaching is not enough here: single tets are so soft that the flesh may buckle on the
+        rest of the way, and the derivatives would be those of another equilibrium.
+        """
+        before = self.state.pose
+        motion = self.model.response.motion(pose.a - before.a, pose.b - before.b)
+        free = motion[self.model.response.free]
+        near = tissue.face.approach(tissue.selection, self.state, free, pose)
+        return tissue.face.settle(tissue.selection, pose, near.x, max_iterations=CORRECTIONS)
+
 
 TRIES = 2
 """Whole and half steps before the damping grows."""
@@ -145,3 +214,59 @@ class Descent:
 
     def _first_damping(self) -> Damping:
         return Damping.start(len(self._objective.tissue.active))
+
+
+# From the neutral face towards a target through viscous flesh, which creeps where flesh snaps.
+#
+# Single tets take extreme activations, under which the flesh buckles again and again; at a fold no
+# short step helps, and what a long one leads to is chance. Viscous flesh has no folds: each step
+# starts with the creep since the one before, so a fit sees buckling begin and goes against it. The
+# viscosity falls from step to step, and what is left of it is settled at the end.
+
+
+VISCOSITIES = (1.0, 0.5, 0.25, 0.12, 0.06)
+"""Parts of the stiffness at rest; with less the flesh snaps on the way as it does without."""
+
+STEPS = 4
+"""Steps with each of them."""
+
+CREEP_TRIES = 3
+
+
+def creep(
+    tissue: Tissue,
+    data: Term,
+    options: PerTetOptions,
+    start: State,
+    viscosities: Sequence[float],
+    steps: int,
+) -> tuple[State, int]:
+    """Return an equilibrium near the target and the steps to it, ``steps`` with each viscosity.
+
+    It is ``start`` where nothing better is found.
+    """
+    flesh = Viscous(tissue.face.flesh)
+    viscous = replace(tissue, face=tissue.face.with_flesh(flesh))
+    objective = Objective(viscous, data, options, start.pose.b)
+    solver = SaddleSolver(viscous)
+    state, damping, taken = start, Damping.start(len(tissue.active)), 0
+    for viscosity in np.repeat(viscosities, steps):
+        flesh.viscosity, flesh.anchor = float(viscosity), state.x
+        try:
+            state = viscous.face.settle(
+                viscous.selection, state.pose, state.x, max_iterations=CORRECTIONS
+            )
+            step = Step.of(objective, solver, state, objective.value(state), damping)
+        except SolveError:
+            break
+        taken += 1
+        found = step.descend(objective, CREEP_TRIES)
+        if found is None:
+            damping = damping.after_refusal()
+        else:
+            state, damping = found
+    try:
+        end = tissue.face.settle(tissue.selection, state.pose, state.x)
+    except SolveError:
+        return start, taken
+    return min(start, end, key=objective.value), taken

@@ -6,11 +6,17 @@ from dataclasses import dataclass
 
 from solver.errors import InputError
 from solver.fitting.face import Face, State
+from solver.fitting.objective import Term
 from solver.fitting.per_tet import tissue as tissues
-from solver.fitting.per_tet.creep import STEPS, VISCOSITIES, creep
-from solver.fitting.per_tet.descent import Descent, Listener, Status
+from solver.fitting.per_tet.descent import (
+    STEPS,
+    VISCOSITIES,
+    Descent,
+    Listener,
+    Status,
+    creep,
+)
 from solver.fitting.per_tet.objective import Objective, PerTetOptions
-from solver.fitting.terms import Term
 from solver.surface import Floats, Ints
 
 CYCLES = 4

@@ -5,11 +5,9 @@ the Gauss-Newton Hessian of the objective (the curvature of the constraint is le
 papers).
 """
 
-from solver.fitting.reference.activations import activations
 from solver.fitting.reference.common import NotConvergedError, Reference
-from solver.fitting.reference.forward import forward
+from solver.fitting.reference.expression import activations, forward, per_tet
 from solver.fitting.reference.geometry import GeometryReference, geometry
-from solver.fitting.reference.per_tet import per_tet
 
 __all__ = [
     "GeometryReference",

@@ -12,8 +12,8 @@ import numpy as np
 
 from solver.errors import SolveError
 from solver.fitting.face import Face, Pose
+from solver.fitting.objective import Term
 from solver.fitting.sensitivity import coordinates
-from solver.fitting.terms import Term
 from solver.mechanics.jaw import DEGREES_OF_FREEDOM
 from solver.surface import Floats, Ints
 

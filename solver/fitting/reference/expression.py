@@ -6,15 +6,18 @@ one row per free coordinate.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
 
 from solver.fitting.face import Face, Pose
-from solver.fitting.reference.common import Data, finite
+from solver.fitting.objective import JAW_UNITS, Regulariser, Term
+from solver.fitting.per_tet import Objective, PerTetOptions, rest_state
+from solver.fitting.per_tet import tissue as tissues
+from solver.fitting.reference.common import Data, Listener, Problem, Reference, finite, solve
 from solver.fitting.sensitivity import gradient_by_pose
-from solver.fitting.terms import Term
 from solver.surface import Floats, Ints
 
 
@@ -121,3 +124,216 @@ class Expression:
             free = number[tet] >= 0
             near[number[tet][free], muscle[free]] = True
         return np.repeat(np.hstack([np.repeat(near, 6, axis=1), np.tile(jaw[:, None], 5)]), 3, 0)
+
+
+# A single expression as IPOPT's problem: what (A) and (P) are.
+
+
+def minimise(
+    expression: Expression,
+    S: sp.csr_array,
+    start: Pose,
+    x: Floats,
+    tolerance: float,
+    max_iterations: int,
+    listen: Listener | None = None,
+) -> Reference:
+    """Minimise f over one expression's variables, from ``start`` and ``x`` (p, 3).
+
+    Raises :class:`NotConvergedError`.
+    """
+    problem = OneExpression(expression, S, listen)
+    begin = expression.start(start, x)
+    forces = np.zeros(expression.flesh.size)
+    found = solve(problem, begin, forces, tolerance, max_iterations)
+    pose, x = expression.pose(found.z), expression.place(found.z)
+    return found.checked(Reference(pose, x, found.objective, found.iterations, found.violation))
+
+
+class OneExpression(Problem):
+    """Variables and constraints are those of the expression, S being fixed."""
+
+    def __init__(
+        self, expression: Expression, S: sp.csr_array, listen: Listener | None = None
+    ) -> None:
+        super().__init__(listen)
+        self._expression = expression
+        self._S = S
+
+    def objective(self, z: Floats) -> float:
+        """See :class:`Problem`."""
+        return self._expression.objective(z)
+
+    def gradient(self, z: Floats) -> Floats:
+        """See :class:`Problem`."""
+        return self._expression.gradient(z)
+
+    def constraints(self, z: Floats) -> Floats:
+        """See :class:`Problem`."""
+        return self._expression.constraints(z, self._S)
+
+    def jacobianstructure(self) -> tuple[Ints, Ints]:
+        """See :class:`Problem`."""
+        return self._expression.jacobian_structure
+
+    def jacobian(self, z: Floats) -> Floats:
+        """See :class:`Problem`."""
+        return self._expression.jacobian(z, self._S)
+
+    def hessianstructure(self) -> tuple[Ints, Ints]:
+        """See :class:`Problem`."""
+        return self._expression.hessian_structure
+
+    def hessian(self, z: Floats, multipliers: Floats, factor: float) -> Floats:  # noqa: ARG002
+        """See :class:`Problem`."""
+        return factor * self._expression.hessian(z)
+
+
+# (A) in full space: minimise f over (x, a, b) subject to equilibrium.
+
+
+def activations(
+    face: Face,
+    S: sp.csr_array,
+    data: Term,
+    regulariser: Regulariser,
+    start: Pose,
+    x: Floats,
+    *,
+    tolerance: float = 1e-7,
+    max_iterations: int = 1000,
+    listen: Listener | None = None,
+) -> Reference:
+    """Minimise f over (x, a, b) subject to equilibrium, by IPOPT, from ``start`` and ``x`` (p, 3).
+
+    Raises :class:`NotConvergedError` (``ipopt.failed``) with IPOPT's message.
+    """
+    expression = Expression(face, S, data, MusclePriors(regulariser))
+    return minimise(expression, S, start, x, tolerance, max_iterations, listen)
+
+
+@dataclass(frozen=True)
+class MusclePriors:
+    """A regulariser as :class:`~solver.fitting.reference.expression.Priors`."""
+
+    regulariser: Regulariser
+
+    def value(self, pose: Pose) -> float:
+        """See :class:`Priors`."""
+        return self.regulariser.value(pose)
+
+    def gradient(self, pose: Pose) -> Floats:
+        """See :class:`Priors`."""
+        return self.regulariser.gradient(pose)
+
+    def curvature(self, pose: Pose) -> tuple[Floats, Floats]:
+        """See :class:`Priors`."""
+        whole = self.regulariser.gauss_newton(pose)
+        entries = np.arange(pose.a.size).reshape(-1, 6)
+        return whole[entries[:, :, None], entries[:, None, :]], np.diag(whole)[-5:]
+
+
+# The forward problem: minimise E(x; a, b) over the free vertices.
+
+
+def forward(
+    face: Face, S: sp.csr_array, pose: Pose, x: Floats, *, tolerance: float = 1e-9
+) -> Reference:
+    """Minimise E(x; a, b) over the free vertices from ``x`` (p, 3), by IPOPT.
+
+    Raises :class:`NotConvergedError` (``ipopt.failed``) with IPOPT's message.
+    """
+    problem = ForwardProblem(face, S, pose, x)
+    start = x[face.flesh.free].ravel()
+    found = solve(problem, start, np.zeros(0), tolerance, 500)
+    x = problem.place(found.z)
+    return found.checked(Reference(pose, x, found.objective, found.iterations, 0.0))
+
+
+class ForwardProblem(Problem):
+    """Variables are the free vertices' coordinates."""
+
+    def __init__(self, face: Face, S: sp.csr_array, pose: Pose, x: Floats) -> None:
+        super().__init__()
+        self._flesh = face.flesh
+        self._a = face.tet_activations(S, pose.a)
+        self._x = x.copy()
+        self._x[face.model.mandible] = face.mandible(pose.b)
+        pattern = self._flesh.hessian(x, self._a)
+        rows = np.repeat(np.arange(pattern.shape[0]), np.diff(pattern.indptr))
+        self._keep = np.flatnonzero(pattern.indices <= rows)
+        self._structure = rows[self._keep], pattern.indices[self._keep]
+
+    def place(self, z: Floats) -> Floats:
+        """Return x (p, 3)."""
+        x = self._x.copy()
+        x[self._flesh.free] = z.reshape(-1, 3)
+        return x
+
+    def objective(self, z: Floats) -> float:
+        """See :class:`Problem`."""
+        return finite(self._flesh.energy(self.place(z), self._a))
+
+    def gradient(self, z: Floats) -> Floats:
+        """See :class:`Problem`."""
+        return self._flesh.gradient(self.place(z), self._a)
+
+    def hessianstructure(self) -> tuple[Ints, Ints]:
+        """See :class:`Problem`."""
+        return self._structure
+
+    def hessian(self, z: Floats, multipliers: Floats, factor: float) -> Floats:  # noqa: ARG002
+        """See :class:`Problem`."""
+        return np.asarray(factor * self._flesh.hessian(self.place(z), self._a).data[self._keep])
+
+
+# (P) in full space: minimise the per-tet model's f over (x, activations, b), for small meshes.
+#
+# Every active tet is a muscle by itself (:mod:`solver.fitting.per_tet.tissue`), so the problem is
+# (A) with the priors of :mod:`solver.fitting.per_tet`; the contractions gamma_m are the best at
+# every iterate.
+
+
+def per_tet(
+    face: Face,
+    data: Term,
+    options: PerTetOptions | None = None,
+    *,
+    tolerance: float = 1e-7,
+    max_iterations: int = 1000,
+    listen: Listener | None = None,
+) -> Reference:
+    """Minimise (P) by IPOPT from the resting face; the pose's ``a`` are those of the active tets.
+
+    Raises :class:`InputError` (``model.no_fibres``, ``model.no_muscle``) and
+    :class:`NotConvergedError` (``ipopt.failed``) with IPOPT's message.
+    """
+    options = options or PerTetOptions()
+    tissue = tissues.of_face(face)
+    rest = rest_state(tissue)
+    priors = TetPriors(Objective(tissue, data, options, rest.pose.b), options.w_b)
+    expression = Expression(tissue.face, tissue.selection, data, priors)
+    return minimise(
+        expression, tissue.selection, rest.pose, rest.x, tolerance, max_iterations, listen
+    )
+
+
+@dataclass(frozen=True)
+class TetPriors:
+    """The per-tet regularisers as :class:`~solver.fitting.reference.expression.Priors`."""
+
+    objective: Objective
+    w_b: float
+
+    def value(self, pose: Pose) -> float:
+        """See :class:`Priors`."""
+        return self.objective.prior_value(pose)
+
+    def gradient(self, pose: Pose) -> Floats:
+        """See :class:`Priors`."""
+        by_a, by_b = self.objective.prior_gradient(pose)
+        return np.concatenate([by_a.ravel(), by_b])
+
+    def curvature(self, pose: Pose) -> tuple[Floats, Floats]:
+        """See :class:`Priors`."""
+        return self.objective.prior_blocks(pose.a), self.w_b * JAW_UNITS**2

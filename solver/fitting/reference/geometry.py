@@ -15,12 +15,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.fitting.face import Pose, State
-from solver.fitting.joint import GeometryProblem
-from solver.fitting.reference.activations import MusclePriors
+from solver.fitting.joint import GeometryProblem, replace_values
 from solver.fitting.reference.common import UNBOUNDED, Listener, Problem, solve
-from solver.fitting.reference.expression import Expression
+from solver.fitting.reference.expression import Expression, MusclePriors
 from solver.fitting.sensitivity import gradient_by_geometry
-from solver.fitting.weights import replace_values
 from solver.surface import Floats, Ints
 
 

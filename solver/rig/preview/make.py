@@ -4,24 +4,102 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
+from solver.drawing.head import Head
+from solver.drawing.page import GREY, HEADER, Page
+from solver.drawing.render import faded, render
 from solver.errors import InputError, SolveError
+from solver.fitting.activation import Resting
 from solver.fitting.face import Face
-from solver.fitting.resting import Resting
 from solver.model import SubjectModel
+from solver.rig.pictures import face_camera
 from solver.rig.preview.basis import ReducedSkin, modes_of, quadratic_map, reduced
 from solver.rig.preview.controls import Controls, controls_of
-from solver.rig.preview.error import PreviewError
-from solver.rig.preview.poses import learned_from, measured_on
-from solver.rig.preview.response import Responses
-from solver.rig.preview.samples import Sample, Simulator
+from solver.rig.preview.samples import (
+    Responses,
+    Sample,
+    Simulator,
+    learned_from,
+    measured_on,
+)
 from solver.rig.result import ExpressionFit
-from solver.surface import Floats
+from solver.rig.view.format import write_container
+from solver.surface import Floats, Ints
+
+# How far the reduced skin is off the simulated one, on poses it was not made from.
+
+
+@dataclass(frozen=True)
+class Distances:
+    """Distances in mm of the face's vertices over a number of ``poses``.
+
+    ``moved`` is how far the simulated skin is from the neutral on average.
+    """
+
+    poses: int
+    moved: float
+    mean: float
+    p95: float
+    max: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures as JSON values, with four decimals."""
+        figures = {"moved": self.moved, "mean": self.mean, "p95": self.p95, "max": self.max}
+        return {name: round(value, 4) for name, value in figures.items()} | {"poses": self.poses}
+
+
+class PreviewError:
+    """The distances of ``samples`` on the ``face`` (k,) vertices of the ``neutral`` skin (n, 3).
+
+    ``off`` (s, k) are all of them, in mm.
+    """
+
+    def __init__(
+        self, skin: ReducedSkin, samples: Sequence[Sample], neutral: Floats, face: Ints
+    ) -> None:
+        self.samples = samples
+        self.off: Floats = np.empty((len(samples), len(face)))
+        self._moved = np.empty_like(self.off)
+        for row, sample in enumerate(samples):
+            motion = (sample.skin - neutral)[face]
+            away = skin.motion(sample.slid.values)[face] - motion
+            self.off[row] = np.linalg.norm(away, axis=1)
+            self._moved[row] = np.linalg.norm(motion, axis=1)
+
+    @property
+    def overall(self) -> Distances:
+        """Return the distances of all samples, of which there has to be one."""
+        return self._over(np.arange(len(self.samples)))
+
+    def of_sorts(self) -> dict[str, Distances]:
+        """Return the distances of every sort of pose."""
+        sorts = np.array([sample.slid.sort for sample in self.samples])
+        return {
+            sort: self._over(np.flatnonzero(sorts == sort))
+            for sort in dict.fromkeys(sorts.tolist())
+        }
+
+    def mean_about(self, name: str) -> float | None:
+        """Return the mean distance, mm, of the poses about a control or an expression."""
+        rows = [row for row, sample in enumerate(self.samples) if sample.slid.about == name]
+        return round(float(self.off[rows].mean()), 4) if rows else None
+
+    def _over(self, rows: Ints) -> Distances:
+        off = self.off[rows]
+        return Distances(
+            len(rows),
+            float(self._moved[rows].mean()),
+            float(off.mean()),
+            float(np.percentile(off, 95)),
+            float(off.max()),
+        )
+
 
 OFF_FACE = 0.1
 """Weight of a skin vertex off the face, where nothing is measured, beside one on it."""
@@ -153,3 +231,90 @@ def vertex_weights(model: SubjectModel) -> Floats:
     weights = np.full(len(model.skin.vertices), OFF_FACE)
     weights[model.face] = 1.0
     return np.asarray(weights / weights.sum())
+
+
+# ``preview.bin``: what a page evaluates when a slider moves (docs/preview.md).
+
+
+def write_preview(path: Path, preview: Preview) -> None:
+    """Write sliders, reduced skin and error; a mean that was not measured is null."""
+    skin = preview.skin
+    arrays = {"basis": skin.basis, "linear": skin.linear, "quadratic": skin.quadratic}
+    write_container(path, _header(preview), arrays)
+
+
+def _header(preview: Preview) -> dict[str, Any]:
+    controls, unseen = preview.controls, preview.unseen
+    figures = preview.figures()
+    return {
+        "controls": [asdict(control) for control in controls.each],
+        "error_mm": {
+            **figures["error_mm"],
+            "by_sort": figures["error_by_sort_mm"],
+            "per_control": [unseen.mean_about(control.name) for control in controls.each],
+        },
+        "presets": [
+            {
+                "name": name,
+                "values": [round(float(value), 6) for value in values],
+                "mean_mm": figures["presets_mm"][name],
+            }
+            for name, values in controls.presets.items()
+        ],
+    }
+
+
+# Simulated and previewed skin of poses that the preview was not made from, side by side.
+
+
+CELL, MARGIN, FOOTER = (330, 420), 110, 92
+COLUMNS = 4
+LEGEND = (
+    "colour of the bottom row: distance between the two skins above it, mm",
+    "grey: no part of the face, not compared",
+    "plausible: a random pose of a few muscles; variation: an expression with one slider changed;",
+    "blend: a mixture of two expressions; pair: two sliders that an expression moves together",
+)
+
+
+def preview_picture(model: SubjectModel, preview: Preview, path: Path) -> None:
+    """Draw some unseen poses, from the middle one by their error to the worst."""
+    unseen, neutral = preview.unseen, model.skin.vertices
+    chosen = _chosen(unseen)
+    overall = unseen.overall
+    head = Head(model.skin)
+    camera = face_camera(neutral, model.face, 0.0)
+    page = Page(MARGIN + COLUMNS * CELL[0], HEADER + 3 * CELL[1] + FOOTER)
+    page.heading(
+        "Sliders on poses they were not made from",
+        f"{overall.poses} poses    mean {overall.mean:.2f} mm    "
+        f"95 % below {overall.p95:.2f} mm    greatest {overall.max:.2f} mm",
+    )
+    for row, title in enumerate(("Simulated", "Sliders", "Error, mm")):
+        page.text((24, HEADER + row * CELL[1] + CELL[1] // 2), title, 17)
+    for column, number in enumerate(chosen):
+        sample = unseen.samples[number]
+        shown = neutral + preview.skin.motion(sample.slid.values)
+        error = np.full(len(neutral), np.nan)
+        error[model.face] = unseen.off[number]
+        simulated, previewed = head.lit(sample.skin), head.lit(shown)
+        bodies = (head.body(simulated), head.body(previewed), head.heat_map(previewed, error))
+        left = MARGIN + column * CELL[0]
+        for row, body in enumerate(bodies):
+            image = faded(render([body], camera, *CELL))
+            page.panel((left, HEADER + row * CELL[1]), image)
+        words = f"{sample.slid.sort}, mean {unseen.off[number].mean():.2f} mm"
+        page.text((left + CELL[0] // 2, HEADER), words, 17, anchor="ma")
+    foot = HEADER + 3 * CELL[1]
+    page.scale((MARGIN + 60, foot + 12), CELL[0] + 100)
+    for line, words in enumerate(LEGEND):
+        page.text((MARGIN + 2 * CELL[0], foot + 2 + 20 * line), words, 14, GREY)
+    page.save(path)
+
+
+def _chosen(unseen: PreviewError) -> list[int]:
+    """Return the numbers of the samples to draw, those of a control alone left out."""
+    mixed = [row for row, sample in enumerate(unseen.samples) if sample.slid.sort != "alone"]
+    order = sorted(mixed, key=lambda row: float(unseen.off[row].mean()))
+    places = np.linspace(0.5, 1.0, COLUMNS) * (len(order) - 1)
+    return list(dict.fromkeys(order[round(place)] for place in places)) if order else []

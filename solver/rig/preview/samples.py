@@ -3,18 +3,135 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
 
+from solver.drawing.head import both_sides
 from solver.errors import SolveError
 from solver.fitting.face import Face, State
+from solver.fitting.sensitivity import coordinates, gradient_by_pose
+from solver.mechanics import jaw
 from solver.mechanics.equilibrium import Equilibrium, Stiffness
 from solver.rig.preview.controls import Controls
-from solver.rig.preview.poses import Slid
 from solver.surface import Floats
+
+# Which poses of the sliders are simulated: those that people look at, and some between.
+
+
+LEVELS = (0.5, 1.0)
+"""Of a control alone, and of a fitted expression."""
+
+PAIRS, VARIATIONS, BLENDS, PLAUSIBLE = 24, 24, 12, 48
+"""Poses of those sorts to learn from."""
+
+UNSEEN_PAIRS, UNSEEN_VARIATIONS, UNSEEN_BLENDS, UNSEEN_PLAUSIBLE = 8, 8, 6, 16
+"""And to measure the error with, beside every control alone."""
+
+TOGETHER = (0.3, 1.0)
+"""Values of a pair."""
+
+EXCITED = 8
+"""Muscles of a plausible pose, both sides counting as one."""
+
+EXCITATION, ASYMMETRY = (0.05, 0.6), 0.1
+OPENED = 0.6
+"""Values in a plausible pose: of its muscles, the other side's difference, of the jaw at most."""
+
+
+@dataclass(frozen=True)
+class Slid:
+    """Slider ``values`` (k,); ``about`` is the control or the expression that a pose is made of."""
+
+    sort: str
+    values: Floats
+    about: str | None = None
+
+
+def learned_from(controls: Controls, seed: int) -> list[Slid]:
+    """Return the poses that the preview is made from, the most important first."""
+    rng = np.random.default_rng([seed, 0])
+    return [
+        *(
+            Slid("expression", level * values, name)
+            for name, values in controls.presets.items()
+            for level in reversed(LEVELS)
+        ),
+        *(_alone(controls, number, level) for number in range(len(controls)) for level in LEVELS),
+        *_mixed(controls, rng, PLAUSIBLE, PAIRS, VARIATIONS, BLENDS),
+    ]
+
+
+def measured_on(controls: Controls, seed: int) -> list[Slid]:
+    """Return other poses: every control alone, and mixed ones of all sorts."""
+    rng = np.random.default_rng([seed, 1])
+    levels = rng.uniform(min(LEVELS) / 2, max(LEVELS), len(controls))
+    alone = [_alone(controls, number, level) for number, level in enumerate(levels)]
+    mixed = _mixed(controls, rng, UNSEEN_PLAUSIBLE, UNSEEN_PAIRS, UNSEEN_VARIATIONS, UNSEEN_BLENDS)
+    return [*mixed, *alone]
+
+
+def _alone(controls: Controls, number: int, level: float) -> Slid:
+    """Return a pose of one control; what is left of an expression, with what its muscles do."""
+    control = controls.each[number]
+    values = np.zeros(len(controls))
+    if control.kind == "expression":
+        values = next(each for each in controls.presets.values() if each[number]).copy()
+        level = 1.0 - level
+    values[number] = level
+    return Slid("alone", values, control.name)
+
+
+def _mixed(
+    controls: Controls,
+    rng: np.random.Generator,
+    plausible: int,
+    pairs: int,
+    variations: int,
+    blends: int,
+) -> Iterator[Slid]:
+    for _ in range(plausible):
+        yield Slid("plausible", plausible_values(controls, rng))
+    used = _used_together(controls)
+    for _ in range(pairs if used.any() else 0):
+        pair = rng.choice(used.size, p=used.ravel() / used.sum())
+        values = np.zeros(len(controls))
+        values[list(np.unravel_index(pair, used.shape))] = rng.uniform(*TOGETHER, 2)
+        yield Slid("pair", values)
+    fitted = np.array(list(controls.presets.values()))
+    changeable = controls.of_kind("muscle") + controls.of_kind("jaw")
+    for _ in range(variations):
+        values = fitted[rng.integers(len(fitted))].copy()
+        values[rng.choice(changeable)] = rng.uniform()
+        yield Slid("variation", values)
+    for _ in range(blends if len(fitted) > 1 else 0):
+        part = rng.uniform()
+        one, other = fitted[rng.choice(len(fitted), 2, replace=False)]
+        yield Slid("blend", part * one + (1.0 - part) * other)
+
+
+def plausible_values(controls: Controls, rng: np.random.Generator) -> Floats:
+    """Return a random pose that faces take: some muscles of both sides alike, the jaw open."""
+    kinds: dict[str, list[int]] = {}
+    for number in controls.of_kind("muscle"):
+        kinds.setdefault(both_sides(controls.each[number].name), []).append(number)
+    values = np.zeros(len(controls))
+    for kind in rng.choice(list(kinds), min(EXCITED, len(kinds)), replace=False):
+        excitation = rng.uniform(*EXCITATION)
+        for number in kinds[str(kind)]:
+            values[number] = max(excitation + rng.uniform(-ASYMMETRY, ASYMMETRY), 0.0)
+    # the first of the jaw's controls opens it
+    values[controls.of_kind("jaw")[0]] = rng.uniform(0.0, OPENED)
+    return values
+
+
+def _used_together(controls: Controls) -> Floats:
+    """Return how much the expressions use two muscles or ways of the jaw together, (k, k)."""
+    fitted = np.array(list(controls.presets.values()))
+    fitted[:, controls.of_kind("expression")] = 0.0
+    return np.triu(fitted.T @ fitted, 1)
 
 
 @dataclass(frozen=True)
@@ -87,3 +204,34 @@ def state_at(face: Face, S: sp.csr_array, controls: Controls, values: Floats, x:
     pose = controls.pose(values)
     stiffness = Stiffness(face.flesh, face.linear, x, face.tet_activations(S, pose.a))
     return State(pose, Equilibrium(x, x, stiffness, 0.0, 0))
+
+
+# How the skin answers to the sliders at a sample: a whole derivative for one factorisation.
+
+
+class Responses:
+    """Derivatives by the sliders of the skin's inner products with ``modes`` (r, n, 3)."""
+
+    def __init__(self, face: Face, S: sp.csr_array, controls: Controls, modes: Floats) -> None:
+        self._face, self._S, self._controls = face, S, controls
+        model = face.model
+        count = len(modes)
+        moved = modes[:, model.embedded].transpose(1, 0, 2).reshape(len(model.embedded), -1)
+        by_vertex = (model.embedding.T @ moved).reshape(-1, count, 3)
+        self._of_x = np.ascontiguousarray(by_vertex.transpose(1, 0, 2).reshape(count, -1))
+        self._of_mandible = modes[:, model.attached_mandible].reshape(count, -1)
+
+    def at(self, sample: Sample) -> Floats | None:
+        """Return the derivatives (r, k) at a sample; None where the flesh is about to buckle."""
+        face, controls, model = self._face, self._controls, self._face.model
+        state = state_at(face, self._S, controls, sample.slid.values, sample.x)
+        if not state.equilibrium.minimum:
+            return None
+        forces = gradient_by_pose(face, self._S, state.pose, state.x) @ controls.directions
+        by_jaw, b = controls.directions[-5:], state.pose.b
+        out = self._of_x[:, coordinates(face.flesh.free)] @ -state.equilibrium.factor.solve(forces)
+        mandible = face.mandible_jacobian(b)[model.mandible].reshape(-1, jaw.DEGREES_OF_FREEDOM)
+        out += self._of_x[:, coordinates(model.mandible)] @ (mandible @ by_jaw)
+        points = model.skin.vertices[model.attached_mandible]
+        attached = jaw.jacobian(model.jaw, points, b).reshape(-1, jaw.DEGREES_OF_FREEDOM)
+        return np.asarray(out + self._of_mandible @ (attached @ by_jaw))

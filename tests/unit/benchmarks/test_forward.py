@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.speed import forward
-from solver.anatomy.capture_set import CaptureSet
 from solver.fitting.face import Face, Pose
+from solver.templates.export import CaptureSet
 from tests.unit.solver.block import block_model, poses
 
 

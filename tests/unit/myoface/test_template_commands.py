@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from myoface.cli.app import app
 from solver.anatomy.template import Template
-from solver.anatomy.template_folder import read_template
+from solver.templates.folder import read_template
 from tests.ball_head import ball_head
 
 

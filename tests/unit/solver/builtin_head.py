@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from solver.anatomy.builtin import builtin_template
 from solver.errors import InputError
 from solver.model import JawFrame
+from solver.templates.builtin.build import builtin_template
 from tests.unit.solver.block import block_model
 
 

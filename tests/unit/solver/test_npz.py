@@ -14,9 +14,12 @@ import pytest
 
 from solver.errors import InputError
 from solver.model import SubjectModel
-from solver.npz import map_array, read_arrays
 from solver.rig.result import load_activations, load_weights
 from solver.scans.performance import open_performance
+from solver.storage import (
+    map_array,
+    read_arrays,
+)
 from tests.unit.solver.block import block_model
 
 ARRAYS = {
@@ -153,7 +156,7 @@ def test_bombs_cost_no_memory(tmp_path: Path) -> None:
     end = struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, 1, 1, len(directory), 0, 0)
     (tmp_path / "many.npz").write_bytes(directory + end)
     program = (
-        "import sys, resource; from pathlib import Path; from solver.npz import read_arrays\n"
+        "import sys, resource; from pathlib import Path; from solver.storage import read_arrays\n"
         "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
         "for path in map(Path, sys.argv[1:]):\n"
         "    try:\n"

@@ -3,7 +3,7 @@
 import numpy as np
 import trimesh
 
-from solver.anatomy.bone_normals import bone_normals
+from solver.anatomy.bones import bone_normals
 from solver.surface import Surface
 
 

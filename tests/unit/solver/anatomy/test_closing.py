@@ -1,6 +1,6 @@
 import numpy as np
 
-from solver.anatomy.closing import harmonic_displacement
+from solver.anatomy.meshing import harmonic_displacement
 from solver.anatomy.tetrahedra import background_grid
 
 

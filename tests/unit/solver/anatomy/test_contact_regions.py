@@ -4,17 +4,22 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from solver.anatomy import ict_facekit
-from solver.anatomy.builtin import builtin_head
-from solver.anatomy.builtin_depths import OuterSkin
-from solver.anatomy.builtin_regions import Regions
-from solver.anatomy.contact_regions import contact_regions
-from solver.anatomy.ict_depths import both_sides
-from solver.anatomy.ict_regions import LANDMARKS, named_regions
-from solver.anatomy.lip_sides import LOWER, UPPER, lips_apart
+from solver.anatomy.contact_regions import (
+    LOWER,
+    UPPER,
+    contact_regions,
+    lips_apart,
+)
 from solver.errors import InputError
-from solver.normals import vertex_normals
-from solver.surface import Surface
+from solver.surface import Surface, vertex_normals
+from solver.templates import ict_facekit
+from solver.templates.builtin.build import Regions, builtin_head
+from solver.templates.builtin.skull import OuterSkin
+from solver.templates.ict_template import (
+    LANDMARKS,
+    both_sides,
+    named_regions,
+)
 from tests.fixtures import data_folder
 
 

@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from solver.anatomy.fibres import fibre_directions
-from solver.anatomy.muscle_axes import bodyparts3d_muscle, with_axis
-from solver.anatomy.muscle_weights import initial_weights
+from solver.anatomy.muscle_weights import (
+    bodyparts3d_muscle,
+    fibre_directions,
+    initial_weights,
+    with_axis,
+)
 from solver.anatomy.template import Muscle
 from solver.anatomy.tetrahedra import background_grid, positively_oriented
 from solver.surface import Surface

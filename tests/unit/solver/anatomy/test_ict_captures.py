@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from solver.anatomy.ict_captures import ict_capture_set
 from solver.errors import InputError
+from solver.templates.ict_facekit import ict_capture_set
 from tests.fixtures import data_folder
 
 SETS = {

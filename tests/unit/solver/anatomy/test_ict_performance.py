@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from solver.anatomy.ict_performance import arkit_source, performance_frames
 from solver.scans.live_link import ARKIT_NAMES, read_live_link
+from solver.templates.ict_facekit import (
+    arkit_source,
+    performance_frames,
+)
 from tests.fixtures import data_folder
 
 

@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 import trimesh
 
-from solver.anatomy import bodyparts3d, ict_facekit
-from solver.anatomy.bodyparts3d import Part
-from solver.anatomy.ict_template import build_ict_template
+from solver.anatomy.depth_warp import SkinDepth
 from solver.anatomy.muscle_weights import enclosed_volume
-from solver.anatomy.skin_depth import SkinDepth
 from solver.errors import InputError
 from solver.surface import Surface
+from solver.templates import (
+    bodyparts3d,
+    ict_facekit,
+)
+from solver.templates.bodyparts3d import Part
+from solver.templates.ict_template import build_ict_template
 
 DATA = Path(os.environ.get("MYOFACE_DATA", Path(__file__).parents[5] / "shared" / "data"))
 ANATOMY, FACES = DATA / "bodyparts3d", DATA / "ict_facekit"

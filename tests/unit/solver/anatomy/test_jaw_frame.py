@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
-from solver.anatomy import ict_facekit
-from solver.anatomy.jaw_frame import jaw_frame, jaw_residual
+from solver.anatomy.bones import (
+    jaw_frame,
+    jaw_residual,
+)
 from solver.mechanics import jaw
+from solver.templates import ict_facekit
 from tests.fixtures import data_folder
 
 CONDYLES = np.array([[52.0, 20.0, 38.0], [-50.0, 21.0, 37.0]])

@@ -4,7 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from solver.anatomy.loose_skin import FADE_MM, LooseSkin
+from solver.anatomy.embedding import (
+    FADE_MM,
+    LooseSkin,
+)
 from solver.surface import Surface
 from tests.unit.solver.block import head_block
 
@@ -54,7 +57,7 @@ def test_lashes_go_with_the_lid_they_touch(monkeypatch):
     faces = np.vstack([model.skin.faces, number[[0, 1, 2]], number[[1, 3, 2]]])
     lashed = replace(model, skin=Surface(np.vstack([skin, strip]), faces))
     last = len(faces) - np.arange(1, 3)
-    monkeypatch.setattr("solver.anatomy.loose_skin.skin_parts", lambda _: {"lashes": last})
+    monkeypatch.setattr("solver.anatomy.embedding.skin_parts", lambda _: {"lashes": last})
     loose = LooseSkin(lashed)
     np.testing.assert_array_equal(loose.ids, number)
     moved = np.zeros((len(lashed.skin.vertices), 3))

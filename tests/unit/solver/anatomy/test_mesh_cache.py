@@ -1,7 +1,7 @@
 """Tets of a template without any are made once and kept."""
 
-from solver.anatomy import mesh_cache
-from solver.anatomy.mesh_cache import meshed
+from solver.anatomy import meshing
+from solver.anatomy.meshing import meshed
 from tests.unit.solver.ball import EDGE_MM, ball_template, meshed_ball
 
 
@@ -14,7 +14,7 @@ def test_tets_are_made_once_and_anew_if_the_file_was_spoilt(tmp_path, monkeypatc
         return meshed_ball()
 
     monkeypatch.setenv("MYOFACE_CACHE", str(tmp_path))
-    monkeypatch.setattr(mesh_cache, "with_mesh", with_mesh)
+    monkeypatch.setattr(meshing, "with_mesh", with_mesh)
     first = meshed(ball_template(), EDGE_MM)
     assert first.sha256 == meshed_ball().sha256
     assert meshed(ball_template(), EDGE_MM).sha256 == first.sha256

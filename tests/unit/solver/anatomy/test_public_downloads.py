@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from solver.anatomy import bodyparts3d, ict_facekit
-from solver.anatomy.public_bodyparts3d import public_parts
-from solver.anatomy.public_ict_facekit import NEUTRAL
 from solver.errors import InputError
 from solver.surface import Floats, Ints
+from solver.templates import (
+    bodyparts3d,
+    ict_facekit,
+)
+from solver.templates.bodyparts3d import public_parts
+from solver.templates.ict_facekit import NEUTRAL
 from tests.fixtures import data_folder
 
 

@@ -2,7 +2,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from solver.anatomy.skin_depth import SkinDepth, boundary_edges
+from solver.anatomy.depth_warp import (
+    SkinDepth,
+    boundary_edges,
+)
 from solver.surface import Surface
 
 

@@ -11,14 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from solver.anatomy.depths import Depth
-from solver.anatomy.shapes import ShapeBasis
-from solver.anatomy.template import Muscle, Template
-from solver.anatomy.template_export import write_template
-from solver.anatomy.template_folder import read_template
+from solver.anatomy.template import Depth, Muscle, ShapeBasis, Template
 from solver.errors import InputError
-from solver.scans.obj import write_obj
+from solver.meshio.obj import write_obj
 from solver.surface import Floats, Surface
+from solver.templates.export import write_template
+from solver.templates.folder import read_template
 
 
 def sphere(centre: tuple[float, float, float], radius: float) -> Surface:

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from solver.anatomy.depths import Depth
-from solver.anatomy.template import Template
-from solver.anatomy.template_report import report_template
+from solver.anatomy.template import Depth, Template
 from solver.surface import Surface
+from solver.templates.checks import report_template
 from tests.ball_head import ball, ball_head
 
 Change = Callable[[Template], Template]

@@ -10,17 +10,22 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from solver.anatomy.shapes import ShapeBasis
-from solver.animation.blend import Blend, unfolded
+from solver.anatomy.template import ShapeBasis
 from solver.animation.blendshapes import (
+    Blend,
     Blendshapes,
     Solved,
     expression_targets,
     solve_blendshapes,
+    unfolded,
 )
-from solver.animation.gaze import Gaze
-from solver.animation.head import HeadKey, neck
-from solver.animation.keys import Key, from_keys
+from solver.animation.keys import (
+    Gaze,
+    HeadKey,
+    Key,
+    from_keys,
+    neck,
+)
 from solver.animation.recording import from_recording
 from solver.errors import InputError
 from solver.fitting.face import Face, Pose

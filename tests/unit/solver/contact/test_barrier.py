@@ -11,16 +11,16 @@ import trimesh
 from solver.contact.barrier import DISTANCE_MM, FURTHEST_MM, Barrier
 from solver.contact.crossing import crossing
 from solver.contact.mouth import LIPS, Mouth
-from solver.contact.objects import check_objects
-from solver.contact.parting import parted
 from solver.contact.surface import (
     INSET_MM,
     ContactSurface,
     collision_mesh,
     crossing_vertices,
+    parted,
 )
 from solver.errors import InputError
-from solver.mechanics.boundary import Boundary
+from solver.mechanics.potential import Boundary
+from solver.scene.objects import check_objects
 from solver.surface import Surface
 from tests.fixtures import fixture_model
 from tests.unit.solver.ball import ball

@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from solver.contact.crossing import crossing
+from solver.contact.crossing import Gauge, crossing
 from solver.contact.mouth import Mouth
-from solver.contact.penetration import Gauge
 from solver.contact.potentials import arches, contact_potentials, eyeballs
 from solver.edits.bones import Bone
 from solver.edits.edit import apply
 from solver.mechanics import jaw
-from solver.mechanics.boundary import Boundary
+from solver.mechanics.potential import Boundary
 from tests.unit.solver.builtin_head import builtin_head
 
 UPPER_LIP = "upper_lip", "upper_lip_lining"

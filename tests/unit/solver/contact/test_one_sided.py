@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from solver.contact.arches import Arch
-from solver.contact.eyes import Eyeball
-from solver.contact.one_sided import MARGIN_MM, OneSided, free_depths
+from solver.contact.one_sided import MARGIN_MM, Arch, Eyeball, OneSided, free_depths
 from solver.mechanics import jaw
-from solver.mechanics.boundary import Boundary
+from solver.mechanics.potential import Boundary
 from solver.model import JawFrame
 from tests.unit.solver.ball import ball
 from tests.unit.solver.teeth import HEIGHT, RADIUS, fan, row_of_teeth

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from solver.contact.penetration import Gauge
+from solver.contact.crossing import Gauge
 from solver.contact.potentials import contact_potentials
 from solver.fitting.face import Face
 from solver.mechanics.flesh import COROTATED_TRACE
 from solver.similarity import IDENTITY
+from solver.simulation.inertia import Drive
 from solver.simulation.simulator import Simulator
-from solver.simulation.state import Drive
 from tests.fixtures import fixture_model
 from tests.unit.solver.ball import ball
 

@@ -5,9 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from solver.drawing.colours import both_sides, heat, muscle_colours
-from solver.drawing.light import irradiance
-from solver.drawing.raster import Camera, look
+from solver.drawing.head import (
+    both_sides,
+    heat,
+    muscle_colours,
+)
+from solver.drawing.render import (
+    Camera,
+    irradiance,
+    look,
+)
 from solver.surface import Surface
 
 

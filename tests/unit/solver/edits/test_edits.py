@@ -6,13 +6,17 @@ import numpy as np
 import pytest
 
 from solver.edits.bones import Bone
-from solver.edits.edit import apply
-from solver.edits.edited import DENSITY
-from solver.edits.fat import Fat
-from solver.edits.filler import Filler, distance_to_path, under_skin
+from solver.edits.edit import DENSITY, apply
+from solver.edits.fat import (
+    Density,
+    Fat,
+    Filler,
+    Stiffness,
+    distance_to_path,
+    under_skin,
+)
 from solver.edits.maps import into_volume, patches, spots
 from solver.edits.paralysis import Paralysis
-from solver.edits.tissue import Density, Stiffness
 from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.mechanics.flesh import shape_gradients

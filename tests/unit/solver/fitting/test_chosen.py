@@ -5,11 +5,9 @@ import pytest
 
 from solver.errors import SolveError
 from solver.fitting import chosen
-from solver.fitting.activation import ActivationOptions
+from solver.fitting.activation import ActivationOptions, Resting
 from solver.fitting.face import Face, Pose
-from solver.fitting.objective import Regulariser, Target
-from solver.fitting.resting import Resting
-from solver.fitting.terms import SkinDistance
+from solver.fitting.objective import Regulariser, SkinDistance, Target
 from tests.unit.solver.block import block_model
 
 STOP = ActivationOptions(25, 1e-6)

@@ -7,8 +7,7 @@ from solver.errors import InputError
 from solver.fitting import activation, objective, reference
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, Pose
-from solver.fitting.objective import Regulariser, Target
-from solver.fitting.terms import SkinDistance
+from solver.fitting.objective import Regulariser, SkinDistance, Target
 from tests.unit.solver.block import block_model, poses
 
 CONVERGED = ActivationOptions(max_iterations=100, tolerance=1e-10)

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from solver.fitting import gauss_newton
+from solver.fitting.activation import Resting
 from solver.fitting.face import Face
 from solver.fitting.gauss_newton import GaussNewton
-from solver.fitting.objective import Regulariser, Target
-from solver.fitting.resting import Resting
-from solver.fitting.terms import SkinDistance
+from solver.fitting.objective import Regulariser, SkinDistance, Target
 from tests.unit.solver.block import block_model, poses
 
 DAMPING = 1e-3

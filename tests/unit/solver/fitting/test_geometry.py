@@ -8,15 +8,22 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from solver.errors import InputError
-from solver.fitting import activation, geometry, joint, simplex
+from solver.fitting import (
+    activation,
+    geometry,
+    joint,
+)
 from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
-from solver.fitting.joint import GeometryProblem, Iterate
-from solver.fitting.objective import Regulariser, Target
+from solver.fitting.joint import (
+    GeometryProblem,
+    Iterate,
+    mirror_structure,
+    replace_values,
+    transferred,
+)
+from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.sensitivity import Sensitivity
-from solver.fitting.symmetry import mirror_structure
-from solver.fitting.terms import SkinDistance
-from solver.fitting.weights import replace_values, transferred
 from tests.unit.solver.block import block_model, poses
 
 
@@ -81,7 +88,7 @@ def test_step_solves_the_dense_system():
     rows[np.repeat(np.arange(S.shape[0]), 3), np.arange(S.nnz)] = 1.0
     tangent = scipy.linalg.null_space(rows)
     expected = -tangent @ np.linalg.solve(tangent.T @ matrix @ tangent, tangent.T @ gradient)
-    expected = simplex.project(S.data + expected[: S.nnz], S.indptr) - S.data
+    expected = joint.project(S.data + expected[: S.nnz], S.indptr) - S.data
     found = joint.step(
         problem, Iterate(S, states, damping=0.05, pose_damping=dict.fromkeys(data, 1e-2))
     )

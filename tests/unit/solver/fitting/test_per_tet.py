@@ -9,12 +9,14 @@ import scipy.optimize
 from solver.errors import InputError
 from solver.fitting import per_tet, stretches
 from solver.fitting.face import Face, Pose, State
-from solver.fitting.objective import Target
+from solver.fitting.objective import SkinDistance, Target
 from solver.fitting.per_tet import Objective, PerTetOptions, tissue
-from solver.fitting.per_tet.contraction import PreferredContraction, contraction
 from solver.fitting.per_tet.damping import Damping
+from solver.fitting.per_tet.objective import (
+    PreferredContraction,
+    contraction,
+)
 from solver.fitting.per_tet.saddle import SaddleSolver
-from solver.fitting.terms import SkinDistance
 from solver.mechanics.flesh import COROTATED_DET, IDENTITY
 from tests.unit.solver.block import block_model
 

@@ -6,9 +6,8 @@ import pytest
 from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, Pose
-from solver.fitting.objective import Regulariser, Target
+from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.sequence import Tracker
-from solver.fitting.terms import SkinDistance
 from tests.unit.solver.block import block_model
 
 FRAMES = 40

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from solver.fitting.shortening import shortened
-from solver.fitting.stretches import matrices
+from solver.fitting.stretches import matrices, shortened
 
 
 def test_fibres_shorten_and_the_volume_stays() -> None:

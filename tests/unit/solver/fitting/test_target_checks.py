@@ -10,9 +10,12 @@ from scipy.spatial.transform import Rotation
 from solver.errors import InputError
 from solver.fitting import target_checks
 from solver.fitting.face import Face
-from solver.fitting.model_checks import check_held, idle_muscles
-from solver.fitting.weights import replace_values
-from solver.scans.registered import RegisteredScan
+from solver.fitting.joint import replace_values
+from solver.fitting.target_checks import (
+    check_held,
+    idle_muscles,
+)
+from solver.meshio.read import RegisteredScan
 from solver.surface import Surface
 from tests.unit.solver.block import head_block
 

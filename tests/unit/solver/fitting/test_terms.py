@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from solver.fitting.face import Face
-from solver.fitting.objective import Target
-from solver.fitting.terms import SkinDistance, Together
+from solver.fitting.objective import (
+    SkinDistance,
+    Target,
+    Together,
+)
 from tests.unit.solver.block import block_model
 
 

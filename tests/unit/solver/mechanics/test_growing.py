@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from solver.mechanics.growing import GrowingSolver
+from solver.mechanics.linear import GrowingSolver
 
 SIZE = 30
 

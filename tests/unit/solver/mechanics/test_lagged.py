@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 
 from solver.fitting.face import Face, Pose
-from solver.mechanics.lagged import CLOSE_MM, correct, untangled
+from solver.mechanics.equilibrium import (
+    CLOSE_MM,
+    correct,
+    untangled,
+)
 from tests.unit.solver.block import block_model
 
 PULLED = np.array([[0.85, 0.0, 0.0, 0.85**-0.5, 0.0, 0.85**-0.5]] * 2)

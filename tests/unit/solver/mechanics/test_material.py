@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from solver.mechanics import material
-from solver.mechanics.polar import cofactor, polar, stretch
-from solver.mechanics.svd3 import signed_svd
+from solver.mechanics.polar import cofactor, polar, signed_svd, stretch
 
 MU, LAM, KAPPA, BARRIER = 1.3, 0.7, 1.7, 5.0
 STEP = 1e-6

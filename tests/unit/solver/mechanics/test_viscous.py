@@ -5,8 +5,8 @@ import pytest
 
 from solver.fitting.face import Face
 from solver.mechanics import equilibrium
+from solver.mechanics.equilibrium import Viscous
 from solver.mechanics.linear import analyse
-from solver.mechanics.viscous import Viscous
 from tests.unit.solver.block import block_model
 
 STEP = 1e-6

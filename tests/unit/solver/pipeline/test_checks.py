@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from solver.anatomy.builtin import builtin_expression
 from solver.errors import InputError
+from solver.meshio.obj import write_obj
 from solver.pipeline import check_scan
-from solver.scans.obj import write_obj
+from solver.templates.builtin.build import builtin_expression
 
 
 def test_a_neutral_with_an_open_mouth_is_bad_as_an_expression_it_is_good(tmp_path: Path) -> None:

@@ -10,14 +10,17 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError, SolveError
-from solver.fitting import chosen, geometry_ipopt
+from solver.fitting import (
+    chosen,
+    geometry,
+)
 from solver.fitting.face import Face, Pose
 from solver.fitting.reference import NotConvergedError, Reference
+from solver.meshio.obj import write_obj
+from solver.meshio.read import read_registered
 from solver.pipeline import fit_activations, fit_geometry
 from solver.progress import Step
 from solver.rig.result import load_activations, save_weights
-from solver.scans.obj import write_obj
-from solver.scans.read import read_registered
 from solver.surface import Floats, Surface
 from tests.unit.solver.block import head_block
 
@@ -127,7 +130,7 @@ def test_geometry_by_ipopt_from_one_target(
     assert report["inverted"] == 0
     after, _ = activations(files, tmp_path / "next", "narrow", rig=tmp_path / "rig")
     assert after["seconds"]["geometry"] == pytest.approx(report["seconds"]["geometry"], abs=2e-3)
-    monkeypatch.setattr(geometry_ipopt, "MOST_TETS", 400)
+    monkeypatch.setattr(geometry, "MOST_TETS", 400)
     scans["narrow"] = files / "narrow.obj"
     with pytest.raises(InputError, match="use solver reduced") as caught:
         fit_geometry(files / "model.npz", scans, tmp_path / "no", options={"solver": "ipopt"})

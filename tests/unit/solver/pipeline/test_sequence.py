@@ -13,15 +13,13 @@ from scipy.spatial.transform import Rotation
 from solver.errors import InputError, SolveError
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, Target
-from solver.fitting.sequence import Tracker
-from solver.fitting.stillness import stillness
-from solver.pipeline.follower import Follower
-from solver.pipeline.sequence import fit_sequence
-from solver.pipeline.targets import Targets
+from solver.fitting.sequence import Tracker, stillness
+from solver.meshio.read import RegisteredScan
+from solver.pipeline.common import Targets
+from solver.pipeline.sequence import Follower, fit_sequence
 from solver.progress import Step
+from solver.rig.motion import read_frames
 from solver.rig.result import save_weights
-from solver.rig.sequence import read_frames
-from solver.scans.registered import RegisteredScan
 from tests.fixtures import fixture_model
 from tests.unit.solver.block import block_model
 

@@ -2,7 +2,10 @@
 
 import numpy as np
 
-from solver.registration.folds import folded_triangles, unfolded
+from solver.registration.nonrigid import (
+    folded_triangles,
+    unfolded,
+)
 
 
 def test_a_vertex_pushed_over_its_neighbour_comes_back():

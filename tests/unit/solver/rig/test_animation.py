@@ -12,16 +12,16 @@ import trimesh
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from solver.anatomy.builtin import builtin_expression
-from solver.animation.tracks import track
+from solver.animation.keys import track
 from solver.errors import InputError
 from solver.model import SubjectModel
-from solver.npz import read_arrays
-from solver.rig import animation_video
+from solver.rig import animation
 from solver.rig.animation import write_animation
 from solver.rig.motion import MotionFrame
 from solver.scene.objects import Obstacle
+from solver.storage import read_arrays
 from solver.surface import Floats, Surface
+from solver.templates.builtin.build import builtin_expression
 from tests.unit.solver.block import block_model
 
 FRAMES, FPS = 4, 25.0
@@ -106,7 +106,7 @@ def test_all_files_show_the_same(tmp_path: Path) -> None:
 
 
 def test_a_film_without_its_library_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(animation_video, "find_spec", lambda _name: None)
+    monkeypatch.setattr(animation, "find_spec", lambda _name: None)
     with pytest.raises(InputError, match="pip install") as caught:
-        animation_video.check_video()
+        animation.check_video()
     assert caught.value.code == "options.video"

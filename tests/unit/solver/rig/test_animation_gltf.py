@@ -10,12 +10,10 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation, Slerp
 
-from solver.normals import vertex_normals
-from solver.rig.animation_gltf import KEYS_MM, SHAPES_MM, write_animation_glb
-from solver.rig.animation_keys import needed_keys
+from solver.rig.animation_gltf import KEYS_MM, SHAPES_MM, needed_keys, write_animation_glb
 from solver.rig.gltf import Solid
 from solver.rig.gltf_check import validate_glb
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Floats, Ints, Surface, vertex_normals
 
 BALL = trimesh.creation.icosphere(subdivisions=3, radius=90.0)
 NEUTRAL = Surface(np.asarray(BALL.vertices, np.float64), np.asarray(BALL.faces, np.int64))

@@ -11,11 +11,10 @@ import scipy.sparse as sp
 from solver.fitting.face import Face, Pose, State
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.certificate import certify, check_flesh, with_round_trips
-from solver.rig.checks import CHECKS, Check
+from solver.rig.checks import CHECKS, Check, judge
 from solver.rig.report import report
 from solver.rig.result import ExpressionFit, Rig
 from solver.rig.round_trip import activation_error
-from solver.rig.verdict import judge
 from tests.unit.solver.block import block_model
 
 PULL = np.array([[0.75, 0.05, 0.0, 1.1, 0.0, 1.1], [1.1, 0.0, 0.05, 0.8, 0.0, 1.1]])

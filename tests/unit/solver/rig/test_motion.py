@@ -8,7 +8,7 @@ import pytest
 from solver.errors import InputError
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.motion import MotionFrame, read_motion, write_motion
-from solver.simulation.state import Motion
+from solver.simulation.inertia import Motion
 from tests.unit.solver.block import block_model
 
 

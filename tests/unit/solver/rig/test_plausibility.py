@@ -9,7 +9,11 @@ import pytest
 
 from solver.mechanics.flesh import shape_gradients
 from solver.model import SubjectModel
-from solver.rig.plausibility import Muscles, jaw_motion, muscles
+from solver.rig.certificate import (
+    Muscles,
+    jaw_motion,
+    muscles,
+)
 from solver.surface import Floats
 from tests.unit.solver.block import block_model
 

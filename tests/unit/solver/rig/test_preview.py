@@ -7,15 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from solver.fitting.activation import Resting
 from solver.fitting.face import Face, Pose
-from solver.fitting.resting import Resting
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.preview.basis import feature_slopes, features
-from solver.rig.preview.contraction import FULL_STRETCH, nearest_amounts
-from solver.rig.preview.controls import Controls, controls_of
-from solver.rig.preview.poses import learned_from, measured_on
-from solver.rig.preview.response import Responses
-from solver.rig.preview.samples import Simulator
+from solver.rig.preview.controls import (
+    FULL_STRETCH,
+    Controls,
+    controls_of,
+    nearest_amounts,
+)
+from solver.rig.preview.samples import (
+    Responses,
+    Simulator,
+    learned_from,
+    measured_on,
+)
 from solver.rig.result import ExpressionFit
 from tests.unit.solver.block import head_block
 

@@ -12,16 +12,16 @@ import pygltflib
 import pytest
 import scipy.sparse as sp
 
-from solver.drawing.parts import skin_parts
+from solver.drawing.head import skin_parts
 from solver.errors import InputError
 from solver.fitting.face import Face
+from solver.meshio.read import read_registered
 from solver.model import SubjectModel
-from solver.rig.activations_csv import write_activations_csv
 from solver.rig.certificate import Certificate, certify
 from solver.rig.export import write_rig
 from solver.rig.gltf import write_glb
 from solver.rig.gltf_check import validate_glb
-from solver.rig.report import report, write_report
+from solver.rig.report import report, write_activations_csv, write_report
 from solver.rig.result import (
     ExpressionFit,
     Rig,
@@ -31,7 +31,6 @@ from solver.rig.result import (
     save_weights,
 )
 from solver.rig.round_trip import RoundTrip
-from solver.scans.read import read_registered
 from tests.fixtures import fixture_model, ict_capture
 
 NAMES = ["smile", "surprise", "ah"]

@@ -9,9 +9,12 @@ import pygltflib
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from solver.rig.animation_gltf import (
+    REACHED_MM,
+    AnimatedSkin,
+)
 from solver.rig.gltf_check import validate_glb
-from solver.rig.sequence import SequenceFrame
-from solver.rig.sequence_gltf import REACHED_MM, AnimatedSkin
+from solver.rig.motion import SequenceFrame
 from solver.surface import Floats, Surface
 
 BALL = trimesh.creation.icosphere(subdivisions=2, radius=90.0)

@@ -4,7 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from solver.rig.strokes import STEP_MM, STEPS, fibre_threads
+from solver.rig.pictures import (
+    STEP_MM,
+    STEPS,
+    fibre_threads,
+)
 from tests.unit.solver.block import block_model
 
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from solver.errors import Notice
 from solver.fitting.face import Face
-from solver.fitting.notices import Notice
 from solver.rig.certificate import certify
 from solver.rig.report import report
 from solver.rig.result import ExpressionFit, Rig

@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.bad_scans import BAD_SCANS, Subject
 from benchmarks.ingest import builtin_subject
-from solver.anatomy.builtin import builtin_capture_set
+from solver.meshio.obj import write_obj
+from solver.registration.pose import FRAME
 from solver.scans.check import Check, check
 from solver.scans.findings import ADVICE, verdict
-from solver.scans.obj import write_obj
-from solver.scans.units import FRAME
 from solver.surface import Surface
+from solver.templates.builtin.build import builtin_capture_set
 from tests.fixtures import data_folder, ict_capture
 
 SLOW = (

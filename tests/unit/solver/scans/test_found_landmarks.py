@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError
-from solver.scans.found_landmarks import find_landmarks
-from solver.scans.landmarks import read_landmarks
-from solver.scans.raw import read_raw
+from solver.meshio.read import read_raw
+from solver.registration.landmarks import find_landmarks, read_landmarks
 from solver.surface import Surface
 from tests.fixtures import data_folder
 

@@ -5,9 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from solver.anatomy.builtin import builtin_template
 from solver.errors import InputError
-from solver.scans.landmarks import landmark_vertices, match, read_landmarks
+from solver.registration.landmarks import (
+    landmark_vertices,
+    match,
+    read_landmarks,
+)
+from solver.templates.builtin.build import builtin_template
 from tests.fixtures import data_folder
 
 NAMES = ("sellion", "nose_tip", "cheilion_l", "cheilion_r", "exocanthion_l", "exocanthion_r")

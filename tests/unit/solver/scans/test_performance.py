@@ -9,9 +9,9 @@ import pytest
 import trimesh
 
 from solver.errors import InputError
-from solver.scans.obj import write_obj
+from solver.meshio.obj import write_obj
+from solver.meshio.read import write_registered
 from solver.scans.performance import open_performance, write_performance
-from solver.scans.registered import write_registered
 from solver.surface import Surface
 
 BALL = trimesh.creation.icosphere(subdivisions=2, radius=90.0)

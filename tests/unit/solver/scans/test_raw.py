@@ -10,9 +10,9 @@ import pytest
 import trimesh
 
 from solver.errors import InputError
-from solver.scans.mend import mend
-from solver.scans.obj import write_obj
-from solver.scans.raw import read_raw
+from solver.meshio.obj import write_obj
+from solver.meshio.read import read_raw
+from solver.registration.mend import mend
 from solver.surface import Surface
 
 BALL = trimesh.creation.icosphere(subdivisions=3, radius=90.0)

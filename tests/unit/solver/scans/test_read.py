@@ -13,9 +13,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from solver.errors import InputError
-from solver.scans.obj import write_obj
-from solver.scans.read import FORMATS, read_registered
-from solver.scans.registered import write_registered
+from solver.meshio.obj import write_obj
+from solver.meshio.read import (
+    REGISTERED_FORMATS,
+    read_registered,
+    write_registered,
+)
 from solver.surface import Surface
 from tests.fixtures import ict_capture
 
@@ -50,7 +53,7 @@ def fault(path: Path, **options: np.ndarray) -> InputError:
     return error
 
 
-FORMS = [(suffix, False) for suffix in FORMATS] + [(".ply", True), (".stl", True)]
+FORMS = [(suffix, False) for suffix in REGISTERED_FORMATS] + [(".ply", True), (".stl", True)]
 
 
 @pytest.mark.parametrize(("suffix", "ascii_form"), FORMS)
@@ -67,7 +70,7 @@ def test_blank_lines_after_an_ascii_stl_are_no_cut(tmp_path: Path) -> None:
     assert len(read_registered(path, HEAD.faces, COUNT).vertices) == COUNT
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("suffix", REGISTERED_FORMATS)
 def test_a_real_head_survives_every_format(suffix: str, tmp_path: Path) -> None:
     neutral, smile = ict_capture("neutral"), ict_capture("smile")
     path = write(tmp_path / f"smile{suffix}", smile)
@@ -119,7 +122,7 @@ def test_nan_in_binary_names_the_vertex(suffix: str, tmp_path: Path) -> None:
     assert suffix == ".stl" or error.context["vertex"] == 17
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("suffix", REGISTERED_FORMATS)
 def test_wrong_vertex_count_says_both_counts(suffix: str, tmp_path: Path) -> None:
     other = trimesh.creation.icosphere(subdivisions=1, radius=90.0)
     surface = Surface(np.asarray(other.vertices), np.asarray(other.faces, np.int64))
@@ -128,7 +131,7 @@ def test_wrong_vertex_count_says_both_counts(suffix: str, tmp_path: Path) -> Non
     assert error.context["expected"] == (len(HEAD.faces) if suffix == ".stl" else COUNT)
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("suffix", REGISTERED_FORMATS)
 def test_empty_and_cut_short(suffix: str, tmp_path: Path) -> None:
     path = write(tmp_path / f"head{suffix}", HEAD)
     content = path.read_bytes()
@@ -200,7 +203,7 @@ def seeds(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[bytes]]:
             write(folder / f"head{suffix}", surface, ascii_form=form).read_bytes()
             for form in (False, True)[: 2 if suffix in (".ply", ".stl") else 1]
         ]
-        for suffix in FORMATS
+        for suffix in REGISTERED_FORMATS
     }
 
 
@@ -211,7 +214,7 @@ def seeds(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[bytes]]:
 def test_only_input_errors_leave_the_readers(
     data: st.DataObject, seeds: dict[str, list[bytes]], tmp_path: Path
 ) -> None:
-    suffix = data.draw(st.sampled_from(FORMATS))
+    suffix = data.draw(st.sampled_from(REGISTERED_FORMATS))
     content = bytearray(data.draw(st.sampled_from(seeds[suffix])))
     junk = st.one_of(
         st.binary(max_size=8),

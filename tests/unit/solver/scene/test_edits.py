@@ -8,13 +8,19 @@ import numpy as np
 import pytest
 
 from solver.edits.bones import Bone
-from solver.edits.fat import Fat
-from solver.edits.filler import Filler
+from solver.edits.fat import (
+    Density,
+    Fat,
+    Filler,
+    Stiffness,
+)
 from solver.edits.paralysis import Paralysis
-from solver.edits.tissue import Density, Stiffness
 from solver.errors import InputError
-from solver.scene.edits import KINDS, edits_of
 from solver.scene.places import Places
+from solver.scene.stage import (
+    KINDS,
+    edits_of,
+)
 from tests.unit.solver.block import head_block
 
 EVERY_KIND = [

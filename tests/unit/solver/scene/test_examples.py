@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from solver.anatomy.builtin import builtin_template
-from solver.scans.landmarks import landmark_vertices
+from solver.registration.landmarks import landmark_vertices
 from solver.scene.document import check
+from solver.templates.builtin.build import builtin_template
 
 ROOT = Path(__file__).parents[4]
 FOLDER = ROOT / "examples" / "scenes"

@@ -5,9 +5,8 @@ import pytest
 
 from solver.fitting.face import Face
 from solver.mechanics import equilibrium
-from solver.simulation import fibre_fit
-from solver.simulation.fibre_fit import fit_fibres
-from solver.simulation.fibres import activation_rates, fibre_activations
+from solver.simulation import fibres
+from solver.simulation.fibres import activation_rates, fibre_activations, fit_fibres
 from tests.unit.solver.simulation.test_fibres import fibred_block
 
 GAMMA, JAW = np.array([0.75, 1.15]), np.array([0.05, 0.0, 0.0, 0.0, 0.0])
@@ -41,7 +40,7 @@ def test_rates_are_those_of_the_activations(face):
 
 def test_the_jacobian_is_that_of_the_equilibrium(face):
     theta = np.concatenate([GAMMA, JAW])
-    fit = fibre_fit._Fit(face, face.model.weights, face.face_points(face.model.rest))
+    fit = fibres._Fit(face, face.model.weights, face.face_points(face.model.rest))
     state = fit.settle(theta, face.model.rest)
     jacobian = fit.jacobian(theta, state)
     step = 1e-4

@@ -9,8 +9,7 @@ from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.similarity import IDENTITY, small_motion
 from solver.simulation.forces import AIR, DRAG, Gravity, Pull, Wind
-from solver.simulation.inertia import lumped_masses
-from solver.simulation.state import Motion
+from solver.simulation.inertia import Motion, lumped_masses
 from solver.surface import Surface
 from tests.unit.solver.block import head_block
 

@@ -11,9 +11,13 @@ from solver.fitting.face import Face
 from solver.mechanics.flesh import COROTATED_TRACE
 from solver.similarity import IDENTITY, Similarity, small_motion
 from solver.simulation.forces import Gravity
-from solver.simulation.inertia import Inertial, lumped_masses
+from solver.simulation.inertia import (
+    Drive,
+    Inertial,
+    Motion,
+    lumped_masses,
+)
 from solver.simulation.simulator import Simulator
-from solver.simulation.state import Drive, Motion
 from tests.unit.solver.block import block_model, poses
 
 PASCAL = 3000.0

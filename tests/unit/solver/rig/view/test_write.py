@@ -15,9 +15,8 @@ from solver.mechanics import jaw
 from solver.rig.certificate import certify
 from solver.rig.report import report
 from solver.rig.result import ExpressionFit, Rig
-from solver.rig.view.binding import bind
 from solver.rig.view.format import Container, read_container
-from solver.rig.view.write import NO_MUSCLE, write_inside, write_view
+from solver.rig.view.write import NO_MUSCLE, bind, write_inside, write_view
 from solver.surface import Surface
 from tests.fixtures import fixture_model
 from tests.unit.solver.block import block_model, grid

@@ -1,0 +1,265 @@
+"""Binary glTF 2.0 (GLB): the positions of its one mesh, as stored.
+
+The few fields that are needed are read here, because every one must be checked before it is
+trusted, and a general loader's conveniences (merging, welding) would change the vertex order.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solver.meshio.rows import (
+    NO_FACES,
+    Mesh,
+    empty,
+    joined,
+    truncated,
+    unreadable,
+    unsupported,
+)
+from solver.surface import Floats, Ints
+
+MM_PER_METRE = 1000.0
+FLOAT = 5126
+COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", FLOAT: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+JSON_CHUNK, BINARY_CHUNK = b"JSON", b"BIN\0"
+MAX_DEPTH = 64
+NOT_VALID = (KeyError, IndexError, TypeError, AttributeError, OverflowError)
+"""What reading a description that breaks glTF's rules raises."""
+
+
+def read_glb(file: str, content: bytes) -> Floats:
+    """Return the vertices (n, 3) of GLB ``content`` in mm; glTF's unit is the metre.
+
+    The scene must show one mesh, whose parts share one list of positions; the transform of its
+    node is applied.
+    """
+    document, binary = read_chunks(file, content)
+    try:
+        shown = shown_meshes(file, document)
+        if len(shown) != 1:
+            raise unsupported(file, f"the scene must show exactly one mesh, found {len(shown)}")
+        mesh, transform = shown[0]
+        positions = {part["attributes"]["POSITION"] for part in mesh["primitives"]}
+        if len(positions) != 1:
+            raise unsupported(file, "the parts of the mesh do not share one list of positions")
+        vertices = read_positions(file, document, binary, positions.pop())
+    except NOT_VALID as error:
+        raise unreadable(file, f"the glTF description is not valid ({error!r})") from None
+    with np.errstate(all="ignore"):  # what overflows is refused as not finite by the caller
+        return np.asarray(vertices @ transform[:3, :3].T + transform[:3, 3]) * MM_PER_METRE
+
+
+def read_chunks(file: str, content: bytes) -> tuple[dict[str, Any], bytes]:
+    """Return the description and the binary buffer of a GLB file."""
+    if not content:
+        raise empty(file)
+    if content[:4] != b"glTF" or content[4:8] != (2).to_bytes(4, "little"):
+        raise unreadable(file, "not a binary glTF 2.0 file")
+    length = int.from_bytes(content[8:12], "little")
+    if len(content) < length or len(content) < 20:
+        raise truncated(
+            file,
+            f"the header announces {length} bytes, found {len(content)}",
+            expected=length,
+            found=len(content),
+        )
+    parts: dict[bytes, bytes] = {}
+    position = 12
+    while position + 8 <= len(content):
+        size = int.from_bytes(content[position : position + 4], "little")
+        kind = content[position + 4 : position + 8]
+        if position + 8 + size > len(content):
+            raise truncated(file, f"a chunk of {size} bytes runs past the end of the file")
+        parts.setdefault(kind, content[position + 8 : position + 8 + size])
+        position += 8 + size
+    try:
+        document = json.loads(parts.get(JSON_CHUNK, b""))
+    except (ValueError, RecursionError):
+        raise unreadable(file, "the description is not valid JSON") from None
+    if not isinstance(document, dict):
+        raise unreadable(file, "the description is not a JSON object")
+    return document, parts.get(BINARY_CHUNK, b"")
+
+
+def shown_meshes(file: str, document: dict[str, Any]) -> list[tuple[dict[str, Any], Floats]]:
+    """Return the meshes that the scene shows, with the (4, 4) transforms of their nodes."""
+    found: list[tuple[dict[str, Any], Floats]] = []
+    seen: set[int] = set()
+
+    def visit(number: int, parent: Floats, depth: int) -> None:
+        if depth > MAX_DEPTH or number in seen:
+            raise unsupported(file, "the scene is not a tree of reasonable depth")
+        seen.add(number)
+        node = _item(document["nodes"], number)
+        transform = parent @ _transform(file, node)
+        if "mesh" in node:
+            found.append((_item(document["meshes"], node["mesh"]), transform))
+        for child in node.get("children", []):
+            visit(child, transform, depth + 1)
+
+    for root in _item(document["scenes"], document.get("scene", 0))["nodes"]:
+        visit(root, np.eye(4), 0)
+    return found
+
+
+def _item(items: list[Any], number: int) -> Any:
+    """Return an item by its glTF number: Python's negative numbers mean nothing there."""
+    if not isinstance(number, int) or number < 0:
+        raise IndexError(number)
+    return items[number]
+
+
+def _transform(file: str, node: dict[str, Any]) -> Floats:
+    try:
+        if "matrix" in node:
+            return np.array(node["matrix"], np.float64).reshape(4, 4).T
+        x, y, z, w = (float(value) for value in node.get("rotation", (0, 0, 0, 1)))
+        rotation = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        transform = np.eye(4)
+        transform[:3, :3] = rotation * np.array(node.get("scale", (1, 1, 1)), np.float64)
+        transform[:3, 3] = np.array(node.get("translation", (0, 0, 0)), np.float64)
+    except ValueError:
+        raise unreadable(file, "the transform of a node is not valid") from None
+    return transform
+
+
+def read_positions(file: str, document: dict[str, Any], binary: bytes, number: int) -> Floats:
+    """Return the positions (n, 3) of accessor ``number``."""
+    accessor = _item(document["accessors"], number)
+    if accessor["type"] != "VEC3" or accessor["componentType"] != FLOAT:
+        raise unsupported(file, "the positions are not stored as 32-bit floats")
+    positions = read_accessor(file, document, binary, number)
+    if len(positions) == 0:
+        raise empty(file)
+    return positions.astype(np.float64)
+
+
+def read_accessor(
+    file: str, document: dict[str, Any], binary: bytes, number: int
+) -> NDArray[np.generic]:
+    """Return the rows (n, width) of accessor ``number`` as they are stored."""
+    accessor = _item(document["accessors"], number)
+    if "sparse" in accessor or "bufferView" not in accessor:
+        raise unsupported(file, "sparse or compressed data are not supported")
+    view = _item(document["bufferViews"], accessor["bufferView"])
+    if _item(document["buffers"], view["buffer"]).get("uri") is not None:
+        raise unsupported(file, "the data lie in another file")
+    kind, width = np.dtype(COMPONENTS[accessor["componentType"]]), WIDTHS[accessor["type"]]
+    size = kind.itemsize * width
+    count, stride = accessor["count"], view.get("byteStride", size)
+    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    if not all(isinstance(value, int) and value >= 0 for value in (count, stride, start)):
+        raise unreadable(file, "the counts and offsets of the data are not valid")
+    if count == 0:
+        return np.zeros((0, width), kind)
+    expected = start + (count - 1) * stride + size
+    if stride < size or expected > len(binary):
+        raise truncated(
+            file,
+            f"the data need {expected} bytes, found {len(binary)}",
+            expected=expected,
+            found=len(binary),
+        )
+    return np.ndarray((count, width), kind, binary, start, (stride, kind.itemsize))
+
+
+# Binary glTF 2.0 as a raw scan: every mesh the scene shows, each in its node's place.
+
+
+POINTS, TRIANGLES, STRIP, FAN = 0, 4, 5, 6
+
+
+def read_raw_glb(file: str, content: bytes) -> Mesh:
+    """Return the meshes of GLB ``content`` as one, in metres as glTF demands."""
+    document, binary = read_chunks(file, content)
+    parts = []
+    try:
+        for mesh, transform in shown_meshes(file, document):
+            for number, primitive in enumerate(mesh["primitives"]):
+                name = f"{mesh.get('name', 'mesh')}[{number}]"
+                parts.append(_placed(_part(file, document, binary, primitive, name), transform))
+    except NOT_VALID as error:
+        raise unreadable(file, f"the glTF description is not valid ({error!r})") from None
+    if not parts:
+        raise empty(file)
+    return joined(parts)
+
+
+def _part(
+    file: str, document: dict[str, Any], binary: bytes, primitive: dict[str, Any], name: str
+) -> Mesh:
+    attributes = primitive["attributes"]
+    vertices = read_positions(file, document, binary, attributes["POSITION"])
+    mode = primitive.get("mode", TRIANGLES)
+    if "indices" in primitive:
+        indices = read_accessor(file, document, binary, primitive["indices"])
+        corners: Ints = indices.ravel().astype(np.int64)
+    else:
+        corners = np.arange(len(vertices), dtype=np.int64)
+    faces = _triangles(file, corners, mode)
+    if len(faces) and not 0 <= faces.min() <= faces.max() < len(vertices):
+        raise unreadable(
+            file,
+            f"{name} uses vertex {faces.max()}, but there are {len(vertices)}",
+            expected=len(vertices),
+            found=int(faces.max()),
+        )
+
+    def rows(attribute: str) -> Floats | None:
+        if attribute not in attributes:
+            return None
+        stored = read_accessor(file, document, binary, attributes[attribute])
+        scale = 1 if stored.dtype.kind == "f" else int(np.iinfo(str(stored.dtype)).max)
+        values = np.asarray(stored[:, :3], np.float64) / scale
+        if values.shape != vertices.shape:
+            raise unreadable(file, f"{attribute} of {name} does not fit its positions")
+        return values
+
+    is_empty = len(faces) == 0 and mode != POINTS
+    return Mesh(vertices, faces, rows("NORMAL"), rows("COLOR_0"), (name,) if is_empty else ())
+
+
+def _triangles(file: str, corners: Ints, mode: int) -> Ints:
+    if mode == POINTS:
+        return NO_FACES
+    if mode == TRIANGLES:
+        if len(corners) % 3:
+            raise unreadable(file, f"{len(corners)} corners do not make whole triangles")
+        return corners.reshape(-1, 3)
+    if mode == STRIP:
+        faces = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
+        faces[1::2] = faces[1::2, [1, 0, 2]]
+        return faces
+    if mode == FAN:
+        first = np.full(max(len(corners) - 2, 0), corners[0])
+        return np.stack([first, corners[1:-1], corners[2:]], axis=1)
+    raise unsupported(file, "lines are no surface: export triangles")
+
+
+def _placed(mesh: Mesh, transform: Floats) -> Mesh:
+    """Return the mesh moved by a (4, 4) transform; a mirroring node turns its triangles round."""
+    linear = transform[:3, :3]
+    mirrored = np.linalg.det(linear) < 0
+    normals = mesh.normals
+    if normals is not None:
+        normals = normals @ np.linalg.pinv(linear)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-30
+    return Mesh(
+        mesh.vertices @ linear.T + transform[:3, 3],
+        mesh.faces[:, ::-1] if mirrored else mesh.faces,
+        normals,
+        mesh.colours,
+        mesh.empty_groups,
+    )

@@ -1,0 +1,345 @@
+"""Landmarks of a scan found by MediaPipe's face landmarker on pictures of it (optional extra).
+
+The scan is drawn from a few sides; what the landmarker sees in the pictures is carried back to the
+surface. It runs offline, with the model file ``face_landmarker*.task`` that the user points to.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from solver.anatomy.template import Template
+from solver.anatomy.warp import similarity
+from solver.drawing.render import (
+    Body,
+    Camera,
+    Lit,
+    Pixels,
+    Visible,
+    look,
+    render,
+)
+from solver.errors import InputError
+from solver.surface import Floats, Ints, Surface
+
+# Landmarks of a raw scan from a file: JSON, CSV or the 68 points of an ``ljson``.
+#
+# Landmarks carry a template's names (``sellion``, ``cheilion_l``; ``_l`` is the subject's left).
+# The 68 points of the iBUG scheme (Sagonas et al. 2013) and MediaPipe's face mesh are named by
+# tables.
+
+
+IBUG_68 = {
+    8: "menton",
+    17: "brow_lateral_r",
+    21: "brow_medial_r",
+    22: "brow_medial_l",
+    26: "brow_lateral_l",
+    27: "sellion",
+    30: "nose_tip",
+    31: "alar_curvature_r",
+    33: "subnasale",
+    35: "alar_curvature_l",
+    36: "exocanthion_r",
+    39: "endocanthion_r",
+    42: "endocanthion_l",
+    45: "exocanthion_l",
+    48: "cheilion_r",
+    51: "labrale_superius",
+    54: "cheilion_l",
+    57: "labrale_inferius",
+    62: "stomion_superius",
+    66: "stomion_inferius",
+}
+"""Point of the 68-point scheme, from 0 -> name."""
+MEDIAPIPE = {
+    4: "nose_tip",
+    2: "subnasale",
+    33: "exocanthion_r",
+    133: "endocanthion_r",
+    362: "endocanthion_l",
+    263: "exocanthion_l",
+    61: "cheilion_r",
+    291: "cheilion_l",
+    0: "labrale_superius",
+    17: "labrale_inferius",
+    13: "stomion_superius",
+    14: "stomion_inferius",
+    168: "sellion",
+}
+"""Vertex of MediaPipe's face mesh -> name."""
+SYNONYMS = {"pronasale": "nose_tip", "nasion": "sellion"}
+"""Names of one place in different templates."""
+LABELS_68 = (  # in the scheme's order; the first brow and eye are the subject's right
+    (("jaw", "chin"), 17),
+    (("left_eyebrow", "leyebrow"), 5),
+    (("right_eyebrow", "reyebrow"), 5),
+    (("nose",), 9),
+    (("left_eye", "leye"), 6),
+    (("right_eye", "reye"), 6),
+    (("mouth",), 20),
+)
+MIRRORED_MM = 4.0
+LEAST_LANDMARKS = 4
+MISPLACED_MM = 20.0
+
+Points = dict[str, Floats]
+
+
+def read_landmarks(path: Path) -> Points:
+    """Return name -> point (3,), in the scan's own unit and axes.
+
+    JSON holds an object of name -> [x, y, z] (also under the key ``landmarks``), CSV the columns
+    name, x, y, z (a heading is skipped), ``ljson`` 68 points. Raises :class:`InputError`
+    (``landmarks.unreadable``, ``landmarks.format``) naming file and line or landmark.
+    """
+    suffix = path.suffix.lower()
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise _unreadable(path, str(error)) from error
+    if suffix == ".csv":
+        return _csv(path, text)
+    if suffix not in (".json", ".ljson"):
+        raise InputError(
+            "landmarks.format",
+            f"{path.name}: landmarks are a .json, .ljson or .csv file",
+            file=path.name,
+            expected=[".json", ".ljson", ".csv"],
+            found=suffix,
+        )
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise _unreadable(path, str(error)) from error
+    if isinstance(content, dict) and "groups" in content:
+        return _ljson(path, content)
+    if isinstance(content, dict) and isinstance(content.get("landmarks"), dict):
+        content = content["landmarks"]
+    if not isinstance(content, dict) or not content:
+        raise _unreadable(path, "an object of name -> [x, y, z] is expected")
+    return {str(name): _point(path, str(name), value) for name, value in content.items()}
+
+
+def landmark_vertices(template: Template) -> dict[str, int]:
+    """Return name -> skin vertex, those of the right side mirrored from the left where missing."""
+    found = dict(template.landmarks)
+    for name, other in SYNONYMS.items():
+        if name in found:
+            found.setdefault(other, found[name])
+    points = template.skin.vertices[template.face_vertices]
+    for name, vertex in list(found.items()):
+        twin = name[:-2] + "_r"
+        if name.endswith("_l") and twin not in found:
+            mirrored = template.skin.vertices[vertex] * np.array([-1.0, 1.0, 1.0])
+            distance = np.linalg.norm(points - mirrored, axis=1)
+            if distance.min() < MIRRORED_MM:
+                found[twin] = int(template.face_vertices[np.argmin(distance)])
+    return found
+
+
+def match(file: str, points: Points, template: Template) -> tuple[Floats, Ints]:
+    """Return the points (k, 3) that the template knows, and their vertices (k,).
+
+    Raises :class:`InputError`: ``landmarks.unknown`` if the template knows too few of the names,
+    ``landmarks.swapped`` if left and right are exchanged, ``landmarks.misplaced`` if they do not
+    lie as on a face, with the worst ``landmark``.
+    """
+    known = landmark_vertices(template)
+    named = {SYNONYMS.get(name, name): point for name, point in points.items()}
+    names = sorted(named.keys() & known.keys())
+    if len(names) < LEAST_LANDMARKS:
+        raise InputError(
+            "landmarks.unknown",
+            f"{file}: the template knows {len(names)} of these landmarks, at least "
+            f"{LEAST_LANDMARKS} are needed; it knows {', '.join(sorted(known))}",
+            file=file,
+            expected=sorted(known),
+            found=sorted(points),
+        )
+    rest = template.skin.vertices
+    given = np.array([named[name] for name in names])
+    if np.ptp(given, axis=0).max() == 0:
+        raise InputError(
+            "landmarks.misplaced", f"{file}: all landmarks lie in one place", file=file
+        )
+    vertices = np.array([known[name] for name in names])
+    swapped = np.array([known.get(_other_side(name), known[name]) for name in names])
+    error, swapped_error = _misfit(given, rest[vertices]), _misfit(given, rest[swapped])
+    if swapped_error.mean() < 0.6 * error.mean():
+        raise InputError(
+            "landmarks.swapped",
+            f"{file}: left and right are exchanged; _l means the subject's left",
+            file=file,
+        )
+    worst = int(np.argmax(error))
+    if error[worst] > MISPLACED_MM:
+        raise InputError(
+            "landmarks.misplaced",
+            f"{file}: {names[worst]} lies {error[worst]:.0f} mm from where a face has it",
+            file=file,
+            landmark=names[worst],
+            found=float(error[worst]),
+            expected=MISPLACED_MM,
+        )
+    return given, vertices
+
+
+def _misfit(points: Floats, rest: Floats) -> Floats:
+    scale, rotation, shift = similarity(points, rest)
+    return np.asarray(np.linalg.norm(scale * points @ rotation.T + shift - rest, axis=1))
+
+
+def _other_side(name: str) -> str:
+    sides = {"_l": "_r", "_r": "_l"}
+    return name[:-2] + sides.get(name[-2:], name[-2:])
+
+
+def _ljson(path: Path, content: Mapping[str, Any]) -> Points:
+    try:
+        group = next(iter(content["groups"].values())) if content["groups"] else content
+        rows = group["landmarks"]["points"]
+        masks = {label["label"].lower(): label["mask"] for label in group.get("labels", [])}
+        count = len(rows)
+        ordered = [masks[name] for names, _ in LABELS_68 for name in names if name in masks]
+        if [len(mask) for mask in ordered] == [length for _, length in LABELS_68]:
+            rows = [rows[number] for mask in ordered for number in mask]
+        points = {name: rows[number] for number, name in IBUG_68.items() if count == 68}
+    except (LookupError, TypeError, AttributeError, StopIteration) as error:
+        raise _unreadable(path, "not an ljson file with landmarks and points") from error
+    if count != 68:
+        raise _unreadable(path, f"{count} points; only the 68-point scheme is known")
+    return {name: _point(path, name, point) for name, point in points.items()}
+
+
+def _csv(path: Path, text: str) -> Points:
+    points: Points = {}
+    for number, line in enumerate(text.splitlines(), start=1):
+        cells = [cell.strip() for cell in line.split(",")]
+        if not any(cells) or (number == 1 and cells[0].lower() in ("name", "landmark")):
+            continue
+        if len(cells) != 4:
+            raise _unreadable(path, "four columns are expected: name, x, y, z", line=number)
+        points[cells[0]] = _point(path, cells[0], cells[1:], line=number)
+    if not points:
+        raise _unreadable(path, "it holds no landmarks")
+    return points
+
+
+def _point(path: Path, name: str, value: Any, **where: Any) -> Floats:
+    try:
+        x, y, z = (float(number) for number in value)
+    except (TypeError, ValueError, OverflowError):
+        raise _unreadable(path, f"{name} is not three numbers", landmark=name, **where) from None
+    if not all(math.isfinite(number) for number in (x, y, z)):
+        raise _unreadable(path, f"{name} is not finite", landmark=name, **where)
+    return np.array([x, y, z])
+
+
+def _unreadable(path: Path, reason: str, **where: Any) -> InputError:
+    place = f", line {where['line']}" if "line" in where else ""
+    return InputError(
+        "landmarks.unreadable", f"{path.name}{place}: {reason}", file=path.name, **where
+    )
+
+
+PIXELS = 512
+YAWS = np.radians([0.0, -25.0, 25.0])
+GREY = (0.5, 0.5, 0.5)
+AGREE_MM = 6.0
+"""A landmark counts if two views have it this close together."""
+
+
+def find_landmarks(scan: Surface, face: Floats, model: Path) -> Points:
+    """Return name -> point (3,) of those landmarks that two views agree on.
+
+    Parameters
+    ----------
+    scan
+        In mm, upright, the face forward; with triangles.
+    face
+        (k, 3) points about where the face is, for the camera.
+    model
+        The landmarker's ``.task`` file.
+
+    Raises
+    ------
+    InputError
+        ``landmarks.extra`` if MediaPipe is not installed, ``landmarks.model`` if the file is
+        missing or no such model.
+    """
+    landmarker = _landmarker(model)
+    low, high = face.min(axis=0), face.max(axis=0)
+    body = Body(Lit(scan), np.broadcast_to(GREY, scan.vertices.shape))
+    seen: dict[str, list[Floats]] = {}
+    for yaw in YAWS:
+        camera = Camera((low + high) / 2, span=1.6 * float(high[1] - low[1]), yaw=yaw)
+        image = render([body], camera, PIXELS, PIXELS)
+        visible = look(camera, scan, PIXELS, PIXELS)
+        for name, (column, row) in _detect(landmarker, image).items():
+            point = _on_surface(scan, visible, column, row)
+            if point is not None:
+                seen.setdefault(name, []).append(point)
+    landmarker.close()
+    found = {name: _agreed(np.array(points)) for name, points in seen.items()}
+    return {name: point for name, point in found.items() if point is not None}
+
+
+def _landmarker(model: Path) -> Any:
+    if importlib.util.find_spec("mediapipe") is None:
+        raise InputError(
+            "landmarks.extra", "finding landmarks needs the extra: pip install 'myoface[mediapipe]'"
+        )
+    if not model.is_file():
+        raise InputError(
+            "landmarks.model", f"there is no face landmarker file {model}", file=str(model)
+        )
+    from mediapipe.tasks.python import BaseOptions, vision
+
+    options = vision.FaceLandmarkerOptions(
+        base_options=BaseOptions(model_asset_buffer=model.read_bytes())
+    )
+    try:
+        return vision.FaceLandmarker.create_from_options(options)
+    except (RuntimeError, ValueError) as error:
+        raise InputError(
+            "landmarks.model", f"{model.name} is no face landmarker: {error}", file=str(model)
+        ) from error
+
+
+def _detect(landmarker: Any, image: Pixels) -> dict[str, tuple[float, float]]:
+    """Return name -> pixel column and row; nothing where no face is seen."""
+    import mediapipe
+
+    pixels = np.ascontiguousarray(image * 255 + 0.5, np.uint8)
+    found = landmarker.detect(
+        mediapipe.Image(image_format=mediapipe.ImageFormat.SRGB, data=pixels)
+    ).face_landmarks
+    if not found:
+        return {}
+    return {
+        name: (PIXELS * found[0][number].x, PIXELS * found[0][number].y)
+        for number, name in MEDIAPIPE.items()
+    }
+
+
+def _on_surface(scan: Surface, visible: Visible, column: float, row: float) -> Floats | None:
+    """Return the point of the surface in a pixel; None where a hole is."""
+    x, y = int(column), int(row)
+    if not (0 <= x < PIXELS and 0 <= y < PIXELS) or visible.triangle[y, x] < 0:
+        return None
+    corners = scan.vertices[visible.faces[visible.triangle[y, x]]]
+    return np.asarray(visible.weights[y, x].astype(float) @ corners)
+
+
+def _agreed(points: Floats) -> Floats | None:
+    middle = np.median(points, axis=0)
+    close = np.linalg.norm(points - middle, axis=1) < AGREE_MM
+    return None if close.sum() < 2 else np.asarray(points[close].mean(axis=0))

@@ -1,0 +1,237 @@
+"""Named arrays and a JSON header in one NPZ file without pickles, with a hash of what is in it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import struct
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from tokenize import TokenError
+from typing import IO, Any
+from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile, ZipInfo
+
+import numpy as np
+import scipy.sparse as sp
+
+from solver.errors import InputError
+
+# Reading arrays that others packed: what a file claims is checked before room is made for it.
+#
+# A megabyte of NPZ can unpack to a gigabyte, and a header can claim any shape. So a file's list of
+# members is bounded, every member is an array of plain values whose header agrees with its size,
+# and all of them together are no larger than a limit. Pickles are never read.
+
+
+NOT_READABLE = (OSError, EOFError, BadZipFile, RuntimeError, struct.error, zlib.error)
+"""What reading a ZIP raises that is damaged, or packed in a way that is not known."""
+
+MOST_BYTES = 1 << 30
+"""What a file may unpack to."""
+MOST_DIRECTORY_BYTES = 1 << 20
+"""A ZIP's list of members; each takes about a hundred bytes of it."""
+PLAIN = "biufU"
+"""Kinds of values: booleans, whole numbers, floats and text."""
+
+END_OF_DIRECTORY = struct.Struct("<4s4H2LH")
+END_MAGIC, LARGE_MAGIC = b"PK\5\6", b"PK\6\7"
+LARGE_SIZE = 20
+LONGEST_COMMENT = 1 << 16
+ENCRYPTED = 1
+
+
+def read_arrays(path: Path, most_bytes: int = MOST_BYTES) -> dict[str, np.ndarray]:
+    """Return the arrays of an NPZ file that unpack to no more than ``most_bytes``.
+
+    Raises :class:`ValueError`, in words, for a file that is none, is damaged, holds more, or holds
+    anything but plain arrays.
+    """
+    try:
+        with path.open("rb") as stream:
+            check_directory(stream)
+            with ZipFile(stream) as archive:
+                members = archive.infolist()
+                _check_members(members, most_bytes)
+                for member in members:
+                    _check_array(archive, member)
+                return {member.filename[:-4]: _array(archive, member) for member in members}
+    except (*NOT_READABLE, ArithmeticError) as error:
+        raise ValueError(str(error)) from error
+
+
+def map_array(path: Path) -> np.ndarray:
+    """Return the array of an NPY file, mapped: its values are read when they are looked at.
+
+    Raises :class:`ValueError`, in words, for a file that is none or too short, and for anything
+    but plain values.
+    """
+    try:
+        with path.open("rb") as stream:
+            _check_size(stream, path.stat().st_size)
+        return np.lib.format.open_memmap(path, mode="r")
+    except (*NOT_READABLE, ArithmeticError) as error:
+        raise ValueError(str(error)) from error
+
+
+def check_directory(stream: IO[bytes]) -> None:
+    """Raise :class:`BadZipFile` if a ZIP's list of members is long, and go back to its beginning.
+
+    The list is read at once, and each entry becomes an object, and a file where it is unpacked. A
+    second end of the directory, for archives of many gigabytes, would overrule the first.
+    """
+    length = stream.seek(0, 2)
+    stream.seek(max(0, length - END_OF_DIRECTORY.size - LONGEST_COMMENT - LARGE_SIZE))
+    tail = stream.read()
+    place = tail.rfind(END_MAGIC)
+    if place < 0 or place + END_OF_DIRECTORY.size > len(tail):
+        raise BadZipFile("it is not a ZIP")
+    size = END_OF_DIRECTORY.unpack_from(tail, place)[5]
+    large = tail[max(0, place - LARGE_SIZE) : place].startswith(LARGE_MAGIC)
+    if large or size > MOST_DIRECTORY_BYTES:
+        raise BadZipFile("it lists too many members")
+    stream.seek(0)
+
+
+def _check_members(members: list[ZipInfo], most_bytes: int) -> None:
+    names = set()
+    for member in members:
+        name = member.filename
+        if not name.endswith(".npy"):
+            raise ValueError(f"it holds {name!r}, which is no array")
+        if name in names:
+            raise ValueError(f"it holds {name!r} twice")
+        names.add(name)
+        packed = member.compress_type in (ZIP_STORED, ZIP_DEFLATED)
+        if not packed or member.flag_bits & ENCRYPTED:
+            raise ValueError(f"{name!r} is encrypted or packed in another way than NumPy does")
+    size = sum(member.file_size for member in members)
+    if size > most_bytes:
+        raise ValueError(f"it unpacks to {size} bytes; at most {most_bytes} can be read")
+
+
+def _check_array(archive: ZipFile, member: ZipInfo) -> None:
+    with archive.open(member) as stream:
+        try:
+            _check_size(stream, member.file_size)
+        except ValueError as error:
+            raise ValueError(f"{member.filename}: {error}") from error
+
+
+def _array(archive: ZipFile, member: ZipInfo) -> np.ndarray:
+    with archive.open(member) as stream:
+        return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
+
+
+def _check_size(stream: IO[bytes], size: int) -> None:
+    """Raise unless a ``stream`` of so many bytes begins with an NPY header that fits it."""
+    shape, dtype = _header(stream)
+    if dtype.kind not in PLAIN or not dtype.itemsize:
+        raise ValueError(f"it holds {dtype}, not plain values")
+    if any(length < 0 for length in shape):
+        raise ValueError(f"it claims the shape {shape}")
+    needed = stream.tell() + math.prod(shape) * dtype.itemsize
+    if needed != size:
+        raise ValueError(f"it has {size} bytes where {dtype} of shape {shape} needs {needed}")
+
+
+def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
+    version = np.lib.format.read_magic(stream)
+    if version not in ((1, 0), (2, 0)):
+        raise ValueError(f"its format version {version} is not known")
+    first = version == (1, 0)
+    read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
+    try:
+        shape, _, dtype = read(stream)
+    except (MemoryError, RecursionError, SyntaxError, TokenError, TypeError) as error:
+        raise ValueError("its header is not one of NumPy's") from error
+    return shape, dtype
+
+
+Arrays = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Archive:
+    """What is stored: ``header``, JSON values with the ``format`` number, and ``arrays``."""
+
+    header: dict[str, Any]
+    arrays: Arrays
+
+    @property
+    def sha256(self) -> str:
+        """Return the hash of the content: of names, types, shapes and values, not of zip bytes."""
+        digest = hashlib.sha256(json.dumps(self.header, sort_keys=True).encode())
+        for name, array in sorted(self.arrays.items()):
+            values = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
+            digest.update(f"{name} {values.dtype.str} {values.shape}".encode())
+            digest.update(values.data)
+        return digest.hexdigest()
+
+    def write(self, path: Path) -> None:
+        """Write the file, replacing it whole: no reader ever sees half of it."""
+        header = np.frombuffer(json.dumps(self.header).encode(), dtype=np.uint8)
+        unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+        try:
+            with unfinished.open("wb") as stream:
+                np.savez_compressed(stream, allow_pickle=False, header=header, **self.arrays)
+            unfinished.replace(path)
+        finally:
+            unfinished.unlink(missing_ok=True)
+
+    @classmethod
+    def read(cls, path: Path, kind: str, noun: str, format_number: int) -> Archive:
+        """Read such a file; ``noun`` is what it should be, in words.
+
+        Raises :class:`InputError`: ``<kind>.unreadable`` if it is not one, ``<kind>.format`` if
+        its header has another format number.
+        """
+        try:
+            arrays = read_arrays(path)
+            header = json.loads(bytes(arrays.pop("header")))
+            found = header["format"]
+        except (LookupError, RecursionError, TypeError, ValueError) as error:
+            raise InputError(
+                f"{kind}.unreadable", f"{path.name} is not {noun}: {error}", file=path.name
+            ) from error
+        if found != format_number:
+            raise InputError(
+                f"{kind}.format",
+                f"{path.name} has {kind} format {found}, not {format_number}",
+                file=path.name,
+            )
+        return cls(header, arrays)
+
+
+def csr_arrays(name: str, matrix: sp.csr_array) -> Arrays:
+    """Return a CSR matrix as three arrays; its explicit zeros are kept."""
+    return {
+        f"{name}_data": matrix.data,
+        f"{name}_indices": matrix.indices,
+        f"{name}_indptr": matrix.indptr,
+    }
+
+
+def csr_from(name: str, arrays: Arrays, columns: int) -> sp.csr_array:
+    """Return the matrix that :func:`csr_arrays` described."""
+    indptr = arrays[f"{name}_indptr"]
+    parts = (arrays[f"{name}_data"], arrays[f"{name}_indices"], indptr)
+    return sp.csr_array(parts, shape=(len(indptr) - 1, columns))
+
+
+def with_prefix(arrays: Arrays, prefix: str) -> Arrays:
+    """Return the arrays whose names begin so, by the rest of their names."""
+    return {
+        name.removeprefix(prefix): array
+        for name, array in arrays.items()
+        if name.startswith(prefix)
+    }
+
+
+def cache_directory() -> Path:
+    """Return the cache folder: ``$MYOFACE_CACHE``, else ``~/.cache/myoface``; made if missing."""
+    folder = Path(os.environ.get("MYOFACE_CACHE") or Path.home() / ".cache" / "myoface")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder

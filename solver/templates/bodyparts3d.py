@@ -1,0 +1,233 @@
+"""Reading BodyParts3D (DBCLS, CC BY 4.0): its release 3.0, or ``index.csv`` and one PLY a part.
+
+BodyParts3D is in mm with x to the subject's left, -y forward and z up; everything here is returned
+with y up and z forward.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from solver.anatomy.domain import joined
+from solver.errors import InputError
+from solver.surface import Floats, Surface
+from solver.templates.downloads import (
+    PublicFile,
+    obj_mesh,
+    public_files,
+)
+
+# BodyParts3D as DBCLS publishes it: release 3.0, one OBJ an organ, named by its FMA id.
+#
+# ``data/bodyparts3d_parts.csv`` says which of its organs the face needs and what they are. Release
+# 4.0 (``FJ1234.obj`` with element lists) has no muscles of facial expression or mastication, and
+# another pose; it can not be used.
+
+
+def public_parts(folder: Path) -> list[tuple[str, str, Surface]]:
+    """Return (name, category, mesh) of the organs that the face needs, in BodyParts3D's axes (mm).
+
+    ``folder`` holds ``FMA*.obj`` at any depth, or the archive ``BodyParts3D_3.0_obj_99.zip``.
+
+    Raises
+    ------
+    InputError
+        ``anatomy.index`` if there is no such mesh, ``anatomy.release`` for release 4.0,
+        ``anatomy.part`` if an organ is missing, ``download.*`` for a file that can not be read.
+    """
+    files = {file.name: file for file in public_files(folder, ".obj")}
+    if not any(name.startswith(("FMA", "FJ")) for name in files):
+        raise InputError(
+            "anatomy.index",
+            f"there is neither index.csv nor an FMA*.obj of BodyParts3D in {folder}",
+            file=str(folder),
+        )
+    if not any(name.startswith("FMA") for name in files):
+        raise InputError(
+            "anatomy.release",
+            f"{folder} holds BodyParts3D 4.0, which has no muscles of the face; release 3.0 has",
+            file=str(folder),
+        )
+    with resources.files("solver.anatomy.data").joinpath("bodyparts3d_parts.csv").open() as table:
+        return [
+            (row["name"], row["category"], _surface(files, row["fma_id"], row["name"], folder))
+            for row in csv.DictReader(table)
+        ]
+
+
+def _surface(files: dict[str, PublicFile], fma_id: str, name: str, folder: Path) -> Surface:
+    file = files.get(f"{fma_id}.obj")
+    if file is None:
+        raise InputError(
+            "anatomy.part",
+            f"{folder} lacks {fma_id}.obj ({name}) of BodyParts3D 3.0",
+            file=f"{fma_id}.obj",
+            part=name,
+        )
+    vertices, polygons = obj_mesh(file)
+    if (polygons[:, 3] >= 0).any():
+        raise InputError("download.mesh", f"{file} has faces of four corners", file=str(file))
+    return Surface(vertices, polygons[:, :3])
+
+
+MIDDLE_X = -0.65
+"""The plane of symmetry is x = -0.65 mm."""
+_COLUMNS = {"fma_id", "category", "name"}
+# Chewing muscles of the face's outer layer; the pterygoids lie inside the jaw and the occipital
+# belly and temporoparietalis behind the flesh.
+_CHEWING = ("masseter", "temporalis")
+_BEHIND = ("occipitalis", "temporoparietalis")
+
+
+@dataclass(frozen=True)
+class Part:
+    """One anatomical part with its category in the index."""
+
+    category: str
+    surface: Surface
+
+
+RINGS = ("orbital", "palpebral")
+"""The two parts of orbicularis oculi, the larger first."""
+
+
+def to_subject_axes(points: Floats) -> Floats:
+    """Turn BodyParts3D's (x, -y forward, z up) into (x, y up, z forward)."""
+    return np.column_stack([points[:, 0], points[:, 2], -points[:, 1]])
+
+
+def read_parts(folder: Path) -> dict[str, Part]:
+    """Return name -> :class:`Part`, in mm with y up.
+
+    With an ``index.csv`` they are the meshes that it lists; without one, ``folder`` is the download
+    as DBCLS publishes it (:mod:`solver.templates.bodyparts3d`).
+
+    Raises
+    ------
+    InputError
+        ``anatomy.index`` if there is neither or the index lacks a column, ``anatomy.mesh`` if a
+        mesh it lists is missing or unreadable, or as
+        :func:`~solver.templates.bodyparts3d.public_parts`.
+    """
+    index = folder / "index.csv"
+    parts = _indexed(index) if index.is_file() else _published(folder)
+    for side in ("left", "right"):
+        _name_eye_rings(parts, side)
+    return parts
+
+
+def _published(folder: Path) -> dict[str, Part]:
+    return {
+        name: Part(category, surface.moved(to_subject_axes(surface.vertices)))
+        for name, category, surface in public_parts(folder)
+    }
+
+
+def _indexed(index: Path) -> dict[str, Part]:
+    with index.open(newline="") as stream:
+        reader = csv.DictReader(stream)
+        missing = _COLUMNS - set(reader.fieldnames or ())
+        if missing:
+            raise InputError(
+                "anatomy.index", f"{index} lacks the columns {sorted(missing)}", file=str(index)
+            )
+        return {
+            row["name"]: Part(row["category"], _read_mesh(index.with_name(f"{row['fma_id']}.ply")))
+            for row in reader
+        }
+
+
+def _name_eye_rings(parts: dict[str, Part], side: str) -> None:
+    """Give the larger eye ring the name of the orbital part: BodyParts3D 3.0 swaps the two."""
+    orbital, palpebral = (f"{part} part of {side} orbicularis oculi" for part in RINGS)
+    if not {orbital, palpebral} <= parts.keys():
+        return
+    if _height(parts[orbital]) < _height(parts[palpebral]):
+        parts[orbital], parts[palpebral] = parts[palpebral], parts[orbital]
+
+
+def _height(part: Part) -> float:
+    return float(np.ptp(part.surface.vertices[:, 1]))
+
+
+def _read_mesh(path: Path) -> Surface:
+    try:
+        mesh = trimesh.load_mesh(path, process=False)
+    except (OSError, ValueError, IndexError) as error:
+        raise InputError(
+            "anatomy.mesh", f"{path.name} can not be read: {error}", file=str(path)
+        ) from error
+    return Surface(
+        to_subject_axes(np.asarray(mesh.vertices, dtype=float)),
+        np.asarray(mesh.faces, dtype=np.int64),
+    )
+
+
+def muscle_names(parts: dict[str, Part]) -> list[str]:
+    """Return the muscles that move the face: the facial ones, then masseter and temporalis."""
+    facial = [
+        name
+        for name, part in parts.items()
+        if part.category == "facial_muscle" and not name.endswith(_BEHIND)
+    ]
+    chewing = [
+        name
+        for name, part in parts.items()
+        if part.category == "mastication_muscle" and name.endswith(_CHEWING)
+    ]
+    return sorted(facial) + sorted(chewing)
+
+
+def named(parts: dict[str, Part], name: str) -> Surface:
+    """Return a part's surface; raises :class:`InputError` (``anatomy.part``) if it is missing."""
+    if name not in parts:
+        raise InputError("anatomy.part", f"the anatomy has no part named '{name}'", part=name)
+    return parts[name].surface
+
+
+def reflected(points: Floats) -> Floats:
+    """Return points (..., 3) on the other side of the mid-plane."""
+    return np.asarray(points * np.array([-1.0, 1.0, 1.0]) + np.array([2 * MIDDLE_X, 0.0, 0.0]))
+
+
+def symmetric(parts: dict[str, Part]) -> dict[str, Part]:
+    """Return parts of the same names that are the left half of the anatomy and its mirror image.
+
+    The man is nearly symmetric (muscles to 0.5 mm), and what is carried into a symmetric head is
+    wanted so.
+    """
+    result = {}
+    for name, part in parts.items():
+        left = parts.get(name.replace("right", "left"))
+        surface = part.surface
+        if "right" in name and left is not None:
+            surface = _mirror_image(left.surface)
+        elif "left" not in name:
+            surface = _halves(surface)
+        result[name] = Part(part.category, surface)
+    return result
+
+
+def _mirror_image(surface: Surface) -> Surface:
+    return Surface(reflected(surface.vertices), surface.faces[:, ::-1].copy())
+
+
+def _halves(surface: Surface) -> Surface:
+    """Return the left half, cut at the mid-plane, and its mirror image."""
+    on_left = (surface.vertices[surface.faces, 0] > MIDDLE_X).any(axis=1)
+    numbers, faces = np.unique(surface.faces[on_left], return_inverse=True)
+    vertices = surface.vertices[numbers]
+    vertices[:, 0] = np.maximum(vertices[:, 0], MIDDLE_X)
+    half = Surface(vertices, faces.reshape(-1, 3).astype(np.int64))
+    return joined([half, _mirror_image(half)])
+
+
+def merged(parts: dict[str, Part], *categories: str) -> Surface:
+    """Return all parts of some categories as one surface."""
+    return joined([part.surface for part in parts.values() if part.category in categories])

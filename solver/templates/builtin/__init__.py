@@ -1,0 +1,1 @@
+"""The built-in template: a head of our own making with skull and muscles."""

@@ -1,0 +1,208 @@
+"""The built-in muscles: ribbons swept along published attachments, between skin and bone.
+
+``data/muscles.csv`` names, for each muscle, the points it runs through (``landmark+x/y/z``, in mm,
+x away from the mid-plane), its width at those points, its thickness and the depth of its middle
+under the skin, from origin to insertion. ``layer`` is ``bed`` for a muscle that keeps between the
+skin and what lies under it, ``under_arch`` for one that passes behind the zygomatic arch.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from importlib import resources
+
+import igl
+import numpy as np
+import trimesh
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter
+
+from solver.anatomy.template import Muscle
+from solver.surface import Floats, Ints, Surface
+from solver.templates.builtin.head import Head
+from solver.templates.builtin.skull import OuterSkin
+
+STEP_MM = 2.5
+SKIN_LAYER_MM = 1.0
+"""Least thickness of skin over a muscle, where there is room."""
+BED_GAP_MM = 0.3
+DEEPEST_MM = 40.0
+NORMAL_SMOOTHING = 6
+
+
+@dataclass(frozen=True)
+class MuscleRow:
+    """One line of the muscle table; ``path`` holds (landmark, offset) pairs."""
+
+    name: str
+    paired: bool
+    path: tuple[tuple[str, Floats], ...]
+    width: Floats
+    thickness: float
+    depth: Floats
+    layer: str
+    source: str
+
+
+def read_muscles() -> tuple[MuscleRow, ...]:
+    """Return the muscle table."""
+    with resources.files("solver.anatomy.data").joinpath("muscles.csv").open() as stream:
+        return tuple(_row(line) for line in csv.DictReader(stream))
+
+
+def _row(line: dict[str, str]) -> MuscleRow:
+    path = []
+    for point in line["path"].split():
+        landmark, offset = point.split("+", 1)
+        path.append((landmark, np.array([float(value) for value in offset.split("/")])))
+    return MuscleRow(
+        name=line["name"],
+        paired=line["paired"] == "yes",
+        path=tuple(path),
+        width=np.array(line["width_mm"].split(), dtype=float),
+        thickness=float(line["thickness_mm"]),
+        depth=np.array(line["depth_mm"].split(), dtype=float),
+        layer=line["layer"],
+        source=line["source"],
+    )
+
+
+def build_muscles(head: Head, skin: OuterSkin, bed: Surface) -> tuple[Muscle, ...]:
+    """Sweep every muscle of the table; ``bed`` is all that muscles can lie on: bones and linings.
+
+    Paired muscles get the suffixes ``_l`` and ``_r``, the right one being the mirror image.
+    """
+    sweep = _Sweep(head, skin.stretched_over(head.ears), bed)
+    muscles = []
+    for row in read_muscles():
+        left = sweep.muscle(row)
+        muscles += [left, _mirrored(left)] if row.paired else [left]
+    return tuple(muscles)
+
+
+def _mirrored(left: Muscle) -> Muscle:
+    flip = np.array([-1.0, 1.0, 1.0])
+    surface = Surface(left.surface.vertices * flip, left.surface.faces[:, ::-1].copy())
+    name = left.name.removesuffix("_l") + "_r"
+    return Muscle(name, surface, left.fibre * flip, left.origin * flip, left.insertion * flip)
+
+
+class _Sweep:
+    """Lays ribbons into the soft tissue of one head."""
+
+    def __init__(self, head: Head, skin: OuterSkin, bed: Surface) -> None:
+        self._head = head
+        self._skin = skin
+        self._bed = trimesh.Trimesh(bed.vertices, bed.faces, process=False)
+        self._normals = _smooth_normals(skin)
+
+    def muscle(self, row: MuscleRow) -> Muscle:
+        """Return the left (or the mid-line) muscle of a row."""
+        anchors = self._anchors(row)
+        length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(anchors, axis=0), axis=1))]
+        rows = max(5, round(length[-1] / STEP_MM))
+        columns = max(5, round(row.width.max() / STEP_MM))
+        along = np.linspace(0, length[-1], rows)
+        across = np.linspace(-1, 1, columns)
+        curve = CubicSpline(length, anchors)
+        centres, _ = self._on_skin(curve(along))
+        _, normals = self._on_skin(centres)
+        tangents = np.gradient(centres, axis=0)
+        sideways = np.cross(normals, tangents)
+        sideways /= np.linalg.norm(sideways, axis=1, keepdims=True)
+        half_width = np.interp(along, length, row.width) / 2
+        grid = centres[:, None] + (half_width[:, None] * across)[..., None] * sideways[:, None]
+        above, normals = self._on_skin(grid.reshape(-1, 3))
+        depth = np.interp(along, length, row.depth)
+        half_thickness = row.thickness / 2 * _profile(along / length[-1], across)
+        top = depth[:, None] - half_thickness
+        bottom = depth[:, None] + half_thickness
+        if row.layer == "bed":
+            room = self._room(above, normals).reshape(top.shape)
+            top, bottom = _fit_between(top, bottom, room)
+        upper, lower = (above - sheet.reshape(-1, 1) * normals for sheet in (top, bottom))
+        surface = _closed_sheet(np.concatenate([upper, lower]), rows, columns)
+        middle = ((upper + lower) / 2).reshape(rows, columns, 3).mean(axis=1)
+        fibre = middle[-1] - middle[0]
+        name = f"{row.name}_l" if row.paired else row.name
+        return Muscle(name, surface, fibre / np.linalg.norm(fibre), middle[0], middle[-1])
+
+    def _anchors(self, row: MuscleRow) -> Floats:
+        points = []
+        for landmark, offset in row.path:
+            marks = self._head.landmarks
+            vertex = marks[landmark] if landmark in marks else marks[f"{landmark}_l"]
+            points.append(self._head.neutral[vertex] + offset)
+        return self._on_skin(np.array(points))[0]
+
+    def _on_skin(self, points: Floats) -> tuple[Floats, Floats]:
+        """Return the closest skin points (k, 3) and the smoothed normals there."""
+        _, face, closest = self._skin.closest(np.ascontiguousarray(points))
+        normals = self._skin.interpolate(self._normals, face, closest)
+        return closest, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+    def _room(self, above: Floats, normals: Floats) -> Floats:
+        """Return the soft-tissue thickness (k,) from the skin inwards to the bed, in mm."""
+        room = np.full(len(above), DEEPEST_MM)
+        hits, ray, _ = self._bed.ray.intersects_location(
+            above - 0.2 * normals, -normals, multiple_hits=False
+        )
+        room[ray] = np.minimum(room[ray], np.linalg.norm(hits - above[ray], axis=1))
+        return room
+
+
+def _profile(along: Floats, across: Floats) -> Floats:
+    """Return the relative thickness (rows, columns): thinner towards the rim and the ends."""
+    side = np.sqrt(1 - 0.85 * across**2)
+    end = np.sqrt(1 - 0.7 * np.abs(2 * along - 1) ** 6)
+    return np.outer(end, side)
+
+
+def _fit_between(top: Floats, bottom: Floats, room: Floats) -> tuple[Floats, Floats]:
+    """Move and, where there is no room, thin a ribbon so that it lies between skin and bed."""
+    lowest = room - BED_GAP_MM
+    cover = np.minimum(SKIN_LAYER_MM, 0.35 * room)
+    down = (cover - top).clip(0)
+    top, bottom = top + down, bottom + down
+    up = (bottom - lowest).clip(0)
+    top, bottom = np.maximum(top - up, cover), bottom - up
+    top, bottom = (
+        gaussian_filter(top, 0.7, mode="nearest"),
+        gaussian_filter(bottom, 0.7, mode="nearest"),
+    )
+    bottom = np.minimum(bottom, lowest)
+    return np.minimum(top, bottom - 0.1 * room.clip(0, 4)), bottom
+
+
+def _closed_sheet(vertices: Floats, rows: int, columns: int) -> Surface:
+    """Join an upper and a lower sheet of rows x columns vertices along their rims."""
+    number = np.arange(rows * columns).reshape(rows, columns)
+    quads = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], -1)
+    upper = quads.reshape(-1, 4)
+    rim = np.r_[number[0, :-1], number[:-1, -1], number[-1, :0:-1], number[:0:-1, 0]]
+    following = np.roll(rim, -1)
+    lower = rows * columns
+    wall = np.stack([rim, following, following + lower, rim + lower], -1)
+    return Surface(
+        vertices, _outward(vertices, np.concatenate([upper, upper[:, ::-1] + lower, wall]))
+    )
+
+
+def _outward(vertices: Floats, quads: Ints) -> Ints:
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    corners = vertices[faces]
+    volume = np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
+    return faces if volume > 0 else faces[:, ::-1].copy()
+
+
+def _smooth_normals(skin: OuterSkin) -> Floats:
+    """Vertex normals averaged over neighbours, so that folds of lips and lids do not tear."""
+    adjacency = igl.adjacency_matrix(skin.faces).astype(float)
+    missing = len(skin.vertices) - adjacency.shape[0]
+    normals = skin.normals[: len(skin.vertices) - missing].copy()
+    degree = np.asarray(adjacency.sum(axis=1)).reshape(-1, 1)
+    for _ in range(NORMAL_SMOOTHING):
+        normals = np.where(degree > 0, normals + adjacency @ normals / degree.clip(1), normals)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-9)
+    return np.concatenate([normals, np.zeros((missing, 3))])

@@ -1,0 +1,371 @@
+"""Soft-tissue depths: how far the bone lies under the skin, from published means by landmark."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+from collections.abc import Callable
+from copy import copy
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+import igl
+import numpy as np
+import scipy.sparse as sp
+import trimesh
+from scipy.interpolate import (
+    CubicSpline,
+    RBFInterpolator,
+    RectBivariateSpline,
+    RegularGridInterpolator,
+)
+from scipy.ndimage import gaussian_filter, label
+from scipy.sparse.linalg import spsolve
+
+from solver.anatomy.template import Depth
+from solver.surface import Floats, Ints, Surface
+from solver.templates.builtin.head import Head
+
+HIDDEN_PART_OF_LINING = 0.97
+"""Skin that sees less than 3 % of its hemisphere is lining: mouth, eye sockets, nostrils."""
+
+NO_BONE = "aperture"
+"""Source of rows where there is no bone, which only say that it is not near."""
+
+DIRECTIONS = 400
+UNCHECKED = " Not yet compared with the printed table."
+OFF_SKIN_MM = 0.05
+
+
+class OuterSkin:
+    """The skin that is seen from outside, with the openings of mouth and eyes closed in effect.
+
+    The generalised winding number (Jacobson et al. 2013) of the visible faces alone is near one
+    inside the head and near zero outside, also across the small openings, so that the mouth's
+    cavity counts as inside.
+    """
+
+    def __init__(self, head: Head) -> None:
+        self.vertices = head.neutral
+        skin = head.faces[head.part_faces["skin"]]
+        normals = igl.per_vertex_normals(self.vertices, skin)
+        normals = np.nan_to_num(normals)
+        hidden = _hidden_part(head, normals)
+        hidden = np.minimum(hidden, hidden[head.mirror])
+        self.visible_vertices: Ints = np.intersect1d(
+            np.flatnonzero(hidden < HIDDEN_PART_OF_LINING), head.part_vertices["skin"]
+        )
+        visible = np.zeros(len(self.vertices), dtype=bool)
+        visible[self.visible_vertices] = True
+        self.faces: Ints = skin[visible[skin].all(axis=1)]
+        self.normals: Floats = normals
+        self._index()
+
+    def _index(self) -> None:
+        self._tree = igl.AABB()
+        self._tree.init(self.vertices, self.faces)
+
+    def stretched_over(self, vertices: Ints) -> OuterSkin:
+        """Return this skin with some vertices drawn tight between the others (harmonic).
+
+        Muscles beside the ear run under the head's side, not along the ear.
+        """
+        edges = igl.adjacency_matrix(self.faces).astype(float).tocsr()
+        laplacian = (sp.diags_array(edges.sum(axis=1).A1) - edges).tocsr()
+        free = np.intersect1d(vertices, self.visible_vertices)
+        rest = np.setdiff1d(np.unique(self.faces), free)
+        tight = copy(self)
+        tight.vertices = self.vertices.copy()
+        tight.vertices[free] = spsolve(
+            laplacian[free][:, free].tocsc(), -(laplacian[free][:, rest] @ self.vertices[rest])
+        )
+        tight.normals = np.nan_to_num(igl.per_vertex_normals(tight.vertices, self.faces))
+        tight._index()
+        return tight
+
+    def closest(self, points: Floats) -> tuple[Floats, Ints, Floats]:
+        """Return distance (k,), face (k,) and closest point (k, 3) of the visible skin."""
+        squared, face, closest = self._tree.squared_distance(self.vertices, self.faces, points)
+        return np.sqrt(squared), face, closest
+
+    def interpolate(self, values: Floats, face: Ints, point: Floats) -> Floats:
+        """Interpolate vertex ``values`` linearly at points (k, 3) of faces (k,)."""
+        corners = self.faces[face]
+        a, b, c = (self.vertices[corners[:, i]] for i in range(3))
+        weights = igl.barycentric_coordinates(point, a, b, c)
+        shape = (len(face), 3) + (1,) * (values.ndim - 1)
+        return np.asarray((values[corners] * weights.reshape(shape)).sum(axis=1))
+
+    def depth(self, points: Floats) -> tuple[Floats, Ints, Floats]:
+        """Return the depth under the skin (k,), positive inside, and the face and point above."""
+        distance, face, closest = self.closest(points)
+        inside = igl.fast_winding_number(self.vertices, self.faces, points) > 0.5
+        return np.where(inside, distance, -distance), face, closest
+
+
+def _hidden_part(head: Head, normals: Floats) -> Floats:
+    """Return for each vertex the part (n,) of directions above the skin that meet the head.
+
+    Eyes, teeth and tongue hide the linings behind them.
+    """
+    number = np.arange(DIRECTIONS)
+    height = 1 - (2 * number + 1) / DIRECTIONS
+    turn = np.pi * (3 - np.sqrt(5)) * number
+    around = np.sqrt(1 - height**2)
+    sphere = np.stack([around * np.cos(turn), height, around * np.sin(turn)], -1)
+    vertex, direction = np.nonzero(normals @ sphere.T > 0)
+    rays = trimesh.Trimesh(head.neutral, head.faces, process=False).ray
+    origins = head.neutral[vertex] + OFF_SKIN_MM * normals[vertex]
+    meets = rays.intersects_any(origins, sphere[direction])  # type: ignore[no-untyped-call]
+    counts = np.bincount(vertex, minlength=len(normals)).clip(1)
+    return np.asarray(np.bincount(vertex, meets, minlength=len(normals)) / counts)
+
+
+def depth_fields(head: Head) -> dict[str, Callable[[Floats], Floats]]:
+    """Return bone name -> function from skin points (k, 3) to the depth of that bone (k,), mm.
+
+    The table's means are interpolated with the radial kernel r, which passes through them.
+    """
+    rows = _read_table("soft_tissue_depths.csv")
+    fields: dict[str, Callable[[Floats], Floats]] = {}
+    for bone in ("cranium", "mandible"):
+        sites, depths = [], []
+        for row in (row for row in rows if row["bone"] == bone):
+            for name in sides(head, row["landmark"]):
+                sites.append(head.neutral[head.landmarks[name]])
+                depths.append(float(row["depth_mm"]))
+        fields[bone] = RBFInterpolator(np.array(sites), np.array(depths), kernel="linear")
+    return fields
+
+
+def depth_table(head: Head) -> tuple[Depth, ...]:
+    """Return the depths with their references, one a landmark, where there is bone.
+
+    Most were entered from memory of the cited tables: the reference says so until a row has been
+    compared with the printed one (``checked``).
+    """
+    references = {row["key"]: row["reference"] for row in _read_table("sources.csv")}
+    return tuple(
+        Depth(
+            name,
+            row["bone"],
+            float(row["depth_mm"]),
+            None,
+            references[row["source"]] + UNCHECKED * (row["checked"] == "no"),
+        )
+        for row in _read_table("soft_tissue_depths.csv")
+        if row["source"] != NO_BONE
+        for name in sides(head, row["landmark"])
+    )
+
+
+def _read_table(name: str) -> list[dict[str, str]]:
+    with resources.files("solver.anatomy.data").joinpath(name).open() as stream:
+        return list(csv.DictReader(stream))
+
+
+def sides(head: Head, landmark: str) -> list[str]:
+    """Return a mid-line landmark itself, or the left and right names of a paired one."""
+    names = (landmark, f"{landmark}_l", f"{landmark}_r")
+    return [name for name in names if name in head.landmarks]
+
+
+# The built-in skull: cranium and mandible as watertight surfaces under the skin.
+#
+# The skull is a set of implicit solids on a grid, in mm and positive inside: where published soft-
+# tissue depths say how deep the bone lies, the distance to the skin gives it; the fossae, orbits,
+# dental arches and the mandible's shape come from ``data/skull.json``. One half is computed and
+# mirrored.
+
+
+GRID_MM = 1.5
+LOWEST, HIGHEST = np.array([-81.0, -76.0, -100.0]), np.array([81.0, 154.5, 117.0])
+SMOOTHING_VOXELS = 0.8
+LEAST_CLEARANCE_MM = 2.4
+CRANIUM_FACES, MANDIBLE_FACES = 11000, 5000
+RELAXATIONS = 8
+
+
+@dataclass(frozen=True)
+class Skull:
+    """Both bones and the centres (2, 3) of the left and right condyle."""
+
+    cranium: Surface
+    mandible: Surface
+    condyles: Floats
+
+
+def build_skull(head: Head, skin: OuterSkin) -> Skull:
+    """Build cranium and mandible for the head at rest."""
+    shape = json.loads(resources.files("solver.anatomy.data").joinpath("skull.json").read_text())
+    grid = _HalfGrid()
+    # The bone behind the ear does not follow its relief.
+    smooth = skin.stretched_over(head.ears)
+    depth, face, _ = smooth.depth(grid.points)
+    fields = depth_fields(head)
+    at_vertices = {
+        bone: field(smooth.vertices).clip(LEAST_CLEARANCE_MM) for bone, field in fields.items()
+    }
+    under = {
+        bone: depth - values[skin.faces[face]].mean(axis=1) for bone, values in at_vertices.items()
+    }
+    depth = np.minimum(depth, skin.depth(grid.points)[0])
+    bones = {
+        "mandible": np.minimum(_mandible(grid.points, shape), under["mandible"]),
+        "cranium": _cranium(grid.points, shape, under["cranium"]),
+    }
+    for bone, jaw in (("mandible", "lower"), ("cranium", "upper")):
+        with_teeth = np.maximum(bones[bone], _teeth(grid.points, shape, jaw))
+        bones[bone] = np.minimum(with_teeth, depth - LEAST_CLEARANCE_MM)
+    mandible = bones["mandible"]
+    cranium = np.minimum(bones["cranium"], -shape["joint_gap_mm"] - mandible)
+    centre = np.array(shape["mandible"]["condyle"]["centre"])
+    return Skull(
+        cranium=grid.surface(cranium, CRANIUM_FACES),
+        mandible=grid.surface(mandible, MANDIBLE_FACES),
+        condyles=np.stack([centre, centre * [-1, 1, 1]]),
+    )
+
+
+class _HalfGrid:
+    """Grid points of the left half (x >= 0), and surfaces of fields over both halves."""
+
+    def __init__(self) -> None:
+        self.axes = [
+            np.arange(low, high + GRID_MM / 2, GRID_MM)
+            for low, high in zip(LOWEST, HIGHEST, strict=True)
+        ]
+        left = self.axes[0][self.axes[0] >= -GRID_MM / 4]
+        self.shape = (len(left), len(self.axes[1]), len(self.axes[2]))
+        self.points = np.stack(np.meshgrid(left, *self.axes[1:], indexing="ij"), -1).reshape(-1, 3)
+
+    def surface(self, field: Floats, faces: int) -> Surface:
+        """Return the zero surface of the mirrored field's largest solid, decimated."""
+        half = field.reshape(self.shape)
+        whole = np.concatenate([half[:0:-1], half]).clip(-4 * GRID_MM, 4 * GRID_MM)
+        whole = gaussian_filter(whole, SMOOTHING_VOXELS)
+        whole = np.pad(whole[1:-1, 1:-1, 1:-1], 1, constant_values=-GRID_MM)
+        solids, _ = label(whole > 0)
+        largest = np.bincount(solids.ravel())[1:].argmax() + 1
+        whole[(solids > 0) & (solids != largest)] = -GRID_MM / 2
+        # igl numbers grid points with the first axis fastest.
+        points = np.stack(np.meshgrid(*self.axes, indexing="ij"), -1)
+        points = points.transpose(2, 1, 0, 3).reshape(-1, 3)
+        vertices, triangles, _ = igl.marching_cubes(
+            whole.transpose(2, 1, 0).ravel(), points, *whole.shape, 0.0
+        )
+        return _decimated(vertices, triangles[:, ::-1], faces)
+
+
+def _decimated(vertices: Floats, triangles: Ints, faces: int) -> Surface:
+    """Smooth away the grid's steps and keep about ``faces`` triangles, most where it curves."""
+    mesh = trimesh.Trimesh(vertices, triangles, process=False)
+    trimesh.smoothing.filter_taubin(mesh, iterations=6)  # type: ignore[no-untyped-call]
+    fine, fine_faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    coarse, kept, _, _ = igl.qslim(fine, fine_faces, faces)
+    kept = np.ascontiguousarray(kept)
+    # Where bone is flat, quadrics may put a vertex anywhere, and triangles fold over: even the
+    # vertices out on the surface.
+    neighbours = igl.adjacency_matrix(kept).astype(float)
+    count = np.asarray(neighbours.sum(axis=1)).reshape(-1, 1)
+    for _ in range(RELAXATIONS):
+        even = (coarse + neighbours @ coarse / count) / 2
+        _, _, coarse = igl.point_mesh_squared_distance(even, fine, fine_faces)
+    return Surface(np.ascontiguousarray(coarse), kept)
+
+
+def _cranium(points: Floats, shape: dict[str, Any], under_skin: Floats) -> Floats:
+    x, y, z = points.T
+    limit = shape["lateral_limit"]
+    side = RegularGridInterpolator(
+        (limit["y"], limit["z"]), limit["x"], bounds_error=False, fill_value=None
+    )
+    base = np.array(shape["base_height"]["points"])
+    solid = np.minimum(under_skin, y - np.interp(z, base[:, 0], base[:, 1]))
+    solid = np.minimum(solid, side(np.stack([y, z], -1)) - x)
+    solid = np.maximum(solid, _bar(points, np.array(shape["zygomatic_arch"]["points"])))
+    for hollow in ("piriform_aperture", "palate"):
+        ellipsoid = _ellipsoid(points, shape[hollow]["centre"], shape[hollow]["radii"])
+        solid = np.minimum(solid, -ellipsoid)
+    return np.asarray(np.minimum(solid, -_orbit(points, shape["orbit"])))
+
+
+def _orbit(points: Floats, orbit: dict[str, Any]) -> Floats:
+    """Half an ellipsoid behind the rim, and a cylinder before it."""
+    turn = np.radians(orbit["medial_turn_deg"])
+    backwards = np.array([-np.sin(turn), 0, -np.cos(turn)])
+    sideways = np.array([np.cos(turn), 0, -np.sin(turn)])
+    from_rim = points - orbit["rim"]
+    local = np.stack([from_rim @ sideways, from_rim[:, 1], (from_rim @ backwards).clip(0)], -1)
+    return _ellipsoid(local, np.zeros(3), orbit["radii"])
+
+
+def _mandible(points: Floats, shape: dict[str, Any]) -> Floats:
+    bone = shape["mandible"]
+    body = np.array(bone["body"])
+    other_side = body[:0:-1] * [-1, 1, 1, 1]
+    solid = _thick_patch(points, np.concatenate([other_side, body]))
+    solid = np.maximum(solid, _thick_patch(points, np.array(bone["ramus"])))
+    for process in ("neck", "coronoid"):
+        solid = np.maximum(solid, _bar(points, np.array(bone["processes"][process])))
+    condyle = _ellipsoid(points, bone["condyle"]["centre"], bone["condyle"]["radii"])
+    return np.maximum(solid, condyle)
+
+
+def _thick_patch(points: Floats, controls: Floats, samples: int = 40) -> Floats:
+    """Return half thickness minus distance for a smooth patch of (x, y, z, half thickness)."""
+    rows, columns = controls.shape[:2]
+    u, v = np.linspace(0, rows - 1, samples), np.linspace(0, columns - 1, samples)
+    splines = [
+        RectBivariateSpline(
+            np.arange(rows), np.arange(columns), controls[..., i], kx=min(3, rows - 1), ky=2
+        )(u, v)
+        for i in range(4)
+    ]
+    patch = np.stack(splines, -1).reshape(-1, 4)
+    first = (np.arange(samples - 1)[:, None] * samples + np.arange(samples - 1)).ravel()
+    quads = np.stack([first, first + 1, first + samples + 1, first + samples], -1)
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    vertices = np.ascontiguousarray(patch[:, :3])
+    squared, face, _ = igl.point_mesh_squared_distance(points, vertices, faces)
+    return np.asarray(patch[faces[face], 3].mean(axis=1) - np.sqrt(squared))
+
+
+def _bar(points: Floats, controls: Floats) -> Floats:
+    """Return radius minus distance for a round bar along (x, y, z, radius)."""
+    solid = np.full(len(points), -np.inf)
+    for start, end in itertools.pairwise(controls):
+        along = end[:3] - start[:3]
+        t = ((points - start[:3]) @ along / (along @ along)).clip(0, 1)
+        distance = np.linalg.norm(points - start[:3] - t[:, None] * along, axis=1)
+        solid = np.maximum(solid, start[3] + t * (end[3] - start[3]) - distance)
+    return solid
+
+
+def _ellipsoid(points: Floats, centre: Any, radii: Any) -> Floats:
+    """Return about the distance to an ellipsoid, positive inside."""
+    scaled = np.linalg.norm((points - centre) / radii, axis=1)
+    gradient = np.linalg.norm((points - centre) / np.square(radii), axis=1)
+    return np.asarray((1 - scaled) * scaled / np.maximum(gradient, 1e-9))
+
+
+def _teeth(points: Floats, shape: dict[str, Any], jaw: str) -> Floats:
+    """Return the crowns of one jaw, set side by side along the dental arch."""
+    arch = np.array(shape["dental_arch"][jaw], dtype=float)
+    length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(arch, axis=0), axis=1))]
+    curve = CubicSpline(length, arch)
+    crowns = shape["teeth"][jaw]
+    solid = np.full(len(points), -np.inf)
+    start = 0.0
+    for width in crowns["widths"]:
+        (x, z), (dx, dz) = curve(start + width / 2), curve(start + width / 2, 1)
+        along = np.array([dx, 0, dz]) / np.hypot(dx, dz)
+        across = np.array([-along[2], 0, along[0]])
+        offset = points - [x, crowns["y"], z]
+        local = np.stack([offset @ along, offset[:, 1], offset @ across], -1)
+        radii = [0.58 * width, crowns["half_height"], crowns["half_depth"]]
+        solid = np.maximum(solid, _ellipsoid(local, np.zeros(3), radii))
+        start += width
+    return solid

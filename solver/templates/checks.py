@@ -1,0 +1,485 @@
+"""Checks of a template's skin, bones, landmarks, depths and tetrahedra."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import igl
+import numpy as np
+
+from solver.anatomy.depth_warp import (
+    SkinDepth,
+    boundary_edges,
+)
+from solver.anatomy.muscle_weights import contains, enclosed_volume, muscle_volumes
+from solver.anatomy.template import Muscle, Template
+from solver.anatomy.tetrahedra import dihedral_angles, volumes
+from solver.errors import (
+    Finding,
+    error,
+    warning,
+)
+from solver.registration.landmarks import (
+    IBUG_68,
+    SYNONYMS,
+)
+from solver.surface import Floats, Surface, directed_edges
+
+FACE_MM = (90.0, 320.0)
+"""Least and greatest height of the part of a head that is fitted."""
+TOUCHING_MM = 0.3
+"""Bone may lie this far outside the skin, or in another bone, by rounding alone."""
+CONDYLE_MM = 8.0
+"""A condyle's centre is at most this far from the mandible's surface."""
+DEPTH_MM = (1.0, 45.0)
+"""Soft tissue is never thinner or thicker on a face."""
+DEPTH_SD, DEPTH_SLACK_MM = 3.0, 4.0
+"""The template's depth may differ by so many deviations, and by so much where none is known."""
+LEAST_DIHEDRAL_DEG = 5.0
+VOLUME_KEPT = 0.85
+"""Part of a muscle's volume that its tetrahedra should have."""
+SIDES = (("_l", "_r", 1.0), ("_r", "_l", -1.0))
+
+
+def flesh_surface(template: Template) -> Surface:
+    """Return the part of the skin that bounds the flesh."""
+    return Surface(template.skin.vertices, template.skin.faces[template.flesh_faces])
+
+
+def check_description(template: Template) -> Iterator[Finding]:
+    """Check that the template says where it is from and what it may be used for."""
+    if template.licence.strip().lower() in ("", "unknown"):
+        yield warning(
+            "licence.missing", "template", "nobody said under which licence it may be used"
+        )
+    if not template.source.strip():
+        yield warning("source.missing", "template", "nobody said what it was made from")
+
+
+def check_skin(template: Template) -> Iterator[Finding]:
+    """Check size, orientation and topology of the skin, and the sets of its vertices."""
+    skin, flesh = template.skin, flesh_surface(template)
+    height = float(np.ptp(skin.vertices[template.face_vertices, 1]))
+    if not FACE_MM[0] <= height <= FACE_MM[1]:
+        yield error(
+            "skin.size",
+            "skin",
+            f"the face is {height:.4g} mm high: the unit or the axes are not those of the template",
+        )
+    crowded = _edges_of_many_faces(skin)
+    if crowded:
+        yield error("skin.edges", "skin", f"{crowded} edges belong to more than two triangles")
+    flat = int(np.sum(igl.doublearea(skin.vertices, skin.faces) < 1e-9))
+    if flat:
+        yield warning("skin.flat", "skin", f"{flat} triangles have no area")
+    if _signed_volume(flesh) < 0:
+        yield error("skin.inside_out", "skin", "its triangles are turned inwards")
+    outside = np.setdiff1d(template.face_vertices, flesh.faces)
+    if len(outside):
+        yield error(
+            "parts.face",
+            "face",
+            f"{len(outside)} vertices, the first is {outside[0]}, have no flesh",
+        )
+    both = np.intersect1d(template.attached_cranium, template.attached_mandible)
+    if len(both):
+        yield error("parts.attached", "skin", f"vertex {both[0]} moves with both bones")
+    behind = skin.vertices[template.face_vertices] <= [-np.inf, template.bottom_y, template.back_z]
+    if behind.any():
+        count = int(behind.any(axis=1).sum())
+        yield error(
+            "planes", "face", f"{count} vertices of the face are behind or below the planes"
+        )
+    if np.linalg.norm(template.parting, axis=1).max() < 0.5:
+        yield warning("parting", "skin", "the lips are not parted: closed ones can not be meshed")
+
+
+def check_bones(template: Template) -> Iterator[Finding]:
+    """Check that the bones are solid, under the skin, and apart; and the condyles."""
+    depth = SkinDepth(flesh_surface(template))
+    bones = {"cranium": template.cranium, "mandible": template.mandible}
+    for name, bone in bones.items():
+        if len(boundary_edges(bone.faces)[0]) or _edges_of_many_faces(bone):
+            yield error("bone.open", name, "its surface is not closed")
+        elif _signed_volume(bone) < 0:
+            yield error("bone.inside_out", name, "its triangles are turned inwards")
+        out = _through_face(template, depth, bone)
+        if len(out):
+            yield error(
+                "bone.outside",
+                name,
+                f"{len(out)} vertices come through the face, up to {out.max():.1f} mm",
+            )
+    shared = bones["mandible"].vertices[contains(bones["cranium"], bones["mandible"].vertices)]
+    if len(shared):
+        deep = distance_to(bones["cranium"], shared).max()
+        if deep > TOUCHING_MM:
+            yield error("bone.overlap", "mandible", f"it is up to {deep:.1f} mm inside the cranium")
+    gap = distance_to(template.mandible, template.condyles)
+    for side, sign, condyle, far in zip(
+        ("left", "right"), (1, -1), template.condyles, gap, strict=True
+    ):
+        if condyle[0] * sign <= 0:
+            yield error("condyle.side", f"{side} condyle", "it is on the other side")
+        if far > CONDYLE_MM:
+            yield error("condyle.place", f"{side} condyle", f"it is {far:.1f} mm from the mandible")
+
+
+def check_landmarks(template: Template) -> Iterator[Finding]:
+    """Check that landmarks are there, lie on their side, and come in pairs."""
+    if not template.landmarks:
+        yield error("landmarks.missing", "landmarks", "there is none")
+    used = np.unique(flesh_surface(template).faces)
+    known = {SYNONYMS.get(name, name) for name in template.landmarks}
+    unknown = sorted(set(IBUG_68.values()) - known)
+    if unknown:
+        yield warning(
+            "landmarks.scheme",
+            "landmarks",
+            f"missing of those that landmark files of scans name: {', '.join(unknown)}",
+        )
+    alone = []
+    for name, vertex in template.landmarks.items():
+        if vertex not in used:
+            yield warning(
+                "landmarks.place", name, f"vertex {vertex} is not on the skin of the flesh"
+            )
+        for own, other, sign in SIDES:
+            if name.endswith(own):
+                if sign * template.skin.vertices[vertex, 0] <= 0:
+                    yield error("landmarks.side", name, "it is on the other side: left is +x")
+                if name.removesuffix(own) + other not in template.landmarks:
+                    alone.append(name)
+    if alone:
+        yield warning("landmarks.pair", "landmarks", f"without a partner: {', '.join(alone)}")
+
+
+def check_depths(template: Template) -> Iterator[Finding]:
+    """Check the table of soft-tissue depths, and the bones by it."""
+    if not template.depths:
+        yield warning("depths.missing", "depths", "there is no table of soft-tissue depths")
+    flesh = flesh_surface(template)
+    normals = np.nan_to_num(igl.per_vertex_normals(flesh.vertices, flesh.faces))
+    for row in template.depths:
+        if row.landmark not in template.landmarks:
+            yield error(
+                "depths.landmark", row.landmark, "the table names it, but it is no landmark"
+            )
+            continue
+        if not DEPTH_MM[0] <= row.mean <= DEPTH_MM[1]:
+            yield error("depths.range", row.landmark, f"a depth of {row.mean:g} mm can not be")
+        if row.deviation is not None and not 0 < row.deviation < row.mean:
+            yield error(
+                "depths.range", row.landmark, f"a deviation of {row.deviation:g} mm can not be"
+            )
+        vertex = template.landmarks[row.landmark]
+        bone = template.cranium if row.bone == "cranium" else template.mandible
+        near, across = _depths_of(bone, template.skin.vertices[vertex], normals[vertex])
+        allowed = max(DEPTH_SLACK_MM, DEPTH_SD * (row.deviation or 0.0))
+        if not near - allowed <= row.mean <= across + allowed:
+            found = near if row.mean < near else across
+            yield warning(
+                "depths.bone",
+                row.landmark,
+                f"the {row.bone} is {found:.1f} mm under it, the table says {row.mean:g} mm",
+            )
+
+
+def check_mesh(template: Template) -> Iterator[Finding]:
+    """Check the tetrahedra and what they hold of the muscles."""
+    mesh = template.mesh
+    if mesh is None:
+        yield warning(
+            "mesh.missing", "mesh", "no tetrahedra yet: they are made with the first subject"
+        )
+        return
+    inverted = int(np.sum(volumes(mesh.vertices, mesh.tets) <= 0))
+    if inverted:
+        yield error("mesh.inverted", "mesh", f"{inverted} tetrahedra are inside out")
+    angle = float(dihedral_angles(mesh.vertices, mesh.tets).min())
+    if angle < LEAST_DIHEDRAL_DEG:
+        yield warning("mesh.flat", "mesh", f"the smallest dihedral angle is {angle:.1f} degrees")
+    lost = np.setdiff1d(template.face_vertices, mesh.embedded)
+    if len(lost):
+        yield error("mesh.uncovered", "mesh", f"{len(lost)} vertices of the face do not follow it")
+    candidates = np.bincount(mesh.weights.indices, minlength=len(template.muscles) + 1)[1:]
+    held = muscle_volumes(mesh.vertices, mesh.tets, mesh.weights)
+    for muscle, count, volume in zip(template.muscles, candidates, held, strict=True):
+        if not count:
+            yield error("mesh.candidates", muscle.name, "no tetrahedron is near it")
+            continue
+        if not in_front(template, muscle.surface.vertices).all():
+            continue
+        kept = volume / max(enclosed_volume(muscle.surface), 1e-9)
+        if kept < VOLUME_KEPT:
+            yield warning("mesh.volume", muscle.name, f"{kept:.0%} of its volume is in tetrahedra")
+
+
+def distance_to(surface: Surface, points: Floats) -> Floats:
+    """Return distances (n,) in mm from points to a surface."""
+    points = np.ascontiguousarray(points, dtype=float)
+    squared = igl.point_mesh_squared_distance(points, surface.vertices, surface.faces)[0]
+    distances: Floats = np.sqrt(np.asarray(squared))
+    return distances
+
+
+def in_front(template: Template, points: Floats) -> np.ndarray:
+    """Return (n,) True where there is flesh by the template's planes."""
+    return np.asarray((points[:, 2] > template.back_z) & (points[:, 1] > template.bottom_y))
+
+
+def _through_face(template: Template, depth: SkinDepth, bone: Surface) -> Floats:
+    """Return how far (k,) vertices are outside the face: teeth may be in the mouth's opening."""
+    ahead = np.ascontiguousarray(bone.vertices[in_front(template, bone.vertices)])
+    if not len(ahead):
+        return np.zeros(0)
+    out = -depth(ahead)[0]
+    flesh = flesh_surface(template)
+    nearest = igl.point_mesh_squared_distance(ahead, flesh.vertices, flesh.faces)[1]
+    by_face = np.isin(flesh.faces[nearest], template.face_vertices).all(axis=1)
+    return np.asarray(out[by_face & (out > TOUCHING_MM)])
+
+
+def _depths_of(bone: Surface, point: Floats, normal: Floats) -> tuple[float, float]:
+    """Return how far in mm a bone is from a point of the skin, and how far along the normal.
+
+    Tables measure across the skin (Stephan and Simpson 2008), which way that is on a slope differs.
+    """
+    near = float(distance_to(bone, point[None])[0])
+    hits = igl.ray_mesh_intersect(point, -normal, bone.vertices, bone.faces)
+    return near, float(hits[0][1]) if hits else near
+
+
+def _signed_volume(surface: Surface) -> float:
+    """Return the volume in mm^3, negative if the triangles are turned inwards; holes are closed."""
+    corners = surface.vertices - surface.vertices[surface.faces].mean(axis=(0, 1))
+    volume = np.linalg.det(corners[surface.faces]).sum()
+    edges, hole = boundary_edges(surface.faces)
+    for number in np.unique(hole):
+        rim = edges[hole == number]
+        middle = corners[np.unique(rim)].mean(axis=0)
+        caps = np.stack([corners[rim[:, 1]], corners[rim[:, 0]], np.tile(middle, (len(rim), 1))], 1)
+        volume += np.linalg.det(caps).sum()
+    return float(volume) / 6.0
+
+
+def _edges_of_many_faces(surface: Surface) -> int:
+    """Return how many edges belong to more than two triangles."""
+    edges = directed_edges(surface.faces)
+    counts = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)[1]
+    return int(np.sum(counts > 2))
+
+
+# Checks of a template's muscles: where they lie, what they are attached to, their partners.
+
+
+LEAST_MM3 = 15.0
+"""No muscle of the face is smaller."""
+OPEN_EDGES = 12
+"""Smaller gaps do not matter: the inside is found by winding numbers."""
+OUT_MM = 0.5
+"""Vertices further outside the flesh, or deeper in a bone, are counted."""
+FEW, MOST = 0.05, 0.5
+"""Parts of a muscle's vertices that are worth a look, and that make it useless."""
+ORIGIN_MM, INSERTION_MM = 15.0, 20.0
+"""How far the middle of an attachment may be from bone or skin: it is the middle of a broad one."""
+PARTNER_MM, PARTNER_VOLUME = 8.0, 1.5
+"""How far two partners' middles may be from mirror images, and the greatest ratio of volumes."""
+
+
+def check_muscles(template: Template) -> Iterator[Finding]:
+    """Check every muscle by itself, then each pair."""
+    names = [muscle.name for muscle in template.muscles]
+    if not names:
+        yield error("muscles.missing", "muscles", "there is none")
+    for name in sorted({name for name in names if names.count(name) > 1}):
+        yield error("muscle.twice", name, "there are several of that name")
+    depth = SkinDepth(flesh_surface(template))
+    for muscle in template.muscles:
+        yield from _check_shape(muscle)
+        yield from _check_place(template, muscle, depth)
+        yield from _check_attachments(template, muscle)
+    yield from _check_pairs(template)
+
+
+def _check_shape(muscle: Muscle) -> Iterator[Finding]:
+    volume = enclosed_volume(muscle.surface)
+    if volume < LEAST_MM3:
+        yield error("muscle.volume", muscle.name, f"it encloses {volume:.1f} mm3, which is nothing")
+    open_edges = len(boundary_edges(muscle.surface.faces)[0])
+    if open_edges > OPEN_EDGES:
+        yield warning("muscle.open", muscle.name, f"its surface has {open_edges} open edges")
+    if not np.isclose(np.linalg.norm(muscle.fibre), 1.0, atol=1e-3):
+        yield error("muscle.fibre", muscle.name, "its fibre axis is not of length 1")
+
+
+def _check_place(template: Template, muscle: Muscle, depth: SkinDepth) -> Iterator[Finding]:
+    points = muscle.surface.vertices
+    ahead = in_front(template, points)
+    if not ahead.any():
+        yield error("muscle.behind", muscle.name, "all of it is behind or below the planes")
+        return
+    points = np.ascontiguousarray(points[ahead])
+    out = -depth(points)[0]
+    yield from _share(muscle, "muscle.outside", "outside the flesh", out)
+    for name, bone in (("cranium", template.cranium), ("mandible", template.mandible)):
+        within = contains(bone, points)
+        deep = np.where(within, distance_to(bone, points), 0.0)
+        yield from _share(muscle, "muscle.in_bone", f"inside the {name}", deep)
+
+
+def _share(muscle: Muscle, code: str, where: str, millimetres: np.ndarray) -> Iterator[Finding]:
+    share = float(np.mean(millimetres > OUT_MM))
+    if share > FEW:
+        kind = error if share > MOST else warning
+        yield kind(
+            code, muscle.name, f"{share:.0%} of it is {where}, up to {millimetres.max():.1f} mm"
+        )
+
+
+def _check_attachments(template: Template, muscle: Muscle) -> Iterator[Finding]:
+    if muscle.ring:
+        return
+    bones = [
+        distance_to(bone, muscle.origin[None])[0] for bone in (template.cranium, template.mandible)
+    ]
+    if min(bones) > ORIGIN_MM and in_front(template, muscle.origin[None]).all():
+        yield warning(
+            "muscle.origin", muscle.name, f"its origin is {min(bones):.0f} mm from any bone"
+        )
+    ends = [flesh_surface(template), template.cranium, template.mandible]
+    far = min(distance_to(end, muscle.insertion[None])[0] for end in ends)
+    if far > INSERTION_MM:
+        yield warning(
+            "muscle.insertion", muscle.name, f"its insertion is {far:.0f} mm from the skin"
+        )
+    if (muscle.insertion - muscle.origin) @ muscle.fibre < 0:
+        yield error("muscle.fibre", muscle.name, "its fibre axis runs from insertion to origin")
+
+
+def _check_pairs(template: Template) -> Iterator[Finding]:
+    muscles = {muscle.name: muscle for muscle in template.muscles}
+    for name, muscle in muscles.items():
+        partner = _partner(name)
+        if partner is None:
+            continue
+        if partner not in muscles:
+            yield warning("muscle.pair", name, f"there is no {partner}")
+        elif _is_left(name):
+            yield from _check_pair(name, muscle.surface, muscles[partner].surface)
+
+
+def _check_pair(name: str, left: Surface, right: Surface) -> Iterator[Finding]:
+    middles = [surface.vertices.mean(axis=0) for surface in (left, right)]
+    if middles[0][0] < middles[1][0]:
+        yield error("muscle.side", name, "left and right are swapped: left is +x")
+        return
+    apart = float(np.linalg.norm(middles[0] * [-1, 1, 1] - middles[1]))
+    if apart > PARTNER_MM:
+        yield warning("muscle.pair", name, f"its partner is {apart:.0f} mm from its mirror image")
+    ratio = enclosed_volume(left) / max(enclosed_volume(right), 1e-9)
+    if not 1 / PARTNER_VOLUME < ratio < PARTNER_VOLUME:
+        yield warning("muscle.pair", name, f"it has {ratio:.2f} times its partner's volume")
+
+
+def _partner(name: str) -> str | None:
+    """Return the name of a muscle's partner on the other side; None of one in the middle."""
+    swapped = {"left": "right", "right": "left", "_l": "_r", "_r": "_l"}
+    found = re.search(r"\b(left|right)\b|_[lr]$", name)
+    if found is None:
+        return None
+    return name[: found.start()] + swapped[found[0]] + name[found.end() :]
+
+
+def _is_left(name: str) -> bool:
+    return name.endswith("_l") or re.search(r"\bleft\b", name) is not None
+
+
+# Whether a template is sound as anatomy: findings in plain words, and the figures behind them.
+
+
+@dataclass(frozen=True)
+class TemplateReport:
+    """What was found, the worst first, and ``figures`` (JSON values) about the template."""
+
+    findings: tuple[Finding, ...]
+    figures: dict[str, Any]
+
+    @property
+    def good(self) -> bool:
+        """Whether the template can be used: there is no error."""
+        return not any(finding.severity == "error" for finding in self.findings)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the report as JSON values."""
+        return {
+            "good": self.good,
+            "findings": [asdict(finding) for finding in self.findings],
+            "figures": self.figures,
+        }
+
+
+def report_template(template: Template) -> TemplateReport:
+    """Return what is wrong with, or worth a look at, a template whose arrays fit together."""
+    checks = (
+        check_description,
+        check_skin,
+        check_bones,
+        check_muscles,
+        check_landmarks,
+        check_depths,
+        check_mesh,
+    )
+    findings = [finding for check in checks for finding in check(template)]
+    findings.sort(key=lambda finding: finding.severity != "error")
+    return TemplateReport(tuple(findings), template_figures(template))
+
+
+def template_figures(template: Template) -> dict[str, Any]:
+    """Return counts and sizes of a template as JSON values."""
+    low, high = _bounds(template.skin.vertices[template.face_vertices])
+    figures: dict[str, Any] = {
+        "name": template.name,
+        "version": template.version,
+        "content_sha256": template.sha256,
+        "source": template.source,
+        "licence": template.licence,
+        "skin_vertices": len(template.skin.vertices),
+        "skin_triangles": len(template.skin.faces),
+        "face_vertices": len(template.face_vertices),
+        "face_size_mm": [round(float(size), 1) for size in high - low],
+        "cranium_cm3": round(enclosed_volume(template.cranium) / 1000.0, 1),
+        "mandible_cm3": round(enclosed_volume(template.mandible) / 1000.0, 1),
+        "muscles": len(template.muscles),
+        "muscle_cm3": {
+            muscle.name: round(enclosed_volume(muscle.surface) / 1000.0, 3)
+            for muscle in template.muscles
+        },
+        "landmarks": len(template.landmarks),
+        "regions": {name: len(ids) for name, ids in template.regions.items()},
+        "depths": len(template.depths),
+        "identities": 0 if template.shapes is None else len(template.shapes.identity),
+        "expressions": 0 if template.shapes is None else len(template.shapes.expressions),
+    }
+    if template.mesh is not None:
+        mesh = template.mesh
+        sizes = volumes(mesh.vertices, mesh.tets)
+        figures["mesh"] = {
+            "edge_mm": mesh.edge_mm,
+            "vertices": len(mesh.vertices),
+            "tets": len(mesh.tets),
+            "volume_cm3": round(float(sizes.sum()) / 1000.0, 1),
+            "inverted": int(np.sum(sizes <= 0)),
+            "smallest_dihedral_deg": round(
+                float(dihedral_angles(mesh.vertices, mesh.tets).min()), 2
+            ),
+            "candidates_per_tet": round(mesh.weights.nnz / len(mesh.tets) - 1.0, 2),
+        }
+    return figures
+
+
+def _bounds(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return points.min(axis=0), points.max(axis=0)

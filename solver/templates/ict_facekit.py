@@ -1,0 +1,412 @@
+"""Registered scans of ICT-FaceKit subjects: the standard experiments' training and unseen sets.
+
+``capture_sets.json`` names subjects by the seed of their identity and expressions by weights of
+the model's expression shapes: a scan is neutral + sum(identity_i I_i) + sum(weight_e E_e).
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from solver.anatomy.template import ShapeBasis
+from solver.errors import InputError
+from solver.model import SubjectModel
+from solver.scans.live_link import ARKIT_NAMES, LiveLinkTake, read_live_link
+from solver.storage import read_arrays
+from solver.surface import Floats, Ints, Surface
+from solver.templates.downloads import (
+    PublicFile,
+    obj_mesh,
+    obj_vertices,
+    public_files,
+)
+from solver.templates.export import CaptureSet
+
+# ICT-FaceKit as USC ICT publishes it: the folder ``FaceXModel`` of OBJ meshes, in cm.
+#
+# ``generic_neutral_mesh.obj`` is the average head; ``identity000.obj`` ... are whole heads one
+# standard deviation of a component away from it, and every other OBJ is one expression at its full
+# strength. A shape is the difference to the neutral.
+
+
+NEUTRAL = "generic_neutral_mesh"
+_IDENTITY = re.compile(r"identity\d{3}")
+
+
+def public_facekit(folder: Path) -> dict[str, np.ndarray]:
+    """Return the arrays of the published model under the names of ``ict_facekit.npz``, in cm.
+
+    ``V`` (n, 3), ``quads`` (f, 4), ``E`` (e, n, 3) with names ``ex`` (e), ``I`` (k, n, 3).
+    ``folder`` holds the OBJs at any depth, or an archive of the repository.
+
+    Raises
+    ------
+    InputError
+        ``faces.unreadable`` if there is no neutral, ``faces.topology`` if a shape has another
+        number of vertices, ``download.*`` for a file that can not be read.
+    """
+    files = _of_one_folder(folder)
+    neutral, quads = obj_mesh(files.pop(NEUTRAL))
+    identities = sorted(name for name in files if _IDENTITY.fullmatch(name))
+    expressions = sorted(files.keys() - set(identities))
+    return {
+        "V": neutral,
+        "quads": quads,
+        "E": _shapes([files[name] for name in expressions], neutral),
+        "ex": np.array(expressions),
+        "I": _shapes([files[name] for name in identities], neutral),
+    }
+
+
+def _of_one_folder(folder: Path) -> dict[str, PublicFile]:
+    """Return name -> OBJ of those beside the neutral: the repository has other meshes elsewhere."""
+    files = public_files(folder, ".obj")
+    home = next((file.folder for file in files if file.name == f"{NEUTRAL}.obj"), None)
+    if home is None:
+        raise InputError(
+            "faces.unreadable",
+            f"{folder} has neither ict_facekit.npz nor ICT-FaceKit's {NEUTRAL}.obj",
+            file=str(folder),
+        )
+    return {file.name.removesuffix(".obj"): file for file in files if file.folder == home}
+
+
+def _shapes(files: list[PublicFile], neutral: Floats) -> np.ndarray:
+    shapes = np.empty((len(files), *neutral.shape), dtype=np.float32)
+    for shape, file in zip(shapes, files, strict=True):
+        vertices = obj_vertices(file)
+        if len(vertices) != len(neutral):
+            raise InputError(
+                "faces.topology",
+                f"{file} has {len(vertices)} vertices, the neutral has {len(neutral)}",
+                file=str(file),
+                expected=len(neutral),
+                found=len(vertices),
+            )
+        shape[:] = vertices - neutral
+    return shapes
+
+
+# Reading ICT-FaceKit (USC Institute for Creative Technologies, MIT): a head that varies.
+#
+# It comes as it is published, or as one file: ``ict_facekit.npz`` holds ``V`` (26719, 3) neutral in
+# cm, ``quads`` with -1 in the fourth column of a triangle, ``E`` and ``ex`` expression
+# displacements and their names, ``I`` and ``idn`` identities.
+
+
+VERTEX_COUNT = 26719
+MM_PER_UNIT = 10.0
+
+# Ranges of vertex numbers, as published with the model.
+NARROW_FACE = range(0, 6706)
+HEAD = range(0, 11248)
+FLESH = range(0, 14062)
+GUMS_AND_TONGUE = range(14062, 17039)
+UPPER_TEETH = range(17039, 19247)
+LOWER_TEETH = range(19247, 21451)
+EYEBALLS = range(21451, 24591)
+
+TEETH_NAMES = tuple(
+    f"{side} {{jaw}} {tooth} tooth"
+    for side, order in (("left", 1), ("right", -1))
+    for tooth in (
+        "second secondary molar",
+        "first secondary molar",
+        "second secondary premolar",
+        "first secondary premolar",
+        "secondary canine",
+        "lateral secondary incisor",
+        "central secondary incisor",
+    )[::order]
+)
+
+
+@dataclass(frozen=True)
+class FaceKit:
+    """The head: ``skin`` with all vertices and how it varies, in mm.
+
+    ``deltas`` are the displacements (n, 3) of the expressions; ``identities`` (k, n, 3) those of
+    one standard deviation of each identity component, whose coefficients are independent.
+    """
+
+    skin: Surface
+    deltas: dict[str, Floats]
+    identities: Floats
+
+
+def read_facekit(folder: Path) -> FaceKit:
+    """Return the neutral head, its expressions and its identities.
+
+    ``folder`` holds ``ict_facekit.npz``, or else the model as USC ICT publishes it
+    (:mod:`solver.templates.ict_facekit`).
+
+    Raises
+    ------
+    InputError
+        ``faces.unreadable`` if there is neither or ``ict_facekit.npz`` is not such a file,
+        ``faces.topology`` if its vertices are not those of ICT-FaceKit, or as
+        :func:`~solver.templates.ict_facekit.public_facekit`.
+    """
+    path = folder / "ict_facekit.npz"
+    if not path.exists():
+        return _face_kit(public_facekit(folder), folder)
+    try:
+        return _face_kit(read_arrays(path), path)
+    except InputError:
+        raise
+    except (LookupError, TypeError, ValueError) as error:
+        raise InputError(
+            "faces.unreadable", f"{path} is not an ICT-FaceKit file: {error}", file=str(path)
+        ) from error
+
+
+def _face_kit(data: dict[str, np.ndarray], path: Path) -> FaceKit:
+    vertices = data["V"].astype(float) * MM_PER_UNIT
+    if len(vertices) != VERTEX_COUNT:
+        raise InputError(
+            "faces.topology",
+            f"{path} has {len(vertices)} vertices, ICT-FaceKit has {VERTEX_COUNT}",
+            file=str(path),
+            expected=VERTEX_COUNT,
+            found=len(vertices),
+        )
+    skin = Surface(vertices, triangulate(data["quads"].astype(np.int64)))
+    names = [str(name) for name in data["ex"]]
+    deltas = dict(zip(names, data["E"].astype(float) * MM_PER_UNIT, strict=True))
+    return FaceKit(skin, deltas, data["I"].astype(float) * MM_PER_UNIT)
+
+
+def triangulate(quads: Ints) -> Ints:
+    """Return triangles (f, 3) of quads (k, 4) whose fourth vertex is -1 where it is a triangle."""
+    whole = quads[:, 3] >= 0
+    return np.vstack([quads[whole][:, :3], quads[whole][:, [0, 2, 3]], quads[~whole][:, :3]])
+
+
+def faces_within(faces: Ints, vertices: range) -> Ints:
+    """Return the numbers of the faces whose vertices all lie in a range."""
+    return np.flatnonzero(np.all((faces >= vertices.start) & (faces < vertices.stop), axis=1))
+
+
+def arkit_name(expression: str) -> str:
+    """Return ARKit's name of an expression: ``browDown_L`` is ``browDownLeft`` there."""
+    for ending, side in (("_L", "Left"), ("_R", "Right")):
+        if expression.endswith(ending):
+            return expression.removesuffix(ending) + side
+    return expression
+
+
+def shape_basis(kit: FaceKit) -> ShapeBasis:
+    """Return how the head varies over persons and expressions."""
+    return ShapeBasis(
+        identity=kit.identities.astype(np.float32),
+        expressions=np.stack(list(kit.deltas.values())).astype(np.float32),
+        expression_names=tuple(arkit_name(name) for name in kit.deltas),
+    )
+
+
+Weights = dict[str, float]
+
+
+def ict_capture_set(faces: Path, subject: str, capture_sets: Path | None = None) -> CaptureSet:
+    """Return the scans (mm) of one subject of a capture-sets file.
+
+    Parameters
+    ----------
+    faces
+        Folder of ICT-FaceKit.
+    subject
+        A subject's name in the file, such as ``A``.
+    capture_sets
+        The file; default: ``capture_sets.json`` in ``faces``.
+
+    Raises
+    ------
+    InputError
+        ``captures.unreadable``, ``captures.subject`` or ``captures.expression`` (a shape that
+        ICT-FaceKit does not have), or as :func:`~solver.templates.ict_facekit.read_facekit`.
+    """
+    path = capture_sets or faces / "capture_sets.json"
+    sets = _read(path)
+    kit = read_facekit(faces)
+    neutral = ict_neutral(kit, faces, subject, capture_sets)
+
+    def scans(expressions: dict[str, Weights]) -> dict[str, Surface]:
+        return {
+            name: neutral.moved(neutral.vertices + _displacement(kit, weights, path))
+            for name, weights in expressions.items()
+        }
+
+    return CaptureSet(neutral, scans(sets["train"]), scans(sets["test"]))
+
+
+def ict_neutral(
+    kit: FaceKit, faces: Path, subject: str, capture_sets: Path | None = None
+) -> Surface:
+    """Return the neutral of one subject of a capture-sets file; raises as its scans' function."""
+    path = capture_sets or faces / "capture_sets.json"
+    subjects = _read(path)["subjects"]
+    if subject not in subjects:
+        raise InputError(
+            "captures.subject",
+            f"{path.name} has no subject {subject}, only {', '.join(subjects)}",
+            file=str(path),
+        )
+    seed = subjects[subject]["identity_seed"]
+    return kit.skin if seed is None else identity(kit, seed)
+
+
+def identity(kit: FaceKit, seed: int) -> Surface:
+    """Return a random person's neutral: standard normal identity coefficients by ``seed``."""
+    coefficients = np.random.default_rng(seed).standard_normal(len(kit.identities))
+    return kit.skin.moved(kit.skin.vertices + np.tensordot(coefficients, kit.identities, 1))
+
+
+def _displacement(kit: FaceKit, weights: Weights, path: Path) -> Floats:
+    total = np.zeros_like(kit.skin.vertices)
+    for name, weight in weights.items():
+        if name not in kit.deltas:
+            raise InputError(
+                "captures.expression", f"ICT-FaceKit has no expression {name}", file=str(path)
+            )
+        total += weight * kit.deltas[name]
+    return total
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        sets: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        missing = {"subjects", "train", "test"} - sets.keys()
+    except FileNotFoundError:
+        raise InputError(
+            "captures.unreadable",
+            f"there is no {path.name} in {path.parent}: it names the subjects and expressions",
+            file=str(path),
+        ) from None
+    except (OSError, ValueError, AttributeError) as error:
+        raise InputError(
+            "captures.unreadable", f"{path} is not a capture-sets file: {error}", file=str(path)
+        ) from error
+    if missing:
+        raise InputError(
+            "captures.unreadable", f"{path} lacks {', '.join(sorted(missing))}", file=str(path)
+        )
+    for fault in _faults(sets):
+        raise InputError("captures.unreadable", f"{path.name}: {fault}", file=str(path))
+    return sets
+
+
+def _faults(sets: dict[str, Any]) -> Iterator[str]:
+    """Yield what is not of the form that a capture-sets file has, the first thing first."""
+    for key in ("subjects", "train", "test"):
+        entries = sets[key]
+        if not (isinstance(entries, dict) and all(isinstance(e, dict) for e in entries.values())):
+            yield f"{key} is not an object of objects"
+            return
+    for name, subject in sets["subjects"].items():
+        seed = subject.get("identity_seed", "")
+        whole = isinstance(seed, int) and not isinstance(seed, bool) and seed >= 0
+        if not (seed is None or whole):
+            yield f"subject {name} has no identity_seed: null, or a whole number from 0"
+    for name, weights in [*sets["train"].items(), *sets["test"].items()]:
+        for shape, weight in weights.items():
+            number = isinstance(weight, int | float) and not isinstance(weight, bool)
+            if not (number and np.isfinite(weight)):
+                yield f"expression {name}: the weight of {shape} is not a number but {weight!r}"
+    for name in sorted(sets["train"].keys() & sets["test"].keys()):
+        yield f"expression {name} is both in train and in test"
+
+
+# A recorded performance on an ICT-FaceKit subject: a real sequence of registered scans.
+#
+# Weights of ARKit's blend shapes (Live Link Face) drive ICT-FaceKit's expressions:
+# frame = neutral + sum(weight_e E_e).
+
+
+@dataclass(frozen=True)
+class IctPerformance:
+    """Frames (V, 3) in mm, made when they are asked for.
+
+    ``neutral`` is (V, 3), ``shapes`` (e, 3 V) are the displacements of the expressions that are
+    driven, ``weights`` (f, e) drive them, ``times`` (f,) are in s.
+    """
+
+    neutral: Floats
+    shapes: Floats
+    weights: Floats
+    times: Floats
+
+    def __len__(self) -> int:
+        return len(self.weights)
+
+    def __iter__(self) -> Iterator[Floats]:
+        return (self.frame(number) for number in range(len(self)))
+
+    @property
+    def fps(self) -> float:
+        """Return the usual number of frames per second."""
+        return round(1.0 / float(np.median(np.diff(self.times))), 3) if len(self) > 1 else 30.0
+
+    def frame(self, number: int) -> Floats:
+        """Return the skin (V, 3) in a frame, mm."""
+        motion = self.weights[number] @ self.shapes
+        return np.asarray(self.neutral + motion.reshape(-1, 3), np.float64)
+
+
+def performance_frames(
+    faces: Path, recording: Path, *, subject: str = "A", capture_sets: Path | None = None
+) -> IctPerformance:
+    """Return a Live Link Face recording as the skin of an ICT-FaceKit subject.
+
+    ``faces`` is ICT-FaceKit's folder; ``subject`` and ``capture_sets`` are as in
+    :func:`~solver.templates.ict_facekit.ict_capture_set`, as are the errors; a recording that can
+    not be used is :func:`~solver.scans.live_link.read_live_link`'s.
+    """
+    take = read_live_link(recording)
+    kit = read_facekit(faces)
+    return drive(kit, ict_neutral(kit, faces, subject, capture_sets).vertices, take)
+
+
+def drive(kit: FaceKit, neutral: Floats, take: LiveLinkTake) -> IctPerformance:
+    """Return the performance of a person with the skin ``neutral`` (V, 3), mm."""
+    column = {name: number for number, name in enumerate(ARKIT_NAMES)}
+    sources = {name: column.get(arkit_source(name)) for name in kit.deltas}
+    driven = {name: source for name, source in sources.items() if source is not None}
+    shapes = np.stack([kit.deltas[name].ravel() for name in driven])
+    return IctPerformance(neutral, shapes, take.weights[:, list(driven.values())], take.times)
+
+
+def model_performance(faces: Path, recording: Path, model: SubjectModel) -> IctPerformance:
+    """Return a Live Link Face recording as the face's points (k, 3) of a subject's model.
+
+    Raises as :func:`performance_frames`, and ``performance.topology`` if the model's skin does not
+    have ICT-FaceKit's vertices.
+    """
+    skin = model.skin.vertices
+    if len(skin) != VERTEX_COUNT:
+        raise InputError(
+            "performance.topology",
+            f"the model's skin has {len(skin)} vertices, ICT-FaceKit's {VERTEX_COUNT}: a recording "
+            "can drive models of that template alone",
+            expected=VERTEX_COUNT,
+            found=len(skin),
+        )
+    whole = drive(read_facekit(faces), skin, read_live_link(recording))
+    coordinates = (3 * model.face[:, None] + np.arange(3)).ravel()
+    return replace(whole, neutral=skin[model.face], shapes=whole.shapes[:, coordinates])
+
+
+def arkit_source(expression: str) -> str:
+    """Return the ARKit shape that drives an expression of ICT-FaceKit or of a template.
+
+    ICT-FaceKit splits ``browInnerUp`` and ``cheekPuff`` in two halves. It has no tongue, and ARKit
+    has no ``cheekRaiser`` and no ``PupilDilate``; names that ARKit does not have drive nothing.
+    """
+    name = arkit_name(expression)
+    return name if name in ARKIT_NAMES else name.removesuffix("Left").removesuffix("Right")
