@@ -82,18 +82,17 @@ def run(options: argparse.Namespace) -> Figures:
 
 def _solvers(model: SubjectModel, target: Target, w_a: float) -> dict[str, Any]:
     face, phace = Face(model), Face(model, material=COROTATED_DET)
-    S, data = model.weights, SkinDistance(face, target)
-    rest = face.rest_state(S)
+    data = SkinDistance(face, target)
+    rest = face.rest_state()
     regulariser = Regulariser(w_a, 1e-2, 1e-6, rest.pose)
     _compile(face, phace, data, regulariser, rest)
 
     def by_activations(listen: History) -> None:
-        activation.fit(face, S, data, regulariser, rest, CONVERGED, listen)
+        activation.fit(face, data, regulariser, rest, CONVERGED, listen)
 
     def by_ipopt(listen: History) -> None:
         reference.activations(
             face,
-            S,
             data,
             regulariser,
             rest.pose,
@@ -123,8 +122,7 @@ def _solvers(model: SubjectModel, target: Target, w_a: float) -> dict[str, Any]:
 
 
 def _compile(face: Face, phace: Face, data: Term, regulariser: Regulariser, rest: State) -> None:
-    S = face.model.weights
-    activation.fit(face, S, data, regulariser, rest, ActivationOptions(1))
+    activation.fit(face, data, regulariser, rest, ActivationOptions(1))
     per_tet.fit(phace, data, None, PerTetOptions(max_iterations=1))
 
 

@@ -156,9 +156,9 @@ def _subject(
     schedule = GeometryOptions(rounds=QUICK_ROUNDS) if options.quick else GeometryOptions()
     S, train = subject_fits.by_geometry(face, captures.train, schedule)
     _tell(name, "training scans", train)
-    test = subject_fits.by_activations(face, S, captures.test)
+    test = subject_fits.by_activations(face.with_weights(S), captures.test)
     _tell(name, "test scans", test)
-    alone = subject_fits.by_activations(face, model.weights, captures.train)
+    alone = subject_fits.by_activations(face, captures.train)
     _tell(name, "training scans, geometric S", alone)
     few = _few_scans(face, captures, schedule)
     _tell(name, "test scans, S of three scans", few)
@@ -166,7 +166,7 @@ def _subject(
     stop = PerTetOptions(max_iterations=10) if options.quick else PerTetOptions()
     by_tets = subject_fits.by_tets(tets, captures.train, stop)
     _tell(name, "training scans, P", by_tets)
-    bump = _bump(name, captures, test, S, tets, stop) if captures.test else {}
+    bump = _bump(name, captures, test, tets, stop) if captures.test else {}
     if options.pictures is not None:
         _pictures(options.pictures / f"fit_quality-{name}.png", name, train, by_tets)
     expressions = {**train.figures("train"), **test.figures("test")}
@@ -210,14 +210,13 @@ def _few_scans(face: Face, captures: CaptureSet, schedule: GeometryOptions) -> F
     if len(captures.train) <= FEW_SCANS:
         return Fits(face, {}, {}, 0.0, {})
     S, _ = subject_fits.by_geometry(face, captures.first(FEW_SCANS, 0).train, schedule)
-    return subject_fits.by_activations(face, S, captures.test)
+    return subject_fits.by_activations(face.with_weights(S), captures.test)
 
 
 def _bump(
     name: str,
     captures: CaptureSet,
     test: Fits,
-    S: Any,
     tets: Face,
     stop: PerTetOptions,
 ) -> dict[str, float]:
@@ -238,7 +237,7 @@ def _bump(
     spoilt, bump = add_bump(scan, place)
     found = {}
     pairs = {
-        "S": (test, subject_fits.by_activations(test.face, S, {expression: spoilt})),
+        "S": (test, subject_fits.by_activations(test.face, {expression: spoilt})),
         "P": tuple(subject_fits.by_tets(tets, {expression: s}, stop) for s in (scan, spoilt)),
     }
     for key, (without, with_bump) in pairs.items():

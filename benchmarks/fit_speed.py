@@ -24,7 +24,6 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
-from typing import Any
 
 import numpy as np
 
@@ -101,16 +100,16 @@ def run(options: argparse.Namespace) -> Figures:
         )
     memory = peak_gib()
     log.info("geometry: %.1f s, %.2f GiB", watch.seconds, memory)
-    S = fitted.S
-    rest, preparing = solvers.prepared(face, S)
-    by_a = solvers.activations(face, S, rest, _first(test, 2 if quick else len(test)))
+    face = face.with_weights(fitted.S)
+    rest, preparing = solvers.prepared(face)
+    by_a = solvers.activations(face, rest, _first(test, 2 if quick else len(test)))
     log.info("activations: %s", [round(e["seconds"], 2) for e in by_a])
     by_p = solvers.per_tets(phace, _first(test, 1 if quick else PER_TETS))
     log.info("per tet: %s", [round(e["seconds"], 1) for e in by_p])
     poses = {name: state.pose for name, state in fitted.states.items()}
-    forwards = forward.forward(face, S, poses)
+    forwards = forward.forward(face, poses)
     log.info("forward: %s", [round(e["cold_seconds"], 2) for e in forwards])
-    sequence = _performance(options, face, S)
+    sequence = _performance(options, face)
     compared = _against_ipopt(2 if quick else None)
     log.info("IPOPT: %s", [e.get("ratio") for e in compared])
     sizes = _scaling(options, captures, quick)
@@ -153,7 +152,7 @@ def _first(targets: dict[str, Target], count: int) -> dict[str, Target]:
     return dict(list(targets.items())[:count])
 
 
-def _performance(options: argparse.Namespace, face: Face, S: Any) -> Figures | None:
+def _performance(options: argparse.Namespace, face: Face) -> Figures | None:
     if options.recording is None:
         return None
     take = performance_frames(
@@ -164,7 +163,7 @@ def _performance(options: argparse.Namespace, face: Face, S: Any) -> Figures | N
     )
     count, compared = (60, 2) if options.quick else (FRAMES, COMPARED)
     numbers = range(options.first_frame, min(options.first_frame + count, len(take)))
-    found = frames(face, S, take, numbers, compared)
+    found = frames(face, take, numbers, compared)
     log.info("frames: median %.0f ms, %.3f mm", found["median_ms"], found["mean_mm"])
     return found
 

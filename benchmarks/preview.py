@@ -45,9 +45,9 @@ def run(options: argparse.Namespace) -> Figures:
     schedule = GeometryOptions(rounds=QUICK_ROUNDS) if quick else GeometryOptions()
     S, fits = subject_fits.by_geometry(Face(model), captures.train, schedule)
     fitted = [_fitted(fits, name) for name in fits.states]
-    face = Face(model, linear=fastest(), tolerance=TOLERANCE)
+    face = Face(model, S, linear=fastest(), tolerance=TOLERANCE)
     start = time.perf_counter()
-    preview = make_preview(face, S, fitted, seed=SEED, seconds=np.inf, listen=lambda *_: None)
+    preview = make_preview(face, fitted, seed=SEED, seconds=np.inf, listen=lambda *_: None)
     seconds = time.perf_counter() - start
     told = preview.figures()
     sorts = told["error_by_sort_mm"]

@@ -32,7 +32,6 @@ from solver.fitting.objective import (
     Target,
     Term,
 )
-from solver.model import SubjectModel
 
 CONVERGED = ActivationOptions(max_iterations=200, tolerance=1e-7)
 
@@ -56,15 +55,15 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
     scans = {**captures.train, **captures.test}
     names = list(scans)[: 3 if options.quick else None]
     regulariser = Regulariser(options.w_a, 1e-2, 1e-6, face.rest_pose())
-    rest = face.rest_state(model.weights)
+    rest = face.rest_state()
     # compile the kernels before anything is timed
     data = SkinDistance(face, Target.from_points(scans[names[0]].vertices[model.face]))
-    activation.fit(face, model.weights, data, regulariser, rest, ActivationOptions(1))
+    activation.fit(face, data, regulariser, rest, ActivationOptions(1))
     expressions = []
     for name in names:
         data = SkinDistance(face, Target.from_points(scans[name].vertices[model.face]))
         try:
-            figures = compare(face, model, data, regulariser, rest)
+            figures = compare(face, data, regulariser, rest)
         except SolveError as error:
             figures = {"failed": str(error)}
         expressions.append({"name": name, **figures})
@@ -119,18 +118,15 @@ def section(figures: dict[str, Any]) -> Section:
     )
 
 
-def compare(
-    face: Face, model: SubjectModel, data: Term, regulariser: Regulariser, rest: State
-) -> dict[str, Any]:
+def compare(face: Face, data: Term, regulariser: Regulariser, rest: State) -> dict[str, Any]:
     """Fit one expression by both solvers, then simulate its pose by both."""
-    S = model.weights
-    reduced, seconds = timed(lambda: activation.fit(face, S, data, regulariser, rest, CONVERGED))
+    reduced, seconds = timed(lambda: activation.fit(face, data, regulariser, rest, CONVERGED))
     full, full_seconds = timed(
-        lambda: reference.activations(face, S, data, regulariser, rest.pose, rest.x)
+        lambda: reference.activations(face, data, regulariser, rest.pose, rest.x)
     )
     pose = reduced.state.pose
-    settled, forward_seconds = timed(lambda: face.move(S, rest, pose))
-    energy, full_forward_seconds = timed(lambda: ipopt_forward(face, model, rest, settled))
+    settled, forward_seconds = timed(lambda: face.continuation(rest, pose))
+    energy, full_forward_seconds = timed(lambda: ipopt_forward(face, rest, settled))
     return {
         "reduced_objective": reduced.objective,
         "ipopt_objective": full.objective,
@@ -148,22 +144,20 @@ def compare(
     }
 
 
-def ipopt_forward(
-    face: Face, model: SubjectModel, rest: State, settled: State
-) -> reference.Reference:
+def ipopt_forward(face: Face, rest: State, settled: State) -> reference.Reference:
     """Solve the forward problem by IPOPT from the rest shape carried along with the jaw.
 
     Where even that start is inverted, IPOPT gets the settled shape shaken by 0.1 mm.
     """
     pose = settled.pose
-    start = face.carried(model.weights, rest, pose)
+    start = face.predict(rest, pose)
     try:
-        return reference.forward(face, model.weights, pose, start)
+        return reference.forward(face, pose, start)
     except SolveError:
         shaken = settled.x.copy()
         noise = np.random.default_rng(0).uniform(-0.1, 0.1, (len(face.flesh.free), 3))
         shaken[face.flesh.free] += noise
-        return reference.forward(face, model.weights, pose, shaken)
+        return reference.forward(face, pose, shaken)
 
 
 def timed(work: Callable[[], Result]) -> tuple[Result, float]:

@@ -42,7 +42,7 @@ def main() -> None:
     options = parser.parse_args()
     model, _ = subjects.load(options, COARSE_EDGE_MM if options.quick else EDGE_MM)
     face = Face(model)
-    rest = Resting(face, model.weights)
+    rest = Resting(face)
     sets = [_measure(face, rest, seed) for seed in range(SETS)]
     figures: Figures = {
         "vertices": len(model.rest),
@@ -75,11 +75,10 @@ def section(figures: Figures) -> Section:
 
 
 def _measure(face: Face, rest: Resting, seed: int) -> Figures:
-    S = face.model.weights
     pose = plausible_pose(face, np.random.default_rng(seed))
-    simulated = face.face_points(face.move(S, rest.state, pose).x)
+    simulated = face.face_points(face.continuation(rest.state, pose).x)
     moved = np.linalg.norm(simulated - face.face_points(rest.state.x), axis=1)
-    trip = round_trip(face, S, pose, simulated, rest)
+    trip = round_trip(face, pose, simulated, rest)
     return {
         "seed": seed,
         "muscles": int((pose.a != IDENTITY).any(axis=1).sum()),

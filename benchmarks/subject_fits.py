@@ -94,12 +94,12 @@ def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> tuple[sp
     return fitted.S, Fits(face, dict(scans), fitted.states, seconds, {})
 
 
-def by_activations(face: Face, S: sp.csr_array, scans: Scans) -> Fits:
+def by_activations(face: Face, scans: Scans) -> Fits:
     """Fit activations and jaw to every scan, S being known."""
-    regulariser, rest = chosen.unseen_regulariser(face), Resting(face, S)
+    regulariser, rest = chosen.unseen_regulariser(face), Resting(face)
 
     def fit(data: Term) -> State:
-        found = chosen.fit(face, S, data, regulariser, rest, chosen.UNSEEN_STOP)
+        found = chosen.fit(face, data, regulariser, rest, chosen.UNSEEN_STOP)
         if found.status == "failed":
             raise SolveError("fit.failed", "; ".join(notice.message for notice in found.notices))
         return found.state

@@ -151,7 +151,8 @@ def _gap(model: SubjectModel, thing: Surface) -> float:
 
 def _moved(person: Fitted, face: Face, pose: Pose) -> Floats:
     """Return the vertices of a pose, without contact."""
-    return face.move(person.S, face.rest_state(person.S), pose).x
+    face = face.with_weights(person.S)
+    return face.continuation(face.rest_state(), pose).x
 
 
 def play(person: Fitted, scene: Scene, *, contact: bool) -> Played:

@@ -112,7 +112,7 @@ def fibres(subject: Subject) -> Figures:
     found = {}
     for fit, one, other in zip(subject.fits, as_fitted, projected, strict=True):
         wanted = fit.skin[model.face]
-        best = face.face_points(fit_fibres(face, subject.S, wanted).x)
+        best = face.face_points(fit_fibres(face.with_weights(subject.S), wanted).x)
         found[fit.name] = {
             "motion_mm": _mean(wanted - model.skin.vertices[model.face]),
             "blended_mm": None if one is None else _mean(one.skin[model.face] - wanted),

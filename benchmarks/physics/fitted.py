@@ -42,7 +42,9 @@ class Fitted:
 
     def face(self, *, pinned: bool = False) -> Face:
         """Return the face in the material of its fits, in Pa."""
-        return Face(self.model, material=COROTATED_TRACE.in_pascal(STIFFNESS_PA), pinned=pinned)
+        return Face(
+            self.model, self.S, material=COROTATED_TRACE.in_pascal(STIFFNESS_PA), pinned=pinned
+        )
 
     def blend(self, *beginnings: str) -> Pose:
         """Return the pose of all blendshapes whose names begin so."""
@@ -51,4 +53,4 @@ class Fitted:
 
     def drive(self, face: Face, pose: Pose, time: float, head: Similarity = IDENTITY) -> Drive:
         """Return what asks for a pose."""
-        return Drive(time, face.tet_activations(self.S, pose.a), pose.b, head)
+        return Drive(time, face.tet_activations(pose.a), pose.b, head)

@@ -70,7 +70,8 @@ def play(
     model: SubjectModel, S: sp.csr_array, drives: Drives, times: Floats, *, dynamic: bool
 ) -> list[Stepped]:
     """Return every step but the first of the ``times``, which the face begins at rest in."""
-    face = Face(model, material=COROTATED_TRACE.in_pascal(STIFFNESS_PA), linear=fastest())
+    material = COROTATED_TRACE.in_pascal(STIFFNESS_PA)
+    face = Face(model, S, material=material, linear=fastest())
     simulator = Simulator(
         face,
         contact_potentials(model, STIFFNESS_PA, lips=True, teeth=True, eyes=True),
@@ -81,7 +82,7 @@ def play(
 
     def asked(time: float) -> Drive:
         frame = drives(time)
-        return Drive(time, face.tet_activations(S, frame.a), frame.jaw, frame.head)
+        return Drive(time, face.tet_activations(frame.a), frame.jaw, frame.head)
 
     before = asked(times[0])
     motion, steps = simulator.rest(before), []

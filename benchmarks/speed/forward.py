@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-import scipy.sparse as sp
 
 from benchmarks.documents import Figures
 from benchmarks.speed.clock import Stopwatch
@@ -29,16 +28,16 @@ PART = 0.5
 """Part of the way from the neutral face to a scan that meshes are compared with."""
 
 
-def forward(face: Face, S: sp.csr_array, poses: Mapping[str, Pose]) -> list[Figures]:
+def forward(face: Face, poses: Mapping[str, Pose]) -> list[Figures]:
     """Simulate every pose cold, from the resting face, and warm, from 95 % of the pose."""
-    rest = face.rest_state(S)
+    rest = face.rest_state()
     found = []
     for name, pose in poses.items():
         with Stopwatch() as cold:
-            settled = face.move(S, rest, pose)
-        near = face.move(S, rest, rest.pose.toward(pose, NEIGHBOUR))
+            settled = face.continuation(rest, pose)
+        near = face.continuation(rest, rest.pose.toward(pose, NEIGHBOUR))
         with Stopwatch() as warm:
-            again = face.move(S, near, pose)
+            again = face.continuation(near, pose)
         found.append(
             {
                 "name": name,
@@ -75,9 +74,9 @@ def scaling(
     found = []
     for edge in sorted(models, key=lambda edge: edge != common):
         model = models[edge]
-        face, S = Face(model, linear=fastest()), model.weights
+        face = Face(model, linear=fastest())
         regulariser = replace(chosen.unseen_regulariser(face), w_a=IPOPT_W_A)
-        rest, preparing = prepared(face, S)
+        rest, preparing = prepared(face)
         fits, iterations = [], []
         for name in names:
             way = captures.test[name].vertices - captures.neutral.vertices
@@ -85,12 +84,12 @@ def scaling(
             data = SkinDistance(face, target)
             with Stopwatch() as watch:
                 fitted = activation.fit(
-                    face, S, data, regulariser, rest.state, CONVERGED, matrix=rest.matrix
+                    face, data, regulariser, rest.state, CONVERGED, matrix=rest.matrix
                 )
             fits.append(watch.seconds)
             iterations.append(fitted.iterations)
             poses.setdefault(name, fitted.state.pose)
-        moves, factors = _simulated(face, S, rest.state, {**plausible, **poses})
+        moves, factors = _simulated(face, rest.state, {**plausible, **poses})
         found.append(
             {
                 "edge_mm": edge,
@@ -110,7 +109,7 @@ def scaling(
 
 
 def _simulated(
-    face: Face, S: sp.csr_array, rest: State, poses: Mapping[str, Pose]
+    face: Face, rest: State, poses: Mapping[str, Pose]
 ) -> tuple[dict[str, float], dict[str, int]]:
     """Simulate every pose from rest: seconds and factorisations."""
     face.linear = linear = _Counting(face.linear)
@@ -118,7 +117,7 @@ def _simulated(
     for name, pose in poses.items():
         linear.count = 0
         with Stopwatch() as watch:
-            face.move(S, rest, pose)
+            face.continuation(rest, pose)
         seconds[name], factors[name] = watch.seconds, linear.count
     return seconds, factors
 

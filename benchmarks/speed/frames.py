@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
 
 from benchmarks.documents import Figures
 from benchmarks.speed.clock import Stopwatch
@@ -21,17 +20,15 @@ from solver.templates.ict_facekit import IctPerformance
 COLD = ActivationOptions(max_iterations=60, tolerance=1e-4)
 
 
-def frames(
-    face: Face, S: sp.csr_array, performance: IctPerformance, numbers: range, compared: int
-) -> Figures:
+def frames(face: Face, performance: IctPerformance, numbers: range, compared: int) -> Figures:
     """Fit the frames ``numbers``, and ``compared`` of them cold as well.
 
     ``frame_ms`` is the time of every frame from its points to its pose. ``loss`` is the mean
     objective of the compared frames over the mean of their cold fits, less one. A frame that can
     not be fitted stays as the one before, and is in ``failed``.
     """
-    regulariser, rest = chosen.unseen_regulariser(face), face.rest_state(S)
-    tracker = Tracker(face, S, regulariser, rest)
+    regulariser, rest = chosen.unseen_regulariser(face), face.rest_state()
+    tracker = Tracker(face, regulariser, rest)
     alone = set(numbers[:: max(len(numbers) // compared, 1)])
     milliseconds, errors, inverted, pairs, failed = [], [], 0, [], []
     for number in numbers:
@@ -48,7 +45,7 @@ def frames(
         inverted += face.flesh.inverted(state.x)
         if number in alone:
             data = SkinDistance(face, target)
-            cold = activation.fit(face, S, data, regulariser, rest, COLD)
+            cold = activation.fit(face, data, regulariser, rest, COLD)
             pairs.append((number, activation.objective(data, regulariser, state), cold.objective))
     kept = sum(objective for _, objective, _ in pairs)
     return {

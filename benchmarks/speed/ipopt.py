@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from statistics import median
 
-import scipy.sparse as sp
-
 from benchmarks.documents import Figures
 from benchmarks.speed.clock import History, Stopwatch
 from benchmarks.speed.solvers import CONVERGED, IPOPT_W_A, prepared
@@ -46,15 +44,14 @@ def against_ipopt(face: Face, targets: Mapping[str, Target]) -> list[Figures]:
     the same objective. ``ratio`` is of the times that each takes by its own tolerance, 1e-4 and
     IPOPT's 1e-7; ``ratio_same`` of the times after which f is within 0.1 % of its end for good.
     """
-    S = face.model.weights
-    rest, _ = prepared(face, S)
+    rest, _ = prepared(face)
     regulariser = replace(chosen.unseen_regulariser(face), w_a=IPOPT_W_A)
     found = []
     for name, target in targets.items():
         data = SkinDistance(face, target)
         try:
-            ours = _reduced(face, S, data, regulariser, rest)
-            theirs = _ipopt(face, S, data, regulariser, rest)
+            ours = _reduced(face, data, regulariser, rest)
+            theirs = _ipopt(face, data, regulariser, rest)
         except SolveError as error:
             found.append({"name": name, "failed": error.message})
             continue
@@ -71,15 +68,13 @@ def against_ipopt(face: Face, targets: Mapping[str, Target]) -> list[Figures]:
     return found
 
 
-def _reduced(
-    face: Face, S: sp.csr_array, data: Term, regulariser: Regulariser, rest: Resting
-) -> Figures:
+def _reduced(face: Face, data: Term, regulariser: Regulariser, rest: Resting) -> Figures:
     seconds, same = [], []
     for _ in range(REPEATS):
         history = History(time.perf_counter)
         with Stopwatch() as watch:
             fitted = activation.fit(
-                face, S, data, regulariser, rest.state, CONVERGED, history, matrix=rest.matrix
+                face, data, regulariser, rest.state, CONVERGED, history, matrix=rest.matrix
             )
         seconds.append(watch.seconds)
         same.append(history.until(SAME_OBJECTIVE))
@@ -90,15 +85,12 @@ def _reduced(
     }
 
 
-def _ipopt(
-    face: Face, S: sp.csr_array, data: Term, regulariser: Regulariser, rest: Resting
-) -> Figures:
+def _ipopt(face: Face, data: Term, regulariser: Regulariser, rest: Resting) -> Figures:
     history, failed = History(time.perf_counter), {}
     with Stopwatch() as watch:
         try:
             found = reference.activations(
                 face,
-                S,
                 data,
                 regulariser,
                 rest.state.pose,

@@ -6,7 +6,6 @@ import contextlib
 from collections.abc import Mapping
 
 import numpy as np
-import scipy.sparse as sp
 
 from benchmarks.documents import Figures
 from benchmarks.speed.clock import Stopwatch
@@ -33,9 +32,7 @@ IPOPT_W_A = 0.05
 expression. With 0.02 it fails for most of them. The scaling has it on all meshes."""
 
 
-def activations(
-    face: Face, S: sp.csr_array, rest: Resting, targets: Mapping[str, Target]
-) -> list[Figures]:
+def activations(face: Face, rest: Resting, targets: Mapping[str, Target]) -> list[Figures]:
     """Fit every target by A, cold: from the resting face ``rest``, which is :func:`prepared`."""
     regulariser = chosen.unseen_regulariser(face)
     found = []
@@ -43,9 +40,9 @@ def activations(
         data = SkinDistance(face, target)
         with Stopwatch() as watch:
             fitted = activation.fit(
-                face, S, data, regulariser, rest.state, CONVERGED, matrix=rest.matrix
+                face, data, regulariser, rest.state, CONVERGED, matrix=rest.matrix
             )
-        further = activation.improve(face, S, data, regulariser, fitted.state, FURTHER)
+        further = activation.improve(face, data, regulariser, fitted.state, FURTHER)
         found.append(
             {
                 "name": name,
@@ -58,10 +55,10 @@ def activations(
     return found
 
 
-def prepared(face: Face, S: sp.csr_array) -> tuple[Resting, float]:
+def prepared(face: Face) -> tuple[Resting, float]:
     """Return what all expressions of a face begin with, ready and factorised, and its seconds."""
     with Stopwatch() as watch:
-        rest = Resting(face, S)
+        rest = Resting(face)
         _ = rest.matrix
     return rest, watch.seconds
 
@@ -87,10 +84,10 @@ def per_tets(face: Face, targets: Mapping[str, Target]) -> list[Figures]:
 
 def compile_kernels(face: Face, phace: Face | None, target: Target) -> None:
     """Run every solver for a moment, so that no compilation is timed."""
-    S, rest = face.model.weights, face.rest_state(face.model.weights)
+    rest = face.rest_state()
     data = SkinDistance(face, target)
     regulariser = chosen.unseen_regulariser(face)
-    activation.fit(face, S, data, regulariser, rest, ActivationOptions(1))
+    activation.fit(face, data, regulariser, rest, ActivationOptions(1))
     if phace is not None:
         with contextlib.suppress(SolveError):
             per_tet.fit(phace, data, None, PerTetOptions(max_iterations=1))

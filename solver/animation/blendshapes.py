@@ -215,7 +215,6 @@ def _no_expressions(model: SubjectModel) -> InputError:
 
 def solve_blendshapes(
     face: Face,
-    S: sp.csr_array,
     targets: Mapping[str, Floats],
     done: Mapping[str, Solved],
     told: Callable[[str, Solved], None],
@@ -230,13 +229,12 @@ def solve_blendshapes(
     }
     found = dict(done)
     if missing:
-        rest = Resting(face, S)
+        rest = Resting(face)
         data, regulariser = chosen.terms(face, missing), chosen.unseen_regulariser(face)
         for name, target in missing.items():
             try:
                 fit = activation.fit(
                     face,
-                    S,
                     data[name],
                     regulariser,
                     rest.state,

@@ -12,8 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import scipy.sparse as sp
-
 from solver.errors import SolveError
 from solver.fitting import gauss_newton
 from solver.fitting.face import Face, Pose, State
@@ -60,9 +58,9 @@ class ActivationFit:
 Listener = Callable[[int, float], None]
 """Called after each accepted step with the iteration and the objective."""
 
-Mover = Callable[[Face, sp.csr_array, State, Floats, Pose], State]
-"""Goes from a state to a pose nearby by the flesh's linear response: Face.approach, travel or
-follow."""
+# from a state to a pose nearby by the flesh's linear response: Face.newton_predict,
+# newton_continuation or predict_and_solve
+Mover = Callable[[Face, State, Floats, Pose], State]
 
 
 def objective(data: Term, regulariser: Regulariser, state: State) -> float:
@@ -72,7 +70,6 @@ def objective(data: Term, regulariser: Regulariser, state: State) -> float:
 
 def fit(
     face: Face,
-    S: sp.csr_array,
     data: Term,
     regulariser: Regulariser,
     start: State,
@@ -94,17 +91,17 @@ def fit(
     """
     options = options or ActivationOptions()
     best = None
-    iterations, begin, go = 0, start, Face.travel
+    iterations, begin, go = 0, start, Face.newton_continuation
     for _ in range(SETTLINGS):
         try:
-            found = improve(face, S, data, regulariser, begin, options, listen, go, matrix)
+            found = improve(face, data, regulariser, begin, options, listen, go, matrix)
         except SolveError:
             if best is None:
                 raise
             break
         iterations += found.iterations
         stuck = not found.converged and found.iterations < options.max_iterations
-        state = _settled(face, S, found.state)
+        state = _settled(face, found.state)
         if state is not None:
             value = objective(data, regulariser, state)
             gained = best is None or value < (1.0 - options.tolerance) * best.objective
@@ -116,29 +113,28 @@ def fit(
             if value <= BUCKLED * found.objective and not stuck:
                 break
         matrix = None
-        go = Face.follow if state is None else Face.travel
-        begin = best.state if best else face.rest_state(S)
+        go = Face.predict_and_solve if state is None else Face.newton_continuation
+        begin = best.state if best else face.rest_state()
     if best is None:
         raise SolveError("solve.no_convergence", "the fitted face does not come to rest")
     return best
 
 
-def _settled(face: Face, S: sp.csr_array, state: State) -> State | None:
+def _settled(face: Face, state: State) -> State | None:
     try:
-        return face.settle(S, state.pose, state.x, state.equilibrium.factor)
+        return face.solve_equilibrium(state.pose, state.x, state.equilibrium.factor)
     except SolveError:
         return None
 
 
 def improve(
     face: Face,
-    S: sp.csr_array,
     data: Term,
     regulariser: Regulariser,
     start: State,
     options: ActivationOptions,
     listen: Listener | None = None,
-    go: Mover = Face.travel,
+    go: Mover = Face.newton_continuation,
     matrix: Floats | None = None,
 ) -> ActivationFit:
     """Minimise f over (a, b), going from state to state by ``go``, which settles them or not.
@@ -147,10 +143,10 @@ def improve(
     """
     state = start
     value = objective(data, regulariser, state)
-    matrix = gauss_newton.curvature(face, S, data, state) if matrix is None else matrix
+    matrix = gauss_newton.curvature(face, data, state) if matrix is None else matrix
     trust = _Trust()
     for iteration in range(1, options.max_iterations + 1):
-        model = GaussNewton(face, S, data, regulariser, state, matrix)
+        model = GaussNewton(face, data, regulariser, state, matrix)
         better = None
         for trial in range(MAX_TRIALS):
             step = model.step(trust.damping, trust.reach)
@@ -158,7 +154,7 @@ def improve(
             whole = step.reach < 0.99 * trust.reach
             if not trial and whole and step.gain <= options.tolerance * value:
                 return ActivationFit(state, value, iteration, True)
-            better = _tried(face, S, state, step, go)
+            better = _tried(face, state, step, go)
             if better is None:
                 trust.shrink(step.reach)
                 continue
@@ -179,10 +175,10 @@ def improve(
     return ActivationFit(state, value, options.max_iterations, False)
 
 
-def _tried(face: Face, S: sp.csr_array, state: State, step: Step, go: Mover) -> State | None:
+def _tried(face: Face, state: State, step: Step, go: Mover) -> State | None:
     """Return the state a step leads to, None where that is too far."""
     try:
-        return go(face, S, state, step.response, state.pose.changed(step.change))
+        return go(face, state, step.response, state.pose.changed(step.change))
     except SolveError:
         return None
 
@@ -213,15 +209,14 @@ class _Trust:
 
 
 class Resting:
-    """What all expressions of a face with S share: ``state``, the neutral face as an equilibrium.
+    """What all expressions of a face share: ``state``, the neutral face as an equilibrium.
 
     Raises :class:`SolveError` if there is none.
     """
 
-    def __init__(self, face: Face, S: sp.csr_array) -> None:
+    def __init__(self, face: Face) -> None:
         self._face = face
-        self._S = S
-        self.state: State = face.rest_state(S)
+        self.state: State = face.rest_state()
 
     @cached_property
     def matrix(self) -> Floats:
@@ -231,4 +226,4 @@ class Resting:
         """
         target = Target.from_points(self._face.face_points(self.state.x))
         data = SkinDistance(self._face, target)
-        return gauss_newton.curvature(self._face, self._S, data, self.state)
+        return gauss_newton.curvature(self._face, data, self.state)

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import scipy.sparse as sp
 
 from solver.contact.mouth import Mouth
 from solver.errors import Notice, SolveError
@@ -66,7 +65,6 @@ class ChosenFit:
 
 def fit(
     face: Face,
-    S: sp.csr_array,
     data: Term,
     regulariser: Regulariser,
     rest: Resting,
@@ -81,21 +79,21 @@ def fit(
     The reduced solver begins at ``start``, if given, which may be no more than approached.
     """
     if solver == "ipopt":
-        return by_ipopt(face, S, data, regulariser, rest, options, listen)
+        return by_ipopt(face, data, regulariser, rest, options, listen)
     try:
         if start is None:
             found = activation.fit(
-                face, S, data, regulariser, rest.state, options, listen, matrix=rest.matrix
+                face, data, regulariser, rest.state, options, listen, matrix=rest.matrix
             )
         else:
-            found = activation.fit(face, S, data, regulariser, start, options, listen)
+            found = activation.fit(face, data, regulariser, start, options, listen)
     except (SolveError, np.linalg.LinAlgError) as error:
         reason = Notice(
             "solve.fallback",
             f"the reduced solver failed ({error}); IPOPT took over",
             {"reason": getattr(error, "code", "solve.singular")},
         )
-        instead = by_ipopt(face, S, data, regulariser, rest, options, listen)
+        instead = by_ipopt(face, data, regulariser, rest, options, listen)
         return replace(instead, notices=(reason, *instead.notices))
     status: Status = "converged" if found.converged else "stopped"
     return ChosenFit(found.state, found.objective, found.iterations, "reduced", status, ())
@@ -103,7 +101,6 @@ def fit(
 
 def by_ipopt(
     face: Face,
-    S: sp.csr_array,
     data: Term,
     regulariser: Regulariser,
     rest: Resting,
@@ -131,7 +128,6 @@ def by_ipopt(
         try:
             found = reference.activations(
                 face,
-                S,
                 data,
                 prior,
                 start.pose,
@@ -146,7 +142,7 @@ def by_ipopt(
             message = f"{error.message}; the best result is kept"
             trouble[error.code] = Notice(error.code, message, error.context)
         done += found.iterations
-        state = _settled(face, S, found)
+        state = _settled(face, found)
         if state is None:
             trouble[UNSETTLED.code] = UNSETTLED
             continue
@@ -160,12 +156,12 @@ def by_ipopt(
     return replace(best, iterations=done, notices=tuple(trouble.values()))
 
 
-def _settled(face: Face, S: sp.csr_array, found: Reference) -> State | None:
+def _settled(face: Face, found: Reference) -> State | None:
     """Return the equilibrium near IPOPT's answer, None if there is none."""
     if not (np.isfinite(found.x).all() and np.isfinite(found.pose.a).all()):
         return None
     try:
-        return face.settle(S, found.pose, found.x)
+        return face.solve_equilibrium(found.pose, found.x)
     except SolveError:
         return None
 

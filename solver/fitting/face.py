@@ -70,8 +70,9 @@ class State:
 
 
 class Face:
-    """A subject's flesh with its bones and skin; all fits talk to this.
+    """A subject's flesh with its bones, skin and muscle geometry S; all fits talk to this.
 
+    ``S`` (n, m + 1) is the model's geometric one if not given; :meth:`with_weights` exchanges it.
     ``linear`` names the linear solver (None: the fastest in double precision), ``tolerance`` is the
     equilibrium's relative residual. With ``pinned`` nothing slides on the skull. Edits are per tet
     ``stiffness`` (n,) and ``growth`` (n,), see :class:`~solver.mechanics.flesh.Flesh`, and
@@ -81,6 +82,7 @@ class Face:
     def __init__(
         self,
         model: SubjectModel,
+        S: sp.csr_array | None = None,
         *,
         material: Material | None = None,
         linear: str | None = None,
@@ -92,6 +94,7 @@ class Face:
     ) -> None:
         leave_threads_to_kernels()
         self.model = model
+        self.S: sp.csr_array = model.weights if S is None else S
         material = material or COROTATED_TRACE
         self._held_rest = model.rest if bones is None else model.rest + bones
         held = np.concatenate([model.cranium, model.mandible, model.cut])
@@ -115,6 +118,12 @@ class Face:
         self.face_embedding = sp.csr_array(model.embedding[row[model.face]])
         self.face_offset = model.offset[row[model.face]]
 
+    def with_weights(self, S: sp.csr_array) -> Face:
+        """Return this face with another muscle geometry ``S`` (n, m + 1)."""
+        other = copy.copy(self)
+        other.S = S
+        return other
+
     def with_flesh(self, flesh: Flesh) -> Face:
         """Return this face with another flesh, whose tets join the same vertices."""
         other = copy.copy(self)
@@ -125,17 +134,16 @@ class Face:
         """Return the pose of the neutral face."""
         return Pose(np.tile(IDENTITY, (self.model.muscle_count, 1)), np.zeros(5))
 
-    def rest_state(self, S: sp.csr_array) -> State:
+    def rest_state(self) -> State:
         """Return the neutral face as an equilibrium."""
-        return self.settle(S, self.rest_pose(), self.model.rest)
+        return self.solve_equilibrium(self.rest_pose(), self.model.rest)
 
-    def tet_activations(self, S: sp.csr_array, a: Floats) -> Floats:
+    def tet_activations(self, a: Floats) -> Floats:
         """Return A_i = sum_j s_ij a_j, (n, 6), with a_0 = a_I for the passive column."""
-        return np.ascontiguousarray(S @ np.vstack([IDENTITY, a]))
+        return np.ascontiguousarray(self.S @ np.vstack([IDENTITY, a]))
 
-    def settle(
+    def solve_equilibrium(
         self,
-        S: sp.csr_array,
         pose: Pose,
         x: Floats,
         near: Stiffness | None = None,
@@ -148,7 +156,7 @@ class Face:
         """
         x = x.copy()
         x[self.flesh.held] = self.held_positions(pose.b)
-        a = self.tet_activations(S, pose.a)
+        a = self.tet_activations(pose.a)
         result = equilibrium.solve(
             self.flesh,
             self.linear,
@@ -160,9 +168,8 @@ class Face:
         )
         return State(pose, result)
 
-    def approach(
+    def newton_predict(
         self,
-        S: sp.csr_array,
         state: State,
         response: Floats,
         pose: Pose,
@@ -174,14 +181,14 @@ class Face:
         ``settled_mm`` how near that is (:func:`~solver.mechanics.equilibrium.approach`).
         Raises :class:`SolveError` where that is too far for a few Newton steps.
         """
-        a = self.tet_activations(S, pose.a)
+        a = self.tet_activations(pose.a)
         x = self._guess(state, response, pose, a)
         return State(pose, equilibrium.approach(self.flesh, self.linear, x, a, settled_mm))
 
-    def follow(self, S: sp.csr_array, state: State, response: Floats, pose: Pose) -> State:
+    def predict_and_solve(self, state: State, response: Floats, pose: Pose) -> State:
         """Do as :meth:`approach`, but settle."""
-        guess = self._guess(state, response, pose, self.tet_activations(S, pose.a))
-        return self.settle(S, pose, guess)
+        guess = self._guess(state, response, pose, self.tet_activations(pose.a))
+        return self.solve_equilibrium(pose, guess)
 
     def _guess(self, state: State, response: Floats, pose: Pose, a: Floats) -> Floats:
         """Return where to start at ``pose`` with activations ``a`` (n, 6): least energy on a line.
@@ -203,28 +210,26 @@ class Face:
             best, least = x, energy
         return best
 
-    def move(self, S: sp.csr_array, start: State, pose: Pose) -> State:
+    def continuation(self, start: State, pose: Pose) -> State:
         """Go from a settled state to another pose along the straight line between them.
 
         Raises the last :class:`SolveError` if the pose can not be reached.
         """
-        return self._along(S, start, pose, SMALLEST_FRACTION, settled=True)
+        return self._along(start, pose, SMALLEST_FRACTION, settled=True)
 
-    def travel(self, S: sp.csr_array, state: State, response: Floats, pose: Pose) -> State:
+    def newton_continuation(self, state: State, response: Floats, pose: Pose) -> State:
         """Do as :meth:`approach`, but in parts of the way where the flesh would invert.
 
         Where it buckles instead, steps are dear and lead no further.
         """
         try:
-            return self.approach(S, state, response, pose)
+            return self.newton_predict(state, response, pose)
         except SolveError as error:
             if error.code != "solve.inverted":
                 raise
-            return self._along(S, state, pose, TRAVELLED_FRACTION, settled=False)
+            return self._along(state, pose, TRAVELLED_FRACTION, settled=False)
 
-    def _along(
-        self, S: sp.csr_array, start: State, pose: Pose, smallest: float, *, settled: bool
-    ) -> State:
+    def _along(self, start: State, pose: Pose, smallest: float, *, settled: bool) -> State:
         """Go to a pose along the straight line, in steps of at least the ``smallest`` fraction.
 
         A step is as long as the flesh's linear response flattens no tet; its end is only
@@ -235,12 +240,12 @@ class Face:
         while done < 1.0:
             goal = min(1.0, done + fraction)
             target = start.pose.toward(pose, goal) if goal < 1.0 else pose
-            x = self.carried(S, state, target)
+            x = self.predict(state, target)
             narrowing = self.flesh.narrowing(state.x, x)
             least = fraction <= smallest
             if narrowing >= FLATTEST_GUESS or least:
                 try:
-                    state = self._reach(S, state, target, x, settled=settled and goal == 1.0)
+                    state = self._reach(state, target, x, settled=settled and goal == 1.0)
                     done = goal
                 except SolveError:
                     if least:
@@ -251,16 +256,16 @@ class Face:
             fraction = max(fraction * min(max(fit, 0.25), 2.0), smallest)
         return state
 
-    def _reach(
-        self, S: sp.csr_array, state: State, target: Pose, x: Floats, *, settled: bool
-    ) -> State:
+    def _reach(self, state: State, target: Pose, x: Floats, *, settled: bool) -> State:
         """Find the state of ``target`` from ``x`` (p, 3), near ``state``."""
         if settled:
-            return self.settle(S, target, x, state.equilibrium.factor)
-        a = self.tet_activations(S, target.a)
+            return self.solve_equilibrium(target, x, state.equilibrium.factor)
+        a = self.tet_activations(target.a)
         reached = equilibrium.approach(self.flesh, self.linear, x, a, equilibrium.REACH_MM)
         # where flesh buckles a linear response leads nowhere
-        return State(target, reached) if reached.minimum else self.settle(S, target, reached.x)
+        return (
+            State(target, reached) if reached.minimum else self.solve_equilibrium(target, reached.x)
+        )
 
     def mandible(self, b: Floats) -> Floats:
         """Return where the mandible's vertices are for b, (k, 3)."""
@@ -300,13 +305,13 @@ class Face:
     def _loose_skin(self) -> LooseSkin:
         return LooseSkin(self.model)
 
-    def carried(self, S: sp.csr_array, state: State, target: Pose) -> Floats:
+    def predict(self, state: State, target: Pose) -> Floats:
         """Predict x (p, 3) at ``target`` by the flesh's linear response to the change of pose."""
         x = state.x.copy()
         x[self.model.mandible] = self.mandible(target.b)
-        before = self.tet_activations(S, state.pose.a)
+        before = self.tet_activations(state.pose.a)
         pull = self.flesh.coupling(state.x, before, (x - state.x)[:, :, None])[:, 0]
-        change = self.flesh.gradient(state.x, self.tet_activations(S, target.a))
+        change = self.flesh.gradient(state.x, self.tet_activations(target.a))
         response = -state.equilibrium.factor.solve(pull + change)
         x[self.flesh.free] += response.reshape(-1, 3)
         return x

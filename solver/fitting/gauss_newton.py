@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
-import scipy.sparse as sp
 
 from solver.errors import SolveError
 from solver.fitting.face import Face, State
@@ -55,13 +54,12 @@ class GaussNewton:
     def __init__(
         self,
         face: Face,
-        S: sp.csr_array,
         data: Term,
         regulariser: Regulariser,
         state: State,
         matrix: Floats,
     ) -> None:
-        self._sensitivity = Sensitivity(face, S, state)
+        self._sensitivity = Sensitivity(face, state)
         self._curvature = data.curvature(state.estimate)
         self._regulariser = regulariser.gauss_newton(state.pose)
         self._gradient = self._sensitivity.by_pose_adjoint(data.gradient(state.estimate))
@@ -99,9 +97,9 @@ class GaussNewton:
         return self._sensitivity.by_pose_adjoint(pull.reshape(-1, 3))
 
 
-def curvature(face: Face, S: sp.csr_array, data: Term, state: State) -> Floats:
+def curvature(face: Face, data: Term, state: State) -> Floats:
     """Return J^T C J at a state, (6 m + 5, 6 m + 5): f's Gauss-Newton matrix but for its priors."""
-    jacobian = Sensitivity(face, S, state).by_pose()
+    jacobian = Sensitivity(face, state).by_pose()
     return jacobian.contracted(data.curvature(state.estimate))
 
 

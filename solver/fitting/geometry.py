@@ -97,7 +97,8 @@ def fit(
     easy = data if easy is None else easy
     S = face.model.weights if start is None else start
     structure = sp.csr_array((0, S.nnz)) if structure is None else structure
-    rest = Resting(face, S)
+    face = face.with_weights(S)
+    rest = Resting(face)
     steps = dict.fromkeys(data, options.first_iterations)
 
     def regulariser(w_a: float) -> Regulariser:
@@ -107,7 +108,7 @@ def fit(
     begin = regulariser(options.w_a[0])
     states = {
         name: activation.improve(
-            face, S, term, begin, rest.state, first, go=Face.approach, matrix=rest.matrix
+            face, term, begin, rest.state, first, go=Face.newton_predict, matrix=rest.matrix
         ).state
         for name, term in easy.items()
     }
@@ -130,25 +131,25 @@ def fit(
         if idle == 2:
             # what is left of this stage gains nothing: on to the whole rounds, or to the end
             number, idle = (whole, 0) if number < whole else (options.rounds, 0)
-    return ended(face, now.S, data, regulariser(options.w_a[1]), now.states, steps)
+    face = face.with_weights(now.S)
+    return ended(face, data, regulariser(options.w_a[1]), now.states, steps)
 
 
 def ended(
     face: Face,
-    S: sp.csr_array,
     data: Mapping[str, Term],
     regulariser: Regulariser,
     states: Mapping[str, State],
     steps: Mapping[str, int],
 ) -> GeometryFit:
     """Settle states that were only approached, together with a last fit of the activations."""
-    rest = Resting(face, S)
+    rest = Resting(face)
     endings = {
-        name: chosen.fit(face, S, term, regulariser, rest, LAST, start=states[name])
+        name: chosen.fit(face, term, regulariser, rest, LAST, start=states[name])
         for name, term in data.items()
     }
     return GeometryFit(
-        S,
+        face.S,
         {name: ending.state for name, ending in endings.items()},
         {name: steps[name] + ending.iterations for name, ending in endings.items()},
         endings,
@@ -209,7 +210,8 @@ def fit_by_ipopt(
     check_size(face, len(data))
     S = face.model.weights if start is None else start
     structure = sp.csr_array((0, S.nnz)) if structure is None else structure
-    rest = face.rest_state(S)
+    face = face.with_weights(S)
+    rest = face.rest_state()
     w_a, w_s = options.weights(options.rounds - 1)
     regulariser = Regulariser(w_a, options.w_v, options.w_b, rest.pose)
     problem = GeometryProblem(face, data, regulariser, w_s, S.data, structure)
@@ -228,19 +230,17 @@ def fit_by_ipopt(
         message = f"{error.message}; the best result so far is kept"
         notices = (Notice(error.code, message, error.context),)
     # IPOPT keeps the simplex to its tolerance only
-    fitted = replace_values(S, joint.project(found.S.data, S.indptr))
-    states = {name: _near(face, fitted, found, name, rest) for name in data}
+    face = face.with_weights(replace_values(S, joint.project(found.S.data, S.indptr)))
+    states = {name: _near(face, found, name, rest) for name in data}
     steps = dict.fromkeys(data, found.iterations)
-    return ended(face, fitted, data, regulariser, states, steps), notices
+    return ended(face, data, regulariser, states, steps), notices
 
 
-def _near(
-    face: Face, S: sp.csr_array, found: reference.GeometryReference, name: str, rest: State
-) -> State:
+def _near(face: Face, found: reference.GeometryReference, name: str, rest: State) -> State:
     """Settle what IPOPT found of an expression; the resting face if that fails."""
     if not np.isfinite(found.x[name]).all():
         return rest
     try:
-        return face.settle(S, found.poses[name], found.x[name])
+        return face.solve_equilibrium(found.poses[name], found.x[name])
     except SolveError:
         return rest

@@ -257,9 +257,10 @@ def step(problem: GeometryProblem, now: Iterate) -> Iterate:
 
     The states are only approached, as in the fit of activations.
     """
+    face = problem.face.with_weights(now.S)
     damping = {name: now.pose_damping.get(name, POSE_DAMPING_START) for name in now.states}
     models = {
-        name: _Linearised(problem, name, now.S, state, damping[name])
+        name: _Linearised(problem, face, name, state, damping[name])
         for name, state in now.states.items()
     }
     change = _change(problem, now, list(models.values()))
@@ -280,16 +281,16 @@ def step(problem: GeometryProblem, now: Iterate) -> Iterate:
             states = {name: trial.state for name, trial in trials.items() if trial.state}
             return Iterate(S, states, _adapted(grown, gain / predicted, DAMPING_LEAST), damping)
     losing = [name for name, trial in trials.items() if trial.gain < 0.0]
-    states = now.states | _settled(problem.face, now.S, {name: now.states[name] for name in losing})
+    states = now.states | _settled(face, {name: now.states[name] for name in losing})
     return Iterate(now.S, states, 4.0**HALVINGS * now.damping, damping)
 
 
-def _settled(face: Face, S: sp.csr_array, states: dict[str, State]) -> dict[str, State]:
+def _settled(face: Face, states: dict[str, State]) -> dict[str, State]:
     """Settle those states that can be: near buckling, the value at an estimate may flatter."""
     settled = {}
     for name, state in states.items():
         with contextlib.suppress(SolveError):
-            settled[name] = face.settle(S, state.pose, state.x)
+            settled[name] = face.solve_equilibrium(state.pose, state.x)
     return settled
 
 
@@ -334,10 +335,10 @@ class _Linearised:
     """The Gauss-Newton model of one expression at a state, its pose's part damped."""
 
     def __init__(
-        self, problem: GeometryProblem, name: str, S: sp.csr_array, state: State, damping: float
+        self, problem: GeometryProblem, face: Face, name: str, state: State, damping: float
     ) -> None:
-        self._problem, self._name, self._state = problem, name, state
-        self._response = Sensitivity(problem.face, S, state)
+        self._problem, self._face, self._name, self._state = problem, face, name, state
+        self._response = Sensitivity(face, state)
         self._jacobian = jacobian = self._response.by_pose()
         data, regulariser = problem.data[name], problem.regulariser
         gradient, curvature = data.gradient(state.estimate), data.curvature(state.estimate)
@@ -382,12 +383,12 @@ class _Linearised:
 
     def _moved(self, S: sp.csr_array, response: Floats, pose: Pose) -> State | None:
         """Approach a pose with S; settle where that is too far; None where that fails too."""
-        face = self._problem.face
+        face = self._face.with_weights(S)
         with contextlib.suppress(SolveError):
             # the next linear models, of S too, are the better for a stiffness that is that at x
-            return face.approach(S, self._state, response, pose, REACH_MM)
+            return face.newton_predict(self._state, response, pose, REACH_MM)
         with contextlib.suppress(SolveError):
-            return face.follow(S, self._state, response, pose)
+            return face.predict_and_solve(self._state, response, pose)
         return None
 
     def _predicted(self, flesh: Floats, by_pose: Floats) -> float:

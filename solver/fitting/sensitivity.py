@@ -72,9 +72,9 @@ class PoseJacobian:
 class Sensitivity:
     """The derivatives of the vertices x at one state."""
 
-    def __init__(self, face: Face, S: sp.csr_array, state: State) -> None:
+    def __init__(self, face: Face, state: State) -> None:
         self._face = face
-        self._S = S
+        self._S = face.S
         self._state = state
 
     def by_pose(self) -> PoseJacobian:
@@ -139,14 +139,14 @@ class Sensitivity:
         """The free gradient's derivative by b, (size, 5), and the mandible's, (k, 3, 5)."""
         face, state = self._face, self._state
         direct = face.mandible_jacobian(state.pose.b)
-        tet_a = face.tet_activations(self._S, state.pose.a)
+        tet_a = face.tet_activations(state.pose.a)
         return face.flesh.coupling(state.x, tet_a, direct), direct[face.model.mandible]
 
     @cached_property
     def _by_weight(self) -> tuple[Floats, Ints, Ints, Ints, Floats]:
         """What the forces' derivative by S is made of: by tet and activation, and a_j."""
         flesh, pose = self._face.flesh, self._state.pose
-        tet_a = self._face.tet_activations(self._S, pose.a)
+        tet_a = self._face.tet_activations(pose.a)
         by_tet = flesh.forces_by_activation(self._state.x, tet_a)
         numbers = flesh.free_numbers[flesh.tets]
         columns = np.vstack([IDENTITY, pose.a])
@@ -158,13 +158,13 @@ def coordinates(vertices: Ints) -> Ints:
     return np.asarray((3 * vertices[:, None] + np.arange(3)).ravel())
 
 
-def gradient_by_pose(face: Face, S: sp.csr_array, pose: Pose, x: Floats) -> Floats:
+def gradient_by_pose(face: Face, pose: Pose, x: Floats) -> Floats:
     """Return d(grad_x E)/d(a, b) at any x (p, 3), shape (size, 6 m + 5)."""
     flesh = face.flesh
-    tet_a = face.tet_activations(S, pose.a)
+    tet_a = face.tet_activations(pose.a)
     by_jaw = flesh.coupling(x, tet_a, face.mandible_jacobian(pose.b))
     by_tet = flesh.forces_by_activation(x, tet_a)
-    return _pose_columns(flesh.size, S, by_tet, flesh.free_numbers[flesh.tets], by_jaw)
+    return _pose_columns(flesh.size, face.S, by_tet, flesh.free_numbers[flesh.tets], by_jaw)
 
 
 def _pose_columns(
@@ -178,16 +178,16 @@ def _pose_columns(
     return out
 
 
-def gradient_by_geometry(face: Face, S: sp.csr_array, pose: Pose, x: Floats) -> sp.csc_array:
+def gradient_by_geometry(face: Face, pose: Pose, x: Floats) -> sp.csc_array:
     """Return d(grad_x E)/dS at any x (p, 3), (size, nnz).
 
     Column s_ij holds the forces of tet i by A_i, times a_j: twelve entries, a tet's vertices.
     """
     flesh = face.flesh
     columns = np.vstack([IDENTITY, pose.a])
-    by_tet = flesh.forces_by_activation(x, face.tet_activations(S, pose.a))
-    tets = np.repeat(np.arange(len(flesh.tets)), np.diff(S.indptr))
-    values = np.einsum("eviq,eq->evi", by_tet[tets], columns[S.indices])
+    by_tet = flesh.forces_by_activation(x, face.tet_activations(pose.a))
+    tets = np.repeat(np.arange(len(flesh.tets)), np.diff(face.S.indptr))
+    values = np.einsum("eviq,eq->evi", by_tet[tets], columns[face.S.indices])
     return force_columns(values, flesh.free_numbers[flesh.tets[tets]], flesh.size)
 
 

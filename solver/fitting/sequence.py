@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.sparse as sp
 
 from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions
@@ -105,7 +104,6 @@ class Tracker:
     def __init__(
         self,
         face: Face,
-        S: sp.csr_array,
         regulariser: Regulariser,
         start: State,
         *,
@@ -114,7 +112,6 @@ class Tracker:
     ) -> None:
         self.face = face
         self.state = start
-        self._S = S
         self._regulariser = regulariser
         self._temporal = temporal
         self._options = ActivationOptions(max_iterations, tolerance=1e-3)
@@ -146,7 +143,6 @@ class Tracker:
         if found is None:
             fitted = activation.fit(
                 self.face,
-                self._S,
                 data,
                 regulariser,
                 self.state,
@@ -166,10 +162,10 @@ class Tracker:
         pose, found = self.state.pose, self.state.equilibrium
         # what was projected, too, would be wrong in every frame that it is kept for
         if found.factor.share > 0 or np.abs(found.factor.x - found.x).max() > CLOSE_MM:
-            a = self.face.tet_activations(self._S, pose.a)
+            a = self.face.tet_activations(pose.a)
             stiffness = Stiffness(self.face.flesh, self.face.linear, found.x, a)
             self.state = State(pose, replace(found, factor=stiffness))
-        jacobian = Sensitivity(self.face, self._S, self.state).by_pose()
+        jacobian = Sensitivity(self.face, self.state).by_pose()
         self._kept = _Kept.of(jacobian, data, self.state.x)
         self._age = 0
         return self._kept
@@ -209,7 +205,7 @@ class Tracker:
         pose = state.pose.changed(step)
         x = self.face.flesh.moved(state.x, kept.jacobian.flesh @ step)
         x[self.face.model.mandible] = self.face.mandible(pose.b)
-        flesh, a = self.face.flesh, self.face.tet_activations(self._S, pose.a)
+        flesh, a = self.face.flesh, self.face.tet_activations(pose.a)
         guess = untangled(flesh, state.x, x)
         if guess is None:
             return None
@@ -235,13 +231,13 @@ MOBILE_MM = 0.4
 """Motion that halves a point's stillness."""
 
 
-def stillness(face: Face, S: sp.csr_array) -> Floats:
+def stillness(face: Face) -> Floats:
     """Return weights (k,) in (0, 1] of the face's points: 1 where no muscle nor the jaw moves it.
 
     The motion is the linear response, at rest, to usual changes of every activation and of the
     jaw, all at once and independent of each other.
     """
-    jacobian = Sensitivity(face, S, face.rest_state(S)).by_pose()
+    jacobian = Sensitivity(face, face.rest_state()).by_pose()
     columns = jacobian.flesh.shape[1]
     by_pose = np.zeros((face.model.rest.size, columns))
     by_pose[jacobian.free] = jacobian.flesh

@@ -269,10 +269,10 @@ def check_held(face: Face) -> None:
         )
 
 
-def idle_muscles(face: Face, S: sp.csr_array) -> list[Notice]:
+def idle_muscles(face: Face) -> list[Notice]:
     """Return the muscles that have no share of any tet: their activations stay at rest."""
-    shares = np.asarray(S.sum(axis=0)).ravel()[1:]
-    candidates = np.bincount(S.indices, minlength=S.shape[1])[1:]
+    shares = np.asarray(face.S.sum(axis=0)).ravel()[1:]
+    candidates = np.bincount(face.S.indices, minlength=face.S.shape[1])[1:]
     found = []
     for number, name in enumerate(face.model.muscle_names):
         if candidates[number] == 0:

@@ -78,7 +78,7 @@ def fit_geometry(
         geometry.check_size(face, len(scans))
     priors = {"start": _begun(subject, start), "structure": _mirrored(subject, given["symmetry"])}
     told = Telling(subject, progress)
-    told.tell(0.02, [*_odd(face, face.model.weights, scans), *_too_few(scans)])
+    told.tell(0.02, [*_odd(face, scans), *_too_few(scans)])
     targets = _targets(subject, scans, given["distance"])
     begin = time.perf_counter()
     if given["solver"] == "ipopt":
@@ -161,14 +161,14 @@ def fit_activations(
     given = _take(options, known)
     face, scans = _read(model, captures, given["linear_solver"] or fastest(), progress)
     subject = face.model
-    S = load_weights(weights, subject)
+    face = face.with_weights(load_weights(weights, subject))
     carried = () if rig is None else load_activations(activations_file(rig), subject)
     told = Telling(subject, progress)
-    told.tell(0.02, _odd(face, S, scans))
+    told.tell(0.02, _odd(face, scans))
     told.tell(0.02, _replaced(subject, carried, scans))
     if given["solver"] == "ipopt":
         told.tell(0.02, chosen.slowness(face))
-    rest = Resting(face, S)
+    rest = Resting(face)
     regulariser = chosen.unseen_regulariser(face)
     stop = replace(chosen.UNSEEN_STOP, max_iterations=given["max_iterations"])
     targets = _targets(subject, scans, given["distance"])
@@ -182,7 +182,7 @@ def fit_activations(
             progress(Step("activations", 0.02 + 0.48 * part, iteration, value, message=name))
 
         start = time.perf_counter()
-        found = chosen.fit(face, S, data[name], regulariser, rest, stop, given["solver"], listen)
+        found = chosen.fit(face, data[name], regulariser, rest, stop, given["solver"], listen)
         spent = time.perf_counter() - start
         expression = _expression(face, name, "test", scan, targets[name], found, spent)
         done = 0.02 + 0.48 * (number + 1) / len(scans)
@@ -192,7 +192,7 @@ def fit_activations(
     chosen_options = {name: given[name] for name in ("distance", "solver")}
     settings = {**chosen.UNSEEN, **asdict(stop), **chosen_options}
     seconds = {**_geometry_seconds(carried), "activations": time.perf_counter() - begin}
-    whole = Rig(subject, S, (*kept, *fitted), seconds, told.general)
+    whole = Rig(subject, face.S, (*kept, *fitted), seconds, told.general)
     return _export(face, whole, settings, out, _later(progress, 0.5))
 
 
@@ -251,8 +251,8 @@ def _read(
     return face, scans
 
 
-def _odd(face: Face, S: sp.csr_array, scans: Mapping[str, RegisteredScan]) -> list[Notice]:
-    return [*idle_muscles(face, S), *target_checks.before_fit(face.model, scans)]
+def _odd(face: Face, scans: Mapping[str, RegisteredScan]) -> list[Notice]:
+    return [*idle_muscles(face), *target_checks.before_fit(face.model, scans)]
 
 
 def _too_few(scans: Mapping[str, RegisteredScan]) -> list[Notice]:
@@ -338,7 +338,8 @@ def _export(
         progress(Step("round_trip", 0.85 * number / len(fits), number + 1, message=name))
 
     start = time.perf_counter()
-    fits = with_round_trips(face, rig.weights, fits, listen)
+    face = face.with_weights(rig.weights)
+    fits = with_round_trips(face, fits, listen)
     seconds = {**rig.seconds, "round_trip": time.perf_counter() - start}
     rig = replace(rig, expressions=fits, seconds=seconds)
     progress(Step("export", 0.85, message="certificate, exports and pictures"))

@@ -46,11 +46,10 @@ def build_preview(
     subject = SubjectModel.load(model)
     S = load_weights(weights, subject)
     fits = [fit for fit in load_activations(rig, subject) if fit.status != "failed"]
-    face = Face(subject, linear=fastest(), tolerance=TOLERANCE)
+    face = Face(subject, S, linear=fastest(), tolerance=TOLERANCE)
     check_held(face)
     preview = make_preview(
         face,
-        S,
         fits,
         seed=given["seed"],
         seconds=given["max_seconds"],

@@ -427,6 +427,6 @@ def _solved(
         error = solved.mean_mm
         progress(Step("blendshapes", fraction, len(done), mean_error_mm=error, message=words))
 
-    face = Face(model, linear=fastest())
+    face = Face(model, person.S, linear=fastest())
     check_held(face)
-    return solve_blendshapes(face, person.S, targets, dict(done), told)
+    return solve_blendshapes(face, targets, dict(done), told)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
 from solver.errors import InputError, SolveError
@@ -247,14 +246,14 @@ def fit_sequence(
     numbers = _chosen(source, given)
     if not given["head_motion"]:
         _check_place(source, numbers[0], subject)
-    face = Face(subject, linear=given["linear_solver"] or fastest())
+    face = Face(subject, S, linear=given["linear_solver"] or fastest())
     check_held(face)
     if not resume:
         shutil.rmtree(out / FRAMES, ignore_errors=True)
     done = read_frames(out / FRAMES, subject.muscle_count)
     _check_same(done, numbers)
     progress(Step("read", 0.01, message=f"{len(numbers)} frames of {len(source)}"))
-    follower = _follower(face, S, given, done[-1] if done else None)
+    follower = _follower(face, given, done[-1] if done else None)
     shown = set(np.linspace(0, len(numbers) - 1, MOST_SHOTS).round().astype(int).tolist())
     shots: list[SequenceShot] = []
     animated = AnimatedSkin(subject.skin)
@@ -293,25 +292,22 @@ def fit_sequence(
     return files
 
 
-def _follower(
-    face: Face, S: sp.csr_array, given: dict[str, Any], last: SequenceFrame | None
-) -> Follower:
+def _follower(face: Face, given: dict[str, Any], last: SequenceFrame | None) -> Follower:
     """Return what fits the frames, from rest or from the ``last`` that is ready."""
-    state = face.rest_state(S)
+    state = face.rest_state()
     if last is not None:
         with suppress(SolveError):  # out of reach from rest: the next frame begins there
-            state = face.move(S, state, Pose(last.activations, last.jaw))
+            state = face.continuation(state, Pose(last.activations, last.jaw))
     regulariser = chosen.unseen_regulariser(face)
     tracker = Tracker(
         face,
-        S,
         regulariser,
         state,
         temporal=given["temporal"],
         max_iterations=given["max_iterations"],
     )
     targets = Targets(face.model, given["distance"])
-    return Follower(tracker, targets, last, stillness(face, S) if given["head_motion"] else None)
+    return Follower(tracker, targets, last, stillness(face) if given["head_motion"] else None)
 
 
 def _chosen(source: Performance, given: dict[str, Any]) -> range:

@@ -219,17 +219,17 @@ Listener = Callable[[str, int], None]
 
 
 def with_round_trips(
-    face: Face, S: sp.csr_array, fits: tuple[ExpressionFit, ...], listen: Listener | None = None
+    face: Face, fits: tuple[ExpressionFit, ...], listen: Listener | None = None
 ) -> tuple[ExpressionFit, ...]:
     """Return the fits with their round trips; those that have one keep it."""
-    rest = Resting(face, S)
+    rest = Resting(face)
     done = []
     for number, fit in enumerate(fits):
         if fit.round_trip is None:
             if listen:
                 listen(fit.name, number)
             pose, skin = Pose(fit.activations, fit.jaw), fit.skin[face.model.face]
-            done.append(replace(fit, round_trip=round_trip(face, S, pose, skin, rest)))
+            done.append(replace(fit, round_trip=round_trip(face, pose, skin, rest)))
         else:
             done.append(fit)
     return tuple(done)
@@ -237,24 +237,25 @@ def with_round_trips(
 
 def certify(face: Face, rig: Rig, settings: dict[str, Any]) -> Certificate:
     """Check every expression of a rig of ``face``; ``settings`` are JSON values."""
+    face = face.with_weights(rig.weights)
     mouth = Mouth.of(face.model)
     # the signs of pivots near buckling take double precision, whatever the fit had
     linear = analyse(face.flesh.hessian(face.model.rest, face.flesh.passive()))
-    checks = {fit.name: _check(face, rig.weights, fit, mouth, linear) for fit in rig.expressions}
+    checks = {fit.name: _check(face, fit, mouth, linear) for fit in rig.expressions}
     return Certificate(checks, settings)
 
 
 def _check(
-    face: Face, S: sp.csr_array, fit: ExpressionFit, mouth: Mouth | None, linear: LinearSolver
+    face: Face, fit: ExpressionFit, mouth: Mouth | None, linear: LinearSolver
 ) -> ExpressionCheck:
     model = face.model
     whole = np.isfinite(fit.target).all()
     return ExpressionCheck(
-        muscles(model, face.flesh.volumes, S, fit.activations),
+        muscles(model, face.flesh.volumes, face.S, fit.activations),
         jaw_motion(model, fit.jaw),
         None
         if fit.x is None
-        else check_flesh(face, face.tet_activations(S, fit.activations), fit.x, linear),
+        else check_flesh(face, face.tet_activations(fit.activations), fit.x, linear),
         None if mouth is None else crossing(mouth, fit.skin),
         None if mouth is None or not whole else crossing(mouth, fit.target),
     )

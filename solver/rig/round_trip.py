@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.sparse as sp
 
 from solver.errors import SolveError
 from solver.fitting import activation
@@ -50,15 +49,13 @@ class RoundTrip:
         return bool(np.isfinite(self.skin_mean_mm))
 
 
-def round_trip(
-    face: Face, S: sp.csr_array, pose: Pose, fitted_face: Floats, rest: Resting
-) -> RoundTrip:
+def round_trip(face: Face, pose: Pose, fitted_face: Floats, rest: Resting) -> RoundTrip:
     """Simulate ``pose`` from ``rest`` and fit it again to the simulated skin.
 
     ``fitted_face`` (k, 3) is the fitted skin of the face, in mm.
     """
     try:
-        simulated = face.move(S, rest.state, pose)
+        simulated = face.continuation(rest.state, pose)
     except SolveError:
         return RoundTrip()
     points = face.face_points(simulated.x)
@@ -67,9 +64,7 @@ def round_trip(
     regulariser = Regulariser(**REFIT, prior=face.rest_pose())
     data = SkinDistance(face, Target.from_points(points))
     try:
-        again = activation.fit(
-            face, S, data, regulariser, rest.state, STOP, matrix=rest.matrix
-        ).state
+        again = activation.fit(face, data, regulariser, rest.state, STOP, matrix=rest.matrix).state
     except (SolveError, np.linalg.LinAlgError):
         return there
     left = np.linalg.norm(face.face_points(again.x) - points, axis=1)

@@ -170,6 +170,7 @@ class Physics:
         """Return an edited person's face."""
         return Face(
             edited.model,
+            edited.S,
             material=self.material,
             linear=fastest(),
             pinned=not self.sliding,

@@ -116,20 +116,19 @@ class FibreFit:
     x: Floats
 
 
-def fit_fibres(face: Face, S: sp.csr_array, target: Floats) -> FibreFit:
+def fit_fibres(face: Face, target: Floats) -> FibreFit:
     """Fit the face's points (k, 3) to ``target`` (k, 3) from rest, in mm.
 
     Raises :class:`~solver.errors.InputError` (``model.fibres``) for a model without fibres.
     """
-    return _Fit(face, S, target).solve()
+    return _Fit(face, target).solve()
 
 
 class _Fit:
     """Unknowns theta (m + 5,) are contractions and jaw."""
 
-    def __init__(self, face: Face, S: sp.csr_array, target: Floats) -> None:
+    def __init__(self, face: Face, target: Floats) -> None:
         self._face = face
-        self._S = S
         self._target = target
         muscles = face.model.muscle_count
         self._relaxed = np.concatenate([np.ones(muscles), np.zeros(5)])
@@ -154,17 +153,17 @@ class _Fit:
         face = self._face
         x = x.copy()
         x[face.flesh.held] = face.held_positions(theta[-5:])
-        A = fibre_activations(face.model, self._S, theta[:-5])
+        A = fibre_activations(face.model, face.S, theta[:-5])
         return equilibrium.solve(face.flesh, face.linear, x, A, tolerance=face.tolerance)
 
     def jacobian(self, theta: Floats, state: Equilibrium) -> Floats:
         """Return the derivative (3 k, m + 5) of the face's points by theta."""
         face, flesh, model = self._face, self._face.flesh, self._face.model
-        A = fibre_activations(model, self._S, theta[:-5])
+        A = fibre_activations(model, face.S, theta[:-5])
         by_activation = flesh.forces_by_activation(state.x, A)
         loads = np.zeros((flesh.size, len(theta)))
         for muscle in range(model.muscle_count):
-            tets, rates = activation_rates(model, self._S, muscle, float(theta[muscle]))
+            tets, rates = activation_rates(model, face.S, muscle, float(theta[muscle]))
             forces = np.zeros((len(model.tets), 4, 3))
             forces[tets] = np.einsum("tvdk,tk->tvd", by_activation[tets], rates)
             loads[:, muscle] = flesh.scatter(forces)

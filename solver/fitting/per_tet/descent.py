@@ -82,8 +82,8 @@ class Step:
         before = self.state.pose
         motion = self.model.response.motion(pose.a - before.a, pose.b - before.b)
         free = motion[self.model.response.free]
-        near = tissue.face.approach(tissue.selection, self.state, free, pose)
-        return tissue.face.settle(tissue.selection, pose, near.x, max_iterations=CORRECTIONS)
+        near = tissue.face.newton_predict(self.state, free, pose)
+        return tissue.face.solve_equilibrium(pose, near.x, max_iterations=CORRECTIONS)
 
 
 TRIES = 2
@@ -186,8 +186,8 @@ class Descent:
         tissue = self._objective.tissue
         for part in (1.0, 0.5):
             try:
-                state = tissue.face.settle(
-                    tissue.selection, step.pose(part), step.state.x, max_iterations=SNAP_ITERATIONS
+                state = tissue.face.solve_equilibrium(
+                    step.pose(part), step.state.x, max_iterations=SNAP_ITERATIONS
                 )
             except SolveError:
                 continue
@@ -253,9 +253,7 @@ def creep(
     for viscosity in np.repeat(viscosities, steps):
         flesh.viscosity, flesh.anchor = float(viscosity), state.x
         try:
-            state = viscous.face.settle(
-                viscous.selection, state.pose, state.x, max_iterations=CORRECTIONS
-            )
+            state = viscous.face.solve_equilibrium(state.pose, state.x, max_iterations=CORRECTIONS)
             step = Step.of(objective, solver, state, objective.value(state), damping)
         except SolveError:
             break
@@ -266,7 +264,7 @@ def creep(
         else:
             state, damping = found
     try:
-        end = tissue.face.settle(tissue.selection, state.pose, state.x)
+        end = tissue.face.solve_equilibrium(state.pose, state.x)
     except SolveError:
         return start, taken
     return min(start, end, key=objective.value), taken

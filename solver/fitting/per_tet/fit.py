@@ -80,7 +80,7 @@ def fit(
         if found.status != Status.NO_DESCENT or value > ENOUGH * before:
             break
     pose = found.state.pose
-    state = tissue.face.settle(tissue.selection, pose, found.state.x)
+    state = tissue.face.solve_equilibrium(pose, found.state.x)
     return PerTetFit(
         pose.a,
         tissue.active,

@@ -42,7 +42,7 @@ class Response:
 
     def __init__(self, tissue: Tissue, state: State) -> None:
         face, flesh = tissue.face, tissue.face.flesh
-        a = face.tet_activations(tissue.selection, state.pose.a)
+        a = face.tet_activations(state.pose.a)
         self.forces = flesh.forces_by_activation(state.x, a)[tissue.active]
         direct = face.mandible_jacobian(state.pose.b)
         self.by_jaw = flesh.coupling(state.x, a, direct)
@@ -133,7 +133,7 @@ class SaddleSolver:
         blocks = np.zeros((len(flesh.tets), 4, 4, 3, 3))
         blocks[self._tissue.active] = np.einsum("euir,evjr->euvij", weighted, response.forces)
         K = flesh.assemble(blocks)
-        activation = self._tissue.face.tet_activations(self._tissue.selection, state.pose.a)
+        activation = self._tissue.face.tet_activations(state.pose.a)
         H = flesh.hessian(state.x, activation, project=not state.equilibrium.minimum)
         C = model.data[response.free][:, response.free]
         E = model.data[response.free][:, response.moving] @ response.jaw

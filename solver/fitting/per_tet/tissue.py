@@ -29,10 +29,8 @@ class Tissue:
 
     face
         The face with a flesh of elements: first all tets, those with muscle standing for their
-        share of it, then the passive rest of these.
-    selection
-        (elements, n_active + 1) CSR with one 1 a row: the S of a model where every active tet is a
-        muscle by itself.
+        share of it, then the passive rest of these. Its S (elements, n_active + 1) has one 1 a row:
+        every active tet is a muscle by itself.
     active
         (n_active,) the tets with muscle.
     shares
@@ -43,7 +41,6 @@ class Tissue:
     """
 
     face: Face
-    selection: sp.csr_array
     active: Ints
     shares: sp.csr_array
     fibres: Floats
@@ -99,10 +96,12 @@ def of_face(face: Face) -> Tissue:
         ),
         shape=(len(active), model.muscle_count),
     )
-    return Tissue(face.with_flesh(flesh), selection, active, shares, model.fibres[kept])
+    return Tissue(
+        face.with_flesh(flesh).with_weights(selection), active, shares, model.fibres[kept]
+    )
 
 
 def rest_state(tissue: Tissue) -> State:
     """Return the neutral face with passive flesh."""
     pose = Pose(np.tile(IDENTITY, (len(tissue.active), 1)), np.zeros(5))
-    return tissue.face.settle(tissue.selection, pose, tissue.face.model.rest)
+    return tissue.face.solve_equilibrium(pose, tissue.face.model.rest)

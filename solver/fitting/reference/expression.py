@@ -98,15 +98,15 @@ class Expression:
 
     def constraints(self, z: Floats, S: sp.csr_array) -> Floats:
         """Return the free coordinates' forces (size,); raises where a tet is inverted."""
-        x, a = self.place(z), self.face.tet_activations(S, self.pose(z).a)
+        x, a = self.place(z), self.face.with_weights(S).tet_activations(self.pose(z).a)
         finite(self.flesh.energy(x, a))
         return self.flesh.gradient(x, a)
 
     def jacobian(self, z: Floats, S: sp.csr_array) -> Floats:
         """Return the entries of the constraints' derivative."""
-        x, pose = self.place(z), self.pose(z)
-        by_x = self.flesh.hessian(x, self.face.tet_activations(S, pose.a)).data
-        by_pose = gradient_by_pose(self.face, S, pose, x)
+        x, pose, face = self.place(z), self.pose(z), self.face.with_weights(S)
+        by_x = self.flesh.hessian(x, face.tet_activations(pose.a)).data
+        by_pose = gradient_by_pose(face, pose, x)
         return np.concatenate([by_x, by_pose[self._pose_entries]])
 
     def _touched(self, candidates: sp.csr_array) -> Floats:
@@ -131,7 +131,6 @@ class Expression:
 
 def minimise(
     expression: Expression,
-    S: sp.csr_array,
     start: Pose,
     x: Floats,
     tolerance: float,
@@ -142,7 +141,7 @@ def minimise(
 
     Raises :class:`NotConvergedError`.
     """
-    problem = OneExpression(expression, S, listen)
+    problem = OneExpression(expression, listen)
     begin = expression.start(start, x)
     forces = np.zeros(expression.flesh.size)
     found = solve(problem, begin, forces, tolerance, max_iterations)
@@ -153,12 +152,10 @@ def minimise(
 class OneExpression(Problem):
     """Variables and constraints are those of the expression, S being fixed."""
 
-    def __init__(
-        self, expression: Expression, S: sp.csr_array, listen: Listener | None = None
-    ) -> None:
+    def __init__(self, expression: Expression, listen: Listener | None = None) -> None:
         super().__init__(listen)
         self._expression = expression
-        self._S = S
+        self._S = expression.face.S
 
     def objective(self, z: Floats) -> float:
         """See :class:`Problem`."""
@@ -194,7 +191,6 @@ class OneExpression(Problem):
 
 def activations(
     face: Face,
-    S: sp.csr_array,
     data: Term,
     regulariser: Regulariser,
     start: Pose,
@@ -208,8 +204,8 @@ def activations(
 
     Raises :class:`NotConvergedError` (``ipopt.failed``) with IPOPT's message.
     """
-    expression = Expression(face, S, data, MusclePriors(regulariser))
-    return minimise(expression, S, start, x, tolerance, max_iterations, listen)
+    expression = Expression(face, face.S, data, MusclePriors(regulariser))
+    return minimise(expression, start, x, tolerance, max_iterations, listen)
 
 
 @dataclass(frozen=True)
@@ -236,14 +232,12 @@ class MusclePriors:
 # The forward problem: minimise E(x; a, b) over the free vertices.
 
 
-def forward(
-    face: Face, S: sp.csr_array, pose: Pose, x: Floats, *, tolerance: float = 1e-9
-) -> Reference:
+def forward(face: Face, pose: Pose, x: Floats, *, tolerance: float = 1e-9) -> Reference:
     """Minimise E(x; a, b) over the free vertices from ``x`` (p, 3), by IPOPT.
 
     Raises :class:`NotConvergedError` (``ipopt.failed``) with IPOPT's message.
     """
-    problem = ForwardProblem(face, S, pose, x)
+    problem = ForwardProblem(face, pose, x)
     start = x[face.flesh.free].ravel()
     found = solve(problem, start, np.zeros(0), tolerance, 500)
     x = problem.place(found.z)
@@ -253,10 +247,10 @@ def forward(
 class ForwardProblem(Problem):
     """Variables are the free vertices' coordinates."""
 
-    def __init__(self, face: Face, S: sp.csr_array, pose: Pose, x: Floats) -> None:
+    def __init__(self, face: Face, pose: Pose, x: Floats) -> None:
         super().__init__()
         self._flesh = face.flesh
-        self._a = face.tet_activations(S, pose.a)
+        self._a = face.tet_activations(pose.a)
         self._x = x.copy()
         self._x[face.model.mandible] = face.mandible(pose.b)
         pattern = self._flesh.hessian(x, self._a)
@@ -312,10 +306,8 @@ def per_tet(
     tissue = tissues.of_face(face)
     rest = rest_state(tissue)
     priors = TetPriors(Objective(tissue, data, options, rest.pose.b), options.w_b)
-    expression = Expression(tissue.face, tissue.selection, data, priors)
-    return minimise(
-        expression, tissue.selection, rest.pose, rest.x, tolerance, max_iterations, listen
-    )
+    expression = Expression(tissue.face, tissue.face.S, data, priors)
+    return minimise(expression, rest.pose, rest.x, tolerance, max_iterations, listen)
 
 
 @dataclass(frozen=True)

@@ -164,4 +164,4 @@ class FullGeometry(Problem):
         return factor * np.concatenate([*parts, self._by_weights.data])
 
     def _pull(self, S: sp.csr_array, pose: Pose, x: Floats) -> sp.csc_array:
-        return gradient_by_geometry(self._face, S, pose, x)
+        return gradient_by_geometry(self._face.with_weights(S), pose, x)

@@ -15,7 +15,6 @@ from typing import Literal
 import numpy as np
 import scipy.linalg
 import scipy.optimize
-import scipy.sparse as sp
 
 from solver.fitting.activation import Resting
 from solver.fitting.face import Face, Pose
@@ -131,12 +130,10 @@ class Controls:
         return [number for number, control in enumerate(self.each) if control.kind == kind]
 
 
-def controls_of(
-    face: Face, S: sp.csr_array, rest: Resting, fits: Sequence[ExpressionFit]
-) -> Controls:
+def controls_of(face: Face, rest: Resting, fits: Sequence[ExpressionFit]) -> Controls:
     """Return the controls of a face with one fitted expression or more."""
     fitted = np.array([[*(fit.activations - IDENTITY).ravel(), *fit.jaw] for fit in fits])
-    muscles, changes = _muscles(face, S)
+    muscles, changes = _muscles(face)
     # rest.matrix is the curvature of a mean square: twice J^T J
     contracted = nearest_amounts(fitted[:, :-5], changes, 0.5 * rest.matrix[:-5, :-5])
     jaw, ways, opened = _jaw(fitted[:, -5:])
@@ -156,13 +153,13 @@ def controls_of(
     )
 
 
-def _muscles(face: Face, S: sp.csr_array) -> tuple[list[Control], Floats]:
+def _muscles(face: Face) -> tuple[list[Control], Floats]:
     """Return the muscles' controls and their changes of a (6 m, .).
 
     A muscle without fibres in S moves nothing, and has none.
     """
     model, count = face.model, face.model.muscle_count
-    tensors = fibre_tensors(model, face.flesh.volumes, S)
+    tensors = fibre_tensors(model, face.flesh.volumes, face.S)
     kept = np.flatnonzero(np.isfinite(tensors).all(axis=(1, 2)))
     changes = np.zeros((count, 6, len(kept)))
     for column, muscle in enumerate(kept):

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from solver.drawing.head import Head
 from solver.drawing.page import GREY, HEADER, Page
@@ -143,7 +142,6 @@ class Preview:
 
 def make_preview(
     face: Face,
-    S: sp.csr_array,
     fits: Sequence[ExpressionFit],
     *,
     seed: int,
@@ -160,12 +158,12 @@ def make_preview(
     if not fits:
         raise InputError("preview.nothing", "the rig has no fitted expression to make sliders from")
     begin = time.monotonic()
-    rest = Resting(face, S)
+    rest = Resting(face)
     listen("controls", 0.0)
-    controls = controls_of(face, S, rest, fits)
+    controls = controls_of(face, rest, fits)
     learning, measuring = learned_from(controls, seed), measured_on(controls, seed)
     known = {fit.name: fit.x for fit in fits if fit.x is not None}
-    simulator = Simulator(face, S, controls, rest.state, known)
+    simulator = Simulator(face, controls, rest.state, known)
     samples = simulator.solve(
         learning,
         begin + LEARNING * seconds,
@@ -180,7 +178,7 @@ def make_preview(
     if not samples or not unseen:
         message = "too few poses of the sliders could be simulated to make and to measure them"
         raise SolveError("preview.unreachable", message, learned=len(samples), measured=len(unseen))
-    skin = _learned(face, S, controls, samples, begin + seconds, listen)
+    skin = _learned(face, controls, samples, begin + seconds, listen)
     neutral, shown = face.model.skin.vertices, face.model.face
     presets = [
         sample
@@ -201,7 +199,6 @@ def make_preview(
 
 def _learned(
     face: Face,
-    S: sp.csr_array,
     controls: Controls,
     samples: Sequence[Sample],
     deadline: float,
@@ -215,7 +212,7 @@ def _learned(
     weights = vertex_weights(face.model)
     modes = modes_of(motions, weights)
     measure = modes * weights[:, None]
-    responses = Responses(face, S, controls, measure)
+    responses = Responses(face, controls, measure)
     slopes: list[Floats | None] = []
     for number, sample in enumerate(samples):
         listen("slopes", MEASURING + (1.0 - MEASURING) * number / len(samples))

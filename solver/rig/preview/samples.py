@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
 
 from solver.drawing.head import both_sides
 from solver.errors import SolveError
@@ -153,13 +152,11 @@ class Simulator:
     def __init__(
         self,
         face: Face,
-        S: sp.csr_array,
         controls: Controls,
         rest: State,
         fitted: Mapping[str, Floats],
     ) -> None:
         self._face = face
-        self._S = S
         self._controls = controls
         self._last, self._last_values = rest, np.zeros(len(controls))
         self._known = [(self._last_values, rest.x)]
@@ -186,7 +183,7 @@ class Simulator:
         return samples
 
     def _move(self, values: Floats) -> State:
-        self._last = self._face.move(self._S, self._near(values), self._controls.pose(values))
+        self._last = self._face.continuation(self._near(values), self._controls.pose(values))
         self._last_values = values
         return self._last
 
@@ -196,13 +193,13 @@ class Simulator:
         nearest, x = self._known[int(np.argmin(distances))]
         if nearest is self._last_values:
             return self._last
-        return state_at(self._face, self._S, self._controls, nearest, x)
+        return state_at(self._face, self._controls, nearest, x)
 
 
-def state_at(face: Face, S: sp.csr_array, controls: Controls, values: Floats, x: Floats) -> State:
+def state_at(face: Face, controls: Controls, values: Floats, x: Floats) -> State:
     """Return the state of slider ``values`` (k,) with its equilibrium ``x`` (p, 3)."""
     pose = controls.pose(values)
-    stiffness = Stiffness(face.flesh, face.linear, x, face.tet_activations(S, pose.a))
+    stiffness = Stiffness(face.flesh, face.linear, x, face.tet_activations(pose.a))
     return State(pose, Equilibrium(x, x, stiffness, 0.0, 0))
 
 
@@ -212,8 +209,8 @@ def state_at(face: Face, S: sp.csr_array, controls: Controls, values: Floats, x:
 class Responses:
     """Derivatives by the sliders of the skin's inner products with ``modes`` (r, n, 3)."""
 
-    def __init__(self, face: Face, S: sp.csr_array, controls: Controls, modes: Floats) -> None:
-        self._face, self._S, self._controls = face, S, controls
+    def __init__(self, face: Face, controls: Controls, modes: Floats) -> None:
+        self._face, self._controls = face, controls
         model = face.model
         count = len(modes)
         moved = modes[:, model.embedded].transpose(1, 0, 2).reshape(len(model.embedded), -1)
@@ -224,10 +221,10 @@ class Responses:
     def at(self, sample: Sample) -> Floats | None:
         """Return the derivatives (r, k) at a sample; None where the flesh is about to buckle."""
         face, controls, model = self._face, self._controls, self._face.model
-        state = state_at(face, self._S, controls, sample.slid.values, sample.x)
+        state = state_at(face, controls, sample.slid.values, sample.x)
         if not state.equilibrium.minimum:
             return None
-        forces = gradient_by_pose(face, self._S, state.pose, state.x) @ controls.directions
+        forces = gradient_by_pose(face, state.pose, state.x) @ controls.directions
         by_jaw, b = controls.directions[-5:], state.pose.b
         out = self._of_x[:, coordinates(face.flesh.free)] @ -state.equilibrium.factor.solve(forces)
         mandible = face.mandible_jacobian(b)[model.mandible].reshape(-1, jaw.DEGREES_OF_FREEDOM)

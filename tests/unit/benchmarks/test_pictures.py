@@ -13,10 +13,10 @@ from tests.unit.solver.block import block_model
 def test_a_fit_that_is_off_is_redder(tmp_path: Path) -> None:
     model = block_model()
     face = Face(model)
-    S, rest = model.weights, face.rest_state(model.weights)
+    rest = face.rest_state()
     a = rest.pose.a.copy()
     a[0, 0] = 0.6
-    moved = face.move(S, rest, Pose(a, rest.pose.b))
+    moved = face.continuation(rest, Pose(a, rest.pose.b))
     scan = face.whole_skin(rest.x, rest.pose.b)
     path = tmp_path / "new" / "fits.png"
     side_by_side(path, face, "Block", {"rest": Compared(scan, {"S": rest, "P": moved})})

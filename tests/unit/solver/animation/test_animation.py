@@ -173,8 +173,8 @@ def test_blendshapes_are_solved_once(tmp_path: Path) -> None:
     model = head_block()
     face = Face(model)
     S = model.weights
-    bulge = face.settle(S, pose(-0.2, 0.0), model.rest)
-    opened = face.settle(S, pose(0.0, 0.1), model.rest)
+    bulge = face.solve_equilibrium(pose(-0.2, 0.0), model.rest)
+    opened = face.solve_equilibrium(pose(0.0, 0.1), model.rest)
     displaced = {
         "cheekPuffLeft": face.whole_skin(bulge.x, np.zeros(5)),
         "jawOpen": face.whole_skin(opened.x, opened.pose.b),
@@ -187,7 +187,7 @@ def test_blendshapes_are_solved_once(tmp_path: Path) -> None:
     assert list(targets) == ["cheekPuffLeft", "jawOpen"]
 
     heard: list[str] = []
-    shapes = solve_blendshapes(face, S, targets, {}, lambda name, _: heard.append(name))
+    shapes = solve_blendshapes(face, targets, {}, lambda name, _: heard.append(name))
     assert heard == list(targets)
     for name, points in targets.items():
         away = np.linalg.norm(points - model.skin.vertices[model.face], axis=1).mean()
@@ -196,7 +196,7 @@ def test_blendshapes_are_solved_once(tmp_path: Path) -> None:
     shapes.save(file, model, S)
     kept = Blendshapes.load(file, model, S)
     np.testing.assert_array_equal(kept.blend.activations, shapes.blend.activations)
-    again = solve_blendshapes(face, S, targets, kept.shapes, lambda name, _: heard.append(name))
+    again = solve_blendshapes(face, targets, kept.shapes, lambda name, _: heard.append(name))
     assert len(heard) == 2
     assert again.shapes["jawOpen"] is kept.shapes["jawOpen"]
     wider = replace(model, rest=1.01 * model.rest)

@@ -17,13 +17,12 @@ STOP = ActivationOptions(25, 1e-6)
 def problem():
     """Return what a fit takes, for two contracted muscles and an open jaw."""
     face = Face(block_model())
-    S = face.model.weights
-    rest = Resting(face, S)
+    rest = Resting(face)
     a = np.array([[0.8, 0.05, 0.0, 1.1, 0.0, 1.1], [0.9, 0.0, 0.0, 1.05, 0.0, 1.05]])
     pose = Pose(a, np.array([0.1, 0.02, 0.2, -0.5, 0.4]))
-    target = Target.from_points(face.face_points(face.move(S, rest.state, pose).x))
+    target = Target.from_points(face.face_points(face.continuation(rest.state, pose).x))
     regulariser = Regulariser(1e-3, 1e-2, 1e-6, face.rest_pose())
-    return face, S, SkinDistance(face, target), regulariser, rest, STOP
+    return face, SkinDistance(face, target), regulariser, rest, STOP
 
 
 def test_both_solvers_find_the_same(problem):
@@ -31,7 +30,7 @@ def test_both_solvers_find_the_same(problem):
     assert (reduced.solver, reduced.status, reduced.notices) == ("reduced", "converged", ())
     assert (full.solver, full.status, full.notices) == ("ipopt", "converged", ())
     assert full.objective == pytest.approx(reduced.objective, rel=1e-3)
-    _, _, data, regulariser, rest, _ = problem
+    _, data, regulariser, rest, _ = problem
     assert full.objective < 0.01 * chosen.activation.objective(data, regulariser, rest.state)
 
 
@@ -56,9 +55,9 @@ def test_out_of_iterations_the_best_is_kept(problem, monkeypatch):
     """One iteration of IPOPT ends nowhere: what is kept is better than rest, and settled."""
     monkeypatch.setattr(chosen, "IPOPT_ITERATIONS", 1)
     monkeypatch.setattr(chosen, "HEAVIER", (1.0,))
-    face, S, data, regulariser, rest, _ = problem
+    face, data, regulariser, rest, _ = problem
     few = ActivationOptions(1, 1e-6)
-    found = chosen.by_ipopt(face, S, data, regulariser, rest, few)
+    found = chosen.by_ipopt(face, data, regulariser, rest, few)
     assert found.status == "stopped"
     assert [notice.code for notice in found.notices] == ["ipopt.failed"]
     assert found.objective < 0.5 * chosen.activation.objective(data, regulariser, rest.state)

@@ -18,17 +18,16 @@ def face():
     return Face(block_model())
 
 
-def target_of(face, S, pose):
-    return Target.from_points(face.face_points(face.move(S, face.rest_state(S), pose).x))
+def target_of(face, pose):
+    return Target.from_points(face.face_points(face.continuation(face.rest_state(), pose).x))
 
 
 def test_round_trip_finds_activations_and_jaw(face):
-    S = face.model.weights
     for pose in poses(3):
-        target = target_of(face, S, pose)
+        target = target_of(face, pose)
         weak = Regulariser(w_a=1e-9, w_v=0.0, w_b=1e-12, prior=face.rest_pose())
         data = SkinDistance(face, target)
-        fitted = activation.fit(face, S, data, weak, face.rest_state(S), CONVERGED)
+        fitted = activation.fit(face, data, weak, face.rest_state(), CONVERGED)
         error = target.distances(face.face_points(fitted.state.x))
         assert error.max() < 1e-3
         np.testing.assert_allclose(fitted.state.pose.a, pose.a, atol=0.02)
@@ -36,18 +35,17 @@ def test_round_trip_finds_activations_and_jaw(face):
 
 
 def test_reduced_solver_agrees_with_ipopt(face):
-    S = face.model.weights
     pose = poses(1)[0]
-    data = SkinDistance(face, target_of(face, S, pose))
+    data = SkinDistance(face, target_of(face, pose))
     regulariser = Regulariser(w_a=0.5, w_v=0.1, w_b=1e-4, prior=face.rest_pose())
-    rest = face.rest_state(S)
-    reduced = activation.fit(face, S, data, regulariser, rest, CONVERGED)
-    full = reference.activations(face, S, data, regulariser, rest.pose, rest.x)
+    rest = face.rest_state()
+    reduced = activation.fit(face, data, regulariser, rest, CONVERGED)
+    full = reference.activations(face, data, regulariser, rest.pose, rest.x)
     assert reduced.objective == pytest.approx(full.objective, rel=1e-6)
     assert full.objective > 1e-3
     np.testing.assert_allclose(reduced.state.pose.a, full.pose.a, atol=1e-3)
-    settled = face.move(S, rest, pose)
-    energy = reference.forward(face, S, pose, rest.x)
+    settled = face.continuation(rest, pose)
+    energy = reference.forward(face, pose, rest.x)
     np.testing.assert_allclose(energy.x, settled.x, atol=1e-4)
 
 

@@ -33,10 +33,9 @@ def face():
 
 
 def targets_of(face, count):
-    S = face.model.weights
-    rest = face.rest_state(S)
+    rest = face.rest_state()
     return {
-        f"pose {k}": Target.from_points(face.face_points(face.move(S, rest, pose).x))
+        f"pose {k}": Target.from_points(face.face_points(face.continuation(rest, pose).x))
         for k, pose in enumerate(poses(count))
     }
 
@@ -62,7 +61,7 @@ def test_step_solves_the_dense_system():
         S.data - 0.1 * np.tile([1, 0, -1], len(S.data) // 3),
         structure,
     )
-    states = dict.fromkeys(data, face.rest_state(S))
+    states = dict.fromkeys(data, face.rest_state())
     count = face.rest_pose().a.size + 5
     units = np.concatenate([np.ones(count - 5), np.array([1e4, 1e4, 1, 1, 1]) * 1e-3])
     total = S.nnz + len(data) * count
@@ -71,7 +70,7 @@ def test_step_solves_the_dense_system():
     gradient[: S.nnz] = problem.prior_gradient(S.data)
     for number, (name, term) in enumerate(data.items()):
         x = states[name].x
-        response = Sensitivity(face, S, states[name])
+        response = Sensitivity(face, states[name])
         jacobian = response.by_pose()
         by_all = np.zeros((x.size, total))
         by_all[jacobian.free, : S.nnz] = np.stack(
@@ -102,11 +101,10 @@ def test_fit_improves_on_the_wrong_weights_and_stays_on_the_simplex(face):
     targets = targets_of(face, 4)
     start = Face(smeared(face.model))
     data = {name: SkinDistance(start, target) for name, target in targets.items()}
-    rest = start.rest_state(start.model.weights)
+    rest = start.rest_state()
     regulariser = Regulariser(1e-3, 1e-3, 1e-6, start.rest_pose())
     alone = {
-        name: activation.fit(start, start.model.weights, term, regulariser, rest).state
-        for name, term in data.items()
+        name: activation.fit(start, term, regulariser, rest).state for name, term in data.items()
     }
     before = geometry.mean_error(start, targets, alone)
     fitted = geometry.fit(start, data, GeometryOptions(rounds=12, first_iterations=1))

@@ -50,12 +50,12 @@ def contracted(divided, rng, spread):
 
 
 def settled(divided, pose, x):
-    return divided.face.settle(divided.selection, pose, x)
+    return divided.face.solve_equilibrium(pose, x)
 
 
 def target_of(divided, pose):
     face, rest = divided.face, per_tet.rest_state(divided)
-    state = face.move(divided.selection, rest, pose)
+    state = face.continuation(rest, pose)
     return Target.from_points(face.face_points(state.x))
 
 
@@ -69,7 +69,7 @@ def posed(divided):
     objective = Objective(divided, data, OPTIONS, np.full(5, 0.01))
     pose = Pose(contracted(divided, rng, 0.5), 0.4 * jaw)
     rest = per_tet.rest_state(divided)
-    return objective, divided.face.move(divided.selection, rest, pose)
+    return objective, divided.face.continuation(rest, pose)
 
 
 def test_tissue_shares_every_tets_volume(divided):
@@ -82,9 +82,7 @@ def test_tissue_shares_every_tets_volume(divided):
     assert 0 < len(divided.active) < len(model.tets) < len(flesh.tets)
     assert divided.volumes.sum() == pytest.approx(1.0)
     # at rest, with passive activations, two tissues are as one
-    passive = divided.face.tet_activations(
-        divided.selection, np.tile(IDENTITY, (len(divided.active), 1))
-    )
+    passive = divided.face.tet_activations(np.tile(IDENTITY, (len(divided.active), 1)))
     x = model.rest + 0.2 * np.sin(model.rest)
     assert flesh.energy(x, passive) == pytest.approx(whole.energy(x, whole.passive()), rel=1e-12)
 

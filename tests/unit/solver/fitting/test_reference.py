@@ -23,12 +23,11 @@ def face():
 
 def two_targets(face):
     """Return the skin of two simulated poses: muscles contract along x, the jaw opens."""
-    S = face.model.weights
     found = {}
     for name, stretch, hinge in (("wide", (0.75, 0.9), 0.1), ("narrow", (0.95, 0.7), 0.03)):
         a = np.array([[s, 0.05, 0.0, 1.0 / np.sqrt(s), 0.0, 1.0 / np.sqrt(s)] for s in stretch])
         pose = Pose(a, np.array([hinge, 0.02, 0.2, -0.5, 0.4]))
-        state = face.move(S, face.rest_state(S), pose)
+        state = face.continuation(face.rest_state(), pose)
         found[name] = SkinDistance(face, Target.from_points(face.face_points(state.x)))
     return found
 
@@ -39,11 +38,11 @@ def smeared(face):
     return replace_values(face.model.weights, np.tile([0.6, 0.2, 0.2], tets))
 
 
-def multi_target(face, S, data, w_a, w_v, w_s):
+def multi_target(face, data, w_a, w_v, w_s):
     """Return the problem with the rest pose and S as priors, left and right tied to each other."""
-    tied = sp.csr_array(0.05 * (sp.eye_array(6, S.nnz) - sp.eye_array(6, S.nnz, k=9)))
+    tied = sp.csr_array(0.05 * (sp.eye_array(6, face.S.nnz) - sp.eye_array(6, face.S.nnz, k=9)))
     regulariser = Regulariser(w_a, w_v, 1e-3, face.rest_pose())
-    return GeometryProblem(face, data, regulariser, w_s, S.data, tied)
+    return GeometryProblem(face, data, regulariser, w_s, face.S.data, tied)
 
 
 def differences(function, z, direction):
@@ -52,9 +51,9 @@ def differences(function, z, direction):
 
 def test_derivatives_of_the_multi_target_problem(face):
     S = smeared(face)
-    problem = FullGeometry(multi_target(face, S, two_targets(face), 0.3, 0.2, 0.1), S)
+    problem = FullGeometry(multi_target(face.with_weights(S), two_targets(face), 0.3, 0.2, 0.1), S)
     rng = np.random.default_rng(3)
-    rest = face.rest_state(S)
+    rest = face.rest_state()
     one = next(iter(problem.parts.values())).start(rest.pose, rest.x)
     z = np.concatenate([one, one, S.data]) + 0.02 * rng.standard_normal(problem.count)
     rows, columns = problem.jacobianstructure()
@@ -81,7 +80,7 @@ def test_the_hessian_is_exact_where_the_residual_vanishes(face):
     x = face.model.rest.copy()
     x[face.model.mandible] = face.mandible(b)
     data = {"on target": SkinDistance(face, Target.from_points(face.face_points(x)))}
-    problem = FullGeometry(multi_target(face, S, data, 0.3, 0.0, 0.1), S)
+    problem = FullGeometry(multi_target(face.with_weights(S), data, 0.3, 0.0, 0.1), S)
     z = np.concatenate([x[face.flesh.free].ravel(), face.rest_pose().a.ravel(), b, S.data])
     rows, columns = problem.hessianstructure()
     values = problem.hessian(z, np.zeros(0), 1.0)
@@ -96,8 +95,8 @@ def test_the_hessian_is_exact_where_the_residual_vanishes(face):
 def test_joint_gauss_newton_reaches_the_multi_target_minimum(face):
     """Both minimise the same, to the same weights: one prior of the activations and of S."""
     S, data = smeared(face), two_targets(face)
-    problem = multi_target(face, S, data, 0.5, 1e-2, 1e-2)
-    rest = face.rest_state(S)
+    problem = multi_target(face.with_weights(S), data, 0.5, 1e-2, 1e-2)
+    rest = face.rest_state()
     start = dict.fromkeys(data, rest)
     full = reference.geometry(problem, S, start)
     assert full.violation < 1e-6
@@ -128,11 +127,11 @@ def test_per_tet_fit_reaches_the_minimum():
 
 
 def test_a_solve_that_is_stopped_tells_where_it_was(face):
-    S, data = face.model.weights, two_targets(face)["wide"]
+    data = two_targets(face)["wide"]
     regulariser = Regulariser(0.1, 1e-2, 1e-6, face.rest_pose())
-    rest = face.rest_state(S)
+    rest = face.rest_state()
     with pytest.raises(reference.NotConvergedError, match="after 3 iterations") as caught:
-        reference.activations(face, S, data, regulariser, rest.pose, rest.x, max_iterations=3)
+        reference.activations(face, data, regulariser, rest.pose, rest.x, max_iterations=3)
     assert caught.value.code == "ipopt.failed"
     last = caught.value.last
     assert np.isfinite(last.x).all()

@@ -20,7 +20,7 @@ def posed():
     rng = np.random.default_rng(11)
     a = face.rest_pose().a + 0.3 * rng.standard_normal((2, 6))
     pose = Pose(a, np.array([0.12, 0.05, 0.5, -1.0, 0.8]))
-    state = face.move(S, face.rest_state(S), pose)
+    state = face.continuation(face.rest_state(), pose)
     assert np.abs(state.x - face.model.rest).max() > 3.0
     return face, S, state, rng
 
@@ -30,8 +30,8 @@ def differences(forward, backward):
 
 
 def test_by_pose(posed):
-    face, S, state, rng = posed
-    jacobian = Sensitivity(face, S, state).by_pose()
+    face, _, state, rng = posed
+    jacobian = Sensitivity(face, state).by_pose()
     numeric = np.empty((state.x.size, 17))
     for column in range(17):
         step = np.zeros(17)
@@ -40,7 +40,7 @@ def test_by_pose(posed):
             Pose(state.pose.a + s * step[:12].reshape(2, 6), state.pose.b + s * step[12:])
             for s in (1, -1)
         ]
-        numeric[:, column] = differences(*(face.settle(S, pose, state.x) for pose in poses))
+        numeric[:, column] = differences(*(face.solve_equilibrium(pose, state.x) for pose in poses))
         assert np.abs(numeric[:, column]).max() > 1e-2
     scale = np.abs(numeric).max()
     np.testing.assert_allclose(jacobian.flesh, numeric[jacobian.free], atol=1e-6 * scale)
@@ -48,7 +48,7 @@ def test_by_pose(posed):
     np.testing.assert_allclose(
         jacobian.transposed(gradient), numeric.T @ gradient.ravel(), rtol=1e-5, atol=1e-5 * scale
     )
-    products = Sensitivity(face, S, state)
+    products = Sensitivity(face, state)
     adjoint = products.by_pose_adjoint(gradient)
     np.testing.assert_allclose(adjoint, jacobian.transposed(gradient), rtol=1e-9)
     change = rng.standard_normal(17)
@@ -63,10 +63,12 @@ def test_by_pose(posed):
 
 def test_by_geometry_and_its_adjoint(posed):
     face, S, state, rng = posed
-    response = Sensitivity(face, S, state)
+    response = Sensitivity(face, state)
     change = rng.standard_normal(len(S.data))
     changed = [replace_values(S, S.data + sign * STEP * change) for sign in (1, -1)]
-    numeric = differences(*(face.settle(T, state.pose, state.x) for T in changed))
+    numeric = differences(
+        *(face.with_weights(T).solve_equilibrium(state.pose, state.x) for T in changed)
+    )
     numeric = numeric.reshape(-1, 3)[face.flesh.free].ravel()
     exact = response.flesh_by_geometry(change)
     assert np.abs(numeric).max() > 1e-2

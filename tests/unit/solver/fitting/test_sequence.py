@@ -33,11 +33,10 @@ def poses():
 def targets(face, poses):
     """The skin of the poses, shaken a little so that no fit is perfect."""
     rng = np.random.default_rng(3)
-    S = face.model.weights
-    state = face.rest_state(S)
+    state = face.rest_state()
     found = []
     for pose in poses:
-        state = face.move(S, state, pose)
+        state = face.continuation(state, pose)
         points = face.face_points(state.x)
         found.append(Target.from_points(points + 0.1 * rng.standard_normal(points.shape)))
     return found
@@ -48,28 +47,27 @@ def regulariser(face):
 
 
 def test_frames_are_as_good_as_on_their_own(face, targets):
-    S, weights = face.model.weights, regulariser(face)
-    tracker = Tracker(face, S, weights, face.rest_state(S))
+    weights = regulariser(face)
+    tracker = Tracker(face, weights, face.rest_state())
     tracked, alone = [], []
     for target in targets:
         tracker.fit(target)
         data = SkinDistance(face, target)
         tracked.append(activation.objective(data, weights, tracker.state))
         options = ActivationOptions(30, tolerance=1e-6)
-        rest = face.rest_state(S)
-        alone.append(activation.fit(face, S, data, weights, rest, options).objective)
+        rest = face.rest_state()
+        alone.append(activation.fit(face, data, weights, rest, options).objective)
         assert face.flesh.inverted(tracker.state.x) == 0
-        settled = face.settle(S, tracker.state.pose, tracker.state.x)
+        settled = face.solve_equilibrium(tracker.state.pose, tracker.state.x)
         assert np.abs(settled.x - tracker.state.x).max() < 0.05
     assert np.mean(tracked) < 1.02 * np.mean(alone)
     assert np.max(np.divide(tracked, alone)) < 1.1
 
 
 def test_a_temporal_weight_holds_the_pose(face, targets):
-    S = face.model.weights
     moved = []
     for weight in (0.0, 1e3):
-        tracker = Tracker(face, S, regulariser(face), face.rest_state(S), temporal=weight)
+        tracker = Tracker(face, regulariser(face), face.rest_state(), temporal=weight)
         a = []
         for target in targets[10:16]:
             tracker.fit(target)
@@ -79,10 +77,10 @@ def test_a_temporal_weight_holds_the_pose(face, targets):
 
 
 def test_a_jump_is_fitted_the_long_way(face, targets):
-    S, weights = face.model.weights, regulariser(face)
-    tracker = Tracker(face, S, weights, face.rest_state(S))
+    weights = regulariser(face)
+    tracker = Tracker(face, weights, face.rest_state())
     for target in (targets[0], targets[1], targets[20]):
         tracker.fit(target)
     data = SkinDistance(face, targets[20])
-    alone = activation.fit(face, S, data, weights, face.rest_state(S)).objective
+    alone = activation.fit(face, data, weights, face.rest_state()).objective
     assert activation.objective(data, weights, tracker.state) < 1.05 * alone

@@ -140,11 +140,11 @@ def test_flesh_that_nothing_holds_is_refused():
 
 def test_muscles_that_move_nothing_are_named():
     face, S = Face(MODEL), MODEL.weights
-    assert idle_muscles(face, S) == []
+    assert idle_muscles(face) == []
     dense = S.toarray()
     dense[:, 0] += dense[:, 2]
     dense[:, 2] = 0.0
-    (notice,) = idle_muscles(face, replace_values(S, dense.ravel()))
+    (notice,) = idle_muscles(face.with_weights(replace_values(S, dense.ravel())))
     assert (notice.code, notice.context["muscle"]) == ("muscle.no_share", "right")
     (notice,) = idle_muscles(face, sp.csr_array(dense))
     assert notice.code == "muscle.no_candidates"

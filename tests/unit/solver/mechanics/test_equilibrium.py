@@ -24,16 +24,15 @@ class Counting:
 
 def test_coasting_ends_where_newton_does():
     face = Face(block_model())
-    S = face.model.weights
-    rest = face.rest_state(S)
+    rest = face.rest_state()
     pose = rest.pose.toward(poses(1)[0], 0.3)
     near = rest.equilibrium.factor
     near.solve(np.zeros(face.flesh.size))
     face.linear = Counting(face.linear)
-    x = face.carried(S, rest, pose)
-    coasted = face.settle(S, pose, x, near)
+    x = face.predict(rest, pose)
+    coasted = face.solve_equilibrium(pose, x, near)
     assert face.linear.count == 0
-    newton = face.settle(S, pose, x)
+    newton = face.solve_equilibrium(pose, x)
     assert face.linear.count > 0
     assert np.abs(newton.x - x).max() > 0.02
     np.testing.assert_allclose(coasted.x, newton.x, atol=1e-4)

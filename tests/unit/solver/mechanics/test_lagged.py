@@ -21,13 +21,12 @@ def face():
 
 @pytest.mark.parametrize("opening", [0.02, 0.1])
 def test_an_old_stiffness_leads_to_the_equilibrium(face, opening):
-    S = face.model.weights
-    rest = face.rest_state(S)
+    rest = face.rest_state()
     pose = Pose(PULLED, np.array([opening, 0.0, 0.0, 0.0, 0.0]))
-    settled = face.move(S, rest, pose)
+    settled = face.continuation(rest, pose)
     x = settled.x.copy()
     x[face.flesh.free] += [0.0, 0.4, 0.8] * np.sin(0.2 * x[face.flesh.free])
-    a = face.tet_activations(S, pose.a)
+    a = face.tet_activations(pose.a)
     found = correct(face.flesh, face.linear, x, a, rest.equilibrium.factor)
     assert np.abs(x - settled.x).max() > 0.5
     assert np.abs(found.x - settled.x).max() < CLOSE_MM

@@ -29,12 +29,12 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     MODEL.save(folder / "model.npz")
     save_weights(folder / "weights.npz", MODEL.weights, MODEL)
     face = Face(MODEL)
-    rest = face.rest_state(MODEL.weights)
+    rest = face.rest_state()
     fits = []
     for name, stretch, hinge in (("wide", (0.8, 0.95), 0.06), ("narrow", (0.95, 0.8), 0.02)):
         a = np.array([[s, 0.02, 0.0, 1 / np.sqrt(s), 0.0, 1 / np.sqrt(s)] for s in stretch])
         b = np.array([hinge, 0.0, 0.0, 0.0, 0.0])
-        state = face.move(MODEL.weights, rest, Pose(a, b))
+        state = face.continuation(rest, Pose(a, b))
         skin = face.whole_skin(state.x, b)
         error = np.zeros(len(skin))
         fits.append(ExpressionFit(name, "train", a, b, skin, skin, error, 0, 1, 0.0, 0.0, state.x))

@@ -36,12 +36,12 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     MODEL.save(folder / "model.npz")
     save_weights(folder / "weights.npz", MODEL.weights, MODEL)
     face = Face(MODEL)
-    rest, state = face.rest_pose(), face.rest_state(MODEL.weights)
+    rest, state = face.rest_pose(), face.rest_state()
     frames = []
     for number in range(FRAMES):
         share = np.array([np.sin(0.4 * number), np.sin(0.3 * number)])
         pose = Pose(rest.a + share[:, None] * CONTRACTED, JAW * np.sin(0.4 * number))
-        state = face.move(MODEL.weights, state, pose)
+        state = face.continuation(state, pose)
         frames.append(face.face_points(state.x))
     np.save(folder / "take.npy", frames)
     return folder
@@ -182,14 +182,14 @@ def test_the_head_s_motion_is_told_from_the_face_s() -> None:
     """The upper face of a real model lies still enough; S and the poses are made up."""
     model = fixture_model("neutral_coarse")
     face = Face(model)
-    rest, state = face.rest_pose(), face.rest_state(model.weights)
+    rest, state = face.rest_pose(), face.rest_state()
     change = np.random.default_rng(2).normal(0.0, 0.1, rest.a.shape)
     regulariser = Regulariser(w_a=2e-3, w_v=1e-2, w_b=1e-6, prior=rest)
-    tracker = Tracker(face, model.weights, regulariser, state)
-    follower = Follower(tracker, Targets(model, "point"), still=stillness(face, model.weights))
+    tracker = Tracker(face, regulariser, state)
+    follower = Follower(tracker, Targets(model, "point"), still=stillness(face))
     for number in range(1, 3):
         pose = Pose(rest.a + number * change, number * np.array([0.06, 0.0, 0.0, 0.0, 0.5]))
-        state = face.move(model.weights, state, pose)
+        state = face.continuation(state, pose)
         turn = Rotation.from_rotvec([0.2 * number, -0.3, 0.1])
         shift = np.array([30.0 * number, 100.0, -20.0])
         seen = turn.apply(face.face_points(state.x)) + shift

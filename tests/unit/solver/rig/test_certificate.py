@@ -32,8 +32,8 @@ def S(face: Face) -> sp.csr_array:
 
 
 @pytest.fixture(scope="module")
-def state(face: Face, S: sp.csr_array) -> State:
-    return face.move(S, face.rest_state(S), Pose(PULL, JAW))
+def state(face: Face) -> State:
+    return face.continuation(face.rest_state(), Pose(PULL, JAW))
 
 
 def fitted(face: Face, state: State, name: str = "smile") -> ExpressionFit:
@@ -59,8 +59,8 @@ def volumes(face: Face, x: np.ndarray) -> np.ndarray:
     return np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6.0
 
 
-def test_flesh_at_rest_in_its_equilibrium(face: Face, S: sp.csr_array, state: State) -> None:
-    a = face.tet_activations(S, state.pose.a)
+def test_flesh_at_rest_in_its_equilibrium(face: Face, state: State) -> None:
+    a = face.tet_activations(state.pose.a)
     found = check_flesh(face, a, state.x, face.linear)
     ratio = volumes(face, state.x) / volumes(face, face.model.rest)
     assert found.residual <= 1e-7
@@ -73,8 +73,8 @@ def test_flesh_at_rest_in_its_equilibrium(face: Face, S: sp.csr_array, state: St
     assert found.volume_percent == pytest.approx(100.0 * (whole - 1.0))
 
 
-def test_flesh_out_of_its_equilibrium(face: Face, S: sp.csr_array, state: State) -> None:
-    a = face.tet_activations(S, state.pose.a)
+def test_flesh_out_of_its_equilibrium(face: Face, state: State) -> None:
+    a = face.tet_activations(state.pose.a)
     moved = state.x.copy()
     moved[face.flesh.free[0]] += [0.5, 0.0, 0.0]
     assert check_flesh(face, a, moved, face.linear).residual > 1e-3
@@ -82,10 +82,10 @@ def test_flesh_out_of_its_equilibrium(face: Face, S: sp.csr_array, state: State)
     assert check_flesh(face, a, moved, face.linear).inverted > 0
 
 
-def test_a_round_trip_comes_home(face: Face, S: sp.csr_array, state: State) -> None:
+def test_a_round_trip_comes_home(face: Face, state: State) -> None:
     fit = fitted(face, state)
     other = replace(fit, name="buckled", skin=fit.skin + np.array([0.0, 0.0, 1.0]))
-    home, buckled = with_round_trips(face, S, (fit, other))
+    home, buckled = with_round_trips(face, (fit, other))
     assert home.round_trip is not None
     assert buckled.round_trip is not None
     assert home.round_trip.skin_max_mm < 1e-3
@@ -93,18 +93,18 @@ def test_a_round_trip_comes_home(face: Face, S: sp.csr_array, state: State) -> N
     assert 0.0 < home.round_trip.activation_error < 0.1
     assert buckled.round_trip.skin_mean_mm == pytest.approx(1.0, abs=1e-3)
     asked: list[str] = []
-    again = with_round_trips(face, S, (home,), lambda name, _: asked.append(name))
+    again = with_round_trips(face, (home,), lambda name, _: asked.append(name))
     assert again[0].round_trip is home.round_trip
     assert asked == []
 
 
-def test_an_activation_out_of_reach_is_told(face: Face, S: sp.csr_array, state: State) -> None:
+def test_an_activation_out_of_reach_is_told(face: Face, state: State) -> None:
     wild = np.array([[-0.2, 0.0, 0.0, 1.0, 0.0, 1.0], [1.0, 0.0, 0.0, -0.2, 0.0, 1.0]])
     fit = replace(fitted(face, state), activations=wild, jaw=np.array([0.0, 0.0, 0.0, 6000.0, 0.0]))
-    fits = with_round_trips(face, S, (fit,))
+    fits = with_round_trips(face, (fit,))
     assert fits[0].round_trip is not None
     assert not fits[0].round_trip.reached
-    rig = Rig(face.model, S, fits, {})
+    rig = Rig(face.model, face.S, fits, {})
     judged = {each.check.code: each for each in judge(rig, certify(face, rig, {}))}
     assert judged["trip.skin"].verdict == "bad"
     assert judged["muscles.inside_out"].measures["smile"].detail == "left, right"
@@ -118,10 +118,10 @@ def test_only_excited_muscles_count() -> None:
     assert np.isnan(activation_error(np.tile(IDENTITY, (2, 1)), found))
 
 
-def test_the_worst_expression_decides(face: Face, S: sp.csr_array, state: State) -> None:
+def test_the_worst_expression_decides(face: Face, state: State) -> None:
     good = fitted(face, state)
     poor = replace(good, name="sad", error_mm=np.full(len(good.skin), 0.6), x=None)
-    rig = Rig(face.model, S, (good, poor), {})
+    rig = Rig(face.model, face.S, (good, poor), {})
     judged = {each.check.code: each for each in judge(rig, certify(face, rig, {}))}
     mean = judged["skin.mean"]
     assert (mean.worst, mean.verdict, mean.of("smile")) == ("sad", "usable", "good")
@@ -129,12 +129,12 @@ def test_the_worst_expression_decides(face: Face, S: sp.csr_array, state: State)
     assert "trip.skin" not in judged
 
 
-def test_it_says_which_expressions_may_be_used(face: Face, S: sp.csr_array, state: State) -> None:
+def test_it_says_which_expressions_may_be_used(face: Face, state: State) -> None:
     good = fitted(face, state)
     torn = replace(good, name="sad", error_mm=np.full(len(good.skin), 3.0))
 
     def said(*fits: ExpressionFit) -> str:
-        rig = Rig(face.model, S, fits, {})
+        rig = Rig(face.model, face.S, fits, {})
         return str(report(rig, certify(face, rig, {}))["use"])
 
     assert said(good).startswith("The rig may be used.")

@@ -42,7 +42,7 @@ def face() -> Face:
 
 @pytest.fixture(scope="module")
 def rest(face: Face) -> Resting:
-    return Resting(face, S)
+    return Resting(face)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def fits(face: Face, rest: Resting) -> list[ExpressionFit]:
 
 
 def fitted(face: Face, rest: Resting, name: str, a: np.ndarray, b: np.ndarray) -> ExpressionFit:
-    x = face.move(S, rest.state, Pose(a, b)).x
+    x = face.continuation(rest.state, Pose(a, b)).x
     skin = face.whole_skin(x, b)
     zero = np.zeros(len(skin))
     return ExpressionFit(name, "train", a, b, skin, skin, zero, 0, 1, 0.0, 0.0, x)
@@ -62,7 +62,7 @@ def fitted(face: Face, rest: Resting, name: str, a: np.ndarray, b: np.ndarray) -
 
 @pytest.fixture(scope="module")
 def controls(face: Face, rest: Resting, fits: list[ExpressionFit]) -> Controls:
-    return controls_of(face, S, rest, fits)
+    return controls_of(face, rest, fits)
 
 
 def test_a_preset_is_the_pose_of_its_fit(controls: Controls, fits: list[ExpressionFit]) -> None:
@@ -93,7 +93,7 @@ def test_a_muscle_shortens_along_its_fibres_and_keeps_its_volume(controls: Contr
 
 def test_muscles_without_fibres_have_no_slider(face: Face, rest: Resting) -> None:
     at_rest = fitted(face, rest, "rest", np.tile(IDENTITY, (MODEL.muscle_count, 1)), np.zeros(5))
-    bare = controls_of(Face(BLOCK), S, rest, [at_rest])
+    bare = controls_of(Face(BLOCK), rest, [at_rest])
     assert [control.kind for control in bare.each] == ["jaw", "expression"]
 
 
@@ -113,15 +113,16 @@ def test_slopes_of_the_skin_are_its_differences(
 ) -> None:
     rng = np.random.default_rng(2)
     modes = rng.normal(size=(3, *MODEL.skin.vertices.shape))
-    simulator = Simulator(face, S, controls, rest.state, {})
+    simulator = Simulator(face, controls, rest.state, {})
     slid = next(pose for pose in learned_from(controls, 0) if pose.sort == "plausible")
     (sample,) = simulator.solve([slid], np.inf, lambda _: None)
-    slopes = Responses(face, S, controls, modes).at(sample)
+    slopes = Responses(face, controls, modes).at(sample)
     assert slopes is not None
-    step, start = 1e-2, face.move(S, rest.state, controls.pose(slid.values))
+    step, start = 1e-2, face.continuation(rest.state, controls.pose(slid.values))
     for number, unit in enumerate(np.eye(len(controls))):
         ahead, behind = (
-            face.move(S, start, controls.pose(slid.values + way * unit)) for way in (step, -step)
+            face.continuation(start, controls.pose(slid.values + way * unit))
+            for way in (step, -step)
         )
         skins = [face.whole_skin(state.x, state.pose.b) for state in (ahead, behind)]
         rate = np.tensordot(modes, (skins[0] - skins[1]) / (2 * step), 2)

@@ -40,7 +40,7 @@ def test_rates_are_those_of_the_activations(face):
 
 def test_the_jacobian_is_that_of_the_equilibrium(face):
     theta = np.concatenate([GAMMA, JAW])
-    fit = fibres._Fit(face, face.model.weights, face.face_points(face.model.rest))
+    fit = fibres._Fit(face, face.face_points(face.model.rest))
     state = fit.settle(theta, face.model.rest)
     jacobian = fit.jacobian(theta, state)
     step = 1e-4
@@ -55,7 +55,7 @@ def test_the_jacobian_is_that_of_the_equilibrium(face):
 def test_contractions_and_jaw_are_found(face):
     target = skin(face, GAMMA, JAW)
     moved = np.linalg.norm(target - face.face_points(face.model.rest), axis=1).mean()
-    found = fit_fibres(face, face.model.weights, target)
+    found = fit_fibres(face, target)
     left = np.linalg.norm(face.face_points(found.x) - target, axis=1).mean()
     assert left < 0.03 * moved
     np.testing.assert_allclose(found.gamma, GAMMA, atol=0.05)

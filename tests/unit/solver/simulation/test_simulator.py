@@ -45,7 +45,7 @@ def energy(face, motion):
 
 
 def drive(face, pose, time=0.0, head=IDENTITY, objects=()):
-    A = face.tet_activations(face.model.weights, pose.a)
+    A = face.tet_activations(pose.a)
     return Drive(time, A, pose.b, head, objects)
 
 
@@ -76,8 +76,7 @@ def test_quasi_static_steps_end_in_the_equilibria_of_a_fit():
     motion = steps.rest(neutral)
     np.testing.assert_allclose(motion.x, face.model.rest, atol=1e-6)
     stepped = steps.step(motion, neutral, drive(face, pose, 1.0))
-    S = face.model.weights
-    settled = face.move(S, face.rest_state(S), pose)
+    settled = face.continuation(face.rest_state(), pose)
     assert np.abs(settled.x - face.model.rest).max() > 3.0
     np.testing.assert_allclose(stepped.y, settled.x, atol=1e-5)
     assert stepped.inverted == stepped.halvings == 0
