@@ -1,4 +1,4 @@
-"""``python -m chaos``: many jobs under many blows; every one must end exactly once.
+"""``python -m tests.campaigns.chaos``: many jobs under many blows; every one must end exactly once.
 
 Seeded: the jobs, the blows and their order are those of the seed, only their timing is not.
 """
@@ -17,10 +17,10 @@ from pathlib import Path
 
 import structlog
 
-from chaos import tally
-from chaos.blows import BLOWS
-from chaos.disk import small_disk
-from chaos.stage import stage
+from tests.campaigns.chaos import tally
+from tests.campaigns.chaos.blows import BLOWS
+from tests.campaigns.chaos.disk import small_disk
+from tests.campaigns.chaos.stage import stage
 
 OWN_MOUNTS = "MYOFACE_CHAOS_OWN_MOUNTS"
 """Set in the process that has its own view of what is mounted."""
@@ -28,7 +28,7 @@ OWN_MOUNTS = "MYOFACE_CHAOS_OWN_MOUNTS"
 
 def main() -> None:
     """Break things, then tell what became of the jobs."""
-    parser = argparse.ArgumentParser(prog="python -m chaos", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.campaigns.chaos", description=__doc__)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=60)
     parser.add_argument("--poison", type=int, default=2)
@@ -76,7 +76,7 @@ def _with_own_mounts() -> None:
     except (OSError, subprocess.CalledProcessError):
         return
     os.environ[OWN_MOUNTS] = "1"
-    os.execvp(command[0], [*command, sys.executable, "-m", "chaos", *sys.argv[1:]])
+    os.execvp(command[0], [*command, sys.executable, "-m", "tests.campaigns.chaos", *sys.argv[1:]])
 
 
 if __name__ == "__main__":

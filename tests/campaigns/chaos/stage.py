@@ -13,12 +13,12 @@ from pathlib import Path
 import httpx
 from sqlalchemy import select
 
-from chaos.crew import Crew
-from chaos.disk import Disk
 from myoface.stack import Stack
 from service.store.models import Job, Worker
 from service.store.store import Store
 from service.store.transitions import FINAL, HELD
+from tests.campaigns.chaos.crew import Crew
+from tests.campaigns.chaos.disk import Disk
 from tests.service_client import ROOT, Studio, running
 
 SETTINGS = {

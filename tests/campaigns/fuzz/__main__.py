@@ -1,4 +1,7 @@
-"""``python -m fuzz``: hostile inputs to every reader; exit status 1 if one of them crashed."""
+"""``python -m tests.campaigns.fuzz``: hostile inputs to every reader.
+
+The exit status is 1 if one of them crashed.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,12 @@ import json
 import subprocess
 import sys
 
-from fuzz.targets import targets
+from tests.campaigns.fuzz.targets import targets
 
 
 def main() -> int:
     """Print a table; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m fuzz", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.campaigns.fuzz", description=__doc__)
     parser.add_argument("--inputs", type=int, default=4000, help="all together")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("names", nargs="*", help="targets, by default all")
@@ -21,7 +24,7 @@ def main() -> int:
     each = str(-(-given.inputs // count))
     options = ["--seed", str(given.seed), "--inputs", each]
     child = subprocess.Popen(
-        [sys.executable, "-m", "fuzz.child", *options, *given.names],
+        [sys.executable, "-m", "tests.campaigns.fuzz.child", *options, *given.names],
         stdout=subprocess.PIPE,
         text=True,
     )

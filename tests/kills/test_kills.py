@@ -20,7 +20,7 @@ LAUNCH = """
 import sys, time
 from pathlib import Path
 from service.store.queue import QUEUES
-from tests.chaos.test_kills import _fit
+from tests.kills.test_kills import _fit
 from tests.service_client import running
 
 with running(Path(sys.argv[1]), lease=2) as (stack, studio):
@@ -33,7 +33,7 @@ with running(Path(sys.argv[1]), lease=2) as (stack, studio):
 
 @pytest.fixture(scope="module")
 def stack_and_studio(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stack, Studio]]:
-    with running(tmp_path_factory.mktemp("chaos"), lease=LEASE) as both:
+    with running(tmp_path_factory.mktemp("kills"), lease=LEASE) as both:
         yield both
 
 

@@ -1,4 +1,4 @@
-"""``python -m two_hosts.run``, inside the stores' host: cut the link in the middle of a fit.
+"""``python -m tests.campaigns.two_hosts.run``, inside the stores' host: cut the link during a fit.
 
 Once for longer than the worker's lease, then the first attempt is lost and the second does it; once
 for less, then the first goes on. Either way the fit ends once and leaves one rig. The fit is the
@@ -22,14 +22,14 @@ import httpx
 from typer import echo as say
 
 from service.settings import Settings
+from tests.campaigns.two_hosts.network import STORES_ADDRESS, WORK, Link, inside
 from tests.servers import UnavailableError, free_port, listening, required
 from tests.servers.postgres import postgres
 from tests.servers.redis import redis
 from tests.servers.s3 import s3
 from tests.service_client import Studio
-from two_hosts.network import STORES_ADDRESS, WORK, Link, inside
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 STANDIN = os.pathsep.join([str(ROOT / "tests" / "standin"), str(ROOT)])
 SWIFT = {"MYOFACE_BEAT": "0.5", "MYOFACE_SWEEP": "1", "MYOFACE_RESEND_AFTER": "1"}
 QUEUES = ("short", "long")
@@ -57,7 +57,9 @@ def cases(cut: float) -> list[Case]:
 
 def main() -> int:
     """Run both cases; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m two_hosts", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.campaigns.two_hosts", description=__doc__
+    )
     parser.add_argument("--cut", type=float, default=30, help="seconds without a link")
     cut = parser.parse_args().cut
     faults = []

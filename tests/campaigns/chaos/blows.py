@@ -12,10 +12,10 @@ from contextlib import closing
 import redis
 from sqlalchemy import func, select
 
-from chaos.stage import SETTINGS, Stage
 from service.store.database import Database
 from service.store.models import Attempt, Job, Lease
 from service.store.transitions import HELD
+from tests.campaigns.chaos.stage import SETTINGS, Stage
 
 LEASE = SETTINGS["lease"]
 PAUSE = 6.0

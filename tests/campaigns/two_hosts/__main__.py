@@ -1,6 +1,6 @@
-"""``python -m two_hosts``: a job on another host finishes once, though the link breaks for 30 s.
+"""``python -m tests.campaigns.two_hosts``: a job on another host survives a broken link.
 
-Makes two network namespaces and runs `two_hosts.run` inside that of the stores.
+Makes two network namespaces and runs `tests.campaigns.two_hosts.run` inside that of the stores.
 """
 
 from __future__ import annotations
@@ -12,17 +12,23 @@ from pathlib import Path
 
 from typer import echo as say
 
+from tests.campaigns.two_hosts.network import STORES, inside, two_hosts
 from tests.servers import UnavailableError, required
-from two_hosts.network import STORES, inside, two_hosts
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 
 
 def main() -> int:
     """Run it; returns the exit code."""
     try:
         with two_hosts():
-            command = [*inside(STORES), sys.executable, "-m", "two_hosts.run", *sys.argv[1:]]
+            command = [
+                *inside(STORES),
+                sys.executable,
+                "-m",
+                "tests.campaigns.two_hosts.run",
+                *sys.argv[1:],
+            ]
             environment = os.environ | {"PYTHONPATH": str(ROOT)}
             return subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
     except UnavailableError as error:

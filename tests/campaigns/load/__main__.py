@@ -1,4 +1,4 @@
-"""``python -m load``: eight stations upload 20 MB scans and look on while two workers fit.
+"""``python -m tests.campaigns.load``: eight stations upload 20 MB scans while two workers fit.
 
 The service is a stack of its own in a temporary folder, with the real solver on a coarse mesh of
 the built-in face. Prints the tables; exits with 1 if a read's p95 is 150 ms or more, anything was
@@ -17,14 +17,14 @@ from pathlib import Path
 import trimesh
 from typer import echo as say
 
-from load.measure import Answers, Memory, table
-from load.station import Station
 from myoface.client import Client
 from myoface.resources import Job
 from myoface.stack import Stack
 from service.settings import Settings
 from service.store.queue import QUEUES
 from solver.templates.builtin.build import builtin_capture_set
+from tests.campaigns.load.measure import Answers, Memory, table
+from tests.campaigns.load.station import Station
 
 MOST_READ_S = 0.15
 MOST_GROWTH = 5.0
@@ -39,7 +39,7 @@ EXPRESSIONS = 3
 
 def main() -> int:
     """Run the load; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m load", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.campaigns.load", description=__doc__)
     parser.add_argument("--seconds", type=float, default=120)
     parser.add_argument("--stations", type=int, default=8)
     given = parser.parse_args()

@@ -8,8 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from fuzz import seeds
-from fuzz.arrays import read_spoilt_template
 from service import paging
 from service.errors import Problem
 from service.http import strict_json
@@ -24,6 +22,8 @@ from solver.scans.performance import open_performance
 from solver.storage import Archive
 from solver.surface import Surface
 from solver.templates.folder import read_template
+from tests.campaigns.fuzz import seeds
+from tests.campaigns.fuzz.arrays import read_spoilt_template
 
 Read = Callable[[Path], object]
 

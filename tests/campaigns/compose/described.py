@@ -16,7 +16,7 @@ import yaml
 
 from tests.servers import UnavailableError
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 PASSWORDS = {f"MYOFACE_{part}_PASSWORD": f"check-{part.lower()}" for part in ("DB", "BROKER", "S3")}
 
 

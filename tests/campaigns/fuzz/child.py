@@ -1,4 +1,4 @@
-"""``python -m fuzz.child``: read hostile inputs in a process with little memory and patience.
+"""``python -m tests.campaigns.fuzz.child``: read hostile inputs with little memory and time.
 
 One line of JSON on standard output for each target that stood; a traceback, the input that
 caused it and exit status 1 for one that did not.
@@ -18,8 +18,8 @@ from types import FrameType
 
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
-from fuzz.mutations import mutated
-from fuzz.targets import Target, targets
+from tests.campaigns.fuzz.mutations import mutated
+from tests.campaigns.fuzz.targets import Target, targets
 
 ROOM = 1 << 30
 """Bytes of address space that all inputs together may take, beyond what the readers' code needs."""
@@ -29,7 +29,9 @@ SECONDS = 5
 
 def main() -> None:
     """Hammer the targets named on the command line, or all."""
-    parser = argparse.ArgumentParser(prog="python -m fuzz.child", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.campaigns.fuzz.child", description=__doc__
+    )
     parser.add_argument("--inputs", type=int, required=True, help="for each target")
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("names", nargs="*")

@@ -1,5 +1,6 @@
-"""``python -m fuzz.atheris_run TARGET [-max_total_time=60]``: the same readers, led by coverage.
+"""``python -m tests.campaigns.fuzz.atheris_run TARGET [-max_total_time=60]``: led by coverage.
 
+The same readers as ``tests.campaigns.fuzz``, mutated by libFuzzer instead of Hypothesis.
 Needs the package ``atheris``; the arguments after the target's name are libFuzzer's.
 """
 
@@ -14,7 +15,7 @@ from pathlib import Path
 import atheris  # type: ignore[import-untyped]
 
 with atheris.instrument_imports(include=["solver.scans", "solver.storage", "service"]):
-    from fuzz.targets import targets
+    from tests.campaigns.fuzz.targets import targets
 
 
 def main() -> None:

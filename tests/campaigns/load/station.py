@@ -10,7 +10,7 @@ from typing import Any
 
 import httpx
 
-from load.measure import Answers
+from tests.campaigns.load.measure import Answers
 
 CHUNK = 4 << 20
 LOOK_EVERY = 0.5
