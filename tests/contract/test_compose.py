@@ -20,5 +20,5 @@ def test_the_compose_file_is_valid_and_has_a_worker_for_each_queue() -> None:
 def test_the_build_context_has_what_the_image_needs() -> None:
     assert check_build_context() == []
     assert healthcheck()[0] == "python"
-    locked = (ROOT / "requirements-image.lock").read_text()
+    locked = (ROOT / "locks/image.txt").read_text()
     assert "\nboto3==" in locked  # the compose file keeps files in S3
