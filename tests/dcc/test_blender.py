@@ -52,7 +52,7 @@ def blender() -> Path:
 
 @dataclass(frozen=True)
 class Scene:
-    """What Blender says of the scene that ``examples/blender_import.py`` made of a GLB."""
+    """What Blender says of the scene that ``docs/examples/blender_import.py`` made of a GLB."""
 
     known: dict[str, Any]
     arrays: dict[str, np.ndarray]
@@ -66,7 +66,7 @@ def imported(blender: Path, glb: Path, frames: list[float]) -> Scene:
     """Import a GLB with the example, and read the scene that it saves."""
     blend, found = glb.with_suffix(".blend"), glb.with_suffix(".npz")
     commands = (
-        ["examples/blender_import.py", str(glb), str(blend), "--fps", str(FPS)],
+        ["docs/examples/blender_import.py", str(glb), str(blend), "--fps", str(FPS)],
         ["tests/dcc/blender_scene.py", str(blend), str(found), *map(str, frames)],
     )
     for command in commands:

@@ -36,9 +36,9 @@ def guide() -> str:
 
 
 def notebook() -> str:
-    cells = json.loads((ROOT / "examples" / "researcher.ipynb").read_text(encoding="utf-8"))[
-        "cells"
-    ]
+    cells = json.loads(
+        (ROOT / "docs" / "examples" / "researcher.ipynb").read_text(encoding="utf-8")
+    )["cells"]
     return "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
 
 

@@ -11,7 +11,7 @@ from solver.scene.document import check
 from solver.templates.builtin.build import builtin_template
 
 ROOT = Path(__file__).parents[4]
-FOLDER = ROOT / "examples" / "scenes"
+FOLDER = ROOT / "docs" / "examples" / "scenes"
 SCENES = sorted(path.name for path in FOLDER.glob("*.json"))
 
 

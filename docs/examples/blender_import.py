@@ -1,8 +1,8 @@
 """Import a rig or a sequence (GLB) into Blender: frame rate, frame range and markers as they are.
 
-With Blender: blender --background --python examples/blender_import.py -- rig.glb rig.blend
+With Blender: blender --background --python docs/examples/blender_import.py -- rig.glb rig.blend
 With its Python module (scripts/blender-venv makes one):
-    .venv-blender/bin/python examples/blender_import.py rig.glb rig.blend --fps 30
+    .venv-blender/bin/python docs/examples/blender_import.py rig.glb rig.blend --fps 30
 
 Each expression is a shape key of the object ``face``, in metres, z up, looking along -y. A rig's
 timeline shows one after the other, with a marker where each is held.

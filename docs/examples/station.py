@@ -1,6 +1,6 @@
 """A capture station: every scan that the scanner saves is sent, checked, and judged in a line.
 
-    python examples/station.py /scans --url https://faces.example.com
+    python docs/examples/station.py /scans --url https://faces.example.com
 
 Each folder in ``/scans`` is a person, each OBJ, PLY, GLB or STL in it a raw scan, named by its
 expression; ``neutral`` is the neutral. Scan again into the same file, and the new one takes the old
