@@ -15,7 +15,7 @@ import sys
 import bpy
 
 MOVE_SECONDS, HOLD_SECONDS = 0.6, 0.4
-"""From neutral to an expression and back, and how long it is held; docs/rig-format.md."""
+"""From neutral to an expression and back, and how long it is held; docs/reference/rig-format.md."""
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ import typer
 from myoface.cli import app
 
 ROOT = Path(__file__).parents[2]
-DOCUMENTS = [ROOT / "README.md", ROOT / "ARCHITECTURE.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCUMENTS = [ROOT / "README.md", ROOT / "ARCHITECTURE.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"(?:^ {4,}\S.*\n)+", re.MULTILINE)
 INLINE = re.compile(r"`([^`\n]+)`")
 
@@ -26,7 +26,7 @@ def lines(document: Path, command: str) -> list[str]:
     return [match[1] for match in found if match]
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_make_targets_exist(document: Path) -> None:
     makefile = (ROOT / "Makefile").read_text()
     for line in lines(document, "make"):
@@ -34,7 +34,7 @@ def test_make_targets_exist(document: Path) -> None:
         assert re.search(rf"^{re.escape(target)}:", makefile, re.MULTILINE), line
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_myoface_commands_and_options_exist(document: Path) -> None:
     for line in lines(document, "myoface"):
         words = shlex.split(line, comments=True)
@@ -49,7 +49,7 @@ def test_myoface_commands_and_options_exist(document: Path) -> None:
         assert asked <= known, line
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_links_lead_somewhere(document: Path) -> None:
     text = document.read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", text):

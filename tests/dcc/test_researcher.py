@@ -31,7 +31,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def guide() -> str:
-    text = (ROOT / "docs" / "researcher.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "science" / "researcher.md").read_text(encoding="utf-8")
     return "\n".join(re.findall(r"```python\n(.*?)```", text, re.DOTALL))
 
 

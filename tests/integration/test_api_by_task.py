@@ -1,4 +1,4 @@
-"""The calls of docs/api-by-task.md, in its order, against a running service."""
+"""The calls of docs/reference/api-by-task.md, in its order, against a running service."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from myoface.credentials import VARIABLE
 from myoface.errors import ApiError
 from tests.service_client import running
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "api-by-task.md"
+DOCUMENT = Path(__file__).parents[2] / "docs" / "reference" / "api-by-task.md"
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 TRAP = "set -Eo pipefail; trap 'echo \"FAILED in line $LINENO: $BASH_COMMAND\" >&2' ERR\n"
 

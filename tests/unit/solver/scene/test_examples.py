@@ -38,7 +38,7 @@ def test_an_example_is_a_scene_of_the_built_in_person(name):
 
 
 def test_the_scene_of_the_documentation_is_one():
-    text = (ROOT / "docs" / "simulation.md").read_text()
+    text = (ROOT / "docs" / "guide" / "simulation.md").read_text()
     [document] = re.findall(r"```json\n(.*?)```", text, re.DOTALL)
     scene = check(json.loads(document), "simulate")
     muscles = [name for key in scene["keys"] for name in key.get("muscles", {})]
