@@ -5,7 +5,8 @@ RUN python -m venv /opt/myoface
 WORKDIR /src
 COPY locks/image.txt locks/
 RUN /opt/myoface/bin/pip install --require-hashes -r locks/image.txt
-COPY pyproject.toml README.md LICENSE THIRD_PARTY_NOTICES.md ./
+COPY pyproject.toml README.md LICENSE ./
+COPY docs/third-party-notices.md docs/
 COPY service service
 COPY worker worker
 COPY solver solver
