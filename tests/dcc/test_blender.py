@@ -28,7 +28,7 @@ from solver.rig.motion import SequenceFrame
 from solver.rig.result import ExpressionFit, Rig
 from solver.surface import Floats, Surface, vertex_normals
 from solver.templates.builtin.build import builtin_expression
-from tests.unit.solver.block import block_model
+from tests.solver.block import block_model
 
 ROOT = Path(__file__).parents[2]
 EXPRESSIONS = {

@@ -22,9 +22,9 @@ from solver.pipeline.scenes import SAVED_EVERY
 from solver.rig.result import ExpressionFit, save_activations, save_weights
 from solver.scans.live_link import ARKIT_NAMES
 from tests.service_client import QUICK, ROOT, Studio, eventually, served
-from tests.unit.solver.ball import ball_template
-from tests.unit.solver.block import head_block
-from tests.unit.solver.pipeline.test_scenes import recording
+from tests.solver.ball import ball_template
+from tests.solver.block import head_block
+from tests.solver.pipeline.test_scenes import recording
 
 SWAY = {
     "mode": "dynamic",
