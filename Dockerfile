@@ -3,9 +3,10 @@ FROM python:3.11-slim-bookworm AS build
 ENV PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_CACHE_DIR=1
 RUN python -m venv /opt/myoface
 WORKDIR /src
-COPY requirements-image.lock .
-RUN /opt/myoface/bin/pip install --require-hashes -r requirements-image.lock
-COPY pyproject.toml README.md LICENSE THIRD_PARTY_NOTICES.md ./
+COPY locks/image.txt locks/
+RUN /opt/myoface/bin/pip install --require-hashes -r locks/image.txt
+COPY pyproject.toml README.md LICENSE ./
+COPY docs/third-party-notices.md docs/
 COPY service service
 COPY worker worker
 COPY solver solver

@@ -19,19 +19,19 @@ test-all: check servers ## every test there is, the slow ones too
 	@$(TESTS)
 
 chaos: setup-dev ## 60 jobs while workers, solvers and broker are killed, frozen and starved; prints the tally
-	@$(BIN)/python -m chaos
+	@$(BIN)/python -m tests.campaigns.chaos
 
 fuzz: setup-dev ## hostile inputs to every reader of strangers' bytes
-	@$(BIN)/python -m fuzz
+	@$(BIN)/python -m tests.campaigns.fuzz
 
 load: setup-dev ## eight stations upload and look on while two workers fit; prints how long the API takes
-	@$(BIN)/python -m load
+	@$(BIN)/python -m tests.campaigns.load
 
 two-hosts: setup-dev servers ## workers on another host, and a link that breaks (network namespaces)
-	@$(BIN)/python -m two_hosts
+	@$(BIN)/python -m tests.campaigns.two_hosts
 
 compose-check: setup-dev servers ## docker-compose.yml: valid, and every command in it run by hand
-	@$(BIN)/python -m deploy.check
+	@$(BIN)/python -m tests.campaigns.compose
 
 check: setup-dev ## style, types and the rooms' import rules
 	@$(BIN)/ruff check

@@ -1,4 +1,4 @@
-"""``docs/benchmarks.md``: every benchmark writes its own section, between its own markers.
+"""``docs/science/benchmarks.md``: every benchmark writes its own section, between its own markers.
 
 A benchmark needs a function from its figures (the object that ``--json`` writes) to a section, and
 ends with it; ``--document`` then writes the section::
@@ -24,14 +24,15 @@ FILE`` writes the section from the JSON of an earlier run, without running anyth
 
 from __future__ import annotations
 
+import os
 import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-DOCUMENT = Path(__file__).parents[1] / "docs" / "benchmarks.md"
-IMAGES = DOCUMENT.parent / "images" / "benchmarks"
+DOCUMENT = Path(__file__).parents[1] / "docs" / "science" / "benchmarks.md"
+IMAGES = DOCUMENT.parents[1] / "images" / "benchmarks"
 """Where plots go, named BENCHMARK-WHAT.png."""
 
 Figures = dict[str, Any]
@@ -101,7 +102,7 @@ def _part(part: Table | Plot | str, folder: Path) -> str:
     if isinstance(part, str):
         return _paragraph(part)
     if isinstance(part, Plot):
-        return f"![{part.caption}]({part.path.relative_to(folder).as_posix()})"
+        return f"![{part.caption}]({Path(os.path.relpath(part.path, folder)).as_posix()})"
     rule = [
         "---:" if any(_is_number(row[column]) for row in part.rows) else "---"
         for column in range(len(part.header))

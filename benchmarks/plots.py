@@ -1,4 +1,4 @@
-"""The plots of ``docs/benchmarks.md``, all in one style; a solver has the same colour in each.
+"""The plots of ``docs/science/benchmarks.md`` in one style; a solver has one colour in all.
 
 Files are PNG or SVG by their suffix and the same for the same figures. Solvers known by name are
 ``A`` (activations with S), ``P`` (per tet), ``S`` (the muscle geometry) and ``IPOPT``.

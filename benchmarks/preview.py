@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> Figures:
 
 
 def section(figures: Figures) -> Section:
-    """Return the section of docs/benchmarks.md."""
+    """Return the section of docs/science/benchmarks.md."""
     columns = {
         "poses": "poses",
         "moved": "skin moves, mm",

@@ -20,7 +20,9 @@ def parser(description: str) -> argparse.ArgumentParser:
     arguments.add_argument("--json", required=True, help="file to write, - for standard output")
     arguments.add_argument("--quick", action="store_true", help="a smaller run of the same code")
     arguments.add_argument(
-        "--document", action="store_true", help="write the section in docs/benchmarks.md too"
+        "--document",
+        action="store_true",
+        help="write the section in docs/science/benchmarks.md too",
     )
     return arguments
 

@@ -55,7 +55,7 @@ def main() -> None:
 
 
 def section(figures: Figures) -> Section:
-    """Return the section of docs/benchmarks.md."""
+    """Return the section of docs/science/benchmarks.md."""
     columns = {
         "seed": "set",
         "muscles": "excited muscles",

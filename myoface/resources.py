@@ -183,7 +183,7 @@ class LogLine(Resource):
 
 
 class Frame(Resource):
-    """A fitted frame of a sequence, see docs/sequences.md; rad and mm."""
+    """A fitted frame of a sequence, see docs/guide/sequences.md; rad and mm."""
 
     frame: int
     status: Literal["fitted", "kept", "unseen"]
@@ -200,7 +200,7 @@ class Frame(Resource):
 
 
 class MotionFrame(Resource):
-    """A frame of a simulation, see docs/simulation.md; rad, mm and s."""
+    """A frame of a simulation, see docs/guide/simulation.md; rad, mm and s."""
 
     frame: int
     time: float

@@ -1,7 +1,7 @@
 """Show 5: edits of a fitted person, and what they do to volume and expressions; fibre muscles.
 
-Every scene of ``examples/scenes`` with edits and no motion is made, and expressions of the rig are
-replayed with the same activations, contact on. ``change_ml`` and ``change_percent`` are of the
+Each scene of ``docs/examples/scenes`` with edits and no motion is made, and the rig's expressions
+are replayed with the same activations, contact on. ``change_ml`` and ``change_percent`` are of the
 flesh's volume, ``moved_mm`` the mean motion of the face at rest, ``drift_mm`` how much the motions
 of the expressions differ from those before the edit, ``motion_mm`` being these, ``penetration_mm``
 the deepest of all poses. ``fibres`` compares the rig's muscles of six numbers with muscles that
@@ -44,7 +44,7 @@ from solver.scene.stage import (
 from solver.simulation.fibres import fit_fibres
 from solver.surface import Floats
 
-SCENES = Path(__file__).parents[2] / "examples" / "scenes"
+SCENES = Path(__file__).parents[2] / "docs" / "examples" / "scenes"
 EFFECTS = ("fat", "slim", "full_cheeks", "chin_forward", "lip_filler", "palsy", "zombie")
 EXPRESSIONS = ("smile", "surprise", "disgust")
 CELL = (250, 300)

@@ -1,6 +1,6 @@
 """Show 5: effects on a person as jobs of a service, as a studio asks for them.
 
-Each of ``examples/scenes`` that :data:`SCENES` names is submitted for a rig that the service has,
+The scenes of ``docs/examples/scenes`` in :data:`SCENES` are submitted for a rig of the service,
 and what its job leaves is downloaded, pictures included. ``seconds`` are from submitting to the
 end, ``change_percent`` is the flesh's volume: an edit's of the neutral, a motion's greatest of all
 frames. ``drift_mm`` is how far expressions are from their poses, mean over the face and over the
@@ -25,7 +25,7 @@ from myoface.client import Client
 from myoface.resources import Kind, Rig
 from solver.surface import Floats
 
-FOLDER = Path(__file__).parents[2] / "examples" / "scenes"
+FOLDER = Path(__file__).parents[2] / "docs" / "examples" / "scenes"
 SCENES: Mapping[str, Kind] = {
     "fat": "edit",
     "slim": "edit",

@@ -1,7 +1,7 @@
 """Show 6: ten seconds of a recording, played by a person's muscles, quasi-static with contact.
 
-Figures are a job's (docs/simulation.md), with these besides: ``direct_mm`` compares with driving
-the shapes themselves (neutral + sum of weight times displacement), the distance over the face's
+Figures are a job's (docs/guide/simulation.md), and these: ``direct_mm`` compares with driving the
+shapes themselves (neutral + sum of weight times displacement), the distance over the face's
 points, mean of all frames and in the worst frame. ``shapes_mm`` is how far the solved blendshapes
 are off theirs, the mean of all and the worst. ``clamped`` counts the frames in which a muscle was
 kept from folding. ``glb.errors`` and ``glb.warnings`` are the Khronos validator's, None where it

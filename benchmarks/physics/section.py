@@ -1,4 +1,4 @@
-"""The section of docs/benchmarks.md about living flesh."""
+"""The section of docs/science/benchmarks.md about living flesh."""
 
 from __future__ import annotations
 

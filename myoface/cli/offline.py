@@ -46,7 +46,7 @@ LinearSolver = Annotated[
 MaxIterations = Annotated[int, typer.Option(min=1, max=500, help="at most so many of Gauss-Newton")]
 CaptureRole = Literal["unknown", "neutral", "expression"]
 SceneFile = Annotated[
-    Path, typer.Argument(exists=True, dir_okay=False, help="JSON, see docs/simulation.md")
+    Path, typer.Argument(exists=True, dir_okay=False, help="JSON, see docs/guide/simulation.md")
 ]
 Assets = Annotated[
     list[str] | None,

@@ -69,7 +69,9 @@ def stores(settings: Settings) -> Iterator[Finding]:
     try:
         store = Store(settings.database, settings.files, settings.broker)
     except (OSError, ImportError, ValueError) as error:
-        yield Finding("files", "fault", str(error), "see MYOFACE_FILES_URL in docs/service.md")
+        yield Finding(
+            "files", "fault", str(error), "see MYOFACE_FILES_URL in docs/operate/service.md"
+        )
         return
     yield files(store.files)
     database = store.database
@@ -102,7 +104,7 @@ def files(place: Files) -> Finding:
             place.put_aside(sha256)
             place.remove(sha256)
         except OSError as error:
-            advice = "see MYOFACE_FILES_DIR and MYOFACE_FILES_URL in docs/service.md"
+            advice = "see MYOFACE_FILES_DIR and MYOFACE_FILES_URL in docs/operate/service.md"
             return Finding("files", "fault", str(error), advice)
     return Finding("files", "ok", "stored, read and removed one")
 

@@ -325,7 +325,7 @@ def simulate(
     """Play keys of a rig's expressions, of muscles and of the jaw on a fitted face.
 
     Frames that are ready are in ``out/frames``; with ``resume`` those that are there are kept and
-    the simulation goes on after them. Options: ``scene`` as docs/simulation.md has it, ``video``
+    the simulation goes on after them. Options: ``scene`` as in docs/guide/simulation.md, ``video``
     (an MP4, too), and ``linear_solver``.
 
     Writes ``animation.glb``, ``animation.npz``, ``animation.png`` and ``animation.json``. Raises

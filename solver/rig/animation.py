@@ -1,6 +1,6 @@
 """The result of a simulation: an animated face for tools, arrays, pictures and a film.
 
-All files are documented in docs/simulation.md.
+All files are documented in docs/guide/simulation.md.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from solver.scene.objects import Obstacle
 from solver.similarity import small_motion
 from solver.surface import Floats, Ints
 
-# ``animation.npz``: an animation as arrays; docs/simulation.md describes it.
+# ``animation.npz``: an animation as arrays; docs/guide/simulation.md describes it.
 
 
 FORMAT = 1

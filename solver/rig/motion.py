@@ -1,6 +1,6 @@
 """A simulation's frames on disk: as they come, with what the next attempt needs to go on.
 
-All files are documented in docs/simulation.md.
+All files are documented in docs/guide/simulation.md.
 """
 
 from __future__ import annotations
@@ -206,7 +206,7 @@ def _furthest(moved: Floats) -> float:
 
 # The result of a sequence on disk: frames as they come, and what is left at the end.
 #
-# All files are documented in docs/sequences.md.
+# All files are documented in docs/guide/sequences.md.
 
 
 Status = Literal["fitted", "kept", "unseen"]

@@ -1,4 +1,4 @@
-"""``report.json``: the certificate's figures, as docs/rig-format.md describes them."""
+"""``report.json``: the certificate's figures, as docs/reference/rig-format.md describes them."""
 
 from __future__ import annotations
 
@@ -218,7 +218,7 @@ JAW = ("jaw.1", "jaw.2", "jaw.3", "jaw.4", "jaw.5")
 
 
 def write_activations_csv(path: Path, rig: Rig, figures: dict[str, Any]) -> None:
-    """Write a row for every expression and muscle, as docs/rig-format.md describes.
+    """Write a row for every expression and muscle, as docs/reference/rig-format.md describes.
 
     ``figures`` are :func:`solver.rig.report.report` of the rig.
     """

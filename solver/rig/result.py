@@ -1,6 +1,6 @@
 """The result of a fit: muscle activations per expression and the blending matrix S.
 
-``activations.npz`` and ``muscle_weights.npz`` are documented in docs/rig-format.md.
+``activations.npz`` and ``muscle_weights.npz`` are documented in docs/reference/rig-format.md.
 """
 
 from __future__ import annotations

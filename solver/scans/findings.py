@@ -1,7 +1,7 @@
 """What a check of a scan says: findings with a stable code, a plain sentence and advice.
 
 Every code has one advice, here, so that the whole of what operators are told can be read in one
-place; ``docs/scans.md`` lists the same.
+place; ``docs/guide/scans.md`` lists the same.
 """
 
 from __future__ import annotations

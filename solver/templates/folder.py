@@ -179,7 +179,7 @@ def _read_text(path: Path) -> str:
         raise InputError("template.unreadable", f"{path.name}: {error}", file=path.name) from error
 
 
-# A template as a folder of meshes and tables that a studio can write; see docs/templates.md.
+# A template as a folder of meshes and tables that a studio can write; see docs/guide/templates.md.
 #
 # ``template.toml`` says what it is and in which unit and axes; ``skin``, ``parted``, ``cranium``,
 # ``mandible`` and ``muscles/*`` are meshes (OBJ or PLY); the rest are tables. A ZIP of the folder

@@ -1,4 +1,4 @@
-"""What docs/api.md says of the operations and their scopes is what the service has."""
+"""What docs/reference/api.md says of the operations and their scopes is what the service has."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from service.app import create_app
 from service.settings import Settings
 from service.store.models import DEFAULT_TENANT
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCUMENT = Path(__file__).parents[2] / "docs" / "reference" / "api.md"
 ROW = re.compile(r"^\| (`(?:GET|POST|PUT|HEAD|PATCH|DELETE).*?) \| (\w+) \|", re.MULTILINE)
 METHODS = ("GET", "POST", "PUT", "HEAD", "PATCH", "DELETE")
 
@@ -21,7 +21,7 @@ METHODS = ("GET", "POST", "PUT", "HEAD", "PATCH", "DELETE")
 def documented() -> dict[tuple[str, str], str]:
     """Return the scope of each operation that the table has."""
     found = {}
-    for cell, scope in ROW.findall((DOCS / "api.md").read_text()):
+    for cell, scope in ROW.findall(DOCUMENT.read_text()):
         methods: list[str] = []
         for code in re.findall(r"`([^`]+)`", cell):
             word, _, path = code.partition(" ")
@@ -55,4 +55,4 @@ def test_every_operation_is_documented_with_its_scope(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("scope", Scope)
 def test_every_scope_is_explained(scope: Scope) -> None:
-    assert f"| `{scope}` |" in (DOCS / "api.md").read_text()
+    assert f"| `{scope}` |" in DOCUMENT.read_text()

@@ -1,18 +1,20 @@
-"""What README and docs tell a reader to type or click is there."""
+"""What README and docs tell a reader to type, click or cite is there."""
 
 from __future__ import annotations
 
 import re
 import shlex
+import tomllib
 from pathlib import Path
 
 import pytest
 import typer
+import yaml
 
 from myoface.cli import app
 
 ROOT = Path(__file__).parents[2]
-DOCUMENTS = [ROOT / "README.md", ROOT / "ARCHITECTURE.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCUMENTS = [ROOT / "README.md", ROOT / "ARCHITECTURE.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"(?:^ {4,}\S.*\n)+", re.MULTILINE)
 INLINE = re.compile(r"`([^`\n]+)`")
 
@@ -26,7 +28,7 @@ def lines(document: Path, command: str) -> list[str]:
     return [match[1] for match in found if match]
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_make_targets_exist(document: Path) -> None:
     makefile = (ROOT / "Makefile").read_text()
     for line in lines(document, "make"):
@@ -34,7 +36,7 @@ def test_make_targets_exist(document: Path) -> None:
         assert re.search(rf"^{re.escape(target)}:", makefile, re.MULTILINE), line
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_myoface_commands_and_options_exist(document: Path) -> None:
     for line in lines(document, "myoface"):
         words = shlex.split(line, comments=True)
@@ -49,9 +51,19 @@ def test_myoface_commands_and_options_exist(document: Path) -> None:
         assert asked <= known, line
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_links_lead_somewhere(document: Path) -> None:
     text = document.read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", text):
         if "://" not in target:
             assert (document.parent / target).exists(), target
+
+
+def test_the_citation_is_of_this_version() -> None:
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert cited["version"] == project["version"]
+    assert cited["license"] == project["license"]
+    for paper in cited["references"]:
+        assert {"type", "title", "authors", "year"} <= paper.keys()
+        assert all({"given-names", "family-names"} <= author.keys() for author in paper["authors"])

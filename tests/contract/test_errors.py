@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-HANDBOOK = (ROOT / "docs" / "errors.md").read_text(encoding="utf-8")
+HANDBOOK = (ROOT / "docs" / "reference" / "errors.md").read_text(encoding="utf-8")
 CODE = re.compile(r"[a-z][a-z0-9_]*(?:\.[a-z0-9_]+)+|internal|timeout|worker_lost")
 RAISED = {"Problem": 1, "InputError": 0, "SolveError": 0, "Refused": 0, "Unreachable": 0}
 """Which argument of an error is its code."""
@@ -73,7 +73,7 @@ def _explained() -> dict[str, list[str]]:
 
 def test_every_code_is_explained() -> None:
     missing = sorted(set(_said()) - set(_explained()))
-    assert not missing, f"docs/errors.md does not say what to do about {missing}"
+    assert not missing, f"docs/reference/errors.md does not say what to do about {missing}"
 
 
 def test_the_handbook_explains_no_code_that_nobody_says() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from service.settings import Settings
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "service.md"
+DOCUMENT = Path(__file__).parents[2] / "docs" / "operate" / "service.md"
 OWN = {"stack_pid"}
 """What the launcher tells its children, and nobody else sets."""
 

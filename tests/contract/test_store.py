@@ -14,7 +14,7 @@ from service.store.database import Database
 from service.store.models import DEFAULT_TENANT, Base, Event, Job, Subject
 from service.store.transitions import ALLOWED
 
-DOCS = Path(__file__).parents[2] / "docs" / "api.md"
+DOCS = Path(__file__).parents[2] / "docs" / "reference" / "api.md"
 
 
 def test_migrations_make_the_tables_that_the_models_describe(tmp_path: Path) -> None:

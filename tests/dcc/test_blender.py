@@ -28,7 +28,7 @@ from solver.rig.motion import SequenceFrame
 from solver.rig.result import ExpressionFit, Rig
 from solver.surface import Floats, Surface, vertex_normals
 from solver.templates.builtin.build import builtin_expression
-from tests.unit.solver.block import block_model
+from tests.solver.block import block_model
 
 ROOT = Path(__file__).parents[2]
 EXPRESSIONS = {
@@ -52,7 +52,7 @@ def blender() -> Path:
 
 @dataclass(frozen=True)
 class Scene:
-    """What Blender says of the scene that ``examples/blender_import.py`` made of a GLB."""
+    """What Blender says of the scene that ``docs/examples/blender_import.py`` made of a GLB."""
 
     known: dict[str, Any]
     arrays: dict[str, np.ndarray]
@@ -66,7 +66,7 @@ def imported(blender: Path, glb: Path, frames: list[float]) -> Scene:
     """Import a GLB with the example, and read the scene that it saves."""
     blend, found = glb.with_suffix(".blend"), glb.with_suffix(".npz")
     commands = (
-        ["examples/blender_import.py", str(glb), str(blend), "--fps", str(FPS)],
+        ["docs/examples/blender_import.py", str(glb), str(blend), "--fps", str(FPS)],
         ["tests/dcc/blender_scene.py", str(blend), str(found), *map(str, frames)],
     )
     for command in commands:

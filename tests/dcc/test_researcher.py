@@ -31,14 +31,14 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def guide() -> str:
-    text = (ROOT / "docs" / "researcher.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "science" / "researcher.md").read_text(encoding="utf-8")
     return "\n".join(re.findall(r"```python\n(.*?)```", text, re.DOTALL))
 
 
 def notebook() -> str:
-    cells = json.loads((ROOT / "examples" / "researcher.ipynb").read_text(encoding="utf-8"))[
-        "cells"
-    ]
+    cells = json.loads(
+        (ROOT / "docs" / "examples" / "researcher.ipynb").read_text(encoding="utf-8")
+    )["cells"]
     return "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
 
 

@@ -14,7 +14,7 @@ from solver.mechanics import jaw
 from solver.rig.result import ExpressionFit, Rig, save_activations
 from solver.surface import Floats, Surface, vertex_normals
 from solver.templates.builtin.build import builtin_expression
-from tests.unit.solver.block import block_model
+from tests.solver.block import block_model
 
 pxr = pytest.importorskip("pxr", reason="USD is not installed: pip install 'myoface[usd]'")
 from pxr import Gf, Usd, UsdGeom, UsdSkel, UsdValidation  # noqa: E402

@@ -1,4 +1,4 @@
-"""The calls of docs/api-by-task.md, in its order, against a running service."""
+"""The calls of docs/reference/api-by-task.md, in its order, against a running service."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from myoface.credentials import VARIABLE
 from myoface.errors import ApiError
 from tests.service_client import running
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "api-by-task.md"
+DOCUMENT = Path(__file__).parents[2] / "docs" / "reference" / "api-by-task.md"
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+KEY_OF_THE_SHELL = '$(cat "${MYOFACE_DATA_DIR:-$HOME/.local/share/myoface}/admin.key")'
 TRAP = "set -Eo pipefail; trap 'echo \"FAILED in line $LINENO: $BASH_COMMAND\" >&2' ERR\n"
 
 pytestmark = pytest.mark.slow
@@ -44,7 +45,7 @@ def test_the_shell_s_calls_go_through(service: str) -> None:
     if not all(map(shutil.which, ("curl", "jq"))):
         pytest.skip("curl and jq are not both here")
     code = "".join(_blocks("sh")).replace("http://127.0.0.1:8765", service)
-    code = code.replace("$(cat ~/.local/share/myoface/admin.key)", f"${VARIABLE}")
+    code = code.replace(KEY_OF_THE_SHELL, f"${VARIABLE}")
     # a job that is stopped may be over already
     code = re.sub(r"(?m)^(api .*/cancel .*)$", r"\1 || true", code)
     done = subprocess.run(

@@ -22,7 +22,7 @@ from solver.rig.motion import (
 )
 from solver.rig.result import save_weights
 from tests.service_client import Studio, eventually
-from tests.unit.solver.block import block_model
+from tests.solver.block import block_model
 from worker.attempt import AttemptFolder
 from worker.solve import solve
 

@@ -48,7 +48,7 @@ def test_scans_are_judged_as_they_come(studio_and_url: tuple[Studio, str], tmp_p
 @contextmanager
 def station(scans: Path, url: str, key: str, log: Path) -> Iterator[Callable[[], list[str]]]:
     """Run the example; yields what returns the lines that it has printed."""
-    command = [sys.executable, "examples/station.py", str(scans), "--url", url]
+    command = [sys.executable, "docs/examples/station.py", str(scans), "--url", url]
     env = {**os.environ, "PYTHONPATH": str(ROOT), "MYOFACE_API_KEY": key}
     with log.open("w") as stream:
         child = subprocess.Popen(command, cwd=ROOT, env=env, stdout=stream, stderr=stream)

@@ -230,7 +230,7 @@ def vertex_weights(model: SubjectModel) -> Floats:
     return np.asarray(weights / weights.sum())
 
 
-# ``preview.bin``: what a page evaluates when a slider moves (docs/preview.md).
+# ``preview.bin``: what a page evaluates when a slider moves (docs/guide/preview.md).
 
 
 def write_preview(path: Path, preview: Preview) -> None:

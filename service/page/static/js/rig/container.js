@@ -1,4 +1,4 @@
-// The binary files of a rig: named arrays behind a header in JSON (docs/rig-view.md).
+// The binary files of a rig: named arrays behind a header in JSON (docs/guide/rig-view.md).
 
 const MAGIC = "MYOV";
 const FORMAT = 1;

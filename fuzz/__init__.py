@@ -1,1 +1,0 @@
-"""Hostile inputs for everything that reads what strangers send: `python -m fuzz`."""

@@ -1,0 +1,1 @@
+"""Test campaigns: each runs the product hard from outside, prints a tally and exits with a code."""

@@ -1,0 +1,131 @@
+"""The service with stand-in solvers, what it is given to do, and what its tables say."""
+
+from __future__ import annotations
+
+import os
+import random
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import httpx
+from sqlalchemy import select
+
+from myoface.stack import Stack
+from service.store.models import Job, Worker
+from service.store.store import Store
+from service.store.transitions import FINAL, HELD
+from tests.campaigns.chaos.crew import Crew
+from tests.campaigns.chaos.disk import Disk
+from tests.service_client import ROOT, Studio, running
+
+SETTINGS = {
+    "lease": 2.0,
+    "beat": 0.2,
+    "sweep": 0.5,
+    "resend_after": 1.0,
+    "max_attempts": 3,
+    "garbage_age": 30.0,
+}
+OTHER_HOST = ("long", "short")
+PYTHON_PATH = os.pathsep.join([str(ROOT / "tests" / "standin"), str(ROOT)])
+
+
+@dataclass
+class Stage:
+    """Everything a blow may hit, and the jobs whose fate is counted."""
+
+    stack: Stack
+    studio: Studio
+    store: Store
+    dice: random.Random
+    disk: Disk | None
+    waiting: list[tuple[str, str, list[str]]] = field(default_factory=list)
+    good: list[str] = field(default_factory=list)
+    poison: list[str] = field(default_factory=list)
+    slowest_submission: float = 0.0
+    disk_not_here: bool = False
+
+    def prepare(self, jobs: int, poison: int) -> None:
+        """Upload the scans of all jobs, and submit the poison."""
+        subject = self.studio.modelled()
+        for number in range(jobs):
+            seconds = round(self.dice.uniform(0.1, 1.5), 2)
+            kind = ("fit_geometry", "check_scan", "fit_geometry", "build_model")[number % 4]
+            if kind == "build_model":
+                self.waiting.append((kind, self.studio.subject(seconds=seconds), []))
+            else:
+                name = f"expression{number}"
+                capture = self.studio.capture(subject, name, seconds=seconds, child=30)
+                self.waiting.append((kind, subject, [capture]))
+        self.poison = [
+            self.studio.submit("build_model", self.studio.subject(fault="poison"))
+            for _ in range(poison)
+        ]
+
+    def submit(self, until: int) -> None:
+        """Submit jobs until there are so many."""
+        while self.waiting and len(self.good) < until:
+            kind, subject, captures = self.waiting.pop(0)
+            began = time.monotonic()
+            self.good.append(self.studio.submit(kind, subject, captures=captures))
+            self.slowest_submission = max(self.slowest_submission, time.monotonic() - began)
+
+    def jobs(self) -> list[Job]:
+        """Return the jobs whose fate is counted, as they are now."""
+        with self.store.read() as session:
+            counted = Job.id.in_([*self.good, *self.poison])
+            return list(session.scalars(select(Job).where(counted)))
+
+    def running(self) -> list[Job]:
+        """Return the good jobs that workers hold."""
+        return [job for job in self.jobs() if job.id in self.good and job.state in HELD]
+
+    def are_over(self) -> bool:
+        """Whether every job has ended."""
+        return all(job.state in FINAL for job in self.jobs())
+
+    def workers(self) -> list[str]:
+        """Return the names of the workers that were alive a moment ago."""
+        with self.store.read() as session:
+            return list(session.scalars(select(Worker.name).order_by(Worker.name)))
+
+    def nobody_is_on_the_last_try(self) -> bool:
+        """Wait until no good job would fail of one more loss.
+
+        Three tries are the limit; a good job must not be hit at its third, or it would rightly
+        fail.
+        """
+        return self.until(
+            lambda: (
+                not any(
+                    job.id in self.good
+                    and job.state not in FINAL
+                    and job.lost + 1 >= job.max_attempts
+                    for job in self.jobs()
+                )
+            )
+        )
+
+    def until(self, condition: Callable[[], object], seconds: float = 30) -> bool:
+        """Wait until ``condition`` holds; False: it does not, after so long."""
+        deadline = time.monotonic() + seconds
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            time.sleep(0.05)
+        return True
+
+
+@contextmanager
+def stage(folder: Path, dice: random.Random, disk: Disk | None) -> Iterator[Stage]:
+    """Run the service with a second host's workers."""
+    with running(folder, **SETTINGS) as (stack, studio):
+        studio.http.timeout = httpx.Timeout(30)
+        settings = stack.settings
+        store = Store(settings.database, settings.files, settings.broker)
+        with Crew(settings, PYTHON_PATH, OTHER_HOST):
+            yield Stage(stack, studio, store, dice, disk)
+        store.close()

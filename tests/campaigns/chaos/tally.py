@@ -1,0 +1,131 @@
+"""What became of the jobs, and whether that is what should have."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+
+from rich.console import Console
+from rich.table import Table
+from sqlalchemy import select
+
+from service.store import garbage
+from service.store.models import Attempt, Event, Job, Rig
+from service.store.transitions import FINAL, State
+from tests.campaigns.chaos.stage import Stage
+
+PATIENCE = 180.0
+PROMPT = 5.0
+"""Seconds within which a submission is answered, whatever is wrong with the broker."""
+
+
+class Tally:
+    """Counts the blows, then checks how the jobs ended."""
+
+    def __init__(self, seed: int) -> None:
+        self._seed = seed
+        self._blows: Counter[str] = Counter()
+        self._missed: Counter[str] = Counter()
+        self._states: Counter[str] = Counter()
+        self._outcomes: Counter[str] = Counter()
+        self._checks: list[tuple[str, object, bool]] = []
+
+    @property
+    def is_fine(self) -> bool:
+        """Whether everything was as it should be."""
+        return all(fine for _, _, fine in self._checks)
+
+    def struck(self, blow: str, hit: bool) -> None:
+        """Count a blow."""
+        (self._blows if hit else self._missed)[blow] += 1
+
+    def settle(self, stage: Stage) -> None:
+        """Wait for the jobs and check what is left of them."""
+        stage.until(stage.are_over, PATIENCE)
+        jobs = stage.jobs()
+        self._states = Counter(job.state.value for job in jobs)
+        good = [job for job in jobs if job.id in stage.good]
+        poison = [job for job in jobs if job.id in stage.poison]
+        self._all("jobs that are over", [job.state in FINAL for job in jobs])
+        self._all("good jobs that succeeded", [job.state is State.SUCCEEDED for job in good])
+        self._of_the_tables(stage, jobs)
+        self._all("poison failed as worker_lost after 3 tries", list(map(_is_given_up, poison)))
+        self._of_the_files(stage)
+        work = stage.stack.settings.work
+        self._none("folders of attempts left", lambda: len(list(work.iterdir())), stage)
+        self._none("solver processes left", lambda: len(stage.studio.solvers(stage.stack)), stage)
+        slowest = stage.slowest_submission
+        self._check("slowest submission, s", f"{slowest:.2f}", slowest < PROMPT)
+        missed = [blow for blow in self._missed if not self._blows[blow]]
+        if stage.disk_not_here:
+            missed = [blow for blow in missed if blow != "fill-disk"]
+            self._check("full disk", "left out: no mount is allowed here", fine=True)
+        self._check("kinds of blow that hit nothing", ", ".join(missed) or 0, not missed)
+
+    def show(self, seconds: float) -> None:
+        """Print the tally."""
+        console = Console(width=100)
+        blows = Table("blow", "hit", "missed", title=f"seed {self._seed}, {seconds:.0f} s")
+        for name in sorted(self._blows | self._missed):
+            blows.add_row(name, str(self._blows[name]), str(self._missed[name]))
+        console.print(blows)
+        ends = Table("jobs", "n", "attempts", "n ", title="how they ended")
+        left, right = sorted(self._states.items()), sorted(self._outcomes.items())
+        for number in range(max(len(left), len(right))):
+            state, outcome = _at(left, number), _at(right, number)
+            ends.add_row(*state, *outcome)
+        console.print(ends)
+        checks = Table("check", "found", "", title="checks")
+        for check, found, fine in self._checks:
+            checks.add_row(check, str(found), "ok" if fine else "[bold red]WRONG")
+        console.print(checks)
+
+    def _of_the_tables(self, stage: Stage, jobs: list[Job]) -> None:
+        with stage.store.read() as session:
+            attempts = session.scalars(select(Attempt)).all()
+            states = session.scalars(select(Event).where(Event.kind == "state")).all()
+            rigs = Counter(session.scalars(select(Rig.job_id)))
+        counted = {job.id for job in jobs}
+        self._outcomes = Counter(str(one.outcome) for one in attempts if one.job_id in counted)
+        ends = Counter(one.job_id for one in states if State(one.data["state"]) in FINAL)
+        done = Counter(one.job_id for one in attempts if one.outcome == "succeeded")
+        succeeded = [job for job in jobs if job.state is State.SUCCEEDED]
+        self._all("jobs that ended exactly once", [ends[job.id] == 1 for job in jobs])
+        self._all("successes by exactly one attempt", [done[job.id] == 1 for job in succeeded])
+        self._all(
+            "fits that left exactly one rig, other jobs none",
+            [rigs[job.id] == (job.kind == "fit_geometry") for job in succeeded],
+        )
+        stuck = [job for job in jobs if job.lease_owner or job.lease_until]
+        unclosed = [one for one in attempts if one.outcome is None]
+        left_open = len(stuck) + len(unclosed)
+        self._check("leases and attempts left open", left_open, not left_open)
+
+    def _of_the_files(self, stage: Stage) -> None:
+        """Compare the stored files with the rows that refer to files."""
+        # a file is put aside first and removed by the next round
+        collected = sum(garbage.collect(stage.store, 0) for _ in range(2))
+        wanted = garbage.referenced_files(stage.store)
+        there = {path.name for path in (stage.stack.settings.data_dir / "files").glob("??/*")}
+        self._check("files of lost attempts collected", collected, fine=True)
+        self._check("orphan files", len(there - wanted), there <= wanted)
+        self._check("files missing", len(wanted - there), wanted <= there)
+
+    def _all(self, check: str, fulfilled: list[bool]) -> None:
+        self._check(check, f"{sum(fulfilled)} of {len(fulfilled)}", all(fulfilled))
+
+    def _none(self, check: str, count: Callable[[], int], stage: Stage) -> None:
+        fine = stage.until(lambda: not count())
+        self._check(check, count(), fine)
+
+    def _check(self, check: str, found: object, fine: bool) -> None:
+        self._checks.append((check, found, fine))
+
+
+def _is_given_up(job: Job) -> bool:
+    code = (job.error or {}).get("code")
+    return job.state is State.FAILED and code == "worker_lost" and job.lost == 3
+
+
+def _at(rows: list[tuple[str, int]], number: int) -> tuple[str, str]:
+    return (rows[number][0], str(rows[number][1])) if number < len(rows) else ("", "")

@@ -1,0 +1,1 @@
+"""The service as docker-compose.yml describes it, run by hand without containers."""

@@ -1,0 +1,116 @@
+"""What is fuzzed: readers of untrusted bytes, and the only exceptions each may raise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from service import paging
+from service.errors import Problem
+from service.http import strict_json
+from service.outbound import client as outbound
+from service.uploads.schemas import parse_checksum, parse_metadata
+from solver.errors import InputError
+from solver.meshio.read import read_raw, read_registered
+from solver.registration.landmarks import read_landmarks
+from solver.registration.mend import mend
+from solver.scans.live_link import read_live_link
+from solver.scans.performance import open_performance
+from solver.storage import Archive
+from solver.surface import Surface
+from solver.templates.folder import read_template
+from tests.campaigns.fuzz import seeds
+from tests.campaigns.fuzz.arrays import read_spoilt_template
+
+Read = Callable[[Path], object]
+
+
+@dataclass(frozen=True)
+class Target:
+    """A reader: valid inputs to begin with, and what it may raise for others.
+
+    ``run`` gets the input and an empty folder.
+    """
+
+    name: str
+    seeds: list[bytes]
+    run: Callable[[bytes, Path], object]
+    refusal: type[Exception]
+
+
+def _surface() -> Surface:
+    mesh = seeds.surface()
+    return Surface(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64))
+
+
+def _raw(path: Path) -> None:
+    mend(read_raw(path))
+
+
+def _registered(path: Path) -> None:
+    face = _surface()
+    read_registered(path, face.faces, len(face.vertices), neutral=face.vertices)
+
+
+def _performance(path: Path) -> None:
+    performance = open_performance(path, _surface(), np.arange(10))
+    for number in range(min(3, len(performance))):
+        performance.frame(number)
+
+
+def _archive(path: Path) -> None:
+    Archive.read(path, "model", "a model", 1)
+
+
+def _file(name: str, contents: list[bytes], suffix: str, read: Read) -> Target:
+    def run(content: bytes, folder: Path) -> object:
+        path = folder / f"input.{suffix}"
+        path.write_bytes(content)
+        return read(path)
+
+    return Target(name, contents, run, InputError)
+
+
+def _text(name: str, contents: list[bytes], read: Callable[[str], object]) -> Target:
+    # a header or a query parameter: uvicorn gives Latin-1
+    return Target(name, contents, lambda content, _: read(content.decode("latin-1")), Problem)
+
+
+def _meshes() -> list[Target]:
+    kinds = {"obj": seeds.obj(), "ply": seeds.ply(), "stl": seeds.stl(), "glb": seeds.glb()}
+    return [
+        *(_file(f"raw {kind}", contents, kind, _raw) for kind, contents in kinds.items()),
+        _file("raw xyz", seeds.xyz(), "xyz", _raw),
+        *(_file(f"{kind}", contents, kind, _registered) for kind, contents in kinds.items()),
+    ]
+
+
+def targets() -> list[Target]:
+    """Return all targets."""
+    return [
+        *_meshes(),
+        _file("landmarks json", seeds.landmarks_json(), "json", read_landmarks),
+        _file("landmarks csv", seeds.landmarks_csv(), "csv", read_landmarks),
+        _file("live link", seeds.live_link(), "csv", read_live_link),
+        _file("npy", seeds.npy() + seeds.npz(), "npy", _performance),
+        _file("npz", seeds.npz() + seeds.npy(), "npz", _archive),
+        _file("template", seeds.template(), "zip", read_template),
+        Target("template npz", [b"1", b"2"], read_spoilt_template, InputError),
+        _text("upload metadata", seeds.metadata(), parse_metadata),
+        _text(
+            "upload checksum",
+            seeds.checksum(),
+            lambda text: parse_checksum(text, ("sha256", "sha1")),
+        ),
+        _text("cursor", seeds.cursor(), paging.read_cursor),
+        Target("json", seeds.bodies(), lambda content, _: strict_json.check(content), Problem),
+        Target(
+            "webhook url",
+            seeds.urls(),
+            lambda content, _: outbound.parse(content.decode("latin-1")),
+            outbound.Refused,
+        ),
+    ]

@@ -1,0 +1,86 @@
+"""The commands that solve in this process."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import Result
+from typer.testing import CliRunner
+
+from myoface.cli import app
+from solver.errors import InputError
+from solver.rig.result import save_activations, save_weights
+from tests.solver.block import head_block
+
+
+@pytest.mark.parametrize("existed", [False, True])
+def test_a_refused_scan_leaves_no_empty_folder(existed: bool, tmp_path: Path) -> None:
+    scan, folder = tmp_path / "neutral.obj", tmp_path / "model"
+    scan.write_text("v 0 0 nan\n")
+    if existed:
+        folder.mkdir()
+    done = CliRunner().invoke(app, ["solve", "build-model", str(scan), "-o", str(folder)])
+    assert isinstance(done.exception, InputError)
+    assert folder.exists() == existed
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model and a rig without expressions."""
+    folder, model = tmp_path_factory.mktemp("rig"), head_block((7, 5, 1))
+    model.save(folder / "model.npz")
+    save_weights(folder / "muscle_weights.npz", model.weights, model)
+    save_activations(folder / "activations.npz", (), model)
+    np.save(folder / "map.npy", np.ones(len(model.skin.vertices)))
+    return folder
+
+
+def played(command: str, rig: Path, scene: str, out: Path, *more: str) -> Result:
+    (rig / "scene.json").write_text(scene)
+    files = [str(rig / "model.npz"), str(rig), str(rig / "scene.json")]
+    return CliRunner().invoke(app, ["solve", command, *files, "-o", str(out), *more])
+
+
+def test_scenes_are_played_with_their_assets(rig: Path, tmp_path: Path) -> None:
+    soft = {"kind": "stiffness", "factor": 0.5, "map": {"asset": "soft"}}
+    scene = json.dumps({"edits": [soft]})
+    asset = ["--asset", f"soft={rig / 'map.npy'}"]
+    done = played("simulate", rig, scene, tmp_path / "played", *asset)
+    assert done.exit_code == 0, done.output
+    assert "1 frames" in done.output
+    assert (tmp_path / "played" / "animation.glb").exists()
+    assert played("simulate", rig, scene, tmp_path / "played", *asset, "--resume").exit_code == 0
+    done = played("edit", rig, scene, tmp_path / "edited", *asset)
+    assert done.exit_code == 0, done.output
+    assert "+0.0 ml" in done.output
+
+
+@pytest.mark.parametrize(
+    ("scene", "assets", "words"),
+    [
+        ("{", [], "scene.json is not JSON"),
+        ("[" * 100_000, [], "scene.json is not JSON"),
+        ("{}", ["map.npy"], "NAME=FILE is expected"),
+        ("{}", ["=map.npy"], "NAME=FILE is expected"),
+        ("{}", ["soft=gone.npy"], "NAME=FILE is expected"),
+        ("{}", ["soft=map.npy", "soft=map.npy"], "another file is called soft"),
+    ],
+)
+def test_scenes_and_assets_that_are_none(
+    rig: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    scene: str,
+    assets: list[Any],
+    words: str,
+) -> None:
+    monkeypatch.chdir(rig)
+    given = [part for asset in assets for part in ("--asset", asset)]
+    done = played("simulate", rig, scene, tmp_path / "played", *given)
+    assert done.exit_code == 2
+    assert words in " ".join(done.output.replace("│", "").split())
+    assert not (tmp_path / "played").exists()

@@ -1,0 +1,27 @@
+"""Tets of a template without any are made once and kept."""
+
+from solver.anatomy import meshing
+from solver.anatomy.meshing import meshed
+from tests.solver.ball import EDGE_MM, ball_template, meshed_ball
+
+
+def test_tets_are_made_once_and_anew_if_the_file_was_spoilt(tmp_path, monkeypatch):
+    made = []
+
+    def with_mesh(template, edge_mm, _progress):
+        assert template.sha256 == ball_template().sha256
+        made.append(edge_mm)
+        return meshed_ball()
+
+    monkeypatch.setenv("MYOFACE_CACHE", str(tmp_path))
+    monkeypatch.setattr(meshing, "with_mesh", with_mesh)
+    first = meshed(ball_template(), EDGE_MM)
+    assert first.sha256 == meshed_ball().sha256
+    assert meshed(ball_template(), EDGE_MM).sha256 == first.sha256
+    assert meshed(first, EDGE_MM) is first
+    assert made == [EDGE_MM]
+    (kept,) = tmp_path.iterdir()
+    kept.write_bytes(kept.read_bytes()[:1000])
+    assert meshed(ball_template(), EDGE_MM).sha256 == first.sha256
+    assert made == [EDGE_MM, EDGE_MM]
+    assert list(tmp_path.iterdir()) == [kept]

@@ -1,0 +1,229 @@
+"""What drives a face over time: keys, recordings, heads and eyes."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from solver.anatomy.template import ShapeBasis
+from solver.animation.blendshapes import (
+    Blend,
+    Blendshapes,
+    Solved,
+    expression_targets,
+    solve_blendshapes,
+    unfolded,
+)
+from solver.animation.keys import (
+    Gaze,
+    HeadKey,
+    Key,
+    from_keys,
+    neck,
+)
+from solver.animation.recording import from_recording
+from solver.errors import InputError
+from solver.fitting.face import Face, Pose
+from solver.fitting.objective import LEAST_STRETCH
+from solver.fitting.stretches import matrices
+from solver.mechanics.flesh import IDENTITY
+from solver.scans.live_link import ARKIT_NAMES, LiveLinkTake
+from tests.solver.block import block_model, head_block
+
+MODEL = block_model()
+REST = np.tile(IDENTITY, (2, 1))
+
+
+def pose(change: float, jaw: float) -> Pose:
+    """Return a pose in which both muscles are ``change`` longer along x."""
+    a = REST.copy()
+    a[:, 0] += change
+    return Pose(a, np.array([jaw, 0.0, 0.0, 0.0, 0.0]))
+
+
+POSES = {"smile": pose(-0.4, 0.0), "open": pose(0.1, 0.2)}
+
+
+def test_poses_are_blended_linearly_from_rest() -> None:
+    blend = Blend.of(POSES, 2)
+    np.testing.assert_array_equal(blend.pose(np.zeros(2)).a, REST)
+    np.testing.assert_allclose(blend.pose(np.array([0.0, 1.0])).a, POSES["open"].a)
+    both = blend.pose(np.array([0.5, 0.5]))
+    np.testing.assert_allclose(both.a[:, 0], 1.0 - 0.2 + 0.05)
+    assert both.b[0] == pytest.approx(0.1)
+    beyond = blend.pose(np.array([1.003, -0.1]))  # as recordings have it
+    np.testing.assert_allclose(beyond.a, POSES["smile"].a)
+
+
+def test_no_sum_folds_a_muscle() -> None:
+    a = REST.copy()
+    a[1, :3] = -0.3, 0.2, 0.1
+    kept, count = unfolded(a)
+    assert count == 1
+    np.testing.assert_array_equal(kept[0], REST[0])
+    before, after = (np.linalg.eigh(matrices(each))[0][1] for each in (a, kept))
+    assert before[0] < 0.0
+    np.testing.assert_allclose(after, np.maximum(before, LEAST_STRETCH), atol=1e-12)
+
+
+def test_keys_pass_through_their_values_and_never_beyond() -> None:
+    squeezed = IDENTITY * 0.8
+    keys = [
+        Key(0.5, {"smile": 0.0}),
+        Key(1.0, {"smile": 1.0}, {"right": squeezed}, np.array([0.1, 0.0, 0.0, 0.0, 0.0])),
+        Key(2.0, {"smile": 1.0, "open": 1.0}),
+    ]
+    drives = from_keys(keys, POSES, MODEL, np.arange(60) / 30.0)
+    np.testing.assert_array_equal(drives(0.0).a, REST)
+    at_key = drives(1.0)
+    np.testing.assert_allclose(at_key.a[0], POSES["smile"].a[0])
+    np.testing.assert_allclose(at_key.a[1], POSES["smile"].a[1] + squeezed - IDENTITY)
+    np.testing.assert_allclose(at_key.jaw, [0.1, 0.0, 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(drives(9.0).jaw[0], 0.2)  # the last key holds
+    between = np.array([drives(time).a[0, 0] for time in np.linspace(0.5, 1.0, 30)])
+    assert (np.diff(between) <= 0.0).all()
+    linear = from_keys(keys, POSES, MODEL, np.zeros(1), interpolation="linear")
+    assert linear(0.75).a[0, 0] == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize(
+    ("keys", "code", "where"),
+    [
+        ([Key(0.0), Key(0.0)], "scene.times", "keys[1]"),
+        ([Key(np.nan)], "scene.times", "keys[0]"),
+        ([Key(0.0), Key(1e-320)], "scene.times", "keys[1]"),
+        ([Key(0.0), Key(1.0, {"grin": 1.0})], "scene.expression", "keys[1]"),
+        ([Key(0.0, {}, {"tongue": IDENTITY})], "scene.muscle", "keys[0]"),
+    ],
+)
+def test_keys_that_can_not_be(keys: list[Key], code: str, where: str) -> None:
+    with pytest.raises(InputError, match=re.escape(where)) as caught:
+        from_keys(keys, POSES, MODEL, np.zeros(1))
+    assert caught.value.code == code
+
+
+def test_the_head_turns_about_the_neck() -> None:
+    turn, shift = np.array([0.0, 0.4, 0.0]), np.array([0.0, 0.0, 7.0])
+    head = [HeadKey(0.0, np.zeros(3), np.zeros(3)), HeadKey(1.0, turn, shift)]
+    drives = from_keys([], POSES, MODEL, np.zeros(1), head=head)
+    np.testing.assert_allclose(drives(0.0).head.rotation, np.eye(3))
+    moved = drives(1.0).head
+    np.testing.assert_allclose(moved(neck(MODEL)[None])[0], neck(MODEL) + shift)
+    assert np.degrees(0.4) == pytest.approx(moved.degrees)
+
+
+def take(**weights: float) -> LiveLinkTake:
+    """Return three frames: at rest, with the weights, and with the weights again."""
+    rows = np.zeros((3, len(ARKIT_NAMES)))
+    for name, weight in weights.items():
+        rows[1:, ARKIT_NAMES.index(name)] = weight
+    head, eyes = np.zeros((3, 3)), np.zeros((3, 2, 3))
+    head[1:, 1], eyes[1:, 1, 0] = 0.2, -0.1
+    return LiveLinkTake(np.array([0.0, 0.04, 0.07]), rows, head, eyes)
+
+
+def test_a_recording_drives_the_shapes_that_its_weights_are_called_after() -> None:
+    shapes = Blendshapes(
+        MODEL.muscle_names,
+        {
+            "browInnerUpLeft": Solved(POSES["smile"], 0.1),  # ARKit has one for both sides
+            "browInnerUpRight": Solved(pose(0.1, 0.0), 0.1),
+            "jawOpen": Solved(POSES["open"], 0.1),
+        },
+    )
+    drives = from_recording(take(browInnerUp=0.5, tongueOut=1.0), shapes, MODEL)
+    np.testing.assert_allclose(drives.times, [0.0, 0.04, 0.07])
+    np.testing.assert_allclose(drives.weights[1], [0.5, 0.5, 0.0])
+    np.testing.assert_array_equal(drives(0.0).a, REST)
+    np.testing.assert_allclose(drives(0.04).a[:, 0], 1.0 - 0.2 + 0.05)
+    half = drives(0.02)
+    np.testing.assert_allclose(half.a[:, 0], 1.0 - 0.075)
+    np.testing.assert_allclose(half.eyes, [[0.0, 0.0, 0.0], [-0.05, 0.0, 0.0]])
+    np.testing.assert_allclose(Rotation.from_matrix(half.head.rotation).as_rotvec()[1], 0.1)
+    later = from_recording(take(jawOpen=1.0), shapes, MODEL, 1)
+    assert later.times[0] == 0.0
+    assert later(0.0).jaw[0] == 0.2
+    with pytest.raises(InputError) as caught:
+        from_recording(take(), shapes, MODEL, 2, 4)
+    assert caught.value.code == "scene.frames"
+
+
+def test_eyes_turn_about_their_centres() -> None:
+    centre = np.array([30.0, 0.0, 80.0])
+    ball = Rotation.random(200, rng=np.random.default_rng(1)).apply([12.0, 0.0, 0.0])
+    vertices = np.vstack([MODEL.skin.vertices, ball + centre])
+    ids = np.arange(len(MODEL.skin.vertices), len(vertices))
+    model = replace(
+        MODEL, skin=replace(MODEL.skin, vertices=vertices), regions={"left_eyeball": ids}
+    )
+    up = np.array([[-0.3, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    turned = Gaze(model).turn(vertices, up)
+    np.testing.assert_array_equal(turned[: ids[0]], vertices[: ids[0]])
+    front = int(ball[:, 2].argmax())
+    assert turned[ids[front], 1] > vertices[ids[front], 1] + 3.0
+    np.testing.assert_allclose(np.linalg.norm(turned[ids] - centre, axis=1), 12.0)
+
+
+def test_blendshapes_are_solved_once(tmp_path: Path) -> None:
+    model = head_block()
+    face = Face(model)
+    S = model.weights
+    bulge = face.solve_equilibrium(pose(-0.2, 0.0), model.rest)
+    opened = face.solve_equilibrium(pose(0.0, 0.1), model.rest)
+    displaced = {
+        "cheekPuffLeft": face.whole_skin(bulge.x, np.zeros(5)),
+        "jawOpen": face.whole_skin(opened.x, opened.pose.b),
+        "tongueOut": model.skin.vertices,  # moves nothing
+        "cheekRaiserLeft": face.whole_skin(bulge.x, np.zeros(5)),  # not one of ARKit's
+    }
+    motions = np.array([skin - model.skin.vertices for skin in displaced.values()], np.float32)
+    basis = ShapeBasis(np.zeros((0, *motions.shape[1:]), np.float32), motions, tuple(displaced))
+    targets = expression_targets(model, basis)
+    assert list(targets) == ["cheekPuffLeft", "jawOpen"]
+
+    heard: list[str] = []
+    shapes = solve_blendshapes(face, targets, {}, lambda name, _: heard.append(name))
+    assert heard == list(targets)
+    for name, points in targets.items():
+        away = np.linalg.norm(points - model.skin.vertices[model.face], axis=1).mean()
+        assert shapes.shapes[name].mean_mm < 0.2 * away
+    file = tmp_path / "blendshapes.npz"
+    shapes.save(file, model, S)
+    kept = Blendshapes.load(file, model, S)
+    np.testing.assert_array_equal(kept.blend.activations, shapes.blend.activations)
+    again = solve_blendshapes(face, targets, kept.shapes, lambda name, _: heard.append(name))
+    assert len(heard) == 2
+    assert again.shapes["jawOpen"] is kept.shapes["jawOpen"]
+    wider = replace(model, rest=1.01 * model.rest)
+    for other, weights in ((wider, S), (model, 0.5 * S)):
+        with pytest.raises(InputError) as caught:
+            Blendshapes.load(file, other, weights)
+        assert caught.value.code == "blendshapes.model"
+
+
+def test_a_template_without_expressions_can_not_be_driven() -> None:
+    for basis, code in (
+        (None, "blendshapes.none"),
+        (
+            ShapeBasis(
+                np.zeros((0, *MODEL.skin.vertices.shape), np.float32),
+                np.ones((1, *MODEL.skin.vertices.shape), np.float32),
+                ("cheekRaiserLeft",),
+            ),
+            "blendshapes.none",
+        ),
+        (
+            ShapeBasis(
+                np.zeros((0, 9, 3), np.float32), np.ones((1, 9, 3), np.float32), ("jawOpen",)
+            ),
+            "blendshapes.topology",
+        ),
+    ):
+        with pytest.raises(InputError) as caught:
+            expression_targets(MODEL, basis)
+        assert caught.value.code == code

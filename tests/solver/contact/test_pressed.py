@@ -1,0 +1,72 @@
+"""Contact in equilibrium: a ball pressed into a real face, and the neutral left alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from solver.contact.crossing import Gauge
+from solver.contact.potentials import contact_potentials
+from solver.fitting.face import Face
+from solver.mechanics.flesh import COROTATED_TRACE
+from solver.similarity import IDENTITY
+from solver.simulation.inertia import Drive
+from solver.simulation.simulator import Simulator
+from tests.fixtures import fixture_model
+from tests.solver.ball import ball
+
+STIFFNESS_PA = 3000.0
+RADIUS, PRESSED, STEPS = 8.0, 3.0, 3
+
+
+@pytest.fixture(scope="module")
+def nose():
+    """A face, and a ball that begins half a millimetre in front of its nose."""
+    model = fixture_model("neutral_coarse")
+    face = Face(model, material=COROTATED_TRACE.in_pascal(STIFFNESS_PA))
+    skin = model.skin.vertices[model.face]
+    front = skin[skin[:, 2].argmax()]
+    thing = ball(front + np.array([0.0, 0.0, RADIUS + 0.5]), RADIUS, 3)
+    return model, face, thing
+
+
+def pressed(model, face, thing, potentials):
+    """Press the ball straight back: return where the face ends, and the ball."""
+    density = np.full(len(model.tets), 1e-3)
+    simulator = Simulator(face, potentials, [], dynamic=False, density=density)
+    passive = face.flesh.passive()
+    before = Drive(0.0, passive, np.zeros(5), IDENTITY, (thing.vertices,))
+    motion = simulator.rest(before)
+    for number in range(1, STEPS + 1):
+        shift = np.array([0.0, 0.0, -(0.5 + PRESSED) * number / STEPS])
+        here = thing.moved(thing.vertices + shift)
+        goal = replace(before, time=number / 30, objects=(here.vertices,))
+        stepped = simulator.step(motion, before, goal)
+        motion, before = stepped.motion, goal
+    return stepped.y, here
+
+
+def test_a_ball_stays_out_of_the_flesh_it_is_pressed_into(nose):
+    model, face, thing = nose
+    gauge, closed = Gauge(model), np.zeros(5)
+    x, here = pressed(model, face, thing, [])
+    assert gauge.at(x, closed, [here]).objects == pytest.approx(PRESSED, abs=1.0)
+    potentials = contact_potentials(model, STIFFNESS_PA, objects=[thing])
+    x, here = pressed(model, face, thing, potentials)
+    assert gauge.at(x, closed, [here]).most < 0.1
+    assert face.flesh.inverted(x) == 0
+    moved = np.linalg.norm(face.face_points(x) - face.face_points(model.rest), axis=1)
+    assert PRESSED - 1.0 < moved.max() < PRESSED + 1.0
+    # far from the ball nothing has happened
+    assert np.median(moved) < 0.3
+
+
+def test_the_neutral_stays_where_it_was(nose):
+    model, face, thing = nose
+    potentials = contact_potentials(model, STIFFNESS_PA, objects=[thing])
+    simulator = Simulator(
+        face, potentials, [], dynamic=False, density=np.full(len(model.tets), 1e-3)
+    )
+    drive = Drive(0.0, face.flesh.passive(), np.zeros(5), IDENTITY, (thing.vertices,))
+    # where skin is nearer to skin than the barrier reaches it gives way, by hundredths
+    assert np.abs(simulator.rest(drive).y - model.rest).max() < 0.04

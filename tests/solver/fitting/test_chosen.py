@@ -1,0 +1,65 @@
+"""The solver that was asked for, and IPOPT where it fails: both find the same."""
+
+import numpy as np
+import pytest
+
+from solver.errors import SolveError
+from solver.fitting import chosen
+from solver.fitting.activation import ActivationOptions, Resting
+from solver.fitting.face import Face, Pose
+from solver.fitting.objective import Regulariser, SkinDistance, Target
+from tests.solver.block import block_model
+
+STOP = ActivationOptions(25, 1e-6)
+
+
+@pytest.fixture(scope="module")
+def problem():
+    """Return what a fit takes, for two contracted muscles and an open jaw."""
+    face = Face(block_model())
+    rest = Resting(face)
+    a = np.array([[0.8, 0.05, 0.0, 1.1, 0.0, 1.1], [0.9, 0.0, 0.0, 1.05, 0.0, 1.05]])
+    pose = Pose(a, np.array([0.1, 0.02, 0.2, -0.5, 0.4]))
+    target = Target.from_points(face.face_points(face.continuation(rest.state, pose).x))
+    regulariser = Regulariser(1e-3, 1e-2, 1e-6, face.rest_pose())
+    return face, SkinDistance(face, target), regulariser, rest, STOP
+
+
+def test_both_solvers_find_the_same(problem):
+    reduced, full = (chosen.fit(*problem, solver) for solver in ("reduced", "ipopt"))
+    assert (reduced.solver, reduced.status, reduced.notices) == ("reduced", "converged", ())
+    assert (full.solver, full.status, full.notices) == ("ipopt", "converged", ())
+    assert full.objective == pytest.approx(reduced.objective, rel=1e-3)
+    _, data, regulariser, rest, _ = problem
+    assert full.objective < 0.01 * chosen.activation.objective(data, regulariser, rest.state)
+
+
+@pytest.mark.parametrize("error", [SolveError("solve.far", "too far"), np.linalg.LinAlgError("no")])
+def test_ipopt_takes_over_and_says_why(problem, monkeypatch, error):
+    def fail(*_args, **_more):
+        raise error
+
+    full = chosen.fit(*problem, "ipopt")
+    monkeypatch.setattr(chosen.activation, "fit", fail)
+    steps = []
+    found = chosen.fit(*problem, listen=lambda iteration, value: steps.append((iteration, value)))
+    assert (found.solver, found.status) == ("ipopt", "converged")
+    assert found.objective == full.objective
+    (notice,) = found.notices
+    assert notice.code == "solve.fallback"
+    assert str(error) in notice.message
+    assert steps[-1][1] < steps[0][1]
+
+
+def test_out_of_iterations_the_best_is_kept(problem, monkeypatch):
+    """One iteration of IPOPT ends nowhere: what is kept is better than rest, and settled."""
+    monkeypatch.setattr(chosen, "IPOPT_ITERATIONS", 1)
+    monkeypatch.setattr(chosen, "HEAVIER", (1.0,))
+    face, data, regulariser, rest, _ = problem
+    few = ActivationOptions(1, 1e-6)
+    found = chosen.by_ipopt(face, data, regulariser, rest, few)
+    assert found.status == "stopped"
+    assert [notice.code for notice in found.notices] == ["ipopt.failed"]
+    assert found.objective < 0.5 * chosen.activation.objective(data, regulariser, rest.state)
+    assert found.state.equilibrium.residual < 1e-6
+    assert face.flesh.inverted(found.state.x) == 0

@@ -1,0 +1,70 @@
+"""Steps of the Gauss-Newton model against a dense solve, whatever matrix they begin with."""
+
+import numpy as np
+import pytest
+
+from solver.fitting import gauss_newton
+from solver.fitting.activation import Resting
+from solver.fitting.face import Face
+from solver.fitting.gauss_newton import GaussNewton
+from solver.fitting.objective import Regulariser, SkinDistance, Target
+from tests.solver.block import block_model, poses
+
+DAMPING = 1e-3
+
+
+@pytest.fixture(scope="module")
+def problem():
+    """A face in one pose that is fitted to the skin of another one."""
+    face = Face(block_model())
+    rest = Resting(face)
+    here, there = (face.continuation(rest.state, pose) for pose in poses(2))
+    data = SkinDistance(face, Target.from_points(face.face_points(there.x)))
+    regulariser = Regulariser(1e-3, 1e-2, 1e-6, face.rest_pose())
+    return face, data, regulariser, here, rest.matrix
+
+
+def exact(face, data, regulariser, state):
+    hessian = gauss_newton.curvature(face, data, state) + regulariser.gauss_newton(state.pose)
+    jacobian = gauss_newton.Sensitivity(face, state).by_pose()
+    gradient = jacobian.transposed(data.gradient(state.x)) + regulariser.gradient(state.pose)
+    step = gauss_newton.damped_step(hessian, gradient, DAMPING, trust=np.inf)
+    return hessian, gradient, step
+
+
+def test_step_is_that_of_the_exact_matrix(problem, monkeypatch):
+    monkeypatch.setattr(gauss_newton, "ACCURACY", 1e-6)
+    *parts, matrix = problem
+    hessian, gradient, step = exact(*parts)
+    # the matrix it begins with leads elsewhere
+    wrong = matrix + parts[2].gauss_newton(parts[3].pose)
+    elsewhere = gauss_newton.damped_step(wrong, gradient, DAMPING, trust=np.inf)
+    assert np.abs(elsewhere - step).max() > 0.05 * np.abs(step).max()
+    found = GaussNewton(*parts, matrix).step(DAMPING, np.inf)
+    np.testing.assert_allclose(found.change, step, atol=1e-3 * np.abs(step).max())
+    gain = -gradient @ step - 0.5 * step @ hessian @ step
+    assert found.gain == pytest.approx(gain, rel=1e-4)
+    response = gauss_newton.Sensitivity(parts[0], parts[3]).flesh_by_pose(found.change)
+    np.testing.assert_allclose(found.response, response, rtol=1e-9)
+
+
+def test_matrix_learns_what_the_step_needed(problem):
+    *parts, matrix = problem
+    model = GaussNewton(*parts, matrix)
+    model.step(DAMPING, np.inf)
+    _, gradient, step = exact(*parts)
+    known = parts[2].gauss_newton(parts[3].pose)
+    errors = [
+        np.abs(gauss_newton.damped_step(each + known, gradient, DAMPING, np.inf) - step).max()
+        for each in (matrix, model.matrix)
+    ]
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_step_is_cut_to_the_trust(problem):
+    *parts, matrix = problem
+    _, gradient, step = exact(*parts)
+    whole = gauss_newton.reach(step)
+    found = GaussNewton(*parts, matrix).step(DAMPING, 0.1 * whole)
+    assert found.reach == pytest.approx(0.1 * whole, rel=1e-9)
+    assert 0.0 < found.gain < -gradient @ found.change

@@ -1,0 +1,71 @@
+"""Chord steps with an old stiffness: where they lead, and when they have to end."""
+
+import numpy as np
+import pytest
+
+from solver.errors import SolveError
+from solver.fitting.face import Face
+from solver.mechanics import equilibrium, linear
+from solver.mechanics.equilibrium import Stiffness
+from solver.mechanics.flesh import Flesh
+from tests.solver.block import block_model, grid, poses
+
+
+class Counting:
+    """A linear solver that counts what it factorises."""
+
+    def __init__(self, solver):
+        self.solver, self.count = solver, 0
+
+    def factor(self, data):
+        self.count += 1
+        return self.solver.factor(data)
+
+
+def test_coasting_ends_where_newton_does():
+    face = Face(block_model())
+    rest = face.rest_state()
+    pose = rest.pose.toward(poses(1)[0], 0.3)
+    near = rest.equilibrium.factor
+    near.solve(np.zeros(face.flesh.size))
+    face.linear = Counting(face.linear)
+    x = face.predict(rest, pose)
+    coasted = face.solve_equilibrium(pose, x, near)
+    assert face.linear.count == 0
+    newton = face.solve_equilibrium(pose, x)
+    assert face.linear.count > 0
+    assert np.abs(newton.x - x).max() > 0.02
+    np.testing.assert_allclose(coasted.x, newton.x, atol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def column():
+    """A slender column, held at both ends, and the squeeze at which it is straight but unstable."""
+    rest, tets = grid((2, 2, 16), (4.0, 4.0, 64.0))
+    held = np.flatnonzero((rest[:, 2] == 0.0) | (rest[:, 2] == 64.0))
+    flesh = Flesh(rest, tets, held)
+    x = rest * [1.0, 1.0, 0.95]
+    return flesh, linear.analyse(flesh.hessian(rest, flesh.passive())), x
+
+
+def test_a_column_buckles_however_near_the_stiffness_is_said_to_be(column):
+    """No chord step follows the straight column, which is an equilibrium and no minimum."""
+    flesh, solver, x = column
+    a = flesh.passive()
+    x = x + 1e-3 * np.sin(np.pi * x[:, 2:] / x[:, 2].max()) * [1.0, 0.0, 0.0]
+    old = Stiffness(flesh, solver, flesh.rest, a)
+    found = equilibrium.solve(flesh, solver, x, a, near=old)
+    assert found.minimum
+    assert np.abs(found.x - x).max() > 3.0
+
+
+def test_what_can_not_be_factorised_says_why(column):
+    class Hopeless:
+        def factor(self, data):
+            raise linear.NotPositiveDefiniteError
+
+    flesh, _, x = column
+    for squeeze, code in ((1.0, "solve.singular"), (1e-4, "solve.crushed")):
+        with pytest.raises(SolveError) as raised:
+            equilibrium.factorise(flesh, Hopeless(), x * [1.0, 1.0, squeeze], flesh.passive())
+        assert raised.value.code == code

@@ -1,0 +1,179 @@
+"""The mesh-wide energy against finite differences, a linear patch and a known answer."""
+
+import numpy as np
+import pytest
+
+from solver.errors import InputError, SolveError
+from solver.mechanics import equilibrium, linear
+from solver.mechanics.flesh import COROTATED_DET, COROTATED_TRACE, NEO_HOOKEAN, Flesh, Material
+from tests.solver.block import block_model, grid
+
+MATERIALS = {
+    "trace": COROTATED_TRACE,
+    "det": COROTATED_DET,
+    "neo_hookean": NEO_HOOKEAN,
+    "pascal": NEO_HOOKEAN.in_pascal(2.5),
+}
+
+
+@pytest.fixture(scope="module", params=MATERIALS.values(), ids=MATERIALS)
+def strained(request):
+    """Flesh far from rest: random activations that commute with nothing, a few tets nearly flat.
+
+    Each tet has a stiffness and a growth of its own.
+    """
+    model = block_model()
+    rng = np.random.default_rng(5)
+    stiffness = rng.uniform(0.5, 2.0, len(model.tets))
+    growth = rng.uniform(0.9, 1.1, len(model.tets))
+    flesh = Flesh(
+        model.rest, model.tets, model.cranium, request.param, stiffness=stiffness, growth=growth
+    )
+    x = model.rest.copy()
+    x[flesh.free] += 1.2 * rng.standard_normal((len(flesh.free), 3))
+    a = flesh.passive() + 0.15 * rng.standard_normal((len(model.tets), 6))
+    assert flesh.openings(x).min() < 0.35
+    assert np.isfinite(flesh.energy(x, a))
+    return flesh, x, a, rng.standard_normal((len(flesh.free), 3))
+
+
+def moved(flesh, x, direction, step):
+    y = x.copy()
+    y[flesh.free] += step * direction
+    return y
+
+
+def test_gradient_matches_finite_differences(strained):
+    flesh, x, a, direction = strained
+    h = 1e-6
+    ends = [flesh.energy(moved(flesh, x, direction, sign * h), a) for sign in (1, -1)]
+    numeric = (ends[0] - ends[1]) / (2 * h)
+    assert abs(numeric) > 1.0
+    assert flesh.gradient(x, a) @ direction.ravel() == pytest.approx(numeric, rel=2e-6)
+
+
+def test_hessian_matches_finite_differences_and_is_symmetric(strained):
+    flesh, x, a, direction = strained
+    h = 1e-6
+    ends = [flesh.gradient(moved(flesh, x, direction, sign * h), a) for sign in (1, -1)]
+    numeric = (ends[0] - ends[1]) / (2 * h)
+    H = flesh.hessian(x, a)
+    assert np.abs(numeric).max() > 1.0
+    np.testing.assert_allclose(H @ direction.ravel(), numeric, atol=1e-6 * np.abs(numeric).max())
+    assert abs(H - H.T).max() < 1e-10 * abs(H).max()
+
+
+def test_projected_hessian_is_positive_semidefinite_where_the_raw_one_is_not(strained):
+    flesh, x, a, _ = strained
+    lowest = [
+        np.linalg.eigvalsh(flesh.hessian(x, a, project=share).toarray()).min() for share in (0, 1)
+    ]
+    assert lowest[0] < -1.0
+    assert lowest[1] > -1e-9
+
+
+@pytest.mark.parametrize("material", MATERIALS.values(), ids=MATERIALS)
+def test_all_laws_are_the_same_flesh_at_small_strain(material):
+    """The energy is Lame's mu |e|^2 + lambda/2 tr(e)^2, without stress or energy at rest."""
+    vertices, tets = grid((1, 1, 1), (10.0, 10.0, 10.0))
+    flesh = Flesh(vertices, tets, np.zeros(0, int), material)
+    a = flesh.passive()
+    assert flesh.energy(vertices, a) == pytest.approx(0.0, abs=1e-10)
+    assert np.abs(flesh.gradient(vertices, a)).max() < 1e-11
+    strain = np.array([[3.0, 1.0, -2.0], [1.0, -1.0, 0.5], [-2.0, 0.5, 2.0]])
+    spin = np.array([[0.0, -1.0, 2.0], [1.0, 0.0, 0.5], [-2.0, -0.5, 0.0]])
+    mu, lam = material.mu, material.lam + 2.0 * material.kappa
+    density = mu * (strain**2).sum() + 0.5 * lam * np.trace(strain) ** 2
+    motion = (vertices @ (strain + spin).T).ravel()
+    half = 0.5 * motion @ (flesh.hessian(vertices, a) @ motion)
+    assert half == pytest.approx(1000.0 * density, rel=1e-9)
+
+
+@pytest.mark.parametrize("material", [COROTATED_DET, NEO_HOOKEAN])
+def test_grown_and_active_flesh_comes_to_rest_where_both_lead(material):
+    """F = S(a) F_p on every tet: without energy, and found from far away."""
+    vertices, tets = grid((2, 2, 2), (10.0, 10.0, 10.0))
+    growth = np.full(len(tets), 1.2)
+    flesh = Flesh(vertices, tets, np.array([0]), material, growth=growth)
+    A = np.array([[0.8, 0.1, 0.0], [0.1, 1.1, -0.05], [0.0, -0.05, 1.05]])
+    a = np.tile(A[np.triu_indices(3)], (len(tets), 1))
+    x = 1.2 * vertices @ A
+    assert flesh.energy(vertices, a) > 100.0
+    assert flesh.energy(x, a) == pytest.approx(0.0, abs=1e-9)
+    assert np.abs(flesh.gradient(x, a)).max() < 1e-9
+    np.testing.assert_allclose(flesh.openings(x), np.linalg.det(A), rtol=1e-12)
+
+
+def test_activations_are_fitted_with_corotated_flesh_only():
+    model = block_model()
+    flesh = Flesh(model.rest, model.tets, model.cranium, NEO_HOOKEAN)
+    with pytest.raises(InputError) as caught:
+        flesh.forces_by_activation(model.rest, flesh.passive())
+    assert caught.value.code == "material.law"
+
+
+def test_neo_hookean_flesh_refuses_activations_that_turn_it_inside_out():
+    model = block_model()
+    flesh = Flesh(model.rest, model.tets, model.cranium, NEO_HOOKEAN)
+    a = flesh.passive()
+    a[7, 0] = -0.1
+    with pytest.raises(InputError, match="tet number 7") as caught:
+        flesh.gradient(model.rest, a)
+    assert caught.value.code == "material.activation"
+
+
+def test_linear_displacements_are_solved_exactly():
+    """The patch test: held at a linear displacement on the boundary, the inside follows it."""
+    vertices, tets = grid((4, 4, 4), (20.0, 20.0, 20.0))
+    outside = ((vertices == 0.0) | (vertices == 20.0)).any(axis=1)
+    flesh = Flesh(vertices, tets, np.flatnonzero(outside))
+    F = np.array([[1.2, 0.1, 0.0], [-0.05, 0.9, 0.1], [0.0, 0.2, 1.05]])
+    x = vertices @ F.T
+    start = x.copy()
+    start[flesh.free] += 0.3 * np.random.default_rng(2).standard_normal((len(flesh.free), 3))
+    a = flesh.passive()
+    solver = linear.analyse(flesh.hessian(vertices, a))
+    result = equilibrium.solve(flesh, solver, start, a)
+    np.testing.assert_allclose(result.x, x, atol=1e-7)
+
+
+def test_free_flesh_takes_the_shape_of_its_activation():
+    """Three held corners leave a uniformly active block free to become S(a): zero energy left."""
+    vertices, tets = grid((3, 3, 3), (15.0, 15.0, 15.0))
+    stretch = np.diag([0.8, 1.1, 1.15])
+    held = np.flatnonzero((vertices == 0.0).all(axis=1))
+    corner = np.flatnonzero((vertices == [15.0, 0.0, 0.0]).all(axis=1))
+    third = np.flatnonzero((vertices == [0.0, 15.0, 0.0]).all(axis=1))
+    held = np.concatenate([held, corner, third])
+    flesh = Flesh(vertices, tets, held, Material(lam=0.0))
+    start = vertices.copy()
+    start[held] = vertices[held] @ stretch
+    a = np.tile(stretch[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]], (len(tets), 1))
+    solver = linear.analyse(flesh.hessian(vertices, a))
+    result = equilibrium.solve(flesh, solver, start, a)
+    np.testing.assert_allclose(result.x, vertices @ stretch, atol=1e-6)
+    assert result.minimum
+
+
+def test_newton_converges_quadratically():
+    model = block_model()
+    flesh = Flesh(model.rest, model.tets, np.concatenate([model.cranium, model.mandible]))
+    rng = np.random.default_rng(0)
+    a = flesh.passive() + 0.15 * rng.standard_normal((len(model.tets), 6))
+    solver = linear.analyse(flesh.hessian(model.rest, a))
+    result = equilibrium.solve(flesh, solver, model.rest, a, tolerance=1e-12)
+    assert result.residual <= 1e-12
+    assert result.iterations <= 8
+
+
+def test_inverted_starts_and_meshes_are_named():
+    vertices, tets = grid((2, 2, 2), (10.0, 10.0, 10.0))
+    wrong = tets.copy()
+    wrong[5] = wrong[5][[1, 0, 2, 3]]
+    with pytest.raises(InputError, match="number 5"):
+        Flesh(vertices, wrong, np.array([0]))
+    flesh = Flesh(vertices, tets, np.array([0]))
+    solver = linear.analyse(flesh.hessian(vertices, flesh.passive()))
+    with pytest.raises(SolveError) as caught:
+        equilibrium.solve(flesh, solver, vertices * [1.0, 1.0, -1.0], flesh.passive())
+    assert caught.value.code == "solve.inverted"

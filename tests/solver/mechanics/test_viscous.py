@@ -1,0 +1,51 @@
+"""Viscous flesh: derivatives, and that it stays where it is where flesh comes to rest."""
+
+import numpy as np
+import pytest
+
+from solver.fitting.face import Face
+from solver.mechanics import equilibrium
+from solver.mechanics.equilibrium import Viscous
+from solver.mechanics.linear import analyse
+from tests.solver.block import block_model
+
+STEP = 1e-6
+
+
+def test_derivatives():
+    flesh = Viscous(Face(block_model()).flesh)
+    rng = np.random.default_rng(4)
+    flesh.viscosity, flesh.anchor = 0.3, flesh.rest + 0.1 * rng.standard_normal(flesh.rest.shape)
+    a, x = flesh.passive(), flesh.rest.copy()
+    direction = rng.standard_normal(flesh.size)
+
+    def moved(sign):
+        y = x.copy()
+        y[flesh.free] += sign * STEP * direction.reshape(-1, 3)
+        return y
+
+    slope = (flesh.energy(moved(1), a) - flesh.energy(moved(-1), a)) / (2 * STEP)
+    assert abs(slope) > 1e-3
+    assert flesh.gradient(x, a) @ direction == pytest.approx(slope, rel=1e-6)
+    change = (flesh.gradient(moved(1), a) - flesh.gradient(moved(-1), a)) / (2 * STEP)
+    np.testing.assert_allclose(
+        flesh.hessian(x, a) @ direction, change, atol=1e-6 * np.abs(change).max()
+    )
+
+
+def test_it_creeps_to_where_flesh_rests():
+    """Step by step it comes to the same equilibrium, which it then does not leave."""
+    face = Face(block_model())
+    plain, flesh = face.flesh, Viscous(face.flesh)
+    linear = analyse(plain.hessian(plain.rest, plain.passive()))
+    a = plain.passive()
+    a[:, 0] = 0.8
+    goal = equilibrium.solve(plain, linear, plain.rest, a).x
+    flesh.viscosity, x, lengths = 0.5, plain.rest, []
+    for _ in range(25):
+        flesh.anchor = x
+        x = equilibrium.solve(flesh, linear, x, a).x
+        lengths.append(np.abs(x - goal).max())
+    assert np.abs(plain.rest - goal).max() > 2 * lengths[0] > 0.1
+    assert lengths == sorted(lengths, reverse=True)
+    assert lengths[-1] < 1e-5

@@ -1,0 +1,150 @@
+"""The certificate: what it measures is so, and what is wrong with a fit shows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from solver.fitting.face import Face, Pose, State
+from solver.mechanics.flesh import IDENTITY
+from solver.rig.certificate import certify, check_flesh, with_round_trips
+from solver.rig.checks import CHECKS, Check, judge
+from solver.rig.report import report
+from solver.rig.result import ExpressionFit, Rig
+from solver.rig.round_trip import activation_error
+from tests.solver.block import block_model
+
+PULL = np.array([[0.75, 0.05, 0.0, 1.1, 0.0, 1.1], [1.1, 0.0, 0.05, 0.8, 0.0, 1.1]])
+JAW = np.array([0.06, 0.02, 0.3, 0.0, 0.5])
+
+
+@pytest.fixture(scope="module")
+def face() -> Face:
+    return Face(block_model())
+
+
+@pytest.fixture(scope="module")
+def S(face: Face) -> sp.csr_array:
+    return face.model.weights
+
+
+@pytest.fixture(scope="module")
+def state(face: Face) -> State:
+    return face.continuation(face.rest_state(), Pose(PULL, JAW))
+
+
+def fitted(face: Face, state: State, name: str = "smile") -> ExpressionFit:
+    skin = face.whole_skin(state.x, state.pose.b)
+    return ExpressionFit(
+        name=name,
+        role="train",
+        activations=state.pose.a,
+        jaw=state.pose.b,
+        skin=skin,
+        target=skin,
+        error_mm=np.full(len(skin), 0.2),
+        inverted=face.flesh.inverted(state.x),
+        iterations=3,
+        seconds=0.1,
+        objective=0.04,
+        x=state.x,
+    )
+
+
+def volumes(face: Face, x: np.ndarray) -> np.ndarray:
+    corners = x[face.model.tets]
+    return np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6.0
+
+
+def test_flesh_at_rest_in_its_equilibrium(face: Face, state: State) -> None:
+    a = face.tet_activations(state.pose.a)
+    found = check_flesh(face, a, state.x, face.linear)
+    ratio = volumes(face, state.x) / volumes(face, face.model.rest)
+    assert found.residual <= 1e-7
+    assert found.minimum
+    assert found.inverted == 0
+    assert (found.det_least, found.flattest) == (pytest.approx(ratio.min()), ratio.argmin())
+    assert (found.det_most, found.swollen) == (pytest.approx(ratio.max()), ratio.argmax())
+    whole = volumes(face, state.x).sum() / volumes(face, face.model.rest).sum()
+    assert abs(whole - 1.0) > 1e-3
+    assert found.volume_percent == pytest.approx(100.0 * (whole - 1.0))
+
+
+def test_flesh_out_of_its_equilibrium(face: Face, state: State) -> None:
+    a = face.tet_activations(state.pose.a)
+    moved = state.x.copy()
+    moved[face.flesh.free[0]] += [0.5, 0.0, 0.0]
+    assert check_flesh(face, a, moved, face.linear).residual > 1e-3
+    moved[face.flesh.free[0]] += [60.0, 0.0, 0.0]
+    assert check_flesh(face, a, moved, face.linear).inverted > 0
+
+
+def test_a_round_trip_comes_home(face: Face, state: State) -> None:
+    fit = fitted(face, state)
+    other = replace(fit, name="buckled", skin=fit.skin + np.array([0.0, 0.0, 1.0]))
+    home, buckled = with_round_trips(face, (fit, other))
+    assert home.round_trip is not None
+    assert buckled.round_trip is not None
+    assert home.round_trip.skin_max_mm < 1e-3
+    assert home.round_trip.refit_mean_mm < 0.05
+    assert 0.0 < home.round_trip.activation_error < 0.1
+    assert buckled.round_trip.skin_mean_mm == pytest.approx(1.0, abs=1e-3)
+    asked: list[str] = []
+    again = with_round_trips(face, (home,), lambda name, _: asked.append(name))
+    assert again[0].round_trip is home.round_trip
+    assert asked == []
+
+
+def test_an_activation_out_of_reach_is_told(face: Face, state: State) -> None:
+    wild = np.array([[-0.2, 0.0, 0.0, 1.0, 0.0, 1.0], [1.0, 0.0, 0.0, -0.2, 0.0, 1.0]])
+    fit = replace(fitted(face, state), activations=wild, jaw=np.array([0.0, 0.0, 0.0, 6000.0, 0.0]))
+    fits = with_round_trips(face, (fit,))
+    assert fits[0].round_trip is not None
+    assert not fits[0].round_trip.reached
+    rig = Rig(face.model, face.S, fits, {})
+    judged = {each.check.code: each for each in judge(rig, certify(face, rig, {}))}
+    assert judged["trip.skin"].verdict == "bad"
+    assert judged["muscles.inside_out"].measures["smile"].detail == "left, right"
+    assert "trip.refit" not in judged
+
+
+def test_only_excited_muscles_count() -> None:
+    a = np.array([[0.8, 0.0, 0.0, 1.0, 0.0, 1.0], IDENTITY])
+    found = a + np.array([[0.02, 0.0, 0.0, 0.0, 0.0, 0.0], [0.5, 0.0, 0.0, 0.0, 0.0, 0.0]])
+    assert activation_error(a, found) == pytest.approx(0.1)
+    assert np.isnan(activation_error(np.tile(IDENTITY, (2, 1)), found))
+
+
+def test_the_worst_expression_decides(face: Face, state: State) -> None:
+    good = fitted(face, state)
+    poor = replace(good, name="sad", error_mm=np.full(len(good.skin), 0.6), x=None)
+    rig = Rig(face.model, face.S, (good, poor), {})
+    judged = {each.check.code: each for each in judge(rig, certify(face, rig, {}))}
+    mean = judged["skin.mean"]
+    assert (mean.worst, mean.verdict, mean.of("smile")) == ("sad", "usable", "good")
+    assert set(judged["flesh.residual"].measures) == {"smile"}
+    assert "trip.skin" not in judged
+
+
+def test_it_says_which_expressions_may_be_used(face: Face, state: State) -> None:
+    good = fitted(face, state)
+    torn = replace(good, name="sad", error_mm=np.full(len(good.skin), 3.0))
+
+    def said(*fits: ExpressionFit) -> str:
+        rig = Rig(face.model, face.S, fits, {})
+        return str(report(rig, certify(face, rig, {}))["use"])
+
+    assert said(good).startswith("The rig may be used.")
+    assert said(good, torn).startswith("The rig may be used, but not sad.")
+    assert said(torn).startswith("The rig may not be used as it is")
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.code)
+def test_advice_names_the_option_of_the_job(check: Check) -> None:
+    assert "{" not in check.advised({})
+    assert check.advised({"max_iterations": 25}).count("max_iterations 50 instead of 25") == (
+        check.advice.count("{longer}")
+    )

@@ -1,0 +1,150 @@
+"""The sliders: every fit can be reached, and the reduced skin is near the simulated one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from solver.fitting.activation import Resting
+from solver.fitting.face import Face, Pose
+from solver.mechanics.flesh import IDENTITY
+from solver.rig.preview.basis import feature_slopes, features
+from solver.rig.preview.controls import (
+    FULL_STRETCH,
+    Controls,
+    controls_of,
+    nearest_amounts,
+)
+from solver.rig.preview.samples import (
+    Responses,
+    Simulator,
+    learned_from,
+    measured_on,
+)
+from solver.rig.result import ExpressionFit
+from tests.solver.block import head_block
+
+BLOCK = head_block((7, 5, 1))
+S = BLOCK.weights
+MODEL = replace(BLOCK, fibres=np.where(S.indices[:, None] > 0, [1.0, 0.0, 0.0], 0.0))
+EXPRESSIONS = {
+    "wide": ([[0.8, 0.02, 0, 1.1, 0, 1.1], [0.95, 0, 0, 1, 0.01, 1]], [0.06, 0, 0, 0, 0.5]),
+    "narrow": ([[0.95, 0, 0.03, 1, 0, 1], [0.75, 0.02, 0, 1.1, 0, 1.2]], [-0.02, 0, 0, 0, 0]),
+}
+
+
+@pytest.fixture(scope="module")
+def face() -> Face:
+    return Face(MODEL)
+
+
+@pytest.fixture(scope="module")
+def rest(face: Face) -> Resting:
+    return Resting(face)
+
+
+@pytest.fixture(scope="module")
+def fits(face: Face, rest: Resting) -> list[ExpressionFit]:
+    return [
+        fitted(face, rest, name, np.array(a, float), np.array(b, float))
+        for name, (a, b) in EXPRESSIONS.items()
+    ]
+
+
+def fitted(face: Face, rest: Resting, name: str, a: np.ndarray, b: np.ndarray) -> ExpressionFit:
+    x = face.continuation(rest.state, Pose(a, b)).x
+    skin = face.whole_skin(x, b)
+    zero = np.zeros(len(skin))
+    return ExpressionFit(name, "train", a, b, skin, skin, zero, 0, 1, 0.0, 0.0, x)
+
+
+@pytest.fixture(scope="module")
+def controls(face: Face, rest: Resting, fits: list[ExpressionFit]) -> Controls:
+    return controls_of(face, rest, fits)
+
+
+def test_a_preset_is_the_pose_of_its_fit(controls: Controls, fits: list[ExpressionFit]) -> None:
+    for fit in fits:
+        values = controls.presets[fit.name]
+        pose = controls.pose(values)
+        assert np.allclose(pose.a, fit.activations)
+        assert np.allclose(pose.b, fit.jaw)
+        assert (values >= 0.0).all()
+        assert (values <= 1.0).all()
+    ways = [controls.each[number].name for number in controls.of_kind("jaw")]
+    assert ways == ["jaw_opens", "jaw_closes", "jaw_moves_forward", "jaw_moves_back"]
+
+
+def test_a_muscle_shortens_along_its_fibres_and_keeps_its_volume(controls: Controls) -> None:
+    muscles = controls.of_kind("muscle")
+    assert [controls.each[number].muscle for number in muscles] == list(MODEL.muscle_names)
+    for muscle, number in enumerate(muscles):
+        for amount in (0.25, 0.5, 0.75, 1.0):
+            a = controls.pose(amount * np.eye(len(controls))[number]).a
+            xx, xy, xz, yy, yz, zz = a[muscle]
+            stretch = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            assert xx == pytest.approx(1.0 - amount * (1.0 - FULL_STRETCH))
+            assert np.linalg.det(stretch) == pytest.approx(1.0, abs=0.05)
+            assert np.allclose(np.delete(a, muscle, axis=0), IDENTITY)
+        assert np.linalg.det(stretch) == pytest.approx(1.0)
+
+
+def test_muscles_without_fibres_have_no_slider(face: Face, rest: Resting) -> None:
+    at_rest = fitted(face, rest, "rest", np.tile(IDENTITY, (MODEL.muscle_count, 1)), np.zeros(5))
+    bare = controls_of(Face(BLOCK), rest, [at_rest])
+    assert [control.kind for control in bare.each] == ["jaw", "expression"]
+
+
+def test_an_expression_tells_its_contractions_and_no_pushing() -> None:
+    rng = np.random.default_rng(1)
+    contractions, amounts = rng.normal(size=(18, 3)), rng.uniform(0.1, 0.9, (4, 3))
+    response = rng.normal(size=(40, 18))
+    seen = response.T @ response
+    found = nearest_amounts(amounts @ contractions.T, contractions, seen)
+    assert np.allclose(found, amounts, atol=1e-5)
+    pushing = amounts * [1.0, -1.0, 1.0]
+    assert np.allclose(nearest_amounts(pushing @ contractions.T, contractions, seen)[:, 1], 0.0)
+
+
+def test_slopes_of_the_skin_are_its_differences(
+    face: Face, rest: Resting, controls: Controls
+) -> None:
+    rng = np.random.default_rng(2)
+    modes = rng.normal(size=(3, *MODEL.skin.vertices.shape))
+    simulator = Simulator(face, controls, rest.state, {})
+    slid = next(pose for pose in learned_from(controls, 0) if pose.sort == "plausible")
+    (sample,) = simulator.solve([slid], np.inf, lambda _: None)
+    slopes = Responses(face, controls, modes).at(sample)
+    assert slopes is not None
+    step, start = 1e-2, face.continuation(rest.state, controls.pose(slid.values))
+    for number, unit in enumerate(np.eye(len(controls))):
+        ahead, behind = (
+            face.continuation(start, controls.pose(slid.values + way * unit))
+            for way in (step, -step)
+        )
+        skins = [face.whole_skin(state.x, state.pose.b) for state in (ahead, behind)]
+        rate = np.tensordot(modes, (skins[0] - skins[1]) / (2 * step), 2)
+        assert np.allclose(rate, slopes[:, number], rtol=1e-2, atol=0.02)
+
+
+def test_slopes_of_the_features_are_their_differences() -> None:
+    values, pairs = np.array([0.2, 0.5, 0.9]), np.triu_indices(3)
+    assert list(zip(*pairs, strict=True)) == [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
+    slopes = feature_slopes(values, pairs).toarray()
+    for number, unit in enumerate(np.eye(3)):
+        ahead, behind = (features((values + step * unit)[None], pairs) for step in (1e-6, -1e-6))
+        assert np.allclose((ahead - behind)[0] / 2e-6, slopes[number])
+
+
+def test_nothing_is_measured_on_what_was_learned_from(controls: Controls) -> None:
+    learned = {pose.values.tobytes() for pose in learned_from(controls, 3)}
+    measured = measured_on(controls, 3)
+    assert learned.isdisjoint(pose.values.tobytes() for pose in measured)
+    assert {pose.about for pose in measured if pose.sort == "alone"} == {
+        control.name for control in controls.each
+    }
+    values = np.array([pose.values for pose in measured])
+    assert values.min() >= 0.0
+    assert values.max() <= 1.0

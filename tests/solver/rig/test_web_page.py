@@ -1,0 +1,113 @@
+"""The certificate's page: it stands alone, says what is known, and trusts no name."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from solver.errors import Notice
+from solver.fitting.face import Face
+from solver.rig.certificate import certify
+from solver.rig.report import report
+from solver.rig.result import ExpressionFit, Rig
+from solver.rig.web_page import write_page
+from tests.solver.block import block_model
+
+EVIL = "<b>sad & 'so'"
+VOID = {"meta", "img", "path", "circle"}
+
+
+class Reader(HTMLParser):
+    """Collects what a page refers to, and whether its tags are closed in order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.ids: list[str] = []
+        self.links: list[str] = []
+        self.text: list[str] = []
+        self.tags: set[str] = set()
+        self.images: list[dict[str, str | None]] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = dict(attrs)
+        self.tags.add(tag)
+        self.ids += [value for value in [found.get("id")] if value]
+        self.links += [value for key in ("href", "src") if (value := found.get(key))]
+        if tag == "img":
+            self.images.append(found)
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag not in VOID:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+
+def fit(face: Face, name: str, error: float) -> ExpressionFit:
+    skin = face.model.skin.vertices
+    pose = face.rest_pose()
+    seen = np.full(len(skin), error)
+    seen[::4] = np.nan
+    return ExpressionFit(
+        name, "test", pose.a, pose.b, skin, skin, seen, 0, 3, 0.5, error**2, face.model.rest
+    )
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Reader:
+    folder = tmp_path_factory.mktemp("rig")
+    face = Face(block_model())
+    told = (Notice("muscle.no_share", "left has <no> flesh"),)
+    noticed = replace(fit(face, "ah", 0.2), status="stopped", notices=(Notice("x", "half & half"),))
+    fits = (fit(face, EVIL, 0.7), noticed)
+    rig = Rig(face.model, face.model.weights, fits, {}, told)
+    Image.new("RGB", (1600, 1188)).save(folder / "fit_ah.png")
+    write_page(folder / "report.html", report(rig, certify(face, rig, {"rounds": 12})))
+    return read(folder / "report.html")
+
+
+def read(path: Path) -> Reader:
+    reader = Reader()
+    reader.feed(path.read_text(encoding="utf-8"))
+    assert reader.open == []
+    return reader
+
+
+def test_it_stands_alone(page: Reader) -> None:
+    assert not page.tags & {"script", "link", "iframe", "object"}
+    assert not [link for link in page.links if re.match(r"(https?:)?//", link)]
+    anchors = {link[1:] for link in page.links if link.startswith("#")}
+    assert anchors <= set(page.ids)
+    assert len(set(page.ids)) == len(page.ids)
+    assert [image["alt"] for image in page.images] == [
+        "ah: scan, fit and the distance between them, from the front and from the side"
+    ]
+    assert str(page.images[0]["src"]).startswith("data:image/jpeg;base64,")
+
+
+def test_names_are_text(page: Reader) -> None:
+    assert EVIL in page.text
+    assert not re.search(r"\bnan\b", " ".join(page.text).lower())
+
+
+def test_it_says_what_to_look_at(page: Reader) -> None:
+    words = " ".join(" ".join(page.text).split())
+    assert "Mean distance : 0.7 mm in" in words
+    assert "Face that the scan shows : 73.3 % in" in words
+    assert "Usable" in words
+    assert "not tried" in words  # no round trip
+    assert "left has <no> flesh" in words
+    assert "fit this expression again with rounds 24 instead of 12." in words
+    assert "The rig may be used. What it is not good for" in words
+    assert "Warnings : 2 in ah : left has <no> flesh; half & half." in words
+    assert "Fits that ended early : 1 in ah : after 3 steps by reduced." in words

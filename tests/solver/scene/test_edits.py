@@ -1,0 +1,99 @@
+"""From a scene's JSON to edits: places, maps, and what a person does not have."""
+
+import json
+from importlib import resources
+
+import jsonschema
+import numpy as np
+import pytest
+
+from solver.edits.bones import Bone
+from solver.edits.fat import (
+    Density,
+    Fat,
+    Filler,
+    Stiffness,
+)
+from solver.edits.paralysis import Paralysis
+from solver.errors import InputError
+from solver.scene.places import Places
+from solver.scene.stage import (
+    KINDS,
+    edits_of,
+)
+from tests.solver.block import head_block
+
+EVERY_KIND = [
+    {"kind": "fat", "f_min": 1.0, "f_max": 1.2, "map": {"regions": ["left"]}},
+    {"kind": "filler", "path": [{"at": "lip", "depth_mm": 3}, {"at": [75, 60, 45]}], "ml": 0.4},
+    {"kind": "bone", "bone": "mandible", "at": 7, "radius_mm": 20, "move_mm": [0, 0, 5]},
+    {"kind": "stiffness", "factor": 4, "map": {"spots": ["lip", 3], "radius_mm": 20}},
+    {"kind": "density", "factor": 2, "map": {"asset": "heavy"}},
+    {"kind": "paralysis", "side": "left"},
+]
+
+
+@pytest.fixture(scope="module")
+def schema():
+    return json.loads(resources.files("solver.scene").joinpath("edit.schema.json").read_text())
+
+
+@pytest.fixture
+def places(tmp_path):
+    model = head_block()
+    np.save(tmp_path / "heavy.npy", np.linspace(0, 1, len(model.skin.vertices)))
+    (tmp_path / "words.npy").write_text("no array")
+    assets = {name: tmp_path / f"{name}.npy" for name in ("heavy", "words")}
+    return Places(model, {"lip": 5}, assets)
+
+
+def test_every_kind_is_described_and_becomes_an_edit(schema, places):
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.validate(EVERY_KIND, schema)
+    edit = schema["$defs"]["edit"]
+    described = [each["if"]["properties"]["kind"]["const"] for each in edit["allOf"]]
+    assert described == edit["properties"]["kind"]["enum"]
+    assert described == list(KINDS) == [each["kind"] for each in EVERY_KIND]
+    made = edits_of(EVERY_KIND, places)
+    assert [type(each) for each in made] == [Fat, Filler, Bone, Stiffness, Density, Paralysis]
+    skin = places.model.skin.vertices
+    np.testing.assert_array_equal(np.flatnonzero(made[0].painted), places.model.regions["left"])
+    np.testing.assert_allclose(made[1].path, [skin[5] - [0, 0, 3], [75, 60, 45]])
+    np.testing.assert_array_equal(made[2].at, skin[7])
+    assert made[3].painted[5] == made[3].painted[3] == 1.0
+    assert made[4].painted[-1] == 1.0
+    assert made[5] == Paralysis(None, "left", 0.0)
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        {"kind": "fat", "f_min": 1.0},
+        {"kind": "fat", "f_min": 1.0, "f_max": 9.0},
+        {"kind": "fat", "f_min": 1.0, "f_max": 1.1, "map": {"spots": ["lip"]}},
+        {"kind": "filler", "path": [], "ml": 1},
+        {"kind": "bone", "bone": "hyoid", "at": 1, "radius_mm": 20, "move_mm": [0, 0, 5]},
+        {"kind": "stiffness", "factor": 0},
+        {"kind": "paralysis", "side": "up"},
+        {"kind": "wings"},
+        {"side": "left"},
+    ],
+)
+def test_the_schema_refuses(schema, entry):
+    assert not jsonschema.Draft202012Validator(schema).is_valid([entry])
+
+
+@pytest.mark.parametrize(
+    ("painted", "code", "words"),
+    [
+        ({"regions": ["left", "tail"]}, "scene.region", "left, right"),
+        ({"spots": ["ear"], "radius_mm": 9}, "scene.landmark", "there are lip"),
+        ({"spots": [10_000], "radius_mm": 9}, "scene.vertex", "0 to 62"),
+        ({"asset": "light"}, "scene.asset", "heavy, words"),
+        ({"asset": "words"}, "scene.map", "words.npy"),
+    ],
+)
+def test_what_the_person_does_not_have_is_named(places, painted, code, words):
+    with pytest.raises(InputError, match=words) as raised:
+        edits_of([{"kind": "stiffness", "factor": 2, "map": painted}], places)
+    assert raised.value.code == code

@@ -1,0 +1,61 @@
+"""Contractions along fibres, fitted to a skin that others made."""
+
+import numpy as np
+import pytest
+
+from solver.fitting.face import Face
+from solver.mechanics import equilibrium
+from solver.simulation import fibres
+from solver.simulation.fibres import activation_rates, fibre_activations, fit_fibres
+from tests.solver.simulation.test_fibres import fibred_block
+
+GAMMA, JAW = np.array([0.75, 1.15]), np.array([0.05, 0.0, 0.0, 0.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def face():
+    return Face(fibred_block())
+
+
+def skin(face, gamma, jaw):
+    x = face.model.rest.copy()
+    x[face.flesh.held] = face.held_positions(jaw)
+    A = fibre_activations(face.model, face.model.weights, gamma)
+    return face.face_points(equilibrium.solve(face.flesh, face.linear, x, A).x)
+
+
+def test_rates_are_those_of_the_activations(face):
+    step = 1e-6
+    for muscle in (0, 1):
+        tets, rates = activation_rates(face.model, face.model.weights, muscle, GAMMA[muscle])
+        change = np.eye(2)[muscle] * step
+        ends = [
+            fibre_activations(face.model, face.model.weights, GAMMA + sign * change)
+            for sign in (1, -1)
+        ]
+        expected = (ends[0] - ends[1]) / (2 * step)
+        np.testing.assert_allclose(rates, expected[tets], atol=1e-8)
+        assert np.abs(rates).max() > 0.1
+
+
+def test_the_jacobian_is_that_of_the_equilibrium(face):
+    theta = np.concatenate([GAMMA, JAW])
+    fit = fibres._Fit(face, face.face_points(face.model.rest))
+    state = fit.settle(theta, face.model.rest)
+    jacobian = fit.jacobian(theta, state)
+    step = 1e-4
+    for k in (0, 1, 2, 6):
+        change = step * np.eye(len(theta))[k]
+        ends = [face.face_points(fit.settle(theta + sign * change, state.x).x) for sign in (1, -1)]
+        expected = (ends[0] - ends[1]).ravel() / (2 * step)
+        assert np.abs(expected).max() > 0.1
+        np.testing.assert_allclose(jacobian[:, k], expected, atol=2e-3 * np.abs(expected).max())
+
+
+def test_contractions_and_jaw_are_found(face):
+    target = skin(face, GAMMA, JAW)
+    moved = np.linalg.norm(target - face.face_points(face.model.rest), axis=1).mean()
+    found = fit_fibres(face, target)
+    left = np.linalg.norm(face.face_points(found.x) - target, axis=1).mean()
+    assert left < 0.03 * moved
+    np.testing.assert_allclose(found.gamma, GAMMA, atol=0.05)
