@@ -13,9 +13,9 @@ import redis
 from sqlalchemy import func, select
 
 from chaos.stage import SETTINGS, Stage
+from service.queue.states import HELD
 from service.store.database import Database
 from service.store.models import Attempt, Job, Lease
-from service.store.transitions import HELD
 
 LEASE = SETTINGS["lease"]
 PAUSE = 6.0

@@ -16,9 +16,9 @@ from sqlalchemy import select
 from chaos.crew import Crew
 from chaos.disk import Disk
 from myoface.stack import Stack
+from service.queue.states import FINAL, HELD
+from service.store.database import Store
 from service.store.models import Job, Worker
-from service.store.store import Store
-from service.store.transitions import FINAL, HELD
 from tests.service_client import ROOT, Studio, running
 
 SETTINGS = {

@@ -22,8 +22,8 @@ from load.station import Station
 from myoface.client import Client
 from myoface.resources import Job
 from myoface.stack import Stack
+from service.queue.wakeups import QUEUES
 from service.settings import Settings
-from service.store.queue import QUEUES
 from solver.anatomy.builtin import builtin_capture_set
 
 MOST_READ_S = 0.15

@@ -26,11 +26,10 @@ from myoface.errors import StackError
 from service.access.bootstrap import write_secret
 from service.secret import secret
 from service.settings import Settings
-from service.store.database import Database
+from service.store.database import Database, Store
+from service.store.deletion import references
 from service.store.files import FolderFiles
-from service.store.garbage import references
 from service.store.models import Deletion, now
-from service.store.store import Store
 
 MANIFEST, DELETIONS, SECRET, FILES = "manifest.json", "deletions.json", "secret", "files"
 DUMPS = {"sqlite": "database.sqlite", "postgresql": "database.dump"}

@@ -7,11 +7,11 @@ import sys
 
 import uvicorn
 
-from service import logs, tracing
+from service import tracing
 from service.access.bootstrap import OpenDoorError, prepare
 from service.app import create_app
 from service.http.deadline import protocol
-from service.parent import die_with_parent
+from service.process import configure_logs, die_with_parent
 from service.settings import Settings
 
 KEEP_ALIVE = 130
@@ -24,7 +24,7 @@ def main() -> None:
     settings = Settings()
     if settings.stack_pid:
         die_with_parent(settings.stack_pid, signal.SIGTERM)
-    logs.configure(settings.log_json)
+    configure_logs(settings.log_json)
     tracing.start("myoface-api")
     app = create_app(settings)
     try:

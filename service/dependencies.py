@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 from service.access.principal import Caller, Scope, require
 from service.access.signed import FileReader
 from service.settings import Settings
-from service.store.store import Store
+from service.store.database import Store
 
 # What does not wait is `async`: FastAPI would run each in a thread of its own, many a request.
 # The makers are cached: one dependency a name and scope, which a test can override by them.

@@ -10,8 +10,8 @@ from importlib.metadata import PackageNotFoundError, version
 from sqlalchemy.orm import Session
 
 from service.kinds import KINDS
+from service.queue.claims import Abilities
 from service.settings import Settings
-from service.store.claims import Abilities
 from service.store.database import clock
 from service.store.models import Worker
 from worker.kinds import CALLS

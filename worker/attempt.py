@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from service.kinds import KINDS
+from service.queue.table import Claim
 from service.store.files import Files
-from service.store.jobs import Claim
 from service.store.models import Artifact, Rig
 
 MEDIA_TYPES = {

@@ -18,14 +18,14 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from service import tracing
-from service.outbound.client import Answer, Refused, Sender, Unreachable
+from service.outbound import Answer, Refused, Sender, Unreachable
+from service.queue import outbox
+from service.queue.claims import Abilities
+from service.queue.outbox import Outcome, Parcel
+from service.queue.wakeups import WEBHOOKS
 from service.secret import wait_for_secret
 from service.settings import Settings
-from service.store import outbox
-from service.store.claims import Abilities
-from service.store.outbox import Outcome, Parcel
-from service.store.queue import WEBHOOKS
-from service.store.store import Store
+from service.store.database import Store
 from service.webhooks import signing
 from worker.sweeper import Presence
 

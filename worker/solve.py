@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import structlog
 
-from service import logs
-from service.parent import die_with_parent
+from service.process import configure_logs, die_with_parent
 from worker.errors import NO_ROOM, is_full
 from worker.kinds import CALLS, Task
 
@@ -39,7 +38,7 @@ def main(folder: Path) -> int:
     """Do the job in ``folder``; returns the exit code."""
     process = json.loads((folder / "process.json").read_text())
     die_with_parent(process["parent"], signal.SIGKILL)
-    logs.configure(json=False)
+    configure_logs(json=False)
     _step_back()
     resource.setrlimit(resource.RLIMIT_DATA, (process["memory_bytes"],) * 2)
     try:

@@ -12,13 +12,13 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from service import tracing
+from service.queue import table
+from service.queue.claims import Abilities, claim_next
+from service.queue.states import State
+from service.queue.table import Claim
 from service.settings import Settings
-from service.store import jobs
-from service.store.claims import Abilities, claim_next
-from service.store.jobs import Claim
+from service.store.database import Store
 from service.store.models import Artifact
-from service.store.store import Store
-from service.store.transitions import State
 from worker.attempt import AttemptFolder
 from worker.errors import (
     NO_ROOM,
@@ -99,7 +99,7 @@ class Supervisor:
             _ended("canceled")
         except ShutdownError:
             process.stop()
-            self._commit(lambda session: jobs.release(session, claim.job_id, claim.attempt))
+            self._commit(lambda session: table.release(session, claim.job_id, claim.attempt))
             _ended("released")
         except LeaseLostError:
             process.stop()
@@ -131,7 +131,7 @@ class Supervisor:
         news.kept.update(folder.new_kept(self._store.files))
         try:
             with self._store.write() as session:
-                state = jobs.beat(
+                state = table.beat(
                     session,
                     claim.job_id,
                     claim.attempt,
@@ -160,10 +160,10 @@ class Supervisor:
         if code == 0 and result is not None:
             artifacts = folder.store(self._store.files)
             left: dict[str, Any] = {"summary": result["summary"], "rig": folder.rig(result)}
-            done = self._commit(lambda session: jobs.succeed(session, *job, artifacts, **left))
+            done = self._commit(lambda session: table.succeed(session, *job, artifacts, **left))
             _ended("succeeded" if done else "fenced")
         elif error is not None:
-            done = self._commit(lambda session: jobs.fail(session, *job, error))
+            done = self._commit(lambda session: table.fail(session, *job, error))
             _ended("failed" if done else "fenced", failed=done, code=error["code"])
         elif code == NO_ROOM:
             self._postpone(claim)
@@ -175,15 +175,15 @@ class Supervisor:
             self._confirm_cancel(claim)
 
     def _confirm_cancel(self, claim: Claim) -> None:
-        self._commit(lambda session: jobs.confirm_cancel(session, claim.job_id, claim.attempt))
+        self._commit(lambda session: table.confirm_cancel(session, claim.job_id, claim.attempt))
 
     def _lose(self, claim: Claim, error: dict[str, Any]) -> None:
-        self._commit(lambda session: jobs.lose(session, claim.job_id, claim.attempt, error))
+        self._commit(lambda session: table.lose(session, claim.job_id, claim.attempt, error))
         _ended("attempt_lost", failed=True, error=error)
 
     def _postpone(self, claim: Claim) -> None:
         self._commit(
-            lambda session: jobs.postpone(session, claim.job_id, claim.attempt, STORAGE_FULL)
+            lambda session: table.postpone(session, claim.job_id, claim.attempt, STORAGE_FULL)
         )
         _ended("postponed", failed=True, error=STORAGE_FULL)
 

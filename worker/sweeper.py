@@ -10,13 +10,14 @@ from sqlalchemy import delete
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
+from service.queue import sweep
+from service.queue.claims import Abilities
 from service.settings import Settings
-from service.store import deletion, garbage, retention, sizes, sweep
-from service.store.claims import Abilities
+from service.store import deletion, retention
+from service.store.database import Store
 from service.store.models import Worker
-from service.store.store import Store
 from worker.abilities import show_life
-from worker.orphans import remove_orphans
+from worker.process import remove_orphans
 
 GARBAGE_EVERY = 60.0
 
@@ -95,7 +96,7 @@ class Sweeper(Presence):
         if elected and time.monotonic() > due:
             self._collected = time.monotonic()
             self._store.database.forget_deleted()
-            if removed := garbage.collect(self._store, settings.garbage_age):
+            if removed := deletion.collect_garbage(self._store, settings.garbage_age):
                 log.info("files.collected", count=removed)
             deletion.close_receipts(self._store)
-            sizes.measure(self._store)
+            sweep.measure_sizes(self._store)

@@ -15,13 +15,17 @@ import zlib
 from collections.abc import Iterable
 from datetime import datetime, timedelta
 
-from sqlalchemy import update
+from sqlalchemy import ColumnElement, or_, select, update
 from sqlalchemy.orm import Session
 
+from service import paging
 from service.access.principal import Principal, Scope, unauthorized
-from service.store.database import clock
+from service.access.schemas import NewKey
+from service.errors import Problem, unknown
+from service.paging import Slice
+from service.store.database import Store, clock
 from service.store.models import ApiKey
-from service.store.store import Store
+from service.store.tenancy import own_tenant
 
 LETTERS = string.digits + string.ascii_uppercase + string.ascii_lowercase
 KEY = re.compile(r"(myo_([0-9A-Za-z]{12})[0-9A-Za-z]{32})([0-9A-Za-z]{6})")
@@ -102,3 +106,68 @@ def _checksum(body: str) -> str:
         rest, digit = divmod(rest, len(LETTERS))
         digits = LETTERS[digit] + digits
     return digits
+
+
+def create(session: Session, keyring: Keyring, new: NewKey) -> tuple[ApiKey, str]:
+    """Make a key; returns it and its text."""
+    if new.expires_at is not None and new.expires_at <= clock(session):
+        raise Problem(422, "key.expired", "a new key can not have expired", field="expires_at")
+    tenant = own_tenant(session)
+    return keyring.mint(session, tenant.id, new.name, set(new.scopes), new.expires_at)
+
+
+def rotate(session: Session, keyring: Keyring, key_id: str, grace: int) -> tuple[ApiKey, str]:
+    """Make a key in place of one that goes on to work for ``grace`` seconds."""
+    tenant = own_tenant(session, lock=True)
+    old, moment = get(session, key_id), clock(session)
+    if _is_over(old, session):
+        raise Problem(409, "key.over", "the key opens nothing any more", key_id=key_id)
+    fresh, text = keyring.mint(session, tenant.id, old.name, old.scopes, old.expires_at)
+    until = moment + timedelta(seconds=grace)
+    old.expires_at = min(filter(None, (old.expires_at, until)))
+    return fresh, text
+
+
+def revoke(session: Session, key_id: str) -> None:
+    """Take a key back; again is as good as once.
+
+    Raises
+    ------
+    Problem
+        409 for the last key that can make others.
+    """
+    own_tenant(session, lock=True)  # two at a time would each leave the other
+    key = get(session, key_id)
+    if _is_over(key, session):
+        return
+    if Scope.ADMIN in key.scopes and not other_admins(session, key):
+        raise Problem(409, "key.last_admin", "no other key could make keys then", key_id=key_id)
+    key.revoked_at = clock(session)
+
+
+def _is_over(key: ApiKey, session: Session) -> bool:
+    ends = [moment for moment in (key.revoked_at, key.expires_at) if moment is not None]
+    return any(moment <= clock(session) for moment in ends)
+
+
+def get(session: Session, key_id: str) -> ApiKey:
+    """Return a key."""
+    key = session.get(ApiKey, key_id)
+    if key is None:
+        raise unknown("key", key_id)
+    return key
+
+
+def newest(session: Session, limit: int, cursor: str | None) -> Slice[ApiKey]:
+    """Return keys, newest first, also those that open nothing any more."""
+    return paging.newest(session, select(ApiKey), limit, cursor)
+
+
+def other_admins(session: Session, key: ApiKey) -> Iterable[str]:
+    """Return the ids of the further keys that may make keys for as long as ``key`` could."""
+    lasting: ColumnElement[bool] = ApiKey.expires_at.is_(None)
+    if key.expires_at is not None:
+        lasting = or_(lasting, ApiKey.expires_at >= key.expires_at)
+    # one that has given way to another lives on for a grace only
+    living = select(ApiKey).where(ApiKey.id != key.id, ApiKey.revoked_at.is_(None), lasting)
+    return [other.id for other in session.scalars(living) if Scope.ADMIN in other.scopes]

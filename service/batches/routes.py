@@ -9,14 +9,14 @@ from fastapi import APIRouter, Query
 from sqlalchemy.orm import Session
 
 from service.access.principal import Writer
-from service.audit.record import record
 from service.batches import repository, service
-from service.batches.progress import CHECK, FIT, MODEL, REGISTER, Progress
+from service.batches.repository import CHECK, FIT, MODEL, REGISTER, Progress
 from service.batches.schemas import BatchState, BatchView, NewBatch
 from service.dependencies import Cursor, Limit, ReadSession, SettingsDep, WriteSession
 from service.errors import problems
 from service.idempotency import Once
 from service.jobs.schemas import Cancel
+from service.records.audit import record
 from service.schemas import Id, Page
 from service.store.models import Batch, Capture, Job
 

@@ -9,8 +9,8 @@ from pydantic import ConfigDict, Field, model_validator
 
 from service.captures.schemas import NewCapture, Role
 from service.jobs.schemas import CancelView, JobError, Priority
+from service.queue.states import State
 from service.schemas import Body, Id, Line, View
-from service.store.transitions import State
 from service.subjects.schemas import NewSubject
 
 Step = Literal["register", "model", "geometry"]

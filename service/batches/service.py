@@ -2,27 +2,37 @@
 
 from __future__ import annotations
 
+import os
+import socket
 from http import HTTPStatus
 from typing import Any
 
+import structlog
 from sqlalchemy.orm import Session
 
+from service.background import Background
 from service.batches import repository
-from service.batches.progress import CHECK, FIT, MODEL, REGISTER, Progress, Stand, failure
+from service.batches.repository import CHECK, FIT, MODEL, REGISTER, Progress, Stand, failure
 from service.batches.schemas import NewBatch
 from service.captures import repository as captures
 from service.captures import service as scans
-from service.captures.registered import registered_form
+from service.captures.repository import registered_form
 from service.errors import Problem
 from service.jobs import service as work
 from service.jobs.schemas import Cancel, NewJob
-from service.store import jobs, outbox
-from service.store.database import clock
+from service.queue import outbox, table
+from service.queue.states import FINAL, State
+from service.queue.sweep import hold_office
+from service.settings import Settings
+from service.store.database import Store, clock
 from service.store.models import Batch, Capture, Job
 from service.store.tenancy import own_tenant
-from service.store.transitions import FINAL, State
 from service.subjects import repository as subjects
 from service.subjects import service as people
+
+OFFICE = "batches"
+
+log = structlog.get_logger()
 
 
 def create(session: Session, new: NewBatch, max_attempts: int) -> Batch:
@@ -64,7 +74,7 @@ def cancel(session: Session, batch_id: str, order: Cancel) -> None:
         raise Problem(409, "batch.finished", f"the batch has {batch.state}", batch_id=batch_id)
     for job in repository.jobs(session, [batch.id]):
         if job.state not in FINAL:
-            jobs.cancel(session, job.id, order.by, order.reason)
+            table.cancel(session, job.id, order.by, order.reason)
     moment = clock(session)
     batch.cancel = {"by": order.by, "reason": order.reason, "requested_at": moment.isoformat()}
     _finish(session, batch, "canceled")
@@ -206,3 +216,33 @@ def _finish(session: Session, batch: Batch, state: str) -> None:
     batch.state, batch.finished_at = state, clock(session)
     data = {"batch_id": batch.id, "subject_id": batch.subject_id, "state": state}
     outbox.tell(session, batch.tenant_id, "batch.finished", data)
+
+
+class Advancer(Background):
+    """A thread that queues what running batches need next, every ``settings.beat`` s.
+
+    One API process of all looks after them, since only the API resolves inputs.
+    """
+
+    def __init__(self, store: Store, settings: Settings) -> None:
+        super().__init__("batches", settings.beat)
+        self._store = store
+        self._settings = settings
+        self._holder = f"{socket.gethostname()}:{os.getpid()}"
+
+    def _round(self) -> None:
+        with self._store.read() as session:
+            running = repository.running(session)
+        if not running:
+            return
+        with self._store.write() as session:
+            if not hold_office(session, OFFICE, self._holder, 10 * self._settings.beat):
+                return
+        for tenant_id, batch_id in running:
+            try:
+                with self._store.of(tenant_id).write() as session:
+                    advance(session, batch_id, self._settings.max_attempts)
+            except Problem:
+                log.info("batch.gone", batch_id=batch_id)  # deleted with its subject
+            except Exception:  # one that can not go on keeps no other from it
+                log.exception("batch.stuck", batch_id=batch_id)

@@ -5,10 +5,8 @@ from __future__ import annotations
 from fastapi import APIRouter, Response
 
 from service.access.principal import Deleter, Writer
-from service.audit.record import record
 from service.captures import repository, service
 from service.captures.schemas import CaptureView, Landmarks, NewCapture
-from service.deletions.routes import answer
 from service.dependencies import (
     Cursor,
     DeleteSession,
@@ -19,6 +17,8 @@ from service.dependencies import (
 )
 from service.errors import problems
 from service.idempotency import Once
+from service.records.audit import record
+from service.records.routes import answer_deletion
 from service.schemas import Id, Page
 from service.subjects import repository as subjects
 
@@ -97,4 +97,4 @@ def delete(subject_id: Id, capture_id: Id, session: DeleteSession, who: Deleter)
     """Delete a capture with its checks and registrations, for example to replace a bad scan."""
     receipt = service.delete(session, subject_id, capture_id)
     record(session, who, "capture.deleted", capture_id)
-    return answer(receipt)
+    return answer_deletion(receipt)

@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import ConfigDict, Field
 
-from service.captures.registered import mesh, neutral_of
+from service.captures.repository import neutral_of, registered_mesh
 from service.schemas import Body, Id, Name, RetainUntil, View
 from service.store import retention
 from service.store.models import Capture, Job
@@ -126,7 +126,7 @@ def _check(job: Job) -> dict[str, object]:
 
 
 def _registration(job: Job) -> dict[str, object]:
-    made = mesh(job)
+    made = registered_mesh(job)
     return {
         "job_id": job.id,
         "artifact_id": made.id,

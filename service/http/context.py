@@ -12,7 +12,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service import tracing
 from service.errors import Problem, render
-from service.metrics.latency import method_of, route_of
+from service.system.metrics import method_of, route_of
 
 ACCEPTED_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 QUIET = frozenset({"/healthz", "/readyz"})

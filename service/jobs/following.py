@@ -15,10 +15,9 @@ from anyio import to_thread
 from sqlalchemy import and_, or_, select
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.store.database import clock
+from service.queue.states import FINAL, State
+from service.store.database import Store, clock
 from service.store.models import ApiKey, Event, Job
-from service.store.store import Store
-from service.store.transitions import FINAL, State
 
 PAUSE = 0.3
 LOOK_AT_KEYS_EVERY = 10.0

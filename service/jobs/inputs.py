@@ -14,7 +14,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from service.captures import repository as captures
-from service.captures.registered import neutral_of, registered_form
+from service.captures.repository import neutral_of, registered_form
 from service.errors import Problem, unknown
 from service.jobs import repository
 from service.jobs.schemas import NewJob

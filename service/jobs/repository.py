@@ -1,4 +1,4 @@
-"""Queries about jobs; what changes a job's state is in `service.store.jobs`."""
+"""Queries about jobs; what changes a job's state is in `service.queue.table`."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from sqlalchemy.orm import Session, selectinload, undefer
 from service import paging
 from service.errors import unknown
 from service.paging import Slice
+from service.queue.states import State
 from service.store.models import Job, LogLine
-from service.store.transitions import State
 
 PARTS = (
     selectinload(Job.attempts),

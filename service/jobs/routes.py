@@ -11,9 +11,8 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from service import paging
+from service.access.limits import Seats
 from service.access.principal import Reader, Writer
-from service.access.seats import Seats
-from service.audit.record import record
 from service.dependencies import (
     Cursor,
     Limit,
@@ -26,16 +25,16 @@ from service.dependencies import (
 )
 from service.errors import problems
 from service.idempotency import Once
-from service.jobs import frames, repository, service
-from service.jobs.filters import Filters
+from service.jobs import repository, service
 from service.jobs.following import Feed
-from service.jobs.schemas import Cancel, FramesView, JobView, LogView, NewJob, Retry
+from service.jobs.schemas import Cancel, Filters, FramesView, JobView, LogView, NewJob, Retry
+from service.queue.claims import positions
+from service.records.audit import record
 from service.schemas import Id, Page, Position
 from service.settings import Settings
+from service.store.database import Store
 from service.store.models import Job
-from service.store.positions import positions
 from service.store.retention import own_days
-from service.store.store import Store
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
@@ -211,7 +210,7 @@ def read_frames(
 
     They stay when the job fails or is canceled.
     """
-    found, ready = frames.read(session, store.files, job_id, start, limit)
+    found, ready = service.read_frames(session, store.files, job_id, start, limit)
     views: Any = found
     return FramesView(frames=views, next=start + len(found), ready=ready)
 
@@ -228,7 +227,7 @@ def read_frames(
 )
 def read_picture(job_id: Id, session: ReadSession, store: ReadStore) -> Response:
     """Read a small picture of the newest frame that has one, also while the job runs."""
-    picture = frames.newest_picture(session, store.files, job_id)
+    picture = service.newest_picture(session, store.files, job_id)
     if picture is None:
         return Response(status_code=204)
     return Response(picture, media_type="image/jpeg", headers={"Cache-Control": "no-store"})

@@ -5,13 +5,15 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
+from fastapi import Depends, Query
 from pydantic import BaseModel, ConfigDict, Field
+from sqlalchemy import ColumnElement
 
+from service.queue.states import State
 from service.rigs.schemas import ArtifactView
-from service.schemas import Body, Id, Line, RetainUntil, View
+from service.schemas import Body, Id, Line, Moment, Name, RetainUntil, View
 from service.store import retention
 from service.store.models import Job
-from service.store.transitions import State
 
 Priority = Annotated[
     int, Field(ge=-9, le=9, description="order among your own jobs of a queue: 9 first, -9 last")
@@ -20,6 +22,26 @@ Memory = Annotated[
     int | None,
     Field(ge=1, le=2**31 - 1, description="only workers that give a job so much memory take it"),
 ]
+
+_COLUMNS = (
+    "id",
+    "priority",
+    "memory_mb",
+    "parent_id",
+    "batch_id",
+    "state",
+    "attempt",
+    "max_attempts",
+    "not_before",
+    "progress",
+    "error",
+    "attempts",
+    "cancel",
+    "last_event_id",
+    "created_at",
+    "started_at",
+    "finished_at",
+)
 
 
 class NewJob(Body):
@@ -176,27 +198,6 @@ def _retain_until(job: Job, kept: retention.Days) -> datetime | None:
     return retention.until(kept.jobs, job.finished_at)
 
 
-_COLUMNS = (
-    "id",
-    "priority",
-    "memory_mb",
-    "parent_id",
-    "batch_id",
-    "state",
-    "attempt",
-    "max_attempts",
-    "not_before",
-    "progress",
-    "error",
-    "attempts",
-    "cancel",
-    "last_event_id",
-    "created_at",
-    "started_at",
-    "finished_at",
-)
-
-
 class LogLineView(View):
     """A line that the solver printed."""
 
@@ -263,3 +264,36 @@ class LogView(BaseModel):
 
     lines: list[LogLineView]
     next: int
+
+
+async def _filters(
+    subject_id: Annotated[Id | None, Query()] = None,
+    capture_id: Annotated[Id | None, Query(description="checks and registrations of it")] = None,
+    batch_id: Annotated[Id | None, Query()] = None,
+    parent_id: Annotated[Id | None, Query(description="jobs made again from it")] = None,
+    kind: Name | None = None,
+    state: Annotated[
+        list[State] | None, Query(description="one of these; may be given several times")
+    ] = None,
+    since: Annotated[Moment | None, Query(description="created then or later")] = None,
+    until: Annotated[Moment | None, Query(description="created before then")] = None,
+) -> list[ColumnElement[bool]]:
+    """Return what the jobs must fulfil, all that was given."""
+    equal: dict[Any, object] = {
+        Job.subject_id: subject_id,
+        Job.capture_id: capture_id,
+        Job.batch_id: batch_id,
+        Job.parent_id: parent_id,
+        Job.kind: kind,
+    }
+    conditions = [column == value for column, value in equal.items() if value is not None]
+    if state:
+        conditions.append(Job.state.in_(state))
+    if since is not None:
+        conditions.append(Job.created_at >= since)
+    if until is not None:
+        conditions.append(Job.created_at < until)
+    return conditions
+
+
+Filters = Annotated[list[ColumnElement[bool]], Depends(_filters)]

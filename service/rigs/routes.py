@@ -10,10 +10,9 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Query, Request, Response
 
 from service import paging
+from service.access.limits import Seats
 from service.access.principal import Reader
-from service.access.seats import Seats
 from service.access.signed import FileReader, Signer
-from service.audit.record import record
 from service.dependencies import (
     Cursor,
     FileStore,
@@ -24,6 +23,7 @@ from service.dependencies import (
     part,
 )
 from service.errors import problems
+from service.records.audit import record
 from service.rigs import repository
 from service.rigs.download import send
 from service.rigs.schemas import ArtifactView, RigView, SignedUrl

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Response
+from prometheus_client import CONTENT_TYPE_PLAIN_0_0_4, CollectorRegistry, generate_latest
 
 from service.access.principal import Scope, need
 from service.captures.service import FORMATS, LANDMARK_FORMATS, RAW_FORMATS
-from service.dependencies import ReadSession, SettingsDep, WholeStore
+from service.dependencies import ReadSession, SettingsDep, WholeStore, part
 from service.errors import problems
 from service.kinds import KINDS
 from service.schemas import Page
@@ -80,3 +81,15 @@ def ready(store: WholeStore, settings: SettingsDep, response: Response) -> Readi
     state = readiness(store, settings)
     response.status_code = 200 if state.ready else 503
     return state
+
+
+@router.get(
+    "/metrics",
+    response_class=Response,
+    summary="Metrics for Prometheus",
+    dependencies=[Depends(need(Scope.METRICS))],
+    responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
+)
+def metrics(registry: Annotated[CollectorRegistry, Depends(part("metrics"))]) -> Response:
+    """Tell health, latencies and queues in Prometheus' text format."""
+    return Response(generate_latest(registry), media_type=CONTENT_TYPE_PLAIN_0_0_4)

@@ -9,26 +9,34 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import os
+import re
 from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
 from typing import BinaryIO
 
+import structlog
 from anyio import to_thread
 from sqlalchemy.orm import Session
 from starlette.requests import ClientDisconnect
 
-from service.access.quotas import check_bytes
+from service.access.limits import check_bytes
+from service.background import Background
 from service.errors import CHECKSUM_MISMATCH, Problem
 from service.settings import Settings
-from service.store.database import clock
-from service.store.models import Upload
-from service.store.store import Store
+from service.store.database import Store, clock
+from service.store.models import Upload, now
 from service.uploads import repository
 from service.uploads.schemas import Checksum
 
 BUFFER = 1 << 20
+
+PART = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}")
+"""The name of an unfinished upload's file: its id."""
+EVERY = 60.0
+
+log = structlog.get_logger()
 
 
 class UploadService:
@@ -254,3 +262,41 @@ async def _write(
     part.flush()
     await to_thread.run_sync(os.fsync, part.fileno())
     return received
+
+
+class Tidier(Background):
+    """Removes the bytes of uploads that expired, or that a service which died left.
+
+    Each API process tidies its own folder, which no worker may reach.
+    """
+
+    def __init__(self, store: Store, settings: Settings) -> None:
+        super().__init__("uploads", min(EVERY, settings.garbage_age))
+        self._store = store
+        self._folder = settings.uploads
+        self._age = timedelta(seconds=settings.garbage_age)
+
+    def _round(self) -> None:
+        # Listed before the table is read: the row of what is that old has long been committed.
+        parts = _older(self._folder, (now() - self._age).timestamp())
+        if not parts:
+            return
+        with self._store.read() as session:
+            wanted = repository.unfinished(session)
+        abandoned = [part for part in parts if part.name not in wanted]
+        for part in abandoned:
+            part.unlink(missing_ok=True)
+        if abandoned:
+            log.info("uploads.tidied", count=len(abandoned))
+
+
+def _older(folder: Path, limit: float) -> list[Path]:
+    """Return the unfinished uploads' files that nothing was written to since ``limit``."""
+    found = []
+    for path in folder.glob("*-*"):
+        try:
+            if PART.fullmatch(path.name) and path.stat().st_mtime < limit:
+                found.append(path)
+        except FileNotFoundError:  # completed or deleted meanwhile
+            continue
+    return found

@@ -7,11 +7,11 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Depends, Query, Response
 
 from service.access.principal import Hooks
-from service.audit.record import record
 from service.dependencies import Cursor, HookSession, Limit, part
 from service.errors import problems
 from service.idempotency import Once
-from service.outbound.client import Sender
+from service.outbound import Sender
+from service.records.audit import record
 from service.schemas import Id, Page
 from service.store.database import clock
 from service.store.models import Webhook

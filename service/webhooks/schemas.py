@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from service.kinds import KINDS
-from service.outbound.client import LONGEST_URL, Refused, parse
+from service.outbound import LONGEST_URL, Refused, parse
 from service.schemas import Body, View
 from service.store.models import Delivery
 

@@ -7,8 +7,8 @@ from datetime import datetime
 from sqlalchemy.orm import Session
 
 from service.errors import Problem
-from service.outbound.client import Refused, Sender
-from service.store import outbox
+from service.outbound import Refused, Sender
+from service.queue import outbox
 from service.store.database import clock
 from service.store.models import Delivery, Webhook
 from service.store.tenancy import own_tenant

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from deploy.compose import check_build_context, healthcheck, services
-from service.store.queue import QUEUES, WEBHOOKS
+from service.queue.wakeups import QUEUES, WEBHOOKS
 from tests.servers import REQUIRED, UnavailableError, unavailable
 
 ROOT = Path(__file__).parents[2]

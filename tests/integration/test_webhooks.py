@@ -21,13 +21,12 @@ from standardwebhooks.webhooks import Webhook as Verifier
 from standardwebhooks.webhooks import WebhookVerificationError
 
 from service.dependencies import part
-from service.outbound.client import Sender
+from service.outbound import Sender
+from service.queue import outbox, table
 from service.secret import secret
 from service.settings import Settings
-from service.store import jobs, outbox
-from service.store.database import clock
+from service.store.database import Store, clock
 from service.store.models import Tenant, Webhook
-from service.store.store import Store
 from tests.receiver import LOOPBACK, Receiver, ok, receiving
 from tests.servers.production import Production
 from tests.service_client import Studio, eventually, running, served
@@ -123,7 +122,7 @@ def test_a_change_that_is_rolled_back_is_not_told(studio: Studio, settings: Sett
 
         def claim_and_fail() -> None:
             with _store(studio).write() as session:
-                assert jobs.take(session, job, "test", 10)
+                assert table.take(session, job, "test", 10)
                 raise RuntimeError("the transaction is lost")
 
         with pytest.raises(RuntimeError):

@@ -18,7 +18,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
-from service.store.transitions import State
+from service.queue.states import State
 
 
 class UtcDateTime(TypeDecorator[datetime]):

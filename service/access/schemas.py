@@ -1,11 +1,11 @@
-"""What the API says about API keys."""
+"""Bodies and views of API keys, of the caller and its tenant."""
 
 from __future__ import annotations
 
 from datetime import datetime
 from typing import Annotated
 
-from pydantic import Field, StringConstraints
+from pydantic import BaseModel, Field, StringConstraints
 
 from service.access.principal import Scope
 from service.schemas import Body, Moment, Title, View
@@ -49,3 +49,29 @@ class KeyWithText(KeyView):
     """A key that was just made; `key` is its text, which is told in this answer only."""
 
     key: str | None = Field(description="null: the request was a repetition of an answered one")
+
+
+class Me(BaseModel):
+    """Whose key this is, and what it may be used for."""
+
+    tenant: str
+    key_id: str
+    scopes: list[Scope]
+
+
+class Use(BaseModel):
+    """How much of something is in use; a limit that is null is none."""
+
+    used: int
+    limit: int | None
+
+
+class Usage(BaseModel):
+    """What a tenant uses."""
+
+    bytes: Use = Field(
+        description="scans, landmarks, templates, results, frames and open uploads; "
+        "a file counts once"
+    )
+    queued: Use = Field(description="jobs that wait")
+    running: Use = Field(description="jobs that a worker has; more wait in the queue")

@@ -1,4 +1,4 @@
-"""What the sweeper repairs: lost messages, lost workers, abandoned uploads."""
+"""Repairs of the sweeper: lost messages, lost workers, abandoned uploads, sizes never written."""
 
 from __future__ import annotations
 
@@ -8,18 +8,24 @@ from sqlalchemy import delete, insert, or_, select, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
-from service.store.claims import free_expired
-from service.store.database import clock
-from service.store.models import Job, Lease, Upload, Worker
-from service.store.queue import QUEUES
-from service.store.store import wake
-from service.store.transitions import State
+from service.queue.claims import free_expired
+from service.queue.states import State
+from service.queue.wakeups import QUEUES, wake
+from service.store.database import Store, clock
+from service.store.files import Files
+from service.store.models import Capture, FrameChunk, Job, Lease, Upload, Worker
 
 LONGEST_PAUSE = timedelta(minutes=1)
 FORGET_WORKERS = timedelta(minutes=10)
 BATCH = 1000
 SWEEPER = "sweeper"
 """The office of the one who does the rounds."""
+
+MOST_FILES = 200
+UNMEASURED = (
+    (Capture.landmarks_sha256, Capture.landmarks_size),
+    (FrameChunk.sha256, FrameChunk.size),
+)
 
 
 def hold_office(session: Session, office: str, holder: str, seconds: float) -> bool:
@@ -81,3 +87,29 @@ def remove_expired_uploads(session: Session) -> None:
 def forget_workers(session: Session) -> None:
     """Forget workers that have not been seen for a while."""
     session.execute(delete(Worker).where(Worker.seen_at < clock(session) - FORGET_WORKERS))
+
+
+def measure_sizes(store: Store) -> None:
+    """Backfill file sizes for rows written before quotas existed; a file that is lost has 0.
+
+    A worker that is not upgraded yet goes on leaving some.
+    """
+    for sha256, size in UNMEASURED:
+        with store.read() as session:
+            unknown = select(sha256).where(sha256.is_not(None), size.is_(None))
+            files = session.scalars(unknown.distinct().limit(MOST_FILES)).all()
+        for file in filter(None, files):
+            found = _size(store.files, file)
+            with store.write() as session:
+                session.execute(
+                    update(sha256.class_)
+                    .where(sha256 == file, size.is_(None))
+                    .values({size.key: found})
+                )
+
+
+def _size(files: Files, sha256: str) -> int:
+    try:
+        return files.size(sha256)
+    except FileNotFoundError:
+        return 0

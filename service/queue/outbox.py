@@ -16,9 +16,9 @@ from typing import Any
 from sqlalchemy import ColumnElement, delete, func, or_, select, update
 from sqlalchemy.orm import Session
 
+from service.queue.states import FINAL, State
 from service.store.database import clock
 from service.store.models import Delivery, Job, Webhook, WebhookEvent
-from service.store.transitions import FINAL, State
 
 TEST = "webhook.test"
 CHECK = "check_scan"

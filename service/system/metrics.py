@@ -1,6 +1,6 @@
-"""The service's state as metrics, read from the tables when somebody asks.
+"""Metrics in Prometheus' format: is the service healthy, what is slow, what is stuck.
 
-Every API process tells the same, whichever one is asked.
+The state is read from the tables when somebody asks: every API process tells the same.
 """
 
 from __future__ import annotations
@@ -14,30 +14,83 @@ from collections.abc import Iterable, Iterator, Mapping
 from datetime import datetime, timedelta
 
 import structlog
+from fastapi import FastAPI
+from prometheus_client import CollectorRegistry, Histogram
 from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 from sqlalchemy import func, select
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import InstrumentedAttribute, Session
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from service.queue.outbox import PENDING
+from service.queue.states import FINAL, HELD, State
+from service.queue.sweep import SWEEPER
+from service.queue.wakeups import QUEUES, WEBHOOKS
 from service.settings import Settings
-from service.store.database import clock
+from service.store.database import Store, clock
 from service.store.models import Artifact, Attempt, Capture, Delivery, Job, Lease
-from service.store.outbox import PENDING
-from service.store.queue import QUEUES, WEBHOOKS
-from service.store.store import Store
-from service.store.sweep import SWEEPER
-from service.store.transitions import FINAL, HELD, State
 from service.system.service import readiness
 
+BUCKETS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.15, 0.25, 0.5, 1, 2.5, 5, 10, 30)
+METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
+OTHER = "other"
 KEPT = 5.0
 """Seconds for which an answer is good: scrapers that come together ask once."""
-
 RECENT = timedelta(hours=1)
 MOST_JOBS = 5000
 QUANTILES = (0.5, 0.95)
 
 log = structlog.get_logger()
+
+
+def install(app: FastAPI, store: Store, settings: Settings) -> None:
+    """Measure ``app``'s requests, and let its ``GET /metrics`` tell the service's state."""
+    registry = CollectorRegistry()
+    registry.register(StateCollector(store, settings))
+    app.state.metrics = registry
+    app.add_middleware(Latency, registry=registry)
+
+
+class Latency:
+    """Measures the time until an answer begins: events and downloads last as long as they last."""
+
+    def __init__(self, app: ASGIApp, registry: CollectorRegistry) -> None:
+        self._app = app
+        self._seconds = Histogram(
+            "http_request_seconds",
+            "Time until the answer began",
+            ["route", "method", "status"],
+            buckets=BUCKETS,
+            registry=registry,
+        )
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        started = time.perf_counter()
+
+        async def send_and_measure(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                self._seconds.labels(route_of(scope), method_of(scope), message["status"]).observe(
+                    time.perf_counter() - started
+                )
+            await send(message)
+
+        await self._app(scope, receive, send_and_measure)
+
+
+def route_of(scope: Scope) -> str:
+    """Return the route's template, never the address: that may name what nobody should count."""
+    return getattr(scope.get("route"), "path", OTHER)
+
+
+def method_of(scope: Scope) -> str:
+    """Return the method if it is one of HTTP's own: any word may come."""
+    method: str = scope["method"]
+    return method if method in METHODS else OTHER
 
 
 class StateCollector(Collector):

@@ -1,14 +1,18 @@
-"""Structured logs: readable lines at a terminal, JSON for a collector."""
+"""Set up a process: its log, and its end with the process that started it."""
 
 from __future__ import annotations
 
+import ctypes
 import logging
+import os
 import sys
 
 import structlog
 
+PR_SET_PDEATHSIG = 1
 
-def configure(json: bool) -> None:
+
+def configure_logs(json: bool) -> None:
     """Send the logs of this process to standard error."""
     renderer: structlog.typing.Processor = (
         structlog.processors.JSONRenderer() if json else structlog.dev.ConsoleRenderer(colors=False)
@@ -39,3 +43,15 @@ def configure(json: bool) -> None:
     root.handlers = [handler]
     root.setLevel(logging.INFO)
     logging.getLogger("alembic").setLevel(logging.WARNING)
+
+
+def die_with_parent(parent: int, number: int) -> None:
+    """Get the signal ``number`` when the process ``parent`` dies (Linux; a no-op elsewhere).
+
+    Linux sends it already when the *thread* that started this process ends.
+    """
+    if sys.platform != "linux":
+        return
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, number)
+    if os.getppid() != parent:
+        sys.exit("the parent process died first")

@@ -13,7 +13,9 @@ from typing import Any
 from sqlalchemy import ColumnElement, delete, func, literal, select, update
 from sqlalchemy.orm import Session
 
-from service.store import outbox
+from service.queue import outbox
+from service.queue.states import FINAL, HELD, State, before
+from service.queue.wakeups import wake
 from service.store.database import clock
 from service.store.models import (
     Artifact,
@@ -23,11 +25,9 @@ from service.store.models import (
     Job,
     LogLine,
     Rig,
+    Tenant,
     UtcDateTime,
 )
-from service.store.running import call_waiting
-from service.store.store import wake
-from service.store.transitions import FINAL, HELD, State, before
 
 WORKER_LOST = "worker_lost"
 MOST_STEPS_KEPT = 200
@@ -305,3 +305,31 @@ def _tell(session: Session, job: Job) -> None:
         data["error"] = job.error
     session.add(Event(job_id=job.id, kind="state", data=data))
     outbox.tell_of_job(session, job)
+
+
+def may_run_more(session: Session, tenant_id: str) -> bool:
+    """Tell whether another job of a tenant may run; for one with a quota, workers ask in turn."""
+    tenant = session.get_one(Tenant, tenant_id)
+    if not _has_room(session, tenant):
+        return False  # without the lock: who goes on to another tenant must hold none
+    if tenant.max_running is not None:
+        session.refresh(tenant, with_for_update={"key_share": True})
+    return _has_room(session, tenant)
+
+
+def call_waiting(session: Session, tenant_id: str) -> None:
+    """Wake a worker of each queue in which a job may have waited for the tenant's quota."""
+    if session.get_one(Tenant, tenant_id).max_running is None:
+        return
+    waiting = select(Job.queue, func.min(Job.id)).where(
+        Job.tenant_id == tenant_id, Job.state == State.QUEUED
+    )
+    for queue, job_id in session.execute(waiting.group_by(Job.queue)).all():
+        wake(session, job_id, queue)
+
+
+def _has_room(session: Session, tenant: Tenant) -> bool:
+    if tenant.max_running is None:
+        return True
+    held = select(func.count(Job.id)).where(Job.tenant_id == tenant.id, Job.state.in_(HELD))
+    return (session.scalar(held) or 0) < tenant.max_running

@@ -18,17 +18,19 @@ from kombu.exceptions import OperationalError
 from redis.backoff import NoBackoff
 from redis.exceptions import RedisError
 from redis.retry import Retry
+from sqlalchemy.orm import Session
 
 RUN_JOB = "myoface.run_job"
 QUEUES = ("ingest", "short", "long")
 """Checks wait for no fit: their verdict is wanted while the person is in the chair."""
 WEBHOOKS = "webhooks"
-"""The worker of `service.store.outbox`: its queue is the table of deliveries, not the broker's."""
+"""The worker of `service.queue.outbox`: its queue is the table of deliveries, not the broker's."""
 
 IMPATIENT = {"socket_timeout": 1, "socket_connect_timeout": 1, "max_retries": 0}
 REST = 5.0
 FAREWELL = 2.0
 MOST_CALLS = 1000
+WAKE = "wake"
 ONCE: dict[str, Any] = {
     "socket_timeout": 1,
     "socket_connect_timeout": 1,
@@ -118,6 +120,11 @@ class WakeUps:
     def _send(self, job_id: str, queue_name: str) -> None:
         if int(self._client.llen(queue_name)) < MOST_CALLS:  # else all are awake already
             self._app.send_task(RUN_JOB, args=[job_id], queue=queue_name, retry=False)
+
+
+def wake(session: Session, job_id: str, queue_name: str) -> None:
+    """Ask for a wake-up call for a job after this session's commit."""
+    session.info.setdefault(WAKE, []).append((job_id, queue_name))
 
 
 def connect(broker_url: str, **patience: float) -> redis.Redis:
