@@ -158,7 +158,7 @@ def _copy(store: Store, kept: FolderFiles, wanted: Iterable[str]) -> list[str]:
 
 def _forget_others(kept: FolderFiles, wanted: Iterable[str]) -> None:
     """Remove what earlier backups had and this one does not: what is deleted goes here, too."""
-    for sha256 in {stored.sha256 for stored in kept.stored()}.difference(wanted):
+    for sha256 in {stored.sha256 for stored in kept.list_stored()}.difference(wanted):
         kept.put_aside(sha256)
         kept.remove(sha256)
 

@@ -14,9 +14,9 @@ from service.http.deadline import protocol
 from service.process import configure_logs, die_with_parent
 from service.settings import Settings
 
+# Seconds for which an idle connection stays open: longer than a proxy in front keeps it (Caddy:
+# two minutes), else a request meets a connection that is being closed
 KEEP_ALIVE = 130
-"""Seconds for which an idle connection stays open: longer than a proxy in front keeps it (Caddy:
-two minutes), else a request meets a connection that is being closed."""
 
 
 def main() -> None:

@@ -12,11 +12,11 @@ from fastapi import FastAPI
 from service import errors, http
 from service.access import bootstrap
 from service.access.keys import Keyring
-from service.access.limits import RateHeaders, Rates, Seats
+from service.access.limits import ConnectionLimit, RateHeaders, Rates
 from service.access.routes import keys_router, tenants_router
 from service.access.signed import Signer
 from service.batches.routes import router as batches
-from service.batches.service import Advancer
+from service.batches.service import BatchRunner
 from service.captures.routes import router as captures
 from service.dependencies import check_parts
 from service.jobs.following import Feed
@@ -33,7 +33,7 @@ from service.system import metrics
 from service.system.routes import router as system
 from service.templates.routes import router as templates
 from service.uploads.routes import router as uploads
-from service.uploads.service import Tidier
+from service.uploads.service import UploadCleaner
 from service.webhooks.routes import router as webhooks
 
 DESCRIPTION = """
@@ -72,7 +72,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         await to_thread.run_sync(bootstrap.prepare, store, keyring, settings)
-        background = (Advancer(store, settings), Tidier(store, settings))
+        background = (BatchRunner(store, settings), UploadCleaner(store, settings))
         for thread in background:
             thread.start()
         yield
@@ -94,13 +94,13 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.state.settings = settings
     app.state.store = store
     app.state.feed = Feed(store)
-    app.state.streams = Seats(
+    app.state.streams = ConnectionLimit(
         "stream.too_many",
         "streams of events",
         settings.max_tenant_streams,
         settings.max_key_streams,
     )
-    app.state.downloads = Seats(
+    app.state.downloads = ConnectionLimit(
         "download.too_many",
         "downloads",
         settings.max_tenant_downloads,

@@ -35,7 +35,7 @@ Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 _GLOBAL_UNICAST = ipaddress.IPv6Network("2000::/3")
 _NAT64 = ipaddress.IPv6Network("64:ff9b::/96")
-# Not for receivers, whatever this Python's ``is_global`` thinks of them.
+# Never receivers, whatever this Python's `is_global` says of them.
 _SPECIAL: tuple[Network, ...] = (
     ipaddress.IPv4Network("100.64.0.0/10"),  # between a provider and its customers
     ipaddress.IPv4Network("168.63.129.16/32"),  # a cloud's own platform, inside it
@@ -65,7 +65,7 @@ class Unreachable(Exception):  # noqa: N818 (as in "host unreachable")
 
 @dataclass(frozen=True)
 class Answer:
-    """What a receiver answered: status, duration in milliseconds, at most 64 KB of the body.
+    """Answer of a receiver: status, duration in milliseconds, at most 64 KB of the body.
 
     ``retry_after`` is the header of that name in seconds, if it is there and can be read.
     """
@@ -193,7 +193,7 @@ class _Deadline:
         self._start = time.monotonic()
         self._end = self._start + seconds
 
-    def left(self) -> float:
+    def remaining(self) -> float:
         """Return the seconds left."""
         left = self._end - time.monotonic()
         if left <= 0:
@@ -222,11 +222,11 @@ class _CheckedBackend(httpcore.NetworkBackend):
         socket_options: Iterable[Any] | None = None,
     ) -> httpcore.NetworkStream:
         """Resolve, check and connect."""
-        addresses = self.checked(host, port)
+        addresses = self.allowed_addresses(host, port)
         for address in addresses:
             try:
                 stream = self._plain.connect_tcp(
-                    str(address), port, self._deadline.left(), local_address, socket_options
+                    str(address), port, self._deadline.remaining(), local_address, socket_options
                 )
             except httpcore.ConnectError:
                 if address == addresses[-1]:
@@ -238,9 +238,9 @@ class _CheckedBackend(httpcore.NetworkBackend):
             return _TimedStream(stream, self._deadline)
         raise AssertionError("a name without addresses is refused before")
 
-    def checked(self, host: str, port: int) -> list[Address]:
+    def allowed_addresses(self, host: str, port: int) -> list[Address]:
         """Return the addresses of ``host``, which are all allowed."""
-        found = _in_time(lambda: self._resolver(host, port), self._deadline.left())
+        found = _in_time(lambda: self._resolver(host, port), self._deadline.remaining())
         addresses = [_address(text) for text in found]
         if not addresses:
             raise Unreachable("address.unknown", f"{host} has no address")
@@ -256,11 +256,11 @@ class _TimedStream(httpcore.NetworkStream):
         self._deadline = deadline
 
     def read(self, max_bytes: int, timeout: float | None = None) -> bytes:  # noqa: ARG002
-        return self._stream.read(max_bytes, self._deadline.left())
+        return self._stream.read(max_bytes, self._deadline.remaining())
 
     def write(self, buffer: bytes, timeout: float | None = None) -> None:  # noqa: ARG002
         for start in range(0, len(buffer), WRITE_SIZE):
-            self._stream.write(buffer[start : start + WRITE_SIZE], self._deadline.left())
+            self._stream.write(buffer[start : start + WRITE_SIZE], self._deadline.remaining())
 
     def close(self) -> None:
         self._stream.close()
@@ -271,7 +271,7 @@ class _TimedStream(httpcore.NetworkStream):
         server_hostname: str | None = None,
         timeout: float | None = None,  # noqa: ARG002
     ) -> httpcore.NetworkStream:
-        stream = self._stream.start_tls(ssl_context, server_hostname, self._deadline.left())
+        stream = self._stream.start_tls(ssl_context, server_hostname, self._deadline.remaining())
         return _TimedStream(stream, self._deadline)
 
     def get_extra_info(self, info: str) -> Any:
@@ -361,7 +361,7 @@ def is_allowed(address: Address, allow: Sequence[Network] = ()) -> bool:
 
     Addresses that carry an IPv4 address (mapped, NAT64, 6to4) are judged by that one.
     """
-    address = _carried(address)
+    address = _embedded_ipv4(address)
     if is_named(address, allow):
         return True
     if address.is_multicast or any(_holds(network, address) for network in _SPECIAL):
@@ -376,7 +376,7 @@ def is_named(address: Address, allow: Sequence[Network]) -> bool:
     return any(_holds(network, address) for network in allow)
 
 
-def _carried(address: Address) -> Address:
+def _embedded_ipv4(address: Address) -> Address:
     if isinstance(address, ipaddress.IPv6Address):
         if address.ipv4_mapped is not None:
             return address.ipv4_mapped

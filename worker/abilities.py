@@ -1,4 +1,4 @@
-"""What this worker can do: it claims no other jobs, and says so in the table of workers."""
+"""Abilities of this worker: it claims no other jobs, and shows them in the table of workers."""
 
 from __future__ import annotations
 

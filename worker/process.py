@@ -26,10 +26,10 @@ LONGEST_LINE = 4000
 MOST_LINES = 500
 MOST_LINES_KEPT = 20_000
 
+# In the environment of a solver process, and so of every process that it starts
 FOLDER_VARIABLE = "MYOFACE_ATTEMPT"
-"""In the environment of a solver process, and so of every process that it starts."""
+# The name of an attempt's folder, `<job>.<attempt>`; nothing else is ever removed
 ATTEMPT = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}\.\d+")
-"""The name of an attempt's folder, ``<job>.<attempt>``; nothing else is ever removed."""
 
 log = structlog.get_logger()
 

@@ -28,8 +28,8 @@ from worker.kinds import CALLS, Task
 if TYPE_CHECKING:
     from solver.progress import Progress, Step
 
+# A fit takes the time that the API and the supervisors leave
 NICENESS = 10
-"""A fit takes the time that the API and the supervisors leave."""
 
 log = structlog.get_logger()
 
@@ -48,7 +48,7 @@ def main(folder: Path) -> int:
         except Exception as error:
             if is_full(error):
                 raise
-            verdict, result = "error.json", _told(error, process["memory_bytes"])
+            verdict, result = "error.json", _describe_error(error, process["memory_bytes"])
         _write(folder, verdict, result)
     except Exception as error:
         if not is_full(error):
@@ -69,7 +69,7 @@ def _step_back() -> None:
         Path("/proc/self/autogroup").write_text(str(NICENESS))
 
 
-def _told(error: Exception, memory_bytes: int) -> dict[str, Any]:
+def _describe_error(error: Exception, memory_bytes: int) -> dict[str, Any]:
     """Log an error with its traceback; returns what the job tells of it."""
     from solver.errors import InputError, SolveError
 

@@ -24,7 +24,7 @@ GARBAGE_EVERY = 60.0
 log = structlog.get_logger()
 
 
-class Presence(threading.Thread):
+class Heartbeat(threading.Thread):
     """A thread that shows that a worker lives, every ``settings.sweep`` s until it stops.
 
     The worker does ``slots`` jobs of ``queue`` at a time, those that it can do.
@@ -39,7 +39,7 @@ class Presence(threading.Thread):
         slots: int,
         stopping: threading.Event,
     ) -> None:
-        super().__init__(name="presence", daemon=True)
+        super().__init__(name="heartbeat", daemon=True)
         self._store = store
         self._settings = settings
         self._queue = queue
@@ -67,7 +67,7 @@ class Presence(threading.Thread):
         show_life(session, self._queue, self._can, self._slots)
 
 
-class Sweeper(Presence):
+class Sweeper(Heartbeat):
     """Repairs as well, if it is the one elected; its host has the files, and the broker's address.
 
     The first round sends everything queued again.

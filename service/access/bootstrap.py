@@ -17,10 +17,10 @@ from service.settings import Settings
 from service.store.database import Store
 from service.store.models import DEFAULT_TENANT, ApiKey, Tenant
 
+# Stands for a key id in the audit log when somebody on the machine itself had no key
 OPERATOR = "operator"
-"""Who it was, in the audit log, where somebody on the machine itself had no key."""
+# Metrics and workers are the whole service's, not a tenant's
 OF_TENANTS = frozenset(Scope) - {Scope.METRICS}
-"""Metrics and workers are the whole service's, not a tenant's."""
 
 
 class OpenDoorError(Exception):
@@ -126,7 +126,7 @@ def _refuse_open_door(store: Store, settings: Settings) -> None:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches ``host``, a name or an address."""
+    """Return whether only this machine reaches ``host``, a name or an address."""
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:

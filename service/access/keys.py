@@ -19,9 +19,9 @@ from sqlalchemy import ColumnElement, or_, select, update
 from sqlalchemy.orm import Session
 
 from service import paging
-from service.access.principal import Principal, Scope, unauthorized
+from service.access.principal import Principal, Scope, unauthorized_problem
 from service.access.schemas import NewKey
-from service.errors import Problem, unknown
+from service.errors import Problem, not_found
 from service.paging import Slice
 from service.store.database import Store, clock
 from service.store.models import ApiKey
@@ -29,8 +29,8 @@ from service.store.tenancy import own_tenant
 
 LETTERS = string.digits + string.ascii_uppercase + string.ascii_lowercase
 KEY = re.compile(r"(myo_([0-9A-Za-z]{12})[0-9A-Za-z]{32})([0-9A-Za-z]{6})")
+# Resolution of a key's `last_used_at`: one write a minute, not one a request
 USED_EVERY = timedelta(minutes=1)
-"""How exactly the last use of a key is known."""
 
 
 class Keyring:
@@ -48,7 +48,7 @@ class Keyring:
         scopes: Iterable[Scope],
         expires_at: datetime | None = None,
     ) -> tuple[ApiKey, str]:
-        """Add a key; returns its row and its text, which can not be had again."""
+        """Add a key; returns its row and its text, which cannot be had again."""
         key_id = _letters(12)
         body = f"myo_{key_id}{_letters(32)}"
         text = body + _checksum(body)
@@ -75,15 +75,17 @@ class Keyring:
         """
         match = KEY.fullmatch(text)
         if match is None or not hmac.compare_digest(_checksum(match[1]), match[3]):
-            raise unauthorized("auth.invalid", "that is no API key: it is mistyped or cut off")
+            raise unauthorized_problem(
+                "auth.invalid", "that is no API key: it is mistyped or cut off"
+            )
         with self._store.read() as session:
             key, moment = session.get(ApiKey, match[2]), clock(session)
         if key is None or not hmac.compare_digest(key.hash, self._hash(text)):
-            raise unauthorized("auth.invalid", "this service does not know the API key")
+            raise unauthorized_problem("auth.invalid", "this service does not know the API key")
         if key.revoked_at is not None and key.revoked_at <= moment:
-            raise unauthorized("auth.expired", "the API key was revoked")
+            raise unauthorized_problem("auth.expired", "the API key was revoked")
         if key.expires_at is not None and key.expires_at <= moment:
-            raise unauthorized("auth.expired", "the API key has expired")
+            raise unauthorized_problem("auth.expired", "the API key has expired")
         if key.last_used_at is None or moment - key.last_used_at > USED_EVERY:
             self._note_use(key.id, moment)
         return Principal(key.tenant_id, key.id, frozenset(key.scopes))
@@ -111,7 +113,7 @@ def _checksum(body: str) -> str:
 def create(session: Session, keyring: Keyring, new: NewKey) -> tuple[ApiKey, str]:
     """Make a key; returns it and its text."""
     if new.expires_at is not None and new.expires_at <= clock(session):
-        raise Problem(422, "key.expired", "a new key can not have expired", field="expires_at")
+        raise Problem(422, "key.expired", "a new key cannot have expired", field="expires_at")
     tenant = own_tenant(session)
     return keyring.mint(session, tenant.id, new.name, set(new.scopes), new.expires_at)
 
@@ -154,7 +156,7 @@ def get(session: Session, key_id: str) -> ApiKey:
     """Return a key."""
     key = session.get(ApiKey, key_id)
     if key is None:
-        raise unknown("key", key_id)
+        raise not_found("key", key_id)
     return key
 
 

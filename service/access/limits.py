@@ -44,14 +44,14 @@ redis.call('HSET', KEYS[1], 'tokens', tostring(tokens), 'at', tostring(now))
 redis.call('EXPIRE', KEYS[1], math.ceil(most / rate) + 1)
 return {allowed and 1 or 0, tostring(tokens)}
 """
+# Seconds that a request waits for the broker
 PATIENCE = 0.25
-"""Seconds that a request waits for the broker."""
+# Seconds for which a broker that did not answer is not asked
 TRY_AGAIN = 5.0
-"""Seconds for which a broker that did not answer is not asked."""
+# Keys whose buckets a process keeps while the broker is away
 MOST_KEYS = 10_000
-"""Keys whose buckets a process keeps while the broker is away."""
+# `Retry-After` of a refused connection, in seconds
 COME_BACK = "5"
-"""Seconds after which what was refused may be asked for again."""
 
 log = structlog.get_logger()
 
@@ -139,7 +139,7 @@ def count_running(session: Session) -> int:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a request may pass; ``left`` tokens of ``limit`` remain, refilled in a minute."""
+    """Decision on a request: ``left`` tokens of ``limit`` remain, refilled in a minute."""
 
     allowed: bool
     limit: int
@@ -147,7 +147,7 @@ class Verdict:
 
     @property
     def headers(self) -> dict[str, str]:
-        """What a caller is told of its limit; the reset is when its bucket is full again."""
+        """Headers that state the limit; the reset is when the bucket is full again."""
         refill = (self.limit - self.left) * 60 / self.limit
         return {
             "RateLimit-Limit": str(self.limit),
@@ -230,7 +230,7 @@ class _Buckets:
 
 
 class RateHeaders:
-    """Tells a caller with each answer how much of its rate is left."""
+    """Middleware that adds the rate headers to each answer."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -249,10 +249,10 @@ class RateHeaders:
         await self._app(scope, receive, send_with_rate)
 
 
-class Seats:
-    """Seats in this process: at most so many of a tenant at a time, and so many of one key.
+class ConnectionLimit:
+    """Limit on the connections that a tenant, and each of its keys, holds open in this process.
 
-    ``code`` is of the problem of who gets none, ``kind`` says in it what there are too many of.
+    ``code``: problem code when the limit is hit. ``kind``: what is limited, for the message.
     """
 
     def __init__(self, code: str, kind: str, most_of_tenant: int, most_of_key: int) -> None:
@@ -263,8 +263,8 @@ class Seats:
         self._taken: Counter[tuple[str, ...]] = Counter()
 
     @contextmanager
-    def seat(self, who: Principal) -> Iterator[None]:
-        """Give ``who`` a seat.
+    def hold(self, who: Principal) -> Iterator[None]:
+        """Count a connection of ``who`` for as long as it lasts.
 
         Raises
         ------

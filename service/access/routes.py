@@ -28,13 +28,13 @@ Keys = Annotated[Keyring, Depends(part("keyring"))]
 def create(
     new: NewKey, session: AdminSession, who: Admin, keyring: Keys, once: Once, response: Response
 ) -> KeyWithText:
-    """Make a key. The answer holds its text, which is not told again."""
-    if (known := once.known(session, new)) is not None:
-        return _told(keys.get(session, known), None, response)
+    """Make a key. The answer holds its text, which is not shown again."""
+    if (known := once.find_answered(session, new)) is not None:
+        return _show_key(keys.get(session, known), None, response)
     key, text = keys.create(session, keyring, new)
     once.keep(session, key.id)
     record(session, who, "key.created", key.id)
-    return _told(key, text, response)
+    return _show_key(key, text, response)
 
 
 @keys_router.get("", response_model=Page[KeyView], summary="List keys", responses=problems(422))
@@ -57,12 +57,12 @@ def rotate(
 ) -> KeyWithText:
     """Make a key of the same name, scopes and end; the old one goes on for `grace` seconds."""
     wanted = order or Rotation()
-    if (known := once.known(session, wanted)) is not None:
-        return _told(keys.get(session, known), None, response)
+    if (known := once.find_answered(session, wanted)) is not None:
+        return _show_key(keys.get(session, known), None, response)
     key, text = keys.rotate(session, keyring, key_id, wanted.grace)
     once.keep(session, key.id)
     record(session, who, "key.rotated", key_id)
-    return _told(key, text, response)
+    return _show_key(key, text, response)
 
 
 @keys_router.delete(
@@ -74,7 +74,7 @@ def revoke(key_id: KeyId, session: AdminSession, who: Admin) -> None:
     record(session, who, "key.revoked", key_id)
 
 
-def _told(key: ApiKey, text: str | None, response: Response) -> KeyWithText:
+def _show_key(key: ApiKey, text: str | None, response: Response) -> KeyWithText:
     response.headers["Cache-Control"] = "no-store"
     return KeyWithText.model_validate({**KeyView.model_validate(key).model_dump(), "key": text})
 
@@ -84,14 +84,14 @@ tenants_router = APIRouter(prefix="/v1", tags=["tenants"])
 
 @tenants_router.get("/me", summary="Whose key is this?")
 def me(who: Reader, session: ReadSession) -> Me:
-    """Tell the tenant, the id and the scopes of the key."""
+    """Show the tenant, the id and the scopes of the key."""
     scopes = sorted(map(Scope, who.scopes))
     return Me(tenant=own_tenant(session).name, key_id=who.key_id, scopes=scopes)
 
 
 @tenants_router.get("/usage", summary="What the tenant uses")
 def usage(session: ReadSession) -> Usage:
-    """Tell how much is stored, queued and running, and the quotas."""
+    """Show how much is stored, queued and running, and the quotas."""
     tenant = own_tenant(session)
     return Usage(
         bytes=Use(used=limits.stored_bytes(session, tenant.id), limit=tenant.max_bytes),

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import BaseModel, Field, StringConstraints
 
 from service.access.principal import Scope
-from service.schemas import Body, Moment, Title, View
+from service.schemas import Moment, RequestBody, Title, View
 
 KEY_ID = r"^[0-9A-Za-z]{12}$"
 LONGEST_GRACE = 30 * 24 * 3600
@@ -17,7 +17,7 @@ DAY = 24 * 3600
 KeyId = Annotated[str, StringConstraints(pattern=KEY_ID)]
 
 
-class NewKey(Body):
+class NewKey(RequestBody):
     """A key for a person or a machine."""
 
     name: Title = Field(examples=["capture station 2"])
@@ -25,8 +25,8 @@ class NewKey(Body):
     expires_at: Moment | None = Field(default=None, description="default: never")
 
 
-class Rotation(Body):
-    """How a key gives way to its successor."""
+class Rotation(RequestBody):
+    """Order to replace a key."""
 
     grace: int = Field(
         default=DAY, ge=0, le=LONGEST_GRACE, description="seconds that the old one goes on to work"
@@ -60,14 +60,14 @@ class Me(BaseModel):
 
 
 class Use(BaseModel):
-    """How much of something is in use; a limit that is null is none."""
+    """Amount in use; a limit that is null is none."""
 
     used: int
     limit: int | None
 
 
 class Usage(BaseModel):
-    """What a tenant uses."""
+    """Usage and quotas of a tenant."""
 
     bytes: Use = Field(
         description="scans, landmarks, templates, results, frames and open uploads; "

@@ -9,7 +9,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session, selectinload
 
 from service import paging
-from service.errors import unknown
+from service.errors import not_found
 from service.paging import Slice
 from service.queue.states import State
 from service.store.models import Artifact, Capture, Job
@@ -22,7 +22,7 @@ def get(session: Session, subject_id: str, capture_id: str) -> Capture:
     """Return a subject's capture."""
     capture = session.get(Capture, capture_id)
     if capture is None or capture.subject_id != subject_id:
-        raise unknown("capture", capture_id)
+        raise not_found("capture", capture_id)
     return capture
 
 

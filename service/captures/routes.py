@@ -39,7 +39,7 @@ def create(
     OBJ, PLY, GLB or STL; a raw scan (`registered: false`) may also be an XYZ point cloud. The
     frames of a performance are a NumPy array (frames, vertices, 3) in mm.
     """
-    if (known := once.known(session, new)) is not None:
+    if (known := once.find_answered(session, new)) is not None:
         capture = repository.get(session, subject_id, known)
     else:
         capture = service.create(session, subject_id, new)

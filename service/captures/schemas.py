@@ -1,4 +1,4 @@
-"""What the API says about captures."""
+"""Bodies and views of captures."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Literal
 from pydantic import ConfigDict, Field
 
 from service.captures.repository import neutral_of, registered_mesh
-from service.schemas import Body, Id, Name, RetainUntil, View
+from service.schemas import Id, Name, RequestBody, RetainUntil, View
 from service.store import retention
 from service.store.models import Capture, Job
 
 Role = Literal["neutral", "expression", "performance", "asset"]
 
 
-class NewCapture(Body):
+class NewCapture(RequestBody):
     """A scan, as the file of a complete upload."""
 
     model_config = ConfigDict(
@@ -48,7 +48,7 @@ class NewCapture(Body):
     )
 
 
-class Landmarks(Body):
+class Landmarks(RequestBody):
     """Landmarks on a scan, as the file of a complete upload."""
 
     upload_id: Id

@@ -1,4 +1,4 @@
-"""What can be done with captures."""
+"""Capture operations: create, landmarks, views, delete."""
 
 from __future__ import annotations
 

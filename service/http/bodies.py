@@ -1,4 +1,4 @@
-"""How requests' bodies are received: bounded in size and time, and JSON only if it is strict.
+"""Receive requests' bodies: bounded in size and time, and JSON only if it is strict.
 
 An upload's bytes are not held in memory. They may take as long as they keep a least rate; every
 other body is small and has one time limit for the whole of it.
@@ -137,7 +137,7 @@ def _closing(problem: Problem) -> Problem:
 
 
 def _is_json(content_type: str) -> bool:
-    """Whether FastAPI will read a body of this type as JSON; decided as it does."""
+    """Return whether FastAPI will read a body of this type as JSON; decided as it does."""
     message = email.message.Message()
     message["content-type"] = content_type
     subtype = message.get_content_subtype()

@@ -20,12 +20,12 @@ from service.store.database import Store, clock
 from service.store.models import ApiKey, Event, Job
 
 PAUSE = 0.3
+# Seconds after which a revoked key no longer sees anything
 LOOK_AT_KEYS_EVERY = 10.0
-"""Seconds after which a revoked key no longer sees anything."""
+# Events read ahead for a client that takes them slowly
 MOST_AT_ONCE = 1000
-"""So many events are read ahead for one who takes them slowly."""
+# Watchers in one query, which has two parameters for each
 MOST_WATCHERS_AT_ONCE = 200
-"""So many go into one query, which has two parameters for each."""
 
 log = structlog.get_logger()
 

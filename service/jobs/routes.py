@@ -11,7 +11,7 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from service import paging
-from service.access.limits import Seats
+from service.access.limits import ConnectionLimit
 from service.access.principal import Reader, Writer
 from service.dependencies import (
     Cursor,
@@ -42,7 +42,7 @@ router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 @router.post("", status_code=201, summary="Submit a job", responses=problems(404, 409, 422))
 def create(new: NewJob, session: WriteSession, once: Once, settings: SettingsDep) -> JobView:
     """Queue a piece of work; `PUT` is the same and can be repeated safely."""
-    if (known := once.known(session, new)) is not None:
+    if (known := once.find_answered(session, new)) is not None:
         return _view(session, known, settings)
     job, _ = service.submit(session, new, settings.max_attempts)
     once.keep(session, job.id)
@@ -68,7 +68,7 @@ def put(
         try:
             is_new = _submit(store, new, settings.max_attempts, job_id)
         except IntegrityError as error:  # another tenant's
-            raise service.taken(job_id) from error
+            raise service.id_conflict(job_id) from error
     response.status_code = 201 if is_new else 200
     with store.read() as session:
         return _view(session, job_id, settings)
@@ -119,7 +119,7 @@ def retry(
     It is a new job with this one as its `parent_id`; it reads the subject's files as they are now.
     """
     changes = wanted or Retry()
-    if (known := once.known(session, changes)) is not None:
+    if (known := once.find_answered(session, changes)) is not None:
         return _view(session, known, settings)
     job = service.retry(session, job_id, changes, settings.max_attempts)
     once.keep(session, job.id)
@@ -150,10 +150,10 @@ ExistingJob = Annotated[str, Depends(_existing, scope="function")]
 FeedDep = Annotated[Feed, Depends(part("feed"))]
 
 
-async def _seat(
-    streams: Annotated[Seats, Depends(part("streams"))], who: Reader
+async def _limit_connections(
+    streams: Annotated[ConnectionLimit, Depends(part("streams"))], who: Reader
 ) -> AsyncIterator[None]:
-    with streams.seat(who):
+    with streams.hold(who):
         yield
 
 
@@ -162,7 +162,7 @@ async def _seat(
     response_class=EventSourceResponse,
     summary="Watch a job",
     responses=problems(404, 422),
-    dependencies=[Depends(_seat)],
+    dependencies=[Depends(_limit_connections)],
 )
 async def events(
     job_id: ExistingJob,

@@ -1,4 +1,4 @@
-"""What the API says about jobs."""
+"""Bodies, filters and views of jobs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sqlalchemy import ColumnElement
 
 from service.queue.states import State
 from service.rigs.schemas import ArtifactView
-from service.schemas import Body, Id, Line, Moment, Name, RetainUntil, View
+from service.schemas import Id, Line, Moment, Name, RequestBody, RetainUntil, View
 from service.store import retention
 from service.store.models import Job
 
@@ -44,7 +44,7 @@ _COLUMNS = (
 )
 
 
-class NewJob(Body):
+class NewJob(RequestBody):
     """A piece of work; which members a kind needs is in `GET /v1/solvers`."""
 
     model_config = ConfigDict(
@@ -75,8 +75,8 @@ class NewJob(Body):
     memory_mb: Memory = None
 
 
-class Retry(Body):
-    """What is to be different when a job is made again; what is not given stays as it was."""
+class Retry(RequestBody):
+    """Changes for a job that is made again; the rest stays as it was."""
 
     captures: list[Id] | None = Field(default=None, max_length=1000)
     rig_id: Id | None = None
@@ -87,15 +87,15 @@ class Retry(Body):
     memory_mb: Memory = None
 
 
-class Cancel(Body):
-    """Why a job is to stop."""
+class Cancel(RequestBody):
+    """Order to stop a job."""
 
     reason: Line = ""
     by: Line = "api"
 
 
 class Progress(BaseModel):
-    """How far a job is: `fraction` of the whole in [0, 1]; the error is in millimetres."""
+    """Progress of a job: `fraction` of the whole in [0, 1]; the error is in millimetres."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -114,7 +114,7 @@ class AttemptView(View):
 
 
 class CancelView(View):
-    """Who asked for the job to stop, and why."""
+    """Request to stop the job: by whom, and why."""
 
     by: str
     reason: str
@@ -122,7 +122,7 @@ class CancelView(View):
 
 
 class JobError(BaseModel):
-    """Why a job failed; further members name the fault."""
+    """Error of a failed job; further members name the fault."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -131,7 +131,7 @@ class JobError(BaseModel):
 
 
 class Result(View):
-    """What a finished job left."""
+    """Result of a finished job."""
 
     rig_id: str | None = None
     summary: dict[str, Any] | None = Field(

@@ -1,4 +1,4 @@
-"""What can be done with jobs."""
+"""Job operations: submit, retry, cancel, read frames."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def submit(
     """
     if job_id and (job := session.get(Job, job_id)):
         if NewJob.model_validate(job.request) != new:
-            raise taken(job_id)
+            raise id_conflict(job_id)
         return job, False
     kind = check_options(new.kind, new.options)
     check_queued(session)
@@ -64,7 +64,7 @@ def submit(
     return job, True
 
 
-def taken(job_id: str) -> Problem:
+def id_conflict(job_id: str) -> Problem:
     """Return the problem of an id that is in use."""
     return Problem(409, "job.conflict", "this id has another job already", job_id=job_id)
 

@@ -1,4 +1,4 @@
-"""Which job a worker does next: fair between tenants, then by each tenant's own order."""
+"""Choose the job that a worker does next: fair between tenants, then by each tenant's own order."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from service.store.models import Job, Tenant
 
 MOST_EXPIRED = 100
 
+# Places count the jobs of all tenants, so these queries go round the tenant's view of `Job`
 JOBS = Job.__table__.c
-"""Places count the jobs of all tenants, so these queries go round the tenant's view of `Job`."""
 
 
 @dataclass(frozen=True)
 class Abilities:
-    """What a worker can do: jobs of ``kinds`` that need no more than ``memory_mb`` each."""
+    """Abilities of a worker: jobs of ``kinds`` that need no more than ``memory_mb`` each."""
 
     worker: str
     kinds: frozenset[str]
@@ -77,7 +77,7 @@ def free_expired(session: Session, moment: datetime, *queues: str) -> None:
 
 
 def _tenants(session: Session, queue: str, fits: Sequence[ColumnElement[bool]]) -> Sequence[str]:
-    """Return the tenants with a job to be had, the one whose turn it is first."""
+    """Return tenants with a runnable job, in fair-share order."""
     next_job = (
         select(Job.id)
         .where(Job.tenant_id == Tenant.id, *fits)

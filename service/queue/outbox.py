@@ -1,7 +1,7 @@
-"""The outbox: what webhooks are to be told is written in the transaction of what happened.
+"""The outbox: webhook events are written in the transaction of what happened.
 
-So nothing is told that did not happen, and nothing that happened is forgotten. Deliveries are a
-queue of their own: a worker takes some for the time of a lease, and one that died loses them.
+So nothing is announced that did not happen, and nothing that happened is forgotten. Deliveries are
+a queue of their own: a worker takes some for the time of a lease, and one that died loses them.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ OLD_SECRET_COUNTS = timedelta(days=1)
 GIVE_UP_AFTER = timedelta(days=5)
 FORGET_AFTER = timedelta(days=30)
 AT_ONCE_PER_WEBHOOK = 2
+# Longest `Retry-After` that a receiver is granted
 LONGEST_WISH = timedelta(days=1)
-"""A receiver can put the next try off by so much, no more."""
 GONE = 410
 
 
 @dataclass(frozen=True)
-class Parcel:
+class ClaimedDelivery:
     """A delivery as a worker holds it; ``attempt`` is the fence."""
 
     delivery_id: str
@@ -52,8 +52,8 @@ class Parcel:
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What became of a try: the answer's status, or the code of an error.
+class DeliveryOutcome:
+    """Outcome of a try: the answer's status, or the code of an error.
 
     ``retry_after`` are the seconds for which the receiver wants to be left alone.
     """
@@ -65,15 +65,15 @@ class Outcome:
     retry_after: float = 0.0
 
     @property
-    def delivered(self) -> bool:
-        """Whether the receiver took it."""
+    def is_delivered(self) -> bool:
+        """Return whether the receiver took it."""
         return self.status is not None and 200 <= self.status < 300
 
 
-def tell(
+def notify(
     session: Session, tenant_id: str, type: str, data: dict[str, Any], kind: str | None = None
 ) -> None:
-    """Write down that the tenant's webhooks that ask for this are to be told.
+    """Queue an event for the tenant's webhooks that subscribe to it.
 
     ``data`` holds ids and states, never names; ``kind`` is the kind of the job it is about.
     """
@@ -85,8 +85,8 @@ def tell(
         send(session, asking, type, data)
 
 
-def tell_of_job(session: Session, job: Job) -> None:
-    """Tell that a job has begun or is over, and that a scan has been checked."""
+def notify_of_job(session: Session, job: Job) -> None:
+    """Announce that a job has begun or is over, and that a scan has been checked."""
     if job.state not in (State.RUNNING, *FINAL):
         return
     data: dict[str, Any] = {
@@ -100,11 +100,11 @@ def tell_of_job(session: Session, job: Job) -> None:
     if job.error:
         data["error"] = job.error["code"]
     event = "started" if job.state is State.RUNNING else job.state.value
-    tell(session, job.tenant_id, f"job.{event}", data, job.kind)
+    notify(session, job.tenant_id, f"job.{event}", data, job.kind)
     if job.kind == CHECK and job.state is State.SUCCEEDED:
         checked = {key: data[key] for key in ("job_id", "subject_id", "capture_id")}
         verdict = (job.summary or {}).get("verdict")
-        tell(session, job.tenant_id, "scan.checked", {**checked, "verdict": verdict}, job.kind)
+        notify(session, job.tenant_id, "scan.checked", {**checked, "verdict": verdict}, job.kind)
 
 
 def send(
@@ -141,13 +141,13 @@ def send_again(
 
 
 def is_due(session: Session) -> bool:
-    """Whether there is something to send."""
+    """Return whether there is something to send."""
     return session.execute(_due(clock(session)).limit(1)).first() is not None
 
 
 def take(
-    session: Session, under_way: Collection[Parcel], threads: int, lease: float
-) -> list[Parcel]:
+    session: Session, under_way: Collection[ClaimedDelivery], threads: int, lease: float
+) -> list[ClaimedDelivery]:
     """Take deliveries that are due, for those of a worker's ``threads`` that are free.
 
     The tenants take turns, the one with least under way here first. What is beyond half of the
@@ -157,7 +157,7 @@ def take(
     """
     moment = clock(session)
     half = max(threads // 2, 1)
-    held = Counter((parcel.tenant_id, parcel.failing) for parcel in under_way)
+    held = Counter((claimed.tenant_id, claimed.failing) for claimed in under_way)
 
     def turn(row: Any) -> int:
         of_tenant: int = row.turn + held[row.tenant_id, row.is_failing]
@@ -166,23 +166,25 @@ def take(
     rows = sorted(session.execute(_due(moment)).all(), key=turn)
     working = [row for row in rows if not row.is_failing]
     failing = [row for row in rows if row.is_failing and row.place == 1]
-    spare = max(half - sum(parcel.failing for parcel in under_way), 0)
+    spare = max(half - sum(claimed.failing for claimed in under_way), 0)
     chosen = [
         *(row for row in working if turn(row) <= half),
         *failing[:spare],
         *(row for row in working if turn(row) > half),
     ][: threads - len(under_way)]
     until = moment + timedelta(seconds=lease)
-    return [parcel for row in chosen if (parcel := _claim(session, row, moment, until))]
+    return [claimed for row in chosen if (claimed := _claim(session, row, moment, until))]
 
 
-def settle(session: Session, parcel: Parcel, outcome: Outcome, pauses: Sequence[float]) -> None:
+def settle(
+    session: Session, claimed: ClaimedDelivery, outcome: DeliveryOutcome, pauses: Sequence[float]
+) -> None:
     """Write down what became of a try; ``pauses`` are the seconds before each further one.
 
     A receiver that wants to be left alone is sent nothing of what waits for it.
     """
     moment = clock(session)
-    hook = session.get(Webhook, parcel.webhook_id, with_for_update=True)
+    hook = session.get(Webhook, claimed.webhook_id, with_for_update=True)
     if hook is None:
         return  # it was deleted, with its deliveries
     wish = min(timedelta(seconds=outcome.retry_after), LONGEST_WISH)
@@ -193,18 +195,18 @@ def settle(session: Session, parcel: Parcel, outcome: Outcome, pauses: Sequence[
         "excerpt": outcome.excerpt,
         "lease_until": None,
     }
-    if outcome.delivered:
+    if outcome.is_delivered:
         values |= {"state": DELIVERED, "finished_at": moment, "next_at": None}
-    elif parcel.attempt <= len(pauses):
-        pause = timedelta(seconds=pauses[parcel.attempt - 1])
+    elif claimed.attempt <= len(pauses):
+        pause = timedelta(seconds=pauses[claimed.attempt - 1])
         values["next_at"] = moment + max(pause, wish)
     else:
         values |= {"state": FAILED, "finished_at": moment, "next_at": None}
     mine = session.execute(
         update(Delivery)
         .where(
-            Delivery.id == parcel.delivery_id,
-            Delivery.attempt == parcel.attempt,
+            Delivery.id == claimed.delivery_id,
+            Delivery.attempt == claimed.attempt,
             Delivery.state == PENDING,
         )
         .values(**values)
@@ -217,7 +219,7 @@ def settle(session: Session, parcel: Parcel, outcome: Outcome, pauses: Sequence[
 
 
 def switch_off(session: Session, webhook_id: str, reason: str, moment: datetime) -> None:
-    """Tell a webhook nothing more; what was on its way has failed."""
+    """Disable a webhook; pending deliveries have failed."""
     session.execute(
         update(Webhook).where(Webhook.id == webhook_id).values(active=False, disabled_reason=reason)
     )
@@ -229,7 +231,7 @@ def switch_off(session: Session, webhook_id: str, reason: str, moment: datetime)
 
 
 def forget(session: Session) -> None:
-    """Forget what was told long ago, with its log."""
+    """Delete old events with their log."""
     session.execute(
         delete(WebhookEvent).where(WebhookEvent.created_at < clock(session) - FORGET_AFTER)
     )
@@ -287,7 +289,7 @@ def _free(moment: datetime) -> Iterable[ColumnElement[bool]]:
     )
 
 
-def _claim(session: Session, row: Any, moment: datetime, until: datetime) -> Parcel | None:
+def _claim(session: Session, row: Any, moment: datetime, until: datetime) -> ClaimedDelivery | None:
     attempt: int | None = session.execute(
         update(Delivery)
         .where(Delivery.id == row.id, Delivery.attempt == row.attempt, *_free(moment))
@@ -301,7 +303,7 @@ def _claim(session: Session, row: Any, moment: datetime, until: datetime) -> Par
     generations = [hook.generation]
     if hook.rotated_at is not None and moment < hook.rotated_at + OLD_SECRET_COUNTS:
         generations.append(hook.generation - 1)
-    return Parcel(
+    return ClaimedDelivery(
         delivery_id=row.id,
         attempt=attempt,
         tenant_id=delivery.tenant_id,
@@ -330,9 +332,9 @@ def _put_off(session: Session, webhook_id: str, until: datetime) -> None:
     session.execute(update(Delivery).where(Delivery.id.in_(waiting)).values(next_at=until))
 
 
-def _judge(session: Session, hook: Webhook, outcome: Outcome, moment: datetime) -> None:
+def _judge(session: Session, hook: Webhook, outcome: DeliveryOutcome, moment: datetime) -> None:
     """Note whether a webhook works; switch off one that is gone, or has failed for days."""
-    if outcome.delivered:
+    if outcome.is_delivered:
         hook.failing_since = None
     elif outcome.status == GONE:
         switch_off(session, hook.id, "gone", moment)

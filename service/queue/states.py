@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class State(StrEnum):
-    """Where a job is."""
+    """State of a job."""
 
     QUEUED = "queued"
     RUNNING = "running"
@@ -26,8 +26,8 @@ ALLOWED: dict[State, frozenset[State]] = {
 }
 
 FINAL = frozenset(state for state, following in ALLOWED.items() if not following)
+# States in which a worker holds the job's lease
 HELD = frozenset({State.RUNNING, State.CANCELING})
-"""States in which a worker holds the job's lease."""
 
 
 def before(state: State) -> list[State]:

@@ -18,8 +18,8 @@ from service.store.models import Capture, FrameChunk, Job, Lease, Upload, Worker
 LONGEST_PAUSE = timedelta(minutes=1)
 FORGET_WORKERS = timedelta(minutes=10)
 BATCH = 1000
+# Office of the worker that sweeps
 SWEEPER = "sweeper"
-"""The office of the one who does the rounds."""
 
 MOST_FILES = 200
 UNMEASURED = (

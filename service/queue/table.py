@@ -30,11 +30,11 @@ from service.store.models import (
 )
 
 WORKER_LOST = "worker_lost"
+# Progress events kept of a job that is over
 MOST_STEPS_KEPT = 200
-"""Reports of progress that are kept of a job that is over."""
 SHORTEST_WAIT, LONGEST_WAIT = timedelta(seconds=5), timedelta(minutes=5)
+# Longest wait for room on a full disk before the job fails
 WAIT_FOR_ROOM = timedelta(hours=1)
-"""How long a job waits for room on a full disk before it is given up."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def create(session: Session, job: Job) -> None:
     job.created_at, job.sent_at, job.sends = moment, moment, 1
     session.add(job)
     session.flush()
-    _tell(session, job)
+    _record_state(session, job)
     wake(session, job.id, job.queue)
 
 
@@ -118,7 +118,7 @@ def beat(
     chunks: Sequence[dict[str, Any]] = (),
     kept: Iterable[Artifact] = (),
 ) -> State | None:
-    """Renew the lease and write down what the solver said and which files it left since the last.
+    """Renew the lease and record what the solver reported and which files it left since the last.
 
     ``chunks`` are columns of :class:`FrameChunk`: ``first``, ``last``, ``size`` and
     ``sha256``. ``kept`` is half done: nobody is shown it before the job has succeeded.
@@ -143,9 +143,9 @@ def beat(
         for number, line in enumerate(lines, last + 1):
             session.add(LogLine(job_id=job_id, number=number, attempt=attempt, text=line))
     for chunk in chunks:
-        # a worker that did not hear that they were written tells them again
+        # a worker that did not hear that they were written sends them again
         session.merge(FrameChunk(job_id=job_id, attempt=attempt, **chunk))
-    _leave(session, kept)
+    _add_artifacts(session, kept)
     return state
 
 
@@ -162,7 +162,7 @@ def succeed(
     values: dict[str, Any] = {"error": None, "summary": summary}
     if _step(session, job_id, State.SUCCEEDED, Job.attempt == attempt, **values) is None:
         return False
-    _leave(session, artifacts)
+    _add_artifacts(session, artifacts)
     if rig is not None:
         session.add(rig)
     return True
@@ -172,7 +172,7 @@ def _artifacts(session: Session, job_id: str) -> Sequence[Artifact]:
     return session.scalars(select(Artifact).where(Artifact.job_id == job_id)).all()
 
 
-def _leave(session: Session, artifacts: Iterable[Artifact]) -> None:
+def _add_artifacts(session: Session, artifacts: Iterable[Artifact]) -> None:
     """Add the files of a job, each in the place of the one of its name that was left before."""
     for artifact in artifacts:
         same = (Artifact.job_id == artifact.job_id, Artifact.name == artifact.name)
@@ -278,12 +278,12 @@ def _step(
         )
         call_waiting(session, job.tenant_id)
     if to in FINAL:
-        _thin(session, job_id)
-    _tell(session, job)
+        _thin_progress(session, job_id)
+    _record_state(session, job)
     return job
 
 
-def _thin(session: Session, job_id: str) -> None:
+def _thin_progress(session: Session, job_id: str) -> None:
     """Keep every n-th report of progress of a job that is over."""
     reports = (Event.job_id == job_id, Event.kind == "progress")
     count = session.scalar(select(func.count()).select_from(Event).where(*reports)) or 0
@@ -299,16 +299,16 @@ def _thin(session: Session, job_id: str) -> None:
         )
 
 
-def _tell(session: Session, job: Job) -> None:
+def _record_state(session: Session, job: Job) -> None:
     data: dict[str, Any] = {"state": job.state.value, "attempt": job.attempt}
     if job.error:
         data["error"] = job.error
     session.add(Event(job_id=job.id, kind="state", data=data))
-    outbox.tell_of_job(session, job)
+    outbox.notify_of_job(session, job)
 
 
 def may_run_more(session: Session, tenant_id: str) -> bool:
-    """Tell whether another job of a tenant may run; for one with a quota, workers ask in turn."""
+    """Return whether another job of a tenant may run; for one with a quota, workers ask in turn."""
     tenant = session.get_one(Tenant, tenant_id)
     if not _has_room(session, tenant):
         return False  # without the lock: who goes on to another tenant must hold none

@@ -21,15 +21,19 @@ from redis.retry import Retry
 from sqlalchemy.orm import Session
 
 RUN_JOB = "myoface.run_job"
+# `ingest` is apart: a check's verdict is wanted while the person is in the chair
 QUEUES = ("ingest", "short", "long")
-"""Checks wait for no fit: their verdict is wanted while the person is in the chair."""
+# The worker of `service.queue.outbox`: its queue is the table of deliveries, not the broker's
 WEBHOOKS = "webhooks"
-"""The worker of `service.queue.outbox`: its queue is the table of deliveries, not the broker's."""
 
 IMPATIENT = {"socket_timeout": 1, "socket_connect_timeout": 1, "max_retries": 0}
+# Seconds without a call after a failure of the broker
 REST = 5.0
+# Seconds that `close` waits for calls still to be sent
 FAREWELL = 2.0
+# Calls that wait to be sent, here and in a queue of the broker
 MOST_CALLS = 1000
+# Key of a session's list of calls, sent after its commit
 WAKE = "wake"
 ONCE: dict[str, Any] = {
     "socket_timeout": 1,
@@ -89,7 +93,7 @@ class WakeUps:
         self._rests_until = 0.0
 
     def send(self, job_id: str, queue_name: str) -> None:
-        """Tell the workers of a queue about a job, best effort and without waiting."""
+        """Wake the workers of a queue for a job, best effort and without waiting."""
         with self._lock:
             if self._thread is None:
                 self._thread = threading.Thread(target=self._work, name="wake-ups", daemon=True)

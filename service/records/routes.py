@@ -9,7 +9,7 @@ from sqlalchemy import select
 
 from service import paging
 from service.dependencies import AdminSession, Cursor, Limit, ReadSession
-from service.errors import problems, unknown
+from service.errors import not_found, problems
 from service.records.schemas import AuditEntryView, DeletionView
 from service.schemas import Id, Page
 from service.store.models import AuditEntry, Deletion
@@ -65,5 +65,5 @@ def show(deletion_id: Id, session: ReadSession) -> Any:
     """Show how far a deletion is; files go within minutes."""
     receipt = session.get(Deletion, deletion_id)
     if receipt is None:
-        raise unknown("deletion", deletion_id)
+        raise not_found("deletion", deletion_id)
     return receipt

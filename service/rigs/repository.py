@@ -6,7 +6,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session, selectinload
 
 from service import paging
-from service.errors import Problem, unknown
+from service.errors import Problem, not_found
 from service.paging import Slice
 from service.queue.states import State
 from service.store.models import PREVIEW_FILE, Artifact, Job, Rig, is_preview_of
@@ -16,7 +16,7 @@ def get(session: Session, rig_id: str) -> Rig:
     """Return a rig."""
     rig = session.get(Rig, rig_id)
     if rig is None:
-        raise unknown("rig", rig_id)
+        raise not_found("rig", rig_id)
     return rig
 
 
@@ -72,7 +72,7 @@ def artifact(session: Session, artifact_id: str) -> Artifact:
     """Return an artifact."""
     found = session.get(Artifact, artifact_id)
     if found is None:
-        raise unknown("artifact", artifact_id)
+        raise not_found("artifact", artifact_id)
     return found
 
 

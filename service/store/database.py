@@ -27,6 +27,8 @@ PRAGMAS = ("journal_mode=WAL", "synchronous=NORMAL", "foreign_keys=ON", "secure_
 MIGRATION_LOCK = 0x6D796F  # any constant: PostgreSQL's advisory locks go by number
 
 
+# Of a connection to PostgreSQL: a cut link is an error within seconds, not after a quarter hour.
+# `tcp_user_timeout` is in milliseconds.
 PATIENCE = {
     "connect_timeout": 5,
     "tcp_user_timeout": 10_000,
@@ -34,14 +36,10 @@ PATIENCE = {
     "keepalives_interval": 5,
     "keepalives_count": 3,
 }
-"""Of a connection to PostgreSQL: a cut link is an error within seconds, not after a quarter hour.
-
-``tcp_user_timeout`` is in milliseconds.
-"""
 
 
+# A request has a thread (40 at most) and briefly a second connection, for its key
 POOL = {"pool_size": 10, "max_overflow": 40}
-"""A request has a thread (40 at most) and briefly a second connection, for its key."""
 
 
 class Database:
@@ -60,7 +58,7 @@ class Database:
 
     @property
     def is_sqlite(self) -> bool:
-        """Whether this is SQLite."""
+        """Return whether this is SQLite."""
         return self.url.get_backend_name() == "sqlite"
 
     @contextmanager

@@ -16,7 +16,7 @@ from sqlalchemy.orm import Session
 from service.queue.states import FINAL
 from service.queue.table import cancel
 from service.store.database import Store, clock
-from service.store.files import Files, Stored
+from service.store.files import Files, StoredFile
 from service.store.models import (
     Artifact,
     Capture,
@@ -35,6 +35,7 @@ Reason = Literal["request", "retention"]
 BY = "deletion"
 BATCH = 200
 
+# The columns that keep a file
 REFERRING = (
     Artifact.sha256,
     Capture.sha256,
@@ -43,7 +44,6 @@ REFERRING = (
     Template.sha256,
     Upload.sha256,
 )
-"""The columns that keep a file."""
 
 
 def active_jobs(session: Session, subject_id: str) -> Sequence[str]:
@@ -82,7 +82,7 @@ def delete_capture(session: Session, capture: Capture, reason: Reason) -> Deleti
     """Delete a scan with its checks and registrations."""
     receipt = _receipt(session, capture, "capture", reason)
     files = [
-        *capture.uploaded,
+        *capture.uploaded_files,
         *_forget_uploads(session, Upload.used_by == capture.id),
         *_left_by(session, Job.capture_id == capture.id),
     ]
@@ -134,7 +134,7 @@ def close_receipts(store: Store) -> None:
     if not receipts:
         return
     wanted = referenced_files(store)
-    aside = {stored.sha256 for stored in store.files.aside()}
+    aside = {stored.sha256 for stored in store.files.list_aside()}
     closed = [
         receipt.id
         for receipt in receipts
@@ -153,7 +153,7 @@ def _delete_subject(session: Session, subject: Subject, receipt: Deletion) -> No
     captures = session.scalars(select(Capture).where(Capture.subject_id == subject.id)).all()
     ids = select(Capture.id).where(Capture.subject_id == subject.id)
     files = [
-        *(sha256 for capture in captures for sha256 in capture.uploaded),
+        *(sha256 for capture in captures for sha256 in capture.uploaded_files),
         *_forget_uploads(session, Upload.used_by.in_(ids)),
         *_left_by(session, Job.subject_id == subject.id),
     ]
@@ -212,7 +212,10 @@ def collect_garbage(store: Store, age: float) -> int:
     limit = now() - timedelta(seconds=age)
     store.files.remove_unfinished(limit)
     # Listed before the tables are read: what is stored in between is not in the lists.
-    aside, stored = _older(store.files.aside(), limit), _older(store.files.stored(), limit)
+    aside, stored = (
+        _older(store.files.list_aside(), limit),
+        _older(store.files.list_stored(), limit),
+    )
     wanted = referenced_files(store)
     removed = sum(_decide(store.files, sha256, sha256 in wanted) for sha256 in aside)
     for sha256 in stored:
@@ -239,7 +242,7 @@ def references(session: Session) -> set[str]:
     return found
 
 
-def _older(files: Iterator[Stored], limit: datetime) -> list[str]:
+def _older(files: Iterator[StoredFile], limit: datetime) -> list[str]:
     return [stored.sha256 for stored in files if stored.at < limit]
 
 

@@ -1,4 +1,4 @@
-"""How long things are kept: stated on each by ``retain_until``, enforced by the sweeper.
+"""Retention: stated on each object by ``retain_until``, enforced by the sweeper.
 
 What jobs are still reading waits for them.
 """
@@ -30,19 +30,19 @@ from service.store.models import (
 )
 from service.store.tenancy import own_tenant
 
+# Lifetime of an `Idempotency-Key`
 ANSWERED = timedelta(days=1)
-"""How long an ``Idempotency-Key`` is known."""
+# Most objects deleted in a round
 BATCH = 200
-"""So many things go in a round."""
+# Of what is kept: settings and tenants have a `retain_` of each
 KINDS = ("subjects", "scans", "jobs", "rigs")
-"""Of what is kept: settings and tenants have a ``retain_`` of each."""
 
 Row = TypeVar("Row")
 
 
 @dataclass(frozen=True)
 class Days:
-    """How many days things are kept, of each kind; None: until somebody deletes them."""
+    """Days that things are kept, of each kind; None: until somebody deletes them."""
 
     subjects: int | None
     scans: int | None
@@ -133,6 +133,6 @@ def _has_own_days() -> ColumnElement[bool]:
 
 
 def _idle(subject_id: InstrumentedAttribute[Any]) -> ColumnElement[bool]:
-    """Tell whether no job of a subject is waiting or running."""
+    """Return whether no job of a subject is waiting or running."""
     other = aliased(Job)
     return ~exists().where(other.subject_id == subject_id, other.state.not_in(FINAL))

@@ -32,7 +32,7 @@ def create(
     new: NewSubject, session: WriteSession, who: Writer, once: Once, settings: SettingsDep
 ) -> SubjectView:
     """Add a person to be scanned."""
-    if (known := once.known(session, new)) is not None:
+    if (known := once.find_answered(session, new)) is not None:
         return SubjectView.of(repository.get(session, known), own_days(session, settings))
     subject = service.create(session, new)
     once.keep(session, subject.id)

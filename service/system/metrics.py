@@ -1,6 +1,6 @@
 """Metrics in Prometheus' format: is the service healthy, what is slow, what is stuck.
 
-The state is read from the tables when somebody asks: every API process tells the same.
+The state is read from the tables when somebody asks: every API process shows the same.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from service.system.service import readiness
 BUCKETS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.15, 0.25, 0.5, 1, 2.5, 5, 10, 30)
 METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
 OTHER = "other"
+# Seconds for which an answer is good: scrapers that come together ask once
 KEPT = 5.0
-"""Seconds for which an answer is good: scrapers that come together ask once."""
 RECENT = timedelta(hours=1)
 MOST_JOBS = 5000
 QUANTILES = (0.5, 0.95)
@@ -45,7 +45,7 @@ log = structlog.get_logger()
 
 
 def install(app: FastAPI, store: Store, settings: Settings) -> None:
-    """Measure ``app``'s requests, and let its ``GET /metrics`` tell the service's state."""
+    """Measure ``app``'s requests, and let its ``GET /metrics`` show the service's state."""
     registry = CollectorRegistry()
     registry.register(StateCollector(store, settings))
     app.state.metrics = registry
@@ -199,7 +199,7 @@ def _stuck(session: Session, moment: datetime, settings: Settings) -> Iterator[M
 
 
 def _recent(session: Session, moment: datetime) -> Iterator[Metric]:
-    """Tell what happened in the last hour: durations, waits, attempts that were lost."""
+    """Measure the last hour: durations, waits, attempts that were lost."""
     rows = session.execute(
         select(Job.kind, Job.state, Job.queue, Job.created_at, Job.started_at, Job.finished_at)
         .where(Job.finished_at > moment - RECENT)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Response
 from prometheus_client import CONTENT_TYPE_PLAIN_0_0_4, CollectorRegistry, generate_latest
 
-from service.access.principal import Scope, need
+from service.access.principal import Scope, need_scope
 from service.captures.service import FORMATS, LANDMARK_FORMATS, RAW_FORMATS
 from service.dependencies import ReadSession, SettingsDep, WholeStore, part
 from service.errors import problems
@@ -22,7 +22,7 @@ router = APIRouter(tags=["system"])
 
 @router.get("/v1/limits", summary="Limits")
 def limits(session: ReadSession, settings: SettingsDep) -> Limits:
-    """Tell what this service accepts, and how long it keeps what is the tenant's."""
+    """Show what this service accepts, and how long it keeps what is the tenant's."""
     kept = own_days(session, settings)
     return Limits(
         max_upload_bytes=settings.max_upload_bytes,
@@ -46,7 +46,7 @@ def limits(session: ReadSession, settings: SettingsDep) -> Limits:
     "/v1/solvers",
     response_model=Page[KindView],
     summary="Kinds of job",
-    dependencies=[Depends(need(Scope.READ))],
+    dependencies=[Depends(need_scope(Scope.READ))],
 )
 def solvers() -> Any:
     """List the kinds of job with their options as JSON Schema."""
@@ -58,7 +58,7 @@ def solvers() -> Any:
     response_model=Page[WorkerView],
     summary="The living workers",
     responses=problems(503),
-    dependencies=[Depends(need(Scope.METRICS))],
+    dependencies=[Depends(need_scope(Scope.METRICS))],
 )
 def workers(store: WholeStore, settings: SettingsDep) -> Any:
     """List the workers seen lately, by name; a key needs the scope `metrics`."""
@@ -87,9 +87,9 @@ def ready(store: WholeStore, settings: SettingsDep, response: Response) -> Readi
     "/metrics",
     response_class=Response,
     summary="Metrics for Prometheus",
-    dependencies=[Depends(need(Scope.METRICS))],
+    dependencies=[Depends(need_scope(Scope.METRICS))],
     responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
 )
 def metrics(registry: Annotated[CollectorRegistry, Depends(part("metrics"))]) -> Response:
-    """Tell health, latencies and queues in Prometheus' text format."""
+    """Show health, latencies and queues in Prometheus' text format."""
     return Response(generate_latest(registry), media_type=CONTENT_TYPE_PLAIN_0_0_4)

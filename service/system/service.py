@@ -1,4 +1,4 @@
-"""Whether the parts that the service needs answer."""
+"""Readiness of the parts that the service needs, and its living workers."""
 
 from __future__ import annotations
 

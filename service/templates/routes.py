@@ -28,7 +28,7 @@ router = APIRouter(prefix="/v1/templates", tags=["templates"])
 )
 def create(new: NewTemplate, session: WriteSession, who: Writer, once: Once) -> Any:
     """Make a template anatomy of a complete upload (`.npz`)."""
-    if (known := once.known(session, new)) is not None:
+    if (known := once.find_answered(session, new)) is not None:
         return repository.get(session, known)
     template = service.create(session, new)
     once.keep(session, template.id)

@@ -32,8 +32,8 @@ from service.uploads.schemas import Checksum
 
 BUFFER = 1 << 20
 
+# The name of an unfinished upload's file: its id
 PART = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}")
-"""The name of an unfinished upload's file: its id."""
 EVERY = 60.0
 
 log = structlog.get_logger()
@@ -96,12 +96,12 @@ class UploadService:
         if upload.complete:
             return upload
         try:
-            with self._locked(upload_id):
+            with self._lock_part(upload_id):
                 pass  # no longer than it takes to see that it is free: a writer would be refused
             upload = self.get(upload_id)
             if _is_settled(upload):
                 return upload
-            with self._locked(upload_id):
+            with self._lock_part(upload_id):
                 upload = self.get(upload_id)
                 return upload if _is_settled(upload) else self._complete(upload)
         except Problem as problem:
@@ -117,7 +117,7 @@ class UploadService:
         if self.get(upload_id).complete:
             self._forget(upload_id)
             return
-        with self._locked(upload_id):
+        with self._lock_part(upload_id):
             self._forget(upload_id)
             self._part(upload_id).unlink(missing_ok=True)
 
@@ -139,7 +139,7 @@ class UploadService:
         """
         upload = await to_thread.run_sync(self.get, upload_id)
         _check_offset(upload, offset)
-        with self._locked(upload_id) as part:
+        with self._lock_part(upload_id) as part:
             upload = await to_thread.run_sync(self.get, upload_id)
             _check_offset(upload, offset)
             digest = hashlib.new(checksum.algorithm) if checksum else None
@@ -175,7 +175,9 @@ class UploadService:
         part = self._part(upload.id)
         try:
             blob = self._store.files.put(part)
-        except FileNotFoundError as error:  # its row too: the `Tidier` removes none that has one
+        except (
+            FileNotFoundError
+        ) as error:  # its row too: the `UploadCleaner` removes none that has one
             raise Problem(
                 410, "upload.expired", "the upload has expired", upload_id=upload.id
             ) from error
@@ -201,7 +203,7 @@ class UploadService:
         return self._settings.uploads / upload_id
 
     @contextmanager
-    def _locked(self, upload_id: str) -> Iterator[BinaryIO]:
+    def _lock_part(self, upload_id: str) -> Iterator[BinaryIO]:
         try:
             part = self._part(upload_id).open("r+b")
         except FileNotFoundError as error:
@@ -219,7 +221,7 @@ class UploadService:
 
 
 def _is_settled(upload: Upload) -> bool:
-    """Tell whether nothing is left to do but for a client that sends more."""
+    """Return whether nothing is left to do but for a client that sends more."""
     return upload.complete or upload.offset < upload.size
 
 
@@ -264,7 +266,7 @@ async def _write(
     return received
 
 
-class Tidier(Background):
+class UploadCleaner(Background):
     """Removes the bytes of uploads that expired, or that a service which died left.
 
     Each API process tidies its own folder, which no worker may reach.
@@ -282,7 +284,7 @@ class Tidier(Background):
         if not parts:
             return
         with self._store.read() as session:
-            wanted = repository.unfinished(session)
+            wanted = repository.unfinished_ids(session)
         abandoned = [part for part in parts if part.name not in wanted]
         for part in abandoned:
             part.unlink(missing_ok=True)

@@ -49,7 +49,7 @@ def _settings(studio: Studio, **days: int) -> Settings:
 
 
 def _stored(studio: Studio) -> set[str]:
-    return {stored.sha256 for stored in _store(studio).files.stored()}
+    return {stored.sha256 for stored in _store(studio).files.list_stored()}
 
 
 def test_a_receipt_says_when_the_last_file_was_gone(studio: Studio) -> None:

@@ -48,8 +48,8 @@ def test_a_file_comes_back_as_it_was(files: Files, scan: Path, tmp_path: Path) -
     assert not files.exists(SHA256)
     assert files.put(scan) == files.put(scan)
     assert files.size(SHA256) == len(SCAN)
-    assert [stored.sha256 for stored in files.stored()] == [SHA256]
-    assert abs(next(files.stored()).at - now()) < timedelta(minutes=1)
+    assert [stored.sha256 for stored in files.list_stored()] == [SHA256]
+    assert abs(next(files.list_stored()).at - now()) < timedelta(minutes=1)
     for start, end in ((0, None), (0, 1), (999_990, None), (400_000, 700_001), (5, 5)):
         assert b"".join(files.open(SHA256, start, end)) == SCAN[start:end]
     files.fetch(SHA256, tmp_path / "inputs" / "scan.obj")
@@ -98,9 +98,9 @@ def test_a_damaged_file_is_not_handed_out(files: Files, scan: Path, tmp_path: Pa
 def test_what_nothing_refers_to_goes_in_two_steps(store: Store, scan: Path) -> None:
     store.files.put(scan)
     assert deletion.collect_garbage(store, 60) == 0
-    assert list(store.files.stored())
+    assert list(store.files.list_stored())
     assert deletion.collect_garbage(store, AT_ONCE) == 0
-    assert not list(store.files.stored())
+    assert not list(store.files.list_stored())
     assert store.files.read(SHA256) == SCAN
     assert deletion.collect_garbage(store, 60) == 0
     assert store.files.exists(SHA256)
@@ -118,8 +118,8 @@ def test_what_is_wanted_again_stays(store: Store, scan: Path, stored_again: bool
     with store.write() as session:
         session.add(Template(sha256=SHA256, **template))
     assert deletion.collect_garbage(store, AT_ONCE) == 0
-    assert [stored.sha256 for stored in store.files.stored()] == [SHA256]
-    assert not list(store.files.aside())
+    assert [stored.sha256 for stored in store.files.list_stored()] == [SHA256]
+    assert not list(store.files.list_aside())
     assert store.files.read(SHA256) == SCAN
 
 

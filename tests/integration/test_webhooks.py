@@ -241,7 +241,7 @@ def test_a_receiver_can_put_a_try_off_for_a_day_at_most(studio: Studio) -> None:
     studio.post(f"/v1/webhooks/{hook['id']}/test")
     with _store(studio).write() as session:
         [parcel] = outbox.take(session, [], threads=1, lease=10)
-        wish = outbox.Outcome(status=429, retry_after=1e9)
+        wish = outbox.DeliveryOutcome(status=429, retry_after=1e9)
         outbox.settle(session, parcel, wish, pauses=[1.0])
     next_at = datetime.fromisoformat(_log(studio, hook)[0]["next_at"])
     assert timedelta(hours=23) < next_at - datetime.now(UTC) <= timedelta(days=1)
@@ -395,12 +395,14 @@ def test_a_tenant_alone_has_all_threads_of_all_workers(studio: Studio, settings:
             over.set()
 
 
-def _take(studio: Studio, under_way: list[outbox.Parcel], threads: int) -> list[outbox.Parcel]:
+def _take(
+    studio: Studio, under_way: list[outbox.ClaimedDelivery], threads: int
+) -> list[outbox.ClaimedDelivery]:
     with _store(studio).write() as session:
         return outbox.take(session, under_way, threads, lease=10)
 
 
-def _are_of(hook: Webhook, parcels: list[outbox.Parcel]) -> list[bool]:
+def _are_of(hook: Webhook, parcels: list[outbox.ClaimedDelivery]) -> list[bool]:
     return [parcel.tenant_id == hook.tenant_id for parcel in parcels]
 
 
@@ -458,7 +460,7 @@ def test_a_worker_that_died_has_lost_its_delivery_and_is_fenced(studio: Studio) 
         studio.post(f"/v1/webhooks/{hook['id']}/test")
     store = _store(studio)
 
-    def take(lease: float) -> list[outbox.Parcel]:
+    def take(lease: float) -> list[outbox.ClaimedDelivery]:
         with store.write() as session:
             return outbox.take(session, [], threads=5, lease=lease)
 
@@ -468,10 +470,10 @@ def test_a_worker_that_died_has_lost_its_delivery_and_is_fenced(studio: Studio) 
     [second] = take(10)
     assert (second.delivery_id, second.attempt) == (first.delivery_id, 2)
     with store.write() as session:
-        outbox.settle(session, first, outbox.Outcome(status=204, ms=1), [])
+        outbox.settle(session, first, outbox.DeliveryOutcome(status=204, ms=1), [])
     assert _log(studio, hook)[0]["state"] == "pending"
     with store.write() as session:
-        outbox.settle(session, second, outbox.Outcome(status=204, ms=1), [])
+        outbox.settle(session, second, outbox.DeliveryOutcome(status=204, ms=1), [])
     assert _log(studio, hook)[0]["state"] == "delivered"
 
 

@@ -36,7 +36,7 @@ PREVIEW_FILE = "preview.bin"
 
 
 class Event(Base):
-    """What a watcher of a job is told; the id is the server-sent event's id."""
+    """Event of a job for its watchers; the id is the server-sent event's id."""
 
     __tablename__ = "job_events"
     __table_args__ = (Index("ix_job_events_job_id", "job_id", "id"),)
@@ -231,5 +231,5 @@ class Lease(Base):
 
 
 def is_preview_of(rig_id: str | InstrumentedAttribute[str]) -> ColumnElement[bool]:
-    """Tell which jobs make a rig's preview, which stays and goes with the rig."""
+    """Select the jobs that make a rig's preview, which stays and goes with the rig."""
     return and_(Job.kind == PREVIEW, Job.request["rig_id"].as_string() == rig_id)

@@ -1,4 +1,4 @@
-"""Tables of who brings what: tenants with their keys, uploads, templates, subjects, captures."""
+"""Tables of tenants with their keys, uploads, templates, subjects and captures."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from sqlalchemy.orm import Mapped, mapped_column
 
 from service.store.models.base import Base, Owned, Stored, new_id, now
 
+# The tenant that every installation has: a studio of its own needs no other
 DEFAULT_TENANT = "default"
-"""The tenant that every installation has: a studio of its own needs no other."""
 
 
 class Tenant(Base):
@@ -34,7 +34,7 @@ class Tenant(Base):
 
 
 class ApiKey(Owned, Base):
-    """A key of a tenant; its text is told once and kept only as a keyed hash."""
+    """A key of a tenant; its text is shown once and kept only as a keyed hash."""
 
     __tablename__ = "api_keys"
     id: Mapped[str] = mapped_column(String(12), primary_key=True)
@@ -102,6 +102,6 @@ class Capture(Stored, Owned, Base):
     created_at: Mapped[datetime] = mapped_column(default=now)
 
     @property
-    def uploaded(self) -> list[str]:
+    def uploaded_files(self) -> list[str]:
         """The sha256 of the files that were uploaded for it."""
         return list(filter(None, (self.sha256, self.landmarks_sha256)))

@@ -1,4 +1,4 @@
-"""Tables of what was done and told: audit, answered requests, deletions, webhooks."""
+"""Tables of records: audit, answered requests, deletions, webhooks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from service.store.models.base import Base, Owned, new_id, now
 
 
 class AuditEntry(Owned, Base):
-    """Who did what to which object: ids only, so that the log names nobody it outlives."""
+    """Action on an object: ids only, so that the log names nobody it outlives."""
 
     __tablename__ = "audit"
     id: Mapped[str] = mapped_column(String(36), primary_key=True, default=new_id)
@@ -24,7 +24,7 @@ class AuditEntry(Owned, Base):
 
 
 class AnsweredRequest(Owned, Base):
-    """What a request with an ``Idempotency-Key`` made, so that its repetition finds it."""
+    """Object that a request with an ``Idempotency-Key`` made, so that its repetition finds it."""
 
     __tablename__ = "answered_requests"
     tenant_id: Mapped[str] = mapped_column(ForeignKey("tenants.id"), primary_key=True)
@@ -73,7 +73,7 @@ class Webhook(Owned, Base):
 
 
 class WebhookEvent(Owned, Base):
-    """Something that happened, as it is told: ids, never names."""
+    """Event as webhooks receive it: ids, never names."""
 
     __tablename__ = "webhook_events"
     id: Mapped[str] = mapped_column(String(40), primary_key=True)

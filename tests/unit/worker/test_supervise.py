@@ -143,8 +143,8 @@ def test_what_takes_minutes_is_kept_for_the_next_attempt(settings: Settings, sto
     assert store.files.read(artifact.sha256) == b"all"
     for _ in range(2):  # put aside, then removed
         deletion.collect_garbage(store, 0)
-    assert [stored.sha256 for stored in store.files.stored()] == [artifact.sha256]
-    assert list(store.files.aside()) == []
+    assert [stored.sha256 for stored in store.files.list_stored()] == [artifact.sha256]
+    assert list(store.files.list_aside()) == []
 
 
 def test_a_result_is_written_down_when_the_database_is_back(
