@@ -18,7 +18,7 @@ BatchState = Literal["running", "succeeded", "failed", "canceled"]
 
 
 class StepOptions(RequestBody):
-    """Options for the batch's jobs, by kind; `GET /v1/solvers` describes them."""
+    """Options for the batch's jobs, by kind; `GET /v1/kinds` describes them."""
 
     check_scan: dict[str, Any] = Field(default={})
     register_scan: dict[str, Any] = Field(default={})

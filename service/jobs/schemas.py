@@ -45,7 +45,7 @@ _COLUMNS = (
 
 
 class NewJob(RequestBody):
-    """A piece of work; which members a kind needs is in `GET /v1/solvers`."""
+    """A piece of work; which members a kind needs is in `GET /v1/kinds`."""
 
     model_config = ConfigDict(
         extra="forbid",

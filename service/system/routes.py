@@ -17,6 +17,9 @@ from service.store.retention import own_days
 from service.system.schemas import KindView, Limits, Readiness, Retention, WorkerView
 from service.system.service import living_workers, readiness
 
+# RFC 9745: since when, in seconds of the epoch (2026-11-22)
+SOLVERS_DEPRECATED = "@1795305600"
+
 router = APIRouter(tags=["system"])
 
 
@@ -43,14 +46,27 @@ def limits(session: ReadSession, settings: SettingsDep) -> Limits:
 
 
 @router.get(
-    "/v1/solvers",
+    "/v1/kinds",
     response_model=Page[KindView],
     summary="Kinds of job",
     dependencies=[Depends(need_scope(Scope.READ))],
 )
-def solvers() -> Any:
+def kinds() -> Any:
     """List the kinds of job with their options as JSON Schema."""
     return {"items": list(KINDS.values())}
+
+
+@router.get(
+    "/v1/solvers",
+    response_model=Page[KindView],
+    dependencies=[Depends(need_scope(Scope.READ))],
+    include_in_schema=False,
+)
+def solvers(response: Response) -> Any:
+    """Answer at the path that `/v1/kinds` had before it, for one release."""
+    response.headers["Deprecation"] = SOLVERS_DEPRECATED
+    response.headers["Link"] = '</v1/kinds>; rel="successor-version"'
+    return kinds()
 
 
 @router.get(
