@@ -26,11 +26,10 @@ from myoface.errors import StackError
 from service.access.bootstrap import write_secret
 from service.secret import secret
 from service.settings import Settings
-from service.store.database import Database
+from service.store.database import Database, Store
+from service.store.deletion import references
 from service.store.files import FolderFiles
-from service.store.garbage import references
 from service.store.models import Deletion, now
-from service.store.store import Store
 
 MANIFEST, DELETIONS, SECRET, FILES = "manifest.json", "deletions.json", "secret", "files"
 DUMPS = {"sqlite": "database.sqlite", "postgresql": "database.dump"}
@@ -159,7 +158,7 @@ def _copy(store: Store, kept: FolderFiles, wanted: Iterable[str]) -> list[str]:
 
 def _forget_others(kept: FolderFiles, wanted: Iterable[str]) -> None:
     """Remove what earlier backups had and this one does not: what is deleted goes here, too."""
-    for sha256 in {stored.sha256 for stored in kept.stored()}.difference(wanted):
+    for sha256 in {stored.sha256 for stored in kept.list_stored()}.difference(wanted):
         kept.put_aside(sha256)
         kept.remove(sha256)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from urllib.parse import urlsplit
 
-from service.access.loopback import is_loopback
+from service.access.bootstrap import is_loopback
 from service.settings import Settings
 
 VARIABLE = "MYOFACE_API_KEY"

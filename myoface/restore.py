@@ -25,10 +25,9 @@ from myoface.errors import StackError
 from service.access.bootstrap import write_secret
 from service.settings import Settings
 from service.store import deletion
-from service.store.database import Database
+from service.store.database import Database, Store
 from service.store.files import DamagedFileError, FolderFiles
 from service.store.models import Capture, Job, Rig, Subject, Template
-from service.store.store import Store
 
 
 def restore(settings: Settings, folder: Path) -> tuple[Manifest, int]:

@@ -19,9 +19,9 @@ import structlog
 
 from myoface.errors import StackError
 from myoface.ports import check_port, free_port
+from service.queue.wakeups import QUEUES, WEBHOOKS
 from service.settings import Settings
 from service.store.broker import BrokerNotFoundError, EmbeddedBroker
-from service.store.queue import QUEUES, WEBHOOKS
 
 START_TIMEOUT = 60.0
 STOP_TIMEOUT = 8.0

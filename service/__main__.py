@@ -7,16 +7,16 @@ import sys
 
 import uvicorn
 
-from service import logs, tracing
+from service import tracing
 from service.access.bootstrap import OpenDoorError, prepare
 from service.app import create_app
 from service.http.deadline import protocol
-from service.parent import die_with_parent
+from service.process import configure_logs, die_with_parent
 from service.settings import Settings
 
+# Seconds for which an idle connection stays open: longer than a proxy in front keeps it (Caddy:
+# two minutes), else a request meets a connection that is being closed
 KEEP_ALIVE = 130
-"""Seconds for which an idle connection stays open: longer than a proxy in front keeps it (Caddy:
-two minutes), else a request meets a connection that is being closed."""
 
 
 def main() -> None:
@@ -24,7 +24,7 @@ def main() -> None:
     settings = Settings()
     if settings.stack_pid:
         die_with_parent(settings.stack_pid, signal.SIGTERM)
-    logs.configure(settings.log_json)
+    configure_logs(settings.log_json)
     tracing.start("myoface-api")
     app = create_app(settings)
     try:

@@ -9,34 +9,31 @@ from importlib.metadata import PackageNotFoundError, version
 from anyio import to_thread
 from fastapi import FastAPI
 
-from service import errors, http, metrics
+from service import errors, http
 from service.access import bootstrap
 from service.access.keys import Keyring
-from service.access.rates import RateHeaders, Rates
-from service.access.seats import Seats
+from service.access.limits import ConnectionLimit, RateHeaders, Rates
+from service.access.routes import keys_router, tenants_router
 from service.access.signed import Signer
-from service.audit.routes import router as audit
-from service.batches.advance import Advancer
 from service.batches.routes import router as batches
+from service.batches.service import BatchRunner
 from service.captures.routes import router as captures
-from service.deletions.routes import router as deletions
 from service.dependencies import check_parts
 from service.jobs.following import Feed
 from service.jobs.routes import router as jobs
-from service.keys.routes import router as keys
-from service.metrics.routes import router as metrics_router
-from service.outbound.client import Sender
+from service.outbound import Sender
 from service.page.routes import router as page
+from service.records.routes import audit_router, deletions_router
 from service.rigs.routes import router as rigs
 from service.secret import secret
 from service.settings import Settings
-from service.store.store import Store
+from service.store.database import Store
 from service.subjects.routes import router as subjects
+from service.system import metrics
 from service.system.routes import router as system
 from service.templates.routes import router as templates
-from service.tenants.routes import router as tenants
-from service.uploads.abandoned import Tidier
 from service.uploads.routes import router as uploads
+from service.uploads.service import UploadCleaner
 from service.webhooks.routes import router as webhooks
 
 DESCRIPTION = """
@@ -75,7 +72,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         await to_thread.run_sync(bootstrap.prepare, store, keyring, settings)
-        background = (Advancer(store, settings), Tidier(store, settings))
+        background = (BatchRunner(store, settings), UploadCleaner(store, settings))
         for thread in background:
             thread.start()
         yield
@@ -97,13 +94,13 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.state.settings = settings
     app.state.store = store
     app.state.feed = Feed(store)
-    app.state.streams = Seats(
+    app.state.streams = ConnectionLimit(
         "stream.too_many",
         "streams of events",
         settings.max_tenant_streams,
         settings.max_key_streams,
     )
-    app.state.downloads = Seats(
+    app.state.downloads = ConnectionLimit(
         "download.too_many",
         "downloads",
         settings.max_tenant_downloads,
@@ -124,12 +121,11 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         jobs,
         rigs,
         webhooks,
-        keys,
-        tenants,
-        audit,
-        deletions,
+        keys_router,
+        tenants_router,
+        audit_router,
+        deletions_router,
         system,
-        metrics_router,
         page,
     ):
         app.include_router(router)

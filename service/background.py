@@ -1,4 +1,4 @@
-"""What the API does beside its requests: threads that do a round now and then."""
+"""Background threads of the API: each does a round every few seconds."""
 
 from __future__ import annotations
 

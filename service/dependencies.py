@@ -1,4 +1,4 @@
-"""What routes ask for, by type."""
+"""Dependencies of routes, by type."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 from service.access.principal import Caller, Scope, require
 from service.access.signed import FileReader
 from service.settings import Settings
-from service.store.store import Store
+from service.store.database import Store
 
 # What does not wait is `async`: FastAPI would run each in a thread of its own, many a request.
 # The makers are cached: one dependency a name and scope, which a test can override by them.
@@ -45,8 +45,8 @@ def check_parts(app: FastAPI) -> None:
 
 
 SettingsDep = Annotated[Settings, Depends(part("settings"))]
+# All tenants' data: for the service's own health, never for what a route is asked about
 WholeStore = Annotated[Store, Depends(part("store"))]
-"""All tenants' data: for the service's own health, never for what a route is asked about."""
 
 
 @cache
@@ -76,8 +76,8 @@ async def _for_downloading(store: WholeStore, who: FileReader) -> Store:
 
 
 ReadStore = Annotated[Store, Depends(own_store(Scope.READ))]
+# For a file alone: a signed URL is as good as a key
 FileStore = Annotated[Store, Depends(_for_downloading)]
-"""For a file alone: a signed URL is as good as a key."""
 WriteStore = Annotated[Store, Depends(own_store(Scope.WRITE))]
 
 # "function": the commit, and the wake-up calls after it, come before the response.

@@ -24,7 +24,7 @@ log = structlog.get_logger()
 
 
 class Problem(Exception):  # noqa: N818 (the term of RFC 9457)
-    """A request that can not be served; ``context`` names what it is about."""
+    """A request that cannot be served; ``context`` names what it is about."""
 
     def __init__(self, status: int, code: str, detail: str, **context: Any) -> None:
         super().__init__(detail)
@@ -35,7 +35,7 @@ class Problem(Exception):  # noqa: N818 (the term of RFC 9457)
         self.headers: dict[str, str] = {}
 
 
-def unknown(what: str, identifier: str) -> Problem:
+def not_found(what: str, identifier: str) -> Problem:
     """Return the problem of an id that nothing has."""
     return Problem(
         404, f"{what}.unknown", f"there is no {what} {identifier}", **{f"{what}_id": identifier}
@@ -43,7 +43,7 @@ def unknown(what: str, identifier: str) -> Problem:
 
 
 class ProblemDocument(BaseModel):
-    """What an error looks like; further members name the fault (`file`, `line`, `found` ...)."""
+    """Body of an error; further members name the fault (`file`, `line`, `found` ...)."""
 
     model_config = ConfigDict(extra="allow")
 

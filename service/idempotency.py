@@ -20,7 +20,7 @@ from service.store.models import AnsweredRequest
 from service.store.tenancy import tenant_of
 
 
-class Attempt:
+class RequestAttempt:
     """One sending of a request, which has the caller's ``key`` or none."""
 
     def __init__(self, key: str | None, line: str) -> None:
@@ -28,7 +28,7 @@ class Attempt:
         self._line = line
         self._kept: AnsweredRequest | None = None
 
-    def known(self, session: Session, body: BaseModel | None = None) -> str | None:
+    def find_answered(self, session: Session, body: BaseModel | None = None) -> str | None:
         """Return the id that an earlier sending made; None: this is the first.
 
         Raises
@@ -86,8 +86,8 @@ async def _attempt(
             description="made by the caller, kept for a day: the request can be repeated safely",
         ),
     ] = None,
-) -> Attempt:
-    return Attempt(key, f"{request.method} {request.url.path}")
+) -> RequestAttempt:
+    return RequestAttempt(key, f"{request.method} {request.url.path}")
 
 
-Once = Annotated[Attempt, Depends(_attempt)]
+Once = Annotated[RequestAttempt, Depends(_attempt)]

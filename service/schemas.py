@@ -15,36 +15,36 @@ _NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 _FILE_NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,254}$"
 _LETTERS = "letters, digits, '_', '.' and '-', with a letter or digit first"
 
+# The patterns of texts in words, for error messages
 IN_WORDS = {
     _ID: "an id is needed, such as 8c1d3a52-0f4e-4c5b-9b39-1f3a4f1f6c11",
     _LINE: "one line of text is needed",
     _NAME: f"a name is needed of at most 64 {_LETTERS}",
     _FILE_NAME: f"a file's name is needed of at most 255 {_LETTERS}",
 }
-"""What the patterns of texts ask for, for people."""
 
+# A UUID, as the text that the tables hold
 Id = Annotated[
     str,
     StringConstraints(pattern=_ID, to_lower=True),
     Field(json_schema_extra={"format": "uuid"}),
 ]
-"""A UUID, as the text that the tables hold."""
 
+# One line of text; PostgreSQL could not hold a NUL
 Line = Annotated[
     str,
     StringConstraints(strip_whitespace=True, max_length=200, pattern=_LINE),
 ]
-"""One line of text; PostgreSQL could not hold a NUL."""
 
 Title = Annotated[Line, StringConstraints(min_length=1)]
+# A name that also serves in file names and as the name of a morph target
 Name = Annotated[str, StringConstraints(pattern=_NAME)]
-"""A name that also serves in file names and as the name of a morph target."""
 
+# The name of a result's file, which may hold a `Name` and more
 FileName = Annotated[str, StringConstraints(pattern=_FILE_NAME)]
-"""The name of a result's file, which may hold a :data:`Name` and more."""
 
+# A number that the database can compare with its own
 Position = Annotated[int, Field(ge=0, lt=2**63)]
-"""A number that the database can compare with its own."""
 
 
 RetainUntil = Annotated[
@@ -60,11 +60,11 @@ def _in_utc(moment: datetime) -> datetime:
         raise ValueError("the year must lie between 1 and 9999 in UTC too") from error
 
 
+# A moment with its zone, that the tables can hold
 Moment = Annotated[AwareDatetime, AfterValidator(_in_utc)]
-"""A moment with its zone, that the tables can hold."""
 
 
-class Body(BaseModel):
+class RequestBody(BaseModel):
     """A request's body: an unknown member is an error, not a typing mistake that goes unnoticed."""
 
     model_config = ConfigDict(extra="forbid")

@@ -16,7 +16,7 @@ LONGEST_SOCKET_PATH = 100
 
 
 class Settings(BaseSettings):
-    """Where things live and how patient the service is, in seconds."""
+    """Settings of an installation: places, limits, time limits in seconds."""
 
     model_config = SettingsConfigDict(env_prefix="MYOFACE_", extra="ignore", frozen=True)
 
@@ -146,7 +146,7 @@ class Settings(BaseSettings):
 
     @property
     def broker_socket(self) -> Path:
-        """Where the embedded broker listens: in data_dir if the path is short enough."""
+        """Socket of the embedded broker: in data_dir if the path is short enough."""
         path = self.data_dir / "broker" / "valkey.sock"
         if len(str(path)) <= LONGEST_SOCKET_PATH:
             return path
@@ -155,7 +155,7 @@ class Settings(BaseSettings):
 
     @property
     def files(self) -> Path | str:
-        """Where the content-addressed files are: a folder, or the URL of a bucket."""
+        """Place of the content-addressed files: a folder, or the URL of a bucket."""
         return self.files_url or self._folder
 
     @property

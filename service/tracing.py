@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from opentelemetry.trace import Span, Tracer
 
 ENDPOINTS = ("OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT")
+# Characters of a `traceparent` (W3C Trace Context, version 00)
 LONGEST = 55
-"""Characters of a ``traceparent`` (W3C Trace Context, version 00)."""
 
 log = structlog.get_logger()
 _tracer: Tracer | None = None
@@ -59,14 +59,14 @@ def serving(headers: Mapping[str, str], request_id: str) -> Iterator[Span | None
 
 
 @contextmanager
-def working(name: str, parent: str | None, **ids: str | int) -> Iterator[None]:
+def trace_work(name: str, parent: str | None, **ids: str | int) -> Iterator[None]:
     """Trace a piece of work that ``parent``, a ``traceparent``, has led to."""
     attributes = {f"myoface.{key.replace('_', '.')}": value for key, value in ids.items()}
     with _span(name, "CONSUMER", parent, attributes):
         yield
 
 
-def answered(span: Span, method: str, route: str, status: int) -> None:
+def note_answer(span: Span, method: str, route: str, status: int) -> None:
     """Write down on a request's span which route answered, and how; ``status`` 0 is not at all."""
     span.update_name(f"{method} {route}")
     span.set_attributes(

@@ -17,8 +17,8 @@ from fastapi.testclient import TestClient
 
 from myoface.stack import Stack
 from service.app import create_app
+from service.queue import table
 from service.settings import Settings
-from service.store import jobs
 from service.store.models import DEFAULT_TENANT, Artifact, Rig
 
 ROOT = Path(__file__).parents[1]
@@ -134,18 +134,18 @@ class Studio:
             for name, sha256 in artifacts.items()
         ]
         with store.write() as session:
-            claim = jobs.take(session, job_id, "test", 10)
+            claim = table.take(session, job_id, "test", 10)
             assert claim
             made = rig and Rig(
                 tenant_id=claim.tenant_id, job_id=job_id, expressions=[], summary={}, **rig
             )
-            assert jobs.succeed(session, job_id, claim.attempt, left, summary=summary, rig=made)
+            assert table.succeed(session, job_id, claim.attempt, left, summary=summary, rig=made)
 
     def pretend_rig(self, job_id: str, subject_id: str) -> tuple[Rig, Artifact]:
         """Do what a worker does that leaves a rig with a file, for the tenant whose job it is."""
         store = self.http.app.state.store  # type: ignore[attr-defined]
         with store.write() as session:
-            claim = jobs.take(session, job_id, "test", 10)
+            claim = table.take(session, job_id, "test", 10)
             assert claim
             mine = {"tenant_id": claim.tenant_id, "job_id": job_id}
             sha256 = store.files.put(Path(__file__)).sha256
@@ -153,7 +153,7 @@ class Studio:
             rig = Rig(
                 subject_id=subject_id, model_job_id=job_id, expressions=[], summary={}, **mine
             )
-            assert jobs.succeed(session, job_id, claim.attempt, [left], rig=rig)
+            assert table.succeed(session, job_id, claim.attempt, [left], rig=rig)
         return rig, left
 
     def submit(self, kind: str, subject_id: str, **more: Any) -> str:

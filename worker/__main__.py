@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import signal
 
-from service import logs, tracing
-from service.parent import die_with_parent
+from service import tracing
+from service.process import configure_logs, die_with_parent
+from service.queue.wakeups import QUEUES, WEBHOOKS
 from service.settings import Settings
-from service.store.queue import QUEUES, WEBHOOKS
-from service.store.store import Store
+from service.store.database import Store
 from worker import deliver
 from worker.abilities import abilities
 from worker.app import work
@@ -28,7 +28,7 @@ def main() -> None:
         can = abilities(settings, filter(None, given.kinds.split(",")))
     except ValueError as error:
         parser.error(str(error))
-    logs.configure(settings.log_json)
+    configure_logs(settings.log_json)
     tracing.start(f"myoface-{given.queue}")
     if settings.stack_pid:
         die_with_parent(settings.stack_pid, signal.SIGTERM)

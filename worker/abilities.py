@@ -1,4 +1,4 @@
-"""What this worker can do: it claims no other jobs, and says so in the table of workers."""
+"""Abilities of this worker: it claims no other jobs, and shows them in the table of workers."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from importlib.metadata import PackageNotFoundError, version
 from sqlalchemy.orm import Session
 
 from service.kinds import KINDS
+from service.queue.claims import Abilities
 from service.settings import Settings
-from service.store.claims import Abilities
 from service.store.database import clock
 from service.store.models import Worker
 from worker.kinds import CALLS

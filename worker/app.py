@@ -7,10 +7,10 @@ from typing import Any
 
 from celery import signals
 
+from service.queue.claims import Abilities
+from service.queue.wakeups import RUN_JOB, celery_app
 from service.settings import Settings
-from service.store.claims import Abilities
-from service.store.queue import RUN_JOB, celery_app
-from service.store.store import Store
+from service.store.database import Store
 from worker.supervise import Supervisor
 from worker.sweeper import Sweeper
 
@@ -36,7 +36,7 @@ def work(store: Store, settings: Settings, queue: str, can: Abilities) -> None:
         stopping.set()
 
     def leave_logging_alone(**_: Any) -> None:
-        """Celery sets up logging unless somebody listens here; `service.logs` has done it."""
+        """Celery sets up logging unless somebody listens here; `service.process` has done it."""
 
     app.task(name=RUN_JOB)(run_jobs)
     for signal, listener in (

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from service.kinds import KINDS
+from service.queue.table import Claim
 from service.store.files import Files
-from service.store.jobs import Claim
 from service.store.models import Artifact, Rig
 
 MEDIA_TYPES = {
@@ -24,11 +24,11 @@ MEDIA_TYPES = {
 }
 
 
+# The folder in `out` of a sequence's or simulation's frames, files `<first>-<last>.json`
 FRAMES = "frames"
-"""The folder in ``out`` of a sequence's or simulation's frames, files ``<first>-<last>.json``."""
 
+# Files in `out` that take minutes: the next attempt goes on with what is in them
 KEPT = ("blendshapes.npz",)
-"""Files in ``out`` that take minutes: the next attempt goes on with what is in them."""
 
 
 class AttemptFolder:

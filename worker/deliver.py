@@ -18,21 +18,21 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from service import tracing
-from service.outbound.client import Answer, Refused, Sender, Unreachable
+from service.outbound import Answer, Refused, Sender, Unreachable
+from service.queue import outbox
+from service.queue.claims import Abilities
+from service.queue.outbox import ClaimedDelivery, DeliveryOutcome
+from service.queue.wakeups import WEBHOOKS
 from service.secret import wait_for_secret
 from service.settings import Settings
-from service.store import outbox
-from service.store.claims import Abilities
-from service.store.outbox import Outcome, Parcel
-from service.store.queue import WEBHOOKS
-from service.store.store import Store
+from service.store.database import Store
 from service.webhooks import signing
-from worker.sweeper import Presence
+from worker.sweeper import Heartbeat
 
+# Seconds between two looks into the table: when there was nothing, and when there was
 POLL, BUSY = 0.5, 0.02
-"""Seconds between two looks into the table: when there was nothing, and when there was."""
+# Seconds of a lease beyond the time limit of a request
 MARGIN = 20.0
-"""Seconds of a lease beyond the time limit of a request."""
 EXCERPT = 500
 SECRET_SECONDS = 20.0
 FORGET_EVERY = 3600.0
@@ -53,7 +53,7 @@ def main(store: Store, settings: Settings, can: Abilities) -> None:
         sys.exit(str(error))
     store.database.migrate()
     # no sweeper: neither the files nor the broker need be in its reach
-    Presence(store, settings, WEBHOOKS, can, settings.webhook_workers, stopping).start()
+    Heartbeat(store, settings, WEBHOOKS, can, settings.webhook_workers, stopping).start()
     sender = Sender(settings.webhook_timeout, settings.webhook_allow)
     Deliverer(store, settings, master, sender, stopping).run()
 
@@ -78,7 +78,7 @@ class Deliverer:
         self._master = master
         self._sender = sender
         self._stopping = stopping
-        self._under_way: dict[Future[None], Parcel] = {}
+        self._under_way: dict[Future[None], ClaimedDelivery] = {}
 
     def run(self) -> None:
         """Deliver; what is under way at the end is finished."""
@@ -87,9 +87,9 @@ class Deliverer:
             while not self._stopping.wait(pause):
                 pause = POLL
                 try:
-                    for parcel in self._take():
+                    for delivery in self._take():
                         pause = BUSY
-                        self._under_way[pool.submit(self._deliver, parcel)] = parcel
+                        self._under_way[pool.submit(self._deliver, delivery)] = delivery
                     if not forgotten or time.monotonic() - forgotten > FORGET_EVERY:
                         forgotten = time.monotonic()
                         with self._store.write() as session:
@@ -97,75 +97,75 @@ class Deliverer:
                 except SQLAlchemyError as error:
                     log.warning("webhooks.failed", error=str(error))
 
-    def _take(self) -> list[Parcel]:
+    def _take(self) -> list[ClaimedDelivery]:
         self._under_way = {
-            future: parcel for future, parcel in self._under_way.items() if not future.done()
+            future: delivery for future, delivery in self._under_way.items() if not future.done()
         }
-        threads, parcels = self._settings.webhook_workers, self._under_way.values()
+        threads, deliveries = self._settings.webhook_workers, self._under_way.values()
         with self._store.read() as session:
-            if len(parcels) == threads or not outbox.is_due(session):
+            if len(deliveries) == threads or not outbox.is_due(session):
                 return []
         with self._store.write() as session:
             lease = self._settings.webhook_timeout + MARGIN
-            return outbox.take(session, parcels, threads, lease)
+            return outbox.take(session, deliveries, threads, lease)
 
-    def _deliver(self, parcel: Parcel) -> None:
-        with tracing.working(
+    def _deliver(self, delivery: ClaimedDelivery) -> None:
+        with tracing.trace_work(
             "delivery",
             None,
-            delivery_id=parcel.delivery_id,
-            webhook_id=parcel.webhook_id,
-            attempt=parcel.attempt,
+            delivery_id=delivery.delivery_id,
+            webhook_id=delivery.webhook_id,
+            attempt=delivery.attempt,
         ):
-            outcome = self._send(parcel)
-            tracing.note(not outcome.delivered, outcome=outcome.error or "delivered")
+            outcome = self._send(delivery)
+            tracing.note(not outcome.is_delivered, outcome=outcome.error or "delivered")
         log.info(
-            "webhook.delivered" if outcome.delivered else "webhook.not_delivered",
-            delivery_id=parcel.delivery_id,
-            webhook_id=parcel.webhook_id,
-            attempt=parcel.attempt,
+            "webhook.delivered" if outcome.is_delivered else "webhook.not_delivered",
+            delivery_id=delivery.delivery_id,
+            webhook_id=delivery.webhook_id,
+            attempt=delivery.attempt,
             status=outcome.status,
             error=outcome.error,
         )
         pauses = [pause * random.uniform(1, 1.1) for pause in self._settings.webhook_schedule]
         try:
             with self._store.write() as session:
-                outbox.settle(session, parcel, outcome, pauses)
+                outbox.settle(session, delivery, outcome, pauses)
         except SQLAlchemyError as error:  # the lease runs out, and it is sent once more
             log.warning("webhooks.failed", error=str(error))
 
-    def _send(self, parcel: Parcel) -> Outcome:
-        body = _body(parcel)
+    def _send(self, delivery: ClaimedDelivery) -> DeliveryOutcome:
+        body = _body(delivery)
         secrets = [
-            signing.secret(self._master, parcel.webhook_id, generation)
-            for generation in parcel.generations
+            signing.secret(self._master, delivery.webhook_id, generation)
+            for generation in delivery.generations
         ]
         headers = {
-            **signing.headers(parcel.event_id, int(time.time()), body, secrets),
+            **signing.headers(delivery.event_id, int(time.time()), body, secrets),
             "content-type": "application/json",
             "user-agent": "Myoface",
         }
         try:
-            answer = self._sender.post(parcel.url, body, headers)
+            answer = self._sender.post(delivery.url, body, headers)
         except (Refused, Unreachable) as error:
-            return Outcome(error=error.code)
-        return _judged(answer)
+            return DeliveryOutcome(error=error.code)
+        return _judge_answer(answer)
 
 
-def _body(parcel: Parcel) -> bytes:
+def _body(delivery: ClaimedDelivery) -> bytes:
     """Return the same bytes at every try."""
     told = {
-        "type": parcel.type,
-        "timestamp": parcel.created_at.isoformat(),
-        "data": parcel.data,
+        "type": delivery.type,
+        "timestamp": delivery.created_at.isoformat(),
+        "data": delivery.data,
     }
     return json.dumps(told, separators=(",", ":")).encode()
 
 
-def _judged(answer: Answer) -> Outcome:
+def _judge_answer(answer: Answer) -> DeliveryOutcome:
     text = answer.body[: 4 * EXCERPT].decode("utf-8", "replace").replace("\0", "\ufffd")
-    outcome = Outcome(answer.status, answer.ms, None, text[:EXCERPT])
-    if outcome.delivered:
+    outcome = DeliveryOutcome(answer.status, answer.ms, None, text[:EXCERPT])
+    if outcome.is_delivered:
         return outcome
     wish = answer.retry_after if answer.status in (429, 503) else None
-    return Outcome(answer.status, answer.ms, "answer.status", text[:EXCERPT], wish or 0.0)
+    return DeliveryOutcome(answer.status, answer.ms, "answer.status", text[:EXCERPT], wish or 0.0)

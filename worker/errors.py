@@ -1,4 +1,4 @@
-"""What ends an attempt early, and what a job's error says of it."""
+"""Errors that end an attempt early, and what the job says of them."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import os
 import signal
 from typing import Any
 
+# The exit code of a solver process that found the disk full
 NO_ROOM = os.EX_TEMPFAIL
-"""The exit code of a solver process that found the disk full."""
 STORAGE_FULL = {"code": "storage.full", "message": "there is no room left for files"}
 
 
@@ -25,7 +25,7 @@ class ShutdownError(Exception):
 
 
 def is_full(error: BaseException | None) -> bool:
-    """Whether an error, or what it was raised from, is that of a full disk."""
+    """Return whether an error, or what it was raised from, is that of a full disk."""
     while error is not None:
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
             return True

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,13 +14,24 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import structlog
+
+from service.queue.states import HELD
 from service.settings import Settings
-from worker.orphans import FOLDER_VARIABLE
+from service.store.database import Store
+from service.store.models import Job
 
 GRACE = 1.0
 LONGEST_LINE = 4000
 MOST_LINES = 500
 MOST_LINES_KEPT = 20_000
+
+# In the environment of a solver process, and so of every process that it starts
+FOLDER_VARIABLE = "MYOFACE_ATTEMPT"
+# The name of an attempt's folder, `<job>.<attempt>`; nothing else is ever removed
+ATTEMPT = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}\.\d+")
+
+log = structlog.get_logger()
 
 
 class SolverProcess:
@@ -157,3 +170,35 @@ def _thread_counts(threads: int) -> dict[str, str]:
     names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
     # and those of kernels sleep while they wait for the next one
     return dict.fromkeys(names, str(threads)) | {"OMP_WAIT_POLICY": "passive"}
+
+
+def remove_orphans(store: Store, work: Path) -> None:
+    """Remove the folders of attempts that nobody is at any more, and end their processes.
+
+    The solver itself dies with its supervisor, but not what it had started (the mesher).
+    """
+    if not work.is_dir():
+        return
+    for folder in work.iterdir():
+        if ATTEMPT.fullmatch(folder.name) and not _is_held(store, folder.name):
+            end_processes(folder)
+            shutil.rmtree(folder, ignore_errors=True)
+            log.info("attempt.removed", folder=folder.name)
+
+
+def end_processes(folder: Path) -> None:
+    """Kill the processes of an attempt (Linux; elsewhere they end by themselves)."""
+    mark = f"{FOLDER_VARIABLE}={folder}".encode()
+    for environment in Path("/proc").glob("[0-9]*/environ"):
+        try:
+            if mark in environment.read_bytes().split(b"\0"):
+                os.kill(int(environment.parent.name), signal.SIGKILL)
+        except OSError:
+            continue  # gone meanwhile, or another user's
+
+
+def _is_held(store: Store, name: str) -> bool:
+    job_id, _, attempt = name.rpartition(".")
+    with store.read() as session:
+        job = session.get(Job, job_id)
+        return job is not None and job.state in HELD and str(job.attempt) == attempt

@@ -21,16 +21,15 @@ from typing import TYPE_CHECKING, Any
 
 import structlog
 
-from service import logs
-from service.parent import die_with_parent
+from service.process import configure_logs, die_with_parent
 from worker.errors import NO_ROOM, is_full
 from worker.kinds import CALLS, Task
 
 if TYPE_CHECKING:
     from solver.progress import Progress, Step
 
+# A fit takes the time that the API and the supervisors leave
 NICENESS = 10
-"""A fit takes the time that the API and the supervisors leave."""
 
 log = structlog.get_logger()
 
@@ -39,7 +38,7 @@ def main(folder: Path) -> int:
     """Do the job in ``folder``; returns the exit code."""
     process = json.loads((folder / "process.json").read_text())
     die_with_parent(process["parent"], signal.SIGKILL)
-    logs.configure(json=False)
+    configure_logs(json=False)
     _step_back()
     resource.setrlimit(resource.RLIMIT_DATA, (process["memory_bytes"],) * 2)
     try:
@@ -49,7 +48,7 @@ def main(folder: Path) -> int:
         except Exception as error:
             if is_full(error):
                 raise
-            verdict, result = "error.json", _told(error, process["memory_bytes"])
+            verdict, result = "error.json", _describe_error(error, process["memory_bytes"])
         _write(folder, verdict, result)
     except Exception as error:
         if not is_full(error):
@@ -70,7 +69,7 @@ def _step_back() -> None:
         Path("/proc/self/autogroup").write_text(str(NICENESS))
 
 
-def _told(error: Exception, memory_bytes: int) -> dict[str, Any]:
+def _describe_error(error: Exception, memory_bytes: int) -> dict[str, Any]:
     """Log an error with its traceback; returns what the job tells of it."""
     from solver.errors import InputError, SolveError
 

@@ -12,13 +12,13 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from service import tracing
+from service.queue import table
+from service.queue.claims import Abilities, claim_next
+from service.queue.states import State
+from service.queue.table import Claim
 from service.settings import Settings
-from service.store import jobs
-from service.store.claims import Abilities, claim_next
-from service.store.jobs import Claim
+from service.store.database import Store
 from service.store.models import Artifact
-from service.store.store import Store
-from service.store.transitions import State
 from worker.attempt import AttemptFolder
 from worker.errors import (
     NO_ROOM,
@@ -38,7 +38,7 @@ log = structlog.get_logger()
 
 
 class _News(NamedTuple):
-    """What the solver said and left, until the database knows it."""
+    """Reports and files of the solver, until the database has them."""
 
     steps: list[dict[str, Any]]
     lines: list[str]
@@ -70,7 +70,7 @@ class Supervisor:
         ids: dict[str, Any] = {"job_id": claim.job_id, "attempt": claim.attempt}
         with (
             structlog.contextvars.bound_contextvars(**ids),
-            tracing.working(f"attempt {claim.kind}", claim.traceparent, queue=queue, **ids),
+            tracing.trace_work(f"attempt {claim.kind}", claim.traceparent, queue=queue, **ids),
         ):
             log.info("job.claimed", kind=claim.kind)
             folder = AttemptFolder(self._settings.work, claim)
@@ -96,14 +96,14 @@ class Supervisor:
         except CanceledError:
             process.stop()
             self._confirm_cancel(claim)
-            _ended("canceled")
+            _report_end("canceled")
         except ShutdownError:
             process.stop()
-            self._commit(lambda session: jobs.release(session, claim.job_id, claim.attempt))
-            _ended("released")
+            self._commit(lambda session: table.release(session, claim.job_id, claim.attempt))
+            _report_end("released")
         except LeaseLostError:
             process.stop()
-            _ended("lease_lost", failed=True)
+            _report_end("lease_lost", failed=True)
         else:
             self._settle(claim, folder, code)
         finally:
@@ -131,7 +131,7 @@ class Supervisor:
         news.kept.update(folder.new_kept(self._store.files))
         try:
             with self._store.write() as session:
-                state = jobs.beat(
+                state = table.beat(
                     session,
                     claim.job_id,
                     claim.attempt,
@@ -160,11 +160,11 @@ class Supervisor:
         if code == 0 and result is not None:
             artifacts = folder.store(self._store.files)
             left: dict[str, Any] = {"summary": result["summary"], "rig": folder.rig(result)}
-            done = self._commit(lambda session: jobs.succeed(session, *job, artifacts, **left))
-            _ended("succeeded" if done else "fenced")
+            done = self._commit(lambda session: table.succeed(session, *job, artifacts, **left))
+            _report_end("succeeded" if done else "fenced")
         elif error is not None:
-            done = self._commit(lambda session: jobs.fail(session, *job, error))
-            _ended("failed" if done else "fenced", failed=done, code=error["code"])
+            done = self._commit(lambda session: table.fail(session, *job, error))
+            _report_end("failed" if done else "fenced", failed=done, code=error["code"])
         elif code == NO_ROOM:
             self._postpone(claim)
             return
@@ -175,17 +175,17 @@ class Supervisor:
             self._confirm_cancel(claim)
 
     def _confirm_cancel(self, claim: Claim) -> None:
-        self._commit(lambda session: jobs.confirm_cancel(session, claim.job_id, claim.attempt))
+        self._commit(lambda session: table.confirm_cancel(session, claim.job_id, claim.attempt))
 
     def _lose(self, claim: Claim, error: dict[str, Any]) -> None:
-        self._commit(lambda session: jobs.lose(session, claim.job_id, claim.attempt, error))
-        _ended("attempt_lost", failed=True, error=error)
+        self._commit(lambda session: table.lose(session, claim.job_id, claim.attempt, error))
+        _report_end("attempt_lost", failed=True, error=error)
 
     def _postpone(self, claim: Claim) -> None:
         self._commit(
-            lambda session: jobs.postpone(session, claim.job_id, claim.attempt, STORAGE_FULL)
+            lambda session: table.postpone(session, claim.job_id, claim.attempt, STORAGE_FULL)
         )
-        _ended("postponed", failed=True, error=STORAGE_FULL)
+        _report_end("postponed", failed=True, error=STORAGE_FULL)
 
     def _commit(self, change: Callable[[Session], Done]) -> Done:
         """Write down how an attempt ended; tries again until the lease has run out.
@@ -208,7 +208,7 @@ class Supervisor:
                 time.sleep(self._settings.beat)
 
 
-def _ended(outcome: str, failed: bool = False, **more: Any) -> None:
-    """Tell the log, and the trace, how an attempt ended."""
+def _report_end(outcome: str, failed: bool = False, **more: Any) -> None:
+    """Log and trace how an attempt ended."""
     (log.warning if failed else log.info)(f"job.{outcome}", **more)
     tracing.note(failed, outcome=outcome)

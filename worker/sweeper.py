@@ -10,20 +10,21 @@ from sqlalchemy import delete
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
+from service.queue import sweep
+from service.queue.claims import Abilities
 from service.settings import Settings
-from service.store import deletion, garbage, retention, sizes, sweep
-from service.store.claims import Abilities
+from service.store import deletion, retention
+from service.store.database import Store
 from service.store.models import Worker
-from service.store.store import Store
 from worker.abilities import show_life
-from worker.orphans import remove_orphans
+from worker.process import remove_orphans
 
 GARBAGE_EVERY = 60.0
 
 log = structlog.get_logger()
 
 
-class Presence(threading.Thread):
+class Heartbeat(threading.Thread):
     """A thread that shows that a worker lives, every ``settings.sweep`` s until it stops.
 
     The worker does ``slots`` jobs of ``queue`` at a time, those that it can do.
@@ -38,7 +39,7 @@ class Presence(threading.Thread):
         slots: int,
         stopping: threading.Event,
     ) -> None:
-        super().__init__(name="presence", daemon=True)
+        super().__init__(name="heartbeat", daemon=True)
         self._store = store
         self._settings = settings
         self._queue = queue
@@ -66,7 +67,7 @@ class Presence(threading.Thread):
         show_life(session, self._queue, self._can, self._slots)
 
 
-class Sweeper(Presence):
+class Sweeper(Heartbeat):
     """Repairs as well, if it is the one elected; its host has the files, and the broker's address.
 
     The first round sends everything queued again.
@@ -95,7 +96,7 @@ class Sweeper(Presence):
         if elected and time.monotonic() > due:
             self._collected = time.monotonic()
             self._store.database.forget_deleted()
-            if removed := garbage.collect(self._store, settings.garbage_age):
+            if removed := deletion.collect_garbage(self._store, settings.garbage_age):
                 log.info("files.collected", count=removed)
             deletion.close_receipts(self._store)
-            sizes.measure(self._store)
+            sweep.measure_sizes(self._store)

@@ -18,7 +18,7 @@ from myoface.cli.service import admin_key, doctor, up
 from myoface.cli.template import template
 from myoface.cli.tenants import tenants
 from myoface.errors import ApiError, StackError, describe
-from service import logs
+from service.process import configure_logs
 from solver.errors import InputError, SolveError
 
 for command in (up, demo, doctor, admin_key, backup, restore):
@@ -42,7 +42,7 @@ for group, name in (
 
 def main() -> None:
     """Run the command line; a fault that a person can act on ends it with one line and code 1."""
-    logs.configure(json=False)
+    configure_logs(json=False)
     logging.getLogger().setLevel(logging.WARNING)
     try:
         app()

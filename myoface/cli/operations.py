@@ -21,7 +21,7 @@ def backup(
 ) -> None:
     """Copy the database and every file into a folder, also while the service runs."""
     from myoface.backup import back_up, note_deletions
-    from service.store.store import Store
+    from service.store.database import Store
 
     settings = read_settings()
     if deletions:

@@ -11,8 +11,8 @@ from rich.markup import escape
 
 from myoface.cli.app import read_settings
 from myoface.cli.console import out
-from service import logs
-from service.access.loopback import is_loopback
+from service.access.bootstrap import is_loopback
+from service.process import configure_logs
 from service.settings import Settings
 
 MARKS = {
@@ -30,7 +30,7 @@ def up(port: Port = None, data: Data = None) -> None:
     from myoface.stack import Stack  # loading the service's parts takes a while
 
     settings = _settings(port, data)
-    logs.configure(settings.log_json)
+    configure_logs(settings.log_json)
     logging.getLogger("httpx").setLevel(logging.WARNING)  # the stack asks itself for its health
     with Stack(settings) as stack:
         out.print(f"Myoface listens on {stack.url}. Ctrl-C stops it.")
@@ -48,7 +48,7 @@ def admin_key(
     from service.access import bootstrap
     from service.access.keys import Keyring
     from service.secret import secret
-    from service.store.store import Store
+    from service.store.database import Store
 
     settings = _settings(None, data)
     store = Store(settings.database, settings.files, settings.broker)

@@ -12,8 +12,8 @@ import typer
 from myoface.cli.app import read_settings
 from myoface.cli.console import out, show_table
 from service.settings import Settings
+from service.store.database import Store
 from service.store.retention import KINDS
-from service.store.store import Store
 
 tenants = typer.Typer(help="Tenants: customers who see nothing of one another.")
 
@@ -32,7 +32,7 @@ RetainDays = Annotated[
 @tenants.command("list")
 def list_tenants(data: Data = None) -> None:
     """List the tenants with their quotas and the days they keep things, if they have their own."""
-    from service.tenants import repository
+    from service.access import bootstrap
 
     with _store(data) as (store, _), store.read() as session:
         rows = [
@@ -44,7 +44,7 @@ def list_tenants(data: Data = None) -> None:
                 each.max_running,
                 *(getattr(each, f"retain_{kind}") for kind in KINDS),
             )
-            for each in repository.all_of_them(session)
+            for each in bootstrap.list_tenants(session)
         ]
     kept = [f"{kind} (days)" for kind in KINDS]
     show_table(("id", "name", "bytes", "queued", "running", *kept), rows)
@@ -137,10 +137,10 @@ def _numbers(given: dict[str, str | None], *, least: int) -> dict[str, int | Non
 
 
 def _change(data: Path | None, tenant: str, **limits: int | None) -> None:
-    from service.tenants import repository
+    from service.access import bootstrap
 
     with _store(data) as (store, _), store.write() as session:
-        if not repository.change(session, tenant, **limits):
+        if not bootstrap.change_tenant(session, tenant, **limits):
             raise typer.BadParameter(f"there is no tenant {tenant}")
 
 

@@ -19,15 +19,14 @@ from sqlalchemy.exc import SQLAlchemyError
 from myoface.doctor.finding import Finding
 from service.access.keys import Keyring
 from service.errors import Problem
+from service.queue.states import HELD, State
+from service.queue.wakeups import QUEUES, connect
 from service.secret import secret as secret_of
 from service.settings import Settings
 from service.store.broker import BrokerNotFoundError, find_server
-from service.store.database import MIGRATIONS, Database, clock
+from service.store.database import MIGRATIONS, Database, Store, clock
 from service.store.files import Files
 from service.store.models import ApiKey, Job, now
-from service.store.queue import QUEUES, connect
-from service.store.store import Store
-from service.store.transitions import HELD, State
 from service.system.service import living_workers
 
 MOST_SKEW = timedelta(seconds=2)

@@ -1,1 +1,1 @@
-"""Who is calling, and what they may do: API keys, their scopes and their tenants."""
+"""Access: API keys with their scopes and tenants, and the limits on both."""

@@ -1,26 +1,26 @@
-"""The first key of an installation, and when the API may listen beyond this machine."""
+"""First keys, tenants, and when the API may listen beyond this machine."""
 
 from __future__ import annotations
 
+import ipaddress
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from service.access.keys import Keyring
-from service.access.loopback import is_loopback
 from service.access.principal import Principal, Scope
-from service.audit.record import record
+from service.records.audit import record
 from service.settings import Settings
+from service.store.database import Store
 from service.store.models import DEFAULT_TENANT, ApiKey, Tenant
-from service.store.store import Store
 
+# Stands for a key id in the audit log when somebody on the machine itself had no key
 OPERATOR = "operator"
-"""Who it was, in the audit log, where somebody on the machine itself had no key."""
+# Metrics and workers are the whole service's, not a tenant's
 OF_TENANTS = frozenset(Scope) - {Scope.METRICS}
-"""Metrics and workers are the whole service's, not a tenant's."""
 
 
 class OpenDoorError(Exception):
@@ -79,6 +79,21 @@ def tenant_key(store: Store, keyring: Keyring, tenant_id: str, key: Path) -> boo
     return True
 
 
+def list_tenants(session: Session) -> Sequence[Tenant]:
+    """Return the tenants, the oldest first."""
+    return session.scalars(select(Tenant).order_by(Tenant.created_at)).all()
+
+
+def change_tenant(session: Session, tenant_id: str, **limits: int | None) -> bool:
+    """Set a tenant's quotas or days of retention; False: there is no such tenant."""
+    tenant = session.get(Tenant, tenant_id, with_for_update=True)
+    if tenant is None:
+        return False
+    for name, most in limits.items():
+        setattr(tenant, name, most)
+    return True
+
+
 def write_secret(path: Path, content: bytes) -> None:
     """Write a file that only its owner can read; it is there as a whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -108,3 +123,11 @@ def _refuse_open_door(store: Store, settings: Settings) -> None:
             raise OpenDoorError(
                 f"to listen on {settings.host}, make a key first: myoface admin-key"
             )
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether only this machine reaches ``host``, a name or an address."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

@@ -15,18 +15,22 @@ import zlib
 from collections.abc import Iterable
 from datetime import datetime, timedelta
 
-from sqlalchemy import update
+from sqlalchemy import ColumnElement, or_, select, update
 from sqlalchemy.orm import Session
 
-from service.access.principal import Principal, Scope, unauthorized
-from service.store.database import clock
+from service import paging
+from service.access.principal import Principal, Scope, unauthorized_problem
+from service.access.schemas import NewKey
+from service.errors import Problem, not_found
+from service.paging import Slice
+from service.store.database import Store, clock
 from service.store.models import ApiKey
-from service.store.store import Store
+from service.store.tenancy import own_tenant
 
 LETTERS = string.digits + string.ascii_uppercase + string.ascii_lowercase
 KEY = re.compile(r"(myo_([0-9A-Za-z]{12})[0-9A-Za-z]{32})([0-9A-Za-z]{6})")
+# Resolution of a key's `last_used_at`: one write a minute, not one a request
 USED_EVERY = timedelta(minutes=1)
-"""How exactly the last use of a key is known."""
 
 
 class Keyring:
@@ -44,7 +48,7 @@ class Keyring:
         scopes: Iterable[Scope],
         expires_at: datetime | None = None,
     ) -> tuple[ApiKey, str]:
-        """Add a key; returns its row and its text, which can not be had again."""
+        """Add a key; returns its row and its text, which cannot be had again."""
         key_id = _letters(12)
         body = f"myo_{key_id}{_letters(32)}"
         text = body + _checksum(body)
@@ -71,15 +75,17 @@ class Keyring:
         """
         match = KEY.fullmatch(text)
         if match is None or not hmac.compare_digest(_checksum(match[1]), match[3]):
-            raise unauthorized("auth.invalid", "that is no API key: it is mistyped or cut off")
+            raise unauthorized_problem(
+                "auth.invalid", "that is no API key: it is mistyped or cut off"
+            )
         with self._store.read() as session:
             key, moment = session.get(ApiKey, match[2]), clock(session)
         if key is None or not hmac.compare_digest(key.hash, self._hash(text)):
-            raise unauthorized("auth.invalid", "this service does not know the API key")
+            raise unauthorized_problem("auth.invalid", "this service does not know the API key")
         if key.revoked_at is not None and key.revoked_at <= moment:
-            raise unauthorized("auth.expired", "the API key was revoked")
+            raise unauthorized_problem("auth.expired", "the API key was revoked")
         if key.expires_at is not None and key.expires_at <= moment:
-            raise unauthorized("auth.expired", "the API key has expired")
+            raise unauthorized_problem("auth.expired", "the API key has expired")
         if key.last_used_at is None or moment - key.last_used_at > USED_EVERY:
             self._note_use(key.id, moment)
         return Principal(key.tenant_id, key.id, frozenset(key.scopes))
@@ -102,3 +108,68 @@ def _checksum(body: str) -> str:
         rest, digit = divmod(rest, len(LETTERS))
         digits = LETTERS[digit] + digits
     return digits
+
+
+def create(session: Session, keyring: Keyring, new: NewKey) -> tuple[ApiKey, str]:
+    """Make a key; returns it and its text."""
+    if new.expires_at is not None and new.expires_at <= clock(session):
+        raise Problem(422, "key.expired", "a new key cannot have expired", field="expires_at")
+    tenant = own_tenant(session)
+    return keyring.mint(session, tenant.id, new.name, set(new.scopes), new.expires_at)
+
+
+def rotate(session: Session, keyring: Keyring, key_id: str, grace: int) -> tuple[ApiKey, str]:
+    """Make a key in place of one that goes on to work for ``grace`` seconds."""
+    tenant = own_tenant(session, lock=True)
+    old, moment = get(session, key_id), clock(session)
+    if _is_over(old, session):
+        raise Problem(409, "key.over", "the key opens nothing any more", key_id=key_id)
+    fresh, text = keyring.mint(session, tenant.id, old.name, old.scopes, old.expires_at)
+    until = moment + timedelta(seconds=grace)
+    old.expires_at = min(filter(None, (old.expires_at, until)))
+    return fresh, text
+
+
+def revoke(session: Session, key_id: str) -> None:
+    """Take a key back; again is as good as once.
+
+    Raises
+    ------
+    Problem
+        409 for the last key that can make others.
+    """
+    own_tenant(session, lock=True)  # two at a time would each leave the other
+    key = get(session, key_id)
+    if _is_over(key, session):
+        return
+    if Scope.ADMIN in key.scopes and not other_admins(session, key):
+        raise Problem(409, "key.last_admin", "no other key could make keys then", key_id=key_id)
+    key.revoked_at = clock(session)
+
+
+def _is_over(key: ApiKey, session: Session) -> bool:
+    ends = [moment for moment in (key.revoked_at, key.expires_at) if moment is not None]
+    return any(moment <= clock(session) for moment in ends)
+
+
+def get(session: Session, key_id: str) -> ApiKey:
+    """Return a key."""
+    key = session.get(ApiKey, key_id)
+    if key is None:
+        raise not_found("key", key_id)
+    return key
+
+
+def newest(session: Session, limit: int, cursor: str | None) -> Slice[ApiKey]:
+    """Return keys, newest first, also those that open nothing any more."""
+    return paging.newest(session, select(ApiKey), limit, cursor)
+
+
+def other_admins(session: Session, key: ApiKey) -> Iterable[str]:
+    """Return the ids of the further keys that may make keys for as long as ``key`` could."""
+    lasting: ColumnElement[bool] = ApiKey.expires_at.is_(None)
+    if key.expires_at is not None:
+        lasting = or_(lasting, ApiKey.expires_at >= key.expires_at)
+    # one that has given way to another lives on for a grace only
+    living = select(ApiKey).where(ApiKey.id != key.id, ApiKey.revoked_at.is_(None), lasting)
+    return [other.id for other in session.scalars(living) if Scope.ADMIN in other.scopes]

@@ -14,7 +14,7 @@ from service.errors import Problem
 
 
 class Scope(StrEnum):
-    """What a key may be used for."""
+    """Permission of a key."""
 
     READ = "read"
     WRITE = "write"
@@ -50,31 +50,31 @@ def principal(request: Request, credentials: Credentials) -> Principal:
     """
     if credentials is None:
         detail = "send an API key: Authorization: Bearer myo_...; the command line: MYOFACE_API_KEY"
-        raise unauthorized("auth.missing", detail)
+        raise unauthorized_problem("auth.missing", detail)
     who: Principal = request.app.state.keyring.verify(credentials.credentials)
     request.state.key_id = who.key_id
     request.state.rate = request.app.state.rates.check(who.key_id)
     return replace(who, request_id=request.state.request_id)
 
 
-def unauthorized(code: str, detail: str) -> Problem:
+def unauthorized_problem(code: str, detail: str) -> Problem:
     """Return the problem of a key that opens nothing."""
     problem = Problem(401, code, detail)
     problem.headers = {"WWW-Authenticate": "Bearer"}
     return problem
 
 
+# The caller, whatever its key may do
 Caller = Annotated[Principal, Depends(principal)]
-"""Who is asking, whatever its key may do."""
 
 
-def need(scope: Scope) -> Callable[[Principal], Awaitable[Principal]]:
+def need_scope(scope: Scope) -> Callable[[Principal], Awaitable[Principal]]:
     """Return a dependency that gives the caller if its key has ``scope``."""
 
-    async def allowed(who: Caller) -> Principal:
+    async def check_scope(who: Caller) -> Principal:
         return require(scope, who)
 
-    return allowed
+    return check_scope
 
 
 def require(scope: Scope, who: Principal) -> Principal:
@@ -85,8 +85,8 @@ def require(scope: Scope, who: Principal) -> Principal:
     return who
 
 
-Reader = Annotated[Principal, Depends(need(Scope.READ))]
-Writer = Annotated[Principal, Depends(need(Scope.WRITE))]
-Deleter = Annotated[Principal, Depends(need(Scope.DELETE))]
-Hooks = Annotated[Principal, Depends(need(Scope.WEBHOOKS))]
-Admin = Annotated[Principal, Depends(need(Scope.ADMIN))]
+Reader = Annotated[Principal, Depends(need_scope(Scope.READ))]
+Writer = Annotated[Principal, Depends(need_scope(Scope.WRITE))]
+Deleter = Annotated[Principal, Depends(need_scope(Scope.DELETE))]
+Hooks = Annotated[Principal, Depends(need_scope(Scope.WEBHOOKS))]
+Admin = Annotated[Principal, Depends(need_scope(Scope.ADMIN))]

@@ -17,8 +17,8 @@ from service.access.principal import Credentials, Principal, Scope, principal, r
 from service.errors import Problem
 
 TOKEN = re.compile(r"([0-9a-z-]{1,36})\.([0-9]{1,12})\.([0-9A-Za-z_-]{43})")
+# Stands in the place of a key's id
 BEARER = "signed-url"
-"""What stands in the place of a key's id."""
 
 
 class Signer:
@@ -69,5 +69,5 @@ def _file_reader(
     return Principal(tenant_id, BEARER, frozenset({Scope.READ}), request.state.request_id)
 
 
+# The caller that may read the file at the request's path, by a key or a signature
 FileReader = Annotated[Principal, Depends(_file_reader)]
-"""Who may read the file at the request's path, by a key or a signature."""

@@ -9,14 +9,14 @@ from fastapi import APIRouter, Query
 from sqlalchemy.orm import Session
 
 from service.access.principal import Writer
-from service.audit.record import record
 from service.batches import repository, service
-from service.batches.progress import CHECK, FIT, MODEL, REGISTER, Progress
+from service.batches.repository import CHECK, FIT, MODEL, REGISTER, BatchProgress
 from service.batches.schemas import BatchState, BatchView, NewBatch
 from service.dependencies import Cursor, Limit, ReadSession, SettingsDep, WriteSession
 from service.errors import problems
 from service.idempotency import Once
 from service.jobs.schemas import Cancel
+from service.records.audit import record
 from service.schemas import Id, Page
 from service.store.models import Batch, Capture, Job
 
@@ -34,10 +34,10 @@ def create(
 ) -> BatchView:
     """Make complete uploads the scans of a subject, check them and make of them what is asked.
 
-    All of it or nothing. A scan that its check calls bad, or that can not be registered, is left
+    All of it or nothing. A scan that its check calls bad, or that cannot be registered, is left
     out; the batch goes on with the others, but not without the neutral.
     """
-    if (known := once.known(session, new)) is not None:
+    if (known := once.find_answered(session, new)) is not None:
         return _views(session, [repository.get(session, known)])[0]
     batch = service.create(session, new, settings.max_attempts)
     once.keep(session, batch.id)
@@ -82,10 +82,10 @@ def _views(session: Session, batches: Sequence[Batch]) -> list[BatchView]:
     jobs: dict[str | None, list[Job]] = {}
     for job in repository.jobs(session, [batch.id for batch in batches]):
         jobs.setdefault(job.batch_id, []).append(job)
-    return [_view(Progress.of(batch, captures, jobs.get(batch.id, []))) for batch in batches]
+    return [_view(BatchProgress.of(batch, captures, jobs.get(batch.id, []))) for batch in batches]
 
 
-def _view(at: Progress) -> BatchView:
+def _view(at: BatchProgress) -> BatchView:
     batch, fit = at.batch, at.job(FIT)
     return BatchView.model_validate(
         {
@@ -111,7 +111,7 @@ _COLUMNS = (
 )
 
 
-def _scan(at: Progress, scan: Capture) -> dict[str, object]:
+def _scan(at: BatchProgress, scan: Capture) -> dict[str, object]:
     check = at.job(CHECK, scan.id)
     return {
         "capture_id": scan.id,
@@ -119,7 +119,7 @@ def _scan(at: Progress, scan: Capture) -> dict[str, object]:
         "role": scan.role,
         "check": check and {**_step(check), "verdict": (check.summary or {}).get("verdict")},
         "registration": _step(at.job(REGISTER, scan.id)) or None,
-        "left_out": at.stand(scan)[1],
+        "left_out": at.status_of(scan)[1],
     }
 
 

@@ -1,4 +1,4 @@
-"""What the API says about batches."""
+"""Bodies and views of batches."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from pydantic import ConfigDict, Field, model_validator
 
 from service.captures.schemas import NewCapture, Role
 from service.jobs.schemas import CancelView, JobError, Priority
-from service.schemas import Body, Id, Line, View
-from service.store.transitions import State
+from service.queue.states import State
+from service.schemas import Id, Line, RequestBody, View
 from service.subjects.schemas import NewSubject
 
 Step = Literal["register", "model", "geometry"]
 BatchState = Literal["running", "succeeded", "failed", "canceled"]
 
 
-class StepOptions(Body):
-    """Options for the batch's jobs, by kind; `GET /v1/solvers` describes them."""
+class StepOptions(RequestBody):
+    """Options for the batch's jobs, by kind; `GET /v1/kinds` describes them."""
 
     check_scan: dict[str, Any] = Field(default={})
     register_scan: dict[str, Any] = Field(default={})
@@ -26,7 +26,7 @@ class StepOptions(Body):
     fit_geometry: dict[str, Any] = Field(default={})
 
 
-class NewBatch(Body):
+class NewBatch(RequestBody):
     """The scans of a session, of a subject that is there or of a new one."""
 
     model_config = ConfigDict(
@@ -88,7 +88,7 @@ class FitStepView(StepView):
 
 
 class ScanView(View):
-    """What became of a scan."""
+    """Outcome of a scan."""
 
     capture_id: str
     name: str

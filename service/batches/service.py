@@ -1,28 +1,46 @@
-"""What can be done with batches, and how one goes on."""
+"""Batch operations: create, cancel, and queue what a running one needs next."""
 
 from __future__ import annotations
 
+import os
+import socket
 from http import HTTPStatus
 from typing import Any
 
+import structlog
 from sqlalchemy.orm import Session
 
+from service.background import Background
 from service.batches import repository
-from service.batches.progress import CHECK, FIT, MODEL, REGISTER, Progress, Stand, failure
+from service.batches.repository import (
+    CHECK,
+    FIT,
+    MODEL,
+    REGISTER,
+    BatchProgress,
+    ScanStatus,
+    failure,
+)
 from service.batches.schemas import NewBatch
 from service.captures import repository as captures
 from service.captures import service as scans
-from service.captures.registered import registered_form
+from service.captures.repository import registered_form
 from service.errors import Problem
 from service.jobs import service as work
 from service.jobs.schemas import Cancel, NewJob
-from service.store import jobs, outbox
-from service.store.database import clock
+from service.queue import outbox, table
+from service.queue.states import FINAL, State
+from service.queue.sweep import hold_office
+from service.settings import Settings
+from service.store.database import Store, clock
 from service.store.models import Batch, Capture, Job
 from service.store.tenancy import own_tenant
-from service.store.transitions import FINAL, State
 from service.subjects import repository as subjects
 from service.subjects import service as people
+
+OFFICE = "batches"
+
+log = structlog.get_logger()
 
 
 def create(session: Session, new: NewBatch, max_attempts: int) -> Batch:
@@ -64,15 +82,15 @@ def cancel(session: Session, batch_id: str, order: Cancel) -> None:
         raise Problem(409, "batch.finished", f"the batch has {batch.state}", batch_id=batch_id)
     for job in repository.jobs(session, [batch.id]):
         if job.state not in FINAL:
-            jobs.cancel(session, job.id, order.by, order.reason)
+            table.cancel(session, job.id, order.by, order.reason)
     moment = clock(session)
     batch.cancel = {"by": order.by, "reason": order.reason, "requested_at": moment.isoformat()}
     _finish(session, batch, "canceled")
 
 
-def progress(session: Session, batch: Batch) -> Progress:
+def progress(session: Session, batch: Batch) -> BatchProgress:
     """Return where a batch is."""
-    return Progress.of(
+    return BatchProgress.of(
         batch,
         repository.captures(session, batch.capture_ids),
         repository.jobs(session, [batch.id]),
@@ -87,7 +105,7 @@ def advance(session: Session, batch_id: str, max_attempts: int) -> None:
         return
     try:
         error, is_over = _advance(session, progress(session, batch), max_attempts)
-    except Problem as problem:  # a step that can not be, whatever has changed meanwhile
+    except Problem as problem:  # a step that cannot be, whatever has changed meanwhile
         if problem.status == HTTPStatus.TOO_MANY_REQUESTS:
             return  # the tenant's queue is full: later
         error, is_over = {"code": problem.code, "message": problem.detail}, True
@@ -97,7 +115,7 @@ def advance(session: Session, batch_id: str, max_attempts: int) -> None:
 
 
 def _advance(
-    session: Session, at: Progress, max_attempts: int
+    session: Session, at: BatchProgress, max_attempts: int
 ) -> tuple[dict[str, Any] | None, bool]:
     """Queue what can be queued; returns an error, if any, and whether the batch is over."""
     batch = at.batch
@@ -106,10 +124,10 @@ def _advance(
         return error, True
     is_waiting = False
     for scan in at.scans:
-        stand, _ = at.stand(scan)
-        if stand is Stand.TO_REGISTER and (scan.role == "neutral" or neutral_is_ready):
+        stand, _ = at.status_of(scan)
+        if stand is ScanStatus.TO_REGISTER and (scan.role == "neutral" or neutral_is_ready):
             _submit(session, batch, max_attempts, REGISTER, [scan.id])
-        is_waiting |= stand in (Stand.WAITING, Stand.TO_REGISTER)
+        is_waiting |= stand in (ScanStatus.WAITING, ScanStatus.TO_REGISTER)
     if "model" in batch.steps:
         model = at.job(MODEL)
         if model is None and neutral_is_ready:
@@ -123,35 +141,37 @@ def _advance(
     return _fit(session, at, max_attempts) if "geometry" in batch.steps else (None, True)
 
 
-def _fit(session: Session, at: Progress, max_attempts: int) -> tuple[dict[str, Any] | None, bool]:
+def _fit(
+    session: Session, at: BatchProgress, max_attempts: int
+) -> tuple[dict[str, Any] | None, bool]:
     fit = at.job(FIT)
     if fit is not None:
         if fit.state not in FINAL:
             return None, False
         return (None if fit.state is State.SUCCEEDED else failure(fit)), True
-    usable = [scan.id for scan in at.expressions if at.stand(scan)[0] is Stand.READY]
+    usable = [scan.id for scan in at.expressions if at.status_of(scan)[0] is ScanStatus.READY]
     if not usable:
         return {"code": "batch.no_expression", "message": "no expression can be used"}, True
     _submit(session, at.batch, max_attempts, FIT, usable)
     return None, False
 
 
-def _neutral_is_ready(session: Session, at: Progress) -> bool:
-    """Whether the subject's neutral, of this batch or an earlier one, has its registered form."""
+def _neutral_is_ready(session: Session, at: BatchProgress) -> bool:
+    """Return whether the subject's neutral, of this batch or an earlier one, is registered."""
     if at.neutral is not None:
-        return at.stand(at.neutral)[0] is Stand.READY
+        return at.status_of(at.neutral)[0] is ScanStatus.READY
     neutral = captures.neutral(session, at.batch.subject_id)
     return neutral is not None and registered_form(session, neutral) is not None
 
 
-def _no_neutral(at: Progress) -> dict[str, Any] | None:
+def _no_neutral(at: BatchProgress) -> dict[str, Any] | None:
     """Return the error of a batch whose neutral will never be ready."""
     if at.neutral is None:
         return {"code": "batch.neutral", "message": "the subject's neutral is gone"}
-    stand, reason = at.stand(at.neutral)
-    if stand is not Stand.OUT:
+    stand, reason = at.status_of(at.neutral)
+    if stand is not ScanStatus.OUT:
         return None
-    message = f"the neutral {at.neutral.name} can not be used: {reason}"
+    message = f"the neutral {at.neutral.name} cannot be used: {reason}"
     return {"code": "batch.neutral", "message": message, "capture_id": at.neutral.id}
 
 
@@ -205,4 +225,34 @@ def _submit(
 def _finish(session: Session, batch: Batch, state: str) -> None:
     batch.state, batch.finished_at = state, clock(session)
     data = {"batch_id": batch.id, "subject_id": batch.subject_id, "state": state}
-    outbox.tell(session, batch.tenant_id, "batch.finished", data)
+    outbox.notify(session, batch.tenant_id, "batch.finished", data)
+
+
+class BatchRunner(Background):
+    """A thread that queues what running batches need next, every ``settings.beat`` s.
+
+    One API process of all looks after them, since only the API resolves inputs.
+    """
+
+    def __init__(self, store: Store, settings: Settings) -> None:
+        super().__init__("batches", settings.beat)
+        self._store = store
+        self._settings = settings
+        self._holder = f"{socket.gethostname()}:{os.getpid()}"
+
+    def _round(self) -> None:
+        with self._store.read() as session:
+            running = repository.list_running(session)
+        if not running:
+            return
+        with self._store.write() as session:
+            if not hold_office(session, OFFICE, self._holder, 10 * self._settings.beat):
+                return
+        for tenant_id, batch_id in running:
+            try:
+                with self._store.of(tenant_id).write() as session:
+                    advance(session, batch_id, self._settings.max_attempts)
+            except Problem:
+                log.info("batch.gone", batch_id=batch_id)  # deleted with its subject
+            except Exception:  # one that cannot go on holds up no other
+                log.exception("batch.stuck", batch_id=batch_id)

@@ -1,24 +1,28 @@
-"""The table of captures, and the jobs that are about one of them."""
+"""The table of captures, the jobs about one of them, and its registered form."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session, selectinload
 
 from service import paging
-from service.errors import unknown
+from service.errors import not_found
 from service.paging import Slice
-from service.store.models import Capture, Job
-from service.store.transitions import State
+from service.queue.states import State
+from service.store.models import Artifact, Capture, Job
+
+REGISTRATION = "register_scan"
+REGISTERED_MESH = "registered.ply"
 
 
 def get(session: Session, subject_id: str, capture_id: str) -> Capture:
     """Return a subject's capture."""
     capture = session.get(Capture, capture_id)
     if capture is None or capture.subject_id != subject_id:
-        raise unknown("capture", capture_id)
+        raise not_found("capture", capture_id)
     return capture
 
 
@@ -48,3 +52,37 @@ def succeeded_jobs(session: Session, kind: str, capture_ids: Sequence[str]) -> S
         .options(selectinload(Job.artifacts))
         .order_by(Job.created_at.desc(), Job.id.desc())
     ).all()
+
+
+@dataclass(frozen=True)
+class RegisteredForm:
+    """A mesh in the template's topology: a name that people recognise, and the file's sha256."""
+
+    filename: str
+    sha256: str
+
+
+def registered_form(
+    session: Session, capture: Capture, neutral_sha256: str | None = None
+) -> RegisteredForm | None:
+    """Return a capture's own file, or what its newest fitting registration left; None: neither.
+
+    Expressions are registered from a neutral and lie in its frame. ``neutral_sha256`` asks for the
+    newest form that was made from this neutral, so that no fit mixes two.
+    """
+    if capture.registered:
+        return RegisteredForm(capture.filename, capture.sha256)
+    for job in succeeded_jobs(session, REGISTRATION, [capture.id]):
+        if neutral_sha256 in (None, neutral_of(job)):
+            return RegisteredForm(f"{capture.name}.{REGISTERED_MESH}", registered_mesh(job).sha256)
+    return None
+
+
+def neutral_of(job: Job) -> str | None:
+    """Return the sha256 of the registered neutral that a job read, if it read one."""
+    return next((item["sha256"] for item in job.inputs if item["role"] == "neutral"), None)
+
+
+def registered_mesh(job: Job) -> Artifact:
+    """Return the registered mesh of a successful ``register_scan`` job."""
+    return next(artifact for artifact in job.artifacts if artifact.name == REGISTERED_MESH)

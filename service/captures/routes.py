@@ -5,10 +5,8 @@ from __future__ import annotations
 from fastapi import APIRouter, Response
 
 from service.access.principal import Deleter, Writer
-from service.audit.record import record
 from service.captures import repository, service
 from service.captures.schemas import CaptureView, Landmarks, NewCapture
-from service.deletions.routes import answer
 from service.dependencies import (
     Cursor,
     DeleteSession,
@@ -19,6 +17,8 @@ from service.dependencies import (
 )
 from service.errors import problems
 from service.idempotency import Once
+from service.records.audit import record
+from service.records.routes import answer_deletion
 from service.schemas import Id, Page
 from service.subjects import repository as subjects
 
@@ -39,7 +39,7 @@ def create(
     OBJ, PLY, GLB or STL; a raw scan (`registered: false`) may also be an XYZ point cloud. The
     frames of a performance are a NumPy array (frames, vertices, 3) in mm.
     """
-    if (known := once.known(session, new)) is not None:
+    if (known := once.find_answered(session, new)) is not None:
         capture = repository.get(session, subject_id, known)
     else:
         capture = service.create(session, subject_id, new)
@@ -97,4 +97,4 @@ def delete(subject_id: Id, capture_id: Id, session: DeleteSession, who: Deleter)
     """Delete a capture with its checks and registrations, for example to replace a bad scan."""
     receipt = service.delete(session, subject_id, capture_id)
     record(session, who, "capture.deleted", capture_id)
-    return answer(receipt)
+    return answer_deletion(receipt)

@@ -1,4 +1,4 @@
-"""What the API says about captures."""
+"""Bodies and views of captures."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import Literal
 
 from pydantic import ConfigDict, Field
 
-from service.captures.registered import mesh, neutral_of
-from service.schemas import Body, Id, Name, RetainUntil, View
+from service.captures.repository import neutral_of, registered_mesh
+from service.schemas import Id, Name, RequestBody, RetainUntil, View
 from service.store import retention
 from service.store.models import Capture, Job
 
 Role = Literal["neutral", "expression", "performance", "asset"]
 
 
-class NewCapture(Body):
+class NewCapture(RequestBody):
     """A scan, as the file of a complete upload."""
 
     model_config = ConfigDict(
@@ -48,7 +48,7 @@ class NewCapture(Body):
     )
 
 
-class Landmarks(Body):
+class Landmarks(RequestBody):
     """Landmarks on a scan, as the file of a complete upload."""
 
     upload_id: Id
@@ -126,7 +126,7 @@ def _check(job: Job) -> dict[str, object]:
 
 
 def _registration(job: Job) -> dict[str, object]:
-    made = mesh(job)
+    made = registered_mesh(job)
     return {
         "job_id": job.id,
         "artifact_id": made.id,

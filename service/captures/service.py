@@ -1,4 +1,4 @@
-"""What can be done with captures."""
+"""Capture operations: create, landmarks, views, delete."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import PurePath
 
 from sqlalchemy.orm import Session
 
-from service.captures import registered, repository
+from service.captures import repository
 from service.captures.schemas import CaptureView, Landmarks, NewCapture
 from service.errors import Problem
 from service.settings import Settings
@@ -60,7 +60,7 @@ def views(session: Session, captures: Sequence[Capture], settings: Settings) -> 
     """Show captures with the newest check and registration of each."""
     ids = [capture.id for capture in captures]
     checks = _newest(repository.succeeded_jobs(session, "check_scan", ids))
-    registrations = _newest(repository.succeeded_jobs(session, registered.KIND, ids))
+    registrations = _newest(repository.succeeded_jobs(session, repository.REGISTRATION, ids))
     kept = own_days(session, settings)
     return [
         CaptureView.of(capture, checks.get(capture.id), registrations.get(capture.id), kept)

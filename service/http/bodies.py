@@ -1,4 +1,4 @@
-"""How requests' bodies are received: bounded in size and time, and JSON only if it is strict.
+"""Receive requests' bodies: bounded in size and time, and JSON only if it is strict.
 
 An upload's bytes are not held in memory. They may take as long as they keep a least rate; every
 other body is small and has one time limit for the whole of it.
@@ -7,18 +7,23 @@ other body is small and has one time limit for the whole of it.
 from __future__ import annotations
 
 import email.message
+import json
+import math
 import re
 import time
+from typing import Any
 
 from anyio import move_on_after
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.errors import Problem, render
-from service.http import strict_json
 
 UPLOAD = re.compile(r"/v1/uploads/[^/]+")
 DISCONNECT: Message = {"type": "http.disconnect"}
+
+DEEPEST = 32
+_UNICODE_FAULT = re.compile("[\x00\ud800-\udfff]")
 
 
 class Bodies:
@@ -50,7 +55,7 @@ class Bodies:
             if body is None:
                 return  # the client has gone: half an order is none
             if body and _is_json(Request(scope).headers.get("content-type", "")):
-                strict_json.check(body)
+                check_json(body)
         except Problem as problem:
             await render(Request(scope).state.request_id, problem)(scope, receive, send)
             return
@@ -132,9 +137,79 @@ def _closing(problem: Problem) -> Problem:
 
 
 def _is_json(content_type: str) -> bool:
-    """Whether FastAPI will read a body of this type as JSON; decided as it does."""
+    """Return whether FastAPI will read a body of this type as JSON; decided as it does."""
     message = email.message.Message()
     message["content-type"] = content_type
     subtype = message.get_content_subtype()
     is_json = subtype == "json" or subtype.endswith("+json")
     return message.get_content_maintype() == "application" and is_json
+
+
+def check_json(body: bytes) -> None:
+    """Refuse a body that is not JSON as RFC 8259 has it: parsers would read it differently.
+
+    Refused are NaN and infinity (also as ``1e999``), an object with a name twice, nesting deeper
+    than :data:`DEEPEST`, other encodings than UTF-8, and text that no database column holds (NUL,
+    half of a surrogate pair).
+
+    Raises
+    ------
+    Problem
+        422 ``request.json``.
+    """
+    try:
+        value = json.loads(
+            body.decode(),
+            parse_constant=_no_constant,
+            parse_float=_finite,
+            object_pairs_hook=_no_name_twice,
+        )
+    except RecursionError:
+        raise _json_problem(f"it is nested deeper than {DEEPEST}") from None
+    except json.JSONDecodeError as error:
+        raise _json_problem(f"{error.msg}, line {error.lineno} column {error.colno}") from None
+    except UnicodeDecodeError:
+        raise _json_problem("it is not UTF-8") from None
+    except ValueError as error:
+        raise _json_problem(str(error)) from None
+    _check_nesting(value)
+
+
+def _check_nesting(value: Any) -> None:
+    level = [value]
+    for _ in range(DEEPEST + 1):
+        if not level:
+            return
+        for item in level:
+            if isinstance(item, str) and _UNICODE_FAULT.search(item):
+                raise _json_problem("a text holds NUL, or half of a surrogate pair")
+        level = [inner for item in level for inner in _parts(item)]
+    raise _json_problem(f"it is nested deeper than {DEEPEST}")
+
+
+def _parts(value: Any) -> list[Any]:
+    if isinstance(value, dict):
+        return [*value.keys(), *value.values()]
+    return value if isinstance(value, list) else []
+
+
+def _no_constant(name: str) -> None:
+    raise ValueError(f"{name} is not a number in JSON")
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"{text[:32]} is too large a number")
+    return number
+
+
+def _no_name_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        raise ValueError("an object has a name twice")
+    return found
+
+
+def _json_problem(what: str) -> Problem:
+    return Problem(422, "request.json", f"the body is not valid JSON: {what}")

@@ -1,4 +1,4 @@
-"""What surrounds every request: an id, a line in the log, an answer if the service itself fails."""
+"""Context of every request: an id, a line in the log, an answer if the service itself fails."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service import tracing
 from service.errors import Problem, render
-from service.metrics.latency import method_of, route_of
+from service.system.metrics import method_of, route_of
 
 ACCEPTED_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 QUIET = frozenset({"/healthz", "/readyz"})
@@ -58,7 +58,7 @@ class RequestContext:
                     await self._app(scope, receive, send_with_id)
                 finally:
                     if span is not None:
-                        tracing.answered(span, method_of(scope), route_of(scope), status)
+                        tracing.note_answer(span, method_of(scope), route_of(scope), status)
         except Exception:
             log.exception("request.failed", method=request.method, path=request.url.path)
             if status:

@@ -18,10 +18,11 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from service.errors import Problem, render
 
+# Cap on unsent kernel bytes. The default buffer is megabytes, so a stalled reader would go
+# unnoticed.
 MOST_UNSENT = 128 * 1024
-"""Bytes that wait in the kernel: with its own megabytes it would long not tell that some went."""
+# SO_LINGER 0: drop unsent data when we reset the connection.
 AT_ONCE = struct.pack("ii", 1, 0)
-"""To linger no time: what waits in the kernel for a client that was cut off goes as well."""
 
 
 class DeadlineProtocol(H11Protocol):

@@ -1,4 +1,4 @@
-"""What protects a browser's user: who may be addressed, who may ask, what a page may load."""
+"""Protection of a browser's user: allowed hosts and origins, and what a page may load."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from service.errors import Problem, render
 
 HOST = re.compile(r"(?:([^:\[\]@/\s]+)|\[([^\]\s]+)\])(?::\d{1,5})?")
 READING = frozenset({"GET", "HEAD", "OPTIONS"})
+# On every answer; a route that serves a page sets its own policy
 HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
@@ -20,7 +21,6 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
 }
-"""On every answer; a route that serves a page sets its own policy."""
 
 YEAR = 365 * 24 * 3600
 

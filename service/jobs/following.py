@@ -15,18 +15,17 @@ from anyio import to_thread
 from sqlalchemy import and_, or_, select
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.store.database import clock
+from service.queue.states import FINAL, State
+from service.store.database import Store, clock
 from service.store.models import ApiKey, Event, Job
-from service.store.store import Store
-from service.store.transitions import FINAL, State
 
 PAUSE = 0.3
+# Seconds after which a revoked key no longer sees anything
 LOOK_AT_KEYS_EVERY = 10.0
-"""Seconds after which a revoked key no longer sees anything."""
+# Events read ahead for a client that takes them slowly
 MOST_AT_ONCE = 1000
-"""So many events are read ahead for one who takes them slowly."""
+# Watchers in one query, which has two parameters for each
 MOST_WATCHERS_AT_ONCE = 200
-"""So many go into one query, which has two parameters for each."""
 
 log = structlog.get_logger()
 

@@ -14,8 +14,8 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from service.captures import repository as captures
-from service.captures.registered import neutral_of, registered_form
-from service.errors import Problem, unknown
+from service.captures.repository import neutral_of, registered_form
+from service.errors import Problem, not_found
 from service.jobs import repository
 from service.jobs.schemas import NewJob
 from service.kinds import Kind
@@ -29,7 +29,7 @@ Input = dict[str, Any]
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a job reads, the capture it is about and the job that made its model, if any."""
+    """Files that a job reads, the capture it is about and the job that made its model, if any."""
 
     files: list[Input]
     capture_id: str | None = None
@@ -67,11 +67,13 @@ def _about_one_capture(session: Session, kind: Kind, new: NewJob) -> Inputs:
             f"{capture.name} was uploaded as a registered scan: there is nothing to register",
             capture_id=capture.id,
         )
-    scan = _input("scan", capture.name, capture.filename, capture.sha256)
+    scan = _input_of("scan", capture.name, capture.filename, capture.sha256)
     files = [{**scan, "capture_role": capture.role}]
     if capture.landmarks_filename and capture.landmarks_sha256:
         files.append(
-            _input("landmarks", capture.name, capture.landmarks_filename, capture.landmarks_sha256)
+            _input_of(
+                "landmarks", capture.name, capture.landmarks_filename, capture.landmarks_sha256
+            )
         )
     if "neutral" in kind.reads and capture.role != "neutral":
         files.append(_neutral(session, new.subject_id, of_an_expression=True))
@@ -111,7 +113,7 @@ def _neutral(session: Session, subject_id: str, *, of_an_expression: bool = Fals
             subject_id=subject_id,
         )
     if (form := registered_form(session, neutral)) is not None:
-        return _input("neutral", neutral.name, form.filename, form.sha256)
+        return _input_of("neutral", neutral.name, form.filename, form.sha256)
     if of_an_expression:
         raise Problem(
             409,
@@ -129,7 +131,7 @@ def _template(session: Session, subject_id: str) -> list[Input]:
     if template_id is None:
         return []
     template = templates.get(session, template_id)
-    return [_input("template", template.name, template.filename, template.sha256)]
+    return [_input_of("template", template.name, template.filename, template.sha256)]
 
 
 def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
@@ -165,7 +167,7 @@ def _performance(session: Session, new: NewJob) -> Input:
             f"{capture.name} is a scan, not a performance",
             capture_id=capture.id,
         )
-    return _input("performance", capture.name, capture.filename, capture.sha256)
+    return _input_of("performance", capture.name, capture.filename, capture.sha256)
 
 
 def _assets(session: Session, new: NewJob) -> list[Input]:
@@ -179,7 +181,7 @@ def _assets(session: Session, new: NewJob) -> list[Input]:
                 f"{capture.name} is a scan or performance, not an asset",
                 capture_id=capture.id,
             )
-    return [_input("asset", each.name, each.filename, each.sha256) for each in found]
+    return [_input_of("asset", each.name, each.filename, each.sha256) for each in found]
 
 
 def _blendshapes(session: Session, rig: Rig) -> list[Input]:
@@ -187,7 +189,7 @@ def _blendshapes(session: Session, rig: Rig) -> list[Input]:
     found = rigs.blendshapes(session, rig)
     if found is None:
         return []
-    return [_input("blendshapes", found.name, found.name, found.sha256)]
+    return [_input_of("blendshapes", found.name, found.name, found.sha256)]
 
 
 def _newest_model(session: Session, new: NewJob) -> Job:
@@ -214,7 +216,7 @@ def _parent(session: Session, new: NewJob) -> Rig:
 def _expressions(session: Session, new: NewJob, model: Job) -> list[Input]:
     """Return the registered forms of the chosen expressions, in the frame of the model's neutral.
 
-    All that can not be read are named at once.
+    All that cannot be read are named at once.
     """
     inputs, faults = [], {}
     for capture in _chosen(session, new):
@@ -222,7 +224,7 @@ def _expressions(session: Session, new: NewJob, model: Job) -> list[Input]:
         if form is None:
             faults[capture.id] = _what_to_do(session, capture)
         else:
-            inputs.append(_input("capture", capture.name, form.filename, form.sha256))
+            inputs.append(_input_of("capture", capture.name, form.filename, form.sha256))
     if faults:
         raise _not_registered(faults)
     return inputs
@@ -239,7 +241,7 @@ def _chosen(session: Session, new: NewJob) -> list[Capture]:
     found = {capture.id: capture for capture in rows}
     for capture_id in new.captures:
         if capture_id not in found:
-            raise unknown("capture", capture_id)
+            raise not_found("capture", capture_id)
         _refuse_no_scan(found[capture_id])
         if found[capture_id].role == "neutral":
             raise Problem(
@@ -257,7 +259,7 @@ _BUILD_AGAIN = "{name} belongs to a newer neutral than the model's: build the mo
 
 
 def _what_to_do(session: Session, capture: Capture) -> str:
-    """Say why a raw expression can not be fitted to a model of another neutral than its own.
+    """Say why a raw expression cannot be fitted to a model of another neutral than its own.
 
     Either the expression or the model is behind the subject's neutral as it is now.
     """
@@ -276,8 +278,8 @@ def _not_registered(faults: dict[str, str]) -> Problem:
 
 def _artifact(session: Session, job_id: str, role: str, name: str) -> Input:
     artifact = rigs.artifact_of_job(session, job_id, name)
-    return _input(role, name, name, artifact.sha256)
+    return _input_of(role, name, name, artifact.sha256)
 
 
-def _input(role: str, name: str, filename: str, sha256: str) -> Input:
+def _input_of(role: str, name: str, filename: str, sha256: str) -> Input:
     return {"role": role, "name": name, "filename": filename, "sha256": sha256}

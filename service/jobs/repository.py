@@ -1,4 +1,4 @@
-"""Queries about jobs; what changes a job's state is in `service.store.jobs`."""
+"""Queries about jobs; what changes a job's state is in `service.queue.table`."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from sqlalchemy import ColumnElement, select
 from sqlalchemy.orm import Session, selectinload, undefer
 
 from service import paging
-from service.errors import unknown
+from service.errors import not_found
 from service.paging import Slice
+from service.queue.states import State
 from service.store.models import Job, LogLine
-from service.store.transitions import State
 
 PARTS = (
     selectinload(Job.attempts),
@@ -25,7 +25,7 @@ def get(session: Session, job_id: str) -> Job:
     """Return a job, as it is in the table now."""
     job = session.get(Job, job_id, options=PARTS, populate_existing=True)
     if job is None:
-        raise unknown("job", job_id)
+        raise not_found("job", job_id)
     return job
 
 

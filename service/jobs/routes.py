@@ -11,9 +11,8 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from service import paging
+from service.access.limits import ConnectionLimit
 from service.access.principal import Reader, Writer
-from service.access.seats import Seats
-from service.audit.record import record
 from service.dependencies import (
     Cursor,
     Limit,
@@ -26,16 +25,16 @@ from service.dependencies import (
 )
 from service.errors import problems
 from service.idempotency import Once
-from service.jobs import frames, repository, service
-from service.jobs.filters import Filters
+from service.jobs import repository, service
 from service.jobs.following import Feed
-from service.jobs.schemas import Cancel, FramesView, JobView, LogView, NewJob, Retry
+from service.jobs.schemas import Cancel, Filters, FramesView, JobView, LogView, NewJob, Retry
+from service.queue.claims import positions
+from service.records.audit import record
 from service.schemas import Id, Page, Position
 from service.settings import Settings
+from service.store.database import Store
 from service.store.models import Job
-from service.store.positions import positions
 from service.store.retention import own_days
-from service.store.store import Store
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
@@ -43,7 +42,7 @@ router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 @router.post("", status_code=201, summary="Submit a job", responses=problems(404, 409, 422))
 def create(new: NewJob, session: WriteSession, once: Once, settings: SettingsDep) -> JobView:
     """Queue a piece of work; `PUT` is the same and can be repeated safely."""
-    if (known := once.known(session, new)) is not None:
+    if (known := once.find_answered(session, new)) is not None:
         return _view(session, known, settings)
     job, _ = service.submit(session, new, settings.max_attempts)
     once.keep(session, job.id)
@@ -69,7 +68,7 @@ def put(
         try:
             is_new = _submit(store, new, settings.max_attempts, job_id)
         except IntegrityError as error:  # another tenant's
-            raise service.taken(job_id) from error
+            raise service.id_conflict(job_id) from error
     response.status_code = 201 if is_new else 200
     with store.read() as session:
         return _view(session, job_id, settings)
@@ -120,7 +119,7 @@ def retry(
     It is a new job with this one as its `parent_id`; it reads the subject's files as they are now.
     """
     changes = wanted or Retry()
-    if (known := once.known(session, changes)) is not None:
+    if (known := once.find_answered(session, changes)) is not None:
         return _view(session, known, settings)
     job = service.retry(session, job_id, changes, settings.max_attempts)
     once.keep(session, job.id)
@@ -151,10 +150,10 @@ ExistingJob = Annotated[str, Depends(_existing, scope="function")]
 FeedDep = Annotated[Feed, Depends(part("feed"))]
 
 
-async def _seat(
-    streams: Annotated[Seats, Depends(part("streams"))], who: Reader
+async def _limit_connections(
+    streams: Annotated[ConnectionLimit, Depends(part("streams"))], who: Reader
 ) -> AsyncIterator[None]:
-    with streams.seat(who):
+    with streams.hold(who):
         yield
 
 
@@ -163,7 +162,7 @@ async def _seat(
     response_class=EventSourceResponse,
     summary="Watch a job",
     responses=problems(404, 422),
-    dependencies=[Depends(_seat)],
+    dependencies=[Depends(_limit_connections)],
 )
 async def events(
     job_id: ExistingJob,
@@ -211,7 +210,7 @@ def read_frames(
 
     They stay when the job fails or is canceled.
     """
-    found, ready = frames.read(session, store.files, job_id, start, limit)
+    found, ready = service.read_frames(session, store.files, job_id, start, limit)
     views: Any = found
     return FramesView(frames=views, next=start + len(found), ready=ready)
 
@@ -228,7 +227,7 @@ def read_frames(
 )
 def read_picture(job_id: Id, session: ReadSession, store: ReadStore) -> Response:
     """Read a small picture of the newest frame that has one, also while the job runs."""
-    picture = frames.newest_picture(session, store.files, job_id)
+    picture = service.newest_picture(session, store.files, job_id)
     if picture is None:
         return Response(status_code=204)
     return Response(picture, media_type="image/jpeg", headers={"Cache-Control": "no-store"})

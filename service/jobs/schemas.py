@@ -1,17 +1,19 @@
-"""What the API says about jobs."""
+"""Bodies, filters and views of jobs."""
 
 from __future__ import annotations
 
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
+from fastapi import Depends, Query
 from pydantic import BaseModel, ConfigDict, Field
+from sqlalchemy import ColumnElement
 
+from service.queue.states import State
 from service.rigs.schemas import ArtifactView
-from service.schemas import Body, Id, Line, RetainUntil, View
+from service.schemas import Id, Line, Moment, Name, RequestBody, RetainUntil, View
 from service.store import retention
 from service.store.models import Job
-from service.store.transitions import State
 
 Priority = Annotated[
     int, Field(ge=-9, le=9, description="order among your own jobs of a queue: 9 first, -9 last")
@@ -21,9 +23,29 @@ Memory = Annotated[
     Field(ge=1, le=2**31 - 1, description="only workers that give a job so much memory take it"),
 ]
 
+_COLUMNS = (
+    "id",
+    "priority",
+    "memory_mb",
+    "parent_id",
+    "batch_id",
+    "state",
+    "attempt",
+    "max_attempts",
+    "not_before",
+    "progress",
+    "error",
+    "attempts",
+    "cancel",
+    "last_event_id",
+    "created_at",
+    "started_at",
+    "finished_at",
+)
 
-class NewJob(Body):
-    """A piece of work; which members a kind needs is in `GET /v1/solvers`."""
+
+class NewJob(RequestBody):
+    """A piece of work; which members a kind needs is in `GET /v1/kinds`."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -53,8 +75,8 @@ class NewJob(Body):
     memory_mb: Memory = None
 
 
-class Retry(Body):
-    """What is to be different when a job is made again; what is not given stays as it was."""
+class Retry(RequestBody):
+    """Changes for a job that is made again; the rest stays as it was."""
 
     captures: list[Id] | None = Field(default=None, max_length=1000)
     rig_id: Id | None = None
@@ -65,15 +87,15 @@ class Retry(Body):
     memory_mb: Memory = None
 
 
-class Cancel(Body):
-    """Why a job is to stop."""
+class Cancel(RequestBody):
+    """Order to stop a job."""
 
     reason: Line = ""
     by: Line = "api"
 
 
 class Progress(BaseModel):
-    """How far a job is: `fraction` of the whole in [0, 1]; the error is in millimetres."""
+    """Progress of a job: `fraction` of the whole in [0, 1]; the error is in millimetres."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -92,7 +114,7 @@ class AttemptView(View):
 
 
 class CancelView(View):
-    """Who asked for the job to stop, and why."""
+    """Request to stop the job: by whom, and why."""
 
     by: str
     reason: str
@@ -100,7 +122,7 @@ class CancelView(View):
 
 
 class JobError(BaseModel):
-    """Why a job failed; further members name the fault."""
+    """Error of a failed job; further members name the fault."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -109,7 +131,7 @@ class JobError(BaseModel):
 
 
 class Result(View):
-    """What a finished job left."""
+    """Result of a finished job."""
 
     rig_id: str | None = None
     summary: dict[str, Any] | None = Field(
@@ -174,27 +196,6 @@ def _retain_until(job: Job, kept: retention.Days) -> datetime | None:
     if job.rig is not None:
         return retention.until(kept.rigs, job.rig.created_at)
     return retention.until(kept.jobs, job.finished_at)
-
-
-_COLUMNS = (
-    "id",
-    "priority",
-    "memory_mb",
-    "parent_id",
-    "batch_id",
-    "state",
-    "attempt",
-    "max_attempts",
-    "not_before",
-    "progress",
-    "error",
-    "attempts",
-    "cancel",
-    "last_event_id",
-    "created_at",
-    "started_at",
-    "finished_at",
-)
 
 
 class LogLineView(View):
@@ -263,3 +264,36 @@ class LogView(BaseModel):
 
     lines: list[LogLineView]
     next: int
+
+
+async def _filters(
+    subject_id: Annotated[Id | None, Query()] = None,
+    capture_id: Annotated[Id | None, Query(description="checks and registrations of it")] = None,
+    batch_id: Annotated[Id | None, Query()] = None,
+    parent_id: Annotated[Id | None, Query(description="jobs made again from it")] = None,
+    kind: Name | None = None,
+    state: Annotated[
+        list[State] | None, Query(description="one of these; may be given several times")
+    ] = None,
+    since: Annotated[Moment | None, Query(description="created then or later")] = None,
+    until: Annotated[Moment | None, Query(description="created before then")] = None,
+) -> list[ColumnElement[bool]]:
+    """Return what the jobs must fulfil, all that was given."""
+    equal: dict[Any, object] = {
+        Job.subject_id: subject_id,
+        Job.capture_id: capture_id,
+        Job.batch_id: batch_id,
+        Job.parent_id: parent_id,
+        Job.kind: kind,
+    }
+    conditions = [column == value for column, value in equal.items() if value is not None]
+    if state:
+        conditions.append(Job.state.in_(state))
+    if since is not None:
+        conditions.append(Job.created_at >= since)
+    if until is not None:
+        conditions.append(Job.created_at < until)
+    return conditions
+
+
+Filters = Annotated[list[ColumnElement[bool]], Depends(_filters)]

@@ -1,23 +1,27 @@
-"""What can be done with jobs."""
+"""Job operations: submit, retry, cancel, read frames."""
 
 from __future__ import annotations
 
+import base64
 import json
 from typing import Any
 
 from sqlalchemy.orm import Session
 
 from service import tracing
-from service.access.quotas import check_bytes, check_queued
+from service.access.limits import check_bytes, check_queued
 from service.errors import Problem
 from service.jobs import repository
 from service.jobs.inputs import resolve
 from service.jobs.schemas import Cancel, NewJob, Retry
 from service.kinds import KINDS, Kind
-from service.store import jobs
+from service.queue import table
+from service.queue.states import FINAL
+from service.store.files import Files
 from service.store.models import Job, new_id
-from service.store.transitions import FINAL
 from service.subjects import repository as subjects
+
+LEAVE_FRAMES = ("sequence", "animation")
 
 
 def submit(
@@ -34,7 +38,7 @@ def submit(
     """
     if job_id and (job := session.get(Job, job_id)):
         if NewJob.model_validate(job.request) != new:
-            raise taken(job_id)
+            raise id_conflict(job_id)
         return job, False
     kind = check_options(new.kind, new.options)
     check_queued(session)
@@ -55,12 +59,12 @@ def submit(
         memory_mb=new.memory_mb,
         **origin,
     )
-    jobs.create(session, job)
+    table.create(session, job)
     tracing.note(job_id=job.id)
     return job, True
 
 
-def taken(job_id: str) -> Problem:
+def id_conflict(job_id: str) -> Problem:
     """Return the problem of an id that is in use."""
     return Problem(409, "job.conflict", "this id has another job already", job_id=job_id)
 
@@ -89,7 +93,7 @@ def cancel(session: Session, job_id: str, order: Cancel) -> None:
         raise Problem(
             409, "job.finished", f"the job is {job.state.value}", job_id=job_id, state=job.state
         )
-    jobs.cancel(session, job_id, order.by, order.reason)
+    table.cancel(session, job_id, order.by, order.reason)
 
 
 def check_options(name: str, options: dict[str, Any]) -> Kind:
@@ -111,3 +115,32 @@ def check_options(name: str, options: dict[str, Any]) -> Kind:
         detail = f"{faults[0]['where']}: {faults[0]['message']}"
         raise Problem(422, "job.options", detail, errors=faults)
     return kind
+
+
+def read_frames(
+    session: Session, files: Files, job_id: str, start: int, limit: int
+) -> tuple[list[dict[str, Any]], int]:
+    """Return the frames from the ``start``-th on, at most ``limit``, and how many are ready."""
+    _check_frames(session, job_id)
+    chunks = table.frames(session, job_id)
+    found: list[dict[str, Any]] = []
+    for chunk in chunks:
+        if chunk.first < start + limit and chunk.last >= start:
+            frames = json.loads(files.read(chunk.sha256))["frames"]
+            found += frames[max(start - chunk.first, 0) : start + limit - chunk.first]
+    return found, chunks[-1].last + 1 if chunks else 0
+
+
+def newest_picture(session: Session, files: Files, job_id: str) -> bytes | None:
+    """Return a JPEG of the newest frame that has one, None before there is any."""
+    _check_frames(session, job_id)
+    for chunk in reversed(table.frames(session, job_id)):
+        if picture := json.loads(files.read(chunk.sha256)).repository.get("picture"):
+            return base64.b64decode(picture)
+    return None
+
+
+def _check_frames(session: Session, job_id: str) -> None:
+    job = repository.get(session, job_id)
+    if KINDS[job.kind].leaves not in LEAVE_FRAMES:
+        raise Problem(409, "job.no_frames", f"a {job.kind} job has no frames", job_id=job_id)

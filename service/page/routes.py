@@ -15,6 +15,7 @@ from fastapi import APIRouter, Header, Response
 
 from service.errors import Problem
 
+# Paths at which the document is served; `static/js/routes.js` says which view shows at each
 PATHS = (
     "/",
     "/queue",
@@ -32,7 +33,6 @@ PATHS = (
     "/audit",
     "/sign-in",
 )
-"""Where the document is served; `static/js/routes.js` says which view shows at each."""
 
 POLICY = "; ".join(
     (
@@ -50,6 +50,7 @@ POLICY = "; ".join(
     )
 )
 
+# Types of what is served; a file of another kind is not. All are text, so all are packed.
 TYPES = {
     ".html": "text/html; charset=utf-8",
     ".css": "text/css; charset=utf-8",
@@ -58,7 +59,6 @@ TYPES = {
     ".svg": "image/svg+xml",
     ".txt": "text/plain; charset=utf-8",
 }
-"""Types of what is served; a file of another kind is not. All are text, so all are packed."""
 
 HEADERS = {
     "Cache-Control": "no-cache",  # kept, but asked for again: a 304 unless the release changed
@@ -68,7 +68,7 @@ HEADERS = {
 
 
 @dataclass(frozen=True)
-class Asset:
+class StaticFile:
     """A static file, as it is and packed by gzip; ``digest`` is of its content."""
 
     content: bytes
@@ -104,7 +104,7 @@ for _path in PATHS:
 
 
 @cache
-def assets() -> dict[str, Asset]:
+def assets() -> dict[str, StaticFile]:
     """Return the static files by their path; about a megabyte, read once."""
     root = resources.files(__package__).joinpath("static")
     return {str(path): _asset(path, file) for path, file in _files(root, PurePosixPath())}
@@ -121,9 +121,9 @@ def _files(folder: Traversable, at: PurePosixPath) -> list[tuple[PurePosixPath, 
     return found
 
 
-def _asset(path: PurePosixPath, file: Traversable) -> Asset:
+def _asset(path: PurePosixPath, file: Traversable) -> StaticFile:
     content = file.read_bytes()
-    return Asset(
+    return StaticFile(
         content=content,
         packed=gzip.compress(content, mtime=0),
         digest=hashlib.sha256(content).hexdigest()[:32],
@@ -131,7 +131,7 @@ def _asset(path: PurePosixPath, file: Traversable) -> Asset:
     )
 
 
-def _send(asset: Asset, accept_encoding: str, if_none_match: str) -> Response:
+def _send(asset: StaticFile, accept_encoding: str, if_none_match: str) -> Response:
     """Send a file, packed if the browser can unpack; the two forms have different ETags."""
     packs = "gzip" in {part.split(";")[0].strip() for part in accept_encoding.split(",")}
     etag = f'"{asset.digest}{"-gzip" if packs else ""}"'

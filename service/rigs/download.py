@@ -10,13 +10,13 @@ from urllib.parse import quote
 from fastapi import Request, Response
 from fastapi.responses import StreamingResponse
 
-from service.errors import Problem, unknown
+from service.errors import Problem, not_found
 from service.store.files import Files
 from service.store.models import Artifact
 
 PAGE = "text/html"
+# A stored page may show itself in a browser, and do nothing in this origin's name
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; sandbox allow-downloads"
-"""What a stored page may do in a browser: show itself, and nothing with this origin's name."""
 
 RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})")
 
@@ -68,11 +68,11 @@ def _blocks(artifact: Artifact, files: Files, request: Request, span: Span) -> I
     try:
         return files.open(artifact.sha256, *span)
     except FileNotFoundError as error:
-        raise unknown("artifact", artifact.id) from error
+        raise not_found("artifact", artifact.id) from error
 
 
 def _has(given: str, tag: str) -> bool:
-    """Tell whether a list of entity tags names this one."""
+    """Return whether a list of entity tags names this one."""
     known = {each.strip().removeprefix("W/") for each in given.split(",")}
     return bool(known & {tag, "*"})
 

@@ -6,18 +6,17 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session, selectinload
 
 from service import paging
-from service.errors import Problem, unknown
+from service.errors import Problem, not_found
 from service.paging import Slice
-from service.store import previews
-from service.store.models import Artifact, Job, Rig
-from service.store.transitions import State
+from service.queue.states import State
+from service.store.models import PREVIEW_FILE, Artifact, Job, Rig, is_preview_of
 
 
 def get(session: Session, rig_id: str) -> Rig:
     """Return a rig."""
     rig = session.get(Rig, rig_id)
     if rig is None:
-        raise unknown("rig", rig_id)
+        raise not_found("rig", rig_id)
     return rig
 
 
@@ -37,8 +36,8 @@ def preview(session: Session, rig: Rig) -> Artifact | None:
         .where(
             Job.subject_id == rig.subject_id,
             Job.state == State.SUCCEEDED,
-            previews.of_rig(rig.id),
-            Artifact.name == previews.FILE,
+            is_preview_of(rig.id),
+            Artifact.name == PREVIEW_FILE,
         )
         .order_by(Job.created_at.desc())
         .limit(1)
@@ -64,7 +63,7 @@ def blendshapes(session: Session, rig: Rig) -> Artifact | None:
 
 def artifact_of_rig(session: Session, rig: Rig, name: str) -> Artifact:
     """Return a rig's artifact by its name."""
-    if name == previews.FILE and (found := preview(session, rig)):
+    if name == PREVIEW_FILE and (found := preview(session, rig)):
         return found
     return artifact_of_job(session, rig.job_id, name)
 
@@ -73,7 +72,7 @@ def artifact(session: Session, artifact_id: str) -> Artifact:
     """Return an artifact."""
     found = session.get(Artifact, artifact_id)
     if found is None:
-        raise unknown("artifact", artifact_id)
+        raise not_found("artifact", artifact_id)
     return found
 
 

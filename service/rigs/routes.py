@@ -10,10 +10,9 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Query, Request, Response
 
 from service import paging
+from service.access.limits import ConnectionLimit
 from service.access.principal import Reader
-from service.access.seats import Seats
 from service.access.signed import FileReader, Signer
-from service.audit.record import record
 from service.dependencies import (
     Cursor,
     FileStore,
@@ -24,6 +23,7 @@ from service.dependencies import (
     part,
 )
 from service.errors import problems
+from service.records.audit import record
 from service.rigs import repository
 from service.rigs.download import send
 from service.rigs.schemas import ArtifactView, RigView, SignedUrl
@@ -34,16 +34,16 @@ router = APIRouter(prefix="/v1", tags=["rigs"])
 
 
 Signing = Annotated[Signer, Depends(part("signer"))]
-Downloads = Annotated[Seats, Depends(part("downloads"))]
+Downloads = Annotated[ConnectionLimit, Depends(part("downloads"))]
 
 
-async def _seat(downloads: Downloads, who: FileReader) -> AsyncIterator[None]:
-    with downloads.seat(who):
+async def _limit_connections(downloads: Downloads, who: FileReader) -> AsyncIterator[None]:
+    with downloads.hold(who):
         yield
 
 
-async def _seat_by_key(downloads: Downloads, who: Reader) -> AsyncIterator[None]:
-    with downloads.seat(who):
+async def _limit_by_key(downloads: Downloads, who: Reader) -> AsyncIterator[None]:
+    with downloads.hold(who):
         yield
 
 
@@ -85,14 +85,14 @@ def show(rig_id: Id, session: ReadSession, settings: SettingsDep) -> RigView:
     response_class=Response,
     summary="Ask about a rig's file by name",
     responses=FILE,
-    dependencies=[Depends(_seat_by_key)],
+    dependencies=[Depends(_limit_by_key)],
 )
 @router.get(
     "/rigs/{rig_id}/artifacts/{name}",
     response_class=Response,
     summary="Download a rig's file by name",
     responses=FILE,
-    dependencies=[Depends(_seat_by_key)],
+    dependencies=[Depends(_limit_by_key)],
 )
 def download_by_name(
     rig_id: Id, name: FileName, session: ReadSession, store: ReadStore, request: Request
@@ -107,14 +107,14 @@ def download_by_name(
     response_class=Response,
     summary="Ask about a file",
     responses=FILE,
-    dependencies=[Depends(_seat)],
+    dependencies=[Depends(_limit_connections)],
 )
 @router.get(
     "/artifacts/{artifact_id}",
     response_class=Response,
     summary="Download a file",
     responses=FILE,
-    dependencies=[Depends(_seat)],
+    dependencies=[Depends(_limit_connections)],
 )
 def download(artifact_id: Id, store: FileStore, request: Request) -> Response:
     """Download an artifact, with a key or by a signed URL.

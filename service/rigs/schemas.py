@@ -1,4 +1,4 @@
-"""What the API says about rigs and artifacts."""
+"""Views of rigs and artifacts."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ class EmbeddedBroker:
         log.info("broker.started", pid=self._process.pid, socket=str(self.socket))
 
     def answers(self) -> bool:
-        """Tell whether a server answers on the socket."""
+        """Return whether a server answers on the socket."""
         try:
             with self._client() as client:
                 return bool(client.ping())
@@ -72,7 +72,7 @@ class EmbeddedBroker:
             return int(client.info("server")["process_id"])
 
     def has_died(self) -> bool:
-        """Tell whether the server is gone."""
+        """Return whether the server is gone."""
         if self._process is not None:
             return self._process.poll() is not None
         return not self.answers()

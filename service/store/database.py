@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import fcntl
 import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,8 @@ from alembic.config import Config
 from sqlalchemy import Connection, Engine, create_engine, event, func, make_url, select, text
 from sqlalchemy.orm import Session
 
+from service.queue.wakeups import WAKE, WakeUps
+from service.store.files import files_at
 from service.store.models import now
 from service.store.tenancy import TENANT
 
@@ -24,6 +27,8 @@ PRAGMAS = ("journal_mode=WAL", "synchronous=NORMAL", "foreign_keys=ON", "secure_
 MIGRATION_LOCK = 0x6D796F  # any constant: PostgreSQL's advisory locks go by number
 
 
+# Of a connection to PostgreSQL: a cut link is an error within seconds, not after a quarter hour.
+# `tcp_user_timeout` is in milliseconds.
 PATIENCE = {
     "connect_timeout": 5,
     "tcp_user_timeout": 10_000,
@@ -31,14 +36,10 @@ PATIENCE = {
     "keepalives_interval": 5,
     "keepalives_count": 3,
 }
-"""Of a connection to PostgreSQL: a cut link is an error within seconds, not after a quarter hour.
-
-``tcp_user_timeout`` is in milliseconds.
-"""
 
 
+# A request has a thread (40 at most) and briefly a second connection, for its key
 POOL = {"pool_size": 10, "max_overflow": 40}
-"""A request has a thread (40 at most) and briefly a second connection, for its key."""
 
 
 class Database:
@@ -57,7 +58,7 @@ class Database:
 
     @property
     def is_sqlite(self) -> bool:
-        """Whether this is SQLite."""
+        """Return whether this is SQLite."""
         return self.url.get_backend_name() == "sqlite"
 
     @contextmanager
@@ -168,3 +169,36 @@ def _engine(url: str, sqlite: bool) -> Engine:
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
     return engine
+
+
+class Store:
+    """The data side: what a transaction wakes up is sent after its commit."""
+
+    def __init__(self, database_url: str, files: Path | str, broker_url: str) -> None:
+        self.database = Database(database_url)
+        self.files = files_at(files)
+        self._wake_ups = WakeUps(broker_url)
+        self._tenant_id: str | None = None
+
+    def of(self, tenant_id: str) -> Store:
+        """Return this store as a tenant sees it: its sessions find no other's rows."""
+        seen = copy.copy(self)
+        seen._tenant_id = tenant_id
+        return seen
+
+    def read(self) -> AbstractContextManager[Session]:
+        """Give a session for reading."""
+        return self.database.read(self._tenant_id)
+
+    @contextmanager
+    def write(self) -> Iterator[Session]:
+        """Give a session that commits at the end; then send the wake-up calls asked for in it."""
+        with self.database.write(self._tenant_id) as session:
+            yield session
+        for job_id, queue in session.info.pop(WAKE, []):
+            self._wake_ups.send(job_id, queue)
+
+    def close(self) -> None:
+        """Close the connections to broker and database."""
+        self._wake_ups.close()
+        self.database.close()

@@ -5,16 +5,18 @@ The sweeper removes the files. Those whose bytes something else has, too, stay f
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from datetime import datetime, timedelta
 from typing import Literal
 
 from sqlalchemy import ColumnElement, delete, select, update
 from sqlalchemy.orm import Session
 
-from service.store import previews
-from service.store.database import clock
-from service.store.garbage import referenced_files
-from service.store.jobs import cancel
+from service.queue.states import FINAL
+from service.queue.table import cancel
+from service.store.database import Store, clock
+from service.store.files import Files, StoredFile
 from service.store.models import (
     Artifact,
     Capture,
@@ -25,13 +27,23 @@ from service.store.models import (
     Subject,
     Template,
     Upload,
+    is_preview_of,
+    now,
 )
-from service.store.store import Store
-from service.store.transitions import FINAL
 
 Reason = Literal["request", "retention"]
 BY = "deletion"
 BATCH = 200
+
+# The columns that keep a file
+REFERRING = (
+    Artifact.sha256,
+    Capture.sha256,
+    Capture.landmarks_sha256,
+    FrameChunk.sha256,
+    Template.sha256,
+    Upload.sha256,
+)
 
 
 def active_jobs(session: Session, subject_id: str) -> Sequence[str]:
@@ -70,7 +82,7 @@ def delete_capture(session: Session, capture: Capture, reason: Reason) -> Deleti
     """Delete a scan with its checks and registrations."""
     receipt = _receipt(session, capture, "capture", reason)
     files = [
-        *capture.uploaded,
+        *capture.uploaded_files,
         *_forget_uploads(session, Upload.used_by == capture.id),
         *_left_by(session, Job.capture_id == capture.id),
     ]
@@ -85,7 +97,7 @@ def delete_job(session: Session, job: Job, reason: Reason) -> Deletion:
     rig = session.scalars(select(Rig.id).where(Rig.job_id == job.id)).one_or_none()
     receipt = _receipt(session, job, "rig" if rig else "job", reason)
     receipt.object_id = rig or job.id
-    gone = (Job.id == job.id) if rig is None else (Job.id == job.id) | previews.of_rig(rig)
+    gone = (Job.id == job.id) if rig is None else (Job.id == job.id) | is_preview_of(rig)
     files = _left_by(session, gone)
     session.execute(delete(Job).where(gone))
     _sign(session, receipt, files)
@@ -122,7 +134,7 @@ def close_receipts(store: Store) -> None:
     if not receipts:
         return
     wanted = referenced_files(store)
-    aside = {stored.sha256 for stored in store.files.aside()}
+    aside = {stored.sha256 for stored in store.files.list_aside()}
     closed = [
         receipt.id
         for receipt in receipts
@@ -141,7 +153,7 @@ def _delete_subject(session: Session, subject: Subject, receipt: Deletion) -> No
     captures = session.scalars(select(Capture).where(Capture.subject_id == subject.id)).all()
     ids = select(Capture.id).where(Capture.subject_id == subject.id)
     files = [
-        *(sha256 for capture in captures for sha256 in capture.uploaded),
+        *(sha256 for capture in captures for sha256 in capture.uploaded_files),
         *_forget_uploads(session, Upload.used_by.in_(ids)),
         *_left_by(session, Job.subject_id == subject.id),
     ]
@@ -188,3 +200,57 @@ def _sign(session: Session, receipt: Deletion, files: Iterable[str]) -> None:
     if not receipt.files:
         receipt.files_at = receipt.rows_at
     session.flush()
+
+
+def collect_garbage(store: Store, age: float) -> int:
+    """Remove files that no row refers to and that are older than ``age`` seconds.
+
+    In two steps, each with a look into the tables of its own: such a file is put aside, and goes
+    ``age`` seconds later if still nothing refers to it. So the row of what is stored must be
+    committed within ``age`` seconds. Returns how many went.
+    """
+    limit = now() - timedelta(seconds=age)
+    store.files.remove_unfinished(limit)
+    # Listed before the tables are read: what is stored in between is not in the lists.
+    aside, stored = (
+        _older(store.files.list_aside(), limit),
+        _older(store.files.list_stored(), limit),
+    )
+    wanted = referenced_files(store)
+    removed = sum(_decide(store.files, sha256, sha256 in wanted) for sha256 in aside)
+    for sha256 in stored:
+        if sha256 not in wanted:
+            with suppress(FileNotFoundError):  # another sweeper was faster
+                store.files.put_aside(sha256)
+    return removed
+
+
+def referenced_files(store: Store) -> set[str]:
+    """Return the sha256 of the files that rows refer to, and that jobs still read."""
+    with store.read() as session:
+        return references(session)
+
+
+def references(session: Session) -> set[str]:
+    """Return the sha256 of the files that the rows of a session refer to."""
+    found: set[str] = set()
+    for column in REFERRING:
+        found.update(filter(None, session.scalars(select(column).distinct())))
+    active = select(Job.inputs).where(Job.state.not_in(FINAL))
+    for inputs in session.scalars(active):
+        found.update(item["sha256"] for item in inputs)
+    return found
+
+
+def _older(files: Iterator[StoredFile], limit: datetime) -> list[str]:
+    return [stored.sha256 for stored in files if stored.at < limit]
+
+
+def _decide(files: Files, sha256: str, wanted: bool) -> bool:
+    """Take back or remove a file that was put aside; returns whether it is gone."""
+    with suppress(FileNotFoundError):
+        if wanted:
+            files.take_back(sha256)
+        else:
+            files.remove(sha256)
+    return not wanted

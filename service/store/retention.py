@@ -1,4 +1,4 @@
-"""How long things are kept: stated on each by ``retain_until``, enforced by the sweeper.
+"""Retention: stated on each object by ``retain_until``, enforced by the sweeper.
 
 What jobs are still reading waits for them.
 """
@@ -13,9 +13,10 @@ from typing import Any, TypeVar
 from sqlalchemy import ColumnElement, Select, delete, exists, or_, select
 from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
 
+from service.queue.states import FINAL
 from service.settings import Settings
-from service.store import deletion, previews
-from service.store.database import clock
+from service.store import deletion
+from service.store.database import Store, clock
 from service.store.models import (
     AnsweredRequest,
     AuditEntry,
@@ -25,24 +26,23 @@ from service.store.models import (
     Rig,
     Subject,
     Tenant,
+    is_preview_of,
 )
-from service.store.store import Store
 from service.store.tenancy import own_tenant
-from service.store.transitions import FINAL
 
+# Lifetime of an `Idempotency-Key`
 ANSWERED = timedelta(days=1)
-"""How long an ``Idempotency-Key`` is known."""
+# Most objects deleted in a round
 BATCH = 200
-"""So many things go in a round."""
+# Of what is kept: settings and tenants have a `retain_` of each
 KINDS = ("subjects", "scans", "jobs", "rigs")
-"""Of what is kept: settings and tenants have a ``retain_`` of each."""
 
 Row = TypeVar("Row")
 
 
 @dataclass(frozen=True)
 class Days:
-    """How many days things are kept, of each kind; None: until somebody deletes them."""
+    """Days that things are kept, of each kind; None: until somebody deletes them."""
 
     subjects: int | None
     scans: int | None
@@ -114,7 +114,7 @@ Rule = tuple[int | None, InstrumentedAttribute[Any], Select[Any], Remove]
 
 def _rules(kept: Days) -> Iterable[Rule]:
     """Return what is kept for how many days, since when, which rows, and how they go."""
-    is_of_it = (Rig.job_id == Job.id) | (Rig.model_job_id == Job.id) | previews.of_rig(Rig.id)
+    is_of_it = (Rig.job_id == Job.id) | (Rig.model_job_id == Job.id) | is_preview_of(Rig.id)
     needed = select(Rig.id).where(is_of_it).exists()
     ended = select(Job).where(Job.state.in_(FINAL), ~needed, _idle(Job.subject_id))
     of_rigs = select(Job).join(Rig, Rig.job_id == Job.id).where(_idle(Job.subject_id))
@@ -133,6 +133,6 @@ def _has_own_days() -> ColumnElement[bool]:
 
 
 def _idle(subject_id: InstrumentedAttribute[Any]) -> ColumnElement[bool]:
-    """Tell whether no job of a subject is waiting or running."""
+    """Return whether no job of a subject is waiting or running."""
     other = aliased(Job)
     return ~exists().where(other.subject_id == subject_id, other.state.not_in(FINAL))

@@ -6,7 +6,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from service import paging
-from service.errors import unknown
+from service.errors import not_found
 from service.paging import Slice
 from service.store.models import Subject
 
@@ -15,7 +15,7 @@ def get(session: Session, subject_id: str) -> Subject:
     """Return a subject."""
     subject = session.get(Subject, subject_id)
     if subject is None:
-        raise unknown("subject", subject_id)
+        raise not_found("subject", subject_id)
     return subject
 
 
@@ -23,7 +23,7 @@ def lock(session: Session, subject_id: str) -> Subject:
     """Return a subject that nobody else can change, or give jobs or captures, until the commit."""
     subject = session.get(Subject, subject_id, with_for_update=True)
     if subject is None:
-        raise unknown("subject", subject_id)
+        raise not_found("subject", subject_id)
     return subject
 
 

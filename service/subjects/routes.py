@@ -7,8 +7,6 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Response
 
 from service.access.principal import Deleter, Writer
-from service.audit.record import record
-from service.deletions.routes import answer
 from service.dependencies import (
     Cursor,
     DeleteSession,
@@ -19,6 +17,8 @@ from service.dependencies import (
 )
 from service.errors import problems
 from service.idempotency import Once
+from service.records.audit import record
+from service.records.routes import answer_deletion
 from service.schemas import Id, Page
 from service.store.retention import own_days
 from service.subjects import repository, service
@@ -32,7 +32,7 @@ def create(
     new: NewSubject, session: WriteSession, who: Writer, once: Once, settings: SettingsDep
 ) -> SubjectView:
     """Add a person to be scanned."""
-    if (known := once.known(session, new)) is not None:
+    if (known := once.find_answered(session, new)) is not None:
         return SubjectView.of(repository.get(session, known), own_days(session, settings))
     subject = service.create(session, new)
     once.keep(session, subject.id)
@@ -75,4 +75,4 @@ def delete(
     """
     receipt = service.delete(session, subject_id, cancel=cancel)
     record(session, who, "subject.deleted", subject_id)
-    return answer(receipt)
+    return answer_deletion(receipt)

@@ -1,4 +1,4 @@
-"""What the API says about subjects."""
+"""Bodies and views of subjects."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from datetime import datetime
 
 from pydantic import Field
 
-from service.schemas import Body, Id, RetainUntil, Title, View
+from service.schemas import Id, RequestBody, RetainUntil, Title, View
 from service.store import retention
 from service.store.models import Subject
 
 
-class NewSubject(Body):
+class NewSubject(RequestBody):
     """A person to be scanned."""
 
     name: Title = Field(examples=["Alex"])

@@ -1,4 +1,4 @@
-"""What can be done with subjects."""
+"""Subject operations: create, delete."""
 
 from __future__ import annotations
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Response
+from prometheus_client import CONTENT_TYPE_PLAIN_0_0_4, CollectorRegistry, generate_latest
 
-from service.access.principal import Scope, need
+from service.access.principal import Scope, need_scope
 from service.captures.service import FORMATS, LANDMARK_FORMATS, RAW_FORMATS
-from service.dependencies import ReadSession, SettingsDep, WholeStore
+from service.dependencies import ReadSession, SettingsDep, WholeStore, part
 from service.errors import problems
 from service.kinds import KINDS
 from service.schemas import Page
@@ -16,12 +17,15 @@ from service.store.retention import own_days
 from service.system.schemas import KindView, Limits, Readiness, Retention, WorkerView
 from service.system.service import living_workers, readiness
 
+# RFC 9745: since when, in seconds of the epoch (2026-11-22)
+SOLVERS_DEPRECATED = "@1795305600"
+
 router = APIRouter(tags=["system"])
 
 
 @router.get("/v1/limits", summary="Limits")
 def limits(session: ReadSession, settings: SettingsDep) -> Limits:
-    """Tell what this service accepts, and how long it keeps what is the tenant's."""
+    """Show what this service accepts, and how long it keeps what is the tenant's."""
     kept = own_days(session, settings)
     return Limits(
         max_upload_bytes=settings.max_upload_bytes,
@@ -42,14 +46,27 @@ def limits(session: ReadSession, settings: SettingsDep) -> Limits:
 
 
 @router.get(
-    "/v1/solvers",
+    "/v1/kinds",
     response_model=Page[KindView],
     summary="Kinds of job",
-    dependencies=[Depends(need(Scope.READ))],
+    dependencies=[Depends(need_scope(Scope.READ))],
 )
-def solvers() -> Any:
+def kinds() -> Any:
     """List the kinds of job with their options as JSON Schema."""
     return {"items": list(KINDS.values())}
+
+
+@router.get(
+    "/v1/solvers",
+    response_model=Page[KindView],
+    dependencies=[Depends(need_scope(Scope.READ))],
+    include_in_schema=False,
+)
+def solvers(response: Response) -> Any:
+    """Answer at the path that `/v1/kinds` had before it, for one release."""
+    response.headers["Deprecation"] = SOLVERS_DEPRECATED
+    response.headers["Link"] = '</v1/kinds>; rel="successor-version"'
+    return kinds()
 
 
 @router.get(
@@ -57,7 +74,7 @@ def solvers() -> Any:
     response_model=Page[WorkerView],
     summary="The living workers",
     responses=problems(503),
-    dependencies=[Depends(need(Scope.METRICS))],
+    dependencies=[Depends(need_scope(Scope.METRICS))],
 )
 def workers(store: WholeStore, settings: SettingsDep) -> Any:
     """List the workers seen lately, by name; a key needs the scope `metrics`."""
@@ -80,3 +97,15 @@ def ready(store: WholeStore, settings: SettingsDep, response: Response) -> Readi
     state = readiness(store, settings)
     response.status_code = 200 if state.ready else 503
     return state
+
+
+@router.get(
+    "/metrics",
+    response_class=Response,
+    summary="Metrics for Prometheus",
+    dependencies=[Depends(need_scope(Scope.METRICS))],
+    responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
+)
+def metrics(registry: Annotated[CollectorRegistry, Depends(part("metrics"))]) -> Response:
+    """Show health, latencies and queues in Prometheus' text format."""
+    return Response(generate_latest(registry), media_type=CONTENT_TYPE_PLAIN_0_0_4)

@@ -1,4 +1,4 @@
-"""What the API says about itself."""
+"""Views of the service itself."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Retention(BaseModel):
 
 
 class Limits(BaseModel):
-    """What this service accepts and how long it keeps things (bytes, seconds)."""
+    """Limits on what this service accepts, and how long it keeps things (bytes, seconds)."""
 
     max_upload_bytes: int
     upload_ttl: float
@@ -61,7 +61,7 @@ class WorkerView(View):
 
 
 class Readiness(BaseModel):
-    """Whether the parts answer; without a worker jobs wait, which is not an error."""
+    """Readiness of the parts; without a worker jobs wait, which is not an error."""
 
     ready: bool
     checks: dict[str, Literal["ok", "failed"]]

@@ -1,4 +1,4 @@
-"""Whether the parts that the service needs answer."""
+"""Readiness of the parts that the service needs, and its living workers."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ import structlog
 from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
 
+from service.queue.wakeups import connect
 from service.settings import Settings
-from service.store.database import clock
+from service.store.database import Store, clock
 from service.store.models import Worker
-from service.store.queue import connect
-from service.store.store import Store
 from service.system.schemas import Readiness, WorkerView
 
 log = structlog.get_logger()

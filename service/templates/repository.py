@@ -8,7 +8,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from service import paging
-from service.errors import unknown
+from service.errors import not_found
 from service.paging import Slice
 from service.store.models import Subject, Template
 
@@ -17,7 +17,7 @@ def get(session: Session, template_id: str) -> Template:
     """Return a template."""
     template = session.get(Template, template_id)
     if template is None:
-        raise unknown("template", template_id)
+        raise not_found("template", template_id)
     return template
 
 
@@ -26,7 +26,7 @@ def hold(session: Session, template_id: str) -> Template:
     share = {"read": True, "key_share": True}
     template = session.get(Template, template_id, with_for_update=share)
     if template is None:
-        raise unknown("template", template_id)
+        raise not_found("template", template_id)
     return template
 
 
@@ -34,7 +34,7 @@ def lock(session: Session, template_id: str) -> Template:
     """Return a template that no subject can be given until the commit."""
     template = session.get(Template, template_id, with_for_update=True)
     if template is None:
-        raise unknown("template", template_id)
+        raise not_found("template", template_id)
     return template
 
 

@@ -7,11 +7,11 @@ from typing import Any
 from fastapi import APIRouter, Response
 
 from service.access.principal import Deleter, Writer
-from service.audit.record import record
-from service.deletions.routes import answer
 from service.dependencies import Cursor, DeleteSession, Limit, ReadSession, WriteSession
 from service.errors import problems
 from service.idempotency import Once
+from service.records.audit import record
+from service.records.routes import answer_deletion
 from service.schemas import Id, Page
 from service.templates import repository, service
 from service.templates.schemas import NewTemplate, TemplateView
@@ -28,7 +28,7 @@ router = APIRouter(prefix="/v1/templates", tags=["templates"])
 )
 def create(new: NewTemplate, session: WriteSession, who: Writer, once: Once) -> Any:
     """Make a template anatomy of a complete upload (`.npz`)."""
-    if (known := once.known(session, new)) is not None:
+    if (known := once.find_answered(session, new)) is not None:
         return repository.get(session, known)
     template = service.create(session, new)
     once.keep(session, template.id)
@@ -65,4 +65,4 @@ def delete(template_id: Id, session: DeleteSession, who: Deleter) -> Response:
     """Delete a template that no subject has; models built of it stay."""
     receipt = service.delete(session, template_id)
     record(session, who, "template.deleted", template_id)
-    return answer(receipt)
+    return answer_deletion(receipt)

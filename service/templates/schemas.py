@@ -1,13 +1,13 @@
-"""What the API says about templates."""
+"""Bodies and views of templates."""
 
 from __future__ import annotations
 
 from datetime import datetime
 
-from service.schemas import Body, Id, Title, View
+from service.schemas import Id, RequestBody, Title, View
 
 
-class NewTemplate(Body):
+class NewTemplate(RequestBody):
     """A template anatomy, as the file of a complete upload."""
 
     name: Title

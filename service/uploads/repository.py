@@ -5,7 +5,7 @@ from __future__ import annotations
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
-from service.errors import Problem, unknown
+from service.errors import Problem, not_found
 from service.store.database import clock
 from service.store.models import Upload
 from service.store.tenancy import own_tenant
@@ -15,7 +15,7 @@ def get(session: Session, upload_id: str) -> Upload:
     """Return an upload that is still there."""
     upload = session.get(Upload, upload_id)
     if upload is None:
-        raise unknown("upload", upload_id)
+        raise not_found("upload", upload_id)
     if upload.expires_at < clock(session):
         raise Problem(410, "upload.expired", "the upload has expired", upload_id=upload_id)
     return upload
@@ -42,7 +42,7 @@ def use(session: Session, upload: Upload, object_id: str) -> None:
     session.execute(update(Upload).where(Upload.id == upload.id).values(used_by=object_id))
 
 
-def unfinished(session: Session) -> set[str]:
+def unfinished_ids(session: Session) -> set[str]:
     """Return the ids of the uploads that still have bytes of their own."""
     return set(session.scalars(select(Upload.id).where(~Upload.complete)))
 

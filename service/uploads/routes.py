@@ -7,7 +7,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Header, Request, Response
 
-from service.access.principal import Scope, need
+from service.access.principal import Scope, need_scope
 from service.dependencies import SettingsDep, WriteStore
 from service.errors import CHECKSUM_MISMATCH, Problem, problems
 from service.schemas import Id, Position
@@ -65,7 +65,7 @@ ChunkChecksum = Annotated[
 router = APIRouter(
     prefix="/v1/uploads",
     tags=["uploads"],
-    dependencies=[Depends(need(Scope.WRITE)), Depends(_speaks_tus)],
+    dependencies=[Depends(need_scope(Scope.WRITE)), Depends(_speaks_tus)],
 )
 
 
@@ -82,7 +82,7 @@ def _headers(response: Response, upload: Upload) -> None:
     responses=problems(412, 422),
 )
 def describe(response: Response, settings: SettingsDep) -> None:
-    """Tell version, extensions, checksum algorithms and the largest size."""
+    """Show version, extensions, checksum algorithms and the largest size."""
     response.headers["Tus-Version"] = VERSION
     response.headers["Tus-Extension"] = "creation,expiration,checksum,termination"
     response.headers["Tus-Checksum-Algorithm"] = ",".join(ALGORITHMS)
@@ -117,7 +117,7 @@ def show(upload_id: Id, service: Service) -> UploadView:
     responses=problems(404, 410, 412, 422, 423, CHECKSUM_MISMATCH),
 )
 def offset(upload_id: Id, service: Service, response: Response) -> None:
-    """Tell the offset of the next byte; 423 while another request is still writing."""
+    """Show the offset of the next byte; 423 while another request is still writing."""
     _headers(response, service.settle(upload_id))
     response.headers["Cache-Control"] = "no-store"
 

@@ -1,4 +1,4 @@
-"""What the API says about uploads, and how tus packs an upload's metadata."""
+"""Views of uploads, and tus's packing of an upload's metadata."""
 
 from __future__ import annotations
 

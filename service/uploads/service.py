@@ -9,26 +9,34 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import os
+import re
 from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
 from typing import BinaryIO
 
+import structlog
 from anyio import to_thread
 from sqlalchemy.orm import Session
 from starlette.requests import ClientDisconnect
 
-from service.access.quotas import check_bytes
+from service.access.limits import check_bytes
+from service.background import Background
 from service.errors import CHECKSUM_MISMATCH, Problem
 from service.settings import Settings
-from service.store.database import clock
-from service.store.models import Upload
-from service.store.store import Store
+from service.store.database import Store, clock
+from service.store.models import Upload, now
 from service.uploads import repository
 from service.uploads.schemas import Checksum
 
 BUFFER = 1 << 20
+
+# The name of an unfinished upload's file: its id
+PART = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}")
+EVERY = 60.0
+
+log = structlog.get_logger()
 
 
 class UploadService:
@@ -88,12 +96,12 @@ class UploadService:
         if upload.complete:
             return upload
         try:
-            with self._locked(upload_id):
+            with self._lock_part(upload_id):
                 pass  # no longer than it takes to see that it is free: a writer would be refused
             upload = self.get(upload_id)
             if _is_settled(upload):
                 return upload
-            with self._locked(upload_id):
+            with self._lock_part(upload_id):
                 upload = self.get(upload_id)
                 return upload if _is_settled(upload) else self._complete(upload)
         except Problem as problem:
@@ -109,7 +117,7 @@ class UploadService:
         if self.get(upload_id).complete:
             self._forget(upload_id)
             return
-        with self._locked(upload_id):
+        with self._lock_part(upload_id):
             self._forget(upload_id)
             self._part(upload_id).unlink(missing_ok=True)
 
@@ -131,7 +139,7 @@ class UploadService:
         """
         upload = await to_thread.run_sync(self.get, upload_id)
         _check_offset(upload, offset)
-        with self._locked(upload_id) as part:
+        with self._lock_part(upload_id) as part:
             upload = await to_thread.run_sync(self.get, upload_id)
             _check_offset(upload, offset)
             digest = hashlib.new(checksum.algorithm) if checksum else None
@@ -167,7 +175,9 @@ class UploadService:
         part = self._part(upload.id)
         try:
             blob = self._store.files.put(part)
-        except FileNotFoundError as error:  # its row too: the `Tidier` removes none that has one
+        except (
+            FileNotFoundError
+        ) as error:  # its row too: the `UploadCleaner` removes none that has one
             raise Problem(
                 410, "upload.expired", "the upload has expired", upload_id=upload.id
             ) from error
@@ -193,7 +203,7 @@ class UploadService:
         return self._settings.uploads / upload_id
 
     @contextmanager
-    def _locked(self, upload_id: str) -> Iterator[BinaryIO]:
+    def _lock_part(self, upload_id: str) -> Iterator[BinaryIO]:
         try:
             part = self._part(upload_id).open("r+b")
         except FileNotFoundError as error:
@@ -211,7 +221,7 @@ class UploadService:
 
 
 def _is_settled(upload: Upload) -> bool:
-    """Tell whether nothing is left to do but for a client that sends more."""
+    """Return whether nothing is left to do but for a client that sends more."""
     return upload.complete or upload.offset < upload.size
 
 
@@ -254,3 +264,41 @@ async def _write(
     part.flush()
     await to_thread.run_sync(os.fsync, part.fileno())
     return received
+
+
+class UploadCleaner(Background):
+    """Removes the bytes of uploads that expired, or that a service which died left.
+
+    Each API process tidies its own folder, which no worker may reach.
+    """
+
+    def __init__(self, store: Store, settings: Settings) -> None:
+        super().__init__("uploads", min(EVERY, settings.garbage_age))
+        self._store = store
+        self._folder = settings.uploads
+        self._age = timedelta(seconds=settings.garbage_age)
+
+    def _round(self) -> None:
+        # Listed before the table is read: the row of what is that old has long been committed.
+        parts = _older(self._folder, (now() - self._age).timestamp())
+        if not parts:
+            return
+        with self._store.read() as session:
+            wanted = repository.unfinished_ids(session)
+        abandoned = [part for part in parts if part.name not in wanted]
+        for part in abandoned:
+            part.unlink(missing_ok=True)
+        if abandoned:
+            log.info("uploads.tidied", count=len(abandoned))
+
+
+def _older(folder: Path, limit: float) -> list[Path]:
+    """Return the unfinished uploads' files that nothing was written to since ``limit``."""
+    found = []
+    for path in folder.glob("*-*"):
+        try:
+            if PART.fullmatch(path.name) and path.stat().st_mtime < limit:
+                found.append(path)
+        except FileNotFoundError:  # completed or deleted meanwhile
+            continue
+    return found

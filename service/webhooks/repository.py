@@ -6,7 +6,7 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from service import paging
-from service.errors import unknown
+from service.errors import not_found
 from service.paging import Slice
 from service.store.models import Delivery, Webhook
 
@@ -16,7 +16,7 @@ def get(session: Session, webhook_id: str, *, lock: bool = False) -> Webhook:
     query = select(Webhook).where(Webhook.id == webhook_id)
     webhook = session.scalars(query.with_for_update() if lock else query).one_or_none()
     if webhook is None:
-        raise unknown("webhook", webhook_id)
+        raise not_found("webhook", webhook_id)
     return webhook
 
 
@@ -44,5 +44,5 @@ def delivery(session: Session, delivery_id: str) -> Delivery:
     """Return a delivery."""
     found = session.scalars(select(Delivery).where(Delivery.id == delivery_id)).one_or_none()
     if found is None:
-        raise unknown("delivery", delivery_id)
+        raise not_found("delivery", delivery_id)
     return found

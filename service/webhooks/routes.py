@@ -7,11 +7,11 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Depends, Query, Response
 
 from service.access.principal import Hooks
-from service.audit.record import record
 from service.dependencies import Cursor, HookSession, Limit, part
 from service.errors import problems
 from service.idempotency import Once
-from service.outbound.client import Sender
+from service.outbound import Sender
+from service.records.audit import record
 from service.schemas import Id, Page
 from service.store.database import clock
 from service.store.models import Webhook
@@ -42,7 +42,7 @@ def create(
     response: Response,
 ) -> WebhookWithSecret:
     """Have an address told what happens. The answer holds the secret, which is not told again."""
-    if (known := once.known(session, new)) is not None:
+    if (known := once.find_answered(session, new)) is not None:
         webhook = repository.get(session, known)
     else:
         webhook = service.create(session, sender, new)
@@ -96,7 +96,7 @@ def change(
     responses=problems(404, 422),
 )
 def delete(webhook_id: Id, session: HookSession, who: Hooks) -> None:
-    """Tell it nothing more; its log goes with it."""
+    """Delete a webhook with its log."""
     session.delete(repository.get(session, webhook_id))
     record(session, who, "webhook.deleted", webhook_id)
 
@@ -110,7 +110,7 @@ def rotate(
     webhook_id: Id, session: HookSession, who: Hooks, master: Master, once: Once
 ) -> WebhookWithSecret:
     """Make a new secret; for a day the old one signs too, so that receivers can change over."""
-    if once.known(session) is not None:
+    if once.find_answered(session) is not None:
         return _with_secret(repository.get(session, webhook_id), master)
     webhook = service.rotate(session, webhook_id, clock(session))
     once.keep(session, webhook_id)

@@ -1,4 +1,4 @@
-"""What the API says about webhooks."""
+"""Bodies and views of webhooks."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from service.kinds import KINDS
-from service.outbound.client import LONGEST_URL, Refused, parse
-from service.schemas import Body, View
+from service.outbound import LONGEST_URL, Refused, parse
+from service.schemas import RequestBody, View
 from service.store.models import Delivery
 
+# Events that a webhook can subscribe to
 EventType = Literal[
     "job.started",
     "job.succeeded",
@@ -20,7 +21,6 @@ EventType = Literal[
     "scan.checked",
     "batch.finished",
 ]
-"""What happens that can be asked for."""
 
 
 def _sendable(url: str) -> str:
@@ -52,7 +52,7 @@ Kinds = Annotated[
 ]
 
 
-class NewWebhook(Body):
+class NewWebhook(RequestBody):
     """An address to tell what happens: `POST` with a Standard Webhooks signature."""
 
     url: Url
@@ -60,8 +60,8 @@ class NewWebhook(Body):
     kinds: Kinds = Field(default_factory=list)
 
 
-class WebhookChange(Body):
-    """What to change; what is left out stays. `active: true` gives a failed one a new start."""
+class WebhookChange(RequestBody):
+    """Changes of a webhook; the rest stays. `active: true` gives a failed one a new start."""
 
     url: Url | None = None
     events: Events | None = None
@@ -71,7 +71,7 @@ class WebhookChange(Body):
     @model_validator(mode="after")
     def _no_nulls(self) -> WebhookChange:
         if nulls := [name for name in self.model_fields_set if getattr(self, name) is None]:
-            raise ValueError(f"{nulls[0]} can not be null")
+            raise ValueError(f"{nulls[0]} cannot be null")
         return self
 
 

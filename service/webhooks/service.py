@@ -1,4 +1,4 @@
-"""What can be done with webhooks."""
+"""Webhook operations: create, change, rotate, test, redeliver, delete."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from datetime import datetime
 from sqlalchemy.orm import Session
 
 from service.errors import Problem
-from service.outbound.client import Refused, Sender
-from service.store import outbox
+from service.outbound import Refused, Sender
+from service.queue import outbox
 from service.store.database import clock
 from service.store.models import Delivery, Webhook
 from service.store.tenancy import own_tenant
 from service.webhooks import repository
 from service.webhooks.schemas import NewWebhook, WebhookChange
 
+# Most webhooks of a tenant: each is looked at with every step of every job
 MOST = 20
-"""Webhooks of a tenant: each is asked at every step of every job."""
 
 BY_USER = "by_user"
 

@@ -15,10 +15,10 @@ import pytest
 import uvicorn
 
 from service.app import create_app
+from service.queue import table
 from service.settings import Settings
-from service.store import jobs
+from service.store.database import Store
 from service.store.models import DEFAULT_TENANT, Artifact, Job, Rig, Subject
-from service.store.store import Store
 from solver.rig.animation_gltf import AnimatedSkin
 from solver.rig.motion import SequenceFrame
 from solver.surface import Floats
@@ -187,13 +187,13 @@ def put_job(
             inputs=[],
             max_attempts=3,
         )
-        jobs.create(session, job)
+        table.create(session, job)
         job_id = job.id
     with store.write() as session:
-        claim = jobs.take(session, job_id, "test", 10)
+        claim = table.take(session, job_id, "test", 10)
         assert claim
         left = [_artifact(store, job_id, path) for path in files]
-        assert jobs.succeed(session, job_id, claim.attempt, left, summary=summary)
+        assert table.succeed(session, job_id, claim.attempt, left, summary=summary)
     return job_id
 
 

@@ -86,13 +86,32 @@ def test_scripts_set_text_never_markup(path: Path) -> None:
         assert not re.search(forbidden, code), (path.name, forbidden)
 
 
+def _imports(path: Path) -> list[str]:
+    imports = r'^(?:import|export)\b[^;]*?from "([^"]+)";|\bimport\("([^"]+)"\)'
+    found = re.findall(imports, path.read_text(), flags=re.MULTILINE)
+    return [static or lazy for static, lazy in found]
+
+
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.relative_to(STATIC).as_posix())
 def test_imports_lead_somewhere(path: Path) -> None:
-    imports = r'^(?:import|export)\b[^;]*?from "([^"]+)";|\bimport\("([^"]+)"\)'
-    for static, lazy in re.findall(imports, path.read_text(), flags=re.MULTILINE):
-        name = static or lazy
+    for name in _imports(path):
         assert name.startswith("."), f"{path.name} imports the bare {name}"
         assert (path.parent / name).resolve().is_file(), f"{path.name}: {name}"
+
+
+def test_imports_make_no_circle() -> None:
+    leads = {path: {(path.parent / name).resolve() for name in _imports(path)} for path in SCRIPTS}
+    done: set[Path] = set()
+
+    def visit(path: Path, way: tuple[Path, ...]) -> None:
+        assert path not in way, " -> ".join(each.name for each in (*way, path))
+        if path not in done:
+            for other in leads.get(path, ()):
+                visit(other, (*way, path))
+            done.add(path)
+
+    for path in SCRIPTS:
+        visit(path, ())
 
 
 @pytest.mark.parametrize("path", OWN, ids=lambda path: path.relative_to(STATIC).as_posix())

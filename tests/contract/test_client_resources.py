@@ -10,8 +10,8 @@ from myoface import resources
 from service.access.principal import Scope
 from service.app import create_app
 from service.kinds import KINDS
+from service.queue.states import FINAL, State
 from service.settings import Settings
-from service.store.transitions import FINAL, State
 
 SHAPES = {
     resources.JobKind: "KindView",

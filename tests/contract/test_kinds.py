@@ -14,7 +14,7 @@ from typer.main import get_command
 from myoface.cli.offline import solve
 from service.captures import service as captures
 from service.kinds import KINDS
-from service.store.queue import QUEUES
+from service.queue.wakeups import QUEUES
 from solver import pipeline
 from solver.errors import InputError
 from solver.mechanics.linear import DOUBLE, SOLVERS

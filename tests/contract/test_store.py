@@ -10,9 +10,9 @@ from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from sqlalchemy import delete, select, text, update
 
+from service.queue.states import ALLOWED
 from service.store.database import Database
 from service.store.models import DEFAULT_TENANT, Base, Event, Job, Subject
-from service.store.transitions import ALLOWED
 
 DOCS = Path(__file__).parents[2] / "docs" / "reference" / "api.md"
 

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from service.outbound.addresses import is_allowed
-from service.outbound.client import MOST_ANSWER, Refused, Sender, Unreachable
+from service.outbound import MOST_ANSWER, Refused, Sender, Unreachable, is_allowed
 from tests.certificate import self_signed
 from tests.receiver import LOOPBACK, Receiver, receiving
 

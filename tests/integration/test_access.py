@@ -17,8 +17,8 @@ from service.access.keys import Keyring
 from service.access.principal import Scope
 from service.secret import secret
 from service.settings import Settings
+from service.store.database import Store
 from service.store.models import DEFAULT_TENANT, ApiKey, now
-from service.store.store import Store
 from tests.service_client import Studio, served
 
 OPEN = {"/healthz", "/readyz"}

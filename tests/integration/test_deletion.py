@@ -12,9 +12,10 @@ import pytest
 from sqlalchemy import event, func, select, update
 from sqlalchemy.orm import Session
 
+from service.queue import table
 from service.settings import Settings
-from service.store import deletion, garbage, jobs, retention
-from service.store.database import Database
+from service.store import deletion, retention
+from service.store.database import Database, Store
 from service.store.models import (
     DEFAULT_TENANT,
     AuditEntry,
@@ -26,7 +27,6 @@ from service.store.models import (
     Upload,
     now,
 )
-from service.store.store import Store
 from tests.service_client import Studio, eventually, running, served
 
 OLD = now() - timedelta(days=40)
@@ -49,7 +49,7 @@ def _settings(studio: Studio, **days: int) -> Settings:
 
 
 def _stored(studio: Studio) -> set[str]:
-    return {stored.sha256 for stored in _store(studio).files.stored()}
+    return {stored.sha256 for stored in _store(studio).files.list_stored()}
 
 
 def test_a_receipt_says_when_the_last_file_was_gone(studio: Studio) -> None:
@@ -65,7 +65,7 @@ def test_a_receipt_says_when_the_last_file_was_gone(studio: Studio) -> None:
     for _ in range(2):  # put aside, and removed
         deletion.close_receipts(_store(studio))
         assert studio.get(answer.headers["Location"])["files_at"] is None
-        garbage.collect(_store(studio), age=-60)
+        deletion.collect_garbage(_store(studio), age=-60)
     deletion.close_receipts(_store(studio))
     receipt = studio.get(answer.headers["Location"])
     assert receipt["files_at"] is not None
@@ -86,7 +86,7 @@ def test_landmarks_that_were_replaced_go_with_their_scan(studio: Studio) -> None
         assert studio.http.put(path, json=marks).status_code == 200
     receipt = studio.http.delete(f"/v1/subjects/{subject}").headers["Location"]
     for _ in range(2):
-        garbage.collect(_store(studio), age=-60)
+        deletion.collect_garbage(_store(studio), age=-60)
     deletion.close_receipts(_store(studio))
     assert studio.get(receipt)["files_at"] is not None
     assert _stored(studio) == set()
@@ -109,7 +109,7 @@ def test_a_busy_subject_is_deleted_when_its_jobs_have_stopped(studio: Studio) ->
     subject = studio.subject()
     waiting, running_job = (studio.submit("build_model", subject) for _ in range(2))
     with _store(studio).write() as session:
-        claim = jobs.take(session, running_job, "worker", 30)
+        claim = table.take(session, running_job, "worker", 30)
         assert claim
     assert studio.http.delete(f"/v1/subjects/{subject}").status_code == 409
     answer = studio.http.delete(f"/v1/subjects/{subject}?cancel=true")
@@ -121,7 +121,7 @@ def test_a_busy_subject_is_deleted_when_its_jobs_have_stopped(studio: Studio) ->
     retention.enforce(_store(studio), _settings(studio))
     assert studio.get(answer.headers["Location"])["rows_at"] is None
     with _store(studio).write() as session:
-        assert jobs.confirm_cancel(session, running_job, claim.attempt)
+        assert table.confirm_cancel(session, running_job, claim.attempt)
     retention.enforce(_store(studio), _settings(studio))
     assert studio.get(answer.headers["Location"])["rows_at"] is not None
     for path in (f"/v1/subjects/{subject}", f"/v1/jobs/{waiting}"):
@@ -149,11 +149,11 @@ def test_what_has_been_kept_for_long_enough_goes(studio: Studio) -> None:
     model, rig_job, check = (studio.submit("build_model", subject) for _ in range(3))
     _end(studio, model, check)
     with _store(studio).write() as session:
-        claim = jobs.take(session, rig_job, "worker", 30)
+        claim = table.take(session, rig_job, "worker", 30)
         assert claim
         mine = {"tenant_id": claim.tenant_id, "job_id": rig_job, "model_job_id": model}
         rig = Rig(subject_id=subject, expressions=[], summary={}, **mine)
-        assert jobs.succeed(session, rig_job, claim.attempt, [], rig=rig)
+        assert table.succeed(session, rig_job, claim.attempt, [], rig=rig)
     _age(studio, Job, "finished_at")
     settings = _settings(studio, retain_jobs=30)
     retention.enforce(_store(studio), settings)
@@ -214,9 +214,9 @@ def test_a_round_deletes_so_many_things_and_those_of_a_tenant_at_a_time(
 def _end(studio: Studio, *job_ids: str) -> None:
     for job_id in job_ids:
         with _store(studio).write() as session:
-            claim = jobs.take(session, job_id, "worker", 30)
+            claim = table.take(session, job_id, "worker", 30)
             assert claim
-            assert jobs.succeed(session, job_id, claim.attempt, [])
+            assert table.succeed(session, job_id, claim.attempt, [])
 
 
 def _age(studio: Studio, table: Any, column: str) -> None:

@@ -11,10 +11,10 @@ import pytest
 from boto3.s3.transfer import TransferConfig
 
 from service.settings import Settings
-from service.store import garbage
+from service.store import deletion
+from service.store.database import Store
 from service.store.files import DamagedFileError, Files, FolderFiles, UnreachableError, files_at, s3
 from service.store.models import DEFAULT_TENANT, Template, now
-from service.store.store import Store
 
 SCAN = os.urandom(1_000_000)
 SHA256 = hashlib.sha256(SCAN).hexdigest()
@@ -48,8 +48,8 @@ def test_a_file_comes_back_as_it_was(files: Files, scan: Path, tmp_path: Path) -
     assert not files.exists(SHA256)
     assert files.put(scan) == files.put(scan)
     assert files.size(SHA256) == len(SCAN)
-    assert [stored.sha256 for stored in files.stored()] == [SHA256]
-    assert abs(next(files.stored()).at - now()) < timedelta(minutes=1)
+    assert [stored.sha256 for stored in files.list_stored()] == [SHA256]
+    assert abs(next(files.list_stored()).at - now()) < timedelta(minutes=1)
     for start, end in ((0, None), (0, 1), (999_990, None), (400_000, 700_001), (5, 5)):
         assert b"".join(files.open(SHA256, start, end)) == SCAN[start:end]
     files.fetch(SHA256, tmp_path / "inputs" / "scan.obj")
@@ -97,29 +97,29 @@ def test_a_damaged_file_is_not_handed_out(files: Files, scan: Path, tmp_path: Pa
 
 def test_what_nothing_refers_to_goes_in_two_steps(store: Store, scan: Path) -> None:
     store.files.put(scan)
-    assert garbage.collect(store, 60) == 0
-    assert list(store.files.stored())
-    assert garbage.collect(store, AT_ONCE) == 0
-    assert not list(store.files.stored())
+    assert deletion.collect_garbage(store, 60) == 0
+    assert list(store.files.list_stored())
+    assert deletion.collect_garbage(store, AT_ONCE) == 0
+    assert not list(store.files.list_stored())
     assert store.files.read(SHA256) == SCAN
-    assert garbage.collect(store, 60) == 0
+    assert deletion.collect_garbage(store, 60) == 0
     assert store.files.exists(SHA256)
-    assert garbage.collect(store, AT_ONCE) == 1
+    assert deletion.collect_garbage(store, AT_ONCE) == 1
     assert not store.files.exists(SHA256)
 
 
 @pytest.mark.parametrize("stored_again", [False, True])
 def test_what_is_wanted_again_stays(store: Store, scan: Path, stored_again: bool) -> None:
     store.files.put(scan)
-    garbage.collect(store, AT_ONCE)
+    deletion.collect_garbage(store, AT_ONCE)
     if stored_again:
         store.files.put(scan)
     template = {"filename": "x", "size": 1, "name": "x", "tenant_id": DEFAULT_TENANT}
     with store.write() as session:
         session.add(Template(sha256=SHA256, **template))
-    assert garbage.collect(store, AT_ONCE) == 0
-    assert [stored.sha256 for stored in store.files.stored()] == [SHA256]
-    assert not list(store.files.aside())
+    assert deletion.collect_garbage(store, AT_ONCE) == 0
+    assert [stored.sha256 for stored in store.files.list_stored()] == [SHA256]
+    assert not list(store.files.list_aside())
     assert store.files.read(SHA256) == SCAN
 
 

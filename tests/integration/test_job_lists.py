@@ -11,8 +11,8 @@ import pytest
 from sqlalchemy import update
 
 from service.jobs import following
+from service.queue import table
 from service.settings import Settings
-from service.store import jobs
 from service.store.models import ApiKey, Event, LogLine, now
 from tests.service_client import Studio, served
 from worker.abilities import abilities, show_life
@@ -56,9 +56,9 @@ def test_lists_are_filtered_by_states_and_time(studio: Studio) -> None:
     studio.post(f"/v1/jobs/{canceled}/cancel")
     store = studio.http.app.state.store  # type: ignore[attr-defined]
     with store.write() as session:
-        claim = jobs.take(session, failed, "w", 60)
+        claim = table.take(session, failed, "w", 60)
         assert claim
-        jobs.fail(session, failed, claim.attempt, {"code": "x", "message": "x"})
+        table.fail(session, failed, claim.attempt, {"code": "x", "message": "x"})
 
     def found(query: str) -> set[str]:
         return {job["id"] for job in studio.get(f"/v1/jobs?{query}")["items"]}

@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 from sqlalchemy.orm import Session
 
+from service.queue import sweep, table
+from service.queue.claims import Abilities, claim_next
+from service.queue.states import State
+from service.queue.table import Claim
 from service.settings import Settings
-from service.store import jobs, retention, sweep
-from service.store.claims import Abilities, claim_next
-from service.store.database import clock
-from service.store.jobs import Claim
+from service.store import retention
+from service.store.database import Store, clock
 from service.store.models import DEFAULT_TENANT, Job, Subject, Tenant
-from service.store.store import Store
-from service.store.transitions import State
 from tests.service_client import running, served
 
 
@@ -59,9 +59,9 @@ def test_a_lost_attempt_is_fenced_off(store: Store) -> None:
     assert first
     assert second
     with store.write() as session:
-        assert jobs.beat(session, job_id, first.attempt, 30) is None
-        assert not jobs.succeed(session, job_id, first.attempt, [])
-        assert jobs.succeed(session, job_id, second.attempt, [])
+        assert table.beat(session, job_id, first.attempt, 30) is None
+        assert not table.succeed(session, job_id, first.attempt, [])
+        assert table.succeed(session, job_id, second.attempt, [])
     with store.read() as session:
         job = session.get(Job, job_id)
         assert job
@@ -139,5 +139,5 @@ def _queue(store: Store) -> str:
             inputs=[],
             max_attempts=3,
         )
-        jobs.create(session, job)
+        table.create(session, job)
         return job.id

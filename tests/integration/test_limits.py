@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from sqlalchemy import update
 
-from service.access.rates import Rates
+from service.access.limits import Rates
+from service.queue import sweep, table
 from service.settings import Settings
-from service.store import jobs, sizes
 from service.store.broker import EmbeddedBroker
 from service.store.models import DEFAULT_TENANT, Capture, FrameChunk, Tenant
 from tests.service_client import Studio, served
@@ -108,14 +108,14 @@ def test_landmarks_and_frames_are_among_the_stored_bytes(tmp_path: Path) -> None
         chunk = {"first": 0, "last": 9, "size": blob.size, "sha256": blob.sha256}
         job = studio.submit("build_model", subject)
         with store.write() as session:
-            claim = jobs.take(session, job, "test", 60)
+            claim = table.take(session, job, "test", 60)
             assert claim
-            jobs.beat(session, job, claim.attempt, 60, chunks=[chunk])
+            table.beat(session, job, claim.attempt, 60, chunks=[chunk])
         assert used() == before + 9 + 500
 
         with store.write() as session:  # as a version left them that knew no sizes
             session.execute(update(Capture).values(landmarks_size=None))
             session.execute(update(FrameChunk).values(size=None))
         assert used() == before
-        sizes.measure(store)
+        sweep.measure_sizes(store)
         assert used() == before + 9 + 500

@@ -8,9 +8,9 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families as parse
 from sqlalchemy import update
 
-from service.metrics import state
 from service.settings import Settings
 from service.store.models import Job, now
+from service.system import metrics
 from tests.service_client import Studio, served
 
 Samples = dict[tuple[str, ...], float]
@@ -18,7 +18,7 @@ Samples = dict[tuple[str, ...], float]
 
 @pytest.fixture(autouse=True)
 def fresh(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(state, "KEPT", 0)
+    monkeypatch.setattr(metrics, "KEPT", 0)
 
 
 def _read(studio: Studio) -> dict[str, Samples]:

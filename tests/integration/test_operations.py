@@ -14,8 +14,8 @@ from myoface.doctor import service as doctor
 from myoface.errors import StackError
 from myoface.restore import restore
 from service.settings import Settings
+from service.store.database import Store
 from service.store.models import Job, now
-from service.store.store import Store
 from tests.servers.production import Production
 from tests.service_client import served
 

@@ -10,8 +10,8 @@ import pytest
 from myoface.stack import Stack
 from service.settings import Settings
 from service.store import retention
+from service.store.database import Store
 from service.store.models import Job, Rig
-from service.store.store import Store
 from tests.service_client import Studio, served
 
 RIG = "8c1d3a52-0f4e-4c5b-9b39-1f3a4f1f6c11"

@@ -14,14 +14,12 @@ from typing import Any
 import pytest
 from sqlalchemy import insert, select, update
 
+from service.queue import sweep, table
+from service.queue.claims import Abilities, claim_next, positions
+from service.queue.states import State
 from service.settings import Settings
-from service.store import jobs, sweep
-from service.store.claims import Abilities, claim_next
-from service.store.database import clock
+from service.store.database import WAKE, Store, clock
 from service.store.models import Attempt, Event, Job, Subject, Tenant, now
-from service.store.positions import positions
-from service.store.store import WAKE, Store
-from service.store.transitions import State
 
 ANYTHING = Abilities("w", frozenset({"build_model", "register_scan"}), memory_mb=8192, threads=1)
 
@@ -220,22 +218,22 @@ def test_a_full_disk_and_a_shutdown_cost_no_try(store: Store) -> None:
     for _ in range(4):
         attempt = claimed()
         with store.write() as session:
-            jobs.postpone(session, job_id, attempt, error)
+            table.postpone(session, job_id, attempt, error)
         assert shop.take() is None
         attempt = claimed()
         with store.write() as session:
-            assert jobs.release(session, job_id, attempt)
+            assert table.release(session, job_id, attempt)
     assert (job().lost, job().max_attempts, job().attempt) == (0, 3, 8)
     for lost in (1, 2):
         attempt = claimed()
         with store.write() as session:
-            jobs.lose(session, job_id, attempt, error)
+            table.lose(session, job_id, attempt, error)
         assert (job().state, job().lost, job().no_room_since) == (State.QUEUED, lost, None)
     attempt = claimed()
     with store.write() as session:
         long_ago = clock(session) - timedelta(hours=2)
         session.execute(update(Job).values(no_room_since=long_ago))
-        jobs.postpone(session, job_id, attempt, error)
+        table.postpone(session, job_id, attempt, error)
     assert (job().state, job().error) == (State.FAILED, error)
     with store.read() as session:
         outcomes = session.scalars(select(Attempt.outcome).order_by(Attempt.number)).all()
@@ -250,9 +248,9 @@ def test_of_a_finished_job_some_reports_are_kept(store: Store) -> None:
             claim = claim_next(session, "short", ANYTHING, 60)
             assert claim
             steps = [{"phase": "x", "fraction": 0.1, "iteration": n} for n in range(count)]
-            jobs.beat(session, claim.job_id, claim.attempt, 60, steps=steps)
+            table.beat(session, claim.job_id, claim.attempt, 60, steps=steps)
         with store.write() as session:
-            assert jobs.succeed(session, claim.job_id, claim.attempt, [])
+            assert table.succeed(session, claim.job_id, claim.attempt, [])
         with store.read() as session:
             mine = select(Event).where(Event.job_id == claim.job_id).order_by(Event.id)
             events = session.scalars(mine).all()

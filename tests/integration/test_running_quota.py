@@ -6,11 +6,11 @@ import threading
 
 from sqlalchemy import select
 
-from service.store import jobs
-from service.store.claims import claim_next
+from service.queue import table
+from service.queue.claims import claim_next
+from service.queue.states import HELD, State
+from service.store.database import WAKE, Store
 from service.store.models import Job, Tenant
-from service.store.store import WAKE, Store
-from service.store.transitions import HELD, State
 from tests.integration.test_queue import ANYTHING, Shop, store  # noqa: F401 (a fixture)
 
 
@@ -45,7 +45,7 @@ def test_workers_at_a_time_keep_to_a_quota(store: Store) -> None:  # noqa: F811
         mine = select(Job).where(Job.tenant_id == shop.subjects["A"][0], Job.state.in_(HELD))
         held = session.scalars(mine).first()
         assert held
-        assert jobs.succeed(session, held.id, held.attempt, [])
+        assert table.succeed(session, held.id, held.attempt, [])
         woken = {queue for _, queue in session.info[WAKE]}
     assert woken == {"short", "long"}  # it may have been the quota that they waited for
     with store.write() as session:

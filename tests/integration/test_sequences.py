@@ -12,8 +12,8 @@ import pytest
 from myoface.client import Client
 from myoface.stack import Stack
 from service.jobs.schemas import FrameView
+from service.queue.table import Claim
 from service.store.files import FolderFiles
-from service.store.jobs import Claim
 from service.store.models import DEFAULT_TENANT
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.motion import (

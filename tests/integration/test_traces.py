@@ -126,7 +126,7 @@ from service import tracing
 from service.app import create_app
 from worker import app, deliver
 tracing.start("myoface-api")
-with tracing.working("attempt", None, job_id="1"):
+with tracing.trace_work("attempt", None, job_id="1"):
     tracing.note(outcome="succeeded")
     assert tracing.traceparent() is None
 ours = ("opentelemetry.sdk.trace", "opentelemetry.exporter")  # others import the rest by themselves

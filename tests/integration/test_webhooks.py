@@ -21,13 +21,12 @@ from standardwebhooks.webhooks import Webhook as Verifier
 from standardwebhooks.webhooks import WebhookVerificationError
 
 from service.dependencies import part
-from service.outbound.client import Sender
+from service.outbound import Sender
+from service.queue import outbox, table
 from service.secret import secret
 from service.settings import Settings
-from service.store import jobs, outbox
-from service.store.database import clock
+from service.store.database import Store, clock
 from service.store.models import Tenant, Webhook
-from service.store.store import Store
 from tests.receiver import LOOPBACK, Receiver, ok, receiving
 from tests.servers.production import Production
 from tests.service_client import Studio, eventually, running, served
@@ -123,7 +122,7 @@ def test_a_change_that_is_rolled_back_is_not_told(studio: Studio, settings: Sett
 
         def claim_and_fail() -> None:
             with _store(studio).write() as session:
-                assert jobs.take(session, job, "test", 10)
+                assert table.take(session, job, "test", 10)
                 raise RuntimeError("the transaction is lost")
 
         with pytest.raises(RuntimeError):
@@ -242,7 +241,7 @@ def test_a_receiver_can_put_a_try_off_for_a_day_at_most(studio: Studio) -> None:
     studio.post(f"/v1/webhooks/{hook['id']}/test")
     with _store(studio).write() as session:
         [parcel] = outbox.take(session, [], threads=1, lease=10)
-        wish = outbox.Outcome(status=429, retry_after=1e9)
+        wish = outbox.DeliveryOutcome(status=429, retry_after=1e9)
         outbox.settle(session, parcel, wish, pauses=[1.0])
     next_at = datetime.fromisoformat(_log(studio, hook)[0]["next_at"])
     assert timedelta(hours=23) < next_at - datetime.now(UTC) <= timedelta(days=1)
@@ -396,12 +395,14 @@ def test_a_tenant_alone_has_all_threads_of_all_workers(studio: Studio, settings:
             over.set()
 
 
-def _take(studio: Studio, under_way: list[outbox.Parcel], threads: int) -> list[outbox.Parcel]:
+def _take(
+    studio: Studio, under_way: list[outbox.ClaimedDelivery], threads: int
+) -> list[outbox.ClaimedDelivery]:
     with _store(studio).write() as session:
         return outbox.take(session, under_way, threads, lease=10)
 
 
-def _are_of(hook: Webhook, parcels: list[outbox.Parcel]) -> list[bool]:
+def _are_of(hook: Webhook, parcels: list[outbox.ClaimedDelivery]) -> list[bool]:
     return [parcel.tenant_id == hook.tenant_id for parcel in parcels]
 
 
@@ -459,7 +460,7 @@ def test_a_worker_that_died_has_lost_its_delivery_and_is_fenced(studio: Studio) 
         studio.post(f"/v1/webhooks/{hook['id']}/test")
     store = _store(studio)
 
-    def take(lease: float) -> list[outbox.Parcel]:
+    def take(lease: float) -> list[outbox.ClaimedDelivery]:
         with store.write() as session:
             return outbox.take(session, [], threads=5, lease=lease)
 
@@ -469,10 +470,10 @@ def test_a_worker_that_died_has_lost_its_delivery_and_is_fenced(studio: Studio) 
     [second] = take(10)
     assert (second.delivery_id, second.attempt) == (first.delivery_id, 2)
     with store.write() as session:
-        outbox.settle(session, first, outbox.Outcome(status=204, ms=1), [])
+        outbox.settle(session, first, outbox.DeliveryOutcome(status=204, ms=1), [])
     assert _log(studio, hook)[0]["state"] == "pending"
     with store.write() as session:
-        outbox.settle(session, second, outbox.Outcome(status=204, ms=1), [])
+        outbox.settle(session, second, outbox.DeliveryOutcome(status=204, ms=1), [])
     assert _log(studio, hook)[0]["state"] == "delivered"
 
 

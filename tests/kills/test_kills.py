@@ -19,7 +19,7 @@ LEASE = 2.0
 LAUNCH = """
 import sys, time
 from pathlib import Path
-from service.store.queue import QUEUES
+from service.queue.wakeups import QUEUES
 from tests.kills.test_kills import _fit
 from tests.service_client import running
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from service.store.queue import WakeUps
+from service.queue.wakeups import WakeUps
 
 
 @pytest.mark.parametrize("state", ["absent", "frozen"])

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from service.store import garbage
-from service.store.store import Store
-from worker.orphans import remove_orphans
+from service.store import deletion
+from service.store.database import Store
+from worker.process import remove_orphans
 
 
 @pytest.fixture
@@ -40,9 +40,9 @@ def test_only_stored_files_are_collected(store: Store, tmp_path: Path) -> None:
     other.write_text("not ours")
     for path in (store.files.path(sha256), other):
         os.utime(path, (0, 0))
-    assert garbage.collect(store, 60) == 0
+    assert deletion.collect_garbage(store, 60) == 0
     assert store.files.read(sha256) == b"v 0 0 0"  # put aside, for the next look into the tables
-    assert garbage.collect(store, 60) == 0
+    assert deletion.collect_garbage(store, 60) == 0
     os.utime(store.files.root / "aside" / sha256, (0, 0))
-    assert garbage.collect(store, 60) == 1
+    assert deletion.collect_garbage(store, 60) == 1
     assert (store.files.exists(sha256), other.exists()) == (False, True)

@@ -15,12 +15,13 @@ import pytest
 from sqlalchemy import select
 from sqlalchemy.exc import OperationalError
 
+from service.queue import table
+from service.queue.states import State
+from service.queue.table import Claim
 from service.settings import Settings
-from service.store import garbage, jobs
-from service.store.jobs import Claim
+from service.store import deletion
+from service.store.database import Store
 from service.store.models import DEFAULT_TENANT, Job, LogLine, Subject
-from service.store.store import Store
-from service.store.transitions import State
 from worker import solve
 from worker.abilities import abilities
 from worker.attempt import FRAMES, KEPT, AttemptFolder
@@ -69,8 +70,8 @@ def _claimed(store: Store) -> Claim:
             inputs=[],
             max_attempts=3,
         )
-        jobs.create(session, job)
-        claim = jobs.take(session, job.id, "me", 30)
+        table.create(session, job)
+        claim = table.take(session, job.id, "me", 30)
     assert claim is not None
     return claim
 
@@ -96,13 +97,13 @@ def test_what_was_said_during_an_outage_is_written_down_after_it(
     supervisor._beat(claim, process, folder)
     supervisor._beat(claim, process, folder)
     with store.write() as session:  # told once more, as after a commit whose answer was lost
-        (kept,) = jobs.frames(session, claim.job_id)
+        (kept,) = table.frames(session, claim.job_id)
         chunk = {name: getattr(kept, name) for name in ("first", "last", "size", "sha256")}
-        jobs.beat(session, claim.job_id, claim.attempt, 30, chunks=[chunk])
+        table.beat(session, claim.job_id, claim.attempt, 30, chunks=[chunk])
     with store.read() as session:
         said = session.scalars(select(LogLine.text).order_by(LogLine.number)).all()
         assert said == ["line 1", "line 2", "line 3", "line 4"]
-        assert [(chunk.first, chunk.last) for chunk in jobs.frames(session, claim.job_id)] == [
+        assert [(chunk.first, chunk.last) for chunk in table.frames(session, claim.job_id)] == [
             (0, 29)
         ]
         assert session.get_one(Job, claim.job_id).progress["phase"] == "phase 4"
@@ -122,11 +123,11 @@ def test_what_takes_minutes_is_kept_for_the_next_attempt(settings: Settings, sto
     assert folder.new_kept(store.files) == {}
     (kept,) = AttemptFolder(settings.work, claim).new_kept(store.files).values()
     with store.write() as session:  # told once more, as after a commit whose answer was lost
-        jobs.beat(session, claim.job_id, claim.attempt, 30, kept=[kept])
-        jobs.lose(session, claim.job_id, claim.attempt, {"code": "x"})
-        again = jobs.take(session, claim.job_id, "me", 30)
+        table.beat(session, claim.job_id, claim.attempt, 30, kept=[kept])
+        table.lose(session, claim.job_id, claim.attempt, {"code": "x"})
+        again = table.take(session, claim.job_id, "me", 30)
     with store.write() as session:  # the one that lost its job
-        assert jobs.beat(session, claim.job_id, claim.attempt, 30, kept=[kept]) is None
+        assert table.beat(session, claim.job_id, claim.attempt, 30, kept=[kept]) is None
     assert again is not None
     supervisor._renewed = float("inf")
     folder = AttemptFolder(settings.work, again)
@@ -141,9 +142,9 @@ def test_what_takes_minutes_is_kept_for_the_next_attempt(settings: Settings, sto
         (artifact,) = session.get_one(Job, claim.job_id).artifacts
     assert store.files.read(artifact.sha256) == b"all"
     for _ in range(2):  # put aside, then removed
-        garbage.collect(store, 0)
-    assert [stored.sha256 for stored in store.files.stored()] == [artifact.sha256]
-    assert list(store.files.aside()) == []
+        deletion.collect_garbage(store, 0)
+    assert [stored.sha256 for stored in store.files.list_stored()] == [artifact.sha256]
+    assert list(store.files.list_aside()) == []
 
 
 def test_a_result_is_written_down_when_the_database_is_back(

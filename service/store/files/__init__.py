@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from service.store.files.base import Blob, DamagedFileError, Files, Stored, UnreachableError
+from service.store.files.base import Blob, DamagedFileError, Files, StoredFile, UnreachableError
 from service.store.files.folder import FolderFiles
 
 __all__ = [
@@ -12,7 +12,7 @@ __all__ = [
     "DamagedFileError",
     "Files",
     "FolderFiles",
-    "Stored",
+    "StoredFile",
     "UnreachableError",
     "files_at",
 ]

@@ -1,4 +1,4 @@
-"""What a store of files can do, wherever it keeps them."""
+"""Interface of a content-addressed file store, wherever it keeps its files."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Blob:
 
 
 @dataclass(frozen=True)
-class Stored:
+class StoredFile:
     """A stored file as it is listed: ``at`` is when it was stored the last time."""
 
     sha256: str
@@ -67,7 +67,7 @@ class Files(ABC):
         """Return the size in bytes."""
 
     @abstractmethod
-    def stored(self) -> Iterator[Stored]:
+    def list_stored(self) -> Iterator[StoredFile]:
         """List what is stored and not put aside."""
 
     @abstractmethod
@@ -75,7 +75,7 @@ class Files(ABC):
         """Take a file out of the list; it can still be read."""
 
     @abstractmethod
-    def aside(self) -> Iterator[Stored]:
+    def list_aside(self) -> Iterator[StoredFile]:
         """List what was put aside, and when."""
 
     @abstractmethod
@@ -92,10 +92,10 @@ class Files(ABC):
 
     @abstractmethod
     def ready(self) -> bool:
-        """Tell whether files can be stored."""
+        """Return whether files can be stored."""
 
     def exists(self, sha256: str) -> bool:
-        """Tell whether there is such a file."""
+        """Return whether there is such a file."""
         try:
             self.size(sha256)
         except FileNotFoundError:

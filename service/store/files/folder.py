@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO
 
-from service.store.files.base import CHUNK, Blob, Files, Stored
+from service.store.files.base import CHUNK, Blob, Files, StoredFile
 
 SHA256 = re.compile(r"[0-9a-f]{64}")
 
@@ -64,9 +64,9 @@ class FolderFiles(Files):
         with self._open(sha256) as file:
             return os.fstat(file.fileno()).st_size
 
-    def stored(self) -> Iterator[Stored]:
+    def list_stored(self) -> Iterator[StoredFile]:
         """List what is stored and not put aside."""
-        return _listed(self.root.glob("??/*"))
+        return _list(self.root.glob("??/*"))
 
     def put_aside(self, sha256: str) -> None:
         """Take a file out of the list; it can still be read."""
@@ -74,9 +74,9 @@ class FolderFiles(Files):
         self.path(sha256).rename(path)
         os.utime(path)
 
-    def aside(self) -> Iterator[Stored]:
+    def list_aside(self) -> Iterator[StoredFile]:
         """List what was put aside, and when."""
-        return _listed(self._aside.iterdir())
+        return _list(self._aside.iterdir())
 
     def take_back(self, sha256: str) -> None:
         """Put a file that was put aside where it was."""
@@ -97,7 +97,7 @@ class FolderFiles(Files):
                     path.unlink()
 
     def ready(self) -> bool:
-        """Tell whether files can be stored."""
+        """Return whether files can be stored."""
         return os.access(self.incoming, os.W_OK)
 
     def _open(self, sha256: str) -> BinaryIO:
@@ -120,8 +120,8 @@ def _blocks(file: BinaryIO, length: int | None) -> Iterator[bytes]:
             yield block
 
 
-def _listed(paths: Iterator[Path]) -> Iterator[Stored]:
+def _list(paths: Iterator[Path]) -> Iterator[StoredFile]:
     for path in paths:
         if SHA256.fullmatch(path.name):
             with suppress(FileNotFoundError):
-                yield Stored(path.name, datetime.fromtimestamp(path.stat().st_mtime, UTC))
+                yield StoredFile(path.name, datetime.fromtimestamp(path.stat().st_mtime, UTC))

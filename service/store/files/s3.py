@@ -20,11 +20,11 @@ from boto3.session import Session
 from botocore.config import Config
 from botocore.exceptions import BotoCoreError, ClientError
 
-from service.store.files.base import CHUNK, Blob, Files, Stored, UnreachableError
+from service.store.files.base import CHUNK, Blob, Files, StoredFile, UnreachableError
 
 PARTS = TransferConfig(multipart_threshold=64 << 20, multipart_chunksize=16 << 20)
+# One request copies up to 5 GB, and not every server can copy parts
 COPIES = TransferConfig(multipart_threshold=5 << 30)
-"""One request copies up to 5 GB, and not every server can copy parts."""
 
 CONFIG = Config(
     connect_timeout=5,
@@ -74,7 +74,7 @@ class S3Files(Files):
         with source.open("rb") as file:
             sha256 = hashlib.file_digest(file, "sha256").hexdigest()
             size = file.tell()
-        with _told():
+        with _translate_errors():
             self._client.upload_file(str(source), self._bucket, self._key(sha256), Config=PARTS)
         return Blob(sha256, size)
 
@@ -90,18 +90,18 @@ class S3Files(Files):
         """Return the size in bytes."""
         return self._find(sha256)[1]
 
-    def stored(self) -> Iterator[Stored]:
+    def list_stored(self) -> Iterator[StoredFile]:
         """List what is stored and not put aside."""
-        return self._listed(self._files)
+        return self._list(self._files)
 
     def put_aside(self, sha256: str) -> None:
         """Take a file out of the list; it can still be read."""
         self._copy(self._key(sha256), self._aside + sha256)
         self._delete(self._key(sha256))
 
-    def aside(self) -> Iterator[Stored]:
+    def list_aside(self) -> Iterator[StoredFile]:
         """List what was put aside, and when."""
-        return self._listed(self._aside)
+        return self._list(self._aside)
 
     def take_back(self, sha256: str) -> None:
         """Put a file that was put aside where it was."""
@@ -116,9 +116,9 @@ class S3Files(Files):
         """Do nothing: parts of interrupted uploads are for the bucket's own lifecycle rule."""
 
     def ready(self) -> bool:
-        """Tell whether the bucket answers and is ours."""
+        """Return whether the bucket answers and is ours."""
         try:
-            with _told():
+            with _translate_errors():
                 self._client.head_bucket(Bucket=self._bucket)
         except OSError:
             return False
@@ -130,7 +130,7 @@ class S3Files(Files):
     def _find(self, sha256: str) -> tuple[str, int]:
         """Return key and size of a file, which may have been put aside or taken back just now."""
         for key in (self._key(sha256), self._aside + sha256, self._key(sha256)):
-            with _told(missing_is_fine=True):
+            with _translate_errors(missing_is_fine=True):
                 found = self._client.head_object(Bucket=self._bucket, Key=key)
                 return key, found["ContentLength"]
         raise FileNotFoundError(sha256)
@@ -140,7 +140,7 @@ class S3Files(Files):
         failures = 0
         while start < end:
             try:
-                with _told():
+                with _translate_errors():
                     answer = self._client.get_object(
                         Bucket=self._bucket, Key=key, Range=f"bytes={start}-{end - 1}"
                     )
@@ -153,28 +153,28 @@ class S3Files(Files):
                 if failures > RESUMES:
                     raise
 
-    def _listed(self, prefix: str) -> Iterator[Stored]:
-        with _told():
+    def _list(self, prefix: str) -> Iterator[StoredFile]:
+        with _translate_errors():
             pages = self._client.get_paginator("list_objects_v2").paginate(
                 Bucket=self._bucket, Prefix=prefix
             )
             for page in pages:
                 for item in page.get("Contents", ()):
-                    yield Stored(item["Key"].rpartition("/")[2], item["LastModified"])
+                    yield StoredFile(item["Key"].rpartition("/")[2], item["LastModified"])
 
     def _copy(self, source: str, target: str) -> None:
-        with _told():
+        with _translate_errors():
             self._client.copy(
                 {"Bucket": self._bucket, "Key": source}, self._bucket, target, Config=COPIES
             )
 
     def _delete(self, key: str) -> None:
-        with _told():
+        with _translate_errors():
             self._client.delete_object(Bucket=self._bucket, Key=key)
 
 
 @contextmanager
-def _told(*, missing_is_fine: bool = False) -> Iterator[None]:
+def _translate_errors(*, missing_is_fine: bool = False) -> Iterator[None]:
     """Turn the client's errors into those of a file system."""
     try:
         yield

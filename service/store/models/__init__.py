@@ -1,16 +1,43 @@
 """The tables."""
 
 from service.store.models.base import Base, Owned, UtcDateTime, new_id, now
-from service.store.models.batches import Batch
-from service.store.models.jobs import Artifact, Attempt, Event, FrameChunk, Job, LogLine, Rig
-from service.store.models.people import Capture, Subject, Template, Upload
-from service.store.models.records import AnsweredRequest, AuditEntry, Deletion
-from service.store.models.tenants import DEFAULT_TENANT, ApiKey, Tenant
-from service.store.models.webhooks import Delivery, Webhook, WebhookEvent
-from service.store.models.work import Lease, Worker
+from service.store.models.jobs import (
+    PREVIEW,
+    PREVIEW_FILE,
+    Artifact,
+    Attempt,
+    Batch,
+    Event,
+    FrameChunk,
+    Job,
+    Lease,
+    LogLine,
+    Rig,
+    Worker,
+    is_preview_of,
+)
+from service.store.models.people import (
+    DEFAULT_TENANT,
+    ApiKey,
+    Capture,
+    Subject,
+    Template,
+    Tenant,
+    Upload,
+)
+from service.store.models.records import (
+    AnsweredRequest,
+    AuditEntry,
+    Deletion,
+    Delivery,
+    Webhook,
+    WebhookEvent,
+)
 
 __all__ = [
     "DEFAULT_TENANT",
+    "PREVIEW",
+    "PREVIEW_FILE",
     "AnsweredRequest",
     "ApiKey",
     "Artifact",
@@ -36,6 +63,7 @@ __all__ = [
     "Webhook",
     "WebhookEvent",
     "Worker",
+    "is_preview_of",
     "new_id",
     "now",
 ]

@@ -1,4 +1,4 @@
-"""What the tables share."""
+"""Common parts of the tables."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
-from service.store.transitions import State
+from service.queue.states import State
 
 
 class UtcDateTime(TypeDecorator[datetime]):
@@ -41,7 +41,7 @@ class UtcDateTime(TypeDecorator[datetime]):
 
 
 class Base(DeclarativeBase):
-    """What every table shares."""
+    """Base of every table."""
 
     type_annotation_map = {  # noqa: RUF012 (SQLAlchemy's own convention)
         datetime: UtcDateTime,

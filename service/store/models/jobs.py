@@ -1,4 +1,4 @@
-"""The tables of the work: jobs with their attempts, events and logs, and what they leave."""
+"""Tables of the work: jobs and what they leave, batches, workers and offices."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 from sqlalchemy import (
     BigInteger,
+    ColumnElement,
     ForeignKey,
     Index,
     Integer,
@@ -14,18 +15,28 @@ from sqlalchemy import (
     String,
     Text,
     UniqueConstraint,
+    and_,
     func,
     select,
 )
-from sqlalchemy.orm import Mapped, column_property, mapped_column, relationship
+from sqlalchemy.orm import (
+    InstrumentedAttribute,
+    Mapped,
+    column_property,
+    mapped_column,
+    relationship,
+)
 
 from service import tracing
+from service.queue.states import State
 from service.store.models.base import Base, Owned, new_id, now
-from service.store.transitions import State
+
+PREVIEW = "build_preview"
+PREVIEW_FILE = "preview.bin"
 
 
 class Event(Base):
-    """What a watcher of a job is told; the id is the server-sent event's id."""
+    """Event of a job for its watchers; the id is the server-sent event's id."""
 
     __tablename__ = "job_events"
     __table_args__ = (Index("ix_job_events_job_id", "job_id", "id"),)
@@ -169,3 +180,56 @@ class FrameChunk(Base):
     def filename(self) -> str:
         """The name of the solver's file of these frames."""
         return f"{self.first:06d}-{self.last:06d}.json"
+
+
+class Batch(Owned, Base):
+    """A session's scans: ``state`` is running, succeeded, failed or canceled."""
+
+    __tablename__ = "batches"
+    id: Mapped[str] = mapped_column(String(36), primary_key=True, default=new_id)
+    subject_id: Mapped[str] = mapped_column(
+        ForeignKey("subjects.id", ondelete="CASCADE"), index=True
+    )
+    name: Mapped[str] = mapped_column(String(200))
+    capture_ids: Mapped[list[Any]]
+    steps: Mapped[list[Any]]
+    options: Mapped[dict[str, Any]]
+    priority: Mapped[int] = mapped_column(default=0)
+    state: Mapped[str] = mapped_column(String(16), default="running", index=True)
+    error: Mapped[dict[str, Any] | None]
+    cancel: Mapped[dict[str, Any] | None]
+    created_at: Mapped[datetime] = mapped_column(default=now)
+    finished_at: Mapped[datetime | None]
+
+
+class Worker(Base):
+    """A living worker process and what it can do: ``slots`` jobs of ``kinds`` at a time.
+
+    Each job may take ``memory_mb`` and has ``threads``.
+    """
+
+    __tablename__ = "workers"
+    name: Mapped[str] = mapped_column(String(100), primary_key=True)
+    queue: Mapped[str] = mapped_column(String(16))
+    host: Mapped[str] = mapped_column(String(255), default="")
+    version: Mapped[str] = mapped_column(String(32), default="")
+    kinds: Mapped[list[Any]] = mapped_column(default=list)
+    memory_mb: Mapped[int] = mapped_column(default=0)
+    threads: Mapped[int] = mapped_column(default=0)
+    slots: Mapped[int] = mapped_column(default=0)
+    started_at: Mapped[datetime] = mapped_column(default=now)
+    seen_at: Mapped[datetime] = mapped_column(default=now)
+
+
+class Lease(Base):
+    """An office that one process holds at a time: the sweeper, the one who advances batches."""
+
+    __tablename__ = "leases"
+    office: Mapped[str] = mapped_column(String(32), primary_key=True)
+    holder: Mapped[str] = mapped_column(String(100))
+    until: Mapped[datetime]
+
+
+def is_preview_of(rig_id: str | InstrumentedAttribute[str]) -> ColumnElement[bool]:
+    """Select the jobs that make a rig's preview, which stays and goes with the rig."""
+    return and_(Job.kind == PREVIEW, Job.request["rig_id"].as_string() == rig_id)

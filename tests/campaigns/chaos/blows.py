@@ -12,9 +12,9 @@ from contextlib import closing
 import redis
 from sqlalchemy import func, select
 
+from service.queue.states import HELD
 from service.store.database import Database
 from service.store.models import Attempt, Job, Lease
-from service.store.transitions import HELD
 from tests.campaigns.chaos.stage import SETTINGS, Stage
 
 LEASE = SETTINGS["lease"]

@@ -14,9 +14,9 @@ import httpx
 from sqlalchemy import select
 
 from myoface.stack import Stack
+from service.queue.states import FINAL, HELD
+from service.store.database import Store
 from service.store.models import Job, Worker
-from service.store.store import Store
-from service.store.transitions import FINAL, HELD
 from tests.campaigns.chaos.crew import Crew
 from tests.campaigns.chaos.disk import Disk
 from tests.service_client import ROOT, Studio, running

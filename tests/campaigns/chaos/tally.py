@@ -9,9 +9,9 @@ from rich.console import Console
 from rich.table import Table
 from sqlalchemy import select
 
-from service.store import garbage
+from service.queue.states import FINAL, State
+from service.store import deletion
 from service.store.models import Attempt, Event, Job, Rig
-from service.store.transitions import FINAL, State
 from tests.campaigns.chaos.stage import Stage
 
 PATIENCE = 180.0
@@ -104,8 +104,8 @@ class Tally:
     def _of_the_files(self, stage: Stage) -> None:
         """Compare the stored files with the rows that refer to files."""
         # a file is put aside first and removed by the next round
-        collected = sum(garbage.collect(stage.store, 0) for _ in range(2))
-        wanted = garbage.referenced_files(stage.store)
+        collected = sum(deletion.collect_garbage(stage.store, 0) for _ in range(2))
+        wanted = deletion.referenced_files(stage.store)
         there = {path.name for path in (stage.stack.settings.data_dir / "files").glob("??/*")}
         self._check("files of lost attempts collected", collected, fine=True)
         self._check("orphan files", len(there - wanted), there <= wanted)

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from service import paging
+from service import outbound, paging
 from service.errors import Problem
-from service.http import strict_json
-from service.outbound import client as outbound
+from service.http import bodies
 from service.uploads.schemas import parse_checksum, parse_metadata
 from solver.errors import InputError
 from solver.meshio.read import read_raw, read_registered
@@ -106,7 +105,7 @@ def targets() -> list[Target]:
             lambda text: parse_checksum(text, ("sha256", "sha1")),
         ),
         _text("cursor", seeds.cursor(), paging.read_cursor),
-        Target("json", seeds.bodies(), lambda content, _: strict_json.check(content), Problem),
+        Target("json", seeds.bodies(), lambda content, _: bodies.check_json(content), Problem),
         Target(
             "webhook url",
             seeds.urls(),

@@ -20,8 +20,8 @@ from typer import echo as say
 from myoface.client import Client
 from myoface.resources import Job
 from myoface.stack import Stack
+from service.queue.wakeups import QUEUES
 from service.settings import Settings
-from service.store.queue import QUEUES
 from solver.templates.builtin.build import builtin_capture_set
 from tests.campaigns.load.measure import Answers, Memory, table
 from tests.campaigns.load.station import Station

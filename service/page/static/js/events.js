@@ -1,4 +1,4 @@
-// A job's server-sent events. EventSource can not send the key in a header, so the stream is read
+// A job's server-sent events. EventSource cannot send the key in a header, so the stream is read
 // by hand; it goes on after the last event when the connection breaks. Nobody looks at a hidden
 // window: its stream is closed, since a browser has few connections to a service for all windows.
 

@@ -64,7 +64,7 @@ document.addEventListener("keychange", () => {
 
 /** Return the kinds of job as a Map by their key. */
 export async function kindsByName() {
-  kinds ??= get("/v1/solvers").then(({ items }) => new Map(items.map((kind) => [kind.kind, kind])));
+  kinds ??= get("/v1/kinds").then(({ items }) => new Map(items.map((kind) => [kind.kind, kind])));
   kinds.catch(() => (kinds = null));
   return kinds;
 }

@@ -5,7 +5,8 @@ import { h, show } from "./dom.js";
 import { myScopes } from "./library.js";
 import { dropped } from "./scan_files.js";
 import { time } from "./words.js";
-import { navigate, start } from "./router.js";
+import { navigate } from "./navigate.js";
+import { start } from "./router.js";
 
 auth.takeFromAddress();
 addEventListener("hashchange", () => {

@@ -1,6 +1,7 @@
 // Shows the view of the address, and follows links and the browser's history without a reload.
 
 import { announce, h, show } from "./dom.js";
+import { navigate, onNavigate, title } from "./navigate.js";
 import { match } from "./routes.js";
 import { trouble } from "./parts/trouble.js";
 
@@ -10,29 +11,13 @@ const EXAMPLE = "8c1d3a52-0f4e-4c5b-9b39-1f3a4f1f6c11";
 let dispose = null;
 let turn = 0; // a view that finishes mounting after the next navigation is dropped
 
+onNavigate(open);
+
 /** Start: show the view of the address. */
 export function start() {
   document.addEventListener("click", follow);
   addEventListener("popstate", () => open());
   return open();
-}
-
-/** Go to a path of the page; with `replace` the place before is forgotten. */
-export function navigate(path, { replace = false } = {}) {
-  history[replace ? "replaceState" : "pushState"](null, "", path);
-  scrollTo(0, 0);
-  return open({ focus: true });
-}
-
-/** Change the address's query without showing the view anew: a permalink that follows a control. */
-export function replaceQuery(query) {
-  const text = query.toString();
-  history.replaceState(history.state, "", location.pathname + (text ? `?${text}` : ""));
-}
-
-/** Name the page, in the window's title. */
-export function title(text) {
-  document.title = text ? `${text} · Myoface` : "Myoface";
 }
 
 async function open({ focus = false } = {}) {

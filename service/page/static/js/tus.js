@@ -100,7 +100,7 @@ async function read(blob) {
     throw new ApiProblem({
       status: 0,
       code: "page.unreadable",
-      detail: "the file can not be read any more: it was moved or changed",
+      detail: "the file cannot be read any more: it was moved or changed",
     });
   }
 }

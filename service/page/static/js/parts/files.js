@@ -56,18 +56,18 @@ async function download({ id, name, media_type: type }) {
 
 /** Open a stored page in a window of its own, where it keeps its own strict rules. */
 export async function openPage({ id }) {
-  const { url } = await post(`/v1/artifacts/${id}/url`); // a window can not send the key
+  const { url } = await post(`/v1/artifacts/${id}/url`); // a window cannot send the key
   open(url, "_blank", "noopener");
 }
 
-/** Return an image of an artifact; its place is taken by a sentence if it can not be shown. */
+/** Return an image of an artifact; its place is taken by a sentence if it cannot be shown. */
 export function picture(artifact, alt, signal) {
   const image = h("img", { alt, class: "picture" });
   image.onload = () => URL.revokeObjectURL(image.src);
   return shown(artifact, image, signal);
 }
 
-/** Return a player of a film; its place is taken by a sentence if it can not be shown. */
+/** Return a player of a film; its place is taken by a sentence if it cannot be shown. */
 export function film(artifact, signal) {
   const player = h("video", { controls: true, loop: true, class: "picture", "aria-label": artifact.name });
   signal.addEventListener("abort", () => URL.revokeObjectURL(player.src));
@@ -76,7 +76,7 @@ export function film(artifact, signal) {
 
 function shown(artifact, element, signal) {
   const place = h("div", { class: "picture-place" }, element);
-  const fail = () => place.replaceChildren(h("p", { class: "fine" }, `${artifact.name} can not be shown.`));
+  const fail = () => place.replaceChildren(h("p", { class: "fine" }, `${artifact.name} cannot be shown.`));
   element.onerror = fail;
   request(`/v1/artifacts/${artifact.id}`, { signal })
     .then((response) => response.blob())

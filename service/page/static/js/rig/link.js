@@ -82,7 +82,7 @@ function short(value) {
   return Number(value.toFixed(2));
 }
 
-/** Escape only what a query can not carry, so that the address can be read. */
+/** Escape only what a query cannot carry, so that the address can be read. */
 function readable(text) {
   return encodeURIComponent(text).replaceAll("%3A", ":").replaceAll("%2C", ",").replaceAll("%20", "+");
 }

@@ -4,7 +4,7 @@ import { all } from "../api.js";
 import { h } from "../dom.js";
 import { Paged } from "../parts/paged.js";
 import { doing } from "../parts/toast.js";
-import { replaceQuery } from "../router.js";
+import { replaceQuery } from "../navigate.js";
 import { plain, when } from "../words.js";
 
 export async function mount(root, _params, query) {

@@ -2,7 +2,7 @@
 
 import * as api from "../api.js";
 import { h, show } from "../dom.js";
-import { navigate, replaceQuery } from "../router.js";
+import { navigate, replaceQuery } from "../navigate.js";
 import { changed, names, subjectsById } from "../library.js";
 import { short, when } from "../words.js";
 import { ComparePage } from "../rig/compare_page.js";
@@ -25,7 +25,7 @@ export async function mount(root, params, query) {
   }));
   const old = sides.filter(({ face }) => !face);
   if (old.length) {
-    show(root, head, h("p", { class: "notice" }, "A rig that was made before rigs could be shown here can not be compared: fit it again."));
+    show(root, head, h("p", { class: "notice" }, "A rig that was made before rigs could be shown here cannot be compared: fit it again."));
     return () => ending.abort();
   }
   const page = new ComparePage(sides, fromQuery(query), signal);

@@ -17,7 +17,7 @@ import { resultPanel } from "../parts/result.js";
 import { FINAL, state, word } from "../parts/state.js";
 import { doing } from "../parts/toast.js";
 import { repeat } from "../repeat.js";
-import { navigate, title as nameWindow } from "../router.js";
+import { navigate, title as nameWindow } from "../navigate.js";
 import { plain, span, when } from "../words.js";
 
 const NO_CONTENT = 204;

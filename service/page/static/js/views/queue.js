@@ -15,7 +15,7 @@ import { FINAL, state, word } from "../parts/state.js";
 import { toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
 import { repeat } from "../repeat.js";
-import { replaceQuery } from "../router.js";
+import { replaceQuery } from "../navigate.js";
 import { span, time, when } from "../words.js";
 
 const EVERY_MS = 3_000;

@@ -1,7 +1,7 @@
 // A rig: the fitted face with its expressions, muscles, scans and what is inside.
 
 import { h, show } from "../dom.js";
-import { replaceQuery, title } from "../router.js";
+import { replaceQuery, title } from "../navigate.js";
 import { heading } from "../rig/heading.js";
 import { rigAndSubject, viewOf } from "../rig/read.js";
 

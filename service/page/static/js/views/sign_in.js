@@ -6,7 +6,7 @@ import * as auth from "../auth.js";
 import { h, show } from "../dom.js";
 import { keyPanel } from "../parts/keys.js";
 import { sentence } from "../parts/trouble.js";
-import { navigate } from "../router.js";
+import { navigate } from "../navigate.js";
 
 const WHY = {
   "auth.missing": "This service asks for a key.",

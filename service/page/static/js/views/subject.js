@@ -14,7 +14,7 @@ import { state } from "../parts/state.js";
 import { doing, toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
 import { repeat } from "../repeat.js";
-import { navigate, title as nameWindow } from "../router.js";
+import { navigate, title as nameWindow } from "../navigate.js";
 import { bytes, count, figure, plain, short, when } from "../words.js";
 
 const EVERY_MS = 5_000;

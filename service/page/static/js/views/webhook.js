@@ -10,7 +10,7 @@ import { doing, toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
 import { askToChange, change, standing, tellSecret, toldOf } from "../parts/webhook.js";
 import { repeat } from "../repeat.js";
-import { navigate } from "../router.js";
+import { navigate } from "../navigate.js";
 import { when } from "../words.js";
 
 const EVERY_MS = 3_000;

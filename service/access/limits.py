@@ -1,0 +1,293 @@
+"""Limits of a tenant and a key: stored bytes, queued jobs, requests a minute, open connections.
+
+A tenant's row holds its quotas; null is none. Requests are counted by a token bucket a key, in the
+broker for all API processes. While the broker is away each process counts by itself: a limit that
+is kept loosely is better than a service that stops. Connections that last long are counted in each
+process, which has few of them for all tenants.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import Counter, OrderedDict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import redis
+import structlog
+from sqlalchemy import func, select, union
+from sqlalchemy.orm import Session
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.access.principal import Principal
+from service.errors import Problem
+from service.queue.states import HELD, State
+from service.queue.wakeups import connect
+from service.store.models import Artifact, Capture, FrameChunk, Job, Template, Upload
+from service.store.tenancy import own_tenant
+
+ASK_AGAIN = "60"
+
+SCRIPT = """
+local moment = redis.call('TIME')
+local now = moment[1] + moment[2] / 1000000
+local most, rate = tonumber(ARGV[1]), tonumber(ARGV[2])
+local kept = redis.call('HMGET', KEYS[1], 'tokens', 'at')
+local tokens = tonumber(kept[1]) or most
+tokens = math.min(most, tokens + math.max(0, now - (tonumber(kept[2]) or now)) * rate)
+local allowed = tokens >= 1
+if allowed then tokens = tokens - 1 end
+redis.call('HSET', KEYS[1], 'tokens', tostring(tokens), 'at', tostring(now))
+redis.call('EXPIRE', KEYS[1], math.ceil(most / rate) + 1)
+return {allowed and 1 or 0, tostring(tokens)}
+"""
+# Seconds that a request waits for the broker
+PATIENCE = 0.25
+# Seconds for which a broker that did not answer is not asked
+TRY_AGAIN = 5.0
+# Keys whose buckets a process keeps while the broker is away
+MOST_KEYS = 10_000
+# `Retry-After` of a refused connection, in seconds
+COME_BACK = "5"
+
+log = structlog.get_logger()
+
+
+def check_bytes(session: Session, size: int) -> None:
+    """Make room for a file of ``size`` bytes; two at a time wait for one another.
+
+    Raises
+    ------
+    Problem
+        413 for a file that does not fit, alone or beside what is stored: waiting makes no room.
+    """
+    tenant = own_tenant(session, lock=True)
+    if tenant.max_bytes is None:
+        return
+    most = tenant.max_bytes
+    if size > most:
+        raise Problem(
+            413, "quota.bytes", "the file is larger than the quota", expected=most, found=size
+        )
+    used = stored_bytes(session, tenant.id)
+    if used + size > most:
+        raise Problem(
+            413,
+            "quota.bytes",
+            f"{used} of {most} bytes are in use: delete something first",
+            expected=most,
+            found=used + size,
+        )
+
+
+def check_queued(session: Session) -> None:
+    """Make room for a job in the queue.
+
+    Raises
+    ------
+    Problem
+        429 if as many jobs wait as the tenant may have.
+    """
+    tenant = own_tenant(session, lock=True)
+    if tenant.max_queued is None:
+        return
+    waiting = count_queued(session)
+    if waiting >= tenant.max_queued:
+        problem = Problem(
+            429,
+            "quota.queued",
+            f"{waiting} jobs wait already: let some end first",
+            expected=tenant.max_queued,
+            found=waiting,
+        )
+        problem.headers = {"Retry-After": ASK_AGAIN}
+        raise problem
+
+
+def stored_bytes(session: Session, tenant_id: str) -> int:
+    """Return the bytes of a tenant's files, each counted once, and of its open uploads."""
+    tables = (Capture, Template, Artifact)
+    files = (
+        select(table.sha256, table.size).where(table.tenant_id == tenant_id) for table in tables
+    )
+    sent = select(Upload.sha256, Upload.size).where(Upload.tenant_id == tenant_id, Upload.complete)
+    landmarks = select(Capture.landmarks_sha256, Capture.landmarks_size).where(
+        Capture.tenant_id == tenant_id
+    )
+    frames = select(FrameChunk.sha256, FrameChunk.size).join(Job, Job.id == FrameChunk.job_id)
+    frames = frames.where(Job.tenant_id == tenant_id)
+    counted = union(sent, landmarks, frames, *files).subquery()
+    stored = session.scalar(select(func.sum(counted.c.size)))
+    opened = session.scalar(
+        select(func.sum(Upload.size)).where(Upload.tenant_id == tenant_id, ~Upload.complete)
+    )
+    return int(stored or 0) + int(opened or 0)
+
+
+def count_queued(session: Session) -> int:
+    """Return how many of the tenant's jobs wait."""
+    return session.scalar(select(func.count(Job.id)).where(Job.state == State.QUEUED)) or 0
+
+
+def count_running(session: Session) -> int:
+    """Return how many of the tenant's jobs a worker has."""
+    return session.scalar(select(func.count(Job.id)).where(Job.state.in_(HELD))) or 0
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Decision on a request: ``left`` tokens of ``limit`` remain, refilled in a minute."""
+
+    allowed: bool
+    limit: int
+    left: float
+
+    @property
+    def headers(self) -> dict[str, str]:
+        """Headers that state the limit; the reset is when the bucket is full again."""
+        refill = (self.limit - self.left) * 60 / self.limit
+        return {
+            "RateLimit-Limit": str(self.limit),
+            "RateLimit-Remaining": str(int(self.left)),
+            "RateLimit-Reset": str(math.ceil(refill)),
+        }
+
+    @property
+    def wait(self) -> int:
+        """Seconds until the next request may pass."""
+        return max(1, math.ceil((1 - self.left) * 60 / self.limit))
+
+
+class Rates:
+    """The buckets of all keys: each holds ``per_minute`` tokens and is refilled in a minute."""
+
+    def __init__(self, broker_url: str, per_minute: int) -> None:
+        self._per_minute = per_minute
+        self._client = connect(broker_url, socket_timeout=PATIENCE, socket_connect_timeout=PATIENCE)
+        self._take = self._client.register_script(SCRIPT)
+        self._away_until = 0.0
+        self._here = _Buckets(per_minute)
+
+    def take(self, key_id: str) -> Verdict:
+        """Count a request of a key."""
+        if time.monotonic() >= self._away_until:
+            try:
+                arguments = [self._per_minute, self._per_minute / 60]
+                allowed, left = self._take(keys=[f"myoface:rate:{key_id}"], args=arguments)
+                return Verdict(bool(allowed), self._per_minute, float(left))
+            except (redis.RedisError, OSError) as error:
+                self._away_until = time.monotonic() + TRY_AGAIN
+                log.warning("rates.broker_away", error=str(error))
+        return self._here.take(key_id)
+
+    def check(self, key_id: str) -> Verdict:
+        """Count a request of a key that may pass.
+
+        Raises
+        ------
+        Problem
+            429 with ``Retry-After`` for one that may not.
+        """
+        verdict = self.take(key_id)
+        if not verdict.allowed:
+            problem = Problem(
+                429,
+                "request.rate",
+                f"the key has sent more than {verdict.limit} requests a minute",
+                expected=verdict.limit,
+            )
+            problem.headers = {"Retry-After": str(verdict.wait), **verdict.headers}
+            raise problem
+        return verdict
+
+    def close(self) -> None:
+        """Close the connections to the broker."""
+        self._client.close()
+
+
+class _Buckets:
+    """Buckets in this process, those used lately."""
+
+    def __init__(self, per_minute: int) -> None:
+        self._per_minute = per_minute
+        self._lock = threading.Lock()
+        self._kept: OrderedDict[str, tuple[float, float]] = OrderedDict()
+
+    def take(self, key_id: str) -> Verdict:
+        moment, most = time.monotonic(), float(self._per_minute)
+        with self._lock:
+            tokens, at = self._kept.pop(key_id, (most, moment))
+            tokens = min(most, tokens + (moment - at) * most / 60)
+            allowed = tokens >= 1
+            tokens -= allowed
+            self._kept[key_id] = (tokens, moment)
+            if len(self._kept) > MOST_KEYS:
+                self._kept.popitem(last=False)
+        return Verdict(allowed, self._per_minute, tokens)
+
+
+class RateHeaders:
+    """Middleware that adds the rate headers to each answer."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request."""
+
+        async def send_with_rate(message: Message) -> None:
+            verdict: Verdict | None = scope.get("state", {}).get("rate")
+            if message["type"] == "http.response.start" and verdict is not None:
+                told = verdict.headers.items()
+                added = [(name.lower().encode(), value.encode()) for name, value in told]
+                message["headers"] = [*message["headers"], *added]
+            await send(message)
+
+        await self._app(scope, receive, send_with_rate)
+
+
+class ConnectionLimit:
+    """Limit on the connections that a tenant, and each of its keys, holds open in this process.
+
+    ``code``: problem code when the limit is hit. ``kind``: what is limited, for the message.
+    """
+
+    def __init__(self, code: str, kind: str, most_of_tenant: int, most_of_key: int) -> None:
+        self._code = code
+        self._kind = kind
+        self._most_of_tenant = most_of_tenant
+        self._most_of_key = most_of_key
+        self._taken: Counter[tuple[str, ...]] = Counter()
+
+    @contextmanager
+    def hold(self, who: Principal) -> Iterator[None]:
+        """Count a connection of ``who`` for as long as it lasts.
+
+        Raises
+        ------
+        Problem
+            429 if the tenant or the key has as many as it may.
+        """
+        seats = {
+            ("key", who.tenant_id, who.key_id): self._most_of_key,
+            ("tenant", who.tenant_id): self._most_of_tenant,
+        }
+        for owner, most in seats.items():
+            if self._taken[owner] >= most:
+                problem = Problem(
+                    429,
+                    self._code,
+                    f"{most} {self._kind} are open for this {owner[0]} already",
+                    expected=most,
+                )
+                problem.headers = {"Retry-After": COME_BACK}
+                raise problem
+        self._taken.update(seats.keys())
+        try:
+            yield
+        finally:
+            self._taken.subtract(seats.keys())
+            self._taken = +self._taken  # those that nobody has any more are forgotten

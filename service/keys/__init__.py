@@ -1,1 +1,0 @@
-"""API keys: made, rotated and revoked over HTTP."""

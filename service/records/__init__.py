@@ -1,0 +1,1 @@
+"""Records: the audit log and the receipts of deletions."""

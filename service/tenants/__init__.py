@@ -1,1 +1,0 @@
-"""Tenants: who is asking, what they use and what they may use."""
