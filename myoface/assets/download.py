@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import httpx
 
-from myoface.connection import Patience, checked
+from myoface.client.files import Transferred, ignore_transfer
+from myoface.client.retry import Backoff, require_success, transport_errors
 from myoface.errors import ApiError
-from myoface.transfer import Transferred, unheard
 
 
 def download(
@@ -18,7 +19,7 @@ def download(
     *,
     size: int | None = None,
     resumable: bool = False,
-    progress: Transferred = unheard,
+    progress: Transferred = ignore_transfer,
 ) -> None:
     """Fetch ``url`` into ``part``, which may hold the beginning already.
 
@@ -30,18 +31,23 @@ def download(
     Raises :class:`ApiError` (``client.unreachable``, ``http.404`` ...) after several attempts.
     """
     tag = part.with_name(f"{part.name}.etag")
-    patience = Patience()
+    backoff = Backoff()
     complete, furthest = False, 0
     while not complete:
-        with patience.retrying():
-            have = _kept(part, tag, resumable, size)
-            if have == size:
-                break
-            with http.stream("GET", url, headers=_headers(have, tag)) as response:
+        have = _kept(part, tag, resumable, size)
+        if have == size:
+            break
+        try:
+            with (
+                transport_errors(),
+                http.stream("GET", url, headers=_headers(have, tag)) as response,
+            ):
                 if response.status_code == httpx.codes.REQUESTED_RANGE_NOT_SATISFIABLE and have:
                     part.unlink()  # it is not longer than the part: begin anew
                     continue
-                partial = checked(response).status_code == httpx.codes.PARTIAL_CONTENT
+                if response.is_error:
+                    response.read()
+                partial = require_success(response).status_code == httpx.codes.PARTIAL_CONTENT
                 _remember(response, tag)
                 total = size or _total(response, have if partial else 0)
                 with part.open("ab" if partial else "wb") as stream:
@@ -50,12 +56,16 @@ def download(
                         progress(stream.tell(), total or stream.tell())
                         if stream.tell() > furthest:  # else a server could cut us off for ever
                             furthest = stream.tell()
-                            patience.reset()
-            arrived = part.stat().st_size
-            complete = size is None or arrived >= size
-            if not complete:
-                detail = f"{url} ended after {arrived} of {size} bytes"
-                patience.failed(ApiError({"code": "client.truncated", "detail": detail}))
+                            backoff.reset()
+        except ApiError as error:
+            time.sleep(backoff.pause_if_transient(error))
+            continue
+        arrived = part.stat().st_size
+        complete = size is None or arrived >= size
+        if not complete:
+            detail = f"{url} ended after {arrived} of {size} bytes"
+            truncated = ApiError({"code": "client.truncated", "detail": detail})
+            time.sleep(backoff.pause_after(truncated))
     tag.unlink(missing_ok=True)
 
 

@@ -20,7 +20,7 @@ import httpx
 
 from myoface.assets.catalogue import Asset
 from myoface.assets.download import download
-from myoface.transfer import Transferred, sha256_of, unheard
+from myoface.client.files import Transferred, ignore_transfer, sha256_of
 from solver.errors import InputError
 
 RECORD = "fetched.json"
@@ -48,7 +48,7 @@ def fetch(
     mirror: str | None = None,
     file: Path | None = None,
     sha256: str | None = None,
-    progress: Transferred = unheard,
+    progress: Transferred = ignore_transfer,
 ) -> Path:
     """Return the asset's archive in ``folder``, fetching it if it is not there.
 

@@ -21,8 +21,8 @@ from rich.progress import (
     TransferSpeedColumn,
 )
 
+from myoface.client.files import Transferred
 from myoface.resources import Job
-from myoface.transfer import Transferred
 from solver.progress import Step
 
 VERDICTS = {

@@ -11,7 +11,7 @@ from typer.testing import CliRunner, Result
 
 from myoface.cli import app
 from myoface.client import Client
-from myoface.credentials import VARIABLE
+from myoface.client.credentials import KEY_VARIABLE
 from myoface.stack import Stack
 from service.settings import Settings
 from tests.service_client import Studio, served
@@ -23,7 +23,7 @@ Command = Callable[..., Result]
 def url(stack_and_studio: tuple[Stack, Studio]) -> Iterator[str]:
     stack, _ = stack_and_studio
     with pytest.MonkeyPatch.context() as environment:
-        environment.setenv(VARIABLE, stack.key)
+        environment.setenv(KEY_VARIABLE, stack.key)
         yield stack.url
 
 

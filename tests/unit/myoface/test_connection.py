@@ -7,8 +7,8 @@ from collections.abc import Callable
 import httpx
 import pytest
 
-from myoface import connection
-from myoface.client import Client
+from myoface.client import Client, ClientOptions
+from myoface.client.retry import IN_FLIGHT
 from myoface.errors import ApiError
 
 SUBJECT = {"id": "1", "name": "Ada"}
@@ -16,11 +16,6 @@ RATE = {"code": "request.rate"}
 QUOTA = {"code": "quota.queued"}
 
 Answer = httpx.Response | Exception
-
-
-@pytest.fixture(autouse=True)
-def _hurry(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection, "FIRST_PAUSE_S", 0.001)
 
 
 @pytest.fixture
@@ -46,7 +41,7 @@ def service(
         assert isinstance(given, httpx.Response)
         return given
 
-    client = Client("http://service", "myo_key")
+    client = Client("http://service", "myo_key", options=ClientOptions(first_pause_s=0.001))
     client.http = httpx.Client(base_url="http://service", transport=httpx.MockTransport(answer))
     return client, asked
 
@@ -87,7 +82,7 @@ def test_a_quota_is_not_waited_for(pauses: list[float]) -> None:
 def test_what_is_made_over_a_breaking_line_is_made_under_one_key() -> None:
     lost = httpx.ReadError("the line broke")
     client, asked = service(
-        lost, refusal(409, {"code": connection.IN_FLIGHT}), httpx.Response(201, json=SUBJECT)
+        lost, refusal(409, {"code": IN_FLIGHT}), httpx.Response(201, json=SUBJECT)
     )
     client.create_subject("Ada")
     keys = {request.headers["Idempotency-Key"] for request in asked}
