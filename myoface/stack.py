@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -18,7 +19,6 @@ import httpx
 import structlog
 
 from myoface.errors import StackError
-from myoface.ports import check_port, free_port
 from service.settings import Settings
 from service.store.broker import BrokerNotFoundError, EmbeddedBroker
 from service.store.queue import QUEUES, WEBHOOKS
@@ -32,6 +32,21 @@ FEW_ARENAS = {"MALLOC_ARENA_MAX": "2"}
 STEADY = 30.0  # seconds after which a restarted child counts as well
 
 log = structlog.get_logger()
+
+
+def free_port(host: str) -> int:
+    """Return a port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind((host, 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def check_port(host: str, port: int) -> None:
+    """Raise :class:`OSError` if somebody listens on the port, or it may not be used."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        probe.bind((host, port))
 
 
 class Stack:

@@ -10,6 +10,7 @@ import hashlib
 import json
 import os
 import shutil
+import time
 import zlib
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -19,8 +20,9 @@ from zipfile import BadZipFile, ZipFile
 import httpx
 
 from myoface.assets.catalogue import Asset
-from myoface.assets.download import download
 from myoface.client.files import Transferred, ignore_transfer, sha256_of
+from myoface.client.retry import Backoff, require_success, transport_errors
+from myoface.errors import ApiError
 from solver.errors import InputError
 
 RECORD = "fetched.json"
@@ -87,7 +89,7 @@ def fetch(
         source = asset.url if mirror is None else f"{mirror.rstrip('/')}/{asset.file}"
         size = asset.size if expected.sha256 == asset.sha256 else None
         known = expected.sha256 is not None
-        download(http, source, part, size=size, resumable=known, progress=progress)
+        _download(http, source, part, size=size, resumable=known, progress=progress)
     found = sha256_of(part)
     try:
         if found != expected.sha256 and expected.sha256 is not None:
@@ -186,3 +188,92 @@ def _record(folder: Path, target: Path, source: str, expected: _Expected, sha256
     entry = Fetched(source, target.stat().st_size, sha256, expected.known_from, moment)
     text = json.dumps({**records, target.name: asdict(entry)}, indent=2)
     (folder / RECORD).write_text(text + "\n", encoding="utf-8")
+
+
+def _download(
+    http: httpx.Client,
+    url: str,
+    part: Path,
+    *,
+    size: int | None = None,
+    resumable: bool = False,
+    progress: Transferred = ignore_transfer,
+) -> None:
+    """Fetch ``url`` into ``part``, which may hold the beginning already.
+
+    A part is continued where the server says that the file is still the same (its ETag is kept in
+    ``<part>.etag``) or where the caller will check the whole (``resumable``); otherwise it begins
+    anew. ``size`` is the file's, where it is known: a connection that ends early is then noticed
+    even if the server does not say how much it sends.
+
+    Raises :class:`ApiError` (``client.unreachable``, ``http.404`` ...) after several attempts.
+    """
+    tag = part.with_name(f"{part.name}.etag")
+    backoff = Backoff()
+    complete, furthest = False, 0
+    while not complete:
+        have = _usable_bytes(part, tag, resumable, size)
+        if have == size:
+            break
+        try:
+            with (
+                transport_errors(),
+                http.stream("GET", url, headers=_range_headers(have, tag)) as response,
+            ):
+                if response.status_code == httpx.codes.REQUESTED_RANGE_NOT_SATISFIABLE and have:
+                    part.unlink()  # it is not longer than the part: begin anew
+                    continue
+                if response.is_error:
+                    response.read()
+                partial = require_success(response).status_code == httpx.codes.PARTIAL_CONTENT
+                _keep_tag(response, tag)
+                total = size or _expected_bytes(response, have if partial else 0)
+                with part.open("ab" if partial else "wb") as stream:
+                    for block in response.iter_raw():
+                        stream.write(block)
+                        progress(stream.tell(), total or stream.tell())
+                        if stream.tell() > furthest:  # else a server could cut us off for ever
+                            furthest = stream.tell()
+                            backoff.reset()
+        except ApiError as error:
+            time.sleep(backoff.pause_if_transient(error))
+            continue
+        arrived = part.stat().st_size
+        complete = size is None or arrived >= size
+        if not complete:
+            detail = f"{url} ended after {arrived} of {size} bytes"
+            truncated = ApiError({"code": "client.truncated", "detail": detail})
+            time.sleep(backoff.pause_after(truncated))
+    tag.unlink(missing_ok=True)
+
+
+def _usable_bytes(part: Path, tag: Path, resumable: bool, size: int | None) -> int:
+    """Return how many bytes of the part are of use; a part of no use is deleted."""
+    have = part.stat().st_size if part.exists() else 0
+    if have and ((size is not None and have > size) or not (resumable or tag.exists())):
+        part.unlink()
+        return 0
+    return have
+
+
+def _range_headers(have: int, tag: Path) -> dict[str, str]:
+    # What is stored is the file itself, not a compressed form of it: ranges count its bytes.
+    headers = {"Accept-Encoding": "identity"}
+    if have:
+        headers["Range"] = f"bytes={have}-"
+        if tag.exists():
+            headers["If-Range"] = tag.read_text(encoding="utf-8")
+    return headers
+
+
+def _keep_tag(response: httpx.Response, tag: Path) -> None:
+    etag = response.headers.get("ETag", "")
+    if etag.startswith('"'):  # a weak one (W/"...") does not promise the same bytes
+        tag.write_text(etag, encoding="utf-8")
+    else:
+        tag.unlink(missing_ok=True)
+
+
+def _expected_bytes(response: httpx.Response, before: int) -> int | None:
+    length = response.headers.get("Content-Length", "")
+    return before + int(length) if length.isdigit() else None

@@ -13,8 +13,7 @@ from myoface.cli.console import complain
 from myoface.cli.demo import demo
 from myoface.cli.keys import keys
 from myoface.cli.offline import solve
-from myoface.cli.operations import backup, restore
-from myoface.cli.service import admin_key, doctor, up
+from myoface.cli.service import admin_key, backup, doctor, restore, up
 from myoface.cli.template import template
 from myoface.cli.tenants import tenants
 from myoface.errors import ApiError, StackError, describe

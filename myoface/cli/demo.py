@@ -18,8 +18,7 @@ from rich.markup import escape
 from myoface.cli.app import read_settings
 from myoface.cli.console import complain, out, show_table
 from myoface.client import Client
-from myoface.demo.khronos_validator import khronos_validation
-from myoface.demo.outcome import Bars, Outcome, millimetres
+from myoface.demo.outcome import Bars, Outcome, khronos_validation, millimetres
 from solver.rig.gltf_check import validate_glb
 from solver.storage import cache_directory
 

@@ -1,4 +1,4 @@
-"""Commands that run the service here and look at this machine."""
+"""Commands that run the service here, look at this machine, and back up what is kept."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ MARKS = {
 
 Port = Annotated[int | None, typer.Option(help="0 takes a free one")]
 Data = Annotated[Path | None, typer.Option(help="folder for everything the service keeps")]
+BackupFolder = Annotated[Path, typer.Argument(file_okay=False, help="the backup's folder")]
 
 
 def up(port: Port = None, data: Data = None) -> None:
@@ -69,6 +70,38 @@ def doctor(port: Port = None, data: Data = None) -> None:
         faults += finding.verdict == "fault"
     if faults:
         raise typer.Exit(1)
+
+
+def backup(
+    folder: BackupFolder,
+    deletions: Annotated[
+        bool, typer.Option("--deletions", help="only note what was deleted since")
+    ] = False,
+) -> None:
+    """Copy the database and every file into a folder, also while the service runs."""
+    from myoface.backup import back_up, note_deletions
+    from service.store.store import Store
+
+    settings = read_settings()
+    if deletions:
+        store = Store(settings.database, settings.files, settings.broker)
+        out.print(f"{note_deletions(store, folder)} deletions noted")
+        store.close()
+        return
+    manifest = back_up(settings, folder)
+    out.print(f"{len(manifest.files)} files and the database as of {manifest.made_at:%F %T} UTC")
+    if manifest.missing:
+        out.print(f"{len(manifest.missing)} files are missing in the store itself")
+        raise typer.Exit(1)
+
+
+def restore(folder: Annotated[Path, typer.Argument(exists=True, file_okay=False)]) -> None:
+    """Fill an empty service from a backup; what was deleted after it stays deleted."""
+    from myoface.backup import restore as fill
+
+    manifest, again = fill(read_settings(), folder)
+    out.print(f"{len(manifest.files)} files and the database as of {manifest.made_at:%F %T} UTC")
+    out.print(f"{again} later deletions repeated")
 
 
 def _settings(port: int | None, data: Path | None) -> Settings:

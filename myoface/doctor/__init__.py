@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from myoface.doctor import machine, service
-from myoface.doctor.finding import Finding
+from myoface.doctor.machine import Finding
 from service.settings import Settings
 
 __all__ = ["Finding", "examine"]

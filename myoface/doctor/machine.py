@@ -8,14 +8,15 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import trimesh
 from packaging.requirements import Requirement
 
-from myoface.doctor.finding import Finding
-from myoface.ports import check_port
+from myoface.stack import check_port
 from solver.anatomy.tetrahedra import EdgeLengths, background_grid, tetrahedralize
 from solver.errors import SolveError
 from solver.surface import Surface
@@ -27,6 +28,18 @@ CHILD_TIMEOUT_S = 120.0
 
 REINSTALL = "reinstall: rm -rf .venv && make setup"
 COMPILE = "import numba; print(numba.njit(lambda x: x + 1)(41))"
+
+Verdict = Literal["ok", "warning", "fault"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One check's outcome; ``advice`` says what to do where it is not ok."""
+
+    subject: str
+    verdict: Verdict
+    found: str
+    advice: str = ""
 
 
 def python() -> Finding:

@@ -16,7 +16,7 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import func, select
 from sqlalchemy.exc import SQLAlchemyError
 
-from myoface.doctor.finding import Finding
+from myoface.doctor.machine import Finding
 from service.access.keys import Keyring
 from service.errors import Problem
 from service.secret import secret as secret_of

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from myoface.demo.khronos_validator import Validation
-from myoface.demo.outcome import Bars, Outcome
+from myoface.demo.outcome import Bars, Outcome, Validation
 
 REPORT = {
     "train_mean_mm": 0.5,
