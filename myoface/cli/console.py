@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from rich.cells import cell_len, set_cell_size
 from rich.console import Console
@@ -14,16 +14,18 @@ from rich.markup import escape
 from rich.progress import (
     BarColumn,
     DownloadColumn,
-    Progress,
     TaskProgressColumn,
     TextColumn,
     TimeElapsedColumn,
     TransferSpeedColumn,
 )
+from rich.progress import Progress as Bars
 
 from myoface.client.files import Transferred
-from myoface.resources import Job
-from solver.progress import Step
+from myoface.resources import Job, Progress
+
+if TYPE_CHECKING:
+    from solver.progress import Step
 
 VERDICTS = {
     "good": ("green", "good"),
@@ -84,7 +86,7 @@ def transfer_bar(title: str) -> Iterator[Transferred]:
         DownloadColumn(),
         TransferSpeedColumn(),
     )
-    with Progress(*columns, console=out, transient=True, disable=not out.is_terminal) as bars:
+    with Bars(*columns, console=out, transient=True, disable=not out.is_terminal) as bars:
         task = bars.add_task(escape(title), total=None)
         yield lambda done, total: bars.update(task, completed=done, total=total)
 
@@ -103,7 +105,7 @@ class JobView:
         self._since = time.monotonic()
         self._told = ("", 0.0)
         self._warned: set[str | None] = set()
-        self._bars = Progress(
+        self._bars = Bars(
             TextColumn("{task.fields[title]}"),
             BarColumn(),
             TaskProgressColumn(),
@@ -131,15 +133,15 @@ class JobView:
     def watch(self, job: Job) -> None:
         """Take a job's news (a :data:`myoface.client.Watcher`)."""
         if job.state == "queued" or job.progress is None:
-            self._show(Step(job.state, 0.0))
+            self._show(Progress(phase=job.state, fraction=0.0))
         else:
-            self._show(Step(**job.progress.model_dump()))
+            self._show(job.progress)
 
     def __call__(self, step: Step, /) -> None:
         """Take the news of a computation in this process (a :class:`solver.progress.Progress`)."""
         self._show(step)
 
-    def _show(self, step: Step) -> None:
+    def _show(self, step: Step | Progress) -> None:
         if step.phase == "warning":
             if step.message not in self._warned:
                 self._warned.add(step.message)
@@ -166,7 +168,7 @@ class JobView:
         self._phase, self._since = phase, moment
 
 
-def summary(step: Step) -> str:
+def summary(step: Step | Progress) -> str:
     """Return a step as a few words: phase, iteration, mean error."""
     words = [step.phase]
     if step.iteration is not None:

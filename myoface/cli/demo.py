@@ -15,12 +15,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.markup import escape
 
-from myoface.cli.app import read_settings
 from myoface.cli.console import complain, out, show_table
+from myoface.cli.service import read_settings
 from myoface.client import Client
 from myoface.demo.outcome import Bars, Outcome, khronos_validation, millimetres
-from solver.rig.gltf_check import validate_glb
-from solver.storage import cache_directory
 
 if TYPE_CHECKING:
     from myoface.demo.session import Options
@@ -54,6 +52,8 @@ def demo(
 ) -> None:
     """Fit a face: the built-in one, or with --anatomy and --faces one of your folders."""
     from myoface.demo.session import Session
+    from solver.rig.gltf_check import validate_glb
+    from solver.storage import cache_directory
 
     to_stdout = str(json_file) == "-"
     out.stderr = to_stdout  # standard output is then for the figures alone

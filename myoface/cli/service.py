@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from pydantic import ValidationError
+from pydantic_settings import SettingsError
 from rich.markup import escape
 
-from myoface.cli.app import read_settings
 from myoface.cli.console import out
 from service import logs
 from service.access.loopback import is_loopback
@@ -102,6 +103,19 @@ def restore(folder: Annotated[Path, typer.Argument(exists=True, file_okay=False)
     manifest, again = fill(read_settings(), folder)
     out.print(f"{len(manifest.files)} files and the database as of {manifest.made_at:%F %T} UTC")
     out.print(f"{again} later deletions repeated")
+
+
+def read_settings(**given: Any) -> Settings:
+    """Return the settings of the environment, with those that are ``given`` in their place."""
+    try:
+        return Settings(**given)
+    except ValidationError as error:
+        faults = (
+            f"MYOFACE_{fault['loc'][0]}".upper() + f": {fault['msg']}" for fault in error.errors()
+        )
+        raise typer.BadParameter("; ".join(faults)) from error
+    except SettingsError as error:  # a value that should be JSON
+        raise typer.BadParameter(str(error)) from error
 
 
 def _settings(port: int | None, data: Path | None) -> Settings:

@@ -26,6 +26,7 @@ WANTED_DISK_GB = 5.0
 WANTED_MEMORY_GB = 4.0
 CHILD_TIMEOUT_S = 120.0
 
+NEEDED_EXTRAS = ("service", "solver")
 REINSTALL = "reinstall: rm -rf .venv && make setup"
 COMPILE = "import numba; print(numba.njit(lambda x: x + 1)(41))"
 
@@ -57,7 +58,7 @@ def packages() -> Finding:
     except importlib.metadata.PackageNotFoundError:
         return Finding("packages", "fault", "myoface is not installed", "run `make setup`")
     requirements = map(Requirement, lines)
-    needed = [each for each in requirements if each.marker is None or each.marker.evaluate()]
+    needed = [each for each in requirements if _is_needed(each)]
     faults = []
     for requirement in needed:
         try:
@@ -70,6 +71,12 @@ def packages() -> Finding:
     if faults:
         return Finding("packages", "fault", "; ".join(faults), "run `make setup`")
     return Finding("packages", "ok", f"all {len(needed)} there")
+
+
+def _is_needed(requirement: Requirement) -> bool:
+    """Tell whether the service and the solver need a package on this machine."""
+    marker = requirement.marker
+    return marker is None or any(marker.evaluate({"extra": extra}) for extra in NEEDED_EXTRAS)
 
 
 def data_folder(folder: Path) -> Finding:
