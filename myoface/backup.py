@@ -38,7 +38,7 @@ DUMPS = {"sqlite": "database.sqlite", "postgresql": "database.dump"}
 
 
 class Manifest(BaseModel):
-    """What a backup holds."""
+    """Contents of a backup."""
 
     made_at: datetime
     database: str
@@ -62,7 +62,7 @@ def back_up(settings: Settings, folder: Path) -> Manifest:
     Raises
     ------
     StackError
-        If the database can not be dumped.
+        If the database cannot be dumped.
     """
     folder.mkdir(parents=True, exist_ok=True)
     store = Store(settings.database, settings.files, settings.broker)

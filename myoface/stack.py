@@ -23,12 +23,12 @@ from service.settings import Settings
 from service.store.broker import BrokerNotFoundError, EmbeddedBroker
 from service.store.queue import QUEUES, WEBHOOKS
 
-START_TIMEOUT = 60.0
-STOP_TIMEOUT = 8.0
-LONGEST_PAUSE = 30.0
-RETRY = 2.0
+START_TIMEOUT = 60.0  # s until every part answers
+STOP_TIMEOUT = 8.0  # s until a child that does not end is killed
+LONGEST_PAUSE = 30.0  # s between two starts of a child
+RETRY = 2.0  # s after a start that failed
+# Of the API: with an arena for each thread, glibc would keep memory that is done with.
 FEW_ARENAS = {"MALLOC_ARENA_MAX": "2"}
-"""Of the API: with an arena for each thread, glibc would keep memory that is done with."""
 STEADY = 30.0  # seconds after which a restarted child counts as well
 
 log = structlog.get_logger()
@@ -115,10 +115,10 @@ class Stack:
 
     def wait(self) -> None:
         """Wait for Ctrl-C or SIGTERM."""
-        told = threading.Event()
+        asked = threading.Event()
         for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: told.set())
-        told.wait()
+            signal.signal(number, lambda *_: asked.set())
+        asked.wait()
 
     @property
     def key(self) -> str:

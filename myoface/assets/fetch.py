@@ -19,7 +19,7 @@ from zipfile import BadZipFile, ZipFile
 
 import httpx
 
-from myoface.assets.catalogue import Asset
+from myoface.assets.catalogue import PublicAsset
 from myoface.client.files import Transferred, ignore_transfer, sha256_of
 from myoface.client.retry import Backoff, require_success, transport_errors
 from myoface.errors import ApiError
@@ -29,8 +29,8 @@ RECORD = "fetched.json"
 
 
 @dataclass(frozen=True)
-class Fetched:
-    """What is recorded of a fetched file; ``expected`` is where its hash was known from.
+class FetchRecord:
+    """Record of a fetched file; ``expected`` is where its hash was known from.
 
     That is ``catalogue``, ``option`` (the user gave it) or ``first use``.
     """
@@ -44,7 +44,7 @@ class Fetched:
 
 def fetch(
     http: httpx.Client,
-    asset: Asset,
+    asset: PublicAsset,
     folder: Path,
     *,
     mirror: str | None = None,
@@ -67,13 +67,13 @@ def fetch(
     ------
     InputError
         ``assets.hash`` or ``assets.content`` for another file than expected (it is not kept),
-        ``assets.file`` if ``file`` can not be read.
+        ``assets.file`` if ``file`` cannot be read.
     ApiError
         If the address does not answer or refuses.
     """
     folder.mkdir(parents=True, exist_ok=True)
     target = folder / asset.file
-    expected = _expected(asset, folder, sha256)
+    expected = _find_expectation(asset, folder, sha256)
     if target.exists():
         found = sha256_of(target)
         if found != expected.sha256 and expected.sha256 is not None:
@@ -105,21 +105,21 @@ def fetch(
 
 
 @dataclass(frozen=True)
-class _Expected:
+class _Expectation:
     sha256: str | None
     known_from: str
 
 
-def _expected(asset: Asset, folder: Path, sha256: str | None) -> _Expected:
+def _find_expectation(asset: PublicAsset, folder: Path, sha256: str | None) -> _Expectation:
     if sha256 is not None:
-        return _Expected(sha256.lower(), "option")
+        return _Expectation(sha256.lower(), "option")
     if asset.sha256 is not None:
-        return _Expected(asset.sha256, "catalogue")
+        return _Expectation(asset.sha256, "catalogue")
     before = _records(folder).get(asset.file)
-    return _Expected(None if before is None else before["sha256"], "first use")
+    return _Expectation(None if before is None else before["sha256"], "first use")
 
 
-def _another_file(path: Path, expected: _Expected, found: str, what_now: str) -> InputError:
+def _another_file(path: Path, expected: _Expectation, found: str, what_now: str) -> InputError:
     known_from = {
         "option": "you gave",
         "catalogue": "is known of it",
@@ -140,11 +140,11 @@ def _copy(file: Path, part: Path) -> None:
     except OSError as error:
         part.unlink(missing_ok=True)
         raise InputError(
-            "assets.file", f"{file} can not be copied: {error.strerror}", file=str(file)
+            "assets.file", f"{file} cannot be copied: {error.strerror}", file=str(file)
         ) from error
 
 
-def _check_content(asset: Asset, path: Path, expected: _Expected) -> None:
+def _check_content(asset: PublicAsset, path: Path, expected: _Expectation) -> None:
     """Raise ``assets.content`` if an archive lacks a file or holds another version of it.
 
     Versions are of no account where the user says what the archive must be.
@@ -163,7 +163,7 @@ def _check_content(asset: Asset, path: Path, expected: _Expected) -> None:
         raise _wrong_content(asset, f"is no ZIP archive ({error})") from error
 
 
-def _wrong_content(asset: Asset, reason: str) -> InputError:
+def _wrong_content(asset: PublicAsset, reason: str) -> InputError:
     return InputError("assets.content", f"{asset.file} {reason}", file=asset.file)
 
 
@@ -175,17 +175,17 @@ def _records(folder: Path) -> dict[str, dict[str, str]]:
         records: dict[str, dict[str, str]] = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
         raise InputError(
-            "assets.record", f"{path} can not be read: {error}", file=str(path)
+            "assets.record", f"{path} cannot be read: {error}", file=str(path)
         ) from error
     return records
 
 
-def _record(folder: Path, target: Path, source: str, expected: _Expected, sha256: str) -> None:
+def _record(folder: Path, target: Path, source: str, expected: _Expectation, sha256: str) -> None:
     records = _records(folder)
     if records.get(target.name, {}).get("sha256") == sha256:
         return
     moment = datetime.now(UTC).isoformat(timespec="seconds")
-    entry = Fetched(source, target.stat().st_size, sha256, expected.known_from, moment)
+    entry = FetchRecord(source, target.stat().st_size, sha256, expected.known_from, moment)
     text = json.dumps({**records, target.name: asdict(entry)}, indent=2)
     (folder / RECORD).write_text(text + "\n", encoding="utf-8")
 

@@ -34,8 +34,8 @@ def _root(_version: Version = False) -> None:
     pass
 
 
+# The exit code of a check whose verdict is bad; 1 says that there was no verdict.
 BAD_SCAN = 3
-"""The exit code of a check whose verdict is bad; 1 says that there was no verdict."""
 
 UnitName = Literal["auto", "mm", "cm", "m", "inch"]
 Axis = Literal["auto", "x", "-x", "y", "-y", "z", "-z"]

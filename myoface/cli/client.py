@@ -24,8 +24,8 @@ rigs = typer.Typer(help="Fitted faces.", no_args_is_help=True)
 JobId = Annotated[str, typer.Argument(help="job id")]
 RigId = Annotated[str, typer.Argument(help="rig id")]
 
+# JSON Schema's words for the limits of a number.
 LIMITS = {"exclusiveMinimum": ">", "minimum": ">=", "maximum": "<="}
-"""JSON Schema's words for what a number may be."""
 
 
 @subjects.command("list")
@@ -118,7 +118,12 @@ def show_kinds(
     elif kind in found:
         options = found[kind].options["properties"].items()
         rows = [
-            (name, json.dumps(schema.get("default")), _allowed(schema), schema["description"])
+            (
+                name,
+                json.dumps(schema.get("default")),
+                _limits(schema),
+                schema["description"],
+            )
             for name, schema in options
         ]
         show_table(("option", "default", "allowed", "what"), rows)
@@ -126,7 +131,7 @@ def show_kinds(
         raise typer.BadParameter(f"there is no kind {kind!r}; there are {', '.join(found)}")
 
 
-def _allowed(schema: dict[str, Any]) -> str:
+def _limits(schema: dict[str, Any]) -> str:
     """Return the values that an option's JSON Schema allows."""
     if "enum" in schema:
         return ", ".join(map(json.dumps, schema["enum"]))

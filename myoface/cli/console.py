@@ -1,4 +1,4 @@
-"""What the command line shows: tables, progress bars, and errors on one line."""
+"""Output of the command line: tables, progress bars, and errors on one line."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 VERDICTS = {
     "good": ("green", "good"),
     "usable": ("yellow", "usable, with flaws"),
-    "bad": ("red", "bad: it can not be used"),
+    "bad": ("red", "bad: it cannot be used"),
 }
 
+# Between two lines about one phase, where there is no terminal to show a live bar.
 NEWS_SECONDS = 10.0
-"""Between two lines about one phase, where there is no terminal to show a live bar."""
 
 out = Console(highlight=False, soft_wrap=True)
 err = Console(stderr=True, highlight=False, soft_wrap=True)
@@ -79,7 +79,7 @@ def _show_findings(findings: Iterable[Mapping[str, str]]) -> None:
 
 @contextmanager
 def transfer_bar(title: str) -> Iterator[Transferred]:
-    """Show a bar for bytes; yields what tells it how many are done, and of how many."""
+    """Show a bar for bytes; yields a function of the bytes done and the bytes in all."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -103,7 +103,7 @@ class JobView:
         self.phases: dict[str, float] = {}
         self._phase = "queued"
         self._since = time.monotonic()
-        self._told = ("", 0.0)
+        self._last_line = ("", 0.0)
         self._warned: set[str | None] = set()
         self._bars = Bars(
             TextColumn("{task.fields[title]}"),
@@ -151,15 +151,15 @@ class JobView:
         if turns:
             self._turn(step.phase)
         if not out.is_terminal:
-            self._tell(words, at_once=turns)
+            self._print(words, at_once=turns)
         self._bars.update(self._task, completed=step.fraction, description=escape(words))
 
-    def _tell(self, words: str, *, at_once: bool) -> None:
+    def _print(self, words: str, *, at_once: bool) -> None:
         """Print a line, unless it says nothing new or the one before is not old yet."""
-        before, moment = self._told
+        before, moment = self._last_line
         now = time.monotonic()
         if at_once or (words != before and now - moment >= NEWS_SECONDS):
-            self._told = (words, now)
+            self._last_line = (words, now)
             out.print(f"{self.title}: {words}", markup=False)
 
     def _turn(self, phase: str) -> None:

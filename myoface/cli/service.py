@@ -64,11 +64,11 @@ def doctor(port: Port = None, data: Data = None) -> None:
     from myoface.doctor import examine
 
     faults = 0
-    for finding in examine(_settings(port, data)):
-        out.print(f"{MARKS[finding.verdict]} {finding.subject}: {escape(finding.found)}")
-        if finding.advice:
-            out.print(f"        {escape(finding.advice)}")
-        faults += finding.verdict == "fault"
+    for diagnosis in examine(_settings(port, data)):
+        out.print(f"{MARKS[diagnosis.verdict]} {diagnosis.subject}: {escape(diagnosis.found)}")
+        if diagnosis.advice:
+            out.print(f"        {escape(diagnosis.advice)}")
+        faults += diagnosis.verdict == "fault"
     if faults:
         raise typer.Exit(1)
 

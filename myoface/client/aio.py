@@ -319,7 +319,7 @@ class AsyncClient(AsyncConnection):
         url = f"/v1/jobs/{job.id}/events"
         async with self._stream(url, headers=headers, timeout=timeout) as response:
             async for content in response.aiter_bytes():
-                for event in reader.feed(content):
+                for event in reader.read(content):
                     backoff.reset()
                     if event.kind != "progress":
                         return

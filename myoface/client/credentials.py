@@ -61,7 +61,7 @@ def authority(ca: Path | str | None) -> ssl.SSLContext | bool:
 
 
 def _is_loopback(host: str) -> bool:
-    """Tell whether only this machine reaches ``host``, a name or an address."""
+    """Return True if only this machine reaches ``host``, a name or an address."""
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:

@@ -25,7 +25,7 @@ def unwatched_batch(_batch: Batch, /) -> None:
 
 
 @dataclass(frozen=True)
-class Event:
+class JobEvent:
     """News of a job."""
 
     kind: str
@@ -39,7 +39,7 @@ class EventReader:
         self._rest = b""
         self._fields: dict[str, str] = {}
 
-    def feed(self, content: bytes) -> Iterator[Event]:
+    def read(self, content: bytes) -> Iterator[JobEvent]:
         """Yield the events that are complete now."""
         *lines, self._rest = (self._rest + content).split(b"\n")
         for line in lines:
@@ -50,7 +50,7 @@ class EventReader:
             else:
                 fields, self._fields = self._fields, {}
                 if "event" in fields and "data" in fields:
-                    yield Event(fields["event"], json.loads(fields["data"]))
+                    yield JobEvent(fields["event"], json.loads(fields["data"]))
 
 
 def read_frame(values: dict[str, Any]) -> Frame | MotionFrame:

@@ -89,13 +89,13 @@ def requested_pause(error: ApiError) -> float | None:
 
 
 def is_too_fast(error: ApiError) -> bool:
-    """Tell whether the service asks to slow down; a quota is no matter of seconds."""
+    """Return True if the service asks to slow down; a quota is no matter of seconds."""
     is_quota = error.code.startswith("quota.")
     return error.status == httpx.codes.TOO_MANY_REQUESTS and not is_quota
 
 
 def is_never_reached(error: ApiError) -> bool:
-    """Tell whether there was nobody to connect to."""
+    """Return True if there was nobody to connect to."""
     return isinstance(error.__cause__, httpx.ConnectError)
 
 

@@ -319,7 +319,7 @@ class Client(Connection):
         url = f"/v1/jobs/{job.id}/events"
         with self._stream(url, headers=headers, timeout=timeout) as response:
             for content in response.iter_bytes():
-                for event in reader.feed(content):
+                for event in reader.read(content):
                     backoff.reset()
                     if event.kind != "progress":
                         return

@@ -37,7 +37,7 @@ def millimetres(mean: float | None) -> str:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class DemoOutcome:
     """A finished demonstration; ``report`` is the rig's report.json, ``seconds`` per phase."""
 
     report: dict[str, Any]

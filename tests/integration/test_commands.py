@@ -55,7 +55,7 @@ def test_a_session_at_the_station(myoface: Command, url: str, tmp_path: Path) ->
     assert "neutral: good" in good.output
     blink = scan(tmp_path, "blink", "verdict bad")
     bad = myoface("captures", "add", subject, blink, "--raw", "--check", code=3)
-    assert "blink: bad: it can not be used" in bad.output
+    assert "blink: bad: it cannot be used" in bad.output
     assert "blink.obj has no mouth" in bad.output
     assert "scan again with the mouth in view" in bad.output
     myoface("captures", "delete", subject, "blink")
