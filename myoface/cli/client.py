@@ -112,7 +112,7 @@ def show_kinds(
 ) -> None:
     """List the kinds of job, or the options of one."""
     with Client(url) as client:
-        found = {each.kind: each for each in client.solvers()}
+        found = {each.kind: each for each in client.kinds()}
     if kind is None:
         show_table(("kind", "what it does"), [(each.kind, each.title) for each in found.values()])
     elif kind in found:
@@ -136,7 +136,7 @@ def _limits(schema: dict[str, Any]) -> str:
     if "enum" in schema:
         return ", ".join(map(json.dumps, schema["enum"]))
     limits = [f"{sign} {schema[key]}" for key, sign in LIMITS.items() if key in schema]
-    return ", ".join(limits) or str(schema.get("type", "see GET /v1/solvers"))
+    return ", ".join(limits) or str(schema.get("type", "see GET /v1/kinds"))
 
 
 @jobs.command("submit")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import uuid
+import warnings
 from collections.abc import AsyncIterator, Iterable
 from datetime import datetime
 from pathlib import Path
@@ -190,9 +191,14 @@ class AsyncClient(AsyncConnection):
 
     # Jobs
 
-    async def solvers(self) -> list[JobKind]:
+    async def kinds(self) -> list[JobKind]:
         """Return the kinds of job with their options."""
-        return await self._list("/v1/solvers", JobKind)
+        return await self._list("/v1/kinds", JobKind)
+
+    async def solvers(self) -> list[JobKind]:
+        """Return the kinds of job; the old name of :meth:`kinds`, for one more release."""
+        warnings.warn("solvers() is called kinds() now", DeprecationWarning, stacklevel=2)
+        return await self.kinds()
 
     async def submit(
         self,

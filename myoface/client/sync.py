@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 import uuid
+import warnings
 from collections.abc import Iterable, Iterator
 from datetime import datetime
 from pathlib import Path
@@ -190,9 +191,14 @@ class Client(Connection):
 
     # Jobs
 
-    def solvers(self) -> list[JobKind]:
+    def kinds(self) -> list[JobKind]:
         """Return the kinds of job with their options."""
-        return self._list("/v1/solvers", JobKind)
+        return self._list("/v1/kinds", JobKind)
+
+    def solvers(self) -> list[JobKind]:
+        """Return the kinds of job; the old name of :meth:`kinds`, for one more release."""
+        warnings.warn("solvers() is called kinds() now", DeprecationWarning, stacklevel=2)
+        return self.kinds()
 
     def submit(
         self,

@@ -97,6 +97,16 @@ def test_nobody_there_is_said_at_once() -> None:
     assert len(asked) == 1
 
 
+def test_kinds_have_an_old_name_for_one_release() -> None:
+    kind = {"kind": "edit", "title": "Edit", "description": "Change.", "options": {}}
+    page = httpx.Response(200, json={"items": [kind]})
+    client, asked = service(page, httpx.Response(200, json={"items": [kind]}))
+    with pytest.warns(DeprecationWarning, match="kinds"):
+        old = client.solvers()
+    assert old == client.kinds()
+    assert [request.url.path for request in asked] == ["/v1/kinds", "/v1/kinds"]
+
+
 @pytest.mark.parametrize(("header", "pause"), [("5", 5.0), ("3600", 120.0), (None, 2.0)])
 def test_a_stream_too_many_is_asked_for_when_the_service_says(
     pauses: list[float], header: str | None, pause: float
