@@ -2,7 +2,7 @@
 FROM python:3.11-slim-bookworm AS build
 ENV PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_CACHE_DIR=1
 RUN python -m venv /opt/myoface
-WORKDIR /src
+WORKDIR /opt/myoface/src
 COPY locks/image.txt locks/
 RUN /opt/myoface/bin/pip install --require-hashes -r locks/image.txt
 COPY pyproject.toml README.md LICENSE ./
@@ -11,7 +11,8 @@ COPY service service
 COPY worker worker
 COPY solver solver
 COPY myoface myoface
-RUN /opt/myoface/bin/pip install --no-deps .
+# Editable: the wheel has the client only, and the service runs from these folders.
+RUN /opt/myoface/bin/pip install --no-deps --no-build-isolation --editable .
 
 FROM python:3.11-slim-bookworm
 RUN useradd --system --uid 10001 --create-home myoface \

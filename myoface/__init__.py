@@ -1,1 +1,3 @@
-"""The command line, the client and the demonstration."""
+"""Command line, client and demonstration of Myoface: anatomical faces from 3D scans."""
+
+__version__ = "0.1.0"

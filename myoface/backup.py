@@ -1,4 +1,4 @@
-"""A backup: the database as it was at a moment, and every file that it refers to.
+"""Backup and restore: the database as it was at a moment, and every file that it refers to.
 
 The folder has ``manifest.json``, the database's dump, ``files/`` and the secret. Stored files never
 change, so the next backup into the same folder copies only new ones.
@@ -6,7 +6,6 @@ change, so the next backup into the same folder copies only new ones.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import shutil
@@ -18,25 +17,27 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel
-from sqlalchemy import URL, select, text
+from pydantic import BaseModel, ValidationError
+from sqlalchemy import URL, inspect, select, text
 from sqlalchemy.orm import Session
 
+from myoface.client.files import sha256_of
 from myoface.errors import StackError
 from service.access.bootstrap import write_secret
 from service.secret import secret
 from service.settings import Settings
+from service.store import deletion
 from service.store.database import Database, Store
 from service.store.deletion import references
-from service.store.files import FolderFiles
-from service.store.models import Deletion, now
+from service.store.files import DamagedFileError, FolderFiles
+from service.store.models import Capture, Deletion, Job, Rig, Subject, Template, now
 
 MANIFEST, DELETIONS, SECRET, FILES = "manifest.json", "deletions.json", "secret", "files"
 DUMPS = {"sqlite": "database.sqlite", "postgresql": "database.dump"}
 
 
 class Manifest(BaseModel):
-    """What a backup holds."""
+    """Contents of a backup."""
 
     made_at: datetime
     database: str
@@ -60,7 +61,7 @@ def back_up(settings: Settings, folder: Path) -> Manifest:
     Raises
     ------
     StackError
-        If the database can not be dumped.
+        If the database cannot be dumped.
     """
     folder.mkdir(parents=True, exist_ok=True)
     store = Store(settings.database, settings.files, settings.broker)
@@ -98,13 +99,42 @@ def note_deletions(store: Store, folder: Path) -> int:
     return len(rows)
 
 
-def sha256_of(path: Path) -> str:
-    """Return the hex digest of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+def restore(settings: Settings, folder: Path) -> tuple[Manifest, int]:
+    """Restore a backup; what was deleted after it stays deleted.
+
+    Returns the backup's manifest, and how many deletions were repeated.
+
+    Raises
+    ------
+    StackError
+        If ``folder`` is no backup or damaged, is of another database, or something is there.
+    """
+    manifest = _read_manifest(folder)
+    store = Store(settings.database, settings.files, settings.broker)
+    database = store.database
+    name = database.url.get_backend_name()
+    if name != manifest.database:
+        raise StackError(f"the backup is of {manifest.database}, and the database is {name}")
+    if inspect(database.engine).get_table_names():
+        raise StackError("the database has tables already; restore into an empty one")
+    dump = folder / DUMPS[name]
+    if sha256_of(dump) != manifest.database_sha256:
+        raise StackError(f"{dump} is not what the manifest says: it is damaged")
+    _restore_files(store, folder, manifest)  # first: rows never refer to what is not there
+    _restore_secret(settings, folder)
+    if database.is_sqlite:
+        database.close()
+        shutil.copyfile(dump, Path(str(database.url.database)))
+    else:
+        _run_tool("pg_restore", database.url, "--no-owner", "--exit-on-error", dump)
+    database = Database(settings.database)
+    database.migrate()
+    again = _repeat_deletions(store, folder, manifest)
+    store.close()
+    return manifest, again
 
 
-def run_tool(name: str, url: URL, *words: str | Path) -> None:
+def _run_tool(name: str, url: URL, *words: str | Path) -> None:
     """Run ``pg_dump`` or ``pg_restore`` on a database; its password is not on the command line."""
     program = shutil.which(name)
     if program is None:
@@ -134,7 +164,7 @@ def _snapshot(database: Database, dump: Path) -> Iterator[Session]:
     frozen = database.engine.execution_options(isolation_level="REPEATABLE READ")
     with Session(frozen) as session:
         name = session.scalar(text("SELECT pg_export_snapshot()"))
-        run_tool("pg_dump", database.url, "-Fc", f"--snapshot={name}", f"--file={dump}")
+        _run_tool("pg_dump", database.url, "-Fc", f"--snapshot={name}", f"--file={dump}")
         dump.chmod(0o600)
         yield session
 
@@ -167,3 +197,68 @@ def _write(path: Path, content: Any) -> None:
     fresh = path.with_suffix(".new")
     fresh.write_text(json.dumps(content, indent=1))
     fresh.replace(path)
+
+
+def _read_manifest(folder: Path) -> Manifest:
+    try:
+        return Manifest.model_validate_json((folder / MANIFEST).read_bytes())
+    except (OSError, ValidationError) as error:
+        raise StackError(f"{folder} is no whole backup: {error}") from error
+
+
+def _restore_files(store: Store, folder: Path, manifest: Manifest) -> None:
+    kept = FolderFiles(folder / FILES)
+    fetched = kept.incoming / "restored"
+    for sha256 in manifest.files:
+        try:
+            kept.fetch(sha256, fetched)
+        except (FileNotFoundError, DamagedFileError) as error:
+            raise StackError(f"the backup's file {sha256} is missing or damaged") from error
+        store.files.put(fetched)
+        fetched.unlink()
+
+
+def _restore_secret(settings: Settings, folder: Path) -> None:
+    """Put the secret back, without which no key of the backup opens anything."""
+    kept, target = folder / SECRET, settings.data_dir / "secret"
+    if kept.exists() and settings.secret_key is None:
+        write_secret(target, kept.read_bytes())
+
+
+def _repeat_deletions(store: Store, folder: Path, manifest: Manifest) -> int:
+    """Delete what was deleted after the backup was made, as far as `note_deletions` knows."""
+    rows = [Deleted.model_validate(row) for row in json.loads((folder / DELETIONS).read_text())]
+    with store.write() as session:
+        found = (
+            _repeat_deletion(session, row) for row in rows if row.created_at >= manifest.made_at
+        )
+        return sum(found)
+
+
+def _repeat_deletion(session: Session, row: Deleted) -> bool:
+    """Delete one thing; False: it is not in the backup."""
+    match row.kind:
+        case "subject":
+            subject = session.get(Subject, row.object_id)
+            if subject is not None:
+                deletion.delete_subject(session, subject, "request")
+            return subject is not None
+        case "capture":
+            capture = session.get(Capture, row.object_id)
+            if capture is not None:
+                deletion.delete_capture(session, capture, "request")
+            return capture is not None
+        case "template":
+            template = session.get(Template, row.object_id)
+            if template is not None:
+                deletion.delete_template(session, template, "request")
+            return template is not None
+        case "rig":
+            job = session.scalars(
+                select(Job).join(Rig, Rig.job_id == Job.id).where(Rig.id == row.object_id)
+            ).one_or_none()
+        case _:
+            job = session.get(Job, row.object_id)
+    if job is not None:
+        deletion.delete_job(session, job, "request")
+    return job is not None

@@ -1,4 +1,4 @@
-"""What can go wrong in starting the service and in talking to it."""
+"""Errors of starting the service and of talking to it."""
 
 from __future__ import annotations
 
@@ -56,10 +56,10 @@ def describe(problem: dict[str, Any]) -> str:
     """Return a problem document as one line: what, where (unless that said it), code."""
     text = str(problem.get("detail") or problem.get("message") or problem.get("title") or "failed")
     known = {key: problem[key] for key in LOCATING_KEYS if problem.get(key) is not None}
-    told = {key: f"{key} {_short(value)}" for key, value in known.items()}
+    located = {key: f"{key} {_short(value)}" for key, value in known.items()}
     where = [
         words
-        for key, words in told.items()
+        for key, words in located.items()
         # a number in a sentence is seldom that of a frame
         if not (words in text if key in MOMENTS else _says(text, known[key]))
     ]
@@ -71,7 +71,7 @@ def _short(value: Any) -> str:
 
 
 def _says(text: str, value: Any) -> bool:
-    """Tell whether ``text`` has ``value`` in it, a number as rounded as a sentence has it."""
+    """Return True if ``text`` has ``value`` in it, a number as rounded as a sentence has it."""
     if isinstance(value, (list, tuple)):
         return all(_says(text, each) for each in value)
     if not isinstance(value, (int, float)):

@@ -1,4 +1,4 @@
-"""What the API returns, as typed values; fields this client does not know are ignored."""
+"""Typed values of the API's answers; fields this client does not know are ignored."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ class Artifact(Resource):
 
 
 class Progress(Resource):
-    """Where a running job is; ``fraction`` of the whole job in [0, 1]."""
+    """Progress of a running job; ``fraction`` of the whole job in [0, 1]."""
 
     phase: str
     fraction: float
@@ -137,7 +137,7 @@ class Progress(Resource):
 
 
 class Result(Resource):
-    """What a succeeded job left; ``summary`` holds its verdict or figures."""
+    """Result of a succeeded job; ``summary`` holds its verdict or figures."""
 
     rig_id: str | None = None
     summary: dict[str, Any] | None = None
@@ -250,7 +250,7 @@ class BatchFit(BatchStep):
 
 
 class BatchScan(Resource):
-    """What became of a scan; ``left_out`` says why nothing more is made of it."""
+    """A scan's way through a batch; ``left_out`` says why nothing more is made of it."""
 
     capture_id: str
     name: str
@@ -286,14 +286,14 @@ class Me(Resource):
 
 
 class Use(Resource):
-    """How much of something is in use; a ``limit`` of None is none."""
+    """Amount in use; a ``limit`` of None is none."""
 
     used: int
     limit: int | None
 
 
 class Usage(Resource):
-    """What the tenant stores (bytes), and how many of its jobs wait and run."""
+    """The tenant's stored bytes, and the number of its jobs that wait and run."""
 
     bytes: Use
     queued: Use
@@ -334,7 +334,7 @@ class Deletion(Resource):
 
 
 class AuditEntry(Resource):
-    """What was done with a key, to which object."""
+    """An action with a key, and the object that it was done to."""
 
     id: str
     created_at: datetime

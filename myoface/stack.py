@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -18,20 +19,34 @@ import httpx
 import structlog
 
 from myoface.errors import StackError
-from myoface.ports import check_port, free_port
 from service.queue.wakeups import QUEUES, WEBHOOKS
 from service.settings import Settings
 from service.store.broker import BrokerNotFoundError, EmbeddedBroker
 
-START_TIMEOUT = 60.0
-STOP_TIMEOUT = 8.0
-LONGEST_PAUSE = 30.0
-RETRY = 2.0
+START_TIMEOUT = 60.0  # s until every part answers
+STOP_TIMEOUT = 8.0  # s until a child that does not end is killed
+LONGEST_PAUSE = 30.0  # s between two starts of a child
+RETRY = 2.0  # s after a start that failed
+# Of the API: with an arena for each thread, glibc would keep memory that is done with.
 FEW_ARENAS = {"MALLOC_ARENA_MAX": "2"}
-"""Of the API: with an arena for each thread, glibc would keep memory that is done with."""
 STEADY = 30.0  # seconds after which a restarted child counts as well
 
 log = structlog.get_logger()
+
+
+def free_port(host: str) -> int:
+    """Return a port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind((host, 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def check_port(host: str, port: int) -> None:
+    """Raise :class:`OSError` if somebody listens on the port, or it may not be used."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        probe.bind((host, port))
 
 
 class Stack:
@@ -100,10 +115,10 @@ class Stack:
 
     def wait(self) -> None:
         """Wait for Ctrl-C or SIGTERM."""
-        told = threading.Event()
+        asked = threading.Event()
         for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: told.set())
-        told.wait()
+            signal.signal(number, lambda *_: asked.set())
+        asked.wait()
 
     @property
     def key(self) -> str:

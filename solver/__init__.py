@@ -1,7 +1,100 @@
-"""Numbers only: anatomy, scans, mechanics, fitting and the rig."""
+"""Anatomy, scans, mechanics, fitting and the rig: numbers only, and the library's front door.
+
+from solver import Face, SubjectModel, load_weights
+
+The names of ``__all__`` are imported when they are first asked for: ``import solver`` is fast, and
+each room still imports no more than it needs.
+"""
+
+from __future__ import annotations
 
 import os
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from solver.anatomy.template import Template as Template
+    from solver.fitting.activation import ActivationOptions as ActivationOptions
+    from solver.fitting.activation import Resting as Resting
+    from solver.fitting.chosen import fit as fit_expression
+    from solver.fitting.chosen import terms as expression_terms
+    from solver.fitting.chosen import unseen_regulariser as unseen_regulariser
+    from solver.fitting.face import Face as Face
+    from solver.fitting.face import Pose as Pose
+    from solver.fitting.objective import Target as Target
+    from solver.meshio.read import write_registered as write_registered
+    from solver.model import SubjectModel as SubjectModel
+    from solver.pipeline import build_model as build_model
+    from solver.pipeline import fit_activations as fit_activations
+    from solver.pipeline import fit_geometry as fit_geometry
+    from solver.pipeline import fit_sequence as fit_sequence
+    from solver.pipeline import simulate as simulate
+    from solver.rig.result import Rig as Rig
+    from solver.rig.result import load_activations as load_activations
+    from solver.rig.result import load_weights as load_weights
+    from solver.rig.result import save_weights as save_weights
 
 # Read when the first kernel starts its threads. Else these wait busily for the next kernel, which
 # takes a tenth of the speed from what runs meanwhile and half of the processor from other workers.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+__all__ = [
+    "ActivationOptions",
+    "Face",
+    "Pose",
+    "Resting",
+    "Rig",
+    "SubjectModel",
+    "Target",
+    "Template",
+    "build_model",
+    "expression_terms",
+    "fit_activations",
+    "fit_expression",
+    "fit_geometry",
+    "fit_sequence",
+    "load_activations",
+    "load_weights",
+    "save_weights",
+    "simulate",
+    "unseen_regulariser",
+    "write_registered",
+]
+
+_PLACES = {
+    "ActivationOptions": "solver.fitting.activation:ActivationOptions",
+    "Face": "solver.fitting.face:Face",
+    "Pose": "solver.fitting.face:Pose",
+    "Resting": "solver.fitting.activation:Resting",
+    "Rig": "solver.rig.result:Rig",
+    "SubjectModel": "solver.model:SubjectModel",
+    "Target": "solver.fitting.objective:Target",
+    "Template": "solver.anatomy.template:Template",
+    "build_model": "solver.pipeline:build_model",
+    "expression_terms": "solver.fitting.chosen:terms",
+    "fit_activations": "solver.pipeline:fit_activations",
+    "fit_expression": "solver.fitting.chosen:fit",
+    "fit_geometry": "solver.pipeline:fit_geometry",
+    "fit_sequence": "solver.pipeline:fit_sequence",
+    "load_activations": "solver.rig.result:load_activations",
+    "load_weights": "solver.rig.result:load_weights",
+    "save_weights": "solver.rig.result:save_weights",
+    "simulate": "solver.pipeline:simulate",
+    "unseen_regulariser": "solver.fitting.chosen:unseen_regulariser",
+    "write_registered": "solver.meshio.read:write_registered",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import one of the names of ``__all__``."""
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, _, attribute = _PLACES[name].partition(":")
+    value = getattr(import_module(module), attribute)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """Name what can be imported."""
+    return sorted({*globals(), *__all__})

@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.documents import Figures
 from benchmarks.physics.fitted import Fitted
-from myoface.demo.khronos_validator import khronos_validation
+from myoface.demo.outcome import khronos_validation
 from solver.anatomy.template import ShapeBasis
 from solver.animation.recording import RecordedDrives, from_recording
 from solver.drawing.head import Head

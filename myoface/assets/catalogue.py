@@ -1,4 +1,4 @@
-"""What can be fetched: where it is, how to know that it is the right file, and its licence."""
+"""Public models that can be fetched: address, digest and licence."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Name = Literal["bodyparts3d", "ict-facekit"]
 
 
 @dataclass(frozen=True)
-class Asset:
+class PublicAsset:
     """One archive of an owner.
 
     ``size`` (bytes) and ``sha256`` are None where the owner packs the archive anew for each
@@ -36,10 +36,10 @@ class Asset:
 
 FACEKIT_COMMIT = "da5f95a607f5e6b37755b38d3385d7f2853732e5"
 
-CATALOGUE: dict[Name, Asset] = {
+CATALOGUE: dict[Name, PublicAsset] = {
     asset.name: asset
     for asset in (
-        Asset(
+        PublicAsset(
             name="bodyparts3d",
             title="BodyParts3D 3.0 (99 % reduced): skull and muscles of one man",
             url="https://dbarchive.biosciencedbc.jp/data/bodyparts3d/20110915/BodyParts3D_3.0_obj_99.zip",
@@ -48,7 +48,7 @@ CATALOGUE: dict[Name, Asset] = {
             sha256="2125f6d761b14ead4ee64f71713f56f3f0f29982693ff20aac63474470cb92f4",
             members={"FMA52748.obj": None, "FMA46841.obj": None},
         ),
-        Asset(
+        PublicAsset(
             name="ict-facekit",
             title="ICT-FaceKit (light): a head with 100 identities and 57 expressions",
             url=f"https://github.com/USC-ICT/ICT-FaceKit/archive/{FACEKIT_COMMIT}.zip",

@@ -10,6 +10,7 @@ import hashlib
 import json
 import os
 import shutil
+import time
 import zlib
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -18,17 +19,18 @@ from zipfile import BadZipFile, ZipFile
 
 import httpx
 
-from myoface.assets.catalogue import Asset
-from myoface.assets.download import download
-from myoface.transfer import Transferred, sha256_of, unheard
+from myoface.assets.catalogue import PublicAsset
+from myoface.client.files import Transferred, ignore_transfer, sha256_of
+from myoface.client.retry import Backoff, require_success, transport_errors
+from myoface.errors import ApiError
 from solver.errors import InputError
 
 RECORD = "fetched.json"
 
 
 @dataclass(frozen=True)
-class Fetched:
-    """What is recorded of a fetched file; ``expected`` is where its hash was known from.
+class FetchRecord:
+    """Record of a fetched file; ``expected`` is where its hash was known from.
 
     That is ``catalogue``, ``option`` (the user gave it) or ``first use``.
     """
@@ -42,13 +44,13 @@ class Fetched:
 
 def fetch(
     http: httpx.Client,
-    asset: Asset,
+    asset: PublicAsset,
     folder: Path,
     *,
     mirror: str | None = None,
     file: Path | None = None,
     sha256: str | None = None,
-    progress: Transferred = unheard,
+    progress: Transferred = ignore_transfer,
 ) -> Path:
     """Return the asset's archive in ``folder``, fetching it if it is not there.
 
@@ -65,13 +67,13 @@ def fetch(
     ------
     InputError
         ``assets.hash`` or ``assets.content`` for another file than expected (it is not kept),
-        ``assets.file`` if ``file`` can not be read.
+        ``assets.file`` if ``file`` cannot be read.
     ApiError
         If the address does not answer or refuses.
     """
     folder.mkdir(parents=True, exist_ok=True)
     target = folder / asset.file
-    expected = _expected(asset, folder, sha256)
+    expected = _find_expectation(asset, folder, sha256)
     if target.exists():
         found = sha256_of(target)
         if found != expected.sha256 and expected.sha256 is not None:
@@ -87,7 +89,7 @@ def fetch(
         source = asset.url if mirror is None else f"{mirror.rstrip('/')}/{asset.file}"
         size = asset.size if expected.sha256 == asset.sha256 else None
         known = expected.sha256 is not None
-        download(http, source, part, size=size, resumable=known, progress=progress)
+        _download(http, source, part, size=size, resumable=known, progress=progress)
     found = sha256_of(part)
     try:
         if found != expected.sha256 and expected.sha256 is not None:
@@ -103,21 +105,21 @@ def fetch(
 
 
 @dataclass(frozen=True)
-class _Expected:
+class _Expectation:
     sha256: str | None
     known_from: str
 
 
-def _expected(asset: Asset, folder: Path, sha256: str | None) -> _Expected:
+def _find_expectation(asset: PublicAsset, folder: Path, sha256: str | None) -> _Expectation:
     if sha256 is not None:
-        return _Expected(sha256.lower(), "option")
+        return _Expectation(sha256.lower(), "option")
     if asset.sha256 is not None:
-        return _Expected(asset.sha256, "catalogue")
+        return _Expectation(asset.sha256, "catalogue")
     before = _records(folder).get(asset.file)
-    return _Expected(None if before is None else before["sha256"], "first use")
+    return _Expectation(None if before is None else before["sha256"], "first use")
 
 
-def _another_file(path: Path, expected: _Expected, found: str, what_now: str) -> InputError:
+def _another_file(path: Path, expected: _Expectation, found: str, what_now: str) -> InputError:
     known_from = {
         "option": "you gave",
         "catalogue": "is known of it",
@@ -138,11 +140,11 @@ def _copy(file: Path, part: Path) -> None:
     except OSError as error:
         part.unlink(missing_ok=True)
         raise InputError(
-            "assets.file", f"{file} can not be copied: {error.strerror}", file=str(file)
+            "assets.file", f"{file} cannot be copied: {error.strerror}", file=str(file)
         ) from error
 
 
-def _check_content(asset: Asset, path: Path, expected: _Expected) -> None:
+def _check_content(asset: PublicAsset, path: Path, expected: _Expectation) -> None:
     """Raise ``assets.content`` if an archive lacks a file or holds another version of it.
 
     Versions are of no account where the user says what the archive must be.
@@ -161,7 +163,7 @@ def _check_content(asset: Asset, path: Path, expected: _Expected) -> None:
         raise _wrong_content(asset, f"is no ZIP archive ({error})") from error
 
 
-def _wrong_content(asset: Asset, reason: str) -> InputError:
+def _wrong_content(asset: PublicAsset, reason: str) -> InputError:
     return InputError("assets.content", f"{asset.file} {reason}", file=asset.file)
 
 
@@ -173,16 +175,105 @@ def _records(folder: Path) -> dict[str, dict[str, str]]:
         records: dict[str, dict[str, str]] = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
         raise InputError(
-            "assets.record", f"{path} can not be read: {error}", file=str(path)
+            "assets.record", f"{path} cannot be read: {error}", file=str(path)
         ) from error
     return records
 
 
-def _record(folder: Path, target: Path, source: str, expected: _Expected, sha256: str) -> None:
+def _record(folder: Path, target: Path, source: str, expected: _Expectation, sha256: str) -> None:
     records = _records(folder)
     if records.get(target.name, {}).get("sha256") == sha256:
         return
     moment = datetime.now(UTC).isoformat(timespec="seconds")
-    entry = Fetched(source, target.stat().st_size, sha256, expected.known_from, moment)
+    entry = FetchRecord(source, target.stat().st_size, sha256, expected.known_from, moment)
     text = json.dumps({**records, target.name: asdict(entry)}, indent=2)
     (folder / RECORD).write_text(text + "\n", encoding="utf-8")
+
+
+def _download(
+    http: httpx.Client,
+    url: str,
+    part: Path,
+    *,
+    size: int | None = None,
+    resumable: bool = False,
+    progress: Transferred = ignore_transfer,
+) -> None:
+    """Fetch ``url`` into ``part``, which may hold the beginning already.
+
+    A part is continued where the server says that the file is still the same (its ETag is kept in
+    ``<part>.etag``) or where the caller will check the whole (``resumable``); otherwise it begins
+    anew. ``size`` is the file's, where it is known: a connection that ends early is then noticed
+    even if the server does not say how much it sends.
+
+    Raises :class:`ApiError` (``client.unreachable``, ``http.404`` ...) after several attempts.
+    """
+    tag = part.with_name(f"{part.name}.etag")
+    backoff = Backoff()
+    complete, furthest = False, 0
+    while not complete:
+        have = _usable_bytes(part, tag, resumable, size)
+        if have == size:
+            break
+        try:
+            with (
+                transport_errors(),
+                http.stream("GET", url, headers=_range_headers(have, tag)) as response,
+            ):
+                if response.status_code == httpx.codes.REQUESTED_RANGE_NOT_SATISFIABLE and have:
+                    part.unlink()  # it is not longer than the part: begin anew
+                    continue
+                if response.is_error:
+                    response.read()
+                partial = require_success(response).status_code == httpx.codes.PARTIAL_CONTENT
+                _keep_tag(response, tag)
+                total = size or _expected_bytes(response, have if partial else 0)
+                with part.open("ab" if partial else "wb") as stream:
+                    for block in response.iter_raw():
+                        stream.write(block)
+                        progress(stream.tell(), total or stream.tell())
+                        if stream.tell() > furthest:  # else a server could cut us off for ever
+                            furthest = stream.tell()
+                            backoff.reset()
+        except ApiError as error:
+            time.sleep(backoff.pause_if_transient(error))
+            continue
+        arrived = part.stat().st_size
+        complete = size is None or arrived >= size
+        if not complete:
+            detail = f"{url} ended after {arrived} of {size} bytes"
+            truncated = ApiError({"code": "client.truncated", "detail": detail})
+            time.sleep(backoff.pause_after(truncated))
+    tag.unlink(missing_ok=True)
+
+
+def _usable_bytes(part: Path, tag: Path, resumable: bool, size: int | None) -> int:
+    """Return how many bytes of the part are of use; a part of no use is deleted."""
+    have = part.stat().st_size if part.exists() else 0
+    if have and ((size is not None and have > size) or not (resumable or tag.exists())):
+        part.unlink()
+        return 0
+    return have
+
+
+def _range_headers(have: int, tag: Path) -> dict[str, str]:
+    # What is stored is the file itself, not a compressed form of it: ranges count its bytes.
+    headers = {"Accept-Encoding": "identity"}
+    if have:
+        headers["Range"] = f"bytes={have}-"
+        if tag.exists():
+            headers["If-Range"] = tag.read_text(encoding="utf-8")
+    return headers
+
+
+def _keep_tag(response: httpx.Response, tag: Path) -> None:
+    etag = response.headers.get("ETag", "")
+    if etag.startswith('"'):  # a weak one (W/"...") does not promise the same bytes
+        tag.write_text(etag, encoding="utf-8")
+    else:
+        tag.unlink(missing_ok=True)
+
+
+def _expected_bytes(response: httpx.Response, before: int) -> int | None:
+    length = response.headers.get("Content-Length", "")
+    return before + int(length) if length.isdigit() else None

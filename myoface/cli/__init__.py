@@ -2,27 +2,53 @@
 
 from __future__ import annotations
 
-import logging
+import typer
 
 from myoface.cli.app import app
-from myoface.cli.assets import assets
 from myoface.cli.batches import batches
 from myoface.cli.captures import add, captures
 from myoface.cli.client import jobs, rigs, subjects, templates
 from myoface.cli.console import complain
-from myoface.cli.demo import demo
 from myoface.cli.keys import keys
-from myoface.cli.offline import solve
-from myoface.cli.operations import backup, restore
-from myoface.cli.service import admin_key, doctor, up
-from myoface.cli.template import template
-from myoface.cli.tenants import tenants
 from myoface.errors import ApiError, StackError, describe
-from service.process import configure_logs
-from solver.errors import InputError, SolveError
 
-for command in (up, demo, doctor, admin_key, backup, restore):
-    app.command()(command)
+missing: str | None = None
+try:
+    from myoface.cli import checkout
+except ModuleNotFoundError as error:
+    checkout, missing = None, error.name  # type: ignore[assignment]
+
+NEED_CHECKOUT = (
+    "up",
+    "demo",
+    "doctor",
+    "admin-key",
+    "backup",
+    "restore",
+    "tenants",
+    "template",
+    "assets",
+    "solve",
+)
+
+
+def _refuse(context: typer.Context) -> None:
+    """Say that a command is not here."""
+    complain(
+        f"`myoface {context.info_name}` runs from a checkout of Myoface, after `make setup` in it "
+        f"(there is no module {missing!r} here)"
+    )
+    raise typer.Exit(1)
+
+
+if checkout is None:
+    anything = {"allow_extra_args": True, "ignore_unknown_options": True}
+    for name in NEED_CHECKOUT:
+        described = app.command(name, help="(From a checkout.)", context_settings=anything)
+        described(_refuse)
+else:
+    for command in checkout.COMMANDS:
+        app.command()(command)
 app.command("upload", help="Short for `captures add`.")(add)
 for group, name in (
     (subjects, "subjects"),
@@ -32,23 +58,23 @@ for group, name in (
     (rigs, "rigs"),
     (templates, "templates"),
     (keys, "keys"),
-    (tenants, "tenants"),
-    (template, "template"),
-    (assets, "assets"),
-    (solve, "solve"),
 ):
     app.add_typer(group, name=name)
+if checkout is not None:
+    for name, group in checkout.GROUPS.items():
+        app.add_typer(group, name=name)
 
 
 def main() -> None:
     """Run the command line; a fault that a person can act on ends it with one line and code 1."""
-    configure_logs(json=False)
-    logging.getLogger().setLevel(logging.WARNING)
+    if checkout is not None:
+        checkout.configure_logs()
+    faults = () if checkout is None else checkout.FAULTS
     try:
         app()
     except (ApiError, StackError) as error:
         complain(str(error))
-    except (InputError, SolveError) as error:
+    except faults as error:
         complain(describe(error.as_dict()))
     else:
         return

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import json
-from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
-from pydantic import ValidationError
-from pydantic_settings import SettingsError
 
-from service.settings import Settings
+from myoface import __version__
 
 app = typer.Typer(
     name="myoface",
@@ -21,14 +18,14 @@ app = typer.Typer(
 )
 
 
-def _tell_version(is_asked: bool) -> None:
+def _show_version(is_asked: bool) -> None:
     if is_asked:
-        typer.echo(version("myoface"))
+        typer.echo(__version__)
         raise typer.Exit
 
 
 Version = Annotated[
-    bool, typer.Option("--version", callback=_tell_version, is_eager=True, help="Tell it and end.")
+    bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print it and end.")
 ]
 
 
@@ -37,8 +34,8 @@ def _root(_version: Version = False) -> None:
     pass
 
 
+# The exit code of a check whose verdict is bad; 1 says that there was no verdict.
 BAD_SCAN = 3
-"""The exit code of a check whose verdict is bad; 1 says that there was no verdict."""
 
 UnitName = Literal["auto", "mm", "cm", "m", "inch"]
 Axis = Literal["auto", "x", "-x", "y", "-y", "z", "-z"]
@@ -71,16 +68,3 @@ def read_scene(file: Path) -> Any:
         return json.loads(file.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
         raise typer.BadParameter(f"{file.name} is not JSON: {error}") from error
-
-
-def read_settings(**given: Any) -> Settings:
-    """Return the settings of the environment, with those that are ``given`` in their place."""
-    try:
-        return Settings(**given)
-    except ValidationError as error:
-        faults = (
-            f"MYOFACE_{fault['loc'][0]}".upper() + f": {fault['msg']}" for fault in error.errors()
-        )
-        raise typer.BadParameter("; ".join(faults)) from error
-    except SettingsError as error:  # a value that should be JSON
-        raise typer.BadParameter(str(error)) from error

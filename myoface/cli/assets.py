@@ -9,7 +9,7 @@ from typing import Annotated
 import httpx
 import typer
 
-from myoface.assets.catalogue import CATALOGUE, Asset, Name
+from myoface.assets.catalogue import CATALOGUE, Name, PublicAsset
 from myoface.assets.fetch import fetch as fetch_asset
 from myoface.cli.console import out, show_table, transfer_bar
 from myoface.errors import ApiError
@@ -64,7 +64,7 @@ def fetch(
     out.print(f"{archive}\nUse it: myoface template build {option} {folder} ...", markup=False)
 
 
-def _agree(asset: Asset, accepted: bool) -> None:
+def _agree(asset: PublicAsset, accepted: bool) -> None:
     out.print(asset.licence, markup=False)
     if accepted:
         return

@@ -37,8 +37,7 @@ captures = typer.Typer(
 )
 
 NO_SCANS = ("performance", "asset")
-FRAMES = ".npy"
-"""What files of a performance end in."""
+FRAMES = ".npy"  # the ending of a performance's files
 
 Names = Annotated[
     list[str] | None, typer.Argument(help="names or ids of captures; default: all that apply")

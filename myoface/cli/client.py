@@ -24,8 +24,8 @@ rigs = typer.Typer(help="Fitted faces.", no_args_is_help=True)
 JobId = Annotated[str, typer.Argument(help="job id")]
 RigId = Annotated[str, typer.Argument(help="rig id")]
 
+# JSON Schema's words for the limits of a number.
 LIMITS = {"exclusiveMinimum": ">", "minimum": ">=", "maximum": "<="}
-"""JSON Schema's words for what a number may be."""
 
 
 @subjects.command("list")
@@ -112,13 +112,18 @@ def show_kinds(
 ) -> None:
     """List the kinds of job, or the options of one."""
     with Client(url) as client:
-        found = {each.kind: each for each in client.solvers()}
+        found = {each.kind: each for each in client.kinds()}
     if kind is None:
         show_table(("kind", "what it does"), [(each.kind, each.title) for each in found.values()])
     elif kind in found:
         options = found[kind].options["properties"].items()
         rows = [
-            (name, json.dumps(schema.get("default")), _allowed(schema), schema["description"])
+            (
+                name,
+                json.dumps(schema.get("default")),
+                _limits(schema),
+                schema["description"],
+            )
             for name, schema in options
         ]
         show_table(("option", "default", "allowed", "what"), rows)
@@ -126,12 +131,12 @@ def show_kinds(
         raise typer.BadParameter(f"there is no kind {kind!r}; there are {', '.join(found)}")
 
 
-def _allowed(schema: dict[str, Any]) -> str:
+def _limits(schema: dict[str, Any]) -> str:
     """Return the values that an option's JSON Schema allows."""
     if "enum" in schema:
         return ", ".join(map(json.dumps, schema["enum"]))
     limits = [f"{sign} {schema[key]}" for key, sign in LIMITS.items() if key in schema]
-    return ", ".join(limits) or str(schema.get("type", "see GET /v1/solvers"))
+    return ", ".join(limits) or str(schema.get("type", "see GET /v1/kinds"))
 
 
 @jobs.command("submit")

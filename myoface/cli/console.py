@@ -1,4 +1,4 @@
-"""What the command line shows: tables, progress bars, and errors on one line."""
+"""Output of the command line: tables, progress bars, and errors on one line."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from rich.cells import cell_len, set_cell_size
 from rich.console import Console
@@ -14,25 +14,27 @@ from rich.markup import escape
 from rich.progress import (
     BarColumn,
     DownloadColumn,
-    Progress,
     TaskProgressColumn,
     TextColumn,
     TimeElapsedColumn,
     TransferSpeedColumn,
 )
+from rich.progress import Progress as Bars
 
-from myoface.resources import Job
-from myoface.transfer import Transferred
-from solver.progress import Step
+from myoface.client.files import Transferred
+from myoface.resources import Job, Progress
+
+if TYPE_CHECKING:
+    from solver.progress import Step
 
 VERDICTS = {
     "good": ("green", "good"),
     "usable": ("yellow", "usable, with flaws"),
-    "bad": ("red", "bad: it can not be used"),
+    "bad": ("red", "bad: it cannot be used"),
 }
 
+# Between two lines about one phase, where there is no terminal to show a live bar.
 NEWS_SECONDS = 10.0
-"""Between two lines about one phase, where there is no terminal to show a live bar."""
 
 out = Console(highlight=False, soft_wrap=True)
 err = Console(stderr=True, highlight=False, soft_wrap=True)
@@ -77,14 +79,14 @@ def _show_findings(findings: Iterable[Mapping[str, str]]) -> None:
 
 @contextmanager
 def transfer_bar(title: str) -> Iterator[Transferred]:
-    """Show a bar for bytes; yields what tells it how many are done, and of how many."""
+    """Show a bar for bytes; yields a function of the bytes done and the bytes in all."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         DownloadColumn(),
         TransferSpeedColumn(),
     )
-    with Progress(*columns, console=out, transient=True, disable=not out.is_terminal) as bars:
+    with Bars(*columns, console=out, transient=True, disable=not out.is_terminal) as bars:
         task = bars.add_task(escape(title), total=None)
         yield lambda done, total: bars.update(task, completed=done, total=total)
 
@@ -101,9 +103,9 @@ class JobView:
         self.phases: dict[str, float] = {}
         self._phase = "queued"
         self._since = time.monotonic()
-        self._told = ("", 0.0)
+        self._last_line = ("", 0.0)
         self._warned: set[str | None] = set()
-        self._bars = Progress(
+        self._bars = Bars(
             TextColumn("{task.fields[title]}"),
             BarColumn(),
             TaskProgressColumn(),
@@ -131,15 +133,15 @@ class JobView:
     def watch(self, job: Job) -> None:
         """Take a job's news (a :data:`myoface.client.Watcher`)."""
         if job.state == "queued" or job.progress is None:
-            self._show(Step(job.state, 0.0))
+            self._show(Progress(phase=job.state, fraction=0.0))
         else:
-            self._show(Step(**job.progress.model_dump()))
+            self._show(job.progress)
 
     def __call__(self, step: Step, /) -> None:
         """Take the news of a computation in this process (a :class:`solver.progress.Progress`)."""
         self._show(step)
 
-    def _show(self, step: Step) -> None:
+    def _show(self, step: Step | Progress) -> None:
         if step.phase == "warning":
             if step.message not in self._warned:
                 self._warned.add(step.message)
@@ -149,15 +151,15 @@ class JobView:
         if turns:
             self._turn(step.phase)
         if not out.is_terminal:
-            self._tell(words, at_once=turns)
+            self._print(words, at_once=turns)
         self._bars.update(self._task, completed=step.fraction, description=escape(words))
 
-    def _tell(self, words: str, *, at_once: bool) -> None:
+    def _print(self, words: str, *, at_once: bool) -> None:
         """Print a line, unless it says nothing new or the one before is not old yet."""
-        before, moment = self._told
+        before, moment = self._last_line
         now = time.monotonic()
         if at_once or (words != before and now - moment >= NEWS_SECONDS):
-            self._told = (words, now)
+            self._last_line = (words, now)
             out.print(f"{self.title}: {words}", markup=False)
 
     def _turn(self, phase: str) -> None:
@@ -166,7 +168,7 @@ class JobView:
         self._phase, self._since = phase, moment
 
 
-def summary(step: Step) -> str:
+def summary(step: Step | Progress) -> str:
     """Return a step as a few words: phase, iteration, mean error."""
     words = [step.phase]
     if step.iteration is not None:

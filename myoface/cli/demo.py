@@ -1,4 +1,4 @@
-"""The command that shows what the product is for."""
+"""The demonstration: a person's scans in, a fitted rig and its figures out."""
 
 from __future__ import annotations
 
@@ -15,13 +15,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.markup import escape
 
-from myoface.cli.app import read_settings
 from myoface.cli.console import complain, out, show_table
+from myoface.cli.service import read_settings
 from myoface.client import Client
-from myoface.demo.khronos_validator import khronos_validation
-from myoface.demo.outcome import Bars, Outcome, millimetres
-from solver.rig.gltf_check import validate_glb
-from solver.storage import cache_directory
+from myoface.demo.outcome import Bars, DemoOutcome, khronos_validation, millimetres
 
 if TYPE_CHECKING:
     from myoface.demo.session import Options
@@ -35,8 +32,8 @@ QUICK_OPTIONS: Options = {
     "fit_activations": {"max_iterations": 8},
 }
 QUICK_TRAIN, QUICK_TEST = 2, 1
+# The data folder of the service that is started, in the output: `myoface up` goes on with it.
 SERVICE = "service"
-"""The data folder of the service that is started, in the output: `myoface up` goes on with it."""
 
 Folder = Annotated[Path | None, typer.Option(exists=True, file_okay=False)]
 
@@ -55,6 +52,8 @@ def demo(
 ) -> None:
     """Fit a face: the built-in one, or with --anatomy and --faces one of your folders."""
     from myoface.demo.session import Session
+    from solver.rig.gltf_check import validate_glb
+    from solver.storage import cache_directory
 
     to_stdout = str(json_file) == "-"
     out.stderr = to_stdout  # standard output is then for the figures alone
@@ -72,15 +71,15 @@ def demo(
         session = Session(client, output, {"prepare": preparing})
         report = session.run(title, captures, template, QUICK_OPTIONS if quick else {})
     glb = output / "rig.glb"
-    outcome = Outcome(
+    outcome = DemoOutcome(
         report,
         session.seconds,
         validate_glb(glb, list(report["expressions"])),
         khronos_validation(glb, cache_directory() / "gltf-validator"),
         None if quick else ICT_BARS if faces else BUILTIN_BARS,
     )
-    _tell(outcome, output)
-    _tell_page(f"/rigs/{session.rig_id}", url, output / SERVICE)
+    _print_outcome(outcome, output)
+    _print_page(f"/rigs/{session.rig_id}", url, output / SERVICE)
     text = json.dumps(outcome.as_dict(), indent=2, allow_nan=False)
     if to_stdout:
         typer.echo(text)
@@ -130,7 +129,7 @@ def _service(url: str | None, data: Path) -> Iterator[Client]:
         yield client
 
 
-def _tell(outcome: Outcome, output: Path) -> None:
+def _print_outcome(outcome: DemoOutcome, output: Path) -> None:
     fits = outcome.report["expressions"].items()
     columns = ("expression", "scan", "mean mm", "95 % mm", "max mm", "inverted")
     rows = [(n, f["role"], f["mean_mm"], f["p95_mm"], f["max_mm"], f["inverted"]) for n, f in fits]
@@ -153,7 +152,7 @@ def _tell(outcome: Outcome, output: Path) -> None:
     out.print(f"look at        {escape(str(output / 'report.html'))}")
 
 
-def _tell_page(path: str, url: str | None, data: Path) -> None:
+def _print_page(path: str, url: str | None, data: Path) -> None:
     """Say where the page shows the rig: of a running service, or of the one that was kept."""
     if url is not None:
         out.print(f"in the browser {url.rstrip('/')}{path}", markup=False, soft_wrap=True)

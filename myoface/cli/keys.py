@@ -46,7 +46,7 @@ def add_key(
     """Make a key and print it, this once."""
     until = None if days is None else datetime.now(UTC) + timedelta(days=days)
     with Client(url) as client:
-        _tell(client.create_key(name, cast(list[Scope], scope), expires_at=until))
+        _print_key(client.create_key(name, cast(list[Scope], scope), expires_at=until))
 
 
 @keys.command("rotate")
@@ -57,7 +57,7 @@ def rotate_key(
 ) -> None:
     """Make a key in another's place and print it, this once."""
     with Client(url) as client:
-        _tell(client.rotate_key(key, grace=grace))
+        _print_key(client.rotate_key(key, grace=grace))
 
 
 @keys.command("revoke")
@@ -95,7 +95,7 @@ def show_audit(
     show_table(("at", "key", "action", "object"), rows)
 
 
-def _tell(made: NewKey) -> None:
+def _print_key(made: NewKey) -> None:
     if made.key is None:
         out.print(f"the answer with the key was lost: myoface keys rotate {made.id}", markup=False)
         raise typer.Exit(1)

@@ -1,4 +1,4 @@
-"""Commands that run the service here and look at this machine."""
+"""Commands that run the service here, look at this machine, and back up what is kept."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from pydantic import ValidationError
+from pydantic_settings import SettingsError
 from rich.markup import escape
 
-from myoface.cli.app import read_settings
 from myoface.cli.console import out
 from service.access.bootstrap import is_loopback
 from service.process import configure_logs
@@ -23,6 +24,7 @@ MARKS = {
 
 Port = Annotated[int | None, typer.Option(help="0 takes a free one")]
 Data = Annotated[Path | None, typer.Option(help="folder for everything the service keeps")]
+BackupFolder = Annotated[Path, typer.Argument(file_okay=False, help="the backup's folder")]
 
 
 def up(port: Port = None, data: Data = None) -> None:
@@ -62,13 +64,58 @@ def doctor(port: Port = None, data: Data = None) -> None:
     from myoface.doctor import examine
 
     faults = 0
-    for finding in examine(_settings(port, data)):
-        out.print(f"{MARKS[finding.verdict]} {finding.subject}: {escape(finding.found)}")
-        if finding.advice:
-            out.print(f"        {escape(finding.advice)}")
-        faults += finding.verdict == "fault"
+    for diagnosis in examine(_settings(port, data)):
+        out.print(f"{MARKS[diagnosis.verdict]} {diagnosis.subject}: {escape(diagnosis.found)}")
+        if diagnosis.advice:
+            out.print(f"        {escape(diagnosis.advice)}")
+        faults += diagnosis.verdict == "fault"
     if faults:
         raise typer.Exit(1)
+
+
+def backup(
+    folder: BackupFolder,
+    deletions: Annotated[
+        bool, typer.Option("--deletions", help="only note what was deleted since")
+    ] = False,
+) -> None:
+    """Copy the database and every file into a folder, also while the service runs."""
+    from myoface.backup import back_up, note_deletions
+    from service.store.database import Store
+
+    settings = read_settings()
+    if deletions:
+        store = Store(settings.database, settings.files, settings.broker)
+        out.print(f"{note_deletions(store, folder)} deletions noted")
+        store.close()
+        return
+    manifest = back_up(settings, folder)
+    out.print(f"{len(manifest.files)} files and the database as of {manifest.made_at:%F %T} UTC")
+    if manifest.missing:
+        out.print(f"{len(manifest.missing)} files are missing in the store itself")
+        raise typer.Exit(1)
+
+
+def restore(folder: Annotated[Path, typer.Argument(exists=True, file_okay=False)]) -> None:
+    """Fill an empty service from a backup; what was deleted after it stays deleted."""
+    from myoface.backup import restore as fill
+
+    manifest, again = fill(read_settings(), folder)
+    out.print(f"{len(manifest.files)} files and the database as of {manifest.made_at:%F %T} UTC")
+    out.print(f"{again} later deletions repeated")
+
+
+def read_settings(**given: Any) -> Settings:
+    """Return the settings of the environment, with those that are ``given`` in their place."""
+    try:
+        return Settings(**given)
+    except ValidationError as error:
+        faults = (
+            f"MYOFACE_{fault['loc'][0]}".upper() + f": {fault['msg']}" for fault in error.errors()
+        )
+        raise typer.BadParameter("; ".join(faults)) from error
+    except SettingsError as error:  # a value that should be JSON
+        raise typer.BadParameter(str(error)) from error
 
 
 def _settings(port: int | None, data: Path | None) -> Settings:

@@ -1,4 +1,4 @@
-"""Commands that make template anatomies, and say what is in one."""
+"""Commands that make, check and show template anatomies."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def build(
     sources = [anatomy is not None and faces is not None, folder is not None, builtin]
     if sum(sources) != 1 or (anatomy is None) != (faces is None):
         raise typer.BadParameter("give --anatomy and --faces, or --folder, or --builtin")
-    made = _made(anatomy, faces, folder)
+    made = _build(anatomy, faces, folder)
     if mesh:
         with JobView("template") as view:
             made = meshed(made, edge_mm, view)
@@ -73,7 +73,7 @@ def check(
     given: Given = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="report; - prints it")] = None,
 ) -> None:
-    """Say what is wrong with a template; exit code 1 if it can not be used."""
+    """Say what is wrong with a template; exit code 1 if it cannot be used."""
     from solver.templates.checks import report_template
 
     report = report_template(_load(given))
@@ -85,7 +85,7 @@ def check(
             json_file.write_text(text + "\n", encoding="utf-8")
         for finding in report.findings:
             out.print(f"{MARKS[finding.severity]} {escape(f'{finding.about}: {finding.message}')}")
-        worth = "can be used" if report.good else "can not be used"
+        worth = "can be used" if report.good else "cannot be used"
         name = f"{report.figures['name']} {report.figures['version']}"
         out.print(f"{name}: {worth}, {len(report.findings)} findings", markup=False)
     if not report.good:
@@ -126,7 +126,7 @@ def export(given: Given = None, output: NewFolder = Path("template")) -> None:
     out.print(f"{output}", markup=False)
 
 
-def _made(anatomy: Path | None, faces: Path | None, folder: Path | None) -> Template:
+def _build(anatomy: Path | None, faces: Path | None, folder: Path | None) -> Template:
     if anatomy is not None and faces is not None:
         from solver.templates.ict_template import build_ict_template
 

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from myoface.cli.app import read_settings
 from myoface.cli.console import out, show_table
-from service.settings import Settings
-from service.store.database import Store
-from service.store.retention import KINDS
+from myoface.cli.service import read_settings
+
+if TYPE_CHECKING:
+    from service.settings import Settings
+    from service.store.database import Store
 
 tenants = typer.Typer(help="Tenants: customers who see nothing of one another.")
 
@@ -33,6 +34,7 @@ RetainDays = Annotated[
 def list_tenants(data: Data = None) -> None:
     """List the tenants with their quotas and the days they keep things, if they have their own."""
     from service.access import bootstrap
+    from service.store.retention import KINDS
 
     with _store(data) as (store, _), store.read() as session:
         rows = [
@@ -114,6 +116,8 @@ def retain(
 
     Of a tenant's days and the installation's the fewer hold.
     """
+    from service.store.retention import KINDS
+
     given = dict(zip(KINDS, (subjects, scans, jobs, rigs), strict=True))
     days = _numbers(given, least=1)
     _change(data, tenant, **{f"retain_{kind}": most for kind, most in days.items()})
@@ -151,6 +155,8 @@ def _refuse_to_overwrite(key: Path) -> None:
 
 @contextmanager
 def _store(data: Path | None) -> Iterator[tuple[Store, Settings]]:
+    from service.store.database import Store
+
     given: dict[str, Any] = {} if data is None else {"data_dir": data}
     settings = read_settings(**given)
     store = Store(settings.database, settings.files, settings.broker)

@@ -5,11 +5,14 @@ with Client("http://127.0.0.1:8765") as client:
     client.add_capture(subject.id, Path("neutral.obj"), role="neutral")
     job = client.run("build_model", subject.id)
 
-:class:`AsyncClient` has the same methods, to be awaited.
+:class:`AsyncClient` has the same methods, to be awaited. It is the one that is written:
+``scripts/unasync.py`` makes :class:`Client` of it.
 """
 
-from myoface.client._operations import DEFAULT_URL, Watcher, unwatched
 from myoface.client.aio import AsyncClient
+from myoface.client.credentials import DEFAULT_URL
+from myoface.client.jobs import Watcher, unwatched
+from myoface.client.retry import ClientOptions
 from myoface.client.sync import Client
 
-__all__ = ["DEFAULT_URL", "AsyncClient", "Client", "Watcher", "unwatched"]
+__all__ = ["DEFAULT_URL", "AsyncClient", "Client", "ClientOptions", "Watcher", "unwatched"]

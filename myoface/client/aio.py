@@ -1,28 +1,33 @@
-"""The client whose calls are awaited."""
+"""The calls of the service, one method each."""
 
 from __future__ import annotations
 
+import uuid
+import warnings
 from collections.abc import AsyncIterator, Iterable
 from datetime import datetime
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any
 
+import anyio
 import httpx
 
-from myoface.client._drivers import drive_awaiting
-from myoface.client._operations import (
-    DEFAULT_URL,
+from myoface.client.aio_connection import AsyncConnection
+from myoface.client.files import Transferred, ignore_transfer
+from myoface.client.jobs import (
     BatchWatcher,
-    Operations,
+    EventReader,
     Watcher,
+    read_frame,
+    require_batch,
+    require_job,
     unwatched,
     unwatched_batch,
 )
-from myoface.connection import Flow
-from myoface.credentials import headers_for
+from myoface.client.retry import Backoff, requested_pause
+from myoface.errors import ApiError
 from myoface.resources import (
-    Artifact,
+    FINAL_STATES,
     AuditEntry,
     Batch,
     Capture,
@@ -36,144 +41,107 @@ from myoface.resources import (
     Me,
     MotionFrame,
     NewKey,
+    Progress,
     Rig,
     Role,
     Scope,
     Subject,
     Template,
     Then,
-    Upload,
     Usage,
 )
-from myoface.transfer import Transferred, unheard
-from myoface.trust import trust
 
-TIMEOUT = httpx.Timeout(30.0)
-
-R = TypeVar("R")
+TOO_MANY_STREAMS = "stream.too_many"
 
 
-class AsyncClient:
-    """One service, as :class:`myoface.client.Client` has it, for asyncio and trio."""
+class AsyncClient(AsyncConnection):
+    """One service. Every method raises :class:`ApiError` with the service's problem document.
 
-    def __init__(
-        self, url: str = DEFAULT_URL, key: str | None = None, *, ca: Path | str | None = None
-    ) -> None:
-        """Speak to the service at ``url``.
+    Requests are repeated where that does no harm: over a broken line, while the service is not
+    ready, and as late as it asks for when it is asked too fast.
+    """
 
-        ``key`` is by default what `myoface.credentials` has; ``ca`` is the PEM file of the
-        authority that its certificate is of, where that is no public one (`myoface.trust`).
-        """
-        self.http = httpx.AsyncClient(
-            base_url=url,
-            headers=headers_for(url, key),
-            timeout=TIMEOUT,
-            trust_env=False,
-            verify=trust(ca),
-        )
-        self._ask = Operations(url)
-
-    async def __aenter__(self) -> Self:
-        return self
-
-    async def __aexit__(
-        self,
-        _kind: type[BaseException] | None,
-        _error: BaseException | None,
-        _trace: TracebackType | None,
-    ) -> None:
-        await self.close()
-
-    async def close(self) -> None:
-        """Close the connections."""
-        await self.http.aclose()
-
-    # Whose key, and what it may use
+    # Access
 
     async def me(self) -> Me:
         """Return whose key this client has."""
-        return await self._run(self._ask.me())
+        return await self._get("/v1/me", Me)
 
     async def usage(self) -> Usage:
         """Return what the tenant uses, and its quotas."""
-        return await self._run(self._ask.usage())
+        return await self._get("/v1/usage", Usage)
 
     async def keys(self) -> list[Key]:
         """Return the tenant's API keys, newest first."""
-        return await self._run(self._ask.keys())
+        return await self._list("/v1/keys", Key)
 
     async def create_key(
         self, name: str, scopes: Iterable[Scope], *, expires_at: datetime | None = None
     ) -> NewKey:
         """Make an API key; its text is told this once. ``expires_at`` has a time zone."""
-        return await self._run(self._ask.create_key(name, scopes, expires_at))
+        until = expires_at and expires_at.isoformat()
+        return await self._create(
+            "/v1/keys", NewKey, name=name, scopes=list(scopes), expires_at=until
+        )
 
     async def rotate_key(self, key_id: str, *, grace: int = 24 * 3600) -> NewKey:
         """Replace an API key; the old one goes on for ``grace`` seconds."""
-        return await self._run(self._ask.rotate_key(key_id, grace))
+        return await self._create(f"/v1/keys/{key_id}/rotate", NewKey, grace=grace)
 
     async def revoke_key(self, key_id: str) -> None:
         """Take an API key back at once."""
-        await self._run(self._ask.revoke_key(key_id))
+        await self._request("DELETE", f"/v1/keys/{key_id}")
 
     async def audit(self, object_id: str | None = None) -> list[AuditEntry]:
         """Return what was done with the tenant's keys, newest first."""
-        return await self._run(self._ask.audit(object_id))
+        return await self._list("/v1/audit", AuditEntry, object_id=object_id)
 
     # Templates and subjects
 
     async def create_template(
-        self, name: str, path: Path, *, progress: Transferred = unheard
+        self, name: str, path: Path, *, progress: Transferred = ignore_transfer
     ) -> Template:
         """Upload a template anatomy (NPZ) and register it."""
-        return await self._run(self._ask.create_template(name, path, progress))
+        sent = await self.upload(path, progress=progress)
+        return await self._create("/v1/templates", Template, name=name, upload_id=sent.id)
 
     async def templates(self) -> list[Template]:
         """Return the template anatomies, newest first."""
-        return await self._run(self._ask.templates())
+        return await self._list("/v1/templates", Template)
 
     async def delete_template(self, template_id: str) -> str:
         """Delete a template that no subject has; returns the id of the receipt."""
-        return await self._run(self._ask.delete_template(template_id))
+        return await self._delete(f"/v1/templates/{template_id}")
 
     async def create_subject(self, name: str, *, template_id: str | None = None) -> Subject:
         """Register a person; without a template the built-in anatomy is used."""
-        return await self._run(self._ask.create_subject(name, template_id))
+        return await self._create("/v1/subjects", Subject, name=name, template_id=template_id)
 
     async def subjects(self) -> list[Subject]:
         """Return the subjects, newest first."""
-        return await self._run(self._ask.subjects())
+        return await self._list("/v1/subjects", Subject)
 
     async def subject(self, subject_id: str) -> Subject:
         """Return one subject."""
-        return await self._run(self._ask.subject(subject_id))
+        return await self._get(f"/v1/subjects/{subject_id}", Subject)
 
     async def delete_subject(self, subject_id: str, *, cancel: bool = False) -> str:
         """Delete a subject with all its scans, jobs and rigs; returns the id of the receipt.
 
         ``cancel`` stops its jobs first; without it a subject with jobs is refused.
         """
-        return await self._run(self._ask.delete_subject(subject_id, cancel))
+        return await self._delete(f"/v1/subjects/{subject_id}", cancel=str(cancel).lower())
 
     async def deletion(self, deletion_id: str) -> Deletion:
         """Return the receipt of a deletion."""
-        return await self._run(self._ask.deletion(deletion_id))
+        return await self._get(f"/v1/deletions/{deletion_id}", Deletion)
 
-    # Files
-
-    async def upload(self, path: Path, *, progress: Transferred = unheard) -> Upload:
-        """Send a file, going on with what was interrupted; see :func:`myoface.transfer.upload`."""
-        return await self._run(self._ask.upload(path, progress))
-
-    async def download(
-        self, artifact: Artifact, path: Path, *, progress: Transferred = unheard
-    ) -> None:
-        """Fetch an artifact, resumed and checked; see :func:`myoface.transfer.download`."""
-        await self._run(self._ask.download(artifact, path, progress))
+    # Scans and files
 
     async def signed_url(self, artifact_id: str) -> str:
         """Return a URL of a file that works without a key for a few minutes."""
-        return await self._run(self._ask.signed_url(artifact_id))
+        response = await self._request("POST", f"/v1/artifacts/{artifact_id}/url")
+        return str(httpx.URL(self._url).join(response.json()["url"]))
 
     async def add_capture(
         self,
@@ -184,45 +152,53 @@ class AsyncClient:
         name: str | None = None,
         registered: bool = True,
         landmarks: Path | None = None,
-        progress: Transferred = unheard,
+        progress: Transferred = ignore_transfer,
     ) -> Capture:
         """Upload a scan and add it to a subject, named like the file unless ``name`` is given.
 
         ``registered`` is false for what comes from the scanner; ``landmarks`` is a file.
         """
-        return await self._run(
-            self._ask.add_capture(
-                subject_id,
-                path,
-                role=role,
-                name=name,
-                registered=registered,
-                landmarks=landmarks,
-                progress=progress,
-            )
+        marks = None if landmarks is None else (await self.upload(landmarks)).id
+        sent = await self.upload(path, progress=progress)
+        return await self._create(
+            f"/v1/subjects/{subject_id}/captures",
+            Capture,
+            name=name or path.stem,
+            role=role,
+            upload_id=sent.id,
+            registered=registered,
+            landmarks_upload_id=marks,
         )
 
     async def captures(self, subject_id: str) -> list[Capture]:
         """Return a subject's scans, newest first."""
-        return await self._run(self._ask.captures(subject_id))
+        return await self._list(f"/v1/subjects/{subject_id}/captures", Capture)
 
     async def capture(self, subject_id: str, capture_id: str) -> Capture:
         """Return one scan, with its newest check and registration."""
-        return await self._run(self._ask.capture(subject_id, capture_id))
+        return await self._get(f"/v1/subjects/{subject_id}/captures/{capture_id}", Capture)
 
     async def set_landmarks(self, subject_id: str, capture_id: str, path: Path) -> Capture:
         """Upload landmarks on a scan, in place of those it had."""
-        return await self._run(self._ask.set_landmarks(subject_id, capture_id, path))
+        url = f"/v1/subjects/{subject_id}/captures/{capture_id}/landmarks"
+        sent = await self.upload(path)
+        response = await self._request("PUT", url, json={"upload_id": sent.id})
+        return Capture.model_validate(response.json())
 
     async def delete_capture(self, subject_id: str, capture_id: str) -> str:
         """Delete a scan with its checks and registrations; returns the id of the receipt."""
-        return await self._run(self._ask.delete_capture(subject_id, capture_id))
+        return await self._delete(f"/v1/subjects/{subject_id}/captures/{capture_id}")
 
     # Jobs
 
-    async def solvers(self) -> list[JobKind]:
+    async def kinds(self) -> list[JobKind]:
         """Return the kinds of job with their options."""
-        return await self._run(self._ask.solvers())
+        return await self._list("/v1/kinds", JobKind)
+
+    async def solvers(self) -> list[JobKind]:
+        """Return the kinds of job; the old name of :meth:`kinds`, for one more release."""
+        warnings.warn("solvers() is called kinds() now", DeprecationWarning, stacklevel=2)
+        return await self.kinds()
 
     async def submit(
         self,
@@ -235,9 +211,17 @@ class AsyncClient:
         priority: int = 0,
     ) -> Job:
         """Queue a job, once, however often the line breaks; a higher priority is done first."""
-        return await self._run(
-            self._ask.submit(kind, subject_id, captures, rig_id, options, priority)
-        )
+        body = {
+            "kind": kind,
+            "subject_id": subject_id,
+            "captures": list(captures),
+            "rig_id": rig_id,
+            "options": options,
+            "priority": priority,
+        }
+        given = {key: value for key, value in body.items() if value}
+        response = await self._request("PUT", f"/v1/jobs/{uuid.uuid4()}", json=given)
+        return Job.model_validate(response.json())
 
     async def run(
         self, kind: Kind, subject_id: str, *, watch: Watcher = unwatched, **request: Any
@@ -255,19 +239,30 @@ class AsyncClient:
         priority: int | None = None,
     ) -> Job:
         """Queue a job that is over once more; what is not given stays as it was."""
-        return await self._run(self._ask.retry(job_id, captures, options, priority))
+        return await self._create(
+            f"/v1/jobs/{job_id}/retry",
+            Job,
+            captures=None if captures is None else list(captures),
+            options=options,
+            priority=priority,
+        )
 
     async def job(self, job_id: str) -> Job:
         """Return a job as it stands."""
-        return await self._run(self._ask.job(job_id))
+        return await self._get(f"/v1/jobs/{job_id}", Job)
 
     async def jobs(self, **filters: str | None) -> list[Job]:
         """Return jobs, newest first, filtered by subject_id, capture_id, state or kind."""
-        return await self._run(self._ask.jobs(**filters))
+        return await self._list("/v1/jobs", Job, **filters)
 
     async def log(self, job_id: str, *, after: int = 0) -> AsyncIterator[LogLine]:
         """Yield what the solver printed so far, the lines numbered higher than ``after``."""
-        while lines := await self._run(self._ask.log(job_id, after)):
+        url = f"/v1/jobs/{job_id}/log"
+        while True:
+            page = (await self._request("GET", url, params={"after": after})).json()
+            lines = list(map(LogLine.model_validate, page["lines"]))
+            if not lines:
+                return
             for line in lines:
                 yield line
             after = lines[-1].number
@@ -279,14 +274,26 @@ class AsyncClient:
 
         With ``follow``, wait for more until the job has ended, however it ends.
         """
-        while found := await self._run(self._ask.frames(job_id, start, follow)):
-            for frame in found:
+        url = f"/v1/jobs/{job_id}"
+        while True:
+            query = {"start": start, "limit": self._options.frame_page_items}
+            # The job first: the frames of one that had ended by then are all there.
+            job = await self._get(url, Job, through=True)
+            page = await self._request("GET", f"{url}/frames", through=True, params=query)
+            frames = list(map(read_frame, page.json()["frames"]))
+            for frame in frames:
                 yield frame
-            start += len(found)
+            start += len(frames)
+            if not frames:
+                if not follow or job.state in FINAL_STATES:
+                    return
+                await anyio.sleep(self._options.frame_pause_s)
 
     async def cancel(self, job_id: str, reason: str) -> Job:
         """Ask for a job to be stopped."""
-        return await self._run(self._ask.cancel(job_id, reason))
+        url = f"/v1/jobs/{job_id}/cancel"
+        response = await self._request_once("POST", url, json={"reason": reason})
+        return Job.model_validate(response.json())
 
     async def wait(self, job_id: str, watch: Watcher = unwatched) -> Job:
         """Follow a job by its events until it has ended, through broken connections.
@@ -294,7 +301,36 @@ class AsyncClient:
         Returns the succeeded job; raises :class:`ApiError` with the job's own error document
         if it failed or was canceled.
         """
-        return await self._run(self._ask.wait(job_id, watch))
+        options, backoff = self._options, Backoff(self._options)
+        while True:
+            job = await self._get(f"/v1/jobs/{job_id}", Job, through=True)
+            watch(job)
+            if job.state in FINAL_STATES:
+                return require_job(job)
+            try:
+                await self._follow(job, watch, backoff)
+            except ApiError as error:
+                if error.code == TOO_MANY_STREAMS:
+                    # Asking again and again does as well.
+                    pause = requested_pause(error) or options.stream_pause_s
+                    await anyio.sleep(min(pause, options.longest_wish_s))
+                else:
+                    await anyio.sleep(backoff.pause_if_transient(error))
+
+    async def _follow(self, job: Job, watch: Watcher, backoff: Backoff) -> None:
+        """Report a job's progress to ``watch`` until its state changes."""
+        options, reader = self._options, EventReader()
+        headers = {"Last-Event-ID": str(job.last_event_id)}
+        timeout = httpx.Timeout(options.timeout_s, read=options.events_timeout_s)
+        url = f"/v1/jobs/{job.id}/events"
+        async with self._stream(url, headers=headers, timeout=timeout) as response:
+            async for content in response.aiter_bytes():
+                for event in reader.read(content):
+                    backoff.reset()
+                    if event.kind != "progress":
+                        return
+                    progress = Progress.model_validate(event.data)
+                    watch(job.model_copy(update={"progress": progress}))
 
     # Batches
 
@@ -309,52 +345,61 @@ class AsyncClient:
         then: Iterable[Then] = ("register", "model", "geometry"),
         options: dict[str, dict[str, Any]] | None = None,
         priority: int = 0,
-        progress: Transferred = unheard,
+        progress: Transferred = ignore_transfer,
     ) -> Batch:
         """Upload a session's scans, each named like its file, and make of them what ``then`` says.
 
         They are the scans of the subject ``subject_id``, or of a new one named ``person``.
         ``options`` are those of the jobs, by kind.
         """
-        return await self._run(
-            self._ask.create_batch(
-                neutral,
-                expressions,
-                subject_id=subject_id,
-                person=person,
-                registered=registered,
-                then=then,
-                options=options,
-                priority=priority,
-                progress=progress,
+        files: list[tuple[Path, Role]] = [] if neutral is None else [(neutral, "neutral")]
+        files += [(path, "expression") for path in expressions]
+        captures = []
+        for path, role in files:
+            sent = await self.upload(path, progress=progress)
+            captures.append(
+                {"name": path.stem, "role": role, "upload_id": sent.id, "registered": registered}
             )
+        return await self._create(
+            "/v1/batches",
+            Batch,
+            subject_id=subject_id,
+            subject=None if person is None else {"name": person},
+            captures=captures,
+            then=list(then),
+            options=options,
+            priority=priority,
         )
 
     async def batches(self, *, subject_id: str | None = None) -> list[Batch]:
         """Return batches, newest first, those of one subject if it is given."""
-        return await self._run(self._ask.batches(subject_id))
+        return await self._list("/v1/batches", Batch, subject_id=subject_id)
 
     async def batch(self, batch_id: str) -> Batch:
         """Return a batch as it stands, with the verdict of each scan."""
-        return await self._run(self._ask.batch(batch_id))
+        return await self._get(f"/v1/batches/{batch_id}", Batch)
 
     async def cancel_batch(self, batch_id: str, reason: str) -> Batch:
         """Stop a batch and its jobs."""
-        return await self._run(self._ask.cancel_batch(batch_id, reason))
+        url = f"/v1/batches/{batch_id}/cancel"
+        response = await self._request_once("POST", url, json={"reason": reason})
+        return Batch.model_validate(response.json())
 
     async def wait_for_batch(self, batch_id: str, watch: BatchWatcher = unwatched_batch) -> Batch:
         """Wait until a batch has ended; raises :class:`ApiError` if it did not succeed."""
-        return await self._run(self._ask.wait_for_batch(batch_id, watch))
+        while True:
+            batch = await self._get(f"/v1/batches/{batch_id}", Batch, through=True)
+            watch(batch)
+            if batch.state != "running":
+                return require_batch(batch)
+            await anyio.sleep(self._options.batch_pause_s)
 
     # Rigs
 
     async def rigs(self, *, subject_id: str | None = None) -> list[Rig]:
         """Return rigs, newest first, those of one subject if it is given."""
-        return await self._run(self._ask.rigs(subject_id))
+        return await self._list("/v1/rigs", Rig, subject_id=subject_id)
 
     async def rig(self, rig_id: str) -> Rig:
         """Return one rig."""
-        return await self._run(self._ask.rig(rig_id))
-
-    async def _run(self, flow: Flow[R]) -> R:
-        return await drive_awaiting(self.http, flow)
+        return await self._get(f"/v1/rigs/{rig_id}", Rig)

@@ -19,8 +19,8 @@ from solver.templates.export import CaptureSet
 LOG_TAIL = 20
 WORTH_TELLING_S = 0.05
 
+# Options per kind of job; those that are not given are the solver's own.
 Options = Mapping[Kind, dict[str, Any]]
-"""Options per kind of job; those that are not given are the solver's own."""
 
 
 @dataclass
@@ -43,7 +43,7 @@ class Session:
         Returns the rig's ``report.json``; the files are in ``folder``. Raises :class:`ApiError`.
         """
         template_id = None
-        with self.timed("upload"):
+        with self.time_phase("upload"):
             if template is not None:
                 with transfer_bar(template.name) as progress:
                     made = self.client.create_template(template.stem, template, progress=progress)
@@ -62,7 +62,7 @@ class Session:
             done.append(solve("fit_activations", captures=unseen, rig_id=_result(geometry).rig_id))
 
         self.rig_id = _result(done[-1]).rig_id
-        with self.timed("download"):
+        with self.time_phase("download"):
             # Later files take the place of earlier ones of the same name: the last rig is whole.
             files = {each.name: each for job in done for each in _result(job).artifacts}
             self._download(files.values())
@@ -70,7 +70,7 @@ class Session:
         return report
 
     @contextmanager
-    def timed(self, phase: str) -> Iterator[None]:
+    def time_phase(self, phase: str) -> Iterator[None]:
         """Count the time of a block as ``phase``."""
         begun = time.monotonic()
         yield

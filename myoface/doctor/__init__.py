@@ -1,17 +1,17 @@
-"""What is wrong with this machine or the service, and what is to be done about it."""
+"""Checks of this machine and of the service, with advice for each fault."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 from myoface.doctor import machine, service
-from myoface.doctor.finding import Finding
+from myoface.doctor.machine import Diagnosis
 from service.settings import Settings
 
-__all__ = ["Finding", "examine"]
+__all__ = ["Diagnosis", "examine"]
 
 
-def examine(settings: Settings) -> Iterator[Finding]:
+def examine(settings: Settings) -> Iterator[Diagnosis]:
     """Run the checks one by one, the quick ones first."""
     yield machine.python()
     yield machine.packages()

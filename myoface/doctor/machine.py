@@ -1,4 +1,4 @@
-"""Checks of this machine, whether the service can run here."""
+"""Checks of this machine: Python, packages, disk, memory, port, compiler, mesher and node."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import trimesh
 from packaging.requirements import Requirement
 
-from myoface.doctor.finding import Finding
-from myoface.ports import check_port
+from myoface.stack import check_port
 from solver.anatomy.tetrahedra import EdgeLengths, background_grid, tetrahedralize
 from solver.errors import SolveError
 from solver.surface import Surface
@@ -25,26 +26,39 @@ WANTED_DISK_GB = 5.0
 WANTED_MEMORY_GB = 4.0
 CHILD_TIMEOUT_S = 120.0
 
+NEEDED_EXTRAS = ("service", "solver")
 REINSTALL = "reinstall: rm -rf .venv && make setup"
 COMPILE = "import numba; print(numba.njit(lambda x: x + 1)(41))"
 
+Verdict = Literal["ok", "warning", "fault"]
 
-def python() -> Finding:
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """One check's outcome; ``advice`` says what to do where it is not ok."""
+
+    subject: str
+    verdict: Verdict
+    found: str
+    advice: str = ""
+
+
+def python() -> Diagnosis:
     """Check that this Python is a supported one."""
     found = ".".join(map(str, sys.version_info[:3]))
     if PYTHONS[0] <= sys.version_info[:2] < PYTHONS[1]:
-        return Finding("Python", "ok", found)
-    return Finding("Python", "fault", found, "use Python 3.11, 3.12 or 3.13")
+        return Diagnosis("Python", "ok", found)
+    return Diagnosis("Python", "fault", found, "use Python 3.11, 3.12 or 3.13")
 
 
-def packages() -> Finding:
+def packages() -> Diagnosis:
     """Check that every required package is there, in a version that will do."""
     try:
         lines = importlib.metadata.requires("myoface") or []
     except importlib.metadata.PackageNotFoundError:
-        return Finding("packages", "fault", "myoface is not installed", "run `make setup`")
+        return Diagnosis("packages", "fault", "myoface is not installed", "run `make setup`")
     requirements = map(Requirement, lines)
-    needed = [each for each in requirements if each.marker is None or each.marker.evaluate()]
+    needed = [each for each in requirements if _is_needed(each)]
     faults = []
     for requirement in needed:
         try:
@@ -55,60 +69,66 @@ def packages() -> Finding:
             if not requirement.specifier.contains(version, prereleases=True):
                 faults.append(f"{requirement.name} {version} is not {requirement.specifier}")
     if faults:
-        return Finding("packages", "fault", "; ".join(faults), "run `make setup`")
-    return Finding("packages", "ok", f"all {len(needed)} there")
+        return Diagnosis("packages", "fault", "; ".join(faults), "run `make setup`")
+    return Diagnosis("packages", "ok", f"all {len(needed)} there")
 
 
-def data_folder(folder: Path) -> Finding:
+def _is_needed(requirement: Requirement) -> bool:
+    """Tell whether the service and the solver need a package on this machine."""
+    marker = requirement.marker
+    return marker is None or any(marker.evaluate({"extra": extra}) for extra in NEEDED_EXTRAS)
+
+
+def data_folder(folder: Path) -> Diagnosis:
     """Check that files can be written where the service keeps its data."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
-            return Finding("data folder", "ok", str(folder))
+            return Diagnosis("data folder", "ok", str(folder))
     except OSError as error:
         advice = "set MYOFACE_DATA_DIR to a folder that you can write to"
-        return Finding("data folder", "fault", f"{folder}: {error.strerror}", advice)
+        return Diagnosis("data folder", "fault", f"{folder}: {error.strerror}", advice)
 
 
-def disk(folder: Path) -> Finding:
+def disk(folder: Path) -> Diagnosis:
     """Check that there is room for scans and rigs."""
     existing = next(path for path in (folder, *folder.parents) if path.exists())
     free = shutil.disk_usage(existing).free / 1024**3
     if free >= WANTED_DISK_GB:
-        return Finding("disk", "ok", f"{free:.0f} GB free")
+        return Diagnosis("disk", "ok", f"{free:.0f} GB free")
     advice = f"free {WANTED_DISK_GB:.0f} GB or set MYOFACE_DATA_DIR to another disk"
-    return Finding("disk", "warning", f"{free:.1f} GB free", advice)
+    return Diagnosis("disk", "warning", f"{free:.1f} GB free", advice)
 
 
-def memory() -> Finding:
+def memory() -> Diagnosis:
     """Check that there is memory enough for a fit."""
     total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1024**3
     if total >= WANTED_MEMORY_GB:
-        return Finding("memory", "ok", f"{total:.0f} GB")
-    return Finding("memory", "warning", f"{total:.1f} GB", "a fit of a whole face needs 3 GB")
+        return Diagnosis("memory", "ok", f"{total:.0f} GB")
+    return Diagnosis("memory", "warning", f"{total:.1f} GB", "a fit of a whole face needs 3 GB")
 
 
-def port(host: str, number: int) -> Finding:
+def port(host: str, number: int) -> Diagnosis:
     """Check that the port is free."""
     try:
         check_port(host, number)
     except OSError as error:
         advice = "is the service running already? else `myoface up --port 0` takes a free one"
-        return Finding("port", "warning", f"{host}:{number}: {error.strerror}", advice)
-    return Finding("port", "ok", f"{host}:{number} is free")
+        return Diagnosis("port", "warning", f"{host}:{number}: {error.strerror}", advice)
+    return Diagnosis("port", "ok", f"{host}:{number} is free")
 
 
-def compiler() -> Finding:
+def compiler() -> Diagnosis:
     """Check that numba compiles, in a process that may die without harm."""
     try:
         command = [sys.executable, "-c", COMPILE]
         subprocess.run(command, capture_output=True, timeout=CHILD_TIMEOUT_S, check=True)
     except subprocess.SubprocessError as error:
-        return Finding("compiler", "fault", str(error), REINSTALL)
-    return Finding("compiler", "ok", "numba compiles")
+        return Diagnosis("compiler", "fault", str(error), REINSTALL)
+    return Diagnosis("compiler", "ok", "numba compiles")
 
 
-def mesher() -> Finding:
+def mesher() -> Diagnosis:
     """Check that fTetWild meshes a cube of 10 mm (in a process of its own, as always)."""
     cube = trimesh.creation.box(extents=(10.0, 10.0, 10.0))
     points, tets = background_grid(cube.bounds[0], cube.bounds[1], 10.0)
@@ -119,13 +139,13 @@ def mesher() -> Finding:
             surface, 5.0, envelope_mm=0.1, lengths=lengths, cpu_seconds=CHILD_TIMEOUT_S
         )
     except SolveError as error:
-        return Finding("mesher", "fault", str(error), REINSTALL)
-    return Finding("mesher", "ok", f"{len(found)} tetrahedra in a cube")
+        return Diagnosis("mesher", "fault", str(error), REINSTALL)
+    return Diagnosis("mesher", "ok", f"{len(found)} tetrahedra in a cube")
 
 
-def node() -> Finding:
+def node() -> Diagnosis:
     """Look for node, which the Khronos validator of the demonstration needs."""
     if shutil.which("node") and shutil.which("npm"):
-        return Finding("node", "ok", "there, for the Khronos glTF validator")
+        return Diagnosis("node", "ok", "there, for the Khronos glTF validator")
     advice = "optional: with `apt-get install nodejs npm` the demo runs the Khronos validator"
-    return Finding("node", "warning", "not installed", advice)
+    return Diagnosis("node", "warning", "not installed", advice)

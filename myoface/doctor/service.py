@@ -16,7 +16,7 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import func, select
 from sqlalchemy.exc import SQLAlchemyError
 
-from myoface.doctor.finding import Finding
+from myoface.doctor.machine import Diagnosis
 from service.access.keys import Keyring
 from service.errors import Problem
 from service.queue.states import HELD, State
@@ -35,47 +35,47 @@ LONG_LOST = timedelta(minutes=1)
 OWNER_ONLY = 0o077
 
 
-def broker(settings: Settings) -> Finding:
+def broker(settings: Settings) -> Diagnosis:
     """Check that the broker answers, or that there is one to start."""
     if settings.broker_url is None:
         try:
-            return Finding("broker", "ok", find_server())
+            return Diagnosis("broker", "ok", find_server())
         except BrokerNotFoundError as error:
-            return Finding("broker", "fault", "none", str(error))
+            return Diagnosis("broker", "fault", "none", str(error))
     try:
         with connect(settings.broker) as client:
             client.ping()
     except (redis.RedisError, OSError) as error:
         advice = "is the server at MYOFACE_BROKER_URL up, and the password right?"
-        return Finding("broker", "fault", str(error), advice)
-    return Finding("broker", "ok", "it answers")
+        return Diagnosis("broker", "fault", str(error), advice)
+    return Diagnosis("broker", "ok", "it answers")
 
 
-def secret(settings: Settings) -> Finding:
+def secret(settings: Settings) -> Diagnosis:
     """Check that the secret is there and nobody else can read it."""
     if settings.secret_key is not None:
-        return Finding("secret", "ok", "in MYOFACE_SECRET_KEY")
+        return Diagnosis("secret", "ok", "in MYOFACE_SECRET_KEY")
     path = settings.data_dir / "secret"
     if not path.exists():
-        return Finding("secret", "ok", "the first start makes one")
+        return Diagnosis("secret", "ok", "the first start makes one")
     if path.stat().st_mode & OWNER_ONLY:
-        return Finding("secret", "fault", f"others can read {path}", f"chmod 600 {path}")
-    return Finding("secret", "ok", str(path))
+        return Diagnosis("secret", "fault", f"others can read {path}", f"chmod 600 {path}")
+    return Diagnosis("secret", "ok", str(path))
 
 
-def stores(settings: Settings) -> Iterator[Finding]:
+def stores(settings: Settings) -> Iterator[Diagnosis]:
     """Check files and database, and if there is one, what is in it."""
     try:
         store = Store(settings.database, settings.files, settings.broker)
     except (OSError, ImportError, ValueError) as error:
-        yield Finding(
+        yield Diagnosis(
             "files", "fault", str(error), "see MYOFACE_FILES_URL in docs/operate/service.md"
         )
         return
     yield files(store.files)
     database = store.database
     if database.is_sqlite and not Path(str(database.url.database)).exists():
-        yield Finding("database", "ok", "the first start makes one")
+        yield Diagnosis("database", "ok", "the first start makes one")
         return
     try:
         yield tables(database)
@@ -87,12 +87,14 @@ def stores(settings: Settings) -> Iterator[Finding]:
         yield stuck(store)
     except SQLAlchemyError as error:
         line = str(error).partition("\n")[0]
-        yield Finding("database", "fault", line, "is MYOFACE_DATABASE_URL right and the server up?")
+        yield Diagnosis(
+            "database", "fault", line, "is MYOFACE_DATABASE_URL right and the server up?"
+        )
     finally:
         store.close()
 
 
-def files(place: Files) -> Finding:
+def files(place: Files) -> Diagnosis:
     """Check that a file can be stored, read and removed."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "file"
@@ -104,11 +106,11 @@ def files(place: Files) -> Finding:
             place.remove(sha256)
         except OSError as error:
             advice = "see MYOFACE_FILES_DIR and MYOFACE_FILES_URL in docs/operate/service.md"
-            return Finding("files", "fault", str(error), advice)
-    return Finding("files", "ok", "stored, read and removed one")
+            return Diagnosis("files", "fault", str(error), advice)
+    return Diagnosis("files", "ok", "stored, read and removed one")
 
 
-def tables(database: Database) -> Finding:
+def tables(database: Database) -> Diagnosis:
     """Check that the tables are those of this version."""
     config = Config()
     config.set_main_option("script_location", str(MIGRATIONS))
@@ -116,48 +118,48 @@ def tables(database: Database) -> Finding:
     with database.engine.connect() as connection:
         found = MigrationContext.configure(connection).get_current_revision()
     if found == wanted:
-        return Finding("database", "ok", f"at revision {found}")
+        return Diagnosis("database", "ok", f"at revision {found}")
     advice = "the next start brings older tables up to date; newer ones need the newer version"
-    return Finding("database", "warning", f"at revision {found}, not {wanted}", advice)
+    return Diagnosis("database", "warning", f"at revision {found}, not {wanted}", advice)
 
 
-def _clock(skew: timedelta) -> Finding:
+def _clock(skew: timedelta) -> Diagnosis:
     """Check that this machine's clock is the database's: leases and expiry go by that."""
     seconds = f"{skew.total_seconds():.1f} s from the database's"
     if skew <= MOST_SKEW:
-        return Finding("clock", "ok", seconds)
-    return Finding("clock", "fault", seconds, "run an NTP client on every host")
+        return Diagnosis("clock", "ok", seconds)
+    return Diagnosis("clock", "fault", seconds, "run an NTP client on every host")
 
 
-def keys(store: Store, settings: Settings) -> Finding:
+def keys(store: Store, settings: Settings) -> Diagnosis:
     """Check that there is a key, and that this machine's secret is the one it was made with."""
     with store.read() as session:
         count = session.scalar(select(func.count()).select_from(ApiKey)) or 0
     if not count:
-        return Finding("keys", "warning", "none yet", "myoface admin-key makes one")
+        return Diagnosis("keys", "warning", "none yet", "myoface admin-key makes one")
     try:
         text = settings.admin_key.read_text()
     except OSError:
-        return Finding("keys", "ok", f"{count} in the table; the first is not kept here")
+        return Diagnosis("keys", "ok", f"{count} in the table; the first is not kept here")
     try:
         Keyring(store, secret_of(settings)).verify(text)
     except Problem as problem:
         advice = "every API host needs the same MYOFACE_SECRET_KEY; else: myoface admin-key"
-        return Finding("keys", "fault", f"{settings.admin_key}: {problem.detail}", advice)
-    return Finding("keys", "ok", f"{count}; the one in {settings.admin_key} opens")
+        return Diagnosis("keys", "fault", f"{settings.admin_key}: {problem.detail}", advice)
+    return Diagnosis("keys", "ok", f"{count}; the one in {settings.admin_key} opens")
 
 
-def workers(store: Store, settings: Settings) -> Finding:
+def workers(store: Store, settings: Settings) -> Diagnosis:
     """Check that every queue has a worker."""
     living = Counter(worker.queue for worker in living_workers(store, settings))
     found = ", ".join(f"{queue} {living[queue]}" for queue in QUEUES)
     if all(living[queue] for queue in QUEUES):
-        return Finding("workers", "ok", found)
+        return Diagnosis("workers", "ok", found)
     advice = "jobs of a queue without one wait; start it: python -m worker QUEUE"
-    return Finding("workers", "warning", found, advice)
+    return Diagnosis("workers", "warning", found, advice)
 
 
-def stuck(store: Store) -> Finding:
+def stuck(store: Store) -> Diagnosis:
     """Look for jobs that should have moved on."""
     with store.read() as session:
         moment = clock(session)
@@ -171,8 +173,8 @@ def stuck(store: Store) -> Finding:
             ),
         }
         found = {what: session.scalar(query) or 0 for what, query in counts.items()}
-    told = ", ".join(f"{count} {what}" for what, count in found.items() if count)
-    if not told:
-        return Finding("jobs", "ok", "none is stuck")
+    words = ", ".join(f"{count} {what}" for what, count in found.items() if count)
+    if not words:
+        return Diagnosis("jobs", "ok", "none is stuck")
     advice = "is a worker up for each queue? its log, and myoface_* in /metrics, say more"
-    return Finding("jobs", "warning", told, advice)
+    return Diagnosis("jobs", "warning", words, advice)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from service.queue.wakeups import QUEUES, WEBHOOKS
-
 from tests.campaigns.compose.described import ROOT, check_build_context, healthcheck, services
 from tests.servers import UnavailableError, unavailable
 

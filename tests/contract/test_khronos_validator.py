@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from myoface.demo.khronos_validator import khronos_validation
+from myoface.demo.outcome import khronos_validation
 from solver.rig.animation_gltf import write_animation_glb
 from solver.rig.gltf import Solid, write_glb
 from solver.rig.result import ExpressionFit, Rig

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from myoface.credentials import VARIABLE
+from myoface.client.credentials import KEY_VARIABLE
 from myoface.errors import ApiError
 from tests.service_client import running
 
@@ -35,7 +35,7 @@ def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     for path in (tmp_path / "neutral.obj", tmp_path / "smile.obj", session / "frown.obj"):
         path.write_text(f"# {path.stem}\n")
     with running(tmp_path / "data") as (stack, _):
-        monkeypatch.setenv(VARIABLE, stack.key)
+        monkeypatch.setenv(KEY_VARIABLE, stack.key)
         monkeypatch.setenv("MYOFACE_CACHE", str(tmp_path / "cache"))
         monkeypatch.chdir(tmp_path)
         yield stack.url
@@ -45,7 +45,7 @@ def test_the_shell_s_calls_go_through(service: str) -> None:
     if not all(map(shutil.which, ("curl", "jq"))):
         pytest.skip("curl and jq are not both here")
     code = "".join(_blocks("sh")).replace("http://127.0.0.1:8765", service)
-    code = code.replace(KEY_OF_THE_SHELL, f"${VARIABLE}")
+    code = code.replace(KEY_OF_THE_SHELL, f"${KEY_VARIABLE}")
     # a job that is stopped may be over already
     code = re.sub(r"(?m)^(api .*/cancel .*)$", r"\1 || true", code)
     done = subprocess.run(

@@ -11,13 +11,14 @@ import anyio
 import httpx
 import pytest
 
-from myoface import transfer, unfinished
-from myoface.client import AsyncClient, Client
-from myoface.credentials import VARIABLE
+from myoface.client import AsyncClient, Client, ClientOptions, files
+from myoface.client.credentials import KEY_VARIABLE
 from myoface.errors import ApiError
 from myoface.resources import Job
 from myoface.stack import Stack
 from tests.service_client import Studio
+
+SMALL = ClientOptions(chunk_bytes=64 * 1024)
 
 
 class BreakingLine(httpx.HTTPTransport):
@@ -40,26 +41,25 @@ class BreakingLine(httpx.HTTPTransport):
 def url(stack_and_studio: tuple[Stack, Studio]) -> Iterator[str]:
     stack, _ = stack_and_studio
     with pytest.MonkeyPatch.context() as environment:
-        environment.setenv(VARIABLE, stack.key)
+        environment.setenv(KEY_VARIABLE, stack.key)
         yield stack.url
 
 
 @pytest.fixture(autouse=True)
 def _notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MYOFACE_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(transfer, "CHUNK_BYTES", 64 * 1024)
 
 
 @pytest.fixture
 def client(url: str) -> Iterator[Client]:
-    with Client(url) as client:
+    with Client(url, options=SMALL) as client:
         yield client
 
 
 @pytest.fixture
 def breaking(url: str) -> Iterator[Client]:
     """A client on a breaking line."""
-    with Client(url) as client:
+    with Client(url, options=SMALL) as client:
         line = BreakingLine()
         client.http = httpx.Client(base_url=url, headers=client.http.headers, transport=line)
         yield client
@@ -90,23 +90,21 @@ def test_an_upload_goes_on_in_another_run(
 
     with pytest.raises(KeyboardInterrupt):
         client.upload(path, progress=give_up)
-    (note,) = unfinished.folder().iterdir()
+    (note,) = files.notes_folder().iterdir()
     begun = note.read_text()
     offsets: list[int] = []
     sent = breaking.upload(path, progress=lambda done, _: offsets.append(done))
     assert (sent.id, sent.state) == (begun, "complete")
-    assert sent.sha256 == transfer.sha256_of(path)
+    assert sent.sha256 == files.sha256_of(path)
     assert (offsets[0] > 300_000, offsets[-1]) == (True, 1_000_001)
-    assert list(unfinished.folder().iterdir()) == []
+    assert list(files.notes_folder().iterdir()) == []
     again = client.upload(path)
     assert again.id != sent.id  # that one was complete: this is another
 
 
 def test_what_the_service_forgot_is_sent_anew(client: Client, tmp_path: Path) -> None:
     path = scan(tmp_path, "smile")
-    note = unfinished.Note(
-        str(client.http.base_url).rstrip("/"), path.name, transfer.sha256_of(path)
-    )
+    note = files.UploadNote(str(client.http.base_url).rstrip("/"), path.name, files.sha256_of(path))
     note.write("8c1d3a52-0f4e-4c5b-9b39-1f3a4f1f6c11")
     assert client.upload(path).state == "complete"
 
@@ -135,10 +133,10 @@ def test_who_comes_late_is_not_told_the_old_news(client: Client, tmp_path: Path)
     assert iterations[0] >= begun.progress.iteration
 
 
-def test_lists_are_read_to_their_end(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("myoface.client._operations.LONGEST_PAGE", 2)
-    made = [client.create_subject(f"number {number}").id for number in range(5)]
-    assert [each.id for each in client.subjects()][:5] == made[::-1]
+def test_lists_are_read_to_their_end(url: str) -> None:
+    with Client(url, options=ClientOptions(page_items=2)) as client:
+        made = [client.create_subject(f"number {number}").id for number in range(5)]
+        assert [each.id for each in client.subjects()][:5] == made[::-1]
 
 
 def test_a_failed_job_is_an_error_that_locates_the_fault(client: Client, tmp_path: Path) -> None:
@@ -158,7 +156,7 @@ def test_download_goes_on_and_is_checked(client: Client, tmp_path: Path) -> None
     assert job.result is not None
     glb = next(each for each in job.result.artifacts if each.name == "rig.glb")
     whole = tmp_path / "rig.glb"
-    part = transfer.part_path(whole, glb)
+    part = files.part_path(whole, glb)
     client.download(glb, whole)
     content = whole.read_bytes()
 

@@ -11,7 +11,7 @@ from typer.testing import CliRunner, Result
 
 from myoface.cli import app
 from myoface.client import Client
-from myoface.credentials import VARIABLE
+from myoface.client.credentials import KEY_VARIABLE
 from myoface.stack import Stack
 from service.settings import Settings
 from tests.service_client import Studio, served
@@ -23,7 +23,7 @@ Command = Callable[..., Result]
 def url(stack_and_studio: tuple[Stack, Studio]) -> Iterator[str]:
     stack, _ = stack_and_studio
     with pytest.MonkeyPatch.context() as environment:
-        environment.setenv(VARIABLE, stack.key)
+        environment.setenv(KEY_VARIABLE, stack.key)
         yield stack.url
 
 
@@ -55,7 +55,7 @@ def test_a_session_at_the_station(myoface: Command, url: str, tmp_path: Path) ->
     assert "neutral: good" in good.output
     blink = scan(tmp_path, "blink", "verdict bad")
     bad = myoface("captures", "add", subject, blink, "--raw", "--check", code=3)
-    assert "blink: bad: it can not be used" in bad.output
+    assert "blink: bad: it cannot be used" in bad.output
     assert "blink.obj has no mouth" in bad.output
     assert "scan again with the mouth in view" in bad.output
     myoface("captures", "delete", subject, "blink")

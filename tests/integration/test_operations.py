@@ -9,10 +9,9 @@ from pathlib import Path
 import pytest
 from sqlalchemy import update
 
-from myoface.backup import DELETIONS, DUMPS, back_up, note_deletions
+from myoface.backup import DELETIONS, DUMPS, back_up, note_deletions, restore
 from myoface.doctor import service as doctor
 from myoface.errors import StackError
-from myoface.restore import restore
 from service.settings import Settings
 from service.store.database import Store
 from service.store.models import Job, now

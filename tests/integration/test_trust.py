@@ -9,9 +9,8 @@ import anyio
 import pytest
 from typer.testing import CliRunner
 
-from myoface import credentials, trust
 from myoface.cli import app as commands
-from myoface.client import AsyncClient, Client
+from myoface.client import AsyncClient, Client, credentials
 from myoface.errors import ApiError
 from service.app import create_app
 from service.settings import Settings
@@ -47,10 +46,10 @@ def test_the_authority_is_given_and_no_other_counts(
     with pytest.raises(ApiError, match=r"(?i)certificate"):
         anyio.run(awaited, None)
 
-    monkeypatch.setenv(credentials.VARIABLE, key)
+    monkeypatch.setenv(credentials.KEY_VARIABLE, key)
     asked = ["subjects", "list", "--url", url]
     assert CliRunner().invoke(commands, asked).exit_code == 1
-    monkeypatch.setenv(trust.VARIABLE, str(authority))
+    monkeypatch.setenv(credentials.CA_VARIABLE, str(authority))
     assert CliRunner().invoke(commands, asked).exit_code == 0
 
 
@@ -59,5 +58,5 @@ def test_a_file_without_an_authority_is_named(tmp_path: Path) -> None:
     for name in ("missing.pem", "empty.pem"):
         with pytest.raises(ApiError) as caught:
             Client("https://127.0.0.1", ca=tmp_path / name)
-        assert caught.value.code == trust.NO_AUTHORITY
+        assert caught.value.code == credentials.NO_AUTHORITY
         assert name in str(caught.value)

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from myoface.assets.catalogue import CATALOGUE, Asset
+from myoface.assets.catalogue import CATALOGUE, PublicAsset
 from myoface.assets.fetch import RECORD, fetch
 from myoface.cli.app import app
 from myoface.errors import ApiError
@@ -100,7 +100,7 @@ def http() -> Iterator[httpx.Client]:
         yield client
 
 
-def pinned(shelf: Shelf) -> Asset:
+def pinned(shelf: Shelf) -> PublicAsset:
     """Return an asset whose size and hash are known, as of BodyParts3D."""
     content = shelf.content
     return replace(
@@ -113,7 +113,7 @@ def pinned(shelf: Shelf) -> Asset:
     )
 
 
-def unpinned(shelf: Shelf, mesh: str | None = None) -> Asset:
+def unpinned(shelf: Shelf, mesh: str | None = None) -> PublicAsset:
     """Return an asset of which only a member is known, as of ICT-FaceKit."""
     members = {"model/mesh.obj": mesh}
     return replace(pinned(shelf), size=None, sha256=None, members=members)

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import httpx
 import pytest
 
-from myoface import connection
-from myoface.client import Client
+from myoface.client import Client, ClientOptions
+from myoface.client.retry import IN_FLIGHT
 from myoface.errors import ApiError
 
 SUBJECT = {"id": "1", "name": "Ada"}
@@ -16,11 +16,6 @@ RATE = {"code": "request.rate"}
 QUOTA = {"code": "quota.queued"}
 
 Answer = httpx.Response | Exception
-
-
-@pytest.fixture(autouse=True)
-def _hurry(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection, "FIRST_PAUSE_S", 0.001)
 
 
 @pytest.fixture
@@ -46,7 +41,7 @@ def service(
         assert isinstance(given, httpx.Response)
         return given
 
-    client = Client("http://service", "myo_key")
+    client = Client("http://service", "myo_key", options=ClientOptions(first_pause_s=0.001))
     client.http = httpx.Client(base_url="http://service", transport=httpx.MockTransport(answer))
     return client, asked
 
@@ -87,7 +82,7 @@ def test_a_quota_is_not_waited_for(pauses: list[float]) -> None:
 def test_what_is_made_over_a_breaking_line_is_made_under_one_key() -> None:
     lost = httpx.ReadError("the line broke")
     client, asked = service(
-        lost, refusal(409, {"code": connection.IN_FLIGHT}), httpx.Response(201, json=SUBJECT)
+        lost, refusal(409, {"code": IN_FLIGHT}), httpx.Response(201, json=SUBJECT)
     )
     client.create_subject("Ada")
     keys = {request.headers["Idempotency-Key"] for request in asked}
@@ -100,6 +95,16 @@ def test_nobody_there_is_said_at_once() -> None:
         client.subjects()
     assert caught.value.code == "client.unreachable"
     assert len(asked) == 1
+
+
+def test_kinds_have_an_old_name_for_one_release() -> None:
+    kind = {"kind": "edit", "title": "Edit", "description": "Change.", "options": {}}
+    page = httpx.Response(200, json={"items": [kind]})
+    client, asked = service(page, httpx.Response(200, json={"items": [kind]}))
+    with pytest.warns(DeprecationWarning, match="kinds"):
+        old = client.solvers()
+    assert old == client.kinds()
+    assert [request.url.path for request in asked] == ["/v1/kinds", "/v1/kinds"]
 
 
 @pytest.mark.parametrize(("header", "pause"), [("5", 5.0), ("3600", 120.0), (None, 2.0)])

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from myoface.demo.khronos_validator import Validation
-from myoface.demo.outcome import Bars, Outcome
+from myoface.demo.outcome import Bars, DemoOutcome, Validation
 
 REPORT = {
     "train_mean_mm": 0.5,
@@ -17,5 +16,5 @@ REPORT = {
 
 
 def test_a_session_without_unseen_expressions_is_judged_by_the_others() -> None:
-    outcome = Outcome(REPORT, {}, [], Validation(0, 0, ""), Bars(train_mm=0.4, test_mm=0.4))
+    outcome = DemoOutcome(REPORT, {}, [], Validation(0, 0, ""), Bars(train_mm=0.4, test_mm=0.4))
     assert outcome.failures() == ["training mean 0.500 mm is over the bar of 0.4 mm"]

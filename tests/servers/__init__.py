@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 
 import pytest
 
-from myoface.ports import free_port
+from myoface.stack import free_port
 
 REQUIRED = "MYOFACE_REQUIRE_SERVERS"
 """Set it where a server that can not be started is a failure, not a reason to skip."""

@@ -1,0 +1,246 @@
+"""Requests to one service, repeated where that does no harm; files that go on where they broke."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+import anyio
+import httpx
+
+from myoface.client.credentials import DEFAULT_URL, authority, headers_for
+from myoface.client.files import (
+    GONE,
+    OUT_OF_STEP,
+    TUS,
+    TUS_CONTENT,
+    Transferred,
+    UploadNote,
+    async_sha256_of,
+    ignore_transfer,
+    metadata,
+    part_path,
+    put_in_place,
+)
+from myoface.client.retry import (
+    DEFAULT_OPTIONS,
+    Backoff,
+    ClientOptions,
+    is_never_reached,
+    is_too_fast,
+    require_success,
+    transport_errors,
+)
+from myoface.errors import ApiError
+from myoface.resources import Artifact, Resource, Upload
+
+R = TypeVar("R", bound=Resource)
+
+
+class AsyncConnection:
+    """The requests that the calls of a client are made of, and its transfers of files."""
+
+    def __init__(
+        self,
+        url: str = DEFAULT_URL,
+        key: str | None = None,
+        *,
+        ca: Path | str | None = None,
+        options: ClientOptions = DEFAULT_OPTIONS,
+    ) -> None:
+        """Speak to the service at ``url``.
+
+        ``key`` is by default what `myoface.client.credentials` has; ``ca`` is the PEM file of the
+        authority that its certificate is of, where that is no public one.
+        """
+        self.http = httpx.AsyncClient(
+            base_url=url,
+            headers=headers_for(url, key),
+            timeout=httpx.Timeout(options.timeout_s),
+            trust_env=False,
+            verify=authority(ca),
+        )
+        self._url = url
+        self._options = options
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        _kind: type[BaseException] | None,
+        _error: BaseException | None,
+        _trace: TracebackType | None,
+    ) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        """Close the connections."""
+        await self.http.aclose()
+
+    # Files
+
+    async def upload(self, path: Path, *, progress: Transferred = ignore_transfer) -> Upload:
+        """Send a file by tus 1.0; returns the complete upload.
+
+        An upload of the same file that was interrupted goes on, in a later run too: its id is
+        noted in the user's cache until it is complete.
+        """
+        size, digest = path.stat().st_size, await async_sha256_of(path)
+        note = UploadNote(self._url, path.name, digest)
+        upload_id = await self._find_upload(note)
+        if upload_id is None:
+            upload_id = await self._start_upload(path.name, size, digest)
+        note.write(upload_id)
+        await self._send_file(f"/v1/uploads/{upload_id}", path, progress)
+        note.remove()
+        return await self._get(f"/v1/uploads/{upload_id}", Upload)
+
+    async def _find_upload(self, note: UploadNote) -> str | None:
+        """Return the upload that an earlier run began, if the service has it still."""
+        upload_id = note.read()
+        if upload_id is None:
+            return None
+        try:
+            await self._get(f"/v1/uploads/{upload_id}", Upload)
+        except ApiError as error:
+            if error.status not in GONE:
+                raise
+            return None
+        return upload_id
+
+    async def _start_upload(self, name: str, size: int, digest: str) -> str:
+        headers = TUS | {"Upload-Length": str(size), "Upload-Metadata": metadata(name, digest)}
+        response = await self._request_once("POST", "/v1/uploads", headers=headers)
+        location: str = response.headers["Location"]
+        return location.rstrip("/").rsplit("/", 1)[-1]
+
+    async def _send_file(self, url: str, path: Path, progress: Transferred) -> None:
+        size = path.stat().st_size
+        backoff = Backoff(self._options)
+        offset: int | None = None  # None: ask the service how much it has
+        with path.open("rb") as stream:
+            while offset != size:
+                try:
+                    if offset is None:
+                        response = await self._answer("HEAD", url, headers=TUS)
+                    else:
+                        stream.seek(offset)
+                        headers = TUS | {"Upload-Offset": str(offset), "Content-Type": TUS_CONTENT}
+                        offset = None
+                        content = stream.read(self._options.chunk_bytes)
+                        response = await self._answer(
+                            "PATCH", url, content=content, headers=headers
+                        )
+                        backoff.reset()
+                    offset = int(require_success(response).headers["Upload-Offset"])
+                    progress(offset, size)
+                except ApiError as error:
+                    if error.status in OUT_OF_STEP:
+                        await anyio.sleep(backoff.pause_after(error))
+                    else:
+                        await anyio.sleep(backoff.pause_if_transient(error))
+
+    async def download(
+        self, artifact: Artifact, path: Path, *, progress: Transferred = ignore_transfer
+    ) -> None:
+        """Fetch an artifact into ``path``, checked against its sha256.
+
+        A part of the same artifact that is already there is continued; ``path`` itself appears
+        only when the whole file is right. Raises :class:`ApiError` (``client.checksum``) if it is
+        not.
+        """
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = part_path(path, artifact)
+        backoff = Backoff(self._options)
+        part.touch()
+        while (have := part.stat().st_size) < artifact.size:
+            headers = {"Range": f"bytes={have}-", "If-Range": f'"{artifact.sha256}"'}
+            url = f"/v1/artifacts/{artifact.id}"
+            try:
+                async with self._stream(url, headers=headers) as response:
+                    is_part = response.status_code == httpx.codes.PARTIAL_CONTENT
+                    with part.open("ab" if is_part else "wb") as stream:
+                        async for block in response.aiter_bytes():
+                            stream.write(block)
+                            progress(stream.tell(), artifact.size)
+                            backoff.reset()
+            except ApiError as error:
+                await anyio.sleep(backoff.pause_if_transient(error))
+        put_in_place(part, path, artifact, await async_sha256_of(part))
+
+    # Requests
+
+    async def _answer(self, method: str, url: str, **request: Any) -> httpx.Response:
+        """Send a request and return its answer, be it an error."""
+        with transport_errors():
+            return await self.http.request(method, url, **request)
+
+    @asynccontextmanager
+    async def _stream(self, url: str, **request: Any) -> AsyncIterator[httpx.Response]:
+        """Yield an answer whose content is read in the block."""
+        with transport_errors():
+            async with self.http.stream("GET", url, **request) as response:
+                if response.is_error:
+                    await response.aread()
+                yield require_success(response)
+
+    async def _request_once(self, method: str, url: str, **request: Any) -> httpx.Response:
+        """Send a request that must not reach the service twice; too fast a one did not reach it."""
+        backoff = Backoff(self._options)
+        while True:
+            try:
+                return require_success(await self._answer(method, url, **request))
+            except ApiError as error:
+                if not is_too_fast(error):
+                    raise
+                await anyio.sleep(backoff.pause_after(error))
+
+    async def _request(
+        self, method: str, url: str, *, through: bool = False, **request: Any
+    ) -> httpx.Response:
+        """Send a request that may be repeated without harm, as often as the line breaks.
+
+        A service that is not there at the first try is an error at once, unless ``through``: it
+        was there just now.
+        """
+        backoff = Backoff(self._options)
+        while True:
+            try:
+                return require_success(await self._answer(method, url, **request))
+            except ApiError as error:
+                if backoff.failures == 0 and not through and is_never_reached(error):
+                    raise
+                await anyio.sleep(backoff.pause_if_transient(error))
+
+    async def _get(self, url: str, kind: type[R], *, through: bool = False) -> R:
+        response = await self._request("GET", url, through=through)
+        return kind.model_validate(response.json())
+
+    async def _create(self, url: str, kind: type[R], /, **body: Any) -> R:
+        """Make something once, however often the line breaks."""
+        given = {key: value for key, value in body.items() if value is not None}
+        headers = {"Idempotency-Key": str(uuid.uuid4())}
+        response = await self._request("POST", url, json=given, headers=headers)
+        return kind.model_validate(response.json())
+
+    async def _delete(self, url: str, **query: Any) -> str:
+        """Delete something; returns the id of the receipt."""
+        response = await self._request_once("DELETE", url, params=query)
+        location: str = response.headers["Location"]
+        return location.rsplit("/", 1)[-1]
+
+    async def _list(self, url: str, kind: type[R], /, **query: Any) -> list[R]:
+        given = {key: value for key, value in query.items() if value is not None}
+        found: list[R] = []
+        while True:
+            params = {"limit": self._options.page_items, **given}
+            page = (await self._request("GET", url, params=params)).json()
+            found += map(kind.model_validate, page["items"])
+            if page.get("next") is None:
+                return found
+            given["cursor"] = page["next"]

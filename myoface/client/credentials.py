@@ -1,0 +1,68 @@
+"""The address, API key and certificate authority of a client that is given none."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import ssl
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from myoface.errors import ApiError
+
+DEFAULT_URL = "http://127.0.0.1:8765"
+KEY_VARIABLE = "MYOFACE_API_KEY"
+CA_VARIABLE = "MYOFACE_CA"
+NO_AUTHORITY = "client.ca"
+
+
+def key_for(url: str) -> str | None:
+    """Return the key in ``MYOFACE_API_KEY``, else this machine's own if ``url`` is this machine.
+
+    The service's first start leaves that one in its data folder, where only its owner can read it.
+    """
+    if given := os.environ.get(KEY_VARIABLE):
+        return given
+    if not _is_loopback(urlsplit(url).hostname or ""):
+        return None
+    data = os.environ.get("MYOFACE_DATA_DIR") or Path.home() / ".local" / "share" / "myoface"
+    try:
+        return (Path(data).expanduser() / "admin.key").read_text()
+    except OSError:
+        return None
+
+
+def headers_for(url: str, key: str | None) -> dict[str, str]:
+    """Return the headers of a client of ``url``, with ``key`` or the one there is for it."""
+    found = key or key_for(url)
+    return {"Authorization": f"Bearer {found}"} if found else {}
+
+
+def authority(ca: Path | str | None) -> ssl.SSLContext | bool:
+    """Return what httpx verifies a service's certificate with.
+
+    That is the authority in the PEM file ``ca``, or in the one that ``MYOFACE_CA`` names, and no
+    other; without either the public authorities.
+
+    Raises
+    ------
+    ApiError
+        ``client.ca`` if the file holds no certificate that can be read.
+    """
+    path = ca or os.environ.get(CA_VARIABLE)
+    if not path:
+        return True
+    try:
+        return ssl.create_default_context(cafile=path)
+    except OSError as error:  # ssl.SSLError is one
+        reason = error.strerror or str(error)
+        detail = f"no authority to verify the service with: {reason}"
+        raise ApiError({"code": NO_AUTHORITY, "detail": detail, "file": str(path)}) from error
+
+
+def _is_loopback(host: str) -> bool:
+    """Return True if only this machine reaches ``host``, a name or an address."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

@@ -1,0 +1,107 @@
+"""Decide which failed requests are repeated, and after how long a pause."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import httpx
+
+from myoface.errors import UNREACHABLE, ApiError
+
+# Another request under the same Idempotency-Key has not been answered yet.
+IN_FLIGHT = "idempotency.in_flight"
+
+
+@dataclass(frozen=True)
+class ClientOptions:
+    """Patience of a client, and the portions it asks for."""
+
+    timeout_s: float = 30.0  # for an answer
+    # The service sends a comment line at least this often while a job has no news.
+    events_timeout_s: float = 60.0
+    attempts: int = 8  # failures in a row after which a request is given up
+    first_pause_s: float = 0.1  # doubled at each failure
+    longest_pause_s: float = 8.0
+    longest_wish_s: float = 120.0  # a Retry-After beyond this is a refusal
+    page_items: int = 1000  # the service lists at most so many at a time
+    frame_page_items: int = 100
+    frame_pause_s: float = 0.5  # between looks for frames that are not ready
+    batch_pause_s: float = 1.0  # between looks at a running batch
+    stream_pause_s: float = 2.0  # where the service has no event stream to spare
+    chunk_bytes: int = 4 * 1024 * 1024  # of an upload, in one request
+
+
+DEFAULT_OPTIONS = ClientOptions()
+
+
+class Backoff:
+    """Pauses that double at each failure in a row, up to a number of attempts."""
+
+    def __init__(self, options: ClientOptions = DEFAULT_OPTIONS) -> None:
+        self.failures = 0
+        self._options = options
+
+    def reset(self) -> None:
+        """Forget the failures: something went through."""
+        self.failures = 0
+
+    def pause_after(self, error: ApiError) -> float:
+        """Return the seconds to wait after a failure, or raise ``error`` if it is one too many."""
+        options, wish = self._options, requested_pause(error)
+        self.failures += 1
+        if self.failures >= options.attempts or (wish or 0) > options.longest_wish_s:
+            raise error
+        return wish or min(options.first_pause_s * 2**self.failures, options.longest_pause_s)
+
+    def pause_if_transient(self, error: ApiError) -> float:
+        """Return the seconds to wait after a failure that may pass; raise one that will not."""
+        if not _is_transient(error):
+            raise error
+        return self.pause_after(error)
+
+
+@contextmanager
+def transport_errors() -> Iterator[None]:
+    """Turn a broken connection inside the block into an :class:`ApiError`."""
+    try:
+        yield
+    except httpx.TransportError as error:
+        detail = f"no answer from {error.request.url}: {str(error) or type(error).__name__}"
+        raise ApiError({"code": UNREACHABLE, "detail": detail}) from error
+
+
+def require_success(response: httpx.Response) -> httpx.Response:
+    """Return a response that has been read, or raise its problem as :class:`ApiError`."""
+    if not response.is_error:
+        return response
+    error = ApiError.from_response(response)
+    if "Retry-After" in response.headers:
+        error.problem.setdefault("retry_after", response.headers["Retry-After"])
+    raise error
+
+
+def requested_pause(error: ApiError) -> float | None:
+    """Return the seconds after which the service wants to be asked again, if it says so."""
+    text = str(error.problem.get("retry_after", ""))
+    return float(text) if text.isdigit() else None
+
+
+def is_too_fast(error: ApiError) -> bool:
+    """Return True if the service asks to slow down; a quota is no matter of seconds."""
+    is_quota = error.code.startswith("quota.")
+    return error.status == httpx.codes.TOO_MANY_REQUESTS and not is_quota
+
+
+def is_never_reached(error: ApiError) -> bool:
+    """Return True if there was nobody to connect to."""
+    return isinstance(error.__cause__, httpx.ConnectError)
+
+
+def _is_transient(error: ApiError) -> bool:
+    return (
+        error.code in (UNREACHABLE, IN_FLIGHT)
+        or error.status == httpx.codes.SERVICE_UNAVAILABLE
+        or is_too_fast(error)
+    )
