@@ -157,6 +157,11 @@ class Flesh:
         return 3 * len(self.free)
 
     @cached_property
+    def free_coordinates(self) -> Ints:
+        """Return the places (size,) of the free coordinates among all (3 p,)."""
+        return np.asarray((3 * self.free[:, None] + np.arange(3)).ravel())
+
+    @cached_property
     def force_scale(self) -> float:
         """Return the size of the nodal forces at unit strain: what a residual is measured by."""
         steepness = np.linalg.norm(self.gradients, axis=(1, 2))
