@@ -142,3 +142,7 @@ class _Counting:
     def factor(self, data: Floats) -> Factor:
         self.count += 1
         return self._solver.factor(data)
+
+    def factor_indefinite(self, data: Floats) -> Factor:
+        self.count += 1
+        return self._solver.factor_indefinite(data)

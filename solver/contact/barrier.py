@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from solver.contact.surface import ContactSurface, collision_mesh
-from solver.mechanics.potential import Boundary
+from solver.mechanics.potential import Boundary, BoundaryRates
 from solver.surface import Floats, Ints, Surface
 
 DISTANCE_MM = 0.08
@@ -126,12 +126,21 @@ class Barrier:
 
     def hessian(self, x: Floats) -> sp.csr_array:
         """See :class:`solver.mechanics.potential.Potential`."""
-        own = self._skin_size
-        stiffness = self._stiffness(x)[:own, :own]
-        # few of the skin's vertices touch anything
-        touching = np.flatnonzero(np.diff(stiffness.indptr))
-        rows = self._rows[touching]
-        return sp.csr_array(rows.T @ stiffness[touching][:, touching] @ rows)
+        return self._by_flesh(self._second(x, ipctk.PSDProjectionMethod.CLAMP))
+
+    def curvature(self, x: Floats) -> sp.csr_array:
+        """See :class:`solver.mechanics.potential.Potential`."""
+        return self._by_flesh(self._second(x, ipctk.PSDProjectionMethod.NONE))
+
+    def by_boundary(self, x: Floats, rates: BoundaryRates) -> Floats:
+        """See :class:`solver.mechanics.potential.Potential`."""
+        out = np.zeros((*x.shape, rates.count))
+        if rates.objects:
+            own = self._skin_size
+            motion = np.concatenate(rates.objects).reshape(-1, rates.count)
+            matrix = self._second(x, ipctk.PSDProjectionMethod.NONE)
+            out += (self._rows.T @ (matrix[:own, own:] @ motion)).reshape(out.shape)
+        return out
 
     def pull(self, x: Floats, goal: Boundary) -> Floats:
         """See :class:`solver.mechanics.potential.Potential`."""
@@ -139,7 +148,8 @@ class Barrier:
             return np.zeros_like(x)
         motion = np.vstack(goal.objects) - np.vstack(self._objects)
         own = self._skin_size
-        return self._on_flesh(self._stiffness(x)[:own, own:] @ motion.ravel())
+        matrix = self._second(x, ipctk.PSDProjectionMethod.CLAMP)
+        return self._on_flesh(matrix[:own, own:] @ motion.ravel())
 
     def longest(self, x: Floats, y: Floats, goal: Boundary) -> float:
         """See :class:`solver.mechanics.potential.Potential`."""
@@ -169,13 +179,22 @@ class Barrier:
             self._last = x.copy(), _Touching(points, collisions)
         return self._last[1]
 
-    def _stiffness(self, x: Floats) -> sp.csr_array:
+    def _by_flesh(self, second: sp.csr_array) -> sp.csr_array:
+        """Return the Hessian (3 p, 3 p) by the flesh from that by skin and objects."""
+        own = self._skin_size
+        by_skin = second[:own, :own]
+        # few of the skin's vertices touch anything
+        touching = np.flatnonzero(np.diff(by_skin.indptr))
+        rows = self._rows[touching]
+        return sp.csr_array(rows.T @ by_skin[touching][:, touching] @ rows)
+
+    def _second(self, x: Floats, project: ipctk.PSDProjectionMethod) -> sp.csr_array:
         """Return the Hessian by the coordinates of skin and objects."""
-        touching, clamp = self._touching(x), ipctk.PSDProjectionMethod.CLAMP
-        matrix = self._barrier.hessian(touching.collisions, self._mesh, touching.points, clamp)
+        touching = self._touching(x)
+        matrix = self._barrier.hessian(touching.collisions, self._mesh, touching.points, project)
         if self._lagged is not None:
             speed = self._speed(touching.points, self._lagged)
-            drag = self._sliding.hessian(self._lagged.collisions, self._mesh, speed, clamp)
+            drag = self._sliding.hessian(self._lagged.collisions, self._mesh, speed, project)
             matrix = matrix + drag / self._lagged.seconds
         return sp.csr_array(matrix)
 

@@ -18,7 +18,7 @@ from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import distance_transform_edt, gaussian_filter, grey_closing
 
 from solver.mechanics import jaw
-from solver.mechanics.potential import Boundary
+from solver.mechanics.potential import Boundary, BoundaryRates
 from solver.model import JawFrame
 from solver.surface import Floats, Ints, Surface
 
@@ -37,6 +37,9 @@ class Obstacle(Protocol):
         Returns depths (k,) in mm, negative outside, with their gradients (k, 3), and how much of
         them counts (k,), 0 beside the obstacle to 1, with its gradients (k, 3).
         """
+
+    def curvatures(self, points: Floats) -> tuple[Floats, Floats]:
+        """Return the second derivatives (k, 3, 3) of depths and of how much counts."""
 
 
 def free_depths(obstacle: Obstacle, rest: Floats, least: float) -> Floats:
@@ -62,6 +65,17 @@ class Excess:
         slope = counts[:, None] * out + excess[:, None] * fades
         slope[excess == 0.0] = 0.0
         return counts * excess, slope
+
+    def curvature_at(self, points: Floats) -> Floats:
+        """Return the second derivatives (k, 3, 3) of h, zero where nothing pushes."""
+        depth, out, counts, fades = self._obstacle.depths(points)
+        excess = np.maximum(depth - self._free, 0.0)
+        by_depth, by_counts = self._obstacle.curvatures(points)
+        mixed = out[:, :, None] * fades[:, None, :]
+        second = counts[:, None, None] * by_depth + excess[:, None, None] * by_counts
+        second += mixed + mixed.transpose(0, 2, 1)
+        second[excess == 0.0] = 0.0
+        return np.asarray(second)
 
     def behind(self, points: Floats, tolerance: float) -> Ints:
         """Return which lie deeper by ``tolerance`` than they may, well over the field."""
@@ -129,6 +143,35 @@ class OneSided:
         by_x = along(sp.csr_array(self._rows[deep]), slope[deep])
         return sp.csr_array(by_x.T @ (sp.diags_array(self._stiffness[deep]) @ by_x))
 
+    def curvature(self, x: Floats) -> sp.csr_array:
+        """See :class:`solver.mechanics.potential.Potential`."""
+        deep, blocks = self._second(x)
+        if not len(deep):
+            return sp.csr_array((x.size, x.size))
+        rows = sp.kron(self._rows[deep], sp.eye_array(3), format="csr")
+        places = np.arange(len(deep) + 1)
+        return sp.csr_array(rows.T @ (sp.bsr_array((blocks, places[:-1], places)) @ rows))
+
+    def by_boundary(self, x: Floats, rates: BoundaryRates) -> Floats:
+        """See :class:`solver.mechanics.potential.Potential`."""
+        out = np.zeros((*x.shape, rates.count))
+        deep, blocks = self._second(x)
+        if self._carried is None or not len(deep):
+            return out
+        h, slope = self._depths(x)
+        # the obstacle moves under the vertex by the jaw's motion there, and its directions turn
+        seen = self._seen_at(x)[deep]
+        moved = jaw.jacobian(self._carried, seen, self._jaw)
+        turned = jaw.jacobian(
+            self._carried, self._carried.origin + slope[deep] @ self._turn, self._jaw
+        )
+        turned[:, :, 2:] = 0.0
+        by_jaw = (self._stiffness * h)[deep, None, None] * turned
+        by_jaw -= np.einsum("kij,kjb->kib", blocks, moved)
+        on_points = (by_jaw @ rates.jaw).reshape(len(deep), -1)
+        out += (self._rows[deep].T @ on_points).reshape(out.shape)
+        return out
+
     def pull(self, x: Floats, goal: Boundary) -> Floats:
         """See :class:`solver.mechanics.potential.Potential`."""
         if self._carried is None:
@@ -157,6 +200,16 @@ class OneSided:
             h, slope = self._excess.at(self._seen_at(x))
             self._last = x.copy(), (h, slope @ self._turn.T)
         return self._last[1]
+
+    def _second(self, x: Floats) -> tuple[Ints, Floats]:
+        """Return the vertices (d,) that are pushed, and d2E by their positions (d, 3, 3)."""
+        h, slope = self._depths(x)
+        deep = np.flatnonzero(h)
+        second = self._excess.curvature_at(self._seen_at(x))[deep]
+        second = np.einsum("ip,kpq,jq->kij", self._turn, second, self._turn)
+        outer = slope[deep, :, None] * slope[deep, None, :]
+        stiffness = self._stiffness[deep, None, None]
+        return deep, stiffness * (outer + h[deep, None, None] * second)
 
     def _seen_at(self, x: Floats) -> Floats:
         return self._seen(np.asarray(self._rows @ x + self._offset), self._jaw)
@@ -270,6 +323,41 @@ class Arch:
         fades = (6.0 * part * (1.0 - part) / FADE_MM)[:, None] * border
         return reach - radius, slope - outward, counts, fades
 
+    def curvatures(self, points: Floats) -> tuple[Floats, Floats]:
+        """See :class:`solver.contact.one_sided.Obstacle`."""
+        arm = points - self.axis
+        angle, height, radius = _cylindrical(arm)
+        radius = np.maximum(radius, STEP_MM)
+        across, ahead = arm[:, 0] / radius, arm[:, 2] / radius
+        around = np.stack([ahead, np.zeros(len(arm)), -across], axis=1)
+        up = np.array([0.0, 1.0, 0.0])
+        # d2(angle): the direction around turns with the angle and shrinks with the radius
+        turning = np.zeros((len(arm), 3, 3))
+        turning[:, 0, 0], turning[:, 2, 2] = -2.0 * across * ahead, 2.0 * across * ahead
+        turning[:, 0, 2] = turning[:, 2, 0] = across**2 - ahead**2
+
+        def field(spline: RectBivariateSpline) -> tuple[Floats, Floats, Floats]:
+            def at(dx: int, dy: int) -> Floats:
+                return np.asarray(spline.ev(angle, height, dx=dx, dy=dy))
+
+            by_angle = around / radius[:, None]
+            gradient = at(1, 0)[:, None] * by_angle + at(0, 1)[:, None] * up
+            mixed = at(1, 1)[:, None, None] * by_angle[:, :, None] * up
+            second = at(2, 0)[:, None, None] * by_angle[:, :, None] * by_angle[:, None, :]
+            second += mixed + mixed.transpose(0, 2, 1)
+            second += at(0, 2)[:, None, None] * np.outer(up, up)
+            second += (at(1, 0) / radius**2)[:, None, None] * turning
+            return np.asarray(spline.ev(angle, height)), gradient, second
+
+        _, _, by_depth = field(self.radius)
+        by_depth -= around[:, :, None] * around[:, None, :] / radius[:, None, None]
+        inside, border, bending = field(self.inside)
+        part = np.clip(inside / FADE_MM, 0.0, 1.0)
+        steep, bent = 6.0 * part * (1.0 - part) / FADE_MM, 6.0 * (1.0 - 2.0 * part) / FADE_MM**2
+        bent[(part == 0.0) | (part == 1.0)] = 0.0
+        by_counts = bent[:, None, None] * border[:, :, None] * border[:, None, :]
+        return by_depth, by_counts + steep[:, None, None] * bending
+
 
 def _cylindrical(arm: Floats) -> tuple[Floats, Floats, Floats]:
     """Return angles from z to x in rad, heights and radii (k,) of arms (k, 3) from the axis."""
@@ -318,3 +406,11 @@ class Eyeball:
         distance = np.maximum(np.linalg.norm(arm, axis=1), 1e-9)
         everywhere, nothing = np.ones(len(points)), np.zeros_like(points)
         return self.radius - distance, -arm / distance[:, None], everywhere, nothing
+
+    def curvatures(self, points: Floats) -> tuple[Floats, Floats]:
+        """See :class:`solver.contact.one_sided.Obstacle`."""
+        arm = points - self.centre
+        distance = np.maximum(np.linalg.norm(arm, axis=1), 1e-9)
+        out = arm / distance[:, None]
+        tangent = np.eye(3) - out[:, :, None] * out[:, None, :]
+        return -tangent / distance[:, None, None], np.zeros_like(tangent)

@@ -1,11 +1,8 @@
-"""Kernels over all tetrahedra: energy, nodal forces, stiffness blocks, and their derivatives by A.
+"""Kernels over all tetrahedra: energy, nodal forces, Hessian blocks, and their derivatives by A.
 
-Every kernel takes positions ``x`` (p, 3), ``tets`` (n, 4), shape-function gradients ``N``
-(n, 4, 3), rest volumes ``volume`` (n,), activations ``a`` (n, 6), the material arrays ``mu``,
-``lam``, ``kappa`` and ``stiffness`` (n,), the number ``law`` of the material's law, and fills an
-array with one entry per tet. Tets are independent, so the loops run on all threads; sums over tets
-are left to :mod:`solver.mechanics.assembly`. Neo-Hookean flesh has no activations here:
-they are in ``N`` and ``volume`` (:func:`solver.mechanics.neo_hookean.released`).
+Every kernel takes :class:`Elements`, positions ``x`` (p, 3) and mostly activations ``a`` (n, 6),
+and fills an array with one entry per tet. Tets are independent, so the loops run on all threads;
+sums over tets are left to :mod:`solver.mechanics.assembly`.
 
 The shape functions sum to one, so what belongs to a tet's first vertex is minus the sum over the
 three others.
@@ -13,30 +10,58 @@ three others.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba as nb
 import numpy as np
 
-from solver.mechanics import neo_hookean
-from solver.mechanics.material import (
-    BARRIER_START,
-    MODES,
-    density,
+from solver.mechanics import laws
+from solver.mechanics.laws import MODES
+from solver.mechanics.linalg3 import (
+    Matrix,
+    Symmetric,
     determinant,
-    hessian_modes,
-    stress,
-    stress_by_activation,
+    dot,
+    symmetric_determinant,
 )
-from solver.mechanics.polar import Matrix, Symmetric
+from solver.mechanics.materials.volumetric import BARRIER_START, Moduli
 from solver.surface import Floats, Ints
 
-COROTATED, NEO_HOOKEAN = 0, 1
-"""The laws: :mod:`solver.mechanics.material` and :mod:`solver.mechanics.neo_hookean`."""
-
-CHUNK = 512
-"""Tets that share one scratch space; large enough to make its allocation free."""
+CHUNK = 512  # tets that share one scratch space: enough to make its allocation free
 
 
-@nb.njit(cache=True, error_model="numpy")
+class Elements(NamedTuple):
+    """Tetrahedra of one law, each with moduli of its own.
+
+    ``tets`` (n, 4), shape functions' gradients ``N`` (n, 4, 3) in 1/mm, rest volumes ``volume``
+    (n,) in mm^3; the law's own ``mu``, ``lam``, ``kappa`` and weight of the ``barrier`` (n,), in
+    stress units; the ``law``'s number (:mod:`solver.mechanics.laws`).
+    """
+
+    tets: Ints
+    N: Floats
+    volume: Floats
+    mu: Floats
+    lam: Floats
+    kappa: Floats
+    barrier: Floats
+    law: int
+
+    def take(self, some: Ints) -> Elements:
+        """Return some of the tets."""
+        return Elements(
+            self.tets[some],
+            self.N[some],
+            self.volume[some],
+            self.mu[some],
+            self.lam[some],
+            self.kappa[some],
+            self.barrier[some],
+            self.law,
+        )
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def deformation_gradient(x: Floats, tet: Ints, N: Floats) -> Matrix:
     """Return F = sum_v x_v (grad N_v)^T of one tet."""
     o, p, q, r = tet[0], tet[1], tet[2], tet[3]
@@ -56,79 +81,65 @@ def deformation_gradient(x: Floats, tet: Ints, N: Floats) -> Matrix:
     )
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def activation(a: Floats) -> Symmetric:
     """Return S(a) of one tet."""
     return a[0], a[1], a[2], a[3], a[4], a[5]
 
 
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def moduli_of(mesh: Elements, e: int) -> Moduli:
+    """Return the moduli of one tet."""
+    return mesh.mu[e], mesh.lam[e], mesh.kappa[e], mesh.barrier[e]
+
+
 @nb.njit(cache=True, parallel=True, error_model="numpy")
-def openings(x: Floats, tets: Ints, N: Floats, out: Floats) -> None:
+def jacobians(mesh: Elements, x: Floats, out: Floats) -> None:
     """Fill ``out`` (n,) with det F."""
-    for e in nb.prange(len(tets)):
-        out[e] = determinant(deformation_gradient(x, tets[e], N[e]))
+    for e in nb.prange(len(mesh.tets)):
+        out[e] = determinant(deformation_gradient(x, mesh.tets[e], mesh.N[e]))
 
 
 @nb.njit(cache=True, parallel=True, error_model="numpy")
-def least_opening(x: Floats, y: Floats, tets: Ints, N: Floats) -> float:
-    """Return the least det F(y) / det F(x), where a det F(x) beyond the barrier counts as its."""
+def min_jacobian_ratio(mesh: Elements, x: Floats, y: Floats) -> float:
+    """Return min J(y) / min(J(x), J0) over all elements, J0 being the barrier's start."""
     least = np.inf
-    for e in nb.prange(len(tets)):
-        before = min(determinant(deformation_gradient(x, tets[e], N[e])), BARRIER_START)
-        after = determinant(deformation_gradient(y, tets[e], N[e]))
+    for e in nb.prange(len(mesh.tets)):
+        before = min(determinant(deformation_gradient(x, mesh.tets[e], mesh.N[e])), BARRIER_START)
+        after = determinant(deformation_gradient(y, mesh.tets[e], mesh.N[e]))
         least = min(least, after / before)
     return least
 
 
 @nb.njit(cache=True, parallel=True, error_model="numpy")
-def energies(
-    x: Floats,
-    tets: Ints,
-    N: Floats,
-    volume: Floats,
-    a: Floats,
-    mu: Floats,
-    lam: Floats,
-    kappa: Floats,
-    stiffness: Floats,
-    law: int,
-    out: Floats,
-) -> None:
-    """Fill ``out`` (n,) with V psi; infinite where a tet is inverted."""
-    for e in nb.prange(len(tets)):
-        F = deformation_gradient(x, tets[e], N[e])
-        if law == COROTATED:
-            psi = density(F, activation(a[e]), mu[e], lam[e], kappa[e], stiffness[e])
-        else:
-            psi = neo_hookean.density(F, mu[e], lam[e], kappa[e], stiffness[e])
-        out[e] = volume[e] * psi
+def min_activated_volume(a: Floats) -> float:
+    """Return the least det A of activations ``a`` (n, 6)."""
+    least = np.inf
+    for e in nb.prange(len(a)):
+        least = min(least, symmetric_determinant(activation(a[e])))
+    return least
 
 
 @nb.njit(cache=True, parallel=True, error_model="numpy")
-def forces(
-    x: Floats,
-    tets: Ints,
-    N: Floats,
-    volume: Floats,
-    a: Floats,
-    mu: Floats,
-    lam: Floats,
-    kappa: Floats,
-    stiffness: Floats,
-    law: int,
-    out: Floats,
-) -> None:
+def energies(mesh: Elements, x: Floats, a: Floats, out: Floats) -> None:
+    """Fill ``out`` (n,) with V psi; infinite where a tet is inverted."""
+    for e in nb.prange(len(mesh.tets)):
+        F = deformation_gradient(x, mesh.tets[e], mesh.N[e])
+        psi = laws.density(mesh.law, F, activation(a[e]), moduli_of(mesh, e))
+        out[e] = mesh.volume[e] * psi
+
+
+@nb.njit(cache=True, parallel=True, error_model="numpy")
+def forces(mesh: Elements, x: Floats, a: Floats, out: Floats) -> None:
     """Fill ``out`` (n, 4, 3) with the energy's gradient by the four vertices."""
-    for e in nb.prange(len(tets)):
-        F = deformation_gradient(x, tets[e], N[e])
-        if law == COROTATED:
-            P = stress(F, activation(a[e]), mu[e], lam[e], kappa[e], stiffness[e])
-        else:
-            P = neo_hookean.stress(F, mu[e], lam[e], kappa[e], stiffness[e])
+    N = mesh.N
+    for e in nb.prange(len(mesh.tets)):
+        F = deformation_gradient(x, mesh.tets[e], N[e])
+        P = laws.stress(mesh.law, F, activation(a[e]), moduli_of(mesh, e))
         for i in range(3):
             total = 0.0
             for v in range(1, 4):
-                force = volume[e] * (
+                force = mesh.volume[e] * (
                     P[3 * i] * N[e, v, 0] + P[3 * i + 1] * N[e, v, 1] + P[3 * i + 2] * N[e, v, 2]
                 )
                 out[e, v, i] = force
@@ -137,43 +148,23 @@ def forces(
 
 
 @nb.njit(cache=True, parallel=True, error_model="numpy")
-def stiffness_blocks(
-    x: Floats,
-    tets: Ints,
-    N: Floats,
-    volume: Floats,
-    a: Floats,
-    mu: Floats,
-    lam: Floats,
-    kappa: Floats,
-    stiffness: Floats,
-    law: int,
-    project: float,
-    out: Floats,
-) -> None:
+def hessian_blocks(mesh: Elements, x: Floats, a: Floats, project: float, out: Floats) -> None:
     """Fill ``out`` (n, PAIRS, 3, 3) with the Hessian blocks of each pair of vertices.
 
     A mode W w^T of the Hessian by F contributes V (W grad N_u) (w grad N_v)^T; ``project`` says how
-    far the modes are projected (:func:`solver.mechanics.material.hessian_modes`).
+    far the modes are projected (:func:`solver.mechanics.laws.hessian_modes`).
     """
-    n = len(tets)
+    n, N = len(mesh.tets), mesh.N
     for chunk in nb.prange((n + CHUNK - 1) // CHUNK):
         left, right = np.empty((MODES, 9)), np.empty((MODES, 9))
         p, q = np.empty((MODES, 9)), np.empty((MODES, 9))
         K, work = np.empty((9, 9)), np.empty((5, 3, 3))
         for e in range(chunk * CHUNK, min(n, (chunk + 1) * CHUNK)):
-            F = deformation_gradient(x, tets[e], N[e])
-            if law == COROTATED:
-                A = activation(a[e])
-                isotropic = 2.0 * mu[e]
-                count, curvature = hessian_modes(
-                    F, A, mu[e], lam[e], kappa[e], stiffness[e], project, left, right, work
-                )
-            else:
-                count, isotropic, curvature = neo_hookean.hessian_modes(
-                    F, mu[e], lam[e], kappa[e], stiffness[e], project, left, right
-                )
-            V = volume[e]
+            F = deformation_gradient(x, mesh.tets[e], N[e])
+            count, B, H = laws.hessian_modes(
+                mesh.law, F, activation(a[e]), moduli_of(mesh, e), project, left, right, work
+            )
+            V = mesh.volume[e]
             for k in range(count):
                 for v in range(3):
                     n0, n1, n2 = N[e, v + 1, 0], N[e, v + 1, 1], N[e, v + 1, 2]
@@ -192,23 +183,26 @@ def stiffness_blocks(
                     scale = p[k, r]
                     for c in range(9):
                         K[r, c] += scale * q[k, c]
-            for u in range(3):
-                for v in range(u, 3):
-                    dot = N[e, u + 1, 0] * N[e, v + 1, 0] + N[e, u + 1, 1] * N[e, v + 1, 1]
-                    dot += N[e, u + 1, 2] * N[e, v + 1, 2]
+            for v in range(3):
+                n0, n1, n2 = V * N[e, v + 1, 0], V * N[e, v + 1, 1], V * N[e, v + 1, 2]
+                b0 = B[0] * n0 + B[1] * n1 + B[2] * n2
+                b1 = B[1] * n0 + B[3] * n1 + B[4] * n2
+                b2 = B[2] * n0 + B[4] * n1 + B[5] * n2
+                for u in range(v + 1):
+                    value = N[e, u + 1, 0] * b0 + N[e, u + 1, 1] * b1 + N[e, u + 1, 2] * b2
                     for i in range(3):
-                        K[3 * u + i, 3 * v + i] += isotropic * V * dot
-            if curvature != 0.0:
-                add_determinant_curvature(F, N[e], curvature * V, K)
+                        K[3 * u + i, 3 * v + i] += value
+            if dot(H, H) != 0.0:
+                add_cofactor_derivative(H, N[e], V, K)
             spread(K, out[e])
 
 
 @nb.njit(cache=True, error_model="numpy")
-def add_determinant_curvature(F: Matrix, N: Floats, scale: float, K: Floats) -> None:
+def add_cofactor_derivative(F: Matrix, N: Floats, scale: float, K: Floats) -> None:
     """Add scale d2(det F)/dx_u dx_v to the upper blocks of ``K`` (9, 9), vertices 1 to 3.
 
-    det F = f_0 . (f_1 x f_2) in its rows f_i, so d2/df_i df_j applied to (g_u, g_v) is
-    +-f_k . (g_u x g_v) for the remaining row k.
+    It is linear in F. det F = f_0 . (f_1 x f_2) in its rows f_i, so d2/df_i df_j applied to
+    (g_u, g_v) is +-f_k . (g_u x g_v) for the remaining row k.
     """
     for u in range(2):
         for v in range(u + 1, 3):
@@ -248,28 +242,20 @@ def spread(K: Floats, out: Floats) -> None:
 
 
 @nb.njit(cache=True, parallel=True, error_model="numpy")
-def forces_by_activation(
-    x: Floats,
-    tets: Ints,
-    N: Floats,
-    volume: Floats,
-    a: Floats,
-    mu: Floats,
-    kappa: Floats,
-    out: Floats,
-) -> None:
+def forces_by_activation(mesh: Elements, x: Floats, a: Floats, out: Floats) -> None:
     """Fill ``out`` (n, 4, 3, 6): the nodal forces' derivative by the tet's activation a."""
-    n = len(tets)
+    n, N = len(mesh.tets), mesh.N
     for chunk in nb.prange((n + CHUNK - 1) // CHUNK):
-        left, right, D = np.empty((3, 9)), np.empty((3, 9)), np.empty((6, 9))
+        left, right, D = np.empty((MODES, 9)), np.empty((MODES, 9)), np.empty((6, 9))
         for e in range(chunk * CHUNK, min(n, (chunk + 1) * CHUNK)):
-            F = deformation_gradient(x, tets[e], N[e])
-            stress_by_activation(F, activation(a[e]), mu[e], kappa[e], left, right, D)
+            F = deformation_gradient(x, mesh.tets[e], N[e])
+            A, moduli = activation(a[e]), moduli_of(mesh, e)
+            laws.stress_by_activation(mesh.law, F, A, moduli, left, right, D)
             for i in range(3):
                 for q in range(6):
                     total = 0.0
                     for v in range(1, 4):
-                        force = volume[e] * (
+                        force = mesh.volume[e] * (
                             D[q, 3 * i] * N[e, v, 0]
                             + D[q, 3 * i + 1] * N[e, v, 1]
                             + D[q, 3 * i + 2] * N[e, v, 2]

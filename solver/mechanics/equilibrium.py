@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from solver.errors import SolveError
 from solver.mechanics.flesh import Flesh
 from solver.mechanics.linear import Factor, LinearSolver, NotPositiveDefiniteError
-from solver.mechanics.material import BARRIER_START
+from solver.mechanics.materials.volumetric import BARRIER_START
 from solver.surface import Floats
 
 # Anderson's acceleration of corrections with an old stiffness.

@@ -8,33 +8,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, get_args
 
 import numpy as np
 import scipy.sparse as sp
 
-from solver.errors import InputError
-from solver.mechanics import elements, neo_hookean
+from solver.errors import InputError, SolveError
+from solver.mechanics import elements, laws
 from solver.mechanics.assembly import PAIRS, BlockSum, VertexSum, couple
+from solver.mechanics.elements import Elements
+from solver.mechanics.laws import Law
 from solver.mechanics.sliding import Planes, no_planes
 from solver.surface import Floats, Ints
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
 """The activation a_I of passive flesh: S(a_I) = I."""
 
-ALL = slice(None)
-
-
-Law = Literal["corotated", "neo_hookean"]
-
 
 @dataclass(frozen=True)
 class Material:
     """Parameters of the flesh's energy in stress units, and the ``law`` they belong to.
 
-    ``corotated`` is :mod:`solver.mechanics.material`, ``neo_hookean`` is
-    :mod:`solver.mechanics.neo_hookean`. At small strains both have Lame's constants ``mu`` and
-    ``lam + 2 kappa``.
+    A law is a module of :mod:`solver.mechanics.materials`. At small strains all have Lame's
+    constants ``mu`` and ``lam + 2 kappa``.
     """
 
     mu: float = 1.0
@@ -64,6 +59,10 @@ NEO_HOOKEAN = replace(COROTATED_DET, law="neo_hookean")
 """The stable Neo-Hookean flesh that is like Phace's at small strains."""
 
 
+class InvertedActivationError(InputError, SolveError):
+    """A tet is activated to no positive volume: to a fit, a step that went too far."""
+
+
 def shape_gradients(rest: Floats, tets: Ints) -> tuple[Floats, Floats]:
     """Return the linear shape functions' gradients (n, 4, 3) in 1/mm and rest volumes (n,) in mm^3.
 
@@ -84,6 +83,14 @@ def shape_gradients(rest: Floats, tets: Ints) -> tuple[Floats, Floats]:
     gradients[:, 1:] = inverse.transpose(0, 2, 1)
     gradients[:, 0] = -gradients[:, 1:].sum(axis=1)
     return gradients, volumes
+
+
+def symmetric_determinants(a: Floats) -> Floats:
+    """Return det S(a) of activations (n, 6)."""
+    xx, xy, xz, yy, yz, zz = a.T
+    return np.asarray(
+        xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    )
 
 
 class Flesh:
@@ -134,14 +141,17 @@ class Flesh:
         if growth is not None:
             # F F_p^-1 is linear in the vertices as F is
             self.gradients /= growth[:, None, None]
+        given = self.material
         factor = np.ones(len(self.tets)) if stiffness is None else stiffness
-        self.mu = self.material.mu * factor
-        self.lam = self.material.lam * factor
-        self.kappa = self.material.kappa * factor
-        self.barrier = self.material.barrier * factor
-        self._law = get_args(Law).index(self.material.law)
-        if self._law == elements.NEO_HOOKEAN:
-            self.mu, self.lam = neo_hookean.from_lame(self.mu, self.lam)
+        self.elements = Elements(
+            self.tets,
+            self.gradients,
+            self.volumes,
+            *laws.own_moduli(given.law, given.mu * factor, given.lam * factor),
+            given.kappa * factor,
+            given.barrier * factor,
+            laws.number(given.law),
+        )
         is_free = np.ones(len(self.rest), dtype=bool)
         is_free[held] = False
         self.free = np.flatnonzero(is_free)
@@ -157,10 +167,15 @@ class Flesh:
         return 3 * len(self.free)
 
     @cached_property
+    def free_coordinates(self) -> Ints:
+        """Return the places (size,) of the free coordinates among all (3 p,)."""
+        return np.asarray((3 * self.free[:, None] + np.arange(3)).ravel())
+
+    @cached_property
     def force_scale(self) -> float:
         """Return the size of the nodal forces at unit strain: what a residual is measured by."""
         steepness = np.linalg.norm(self.gradients, axis=(1, 2))
-        return float(np.linalg.norm(self.mu * self.volumes * steepness))
+        return float(np.linalg.norm(self.elements.mu * self.volumes * steepness))
 
     def passive(self) -> Floats:
         """Return the activations (n, 6) of a face at rest."""
@@ -175,16 +190,13 @@ class Flesh:
     def energy(self, x: Floats, a: Floats) -> float:
         """Return E(x, a); infinite if a tet is inverted."""
         out = np.empty(len(self.tets))
-        elements.energies(
-            *self._state(x, a, ALL, self.lam, self.kappa, self.barrier, self._law, out)
-        )
+        elements.energies(self.elements, np.ascontiguousarray(x), a, out)
         return float(out.sum()) + self.sliding.energy(x)
 
     def gradient(self, x: Floats, a: Floats) -> Floats:
         """Return dE/dx by the free coordinates, shape (size,)."""
-        elements.forces(
-            *self._state(x, a, ALL, self.lam, self.kappa, self.barrier, self._law, self._forces)
-        )
+        self._check_volume(a)
+        elements.forces(self.elements, np.ascontiguousarray(x), a, self._forces)
         gradient = self.scatter(self._forces)
         gradient[self._sliding_rows] += self.sliding.gradient(x)
         return gradient
@@ -198,19 +210,9 @@ class Flesh:
 
         Between 0 and 1 it mixes the two.
         """
-        elements.stiffness_blocks(
-            *self._state(
-                x,
-                a,
-                ALL,
-                self.lam,
-                self.kappa,
-                self.barrier,
-                self._law,
-                float(project),
-                self._blocks,
-            )
-        )
+        self._check_volume(a)
+        x = np.ascontiguousarray(x)
+        elements.hessian_blocks(self.elements, x, a, float(project), self._blocks)
         matrix = self._block_sum(self._blocks)
         matrix.data[self._sliding_entries] += self.sliding.hessian()
         return matrix
@@ -236,18 +238,9 @@ class Flesh:
         moving = np.abs(motion).max(axis=(1, 2)) > 0.0
         touched = np.flatnonzero(moving[self.tets].any(axis=1))
         blocks = np.empty((len(touched), PAIRS, 3, 3))
-        arguments = self._state(
-            x,
-            a,
-            touched,
-            self.lam[touched],
-            self.kappa[touched],
-            self.barrier[touched],
-            self._law,
-            0.0,
-            blocks,
-        )
-        elements.stiffness_blocks(*arguments)
+        self._check_volume(a)
+        some, x = self.elements.take(touched), np.ascontiguousarray(x)
+        elements.hessian_blocks(some, x, a[touched], 0.0, blocks)
         tets = self.tets[touched]
         out = np.zeros((len(self.free), 3, motion.shape[2]))
         couple(blocks, tets, self.free_numbers[tets], motion, out)
@@ -256,52 +249,34 @@ class Flesh:
     def forces_by_activation(self, x: Floats, a: Floats) -> Floats:
         """Return the derivative by each tet's activation of its forces, (n, 4, 3, 6).
 
-        A tet's forces are its gradient by its four vertices. Raises :class:`InputError`
-        (``material.law``) for flesh that is not corotated: nothing can be fitted with it.
+        A tet's forces are its gradient by its four vertices.
         """
-        if self._law != elements.COROTATED:
-            raise InputError(
-                "material.law",
-                f"activations are fitted with corotated flesh, not with {self.material.law}",
-            )
+        self._check_volume(a)
         out = np.empty((len(self.tets), 4, 3, 6))
-        elements.forces_by_activation(*self._state(x, a, ALL, self.kappa, out))
+        elements.forces_by_activation(self.elements, np.ascontiguousarray(x), a, out)
         return out
 
     def openings(self, x: Floats) -> Floats:
         """Return det F of every tet, (n,); where flesh has grown, that of F F_p^-1."""
         out = np.empty(len(self.tets))
-        elements.openings(np.ascontiguousarray(x), self.tets, self.gradients, out)
+        elements.jacobians(self.elements, np.ascontiguousarray(x), out)
         return out
 
     def narrowing(self, x: Floats, y: Floats) -> float:
         """Return the least det F(y) / det F(x) of all tets, det F(x) counting up to the barrier."""
-        return float(elements.least_opening(x, y, self.tets, self.gradients))
+        return float(elements.min_jacobian_ratio(self.elements, x, y))
 
     def inverted(self, x: Floats) -> int:
         """Return how many tets have det F <= 0."""
         return int((self.openings(x) <= 0.0).sum())
 
-    def _state(self, x: Floats, a: Floats, tets: Any, *rest: Any) -> Any:
-        """Return a kernel's arguments: those all kernels share, for some tets, and the ``rest``."""
-        gradients, volumes, a = self.gradients[tets], self.volumes[tets], a[tets]
-        if self._law == elements.NEO_HOOKEAN:
-            gradients, volumes = np.empty_like(gradients), np.empty_like(volumes)
-            neo_hookean.released(self.gradients[tets], self.volumes[tets], a, gradients, volumes)
-            if not volumes.min(initial=np.inf) > 0.0:
-                raise InputError(
-                    "material.activation",
-                    f"tet number {volumes.argmin()} is activated to no positive volume",
-                )
-        return (
-            np.ascontiguousarray(x),
-            self.tets[tets],
-            gradients,
-            volumes,
-            a,
-            self.mu[tets],
-            *rest,
-        )
+    def _check_volume(self, a: Floats) -> None:
+        """Raise where the law has no stress for an activation without volume."""
+        if laws.needs_volume(self.elements.law) and not elements.min_activated_volume(a) > 0.0:
+            wrong = int(np.argmin(symmetric_determinants(a)))
+            raise InvertedActivationError(
+                "material.activation", f"tet number {wrong} is activated to no positive volume"
+            )
 
     @cached_property
     def _vertex_sum(self) -> VertexSum:

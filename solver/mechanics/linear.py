@@ -39,6 +39,9 @@ class LinearSolver(Protocol):
     def factor(self, data: Floats) -> Factor:
         """Factorise the matrix with these CSR values; raises :class:`NotPositiveDefiniteError`."""
 
+    def factor_indefinite(self, data: Floats) -> Factor:
+        """Do so with eigenvalues of any sign but zero, which raises the same."""
+
 
 BLOCK = 32
 """Right-hand sides that rslab gets at once."""
@@ -67,14 +70,24 @@ class Rslab:
 
     def factor(self, data: Floats) -> Factor:
         """See :class:`LinearSolver`."""
-        try:
-            factor = self._analysis.factor(data[self._keep])
-        except RuntimeError as error:
-            raise NotPositiveDefiniteError(str(error)) from error
+        factor = self._factor(data)
         _, negative, zero = factor.inertia
         if negative or zero:
             raise NotPositiveDefiniteError(f"{negative} negative and {zero} zero pivots")
         return _RslabFactor(factor)
+
+    def factor_indefinite(self, data: Floats) -> Factor:
+        """See :class:`LinearSolver`."""
+        factor = self._factor(data)
+        if factor.inertia[2]:
+            raise NotPositiveDefiniteError(f"{factor.inertia[2]} zero pivots")
+        return _RslabFactor(factor)
+
+    def _factor(self, data: Floats) -> Any:
+        try:
+            return self._analysis.factor(data[self._keep])
+        except RuntimeError as error:
+            raise NotPositiveDefiniteError(str(error)) from error
 
 
 class RslabSingle(Rslab):
@@ -106,6 +119,9 @@ class _RslabFactor:
         return X
 
 
+PIVOT_THRESHOLD = 0.1  # SuperLU's own for symmetric patterns: smaller diagonals are not pivots
+
+
 class SuperLU:
     """SciPy's LU on a METIS order (BSD): always there, and the slowest."""
 
@@ -124,19 +140,26 @@ class SuperLU:
 
     def factor(self, data: Floats) -> Factor:
         """See :class:`LinearSolver`; unpivoted, U's diagonal has the signs of the inertia."""
+        lu = self._factor(data, 0.0)
+        if not (lu.U.diagonal() > 0.0).all():
+            raise NotPositiveDefiniteError("a pivot is not positive")
+        return _Permuted(lu.solve, self._order)
+
+    def factor_indefinite(self, data: Floats) -> Factor:
+        """See :class:`LinearSolver`."""
+        return _Permuted(self._factor(data, PIVOT_THRESHOLD).solve, self._order)
+
+    def _factor(self, data: Floats, threshold: float) -> Any:
         self._matrix.data = data[self._from]
         try:
-            lu = scipy.sparse.linalg.splu(
+            return scipy.sparse.linalg.splu(
                 self._matrix,
                 permc_spec="NATURAL",
-                diag_pivot_thresh=0.0,
+                diag_pivot_thresh=threshold,
                 options={"SymmetricMode": True},
             )
         except RuntimeError as error:
             raise NotPositiveDefiniteError(str(error)) from error
-        if not (lu.U.diagonal() > 0.0).all():
-            raise NotPositiveDefiniteError("a pivot is not positive")
-        return _Permuted(lu.solve, self._order)
 
 
 class _Permuted:
@@ -160,6 +183,7 @@ class Cholmod:
         self._spmatrix = cvxopt.spmatrix
         self._dense = cvxopt.matrix
         self._cholmod: Any = cvxopt.cholmod
+        self._pattern = pattern
         self._shape = pattern.shape
         self._keep, self._rows, indptr = _upper(pattern)
         self._columns = np.repeat(np.arange(pattern.shape[0]), np.diff(indptr))
@@ -176,6 +200,10 @@ class Cholmod:
         except ArithmeticError as error:
             raise NotPositiveDefiniteError(str(error)) from error
         return _CholmodFactor(self._cholmod, self._dense, analysis)
+
+    def factor_indefinite(self, data: Floats) -> Factor:
+        """See :class:`LinearSolver`; a Cholesky factor does not exist, so this is LU."""
+        return SuperLU(self._pattern).factor_indefinite(data)
 
 
 class _CholmodFactor:
@@ -286,10 +314,11 @@ class GrowingSolver:
         """Return the solver of matrices of the fixed pattern with ``extra`` (size, size) added."""
         return _Sum(self, extra)
 
-    def factor(self, data: Floats, extra: sp.csr_array) -> Factor:
+    def factor(self, data: Floats, extra: sp.csr_array, *, indefinite: bool = False) -> Factor:
         """Factorise the matrix with CSR values ``data`` plus the symmetric ``extra`` (size, size).
 
-        No entry of ``extra`` may be stored twice.
+        ``indefinite`` is for :meth:`LinearSolver.factor_indefinite`. No entry of ``extra`` may be
+        stored twice.
 
         Raises :class:`~solver.mechanics.linear.NotPositiveDefiniteError`.
         """
@@ -304,7 +333,7 @@ class GrowingSolver:
         values = np.zeros(len(self._known))
         values[places] = extra.data
         values[self._fixed_places] += data
-        return self._solver.factor(values)
+        return self._solver.factor_indefinite(values) if indefinite else self._solver.factor(values)
 
     def _places(self, keys: Ints) -> Ints | None:
         """Return where entries are in the analysed pattern, None if one of them is not."""
@@ -330,6 +359,9 @@ class _Sum:
 
     def factor(self, data: Floats) -> Factor:
         return self._solver.factor(data, self._extra)
+
+    def factor_indefinite(self, data: Floats) -> Factor:
+        return self._solver.factor(data, self._extra, indefinite=True)
 
 
 def _keys(matrix: sp.csr_array) -> Ints:

@@ -35,6 +35,23 @@ class Boundary:
         )
 
 
+@dataclass(frozen=True)
+class BoundaryRates:
+    """A boundary's derivatives by k controls: ``held`` (h, 3, k), ``jaw`` (5, k), ``objects``.
+
+    ``objects`` are (o, 3, k) each; without any entry no object moves.
+    """
+
+    held: Floats
+    jaw: Floats
+    objects: tuple[Floats, ...] = ()
+
+    @property
+    def count(self) -> int:
+        """Return k."""
+        return int(self.jaw.shape[1])
+
+
 class Potential(Protocol):
     """A part of the energy of vertices x (p, 3) in the head's frame: mm, energies in Pa mm^3."""
 
@@ -52,6 +69,12 @@ class Potential(Protocol):
 
     def hessian(self, x: Floats) -> sp.csr_array:
         """Return a positive semidefinite second derivative (3 p, 3 p)."""
+
+    def curvature(self, x: Floats) -> sp.csr_array:
+        """Return the second derivative (3 p, 3 p) as it is, indefinite or not."""
+
+    def by_boundary(self, x: Floats, rates: BoundaryRates) -> Floats:
+        """Return the gradient's derivative (p, 3, k) by jaw and objects, x staying where it is."""
 
     def pull(self, x: Floats, goal: Boundary) -> Floats:
         """Return how the gradient (p, 3) would change if the rigid parts moved to ``goal``."""

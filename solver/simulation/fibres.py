@@ -24,6 +24,8 @@ from solver.fitting.stretches import COLUMN, FROBENIUS, ROW
 from solver.mechanics import equilibrium
 from solver.mechanics.equilibrium import Equilibrium
 from solver.mechanics.flesh import IDENTITY
+from solver.mechanics.potential import BoundaryRates
+from solver.mechanics.response import Response, SparseControls
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
 
@@ -49,14 +51,21 @@ def fibre_activations(model: SubjectModel, S: sp.csr_array, gamma: Floats) -> Fl
 
 
 def activation_rates(
-    model: SubjectModel, S: sp.csr_array, muscle: int, gamma: float
-) -> tuple[Ints, Floats]:
-    """Return the tets (t,) that a muscle is in, and how (t, 6) they change with its ``gamma``."""
+    model: SubjectModel, S: sp.csr_array, gamma: Floats, count: int | None = None
+) -> sp.csr_array:
+    """Return the derivative (6 n, count) of :func:`fibre_activations`, each tet's entries in turn.
+
+    ``count`` columns, (m,) by default, are more where other controls follow the contractions.
+    """
     rows, columns = _entries(S)
-    own = np.flatnonzero(columns == muscle + 1)
-    along = _along(model, S)[own]
-    across = -0.5 * gamma**-1.5
-    return rows[own], S.data[own, None] * (along + across * (IDENTITY - along))
+    active = np.flatnonzero(columns > 0)
+    tets, muscles = rows[active], columns[active] - 1
+    along = _along(model, S)[active]
+    across = -0.5 * gamma[muscles, None] ** -1.5
+    rates = S.data[active, None] * (along + across * (IDENTITY - along))
+    places = 6 * tets[:, None] + np.arange(6), np.repeat(muscles[:, None], 6, axis=1)
+    shape = (6 * S.shape[0], count or len(gamma))
+    return sp.csr_array((rates.ravel(), tuple(map(np.ravel, places))), shape=shape)
 
 
 def nearest_fibre(model: SubjectModel, S: sp.csr_array, a: Floats) -> Floats:
@@ -159,19 +168,16 @@ class _Fit:
     def jacobian(self, theta: Floats, state: Equilibrium) -> Floats:
         """Return the derivative (3 k, m + 5) of the face's points by theta."""
         face, flesh, model = self._face, self._face.flesh, self._face.model
-        A = fibre_activations(model, face.S, theta[:-5])
-        by_activation = flesh.forces_by_activation(state.x, A)
-        loads = np.zeros((flesh.size, len(theta)))
-        for muscle in range(model.muscle_count):
-            tets, rates = activation_rates(model, face.S, muscle, float(theta[muscle]))
-            forces = np.zeros((len(model.tets), 4, 3))
-            forces[tets] = np.einsum("tvdk,tk->tvd", by_activation[tets], rates)
-            loads[:, muscle] = flesh.scatter(forces)
-        direct = face.mandible_jacobian(theta[-5:])
-        loads[:, -5:] = flesh.coupling(state.x, A, direct)
-        motion = np.zeros((len(model.rest), 3, len(theta)))
-        motion[:, :, -5:] = direct
-        motion[flesh.free] = -state.factor.solve(loads).reshape(-1, 3, len(theta))
+        gamma, by_jaw = theta[:-5], np.eye(5, len(theta), len(theta) - 5)
+        direct = face.mandible_jacobian(theta[-5:])[flesh.held] @ by_jaw
+        controls = SparseControls.of(
+            flesh,
+            state.x,
+            fibre_activations(model, face.S, gamma),
+            activation_rates(model, face.S, gamma, len(theta)),
+            BoundaryRates(direct, by_jaw),
+        )
+        motion = Response(flesh, state.factor).motions(controls)
         points = face.face_embedding @ motion.reshape(len(model.rest), -1)
         return np.asarray(points.reshape(-1, len(theta)))
 

@@ -19,7 +19,7 @@ from solver.contact.surface import (
     parted,
 )
 from solver.errors import InputError
-from solver.mechanics.potential import Boundary
+from solver.mechanics.potential import Boundary, BoundaryRates
 from solver.scene.objects import check_objects
 from solver.surface import Surface
 from tests.fixtures import fixture_model
@@ -63,6 +63,8 @@ def check_derivatives(barrier, x, step):
     curvature = barrier.hessian(x) @ step.ravel()
     # what is not convex has been left out
     assert step.ravel() @ curvature == pytest.approx(change, rel=0.1)
+    exact = barrier.curvature(x) @ step.ravel()
+    assert step.ravel() @ exact == pytest.approx(change, rel=1e-4)
 
 
 def test_derivatives_match_differences():
@@ -119,6 +121,11 @@ def test_an_object_pulls_before_it_arrives():
     assert np.abs(change).max() > 1e-4
     # what is not convex has been left out
     np.testing.assert_allclose(pull, change, atol=0.3 * np.abs(change).max())
+    place(barrier, x, glass.vertices)
+    rate = np.broadcast_to(np.array([0.0, -1e-5, 0.0])[:, None], (*glass.vertices.shape, 1))
+    rates = BoundaryRates(np.empty((0, 3, 1)), np.zeros((5, 1)), (rate,))
+    exact = barrier.by_boundary(x, rates)[:, :, 0]
+    np.testing.assert_allclose(exact, change, atol=1e-2 * np.abs(change).max())
 
 
 def test_objects_alone_leave_skin_to_itself():

@@ -6,7 +6,7 @@ import scipy.sparse as sp
 
 from solver.contact.one_sided import MARGIN_MM, Arch, Eyeball, OneSided, free_depths
 from solver.mechanics import jaw
-from solver.mechanics.potential import Boundary
+from solver.mechanics.potential import Boundary, BoundaryRates
 from solver.model import JawFrame
 from tests.solver.ball import ball
 from tests.solver.teeth import HEIGHT, RADIUS, fan, row_of_teeth
@@ -81,6 +81,8 @@ def check_derivatives(potential, x, b):
     assert curvature > 1.0
     # Gauss-Newton: without the field's own curvature
     assert curvature == pytest.approx(change, rel=0.3)
+    exact = step.ravel() @ (potential.curvature(x) @ step.ravel())
+    assert exact == pytest.approx(change, rel=1e-4)
     before = potential.gradient(x)
     goal = b + 1e-5 * np.array([1.0, 0.5, 2.0, 3.0, 30.0])
     pull = potential.pull(x, at(goal))
@@ -92,6 +94,20 @@ def check_derivatives(potential, x, b):
     else:
         assert np.abs(change).max() > 1e-4
         np.testing.assert_allclose(pull, change, atol=0.2 * np.abs(change).max())
+    rates = BoundaryRates(np.empty((0, 3, 5)), np.eye(5))
+    for k in range(5):
+        ends = []
+        for sign in (1, -1):
+            potential.place(at(goal + sign * 1e-5 * np.eye(5)[k]))
+            ends.append(potential.gradient(x))
+        expected = (ends[0] - ends[1]) / 2e-5
+        if potential._carried is not None:
+            assert np.abs(expected).max() > 1e-2
+        potential.place(at(goal))
+        scale = max(np.abs(expected).max(), 1.0)
+        np.testing.assert_allclose(
+            potential.by_boundary(x, rates)[:, :, k], expected, atol=1e-4 * scale
+        )
 
 
 def test_the_neutral_is_pushed_by_nothing():

@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
+from solver.anatomy.build import build_subject_model
 from solver.errors import InputError
 from solver.fitting import activation, objective, reference
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, SkinDistance, Target
+from solver.mechanics.flesh import NEO_HOOKEAN
+from tests.solver.ball import EDGE_MM, meshed_ball
 from tests.solver.block import block_model, poses
 
 CONVERGED = ActivationOptions(max_iterations=100, tolerance=1e-10)
@@ -32,6 +35,39 @@ def test_round_trip_finds_activations_and_jaw(face):
         assert error.max() < 1e-3
         np.testing.assert_allclose(fitted.state.pose.a, pose.a, atol=0.02)
         np.testing.assert_allclose(fitted.state.pose.b, pose.b, atol=0.02)
+
+
+def test_neo_hookean_flesh_is_fitted_too():
+    """Its activation is a shape to come to rest in: smile and jaw are found as with other laws."""
+    face = Face(block_model(), material=NEO_HOOKEAN)
+    pose = poses(1)[0]
+    target = target_of(face, pose)
+    moved = target.distances(face.face_points(face.model.rest))
+    weak = Regulariser(w_a=1e-9, w_v=0.0, w_b=1e-12, prior=face.rest_pose())
+    data = SkinDistance(face, target)
+    fitted = activation.fit(face, data, weak, face.rest_state(), CONVERGED)
+    assert moved.max() > 1.0
+    assert target.distances(face.face_points(fitted.state.x)).max() < 1e-3
+    np.testing.assert_allclose(fitted.state.pose.a, pose.a, atol=0.02)
+    np.testing.assert_allclose(fitted.state.pose.b, pose.b, atol=0.02)
+
+
+def test_an_expression_of_a_ball_is_fitted_with_neo_hookean_flesh():
+    """The target is moved skin, not what the flesh can do: it comes nearer and stays upright."""
+    model = build_subject_model(meshed_ball(), meshed_ball().skin.vertices, edge_mm=EDGE_MM)
+    face = Face(model, material=NEO_HOOKEAN)
+    points = face.face_points(model.rest)
+    away = points - [0.0, 10.0, 58.0]
+    raised = (
+        points + [0.0, 1.5, 0.0] * np.exp(-((np.linalg.norm(away, axis=1) / 20.0) ** 2))[:, None]
+    )
+    target = Target.from_points(raised)
+    data = SkinDistance(face, target)
+    options = Regulariser(w_a=1e-3, w_v=0.0, w_b=1e-4, prior=face.rest_pose())
+    fitted = activation.fit(face, data, options, face.rest_state())
+    before, after = (data.value(x) for x in (model.rest, fitted.state.x))
+    assert after < 0.7 * before
+    assert face.flesh.inverted(fitted.state.x) == 0
 
 
 def test_reduced_solver_agrees_with_ipopt(face):

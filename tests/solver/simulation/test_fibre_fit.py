@@ -26,15 +26,16 @@ def skin(face, gamma, jaw):
 
 def test_rates_are_those_of_the_activations(face):
     step = 1e-6
+    exact = activation_rates(face.model, face.model.weights, GAMMA).toarray()
     for muscle in (0, 1):
-        tets, rates = activation_rates(face.model, face.model.weights, muscle, GAMMA[muscle])
+        rates = exact[:, muscle].reshape(-1, 6)
         change = np.eye(2)[muscle] * step
         ends = [
             fibre_activations(face.model, face.model.weights, GAMMA + sign * change)
             for sign in (1, -1)
         ]
         expected = (ends[0] - ends[1]) / (2 * step)
-        np.testing.assert_allclose(rates, expected[tets], atol=1e-8)
+        np.testing.assert_allclose(rates, expected, atol=1e-8)
         assert np.abs(rates).max() > 0.1
 
 

@@ -11,8 +11,8 @@ The rotation must minimise the *whole* first term, R = polar(F A): with R = pola
 2 mu (F - R A) would not be the derivative of the energy.
 
 The Hessian by F is a multiple of the identity plus a handful of modes, so that neither a 9x9 nor a
-12x12 matrix is ever decomposed. F is a tuple of nine numbers by rows, A and its coordinates a the
-same tuple of six (see :mod:`solver.mechanics.polar`).
+12x12 matrix is ever decomposed. Matrices are tuples (:mod:`solver.mechanics.linalg3`); the
+functions are those that :mod:`solver.mechanics.laws` asks of a law.
 """
 
 from __future__ import annotations
@@ -21,104 +21,35 @@ import math
 
 import numba as nb
 
-from solver.mechanics.polar import Matrix, Symmetric, cofactor, dot, polar, signed_svd, stretch
+from solver.mechanics.linalg3 import (
+    SYM_COLUMN,
+    SYM_ROW,
+    Matrix,
+    Symmetric,
+    cofactor,
+    determinant,
+    dot,
+    multiply,
+    polar,
+    scaled,
+    signed_svd,
+    stretch,
+    symmetric_cofactor,
+    symmetric_determinant,
+    times,
+)
+from solver.mechanics.materials.volumetric import Moduli, volumetric
 from solver.surface import Floats
 
-SYM_ROW = (0, 0, 0, 1, 1, 2)
-SYM_COLUMN = (0, 1, 2, 1, 2, 2)
-"""Sym(3) in the order xx, xy, xz, yy, yz, zz."""
-
-MODES = 8
-"""Three twists of F A, three twists of F, its trace, and its determinant."""
-
-BARRIER_START = 0.35
-"""det F below which the barrier acts; no expression of a face needs more compression than that."""
-
 
 @nb.njit(cache=True, error_model="numpy")
-def barrier(J: float, stiffness: float) -> tuple[float, float, float]:
-    """Return beta(J) and its first two derivatives.
-
-    beta = -stiffness (J - J0)^2 ln(J / J0) below J0: the C2 clamped log barrier of incremental
-    potential contact (Li et al. 2020, eq. 6), with det F in the place of the distance.
-    """
-    if J >= BARRIER_START:
-        return 0.0, 0.0, 0.0
-    if J <= 0.0:
-        return math.inf, 0.0, 0.0
-    d = J - BARRIER_START
-    log = math.log(J / BARRIER_START)
-    value = -d * d * log
-    first = -2.0 * d * log - d * d / J
-    second = -2.0 * log - 4.0 * d / J + d * d / (J * J)
-    return stiffness * value, stiffness * first, stiffness * second
-
-
-@nb.njit(cache=True, error_model="numpy")
-def volumetric(
-    J: float, target: float, kappa: float, stiffness: float
-) -> tuple[float, float, float]:
-    """Return g(J) = kappa (J - target)^2 + beta(J) and its first two derivatives by J."""
-    value, first, second = barrier(J, stiffness)
-    d = J - target
-    return value + kappa * d * d, first + 2.0 * kappa * d, second + 2.0 * kappa
-
-
-@nb.njit(cache=True, error_model="numpy")
-def determinant(F: Matrix) -> float:
-    """Return det F."""
-    a, b, c, d, e, f, g, h, i = F
-    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-
-
-@nb.njit(cache=True, error_model="numpy")
-def symmetric_cofactor(A: Symmetric) -> Symmetric:
-    """Return d(det A)/dA as a symmetric matrix."""
-    xx, xy, xz, yy, yz, zz = A
-    return (
-        yy * zz - yz * yz,
-        xz * yz - xy * zz,
-        xy * yz - xz * yy,
-        xx * zz - xz * xz,
-        xy * xz - xx * yz,
-        xx * yy - xy * xy,
-    )
-
-
-@nb.njit(cache=True, error_model="numpy")
-def symmetric_determinant(A: Symmetric) -> float:
-    """Return det A."""
-    C = symmetric_cofactor(A)
-    return A[0] * C[0] + A[1] * C[1] + A[2] * C[2]
-
-
-@nb.njit(cache=True, error_model="numpy")
-def times(F: Matrix, A: Symmetric) -> Matrix:
-    """Return F A."""
-    a, b, c, d, e, f, g, h, i = F
-    xx, xy, xz, yy, yz, zz = A
-    return (
-        a * xx + b * xy + c * xz,
-        a * xy + b * yy + c * yz,
-        a * xz + b * yz + c * zz,
-        d * xx + e * xy + f * xz,
-        d * xy + e * yy + f * yz,
-        d * xz + e * yz + f * zz,
-        g * xx + h * xy + i * xz,
-        g * xy + h * yy + i * yz,
-        g * xz + h * yz + i * zz,
-    )
-
-
-@nb.njit(cache=True, error_model="numpy")
-def density(
-    F: Matrix, A: Symmetric, mu: float, lam: float, kappa: float, stiffness: float
-) -> float:
-    """Return psi(F, A)."""
+def density(F: Matrix, A: Symmetric, moduli: Moduli) -> float:
+    """Return psi(F, A); infinite where det F <= 0."""
+    mu, lam, kappa, barrier = moduli
     J = determinant(F)
     if J <= 0.0:
         return math.inf
-    value, _, _ = volumetric(J, symmetric_determinant(A), kappa, stiffness)
+    value, _, _ = volumetric(J, symmetric_determinant(A), kappa, barrier)
     squares = dot(F, F) + A[0] * A[0] + A[3] * A[3] + A[5] * A[5]
     squares += 2.0 * (A[1] * A[1] + A[2] * A[2] + A[4] * A[4])
     trace = stretch(F) - 3.0
@@ -126,15 +57,14 @@ def density(
 
 
 @nb.njit(cache=True, error_model="numpy")
-def stress(
-    F: Matrix, A: Symmetric, mu: float, lam: float, kappa: float, stiffness: float
-) -> Matrix:
+def stress(F: Matrix, A: Symmetric, moduli: Moduli) -> Matrix:
     """Return d psi/dF, the first Piola-Kirchhoff stress."""
+    mu, lam, kappa, barrier = moduli
     _, R, _ = polar(times(F, A))
     B = times(R, A)
     t, Q, _ = polar(F)
     C = cofactor(F)
-    _, first, _ = volumetric(determinant(F), symmetric_determinant(A), kappa, stiffness)
+    _, first, _ = volumetric(determinant(F), symmetric_determinant(A), kappa, barrier)
     m, k = 2.0 * mu, lam * (t - 3.0)
     return (
         m * (F[0] - B[0]) + k * Q[0] + first * C[0],
@@ -149,26 +79,21 @@ def stress(
     )
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def hessian_modes(
     F: Matrix,
     A: Symmetric,
-    mu: float,
-    lam: float,
-    kappa: float,
-    stiffness: float,
+    moduli: Moduli,
     project: float,
     left: Floats,
     right: Floats,
     work: Floats,
-) -> tuple[int, float]:
-    """Write the modes of d2 psi/dF2 = 2 mu I + sum_k left_k right_k^T + g' d2(det F)/dF2.
+) -> tuple[int, Symmetric, Matrix]:
+    """Write the modes of d2 psi/dF2: see :func:`solver.mechanics.laws.hessian_modes`.
 
-    ``left`` and ``right`` (MODES, 9) are filled; their sum is symmetric. Returned are the number of
-    modes and g', the factor of the determinant's curvature. ``project`` goes from 0, the Hessian
-    itself, to 1, where each term is projected by itself and the sum positive semi-definite, without
-    the determinant's curvature. ``work`` (5, 3, 3) is scratch.
+    They are three twists of F A, three twists of F, its trace and its determinant.
     """
+    mu, lam, kappa, barrier = moduli
     keep = 1.0 - project
     _, R, Y = polar(times(F, A))
     if project > 0.0:
@@ -193,11 +118,12 @@ def hessian_modes(
     if lam > 0.0:
         _single(Q, lam, left, right, count)
         count += 1
-    _, first, second = volumetric(determinant(F), symmetric_determinant(A), kappa, stiffness)
+    _, first, second = volumetric(determinant(F), symmetric_determinant(A), kappa, barrier)
     if second != 0.0:
         _single(cofactor(F), second, left, right, count)
         count += 1
-    return count, keep * first
+    g, metric = keep * first, (2.0 * mu, 0.0, 0.0, 2.0 * mu, 0.0, 2.0 * mu)
+    return count, metric, scaled(g, F)
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -279,24 +205,17 @@ def _clamped(Y: Symmetric, A: Symmetric, work: Floats) -> Symmetric:
     )
 
 
-@nb.njit(cache=True, error_model="numpy")
-def multiply(X: Floats, Y: Floats, out: Floats) -> None:
-    """Write X Y, all (3, 3), into ``out``."""
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = X[i, 0] * Y[0, j] + X[i, 1] * Y[1, j] + X[i, 2] * Y[2, j]
-
-
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def stress_by_activation(
-    F: Matrix, A: Symmetric, mu: float, kappa: float, left: Floats, right: Floats, out: Floats
+    F: Matrix, A: Symmetric, moduli: Moduli, left: Floats, right: Floats, out: Floats
 ) -> None:
     """Write d(stress)/da, shape (6, 9): the stress's change by each entry of a in S(a).
 
     The stress 2 mu (F - R A) + 2 kappa (det F - det A) cof F + ... changes by
     d(R A) = R dA + R [w]x A, Y w = axl(D dA - dA D^T), D = R^T F, and by d(det A) = <cof A, dA>.
-    ``left`` and ``right`` (3, 9) are scratch.
+    ``left`` and ``right`` are scratch.
     """
+    mu, kappa = moduli[0], moduli[2]
     _, R, Y = polar(times(F, A))
     _twists(R, A, Y, 1.0, left, right, 0)
     c0 = _rotated_back(R, F[0], F[3], F[6])

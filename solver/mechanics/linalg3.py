@@ -1,7 +1,7 @@
-"""Polar decomposition G = R P of 3x3 matrices for kernels, without singular vectors.
+"""Algebra of 3x3 matrices for kernels: cofactors, singular values, polar decomposition G = R P.
 
-The sum t = s1 + s2 + s3 of the singular values (the smallest with the sign of det G) is the largest
-root of
+The polar decomposition needs no singular vectors. The sum t = s1 + s2 + s3 of the singular values
+(the smallest with the sign of det G) is the largest root of
 
     (t^2 - I)^2 - 4 II - 8 J t = 0,   I = |G|^2, II = |cof G|^2, J = det G,
 
@@ -30,10 +30,8 @@ from solver.surface import Floats
 # so that U V^T is the rotation nearest to G also for inverted elements.
 
 
-SWEEPS = 12
-"""One-sided Jacobi converges quadratically: five sweeps are usual, twelve never reached."""
-
-PAIRS = ((0, 1), (0, 2), (1, 2))
+SWEEPS = 12  # Jacobi converges quadratically: five are usual, twelve never reached
+PAIRS = ((0, 1), (0, 2), (1, 2))  # of columns that one sweep turns
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -89,15 +87,13 @@ def signed_svd(G: Floats, U: Floats, s: Floats, V: Floats) -> None:
 Matrix = tuple[float, float, float, float, float, float, float, float, float]
 Symmetric = tuple[float, float, float, float, float, float]
 
-STEPS = 30
-CONVERGED = 1e-9
-"""Last relative Newton step; the error left is of the order of its square."""
+SYM_ROW = (0, 0, 0, 1, 1, 2)  # Sym(3) in the order xx, xy, xz, yy, yz, zz
+SYM_COLUMN = (0, 1, 2, 1, 2, 2)
 
-CONDITION = 1e-2
-"""det Y / (t^3 / 8) below which rounding in R exceeds about 1e-12: singular vectors take over."""
-
-LEAST_SUM = 1e-8
-"""Where two singular values cancel, the rotation turns by 1 / (s_i + s_j): no faster than this."""
+STEPS = 30  # of Newton for t: two to four are usual
+CONVERGED = 1e-9  # last relative step: the error left is of the order of its square
+CONDITION = 1e-2  # det Y / (t^3 / 8) below which R is off by 1e-12: singular vectors take over
+LEAST_SUM = 1e-8  # of two singular values: R turns by 1 / (s_i + s_j), no faster than this
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -125,6 +121,112 @@ def dot(X: Matrix, Y: Matrix) -> float:
         + (X[3] * Y[3] + X[4] * Y[4] + X[5] * Y[5])
         + (X[6] * Y[6] + X[7] * Y[7] + X[8] * Y[8])
     )
+
+
+@nb.njit(cache=True, error_model="numpy")
+def determinant(F: Matrix) -> float:
+    """Return det F."""
+    a, b, c, d, e, f, g, h, i = F
+    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def symmetric_cofactor(A: Symmetric) -> Symmetric:
+    """Return d(det A)/dA as a symmetric matrix."""
+    xx, xy, xz, yy, yz, zz = A
+    return (
+        yy * zz - yz * yz,
+        xz * yz - xy * zz,
+        xy * yz - xz * yy,
+        xx * zz - xz * xz,
+        xy * xz - xx * yz,
+        xx * yy - xy * xy,
+    )
+
+
+@nb.njit(cache=True, error_model="numpy")
+def symmetric_determinant(A: Symmetric) -> float:
+    """Return det A."""
+    C = symmetric_cofactor(A)
+    return A[0] * C[0] + A[1] * C[1] + A[2] * C[2]
+
+
+@nb.njit(cache=True, error_model="numpy")
+def times(F: Matrix, A: Symmetric) -> Matrix:
+    """Return F A."""
+    a, b, c, d, e, f, g, h, i = F
+    xx, xy, xz, yy, yz, zz = A
+    return (
+        a * xx + b * xy + c * xz,
+        a * xy + b * yy + c * yz,
+        a * xz + b * yz + c * zz,
+        d * xx + e * xy + f * xz,
+        d * xy + e * yy + f * yz,
+        d * xz + e * yz + f * zz,
+        g * xx + h * xy + i * xz,
+        g * xy + h * yy + i * yz,
+        g * xz + h * yz + i * zz,
+    )
+
+
+@nb.njit(cache=True, error_model="numpy")
+def product(X: Matrix, Y: Matrix) -> Matrix:
+    """Return X Y."""
+    return (
+        X[0] * Y[0] + X[1] * Y[3] + X[2] * Y[6],
+        X[0] * Y[1] + X[1] * Y[4] + X[2] * Y[7],
+        X[0] * Y[2] + X[1] * Y[5] + X[2] * Y[8],
+        X[3] * Y[0] + X[4] * Y[3] + X[5] * Y[6],
+        X[3] * Y[1] + X[4] * Y[4] + X[5] * Y[7],
+        X[3] * Y[2] + X[4] * Y[5] + X[5] * Y[8],
+        X[6] * Y[0] + X[7] * Y[3] + X[8] * Y[6],
+        X[6] * Y[1] + X[7] * Y[4] + X[8] * Y[7],
+        X[6] * Y[2] + X[7] * Y[5] + X[8] * Y[8],
+    )
+
+
+@nb.njit(cache=True, error_model="numpy")
+def scaled(s: float, X: Matrix) -> Matrix:
+    """Return s X."""
+    return (
+        s * X[0],
+        s * X[1],
+        s * X[2],
+        s * X[3],
+        s * X[4],
+        s * X[5],
+        s * X[6],
+        s * X[7],
+        s * X[8],
+    )
+
+
+@nb.njit(cache=True, error_model="numpy")
+def full(A: Symmetric) -> Matrix:
+    """Return A with all its nine entries."""
+    return A[0], A[1], A[2], A[1], A[3], A[4], A[2], A[4], A[5]
+
+
+@nb.njit(cache=True, error_model="numpy")
+def squared(A: Symmetric) -> Symmetric:
+    """Return A A."""
+    a, b, c, d, e, f = A
+    return (
+        a * a + b * b + c * c,
+        a * b + b * d + c * e,
+        a * c + b * e + c * f,
+        b * b + d * d + e * e,
+        b * c + d * e + e * f,
+        c * c + e * e + f * f,
+    )
+
+
+@nb.njit(cache=True, error_model="numpy")
+def multiply(X: Floats, Y: Floats, out: Floats) -> None:
+    """Write X Y, all (3, 3), into ``out``."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = X[i, 0] * Y[0, j] + X[i, 1] * Y[1, j] + X[i, 2] * Y[2, j]
 
 
 @nb.njit(cache=True, error_model="numpy")

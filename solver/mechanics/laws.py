@@ -1,0 +1,93 @@
+"""The law of a flesh as a number that kernels branch on: one branch a law in each function.
+
+A law is a module of :mod:`solver.mechanics.materials` with the four functions that are asked for
+here, so that whatever can be simulated can be fitted too. All are of one tet: F and A are tuples
+(:mod:`solver.mechanics.linalg3`), the moduli mu, lambda, kappa and the barrier's weight. A number
+and a switch are cached on disk, which functions that are passed as arguments never are.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import numba as nb
+
+from solver.mechanics.linalg3 import Matrix, Symmetric
+from solver.mechanics.materials import corotated, neo_hookean
+from solver.mechanics.materials.volumetric import Moduli
+from solver.surface import Floats
+
+Law = Literal["corotated", "neo_hookean"]
+
+COROTATED, NEO_HOOKEAN = 0, 1  # places in Law
+
+MODES = 12  # a law's Hessian has no more
+
+
+def number(law: Law) -> int:
+    """Return the number of a law."""
+    return get_args(Law).index(law)
+
+
+def own_moduli(law: Law, mu: Floats, lam: Floats) -> tuple[Floats, Floats]:
+    """Return a law's own mu and lambda (n,) for Lame's constants at small strain."""
+    return neo_hookean.from_lame(mu, lam) if law == "neo_hookean" else (mu, lam)
+
+
+def needs_volume(law: int) -> bool:
+    """Tell whether the law is undefined for activations with det A <= 0."""
+    return law == NEO_HOOKEAN
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def density(law: int, F: Matrix, A: Symmetric, moduli: Moduli) -> float:
+    """Return psi(F, A), infinite where the tet is inverted."""
+    if law == COROTATED:
+        return corotated.density(F, A, moduli)
+    return neo_hookean.density(F, A, moduli)
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def stress(law: int, F: Matrix, A: Symmetric, moduli: Moduli) -> Matrix:
+    """Return d psi/dF, the first Piola-Kirchhoff stress."""
+    if law == COROTATED:
+        return corotated.stress(F, A, moduli)
+    return neo_hookean.stress(F, A, moduli)
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def hessian_modes(
+    law: int,
+    F: Matrix,
+    A: Symmetric,
+    moduli: Moduli,
+    project: float,
+    left: Floats,
+    right: Floats,
+    work: Floats,
+) -> tuple[int, Symmetric, Matrix]:
+    """Write the modes of d2 psi/dF2 = I (x) B + sum_k left_k right_k^T + d(cof F)/dF [H].
+
+    ``left`` and ``right`` (MODES, 9) are filled; their sum is symmetric. Returned are the number of
+    modes, B, for <dF, dF B>, and H, for the cofactor's derivative with H in the place of F (a law
+    of det F alone has H = g F). ``project`` goes from 0, the Hessian itself, to 1, where each part
+    is projected by itself, the sum is positive semi-definite and H is zero.
+    ``work`` (5, 3, 3) is scratch.
+    """
+    if law == COROTATED:
+        return corotated.hessian_modes(F, A, moduli, project, left, right, work)
+    return neo_hookean.hessian_modes(F, A, moduli, project, left, right, work)
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def stress_by_activation(
+    law: int, F: Matrix, A: Symmetric, moduli: Moduli, left: Floats, right: Floats, out: Floats
+) -> None:
+    """Write d(stress)/da, shape (6, 9): the stress's change by each entry of a in A = S(a).
+
+    ``left`` and ``right`` (MODES, 9) are scratch.
+    """
+    if law == COROTATED:
+        corotated.stress_by_activation(F, A, moduli, left, right, out)
+    else:
+        neo_hookean.stress_by_activation(F, A, moduli, left, right, out)

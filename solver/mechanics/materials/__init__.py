@@ -1,0 +1,1 @@
+"""The laws of flesh: one module each, of one tetrahedron."""

@@ -1,0 +1,207 @@
+"""Stable Neo-Hookean flesh of one tetrahedron (Smith, De Goes, Kim 2018).
+
+    psi(F, A) = det A w(G),   G = F A^-1
+    w(G) = mu/2 (I_C - 3) - mu/2 ln((I_C + 1) / 4) + lambda/2 ((J - alpha)^2 - (1 - alpha)^2)
+           + kappa (J - 1)^2 + beta(J),   I_C = |G|^2, J = det G, alpha = 1 + 3 mu / (4 lambda)
+
+No rotation is factored out, so that it is smooth everywhere, and alpha leaves it without stress at
+G = I. G is what is elastic in F: an activation is a shape to come to rest in, like growth, and has
+to have a volume. mu and lambda are not Lame's: see :func:`from_lame`. beta is the barrier of
+:mod:`solver.mechanics.materials.volumetric`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba as nb
+
+from solver.mechanics.linalg3 import (
+    Matrix,
+    Symmetric,
+    cofactor,
+    determinant,
+    dot,
+    full,
+    product,
+    scaled,
+    squared,
+    symmetric_cofactor,
+    symmetric_determinant,
+    times,
+)
+from solver.mechanics.materials.volumetric import Moduli, volumetric
+from solver.surface import Floats
+
+
+def from_lame(mu: Floats, lam: Floats) -> tuple[Floats, Floats]:
+    """Return the law's own mu and lambda: at small strain it has these of Lame (their eq. 48)."""
+    return 4.0 / 3.0 * mu, lam + 5.0 / 6.0 * mu
+
+
+@nb.njit(cache=True, error_model="numpy")
+def density(F: Matrix, A: Symmetric, moduli: Moduli) -> float:
+    """Return psi(F, A); infinite where det F <= 0 or det A <= 0."""
+    mu, lam, kappa, barrier = moduli
+    volume = symmetric_determinant(A)
+    if volume <= 0.0:
+        return math.inf
+    G = _elastic(F, A, volume)
+    J = determinant(G)
+    if J <= 0.0:
+        return math.inf
+    value, _, _ = volumetric(J, 1.0, kappa, barrier)
+    # lambda/2 ((J - alpha)^2 - (1 - alpha)^2), alpha put in: lambda need not be apart from zero
+    value += 0.5 * (J - 1.0) * (lam * (J - 1.0) - 1.5 * mu)
+    squares = dot(G, G)
+    return volume * (value + 0.5 * mu * (squares - 3.0 - math.log(0.25 * (squares + 1.0))))
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def stress(F: Matrix, A: Symmetric, moduli: Moduli) -> Matrix:
+    """Return d psi/dF = w'(G) cof A."""
+    P, _, _ = _elastic_stress(_elastic(F, A, symmetric_determinant(A)), moduli)
+    return times(P, symmetric_cofactor(A))
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def hessian_modes(
+    F: Matrix,
+    A: Symmetric,
+    moduli: Moduli,
+    project: float,
+    left: Floats,
+    right: Floats,
+    work: Floats,  # noqa: ARG001 - of laws that decompose
+) -> tuple[int, Symmetric, Matrix]:
+    """Write the modes of d2 psi/dF2: see :func:`solver.mechanics.laws.hessian_modes`.
+
+    All but the determinant's curvature is positive semi-definite, so that ``project`` takes that.
+    """
+    mu = moduli[0]
+    volume = symmetric_determinant(A)
+    G = _elastic(F, A, volume)
+    _, first, second = _elastic_stress(G, moduli)
+    inverse = _inverse(A, volume)
+    shrunk = 1.0 / (dot(G, G) + 1.0)
+    W, C = times(G, inverse), times(cofactor(G), inverse)
+    for entry in range(9):
+        right[0, entry] = W[entry]
+        left[0, entry] = volume * 2.0 * mu * shrunk * shrunk * W[entry]
+        right[1, entry] = C[entry]
+        left[1, entry] = volume * second * C[entry]
+    m, g = volume * mu * (1.0 - shrunk), (1.0 - project) * first
+    B = squared(inverse)
+    metric = (m * B[0], m * B[1], m * B[2], m * B[3], m * B[4], m * B[5])
+    return 2, metric, scaled(g, F)
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def stress_by_activation(
+    F: Matrix,
+    A: Symmetric,
+    moduli: Moduli,
+    left: Floats,  # noqa: ARG001 - of laws that need more room
+    right: Floats,  # noqa: ARG001
+    out: Floats,
+) -> None:
+    """Write d(stress)/da, shape (6, 9).
+
+    The stress P cof A, P = w'(G), changes by dP[dG] cof A + P d(cof A), where dG = -G dA A^-1,
+    d(cof A) = <cof A, dA> A^-1 - cof A dA A^-1, and
+
+        dP[D] = m D + 2 mu <G, D> / (I_C + 1)^2 G + w_JJ <cof G, D> cof G + w_J d(cof G)[D].
+    """
+    mu = moduli[0]
+    volume = symmetric_determinant(A)
+    inverse, C = _inverse(A, volume), symmetric_cofactor(A)
+    G = _elastic(F, A, volume)
+    P, first, second = _elastic_stress(G, moduli)
+    K = cofactor(G)
+    shrunk = 1.0 / (dot(G, G) + 1.0)
+    m, s = mu * (1.0 - shrunk), 2.0 * mu * shrunk * shrunk
+    for column in range(6):
+        dA = full(
+            (
+                1.0 if column == 0 else 0.0,
+                1.0 if column == 1 else 0.0,
+                1.0 if column == 2 else 0.0,
+                1.0 if column == 3 else 0.0,
+                1.0 if column == 4 else 0.0,
+                1.0 if column == 5 else 0.0,
+            )
+        )
+        turned = times(dA, inverse)
+        D = product(G, turned)
+        # d(cof G)[G dA A^-1]: the cofactor is quadratic
+        L = cofactor(_sum(G, D))
+        M = cofactor(D)
+        a, b = -s * dot(G, D), -second * dot(K, D)
+        dP = (
+            a * G[0] + b * K[0] - m * D[0] - first * (L[0] - K[0] - M[0]),
+            a * G[1] + b * K[1] - m * D[1] - first * (L[1] - K[1] - M[1]),
+            a * G[2] + b * K[2] - m * D[2] - first * (L[2] - K[2] - M[2]),
+            a * G[3] + b * K[3] - m * D[3] - first * (L[3] - K[3] - M[3]),
+            a * G[4] + b * K[4] - m * D[4] - first * (L[4] - K[4] - M[4]),
+            a * G[5] + b * K[5] - m * D[5] - first * (L[5] - K[5] - M[5]),
+            a * G[6] + b * K[6] - m * D[6] - first * (L[6] - K[6] - M[6]),
+            a * G[7] + b * K[7] - m * D[7] - first * (L[7] - K[7] - M[7]),
+            a * G[8] + b * K[8] - m * D[8] - first * (L[8] - K[8] - M[8]),
+        )
+        whole = dot(full(C), dA)
+        by_pressure, by_shape = times(P, inverse), product(times(P, C), turned)
+        change = times(dP, C)
+        for k in range(9):
+            out[column, k] = change[k] + whole * by_pressure[k] - by_shape[k]
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def _elastic_stress(G: Matrix, moduli: Moduli) -> tuple[Matrix, float, float]:
+    """Return w'(G), and the first and second derivative of w by J alone."""
+    mu, lam, kappa, barrier = moduli
+    J = determinant(G)
+    _, first, second = volumetric(J, 1.0, kappa, barrier)
+    first += lam * (J - 1.0) - 0.75 * mu
+    C = cofactor(G)
+    m = mu * (1.0 - 1.0 / (dot(G, G) + 1.0))
+    P = (
+        m * G[0] + first * C[0],
+        m * G[1] + first * C[1],
+        m * G[2] + first * C[2],
+        m * G[3] + first * C[3],
+        m * G[4] + first * C[4],
+        m * G[5] + first * C[5],
+        m * G[6] + first * C[6],
+        m * G[7] + first * C[7],
+        m * G[8] + first * C[8],
+    )
+    return P, first, second + lam
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _elastic(F: Matrix, A: Symmetric, volume: float) -> Matrix:
+    """Return G = F A^-1."""
+    return times(F, _inverse(A, volume))
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _inverse(A: Symmetric, volume: float) -> Symmetric:
+    """Return A^-1; ``volume`` is det A."""
+    C = symmetric_cofactor(A)
+    v = 1.0 / volume
+    return v * C[0], v * C[1], v * C[2], v * C[3], v * C[4], v * C[5]
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _sum(X: Matrix, Y: Matrix) -> Matrix:
+    return (
+        X[0] + Y[0],
+        X[1] + Y[1],
+        X[2] + Y[2],
+        X[3] + Y[3],
+        X[4] + Y[4],
+        X[5] + Y[5],
+        X[6] + Y[6],
+        X[7] + Y[7],
+        X[8] + Y[8],
+    )

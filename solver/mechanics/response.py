@@ -1,0 +1,191 @@
+"""The equilibrium's answer to what drives it: dx/dq as columns, products and adjoint products.
+
+grad_x E(x; q) = 0 makes the free vertices an implicit function of controls q (k,): activations, the
+jaw, a muscle's weights, objects. With H the exact Hessian and G = d(grad E)/dq, both by the free
+coordinates,
+
+    dx_free/dq = -H^-1 G,    (dx/dq)^T g = -G^T H^-1 g_free + (dx_held/dq)^T g_held,
+
+where the held vertices move as q says. One factorisation serves them all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse as sp
+
+from solver.mechanics.flesh import Flesh
+from solver.mechanics.linear import (
+    Factor,
+    GrowingSolver,
+    LinearSolver,
+    NotPositiveDefiniteError,
+)
+from solver.mechanics.potential import BoundaryRates, Potential
+from solver.surface import Floats, Ints
+
+
+class Controls(Protocol):
+    """Controls q (k,) of a flesh at one state x: the linear map G and the held vertices' motion."""
+
+    @property
+    def held(self) -> sp.csr_array:
+        """Return dx_held/dq as (3 p, k): zero rows for free coordinates."""
+
+    def columns(self) -> Floats:
+        """Return G (size, k) in memory order of columns; the caller may overwrite it."""
+
+    def product(self, change: Floats) -> Floats:
+        """Return G dq (size,) for dq (k,)."""
+
+    def adjoint(self, motion: Floats) -> Floats:
+        """Return G^T y (k,) for y (size,)."""
+
+
+@dataclass(frozen=True)
+class SparseControls:
+    """:class:`Controls` with G as a matrix: ``forces`` (size, k) CSC and ``held`` (3 p, k) CSR."""
+
+    forces: sp.csc_array
+    held: sp.csr_array
+
+    @classmethod
+    def of(
+        cls,
+        flesh: Flesh,
+        x: Floats,
+        a: Floats,
+        activations: sp.csr_array,
+        boundary: BoundaryRates | None = None,
+        potentials: Sequence[Potential] = (),
+    ) -> SparseControls:
+        """Differentiate the forces on a flesh at x (p, 3) with activations ``a`` (n, 6).
+
+        ``activations`` (6 n, k) is da/dq, each tet's six entries in turn; ``boundary`` is how held
+        vertices, jaw and objects move, None if they do not; ``potentials`` is what there is beside
+        the flesh, each placed where x is.
+        """
+        count = activations.shape[1]
+        by_tet = flesh.forces_by_activation(x, a).transpose(0, 3, 1, 2).reshape(-1, 4, 3)
+        numbers = np.repeat(flesh.free_numbers[flesh.tets], 6, axis=0)
+        forces = force_columns(by_tet, numbers, flesh.size) @ activations
+        held = sp.csr_array((flesh.rest.size, count))
+        if boundary is not None:
+            motion = np.zeros((len(flesh.rest), 3, count))
+            motion[flesh.held] = boundary.held
+            flat = motion.reshape(-1, count)
+            rigid = np.zeros_like(flat)
+            for each in potentials:
+                rigid += each.curvature(x) @ flat
+                rigid += each.by_boundary(x, boundary).reshape(-1, count)
+            pull = flesh.coupling(x, a, motion) + rigid[flesh.free_coordinates]
+            forces = forces + sp.csc_array(pull)
+            held = sp.csr_array(flat)
+        return cls(sp.csc_array(forces), held)
+
+    def columns(self) -> Floats:
+        """See :class:`Controls`."""
+        return np.asarray(self.forces.toarray(order="F"))
+
+    def product(self, change: Floats) -> Floats:
+        """See :class:`Controls`."""
+        return np.asarray(self.forces @ change)
+
+    def adjoint(self, motion: Floats) -> Floats:
+        """See :class:`Controls`."""
+        return np.asarray(self.forces.T @ motion)
+
+
+class Response:
+    """dx/dq at one equilibrium of ``flesh``, by a ``factor`` of the Hessian there.
+
+    ``minimum`` is False where that Hessian is indefinite: the equilibrium is no minimum, near a
+    fold the answer leads off it. Controls are given with each call: those of several kinds share
+    the factor.
+    """
+
+    def __init__(self, flesh: Flesh, factor: Factor, *, minimum: bool = True) -> None:
+        self.minimum = minimum
+        self._flesh = flesh
+        self._factor = factor
+
+    @classmethod
+    def exact(
+        cls,
+        flesh: Flesh,
+        x: Floats,
+        a: Floats,
+        *,
+        potentials: Sequence[Potential] = (),
+        linear: LinearSolver | None = None,
+    ) -> Response:
+        """Factorise the Hessian at x (p, 3) with ``a`` (n, 6), nothing of it projected.
+
+        ``linear`` solves for the flesh's pattern; with ``potentials`` the pattern is analysed anew.
+        Raises :class:`~solver.mechanics.linear.NotPositiveDefiniteError` where it is singular.
+        """
+        matrix = flesh.hessian(x, a)
+        if potentials or linear is None:
+            linear = GrowingSolver(matrix).plus(of_free(flesh, curvature(potentials, x)))
+        try:
+            return cls(flesh, linear.factor(matrix.data))
+        except NotPositiveDefiniteError:
+            return cls(flesh, linear.factor_indefinite(matrix.data), minimum=False)
+
+    def columns(self, controls: Controls) -> Floats:
+        """Return dx_free/dq (size, k)."""
+        found = self._factor.solve(controls.columns())
+        # in place: on fine meshes new memory takes as long as arithmetic
+        np.negative(found, out=found)
+        return found
+
+    def motions(self, controls: Controls) -> Floats:
+        """Return dx/dq of all vertices, (p, 3, k)."""
+        out = controls.held.toarray()
+        out[self._flesh.free_coordinates] = self.columns(controls)
+        return np.asarray(out.reshape(len(self._flesh.rest), 3, -1))
+
+    def product(self, controls: Controls, change: Floats) -> Floats:
+        """Return dx/dq dq: the motion (p, 3) of all vertices for a change (k,) of the controls."""
+        out = np.asarray(controls.held @ change)
+        out[self._flesh.free_coordinates] = -self._factor.solve(controls.product(change))
+        return out.reshape(-1, 3)
+
+    def adjoint(self, controls: Controls, gradient: Floats) -> Floats:
+        """Return (dx/dq)^T g (k,) for g by the vertices (p, 3), by one solve."""
+        flat = gradient.ravel()
+        solved = -self._factor.solve(flat[self._flesh.free_coordinates])
+        return np.asarray(controls.adjoint(solved) + controls.held.T @ flat)
+
+
+def force_columns(forces: Floats, numbers: Ints, size: int) -> sp.csc_array:
+    """Return (size, k) with the ``forces`` (k, 4, 3) on a tet's vertices in each column.
+
+    ``numbers`` (k, 4) are the vertices' among the free ones, -1 for one that is held.
+    """
+    rows = 3 * numbers[:, :, None] + np.arange(3)
+    # a held vertex feels no force: its entries are zeroed and go to row 0
+    held = rows < 0
+    values, rows = np.where(held, 0.0, forces), np.where(held, 0, rows)
+    indptr = 12 * np.arange(len(forces) + 1)
+    return sp.csc_array((values.ravel(), rows.ravel(), indptr), shape=(size, len(forces)))
+
+
+def curvature(potentials: Sequence[Potential], x: Floats) -> sp.csr_array:
+    """Return the sum of the potentials' exact second derivatives (3 p, 3 p)."""
+    total = sp.csr_array((x.size, x.size))
+    for each in potentials:
+        total = total + each.curvature(x)
+    return total
+
+
+def of_free(flesh: Flesh, matrix: sp.csr_array) -> sp.csr_array:
+    """Return the part of a matrix (3 p, 3 p) that belongs to free coordinates, (size, size)."""
+    free = flesh.free_coordinates
+    found = sp.csr_array(sp.csr_array(matrix)[free][:, free])
+    found.sum_duplicates()
+    return found
