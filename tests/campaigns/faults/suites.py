@@ -50,9 +50,9 @@ class Run:
 def run(tree: Path, selection: Selection, kernels: Path) -> Run:
     """Run a part of a suite in ``tree`` until a test fails; compiled code is in ``kernels``."""
     began = time.monotonic()
-    done = _pytest(tree, selection, kernels, selection.keywords)
+    done = _part(tree, selection, kernels, selection.keywords)
     if done is not None and done[0] == NOTHING_SELECTED and selection.keywords:
-        done = _pytest(tree, selection, kernels, "")  # its tests have other names by now
+        done = _part(tree, selection, kernels, "")  # its tests have other names by now
     seconds = round(time.monotonic() - began, 1)
     if done is None:
         return Run("failed", f"no end within {LONGEST:.0f} s", seconds)
@@ -61,24 +61,33 @@ def run(tree: Path, selection: Selection, kernels: Path) -> Run:
         return Run("empty", "", seconds)
     if code == 0:
         return Run("passed" if re.search(r"\d+ passed", output) else "skipped", "", seconds)
-    found = re.search(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
+    found = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - |$)", output, re.MULTILINE)
     return Run("failed", found[1] if found else output.strip()[-200:], seconds)
 
 
-def _pytest(
-    tree: Path, selection: Selection, kernels: Path, keywords: str
-) -> tuple[int, str] | None:
-    paths = _paths(tree, selection)
-    marks = MARKS[selection.suite]
+def passes(tree: Path, test: str, kernels: Path) -> bool:
+    """Tell whether one ``test``, or the import of one module, passes in ``tree``."""
+    if not test.startswith("tests/"):
+        return True
+    done = _pytest(tree, [test] if "::" in test else ["--collect-only", test], kernels)
+    return done is not None and done[0] == 0
+
+
+def _part(tree: Path, selection: Selection, kernels: Path, keywords: str) -> tuple[int, str] | None:
+    words = ["-m", MARKS[selection.suite], *(["-k", keywords] if keywords else [])]
+    return _pytest(tree, [*words, *_paths(tree, selection)], kernels)
+
+
+def _pytest(tree: Path, words: list[str], kernels: Path) -> tuple[int, str] | None:
+    """Return the exit code and what was printed, None if there was no end."""
     command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=no", "-p", "no:cacheprovider"]
-    command += ["-m", marks, *(["-k", keywords] if keywords else []), *paths]
     environment = os.environ | {
         "PYTHONPATH": str(tree),
         "PYTHONDONTWRITEBYTECODE": "1",
         "NUMBA_CACHE_DIR": str(kernels),
     }
     process = subprocess.Popen(
-        command,
+        [*command, *words],
         cwd=tree,
         env=environment,
         stdin=subprocess.DEVNULL,
