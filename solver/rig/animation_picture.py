@@ -9,18 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from solver.drawing.head import Head
-from solver.drawing.page import HEADER, MARGIN, Page
+from solver.drawing.page import MARGIN
 from solver.drawing.render import Body, Lit, Pixels, faded, render
+from solver.drawing.sheet import Column, SheetLayout, draw_sheet
 from solver.model import SubjectModel
 from solver.rig.edit_report import EditedPerson
 from solver.rig.motion import SequenceFrame
 from solver.rig.pictures import SIDE, THREE_QUARTER, face_camera
 from solver.surface import Floats, Surface
 
-CELL = (300, 360)
-COLUMNS = 4
+# linear colour and opacity of what the face meets
 OBJECT, OBJECT_OPACITY = (0.35, 0.45, 0.52), 0.3
-"""Linear colour and opacity of what the face meets."""
 
 
 class Filming:
@@ -67,21 +66,17 @@ class Shot:
 def contact_sheet(
     filming: Filming, shots: Sequence[Shot], title: str, detail: str, path: Path
 ) -> None:
-    """Draw shots in rows of :data:`COLUMNS`, each from the front and from the side."""
-    width, height = CELL
-    columns = min(COLUMNS, len(shots))
-    rows = -(-len(shots) // columns)
-    page = Page(2 * MARGIN + columns * width, HEADER + rows * (2 * height + 30) + MARGIN)
-    page.heading(title, detail)
-    for number, shot in enumerate(shots):
-        left = MARGIN + number % columns * width
-        top = HEADER + number // columns * (2 * height + 30)
-        page.text((left + width // 2, top), shot.caption, 17, anchor="ma")
+    """Draw shots in rows of four, each from the front and from the side."""
+    layout = SheetLayout(cell=(300, 360), label=MARGIN, columns=4, foot=MARGIN)
+    columns = []
+    for shot in shots:
         light = filming.light(shot.skin)
-        for row, yaw in enumerate((0.0, THREE_QUARTER)):
-            image = filming.picture(shot.skin, light, CELL, objects=shot.objects, yaw=yaw)
-            page.panel((left, top + 30 + row * height), image)
-    page.save(path)
+        images = [
+            filming.picture(shot.skin, light, layout.cell, objects=shot.objects, yaw=yaw)
+            for yaw in (0.0, THREE_QUARTER)
+        ]
+        columns.append(Column(shot.caption, images))
+    draw_sheet(path, title, detail, ("", ""), columns, layout, scale_mm=None)
 
 
 def _glass(surface: Surface) -> Body:
@@ -90,12 +85,8 @@ def _glass(surface: Surface) -> Body:
 
 # A sheet of an edited person: before, after, and how far the skin has moved.
 
-
-EDIT_CELL = (270, 330)
-LEFT, FOOTER = 90, 64
-VIEWS_AT_REST, MOST_EXPRESSIONS = 3, 4
-MOST_MM = (1.0, 2.0, 4.0, 8.0, 16.0)
-"""Ends of the colour scale: the least that holds nearly all of the motion."""
+VIEWS_AT_REST, MOST_EXPRESSIONS = 3, 4  # columns of a sheet
+SCALES_MM = (1.0, 2.0, 4.0, 8.0, 16.0)  # the least that holds nearly all of the motion ends it
 
 View = tuple[str, float, Floats, Floats]
 
@@ -109,30 +100,24 @@ def edit_picture(person: EditedPerson, title: str, detail: str, path: Path) -> N
     shown, there = len(views) - VIEWS_AT_REST, len(person.expressions)
     if shown < there:
         detail = f"{detail}; {shown} of {there} expressions are shown"
-    width, height = EDIT_CELL
-    page = Page(LEFT + width * len(views) + MARGIN, HEADER + 30 + 3 * height + FOOTER)
-    page.heading(title, detail)
-    for row, name in enumerate(("Before", "After", "Moved")):
-        page.text((MARGIN, HEADER + 30 + row * height + height // 2), name, 20)
     moved = [np.linalg.norm(after - before, axis=1) for _, _, before, after in views]
     model = person.unedited
     most = _scale_end(np.concatenate([each[model.face] for each in moved]))
     head_before, head_after = Head(model.skin), Head(person.edited.model.skin)
-    for column, (name, yaw, before, after) in enumerate(views):
-        left = LEFT + column * width
-        page.text((left + width // 2, HEADER), name, 17, anchor="ma")
+    layout = SheetLayout()
+    columns = []
+    for (name, yaw, before, after), motion in zip(views, moved, strict=True):
         solved = head_after.lit(after)
         bodies = (
             head_before.body(head_before.lit(before)),
             head_after.body(solved),
-            head_after.heat_map(solved, moved[column], most),
+            head_after.heat_map(solved, motion, most),
         )
         camera = face_camera(model.skin.vertices, model.face, yaw)
-        for row, body in enumerate(bodies):
-            image = faded(render([body], camera, width, height))
-            page.panel((left, HEADER + 30 + row * height), image)
-    page.scale((LEFT + 20, HEADER + 30 + 3 * height + 12), 3 * width - 60, most)
-    page.save(path)
+        columns.append(
+            Column(name, [faded(render([body], camera, *layout.cell)) for body in bodies])
+        )
+    draw_sheet(path, title, detail, ("Before", "After", "Moved"), columns, layout, most)
 
 
 def _views(person: EditedPerson) -> list[View]:
@@ -152,14 +137,10 @@ def _views(person: EditedPerson) -> list[View]:
 
 def _scale_end(moved_mm: Floats) -> float:
     usual = np.percentile(moved_mm, 99.5)
-    return next((end for end in MOST_MM if end >= usual), MOST_MM[-1])
+    return next((end for end in SCALES_MM if end >= usual), SCALES_MM[-1])
 
 
 # A contact sheet of a sequence: some of its frames as seen, as fitted, and the error.
-
-
-SEQUENCE_CELL = (270, 330)
-LEFT, FOOTER = 90, 64
 
 
 @dataclass(frozen=True)
@@ -180,28 +161,17 @@ def sequence_picture(
 ) -> None:
     """Draw the frames in columns: seen, fitted, error in mm; heads without their motion."""
     head = Head(model.skin)
-    width, height = SEQUENCE_CELL
-    page = Page(LEFT + width * len(shots) + MARGIN, HEADER + 30 + 3 * height + FOOTER)
-    page.heading(title, detail)
     camera = face_camera(model.skin.vertices, model.face, 0.0)
-    for row, name in enumerate(("Seen", "Fit", "Error")):
-        page.text((MARGIN, HEADER + 30 + row * height + height // 2), name, 20)
-    for column, shot in enumerate(shots):
-        left = LEFT + column * width
-        page.text(
-            (left + width // 2, HEADER),
-            f"frame {shot.frame.frame}, mean {shot.frame.mean_mm:.2f} mm",
-            17,
-            anchor="ma",
-        )
+    layout = SheetLayout()
+    columns = []
+    for shot in shots:
         solved = head.lit(shot.skin)
         bodies = (
             head.body(head.lit(shot.seen)),
             head.body(solved),
             head.heat_map(solved, shot.error_mm),
         )
-        for row, body in enumerate(bodies):
-            image = faded(render([body], camera, width, height))
-            page.panel((left, HEADER + 30 + row * height), image)
-    page.scale((LEFT + 20, HEADER + 30 + 3 * height + 12), min(4 * width, width * len(shots)) - 60)
-    page.save(path)
+        images = [faded(render([body], camera, *layout.cell)) for body in bodies]
+        caption = f"frame {shot.frame.frame}, mean {shot.frame.mean_mm:.2f} mm"
+        columns.append(Column(caption, images))
+    draw_sheet(path, title, detail, ("Seen", "Fit", "Error"), columns, layout)

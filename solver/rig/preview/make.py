@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from solver.drawing.head import Head
-from solver.drawing.page import GREY, HEADER, Page
 from solver.drawing.render import faded, render
+from solver.drawing.sheet import Column, SheetLayout, draw_sheet
 from solver.errors import InputError, SolveError
 from solver.fitting.activation import Resting
 from solver.fitting.face import Face
@@ -264,8 +264,7 @@ def _header(preview: Preview) -> dict[str, Any]:
 # Simulated and previewed skin of poses that the preview was not made from, side by side.
 
 
-CELL, MARGIN, FOOTER = (330, 420), 110, 92
-COLUMNS = 4
+COLUMNS = 4  # poses in the picture
 LEGEND = (
     "colour of the bottom row: distance between the two skins above it, mm",
     "grey: no part of the face, not compared",
@@ -281,32 +280,24 @@ def preview_picture(model: SubjectModel, preview: Preview, path: Path) -> None:
     overall = unseen.overall
     head = Head(model.skin)
     camera = face_camera(neutral, model.face, 0.0)
-    page = Page(MARGIN + COLUMNS * CELL[0], HEADER + 3 * CELL[1] + FOOTER)
-    page.heading(
-        "Sliders on poses they were not made from",
-        f"{overall.poses} poses    mean {overall.mean:.2f} mm    "
-        f"95 % below {overall.p95:.2f} mm    greatest {overall.max:.2f} mm",
-    )
-    for row, title in enumerate(("Simulated", "Sliders", "Error, mm")):
-        page.text((24, HEADER + row * CELL[1] + CELL[1] // 2), title, 17)
-    for column, number in enumerate(chosen):
+    layout = SheetLayout(cell=(330, 420), label=110, foot=160, notes=LEGEND)
+    columns = []
+    for number in chosen:
         sample = unseen.samples[number]
         shown = neutral + preview.skin.motion(sample.slid.values)
         error = np.full(len(neutral), np.nan)
         error[model.face] = unseen.off[number]
         simulated, previewed = head.lit(sample.skin), head.lit(shown)
         bodies = (head.body(simulated), head.body(previewed), head.heat_map(previewed, error))
-        left = MARGIN + column * CELL[0]
-        for row, body in enumerate(bodies):
-            image = faded(render([body], camera, *CELL))
-            page.panel((left, HEADER + row * CELL[1]), image)
+        images = [faded(render([body], camera, *layout.cell)) for body in bodies]
         words = f"{sample.slid.sort}, mean {unseen.off[number].mean():.2f} mm"
-        page.text((left + CELL[0] // 2, HEADER), words, 17, anchor="ma")
-    foot = HEADER + 3 * CELL[1]
-    page.scale((MARGIN + 60, foot + 12), CELL[0] + 100)
-    for line, words in enumerate(LEGEND):
-        page.text((MARGIN + 2 * CELL[0], foot + 2 + 20 * line), words, 14, GREY)
-    page.save(path)
+        columns.append(Column(words, images))
+    detail = (
+        f"{overall.poses} poses    mean {overall.mean:.2f} mm    "
+        f"95 % below {overall.p95:.2f} mm    greatest {overall.max:.2f} mm"
+    )
+    rows = ("Simulated", "Sliders", "Error, mm")
+    draw_sheet(path, "Sliders on poses they were not made from", detail, rows, columns, layout)
 
 
 def _chosen(unseen: PreviewError) -> list[int]:
