@@ -1,4 +1,4 @@
-"""Planted faults: does a suite still notice what it noticed before?
+"""Planted faults: check that a suite still notices what it noticed before.
 
 Before tests are merged, moved or shortened, and after, every fault of ``faults.toml`` (a sign, a
 bound, a missing await, a tenant filter, a fence, a unit) is planted in a scratch copy of the tree,

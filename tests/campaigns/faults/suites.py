@@ -26,7 +26,7 @@ FOLDERS = {
     "hostile": ("tests/hostile", "tests/integration/hostile"),
     "page static": ("tests/browser", "tests/page"),
     "page": ("tests/browser", "tests/page"),
-    "chaos": ("tests/chaos", "tests/campaigns/chaos"),
+    "chaos": ("tests/chaos", "tests/kills"),
 }
 # Without servers that have to be installed, and as far as it goes without slow tests.
 MARKS = dict.fromkeys(FOLDERS, "not servers and not slow") | {
