@@ -12,7 +12,6 @@ from pydantic_settings import SettingsError
 from rich.markup import escape
 
 from myoface.cli.console import out
-from service.access.bootstrap import is_loopback
 from service.process import configure_logs
 from service.settings import Settings
 
@@ -30,6 +29,7 @@ BackupFolder = Annotated[Path, typer.Argument(file_okay=False, help="the backup'
 def up(port: Port = None, data: Data = None) -> None:
     """Run the service here: API, broker and worker, until Ctrl-C."""
     from myoface.stack import Stack  # loading the service's parts takes a while
+    from service.access.bootstrap import is_loopback
 
     settings = _settings(port, data)
     configure_logs(settings.log_json)

@@ -11,6 +11,7 @@ import pytest
 import typer
 import yaml
 
+from myoface import __version__
 from myoface.cli import app
 
 ROOT = Path(__file__).parents[2]
@@ -62,7 +63,7 @@ def test_links_lead_somewhere(document: Path) -> None:
 def test_the_citation_is_of_this_version() -> None:
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert cited["version"] == project["version"]
+    assert cited["version"] == __version__
     assert cited["license"] == project["license"]
     for paper in cited["references"]:
         assert {"type", "title", "authors", "year"} <= paper.keys()
