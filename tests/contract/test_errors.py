@@ -13,7 +13,7 @@ HANDBOOK = (ROOT / "docs" / "reference" / "errors.md").read_text(encoding="utf-8
 CODE = re.compile(r"[a-z][a-z0-9_]*(?:\.[a-z0-9_]+)+|internal|timeout|worker_lost")
 RAISED = {"Problem": 1, "InputError": 0, "SolveError": 0, "Refused": 0, "Unreachable": 0}
 """Which argument of an error is its code."""
-HELPERS = {"unauthorized": 0, "_check_format": 1}
+HELPERS = {"unauthorized_problem": 0, "_check_format": 1}
 MADE_OF_PARTS = (
     *("http.", "live_link.", "options.", "template.", "model."),
     *("capture.format", "blendshapes.format"),
@@ -46,7 +46,7 @@ def _said() -> dict[str, set[str]]:
     found: dict[str, set[str]] = defaultdict(set)
     for name, call in _calls():
         place = RAISED.get(name, HELPERS.get(name))
-        if name == "unknown" and isinstance(call.args[0], ast.Constant):
+        if name == "not_found" and isinstance(call.args[0], ast.Constant):
             found[f"{call.args[0].value}.unknown"].add("404")
         elif place is not None and len(call.args) > place:
             code = call.args[place]

@@ -1,0 +1,136 @@
+"""An installation of a release before is served by this one: jobs that waited end, nothing is lost.
+
+`tests/fixtures/make_installation.py` says how the data folder was made, by the code of its commit.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tarfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+from tests.service_client import FINAL, Studio, eventually, running
+
+INSTALLATIONS = sorted((Path(__file__).parents[1] / "fixtures").glob("installation-*.tar.xz"))
+# Members that the work after the upgrade changes, by list
+MOVING = {"captures": {"check", "registration"}, "keys": {"last_used_at"}}
+LONG = 1e10  # seconds; that of the maker
+
+
+class Upgraded(NamedTuple):
+    """The service on the data folder, and what the release before said of it."""
+
+    studio: Studio
+    data: Path
+    expected: dict[str, Any]
+
+    def now(self, name: str) -> dict[str, dict[str, Any]]:
+        """Return the objects of a list by their ids."""
+        path = {
+            "captures": f"/v1/subjects/{self.expected['ids']['subject']}/captures",
+            "deliveries": f"/v1/webhooks/{self.expected['lists']['webhooks'][0]['id']}/deliveries",
+        }.get(name, f"/v1/{name}")
+        return {each["id"]: each for each in self.studio.get(f"{path}?limit=1000")["items"]}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def parts() -> None:
+    """Run once: the data folder brings its own SQLite and files."""
+
+
+@pytest.fixture(scope="module", params=INSTALLATIONS, ids=lambda path: path.name.split(".")[0])
+def upgraded(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Upgraded]:
+    data = tmp_path_factory.mktemp("upgrade") / "data"
+    with tarfile.open(request.param) as archive:
+        archive.extractall(data, filter="data")
+    expected = json.loads((data / "expected.json").read_text())
+    with running(data, upload_ttl=LONG, retain_audit=None) as (_, studio):
+        yield Upgraded(studio, data, expected)
+
+
+def test_every_waiting_job_ends(upgraded: Upgraded) -> None:
+    waiting = upgraded.expected["ids"]["waiting"]
+    assert len(waiting) == 10
+    for kind, job_id in waiting.items():
+        job = upgraded.studio.finished(job_id, seconds=120)
+        assert (job["kind"], job["state"]) == (kind, "succeeded"), job
+
+
+def test_a_job_goes_on_with_its_frames(upgraded: Upgraded) -> None:
+    job_id = upgraded.expected["ids"]["frames"]
+    before = upgraded.expected["frames"]
+    assert len(before) >= 6
+    job = upgraded.studio.finished(job_id, seconds=120)
+    assert job["state"] == "succeeded", job
+    frames = upgraded.studio.get(f"/v1/jobs/{job_id}/frames")["frames"]
+    assert frames[: len(before)] == before
+    assert [frame["frame"] for frame in frames] == list(range(20))
+
+
+def test_a_batch_goes_on(upgraded: Upgraded) -> None:
+    path = f"/v1/batches/{upgraded.expected['ids']['batch']}"
+    eventually(lambda: upgraded.studio.get(path)["state"] != "running", seconds=120)
+    batch = upgraded.studio.get(path)
+    assert (batch["state"], batch["error"]) == ("succeeded", None), batch
+    assert upgraded.studio.get(f"/v1/rigs/{batch['fit']['rig_id']}")["expressions"] == ["smile"]
+
+
+def test_the_other_tenants_job_ends(upgraded: Upgraded) -> None:
+    mine = upgraded.studio.http.headers["Authorization"]
+    other = Studio(upgraded.studio.http, (upgraded.data / "other.key").read_text())
+    try:
+        [job] = other.get("/v1/jobs")["items"]
+        assert other.finished(job["id"], seconds=120)["state"] == "succeeded"
+        assert other.get("/v1/usage")["queued"]["limit"] == 5
+    finally:
+        upgraded.studio.http.headers["Authorization"] = mine
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "subjects",
+        "captures",
+        "jobs",
+        "batches",
+        "rigs",
+        "templates",
+        "webhooks",
+        "deliveries",
+        "keys",
+        "audit",
+        "deletions",
+    ],
+)
+def test_every_row_is_as_it_was(name: str, upgraded: Upgraded) -> None:
+    now = upgraded.now(name)
+    for before in upgraded.expected["lists"][name]:
+        after = now[before["id"]]
+        same = before.keys() - MOVING.get(name, set())
+        if name in ("jobs", "batches") and before["state"] not in FINAL:
+            same &= {"id", "kind", "name", "subject_id", "priority", "created_at"}
+        assert {key: after[key] for key in same} == {key: before[key] for key in same}
+
+
+def test_every_file_is_there(upgraded: Upgraded) -> None:
+    lists = upgraded.expected["lists"]
+    files = [file for rig in lists["rigs"] for file in rig["artifacts"]]
+    files += [file for job in lists["jobs"] if job["result"] for file in job["result"]["artifacts"]]
+    assert len(files) >= 10
+    for file in files:
+        content = upgraded.studio.http.get(f"/v1/artifacts/{file['id']}").content
+        assert hashlib.sha256(content).hexdigest() == file["sha256"]
+
+
+def test_half_an_upload_is_completed(upgraded: Upgraded) -> None:
+    location = upgraded.expected["ids"]["upload"]
+    head = upgraded.studio.http.head(location)
+    assert head.headers["Upload-Offset"] == "4"
+    assert upgraded.studio.send(location, 4, b" of it").status_code == 204
