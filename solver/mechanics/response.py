@@ -26,7 +26,7 @@ from solver.mechanics.linear import (
     NotPositiveDefiniteError,
 )
 from solver.mechanics.potential import BoundaryRates, Potential
-from solver.surface import Floats, Ints
+from solver.surface import Floats
 
 
 class Controls(Protocol):
@@ -59,20 +59,18 @@ class SparseControls:
         flesh: Flesh,
         x: Floats,
         a: Floats,
-        activations: sp.csr_array,
+        rates: sp.csr_array,
         boundary: BoundaryRates | None = None,
         potentials: Sequence[Potential] = (),
     ) -> SparseControls:
-        """Differentiate the forces on a flesh at x (p, 3) with activations ``a`` (n, 6).
+        """Differentiate the forces on a flesh at x (p, 3) with its controls ``a``.
 
-        ``activations`` (6 n, k) is da/dq, each tet's six entries in turn; ``boundary`` is how held
-        vertices, jaw and objects move, None if they do not; ``potentials`` is what there is beside
-        the flesh, each placed where x is.
+        ``rates`` (6 n, k) is da/dq, of activations each tet's six entries in turn; ``boundary`` is
+        how held vertices, jaw and objects move, None if they do not; ``potentials`` is what there
+        is beside the flesh, each placed where x is.
         """
-        count = activations.shape[1]
-        by_tet = flesh.forces_by_activation(x, a).transpose(0, 3, 1, 2).reshape(-1, 4, 3)
-        numbers = np.repeat(flesh.free_numbers[flesh.tets], 6, axis=0)
-        forces = force_columns(by_tet, numbers, flesh.size) @ activations
+        count = rates.shape[1]
+        forces = flesh.forces_by_control(x, a) @ rates
         held = sp.csr_array((flesh.rest.size, count))
         if boundary is not None:
             motion = np.zeros((len(flesh.rest), 3, count))
@@ -160,19 +158,6 @@ class Response:
         flat = gradient.ravel()
         solved = -self._factor.solve(flat[self._flesh.free_coordinates])
         return np.asarray(controls.adjoint(solved) + controls.held.T @ flat)
-
-
-def force_columns(forces: Floats, numbers: Ints, size: int) -> sp.csc_array:
-    """Return (size, k) with the ``forces`` (k, 4, 3) on a tet's vertices in each column.
-
-    ``numbers`` (k, 4) are the vertices' among the free ones, -1 for one that is held.
-    """
-    rows = 3 * numbers[:, :, None] + np.arange(3)
-    # a held vertex feels no force: its entries are zeroed and go to row 0
-    held = rows < 0
-    values, rows = np.where(held, 0.0, forces), np.where(held, 0, rows)
-    indptr = 12 * np.arange(len(forces) + 1)
-    return sp.csc_array((values.ravel(), rows.ravel(), indptr), shape=(size, len(forces)))
 
 
 def curvature(potentials: Sequence[Potential], x: Floats) -> sp.csr_array:

@@ -20,7 +20,7 @@ from solver.similarity import Similarity
 from solver.simulation.forces import Force
 from solver.simulation.inertia import (
     Drive,
-    Inertial,
+    Inertia,
     Motion,
     lumped_masses,
 )
@@ -100,7 +100,8 @@ class Simulator:
         self._dynamic = dynamic
         self._damping = damping
         self._masses = lumped_masses(face.flesh, density)
-        self._flesh = Inertial(face.flesh)
+        self._inertia = Inertia(face.flesh)
+        self._flesh = face.flesh.plus(self._inertia)
         self._newton = Newton(
             self._flesh,
             potentials,
@@ -194,13 +195,13 @@ class Simulator:
         seconds = goal.time - before.time
         into = goal.head.inverse()
         y = now.y
-        self._flesh.release()
+        self._inertia.release()
         if dynamic:
             flight = into(now.x + seconds * now.v)
-            self._flesh.launch(self._masses, y, flight, seconds, self._damping)
+            self._inertia.launch(self._masses, y, flight, seconds, self._damping)
         felt = replace(now, head=goal.head)
         for force in self._forces:
-            self._flesh.load += into.turn(force.at(felt, goal.time))
+            self._inertia.load += into.turn(force.at(felt, goal.time))
         start = Boundary(y[self._flesh.held], before.jaw, _seen(now.head, before))
         end = Boundary(self._face.held_positions(goal.jaw), goal.jaw, _seen(goal.head, goal))
         for potential in self._potentials:
