@@ -132,7 +132,7 @@ def squeezed(material: Material) -> float:
     load = tractions(rest, tets, lambda normals: -SQUEEZE * bulk * normals)
     x = unheld(rest, tets, material, load)
     flesh = Flesh(rest, tets, np.zeros(0, int), material)
-    lost = 1.0 - float(flesh.volumes @ flesh.openings(x)) / float(flesh.volumes.sum())
+    lost = 1.0 - float(flesh.volumes @ flesh.jacobians(x)) / float(flesh.volumes.sum())
     return abs(lost / SQUEEZE - 1.0)
 
 
@@ -159,7 +159,7 @@ def settled(flesh: Flesh, x: Floats) -> Floats:
     """Return the equilibrium of passive flesh from x (p, 3)."""
     a = flesh.passive()
     solver = linear.analyse(flesh.hessian(flesh.rest, a))
-    return equilibrium.solve(flesh, solver, x, a, tolerance=EXACT).x
+    return equilibrium.solve_equilibrium(flesh, solver, x, a, tolerance=EXACT).x
 
 
 WAVES = np.array([[0.9, 1.2, -0.5], [-0.7, 0.8, 1.1], [1.3, -0.4, 0.6]]) / 10.0

@@ -37,17 +37,17 @@ class Material:
     mu: float = 1.0
     lam: float = 1.0
     kappa: float = 0.0
-    barrier: float = 5.0
+    barrier_weight: float = 5.0
     law: Law = "corotated"
 
-    def in_pascal(self, stiffness: float) -> Material:
-        """Return the material with ``stiffness`` in Pa where this one has a stress of 1."""
+    def in_pascal(self, pascals: float) -> Material:
+        """Return the material with its stress of 1 being so many ``pascals``."""
         return replace(
             self,
-            mu=stiffness * self.mu,
-            lam=stiffness * self.lam,
-            kappa=stiffness * self.kappa,
-            barrier=stiffness * self.barrier,
+            mu=pascals * self.mu,
+            lam=pascals * self.lam,
+            kappa=pascals * self.kappa,
+            barrier_weight=pascals * self.barrier_weight,
         )
 
 
@@ -118,7 +118,7 @@ class Flesh:
         tissues is listed twice.
     sliding
         The planes that some of the free vertices stay on.
-    stiffness
+    stiffness_factor
         (n,) a factor of every tet's material, one by default.
     growth
         (n,) plastic growth f of F_p = f I, none by default: the tet's energy is V psi(F F_p^-1, A)
@@ -136,7 +136,7 @@ class Flesh:
         material: Material | None = None,
         shares: Floats | None = None,
         sliding: Planes | None = None,
-        stiffness: Floats | None = None,
+        stiffness_factor: Floats | None = None,
         growth: Floats | None = None,
     ) -> None:
         self.material = material or Material()
@@ -149,14 +149,14 @@ class Flesh:
             # F F_p^-1 is linear in the vertices as F is
             self.gradients /= growth[:, None, None]
         given = self.material
-        factor = np.ones(len(self.tets)) if stiffness is None else stiffness
+        factor = np.ones(len(self.tets)) if stiffness_factor is None else stiffness_factor
         self.elements = Elements(
             self.tets,
             self.gradients,
             self.volumes,
             *laws.own_moduli(given.law, given.mu * factor, given.lam * factor),
             given.kappa * factor,
-            given.barrier * factor,
+            given.barrier_weight * factor,
             laws.number(given.law),
         )
         is_free = np.ones(len(self.rest), dtype=bool)
@@ -206,6 +206,12 @@ class Flesh:
     def free_coordinates(self) -> Ints:
         """Return the places (size,) of the free coordinates among all (3 p,)."""
         return np.asarray((3 * self.free[:, None] + np.arange(3)).ravel())
+
+    def free_block(self, matrix: sp.csr_array) -> sp.csr_array:
+        """Return the part of a matrix (3 p, 3 p) that belongs to free coordinates, (size, size)."""
+        found = sp.csr_array(matrix[self.free_coordinates][:, self.free_coordinates])
+        found.sum_duplicates()
+        return found
 
     @cached_property
     def force_scale(self) -> float:
@@ -293,19 +299,19 @@ class Flesh:
                 total = total + found
         return sp.csr_array(sp.csr_array(total)[self.free_coordinates])
 
-    def openings(self, x: Floats) -> Floats:
+    def jacobians(self, x: Floats) -> Floats:
         """Return det F of every tet, (n,); where flesh has grown, that of F F_p^-1."""
         out = np.empty(len(self.tets))
         elements.jacobians(self.elements, np.ascontiguousarray(x), out)
         return out
 
-    def narrowing(self, x: Floats, y: Floats) -> float:
-        """Return the least det F(y) / det F(x) of all tets, det F(x) counting up to the barrier."""
+    def min_jacobian_ratio(self, x: Floats, y: Floats) -> float:
+        """Return min J(y) / min(J(x), J0) over all tets, J0 being where the barrier starts."""
         return float(elements.min_jacobian_ratio(self.elements, x, y))
 
     def inverted(self, x: Floats) -> int:
         """Return how many tets have det F <= 0."""
-        return int((self.openings(x) <= 0.0).sum())
+        return int((self.jacobians(x) <= 0.0).sum())
 
     @cached_property
     def _vertex_sum(self) -> VertexSum:

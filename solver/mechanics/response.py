@@ -128,7 +128,7 @@ class Response:
         """
         matrix = flesh.hessian(x, a)
         if potentials or linear is None:
-            linear = GrowingSolver(matrix).plus(of_free(flesh, curvature(potentials, x)))
+            linear = GrowingSolver(matrix).plus(flesh.free_block(curvature(potentials, x)))
         try:
             return cls(flesh, linear.factor(matrix.data))
         except NotPositiveDefiniteError:
@@ -166,11 +166,3 @@ def curvature(potentials: Sequence[Potential], x: Floats) -> sp.csr_array:
     for each in potentials:
         total = total + each.curvature(x)
     return total
-
-
-def of_free(flesh: Flesh, matrix: sp.csr_array) -> sp.csr_array:
-    """Return the part of a matrix (3 p, 3 p) that belongs to free coordinates, (size, size)."""
-    free = flesh.free_coordinates
-    found = sp.csr_array(sp.csr_array(matrix)[free][:, free])
-    found.sum_duplicates()
-    return found

@@ -204,7 +204,9 @@ class _Fit:
         face = self._face
         x = x.copy()
         x[face.flesh.held] = face.held_positions(theta[-5:])
-        return equilibrium.solve(self._flesh, face.linear, x, theta[:-5], tolerance=face.tolerance)
+        return equilibrium.solve_equilibrium(
+            self._flesh, face.linear, x, theta[:-5], tolerance=face.tolerance
+        )
 
     def jacobian(self, theta: Floats, state: Equilibrium) -> Floats:
         """Return the derivative (3 k, m + 5) of the face's points by theta."""

@@ -24,11 +24,9 @@ from solver.simulation.inertia import (
     Motion,
     lumped_masses,
 )
-from solver.simulation.newton import FACTORISATIONS, Minimum, Newton
+from solver.simulation.newton import MOMENT, Minimum, Newton
 from solver.surface import Floats
 
-TOLERANCE = 1e-5
-SETTLED_MM = 0.005
 SMALLEST_PART = 2.0**-6
 """Part of a step below which it is not cut further."""
 
@@ -91,8 +89,8 @@ class Simulator:
         density: Floats,
         damping: float = 0.5,
         linear: str | None = None,
-        tolerance: float = TOLERANCE,
-        settled_mm: float = SETTLED_MM,
+        tolerance: float = MOMENT.tolerance,
+        settled_mm: float = MOMENT.settled_mm,
     ) -> None:
         self._face = face
         self._potentials = potentials
@@ -105,8 +103,7 @@ class Simulator:
         self._newton = Newton(
             self._flesh,
             potentials,
-            tolerance=tolerance,
-            settled_mm=settled_mm,
+            options=replace(MOMENT, tolerance=tolerance, settled_mm=settled_mm),
             linear=linear or fastest(),
         )
 
@@ -143,7 +140,7 @@ class Simulator:
             raise InputError(
                 "scene.times", f"a moment at {goal.time:g} s is not later than the one before"
             )
-        return self._go(now, before, goal, 1.0, FACTORISATIONS, dynamic=self._dynamic)
+        return self._go(now, before, goal, 1.0, MOMENT.factorizations, dynamic=self._dynamic)
 
     def _go(
         self,

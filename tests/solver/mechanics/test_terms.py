@@ -107,7 +107,7 @@ def test_muscles_contract_and_the_answer_is_that_of_the_equilibrium(muscled):
     def solved(q, held=0.0):
         x = flesh.rest.copy()
         x[model.mandible, 2] += held
-        return equilibrium.solve(flesh, linear, x, q, tolerance=1e-13).x
+        return equilibrium.solve_equilibrium(flesh, linear, x, q, tolerance=1e-13).x
 
     x = solved(q)
     assert np.abs(x - flesh.rest).max() > 1.0

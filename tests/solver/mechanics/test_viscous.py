@@ -43,11 +43,11 @@ def test_it_creeps_to_where_flesh_rests():
     linear = analyse(plain.hessian(plain.rest, plain.passive()))
     a = plain.passive()
     a[:, 0] = 0.8
-    goal = equilibrium.solve(plain, linear, plain.rest, a).x
+    goal = equilibrium.solve_equilibrium(plain, linear, plain.rest, a).x
     drag.viscosity, x, lengths = 0.5, plain.rest, []
     for _ in range(25):
         drag.anchor = x
-        x = equilibrium.solve(flesh, linear, x, a).x
+        x = equilibrium.solve_equilibrium(flesh, linear, x, a).x
         lengths.append(np.abs(x - goal).max())
     assert np.abs(plain.rest - goal).max() > 2 * lengths[0] > 0.1
     assert lengths == sorted(lengths, reverse=True)

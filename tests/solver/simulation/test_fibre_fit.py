@@ -26,7 +26,7 @@ def skin(face, gamma, jaw):
     x = face.model.rest.copy()
     x[face.flesh.held] = face.held_positions(jaw)
     A = fibre_activations(face.model, face.model.weights, gamma)
-    return face.face_points(equilibrium.solve(face.flesh, face.linear, x, A).x)
+    return face.face_points(equilibrium.solve_equilibrium(face.flesh, face.linear, x, A).x)
 
 
 def test_rates_are_those_of_the_activations(face):
