@@ -11,7 +11,7 @@ from solver.mechanics import equilibrium, linear
 from solver.mechanics.flesh import COROTATED_DET, Flesh
 from solver.surface import Floats
 
-PHACE = replace(COROTATED_DET, barrier=0.0)
+PHACE = replace(COROTATED_DET, barrier_weight=0.0)
 """The peer's energy has no barrier against inversion; both minimise the same one."""
 
 
@@ -25,7 +25,7 @@ class Ours:
     def solve(self) -> tuple[Floats, int, str]:
         """Solve to the package's tolerance."""
         solver = linear.analyse(self.flesh.hessian(self.start, self.a))
-        found = equilibrium.solve(self.flesh, solver, self.start, self.a)
+        found = equilibrium.solve_equilibrium(self.flesh, solver, self.start, self.a)
         return found.x, found.iterations, "success"
 
     def energy(self, x: Floats) -> float:

@@ -38,7 +38,7 @@ from solver.scene.stage import STIFFNESS_PA
 from solver.similarity import IDENTITY
 from solver.simulation.inertia import (
     Drive,
-    Inertial,
+    Inertia,
     Motion,
     lumped_masses,
 )
@@ -132,7 +132,7 @@ def squeezed(material: Material) -> float:
     load = tractions(rest, tets, lambda normals: -SQUEEZE * bulk * normals)
     x = unheld(rest, tets, material, load)
     flesh = Flesh(rest, tets, np.zeros(0, int), material)
-    lost = 1.0 - float(flesh.volumes @ flesh.openings(x)) / float(flesh.volumes.sum())
+    lost = 1.0 - float(flesh.volumes @ flesh.jacobians(x)) / float(flesh.volumes.sum())
     return abs(lost / SQUEEZE - 1.0)
 
 
@@ -148,17 +148,18 @@ def tractions(rest: Floats, tets: Ints, per_area: Callable[[Floats], Floats]) ->
 
 def unheld(rest: Floats, tets: Ints, material: Material, load: Floats) -> Floats:
     """Return the equilibrium x (p, 3) of flesh that nothing holds, under loads in balance."""
-    flesh = Inertial(Flesh(rest, tets, np.zeros(0, int), material))
-    flesh.springs = np.full(len(rest), LEASH * flesh.force_scale)
-    flesh.load = load
-    return settled(flesh, rest)
+    flesh = Flesh(rest, tets, np.zeros(0, int), material)
+    pulled = Inertia(flesh)
+    pulled.stiffness = np.full(len(rest), LEASH * flesh.force_scale)
+    pulled.load = load
+    return settled(flesh.plus(pulled), rest)
 
 
 def settled(flesh: Flesh, x: Floats) -> Floats:
     """Return the equilibrium of passive flesh from x (p, 3)."""
     a = flesh.passive()
     solver = linear.analyse(flesh.hessian(flesh.rest, a))
-    return equilibrium.solve(flesh, solver, x, a, tolerance=EXACT).x
+    return equilibrium.solve_equilibrium(flesh, solver, x, a, tolerance=EXACT).x
 
 
 WAVES = np.array([[0.9, 1.2, -0.5], [-0.7, 0.8, 1.1], [1.3, -0.4, 0.6]]) / 10.0
@@ -191,15 +192,16 @@ def refinement(cells: int) -> float:
     """
     rest, tets = box((cells, cells, cells), (SIDE_MM, SIDE_MM, SIDE_MM))
     outside = ((rest == 0.0) | (rest == SIDE_MM)).any(axis=1)
-    flesh = Inertial(Flesh(rest, tets, np.flatnonzero(outside), COROTATED_DET))
+    flesh = Flesh(rest, tets, np.flatnonzero(outside), COROTATED_DET)
+    upheld = Inertia(flesh)
     step = 1e-4 * np.eye(3)
     force = -sum(
         (smooth_stress(rest + step[j])[:, :, j] - smooth_stress(rest - step[j])[:, :, j]) / 2e-4
         for j in range(3)
     )
-    flesh.load = lumped_masses(flesh, np.ones(len(tets)))[:, None] * force
+    upheld.load = lumped_masses(flesh, np.ones(len(tets)))[:, None] * force
     goal = rest + AMPLITUDE_MM * np.sin(rest @ WAVES.T)
-    x = settled(flesh, goal)
+    x = settled(flesh.plus(upheld), goal)
     return float(np.sqrt(((x - goal)[~outside] ** 2).sum(axis=1).mean()))
 
 

@@ -35,7 +35,7 @@ class Edited:
         where they are now. Its flesh, ``rest`` included, is as it was.
     unedited
         The person before all edits.
-    growth, stiffness, density
+    growth, stiffness_factor, density
         (n,) per tet: f of F_p = f I, a factor of the material's stiffness, and g/mm^3.
     bones
         (p, 3) in mm, added to the rest of vertices on bones: held ones and those that slide.
@@ -46,7 +46,7 @@ class Edited:
     model: SubjectModel
     unedited: SubjectModel
     growth: Floats
-    stiffness: Floats
+    stiffness_factor: Floats
     density: Floats
     bones: Floats
     S: sp.csr_array

@@ -81,7 +81,11 @@ class Fat:
         share = into_volume(before.model, self.painted) * off_the_ends(before.model)
         growth = 1.0 + (whole - 1.0) * share
         softer = np.maximum(growth, 1.0) ** -self.softening
-        return replace(before, growth=before.growth * growth, stiffness=before.stiffness * softer)
+        return replace(
+            before,
+            growth=before.growth * growth,
+            stiffness_factor=before.stiffness_factor * softer,
+        )
 
 
 # Filler: a volume that is injected along the path of a needle.
@@ -172,7 +176,7 @@ class Stiffness:
     def __call__(self, before: Edited) -> Edited:
         """Return the person with it; raises ``scene.factor``."""
         change = _change(before, self.factor, self.painted)
-        return replace(before, stiffness=before.stiffness * change)
+        return replace(before, stiffness_factor=before.stiffness_factor * change)
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,10 @@ from solver.anatomy.bones import bone_normals
 from solver.anatomy.embedding import LooseSkin
 from solver.errors import SolveError
 from solver.mechanics import equilibrium, jaw
-from solver.mechanics.equilibrium import Equilibrium, Stiffness
+from solver.mechanics.equilibrium import Equilibrium, PredictorOptions
 from solver.mechanics.flesh import COROTATED_TRACE, IDENTITY, Flesh, Material
 from solver.mechanics.linear import LinearSolver, analyse
+from solver.mechanics.newton import Factorization, NewtonOptions
 from solver.mechanics.sliding import Planes, no_planes, planes
 from solver.model import SubjectModel
 from solver.surface import Floats
@@ -24,7 +25,7 @@ from solver.threads import leave_threads_to_kernels
 GUESSES = (1.0, 0.7, 0.4, 0.0)
 """Parts of a predicted motion that are tried as a start."""
 
-FLATTEST_GUESS = 0.3
+MIN_GUESS_RATIO = 0.3
 """How far a predicted motion may narrow a tet."""
 
 SMALLEST_FRACTION, TRAVELLED_FRACTION = 2.0**-6, 2.0**-3
@@ -75,7 +76,7 @@ class Face:
     ``S`` (n, m + 1) is the model's geometric one if not given; :meth:`with_weights` exchanges it.
     ``linear`` names the linear solver (None: the fastest in double precision), ``tolerance`` is the
     equilibrium's relative residual. With ``pinned`` nothing slides on the skull. Edits are per tet
-    ``stiffness`` (n,) and ``growth`` (n,), see :class:`~solver.mechanics.flesh.Flesh`, and
+    ``stiffness_factor`` (n,) and ``growth`` (n,), see :class:`~solver.mechanics.flesh.Flesh`, and
     ``bones`` (p, 3): how far what is held or slides is displaced from its rest, mm.
     """
 
@@ -86,9 +87,9 @@ class Face:
         *,
         material: Material | None = None,
         linear: str | None = None,
-        tolerance: float = equilibrium.TOLERANCE,
+        tolerance: float = NewtonOptions.tolerance,
         pinned: bool = False,
-        stiffness: Floats | None = None,
+        stiffness_factor: Floats | None = None,
         growth: Floats | None = None,
         bones: Floats | None = None,
     ) -> None:
@@ -100,14 +101,14 @@ class Face:
         held = np.concatenate([model.cranium, model.mandible, model.cut])
         if pinned:
             held = np.concatenate([held, model.sliding])
-        mu = material.mu if stiffness is None else material.mu * stiffness
+        mu = material.mu if stiffness_factor is None else material.mu * stiffness_factor
         self.flesh = Flesh(
             model.rest,
             model.tets,
             np.unique(held),
             material,
             sliding=no_planes() if pinned else self._sliding_planes(mu),
-            stiffness=stiffness,
+            stiffness_factor=stiffness_factor,
             growth=growth,
         )
         self.tolerance = tolerance
@@ -146,18 +147,18 @@ class Face:
         self,
         pose: Pose,
         x: Floats,
-        near: Stiffness | None = None,
-        max_iterations: int = equilibrium.MAX_ITERATIONS,
+        near: Factorization | None = None,
+        max_iterations: int = NewtonOptions.factorizations,
     ) -> State:
         """Find the equilibrium of a pose from ``x`` (p, 3), the mandible being put where b says.
 
-        ``near`` is the stiffness of a state nearby, if there is one. Raises :class:`SolveError` if
+        ``near`` is the Hessian of a state nearby, if there is one. Raises :class:`SolveError` if
         it is not found within so many Newton steps.
         """
         x = x.copy()
         x[self.flesh.held] = self.held_positions(pose.b)
         a = self.tet_activations(pose.a)
-        result = equilibrium.solve(
+        result = equilibrium.solve_equilibrium(
             self.flesh,
             self.linear,
             x,
@@ -173,20 +174,21 @@ class Face:
         state: State,
         response: Floats,
         pose: Pose,
-        settled_mm: float = equilibrium.SETTLED_MM,
+        settled_mm: float = PredictorOptions.settled_mm,
     ) -> State:
         """Go from ``state`` to a pose nearby, only so near to its equilibrium as a fit needs.
 
         ``response`` (size,) is the flesh's linear response to the change of pose (or of S),
-        ``settled_mm`` how near that is (:func:`~solver.mechanics.equilibrium.approach`).
+        ``settled_mm`` how near that is (:func:`~solver.mechanics.equilibrium.newton_predict`).
         Raises :class:`SolveError` where that is too far for a few Newton steps.
         """
         a = self.tet_activations(pose.a)
         x = self._guess(state, response, pose, a)
-        return State(pose, equilibrium.approach(self.flesh, self.linear, x, a, settled_mm))
+        options = PredictorOptions(settled_mm=settled_mm)
+        return State(pose, equilibrium.newton_predict(self.flesh, self.linear, x, a, options))
 
     def predict_and_solve(self, state: State, response: Floats, pose: Pose) -> State:
-        """Do as :meth:`approach`, but settle."""
+        """Do as :meth:`newton_predict`, but solve to the end."""
         guess = self._guess(state, response, pose, self.tet_activations(pose.a))
         return self.solve_equilibrium(pose, guess)
 
@@ -218,7 +220,7 @@ class Face:
         return self._along(start, pose, SMALLEST_FRACTION, settled=True)
 
     def newton_continuation(self, state: State, response: Floats, pose: Pose) -> State:
-        """Do as :meth:`approach`, but in parts of the way where the flesh would invert.
+        """Do as :meth:`newton_predict`, but in parts of the way where the flesh would invert.
 
         Where it buckles instead, steps are dear and lead no further.
         """
@@ -241,18 +243,18 @@ class Face:
             goal = min(1.0, done + fraction)
             target = start.pose.toward(pose, goal) if goal < 1.0 else pose
             x = self.predict(state, target)
-            narrowing = self.flesh.narrowing(state.x, x)
+            ratio = self.flesh.min_jacobian_ratio(state.x, x)
             least = fraction <= smallest
-            if narrowing >= FLATTEST_GUESS or least:
+            if ratio >= MIN_GUESS_RATIO or least:
                 try:
                     state = self._reach(state, target, x, settled=settled and goal == 1.0)
                     done = goal
                 except SolveError:
                     if least:
                         raise
-                    narrowing = -np.inf
+                    ratio = -np.inf
             # as a tet narrows about linearly, this is the longest step that flattens none
-            fit = 0.9 * (1.0 - FLATTEST_GUESS) / max(1.0 - narrowing, 0.1)
+            fit = 0.9 * (1.0 - MIN_GUESS_RATIO) / max(1.0 - ratio, 0.1)
             fraction = max(fraction * min(max(fit, 0.25), 2.0), smallest)
         return state
 
@@ -261,7 +263,8 @@ class Face:
         if settled:
             return self.solve_equilibrium(target, x, state.equilibrium.factor)
         a = self.tet_activations(target.a)
-        reached = equilibrium.approach(self.flesh, self.linear, x, a, equilibrium.REACH_MM)
+        rough = PredictorOptions(settled_mm=PredictorOptions.reach_mm)
+        reached = equilibrium.newton_predict(self.flesh, self.linear, x, a, rough)
         # where flesh buckles a linear response leads nowhere
         return (
             State(target, reached) if reached.minimum else self.solve_equilibrium(target, reached.x)

@@ -37,7 +37,7 @@ from solver.fitting import (
 from solver.fitting.face import Face, Pose, State
 from solver.fitting.objective import Regulariser, Term
 from solver.fitting.sensitivity import Sensitivity
-from solver.mechanics.equilibrium import REACH_MM
+from solver.mechanics.equilibrium import PredictorOptions
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
 
@@ -386,7 +386,7 @@ class _Linearised:
         face = self._face.with_weights(S)
         with contextlib.suppress(SolveError):
             # the next linear models, of S too, are the better for a stiffness that is that at x
-            return face.newton_predict(self._state, response, pose, REACH_MM)
+            return face.newton_predict(self._state, response, pose, PredictorOptions.reach_mm)
         with contextlib.suppress(SolveError):
             return face.predict_and_solve(self._state, response, pose)
         return None

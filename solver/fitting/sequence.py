@@ -1,7 +1,7 @@
 """Activations and jaw frame after frame: what one frame has cost is kept for the next.
 
 A frame takes a few SQP steps in (x, a, b): a Gauss-Newton step of the pose, then corrections of the
-equilibrium with the stiffness of a frame or a few ago. The sensitivities are kept for longer still,
+equilibrium with the Hessian of a frame or a few ago. The sensitivities are kept for longer still,
 as they cost most and an error in them changes the objective to second order only. How well the
 steps do what they promise decides about the damping. Where nothing comes of them with new
 sensitivities either, the frame is fitted as any expression is, from the frame before; or left at
@@ -25,12 +25,8 @@ from solver.fitting.objective import (
     Term,
 )
 from solver.fitting.sensitivity import PoseJacobian, Sensitivity
-from solver.mechanics.equilibrium import (
-    CLOSE_MM,
-    Stiffness,
-    correct,
-    untangled,
-)
+from solver.mechanics.equilibrium import CorrectorOptions, correct, untangle
+from solver.mechanics.newton import Factorization
 from solver.surface import Floats
 
 STEPS = 3
@@ -96,9 +92,9 @@ class Tracker:
 
     ``temporal`` is the weight w_t of w_t/2 |a - a_before|^2, the change from the frame before (the
     jaw's in the same measure): 0 is none. ``max_iterations`` bounds a frame that is fitted
-    as any expression is. A state's vertices are within about :data:`CLOSE_MM` of the equilibrium;
-    its factor is that of the frame that was factorised last, its residual is that before the last
-    correction.
+    as any expression is. A state's vertices are within about :attr:`CorrectorOptions.close_mm` of
+    the equilibrium; its factor is that of the frame that was factorised last, its residual is that
+    before the last correction.
     """
 
     def __init__(
@@ -158,13 +154,16 @@ class Tracker:
         return found.steps
 
     def _keep(self, data: SkinDistance) -> _Kept:
-        """Take the stiffness and the sensitivities of the state as it is."""
+        """Take the Hessian and the sensitivities of the state as it is."""
         pose, found = self.state.pose, self.state.equilibrium
         # what was projected, too, would be wrong in every frame that it is kept for
-        if found.factor.share > 0 or np.abs(found.factor.x - found.x).max() > CLOSE_MM:
+        if (
+            found.factor.projection > 0
+            or np.abs(found.factor.x - found.x).max() > CorrectorOptions.close_mm
+        ):
             a = self.face.tet_activations(pose.a)
-            stiffness = Stiffness(self.face.flesh, self.face.linear, found.x, a)
-            self.state = State(pose, replace(found, factor=stiffness))
+            factorization = Factorization(self.face.flesh, self.face.linear, found.x, a)
+            self.state = State(pose, replace(found, factor=factorization))
         jacobian = Sensitivity(self.face, self.state).by_pose()
         self._kept = _Kept.of(jacobian, data, self.state.x)
         self._age = 0
@@ -206,7 +205,7 @@ class Tracker:
         x = self.face.flesh.moved(state.x, kept.jacobian.flesh @ step)
         x[self.face.model.mandible] = self.face.mandible(pose.b)
         flesh, a = self.face.flesh, self.face.tet_activations(pose.a)
-        guess = untangled(flesh, state.x, x)
+        guess = untangle(flesh, state.x, x)
         if guess is None:
             return None
         found = correct(flesh, self.face.linear, guess, a, state.equilibrium.factor)

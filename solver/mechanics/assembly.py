@@ -19,9 +19,9 @@ PAIRS = 10
 
 
 class VertexSum:
-    """Sums (n, 4, 3, ...) over the tets of each free vertex.
+    """Sums (n, v, 3, ...) over the entries (tets, mostly) of each free vertex.
 
-    ``numbers`` (n, 4) are the free vertices' numbers below ``count``, -1 for a held vertex.
+    ``numbers`` (n, v) are the free vertices' numbers below ``count``, -1 for a held vertex.
     """
 
     def __init__(self, numbers: Ints, count: int) -> None:
@@ -30,7 +30,7 @@ class VertexSum:
 
     def __call__(self, per_tet: Floats) -> Floats:
         """Return the sums, (3 count, ...)."""
-        flat = per_tet.reshape(4 * len(per_tet), -1)
+        flat = per_tet.reshape(per_tet.shape[0] * per_tet.shape[1], -1)
         out = np.empty((self._count, flat.shape[1]))
         _sum_rows(flat, self._first, self._corners, out)
         return out.reshape(3 * self._count, *per_tet.shape[3:])
@@ -40,11 +40,12 @@ class BlockSum:
     """Sums the tets' blocks of their pairs of vertices to a symmetric CSR matrix of fixed pattern.
 
     ``pattern`` has three rows and columns for each free vertex, sorted; ``diagonal`` tells where
-    its diagonal is.
+    its diagonal is. The pattern is that of the ``numbers`` (n, v), see :class:`VertexSum`, or that
+    of another sum, ``into``, which has to hold it.
     """
 
-    def __init__(self, numbers: Ints, count: int) -> None:
-        u, v = np.triu_indices(4)
+    def __init__(self, numbers: Ints, count: int, into: BlockSum | None = None) -> None:
+        u, v = np.triu_indices(numbers.shape[1])
         ends = numbers[:, np.stack([u, v])].transpose(1, 0, 2).reshape(2, -1)
         low, high = ends.min(axis=0), ends.max(axis=0)
         free = np.flatnonzero(low >= 0)
@@ -54,22 +55,12 @@ class BlockSum:
         self._blocks = free[contributions]
         self._turned = ends[0, self._blocks] > ends[1, self._blocks]
         rows, columns = np.divmod(entries, count)
-        off = rows != columns
-        graph = sp.csr_array(
-            (
-                np.ones(len(entries) + off.sum()),
-                (
-                    np.concatenate([rows, columns[off]]),
-                    np.concatenate([columns, rows[off]]),
-                ),
-            ),
-            shape=(count, count),
-        )
-        graph.sort_indices()
-        self.pattern = sp.csr_array(sp.kron(graph, np.ones((3, 3)), format="csr"))
-        self.pattern.sort_indices()
-        row_of = np.repeat(np.arange(3 * count), np.diff(self.pattern.indptr))
-        self.diagonal = np.flatnonzero(self.pattern.indices == row_of)
+        graph = into.graph if into else _graph(rows, columns, count)
+        self.graph: sp.csr_array = graph
+        pattern = into.pattern if into else sp.csr_array(sp.kron(graph, np.ones((3, 3)), "csr"))
+        pattern.sort_indices()
+        self.pattern: sp.csr_array = pattern
+        self.diagonal: Ints = into.diagonal if into else _diagonal(pattern)
         length = np.diff(graph.indptr).astype(np.int64)
         keys = np.repeat(np.arange(count), length) * count + graph.indices
         within = np.arange(graph.nnz) - np.repeat(graph.indptr[:-1], length)
@@ -86,17 +77,25 @@ class BlockSum:
     def __call__(self, blocks: Floats) -> sp.csr_array:
         """Return the sum of ``blocks`` (n, PAIRS, 3, 3), those of the pairs u <= v of each tet."""
         data = np.empty(len(self.pattern.indices))
+        self._sum(blocks, data)
+        return sp.csr_array(
+            (data, self.pattern.indices, self.pattern.indptr), shape=self.pattern.shape
+        )
+
+    def add(self, blocks: Floats, data: Floats) -> None:
+        """Add the sum of ``blocks`` (n, v (v + 1) / 2, 3, 3) to the pattern's ``data``."""
+        self._sum(blocks, data, add=True)
+
+    def _sum(self, blocks: Floats, data: Floats, *, add: bool = False) -> None:
         _sum_blocks(
-            blocks.reshape(-1, 3, 3),
+            np.ascontiguousarray(blocks).reshape(-1, 3, 3),
             self._first,
             self._blocks,
             self._turned,
             self._slots,
             self._lengths,
+            add,
             data,
-        )
-        return sp.csr_array(
-            (data, self.pattern.indices, self.pattern.indptr), shape=self.pattern.shape
         )
 
 
@@ -105,20 +104,35 @@ def couple(blocks: Floats, tets: Ints, numbers: Ints, motion: Floats, out: Float
     """Add the blocks (t, PAIRS, 3, 3) of some tets times their vertices' ``motion`` (p, 3, k).
 
     ``tets`` (t, 4) are their vertices, ``numbers`` (t, 4) those of the rows of ``out``
-    (rows, 3, k), -1 where there is none.
+    (rows, 3, k), -1 where there is none. Entries of one vertex are summed likewise.
     """
     for e in range(len(tets)):
-        for u in range(4):
+        for u in range(tets.shape[1]):
             row = numbers[e, u]
             if row < 0:
                 continue
-            for v in range(4):
+            for v in range(tets.shape[1]):
                 B = blocks[e, PAIR[u, v]]
                 for i in range(3):
                     for j in range(3):
                         value = B[i, j] if u <= v else B[j, i]
                         for k in range(out.shape[2]):
                             out[row, i, k] += value * motion[tets[e, v], j, k]
+
+
+def _graph(rows: Ints, columns: Ints, count: int) -> sp.csr_array:
+    """Return the symmetric pattern (count, count), sorted, with some entries of its upper half."""
+    off = rows != columns
+    places = np.concatenate([rows, columns[off]]), np.concatenate([columns, rows[off]])
+    graph = sp.csr_array((np.ones(len(places[0])), places), shape=(count, count))
+    graph.sort_indices()
+    return graph
+
+
+def _diagonal(pattern: sp.csr_array) -> Ints:
+    """Return where the diagonal is in the CSR data."""
+    row_of = np.repeat(np.arange(pattern.shape[0]), np.diff(pattern.indptr))
+    return np.flatnonzero(pattern.indices == row_of)
 
 
 def _grouped(labels: Ints, count: int) -> tuple[Ints, Ints]:
@@ -151,9 +165,10 @@ def _sum_blocks(
     turned: Ints,
     slots: Ints,
     lengths: Ints,
+    add: bool,
     data: Floats,
 ) -> None:
-    """Write every entry's 3x3 sum to its two places in the CSR ``data``."""
+    """Write, or add, every entry's 3x3 sum to its two places in the CSR ``data``."""
     for entry in nb.prange(len(slots)):
         b00 = b01 = b02 = b10 = b11 = b12 = b20 = b21 = b22 = 0.0
         for k in range(first[entry], first[entry + 1]):
@@ -176,6 +191,16 @@ def _sum_blocks(
                 b20 += B[2, 0]
                 b21 += B[2, 1]
         s, length = slots[entry, 0], lengths[entry, 0]
+        if add:
+            b00 += data[s]
+            b01 += data[s + 1]
+            b02 += data[s + 2]
+            b10 += data[s + length]
+            b11 += data[s + length + 1]
+            b12 += data[s + length + 2]
+            b20 += data[s + 2 * length]
+            b21 += data[s + 2 * length + 1]
+            b22 += data[s + 2 * length + 2]
         data[s], data[s + 1], data[s + 2] = b00, b01, b02
         s += length
         data[s], data[s + 1], data[s + 2] = b10, b11, b12

@@ -34,7 +34,7 @@ class Elements(NamedTuple):
     """Tetrahedra of one law, each with moduli of its own.
 
     ``tets`` (n, 4), shape functions' gradients ``N`` (n, 4, 3) in 1/mm, rest volumes ``volume``
-    (n,) in mm^3; the law's own ``mu``, ``lam``, ``kappa`` and weight of the ``barrier`` (n,), in
+    (n,) in mm^3; the law's own ``mu``, ``lam``, ``kappa`` and ``barrier_weight`` (n,), in
     stress units; the ``law``'s number (:mod:`solver.mechanics.laws`).
     """
 
@@ -44,7 +44,7 @@ class Elements(NamedTuple):
     mu: Floats
     lam: Floats
     kappa: Floats
-    barrier: Floats
+    barrier_weight: Floats
     law: int
 
     def take(self, some: Ints) -> Elements:
@@ -56,7 +56,7 @@ class Elements(NamedTuple):
             self.mu[some],
             self.lam[some],
             self.kappa[some],
-            self.barrier[some],
+            self.barrier_weight[some],
             self.law,
         )
 
@@ -90,7 +90,7 @@ def activation(a: Floats) -> Symmetric:
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
 def moduli_of(mesh: Elements, e: int) -> Moduli:
     """Return the moduli of one tet."""
-    return mesh.mu[e], mesh.lam[e], mesh.kappa[e], mesh.barrier[e]
+    return mesh.mu[e], mesh.lam[e], mesh.kappa[e], mesh.barrier_weight[e]
 
 
 @nb.njit(cache=True, parallel=True, error_model="numpy")

@@ -1,124 +1,46 @@
-"""Quasi-static equilibrium: grad_x E(x; A, b) = 0 by Newton's method.
-
-Near the solution the raw Hessian gives quadratic convergence. Far from it, and where it is not
-positive definite, it is projected, no further than need be. A line search keeps the energy finite,
-hence every tet upright. Where a Hessian from nearby still serves, its chord steps do instead, with
-Anderson's acceleration: one costs a fraction of a new factorisation.
-"""
+"""Quasi-static equilibrium, grad_x E(x; A, b) = 0: solved, predicted, or corrected from near by."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
 
 from solver.errors import SolveError
 from solver.mechanics.flesh import Flesh
-from solver.mechanics.linear import Factor, LinearSolver, NotPositiveDefiniteError
+from solver.mechanics.linear import LinearSolver
 from solver.mechanics.materials.volumetric import BARRIER_START
+from solver.mechanics.newton import Accelerator, Energy, Factorization, NewtonOptions, Search
 from solver.surface import Floats
 
-# Anderson's acceleration of corrections with an old stiffness.
-#
-# Walker and Ni (2011), Anderson acceleration for fixed-point iterations: the corrections so far
-# tell in which few modes the stiffness is wrong.
+SAME_MM = 1e-3  # motion over which a factorised Hessian counts as the one here
 
 
-KEPT = 8
-"""Corrections that it looks back on."""
+@dataclass(frozen=True)
+class PredictorOptions:
+    """How near to its equilibrium :func:`newton_predict` goes."""
+
+    reach_mm: float = 0.3  # a Newton step no longer than this is taken to end in the equilibrium
+    corrections: int = 6  # Newton steps at most
+    contraction: float = 0.3  # part of the step's length that the next chord step has at most
+    # chord steps follow until the next is shorter than this, so many at most
+    settled_mm: float = 0.02
+    chords: int = 3
 
 
-class Accelerator:
-    """Takes points (size,) with the corrections (size,) there, and makes better corrections."""
+@dataclass(frozen=True)
+class CorrectorOptions:
+    """When :func:`correct` asks for a new Hessian, and when it is near enough."""
 
-    def __init__(self) -> None:
-        self._points: list[Floats] = []
-        self._corrections: list[Floats] = []
-
-    def step(self, point: Floats, correction: Floats) -> Floats:
-        """Return the step from ``point``, the ``correction`` there itself if it is the first."""
-        self._points = [*self._points[-KEPT:], point]
-        self._corrections = [*self._corrections[-KEPT:], correction]
-        if len(self._points) < 2:
-            return correction
-        changes = np.diff(self._corrections, axis=0).T
-        # they get shorter by orders of magnitude: all count alike
-        scale = np.linalg.norm(changes, axis=0)
-        if not (np.isfinite(scale).all() and scale.all()):
-            return correction
-        weights = np.linalg.lstsq(changes / scale, correction, rcond=1e-6)[0] / scale
-        return np.asarray(correction - (np.diff(self._points, axis=0).T + changes) @ weights)
-
-
-TOLERANCE = 1e-7
-"""Residual |grad E| over the nodal forces at unit strain."""
-
-STALLED = 1e-5
-"""Residual at which a solve that can get no further still counts."""
-
-MAX_ITERATIONS = 100
-ARMIJO = 1e-4
-SHORTEST_STEP = 2.0**-30
-GROWTH = 4.0
-
-CRUSHED = 1e-3
-"""det F below which a tet is too stiff for its neighbours to be solved for."""
-
-SHARES = (0.0, 0.05, 0.15, 0.4, 1.0)
-"""How far the Hessian is projected, one after the other, until it is positive definite."""
-
-FAR = 0.3
-"""Residual from which on a start is not worth trying with less than the whole projection."""
-
-NARROWEST = 0.1
-"""No step makes a tet's det F smaller than this part of what it was: a crushed tet opens slowly."""
-
-REACH_MM = 0.3
-"""A Newton step no longer than this is taken to end in the equilibrium."""
-
-CORRECTIONS = 6
-"""Newton steps of an approach at most."""
-
-CONTRACTION = 0.3
-"""Part of the step's length that the next chord step has at most, where it is of any use."""
-
-COASTING = 0.7
-"""Part of the residual that an accelerated chord step leaves at most: it costs a fifth to an eighth
-of a factorisation, and most simulated expressions need none."""
-
-SETTLED_MM, CHORDS = 0.02, 3
-"""Chord steps end an approach: until the next is shorter than the one, the other at most."""
-
-SAME_MM = 1e-3
-"""Motion over which a factorised Hessian counts as the one here."""
-
-
-class Stiffness:
-    """The Hessian at x (p, 3) with activations ``a`` (n, 6), factorised when first asked for.
-
-    ``first`` is the first of the :data:`SHARES` to be tried.
-    """
-
-    def __init__(
-        self, flesh: Flesh, linear: LinearSolver, x: Floats, a: Floats, first: int = 0
-    ) -> None:
-        self.x = x
-        self._problem = flesh, linear, x, a, first
-
-    def solve(self, B: Floats) -> Floats:
-        """See :class:`~solver.mechanics.linear.Factor`."""
-        return self._factorised[0].solve(B)
-
-    @property
-    def share(self) -> int:
-        """Return the number of the share by which the Hessian had to be projected."""
-        return self._factorised[1]
-
-    @cached_property
-    def _factorised(self) -> tuple[Factor, int]:
-        return factorise(*self._problem)
+    long_mm: float = 0.75  # a longer correction asks for a new Hessian
+    close_mm: float = 0.2  # the end of a shorter one is good enough
+    # so does one that is as many times as long as that before: accelerated ones may be longer
+    contraction: float = 1.2
+    corrections: int = 8
+    factorizations: int = 5
+    parts: tuple[float, ...] = (1.0, 0.5, 0.25, 0.125)  # tried where a tet would collapse
+    min_jacobian_ratio: float = NewtonOptions.min_jacobian_ratio
+    untanglings: int = 6  # rounds of carrying collapsed tets along: each may make others collapse
 
 
 @dataclass(frozen=True)
@@ -127,350 +49,185 @@ class Equilibrium:
 
     ``estimate`` (p, 3) is that step's end: the equilibrium to second order, x itself where that is
     solved. ``factor`` is the Hessian's at x, or where it served last on the way: about
-    :data:`REACH_MM` away at most, :data:`SAME_MM` where solved (:class:`Lagged` has its own from
-    further away). ``residual`` is |grad E| over the nodal forces at unit strain,
+    :attr:`PredictorOptions.reach_mm` away at most, :data:`SAME_MM` where solved (:func:`correct`
+    has its own from further away). ``residual`` is |grad E| over the nodal forces at unit strain,
     ``iterations`` counts Newton steps.
     """
 
     x: Floats
     estimate: Floats
-    factor: Stiffness
+    factor: Factorization
     residual: float
     iterations: int
 
     @property
     def minimum(self) -> bool:
         """Tell whether the Hessian is positive definite as it is (else it has been projected)."""
-        return self.factor.share == 0
+        return self.factor.projection == 0
 
 
-def factorise(
-    flesh: Flesh, linear: LinearSolver, x: Floats, a: Floats, first: int = 0
-) -> tuple[Factor, int]:
-    """Factorise the Hessian at x, projected as far as need be; tell which of the SHARES it took.
-
-    The first of :data:`SHARES` to be tried is number ``first``; 0 is the Hessian itself. Near
-    buckling a small share is often enough, and keeps more of Newton's speed than all of it.
-
-    Raises :class:`SolveError`: ``solve.crushed`` where a tet has next to no volume left, else
-    ``solve.singular``.
-    """
-    for number in range(first, len(SHARES)):
-        matrix = flesh.hessian(x, a, project=SHARES[number])
-        if number:
-            # a projected element may be semi-definite: a trace of stiffness keeps the sum definite
-            diagonal = flesh.diagonal
-            matrix.data[diagonal] += 1e-6 * SHARES[number] * matrix.data[diagonal].mean()
-        try:
-            return linear.factor(matrix.data), number
-        except NotPositiveDefiniteError:
-            pass
-    openings = flesh.openings(x)
-    flattest = int(openings.argmin())
-    if openings[flattest] < CRUSHED:
-        place = np.round(flesh.rest[flesh.tets[flattest]].mean(axis=0))
-        raise SolveError(
-            "solve.crushed",
-            f"the flesh around {place.tolist()} is crushed: what holds it has come together there",
-            tet=flattest,
-            place_mm=place.tolist(),
-        )
-    raise SolveError(
-        "solve.singular", "the flesh's stiffness is singular: a part of it is held by nothing"
-    )
-
-
-def solve(
+def solve_equilibrium(
     flesh: Flesh,
     linear: LinearSolver,
     x: Floats,
     a: Floats,
     *,
-    tolerance: float = TOLERANCE,
-    max_iterations: int = MAX_ITERATIONS,
-    near: Stiffness | None = None,
+    tolerance: float = NewtonOptions.tolerance,
+    max_iterations: int = NewtonOptions.factorizations,
+    near: Factorization | None = None,
 ) -> Equilibrium:
     """Minimise E over the free vertices from ``x`` (p, 3), held vertices staying where they are.
 
-    ``near`` is the stiffness of a state nearby, which is tried first. Raises :class:`SolveError`:
+    ``near`` is the Hessian of a state nearby, which is tried first. Raises :class:`SolveError`:
     ``solve.inverted`` if a tet is inverted at the start, ``solve.no_convergence`` if it stops at a
-    residual above both ``tolerance`` and ``STALLED``.
+    residual above both ``tolerance`` and :attr:`NewtonOptions.stalled`.
     """
-    _check_upright(flesh, x, a)
-    stiffness, share = near, -1
-    for iteration in range(max_iterations + 1):
-        gradient = flesh.gradient(x, a)
-        if stiffness is not None:
-            x, gradient = _coast(flesh, x, a, stiffness, gradient, tolerance)
-        residual = _residual(flesh, gradient)
-        if residual <= tolerance or iteration == max_iterations:
-            break
-        newton = Stiffness(flesh, linear, x, a, _first_share(residual, share))
-        share = newton.share
-        step = _line_search(flesh, x, a, newton.solve(-gradient), gradient, share > 0)
-        if step is None:
-            break
-        x, length = step
-        # what is projected, or led only part of the way, is no good a second time
-        stiffness = newton if share == 0 and length == 1.0 else None
+    options = NewtonOptions(tolerance=tolerance, factorizations=max_iterations)
+    energy = Energy(flesh, linear, a)
+    _check_orientation(energy, x)
+    search = Search(energy, x, options, near)
+    search.minimize()
     # NaN, too, is no equilibrium
-    if not residual <= max(tolerance, STALLED):
+    if not search.residual <= max(tolerance, options.stalled):
         raise SolveError(
             "solve.no_convergence",
-            f"equilibrium stopped at a residual of {residual:.1e} after {iteration} steps",
-            residual=residual,
+            f"equilibrium stopped at a residual of {search.residual:.1e}"
+            f" after {search.factorizations} steps",
+            residual=search.residual,
         )
-    if stiffness is None or np.abs(stiffness.x - x).max() > SAME_MM:
-        stiffness = Stiffness(flesh, linear, x, a)
-    return Equilibrium(x, x, stiffness, residual, iteration)
+    factor = search.factorization
+    if factor is None or np.abs(factor.x - search.x).max() > SAME_MM:
+        factor = Factorization(flesh, linear, search.x, a)
+    return Equilibrium(search.x, search.x, factor, search.residual, search.factorizations)
 
 
-def approach(
-    flesh: Flesh, linear: LinearSolver, x: Floats, a: Floats, settled_mm: float = SETTLED_MM
+def newton_predict(
+    flesh: Flesh,
+    linear: LinearSolver,
+    x: Floats,
+    a: Floats,
+    options: PredictorOptions | None = None,
 ) -> Equilibrium:
-    """Take Newton steps from ``x`` (p, 3) until the next one is shorter than :data:`REACH_MM`.
+    """Take Newton steps from ``x`` (p, 3) until the next one is short, then some chord steps.
 
-    Then chord steps follow, :data:`CHORDS` at most, until the next is shorter than ``settled_mm``.
     Inside a fit that is near enough: ``estimate`` is what it compares with its target. Raises
-    :class:`SolveError`: ``solve.inverted``, or ``solve.far`` after :data:`CORRECTIONS` steps.
+    :class:`SolveError`: ``solve.inverted``, or ``solve.far`` after so many steps.
     """
-    _check_upright(flesh, x, a)
-    share = -1
-    for iteration in range(CORRECTIONS + 1):
-        gradient = flesh.gradient(x, a)
-        residual = _residual(flesh, gradient)
-        stiffness = Stiffness(flesh, linear, x, a, _first_share(residual, share))
-        share = stiffness.share
-        direction = stiffness.solve(-gradient)
-        if np.abs(direction).max() <= REACH_MM:
-            estimate = flesh.moved(x, direction)
-            found = Equilibrium(x, estimate, stiffness, residual, iteration)
-            return _polish(flesh, a, found, settled_mm)
-        step = _line_search(flesh, x, a, direction, gradient, share > 0)
+    options = options or PredictorOptions()
+    energy = Energy(flesh, linear, a)
+    _check_orientation(energy, x)
+    search = Search(energy, x, NewtonOptions())
+    for iteration in range(options.corrections + 1):
+        direction = search.direction()
+        if search.factorization and np.abs(direction).max() <= options.reach_mm:
+            now, estimate = search.x, flesh.moved(search.x, direction)
+            found = Equilibrium(now, estimate, search.factorization, search.residual, iteration)
+            return _polish(energy, found, options)
+        step = search.line_search(direction)
         if step is None:
             break
-        x, _ = step
+        search.go_to(step[0])
     raise SolveError("solve.far", "the equilibrium is too far for a few steps")
 
 
-def _check_upright(flesh: Flesh, x: Floats, a: Floats) -> None:
-    if not np.isfinite(flesh.energy(x, a)):
-        raise SolveError(
-            "solve.inverted", f"{flesh.inverted(x)} tetrahedra are inverted before the first step"
-        )
+def _check_orientation(energy: Energy, x: Floats) -> None:
+    if not np.isfinite(energy.value(x)):
+        count = energy.flesh.inverted(x)
+        raise SolveError("solve.inverted", f"{count} tetrahedra are inverted before the first step")
 
 
-def _residual(flesh: Flesh, gradient: Floats) -> float:
-    return float(np.linalg.norm(gradient)) / flesh.force_scale
-
-
-def _coast(
-    flesh: Flesh, x: Floats, a: Floats, stiffness: Stiffness, gradient: Floats, tolerance: float
-) -> tuple[Floats, Floats]:
-    """Return where accelerated chord steps lead as the residual falls, and the gradient there.
-
-    An equilibrium that is unstable but perfectly symmetric is one to them, too: the slightest
-    asymmetry, 1e-4 mm of a column, leads away from it, and ``minimum`` tells.
-    """
-    accelerator = Accelerator()
-    while _residual(flesh, gradient) > tolerance:
-        correction = stiffness.solve(-gradient)
-        trial = flesh.moved(x, accelerator.step(x[flesh.free].ravel(), correction))
-        if flesh.narrowing(x, trial) < NARROWEST:
-            break
-        after = flesh.gradient(trial, a)
-        # NaN is no progress either
-        if not np.linalg.norm(after) <= COASTING * np.linalg.norm(gradient):
-            break
-        x, gradient = trial, after
-    return x, gradient
-
-
-def _polish(flesh: Flesh, a: Floats, now: Equilibrium, settled_mm: float) -> Equilibrium:
+def _polish(energy: Energy, now: Equilibrium, options: PredictorOptions) -> Equilibrium:
     """Follow an estimate by chord steps that get shorter."""
-    for _ in range(CHORDS):
+    flesh = energy.flesh
+    for _ in range(options.chords):
         length = np.abs(now.estimate - now.x).max()
-        if length <= settled_mm or flesh.narrowing(now.x, now.estimate) < NARROWEST:
+        ratio = flesh.min_jacobian_ratio(now.x, now.estimate)
+        if length <= options.settled_mm or ratio < NewtonOptions.min_jacobian_ratio:
             break
-        gradient = flesh.gradient(now.estimate, a)
+        gradient = energy.gradient(now.estimate)
         direction = now.factor.solve(-gradient)
-        if np.abs(direction).max() > CONTRACTION * length:
+        if np.abs(direction).max() > options.contraction * length:
             break
         estimate = flesh.moved(now.estimate, direction)
-        residual = _residual(flesh, gradient)
+        residual = energy.residual(gradient)
         now = replace(now, x=now.estimate, estimate=estimate, residual=residual)
     return now
 
 
-def _first_share(residual: float, last: int) -> int:
-    """Return the share to try first; ``last`` is what the step before took, -1 if there is none."""
-    if residual <= TOLERANCE:
-        return 0
-    if last < 0:
-        return len(SHARES) - 1 if residual > FAR else 0
-    return max(last - 1, 0)
-
-
-def _line_search(
-    flesh: Flesh, x: Floats, a: Floats, direction: Floats, gradient: Floats, grow: bool
-) -> tuple[Floats, float] | None:
-    """Halve the step until the energy falls enough (Armijo); None if it does not fall at all.
-
-    With ``grow`` a full step that does is made longer while the energy goes on falling: where flesh
-    buckles, at a saddle, the projected Hessian is too stiff. Returns the end and the step's length,
-    1 being the whole ``direction``.
-    """
-    energy, slope = flesh.energy(x, a), float(gradient @ direction)
-
-    def tried(step: float) -> tuple[Floats, float] | None:
-        trial = flesh.moved(x, step * direction)
-        if flesh.narrowing(x, trial) < NARROWEST:
-            return None
-        value = flesh.energy(trial, a)
-        # rounding decides once the predicted decrease is below the energy's last digits
-        enough = value <= energy + ARMIJO * step * slope + 1e-13 * abs(energy)
-        return (trial, value) if enough else None
-
-    step = 1.0
-    found = tried(step)
-    while found is None and step > SHORTEST_STEP:
-        step *= 0.5
-        found = tried(step)
-    while grow and found is not None and step >= 1.0:
-        longer = tried(GROWTH * step)
-        if longer is None or longer[1] >= found[1]:
-            break
-        found, step = longer, GROWTH * step
-    return found and (found[0], step)
-
-
-# Equilibrium near a known one: Newton's method with a stiffness from somewhere near.
-#
-# A factorisation costs as much as several corrections with an old one. So these go on while they
-# get shorter, with Anderson's acceleration: it finds the few modes in which the old stiffness is
-# wrong.
-
-
-LONG_MM, CLOSE_MM = 0.75, 0.2
-"""A longer correction asks for a new stiffness; the end of a shorter one is good enough."""
-
-LAGGED_CONTRACTION = 1.2
-"""A correction that is as many times as long as the one before asks for a new stiffness too: an
-accelerated one may be longer now and then."""
-
-LAGGED_CORRECTIONS = 8
-FACTORISATIONS = 5
-PARTS = (1.0, 0.5, 0.25, 0.125)
-"""Parts of a correction that are tried where it would crush a tet."""
-
-UNTANGLINGS = 6
-"""Rounds of carrying crushed tets along: each may crush others."""
+# Equilibrium near a known one. A factorization costs as much as several corrections with an old
+# one, so these go on while they get shorter, with Anderson's acceleration.
 
 
 def correct(
-    flesh: Flesh, linear: LinearSolver, x: Floats, a: Floats, stiffness: Stiffness
+    flesh: Flesh,
+    linear: LinearSolver,
+    x: Floats,
+    a: Floats,
+    factor: Factorization,
+    options: CorrectorOptions | None = None,
 ) -> Equilibrium | None:
-    """Return the equilibrium near ``x`` (p, 3) to within :data:`CLOSE_MM`, None if it is far.
+    """Return the equilibrium near ``x`` (p, 3) to within ``close_mm``, None if it is far.
 
-    ``stiffness`` is one nearby; the result has the last that served. Its residual is that before
-    the last correction. Raises :class:`SolveError` (``solve.singular``).
+    ``factor`` is the Hessian of a state nearby; the result has the last that served. Its residual
+    is that before the last correction. Raises :class:`SolveError` (``solve.singular``).
     """
-    accelerator = Accelerator()
-    left = FACTORISATIONS
-    # a projected stiffness is too stiff for its corrections to tell how far it still is
-    bound = LONG_MM if stiffness.share == 0 else 0.0
-    for number in range(LAGGED_CORRECTIONS):
-        gradient = flesh.gradient(x, a)
-        direction = stiffness.solve(-gradient) if bound else None
+    options = options or CorrectorOptions()
+    energy, accelerator = Energy(flesh, linear, a), Accelerator()
+    left = options.factorizations
+    # a projected Hessian is too stiff for its corrections to tell how far it still is
+    bound = options.long_mm if factor.projection == 0 else 0.0
+    for number in range(options.corrections):
+        gradient = energy.gradient(x)
+        direction = factor.solve(-gradient) if bound else None
         if direction is None or not np.abs(direction).max() <= bound:
             if not left:
                 return None
             left -= 1
             # flesh that needed some projection a moment ago hardly does without now
-            stiffness = Stiffness(flesh, linear, x, a, max(stiffness.share - 1, 0))
-            direction = stiffness.solve(-gradient)
+            factor = energy.factorization(x, max(factor.projection - 1, 0))
+            direction = factor.solve(-gradient)
             accelerator = Accelerator()
         length = float(np.abs(direction).max())
         step = accelerator.step(x[flesh.free].ravel(), direction)
-        last = length <= CLOSE_MM
-        moved = _moved(flesh, x, direction if last else step)
+        last = length <= options.close_mm
+        moved = _move(flesh, x, direction if last else step, options)
         if moved is None:
             return None
         if last:
-            residual = float(np.linalg.norm(gradient)) / flesh.force_scale
-            return Equilibrium(moved, moved, stiffness, residual, number)
-        x, bound = moved, LAGGED_CONTRACTION * length
+            return Equilibrium(moved, moved, factor, energy.residual(gradient), number)
+        x, bound = moved, options.contraction * length
     return None
 
 
-def _moved(flesh: Flesh, x: Floats, motion: Floats) -> Floats | None:
-    """Return x (p, 3) with as much of the ``motion`` (size,) as crushes no tet."""
-    for part in PARTS:
+def _move(flesh: Flesh, x: Floats, motion: Floats, options: CorrectorOptions) -> Floats | None:
+    """Return x (p, 3) with as much of the ``motion`` (size,) as makes no tet collapse."""
+    for part in options.parts:
         moved = flesh.moved(x, part * motion)
-        if flesh.narrowing(x, moved) >= NARROWEST:
+        if flesh.min_jacobian_ratio(x, moved) >= options.min_jacobian_ratio:
             return moved
     return None
 
 
-def untangled(flesh: Flesh, upright: Floats, moved: Floats) -> Floats | None:
-    """Return ``moved`` (p, 3) with every tet that it crushes carried along whole; None if it fails.
+def untangle(
+    flesh: Flesh, start: Floats, moved: Floats, options: CorrectorOptions | None = None
+) -> Floats | None:
+    """Return ``moved`` (p, 3), every tet that collapses carried along whole; None if it fails.
 
-    A linear prediction turns a few crushed tets beside the jaw inside out. Their free corners go
-    with those that are held, or all four together, from where ``upright`` (p, 3) has them.
+    A linear prediction turns a few tets beside the jaw inside out. Their free corners go with
+    those that are held, or all four together, from where ``start`` (p, 3) has them, in which all
+    tets are positively oriented.
     """
-    if flesh.narrowing(upright, moved) >= NARROWEST:
+    options = options or CorrectorOptions()
+    if flesh.min_jacobian_ratio(start, moved) >= options.min_jacobian_ratio:
         return moved
-    before = flesh.openings(upright)
-    least = NARROWEST * np.minimum(before, BARRIER_START)
-    for _ in range(UNTANGLINGS):
-        crushed = flesh.openings(moved) < least
-        if not crushed.any():
+    least = options.min_jacobian_ratio * np.minimum(flesh.jacobians(start), BARRIER_START)
+    for _ in range(options.untanglings):
+        collapsed = flesh.jacobians(moved) < least
+        if not collapsed.any():
             return moved
-        for tet in flesh.tets[crushed]:
+        for tet in flesh.tets[collapsed]:
             free = flesh.free_numbers[tet] >= 0
             leading = tet if free.all() else tet[~free]
-            shift = (moved[leading] - upright[leading]).mean(axis=0)
-            moved[tet[free]] = upright[tet[free]] + shift
+            shift = (moved[leading] - start[leading]).mean(axis=0)
+            moved[tet[free]] = start[tet[free]] + shift
     return None
-
-
-# Flesh that is slow to leave where it is: an implicit Euler step of an overdamped motion.
-#
-#     E(x, a) + tau/2 |x - x_0|^2_K
-#
-# with K the stiffness at rest and x_0 the place before the step. Near buckling, where the flesh by
-# itself would snap, such a step stays short; without motion it feels nothing (a proximal point
-# method, Rockafellar 1976; the time step is 1 / tau).
-
-
-class Viscous(Flesh):
-    """The same flesh with the ``viscosity`` tau, a part of its stiffness, and ``anchor`` x_0."""
-
-    def __init__(self, flesh: Flesh) -> None:
-        # it is the same flesh, with all that was computed for it
-        vars(self).update(vars(flesh))
-        self.viscosity = 0.0
-        self.anchor = flesh.rest
-        self._stiffness = flesh.hessian(flesh.rest, flesh.passive())
-
-    def energy(self, x: Floats, a: Floats) -> float:
-        """See :meth:`Flesh.energy`."""
-        moved = self._moved(x)
-        return super().energy(x, a) + 0.5 * self.viscosity * float(
-            moved @ (self._stiffness @ moved)
-        )
-
-    def gradient(self, x: Floats, a: Floats) -> Floats:
-        """See :meth:`Flesh.gradient`."""
-        drag: Floats = self.viscosity * (self._stiffness @ self._moved(x))
-        return super().gradient(x, a) + drag
-
-    def hessian(self, x: Floats, a: Floats, *, project: float = 0.0) -> sp.csr_array:
-        """See :meth:`Flesh.hessian`."""
-        matrix = super().hessian(x, a, project=project)
-        matrix.data += self.viscosity * self._stiffness.data
-        return matrix
-
-    def _moved(self, x: Floats) -> Floats:
-        moved: Floats = (x - self.anchor)[self.free].ravel()
-        return moved

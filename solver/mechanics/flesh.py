@@ -6,18 +6,20 @@ order of their vertex numbers, three coordinates each. Stress is in units of mu,
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 
-from solver.errors import InputError, SolveError
+from solver.errors import InputError
 from solver.mechanics import elements, laws
-from solver.mechanics.assembly import PAIRS, BlockSum, VertexSum, couple
+from solver.mechanics.assembly import BlockSum, VertexSum, couple
 from solver.mechanics.elements import Elements
 from solver.mechanics.laws import Law
-from solver.mechanics.sliding import Planes, no_planes
+from solver.mechanics.sliding import Planes, PlanesTerm, no_planes
+from solver.mechanics.terms import Drag, ElasticTerm, EnergyTerm
 from solver.surface import Floats, Ints
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
@@ -35,17 +37,17 @@ class Material:
     mu: float = 1.0
     lam: float = 1.0
     kappa: float = 0.0
-    barrier: float = 5.0
+    barrier_weight: float = 5.0
     law: Law = "corotated"
 
-    def in_pascal(self, stiffness: float) -> Material:
-        """Return the material with ``stiffness`` in Pa where this one has a stress of 1."""
+    def in_pascal(self, pascals: float) -> Material:
+        """Return the material with its stress of 1 being so many ``pascals``."""
         return replace(
             self,
-            mu=stiffness * self.mu,
-            lam=stiffness * self.lam,
-            kappa=stiffness * self.kappa,
-            barrier=stiffness * self.barrier,
+            mu=pascals * self.mu,
+            lam=pascals * self.lam,
+            kappa=pascals * self.kappa,
+            barrier_weight=pascals * self.barrier_weight,
         )
 
 
@@ -57,10 +59,6 @@ COROTATED_DET = Material(mu=1.0, lam=0.0, kappa=3.0)
 
 NEO_HOOKEAN = replace(COROTATED_DET, law="neo_hookean")
 """The stable Neo-Hookean flesh that is like Phace's at small strains."""
-
-
-class InvertedActivationError(InputError, SolveError):
-    """A tet is activated to no positive volume: to a fit, a step that went too far."""
 
 
 def shape_gradients(rest: Floats, tets: Ints) -> tuple[Floats, Floats]:
@@ -85,12 +83,21 @@ def shape_gradients(rest: Floats, tets: Ints) -> tuple[Floats, Floats]:
     return gradients, volumes
 
 
-def symmetric_determinants(a: Floats) -> Floats:
-    """Return det S(a) of activations (n, 6)."""
-    xx, xy, xz, yy, yz, zz = a.T
-    return np.asarray(
-        xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
-    )
+class _Summed:
+    """A term with what sums its entries up to a flesh's gradient and Hessian."""
+
+    def __init__(self, term: EnergyTerm, flesh: Flesh) -> None:
+        self.term = term
+        self._flesh = flesh
+        self._numbers = flesh.free_numbers[term.vertices]
+
+    @cached_property
+    def vertex_sum(self) -> VertexSum:
+        return VertexSum(self._numbers, len(self._flesh.free))
+
+    @cached_property
+    def block_sum(self) -> BlockSum:
+        return BlockSum(self._numbers, len(self._flesh.free), self._flesh.block_sum)
 
 
 class Flesh:
@@ -111,7 +118,7 @@ class Flesh:
         tissues is listed twice.
     sliding
         The planes that some of the free vertices stay on.
-    stiffness
+    stiffness_factor
         (n,) a factor of every tet's material, one by default.
     growth
         (n,) plastic growth f of F_p = f I, none by default: the tet's energy is V psi(F F_p^-1, A)
@@ -129,7 +136,7 @@ class Flesh:
         material: Material | None = None,
         shares: Floats | None = None,
         sliding: Planes | None = None,
-        stiffness: Floats | None = None,
+        stiffness_factor: Floats | None = None,
         growth: Floats | None = None,
     ) -> None:
         self.material = material or Material()
@@ -142,14 +149,14 @@ class Flesh:
             # F F_p^-1 is linear in the vertices as F is
             self.gradients /= growth[:, None, None]
         given = self.material
-        factor = np.ones(len(self.tets)) if stiffness is None else stiffness
+        factor = np.ones(len(self.tets)) if stiffness_factor is None else stiffness_factor
         self.elements = Elements(
             self.tets,
             self.gradients,
             self.volumes,
             *laws.own_moduli(given.law, given.mu * factor, given.lam * factor),
             given.kappa * factor,
-            given.barrier * factor,
+            given.barrier_weight * factor,
             laws.number(given.law),
         )
         is_free = np.ones(len(self.rest), dtype=bool)
@@ -159,7 +166,36 @@ class Flesh:
         self.free_numbers = np.full(len(self.rest), -1)
         self.free_numbers[self.free] = np.arange(len(self.free))
         self.sliding = sliding or no_planes()
-        self._sliding_rows = 3 * self.free_numbers[self.sliding.vertices][:, None] + np.arange(3)
+        self.elastic = ElasticTerm(self.elements)
+        self._passive = np.tile(IDENTITY, (len(self.tets), 1))
+        self._first: EnergyTerm = self.elastic
+        self._others: tuple[_Summed, ...] = ()
+        if len(self.sliding.vertices):
+            self._others = (_Summed(PlanesTerm(self.sliding), self),)
+
+    def plus(self, *terms: EnergyTerm) -> Flesh:
+        """Return this flesh with more terms in its energy, of its tets or of its free vertices."""
+        other = copy.copy(self)
+        other._others = (*self._others, *(_Summed(term, self) for term in terms))
+        return other
+
+    @property
+    def terms(self) -> tuple[EnergyTerm, ...]:
+        """Return the terms of the energy, the tets' law first."""
+        return self._first, *(each.term for each in self._others)
+
+    def drags(self) -> list[Drag]:
+        """Return what makes this flesh slow where it is added to it: a drag for each term."""
+        return [Drag(term, self.rest, self._passive, self.held) for term in self.terms]
+
+    def driven_by(self, term: EnergyTerm, passive: Floats) -> Flesh:
+        """Return this flesh with another first term, over the same tets, for other controls.
+
+        ``passive`` are the controls of a face at rest.
+        """
+        other = copy.copy(self)
+        other._first, other._passive = term, passive
+        return other
 
     @property
     def size(self) -> int:
@@ -171,6 +207,12 @@ class Flesh:
         """Return the places (size,) of the free coordinates among all (3 p,)."""
         return np.asarray((3 * self.free[:, None] + np.arange(3)).ravel())
 
+    def free_block(self, matrix: sp.csr_array) -> sp.csr_array:
+        """Return the part of a matrix (3 p, 3 p) that belongs to free coordinates, (size, size)."""
+        found = sp.csr_array(matrix[self.free_coordinates][:, self.free_coordinates])
+        found.sum_duplicates()
+        return found
+
     @cached_property
     def force_scale(self) -> float:
         """Return the size of the nodal forces at unit strain: what a residual is measured by."""
@@ -178,8 +220,8 @@ class Flesh:
         return float(np.linalg.norm(self.elements.mu * self.volumes * steepness))
 
     def passive(self) -> Floats:
-        """Return the activations (n, 6) of a face at rest."""
-        return np.tile(IDENTITY, (len(self.tets), 1))
+        """Return the controls of a face at rest: activations (n, 6) unless others drive it."""
+        return self._passive.copy()
 
     def moved(self, x: Floats, motion: Floats) -> Floats:
         """Return a copy of x (p, 3) with the free vertices moved by ``motion`` (size,)."""
@@ -189,16 +231,14 @@ class Flesh:
 
     def energy(self, x: Floats, a: Floats) -> float:
         """Return E(x, a); infinite if a tet is inverted."""
-        out = np.empty(len(self.tets))
-        elements.energies(self.elements, np.ascontiguousarray(x), a, out)
-        return float(out.sum()) + self.sliding.energy(x)
+        others = sum(each.term.energy(x, a) for each in self._others)
+        return self._first.energy(x, a) + others
 
     def gradient(self, x: Floats, a: Floats) -> Floats:
         """Return dE/dx by the free coordinates, shape (size,)."""
-        self._check_volume(a)
-        elements.forces(self.elements, np.ascontiguousarray(x), a, self._forces)
-        gradient = self.scatter(self._forces)
-        gradient[self._sliding_rows] += self.sliding.gradient(x)
+        gradient = self.scatter(self._first.forces(x, a))
+        for each in self._others:
+            gradient += each.vertex_sum(each.term.forces(x, a))
         return gradient
 
     def scatter(self, per_tet: Floats) -> Floats:
@@ -210,17 +250,15 @@ class Flesh:
 
         Between 0 and 1 it mixes the two.
         """
-        self._check_volume(a)
-        x = np.ascontiguousarray(x)
-        elements.hessian_blocks(self.elements, x, a, float(project), self._blocks)
-        matrix = self._block_sum(self._blocks)
-        matrix.data[self._sliding_entries] += self.sliding.hessian()
+        matrix = self.block_sum(self._first.blocks(x, a, project=project))
+        for each in self._others:
+            each.block_sum.add(each.term.blocks(x, a, project=project), matrix.data)
         return matrix
 
     @property
     def diagonal(self) -> Ints:
         """Return where the Hessian's diagonal is in its CSR data, (size,)."""
-        return self._block_sum.diagonal
+        return self.block_sum.diagonal
 
     def assemble(self, blocks: Floats) -> sp.csr_array:
         """Sum every tet's blocks (n, 4, 4, 3, 3) of its pairs of vertices: (size, size).
@@ -228,7 +266,7 @@ class Flesh:
         The sum is symmetric: of a pair u, v only the block with u <= v is read.
         """
         u, v = np.triu_indices(4)
-        return self._block_sum(np.ascontiguousarray(blocks[:, u, v]))
+        return self.block_sum(np.ascontiguousarray(blocks[:, u, v]))
 
     def coupling(self, x: Floats, a: Floats, motion: Floats) -> Floats:
         """Return the free gradient's change as held vertices move by ``motion`` (p, 3, k).
@@ -236,14 +274,13 @@ class Flesh:
         Only tets with a moving vertex are visited; the result is (size, k).
         """
         moving = np.abs(motion).max(axis=(1, 2)) > 0.0
-        touched = np.flatnonzero(moving[self.tets].any(axis=1))
-        blocks = np.empty((len(touched), PAIRS, 3, 3))
-        self._check_volume(a)
-        some, x = self.elements.take(touched), np.ascontiguousarray(x)
-        elements.hessian_blocks(some, x, a[touched], 0.0, blocks)
-        tets = self.tets[touched]
         out = np.zeros((len(self.free), 3, motion.shape[2]))
-        couple(blocks, tets, self.free_numbers[tets], motion, out)
+        for term in self.terms:
+            touched = np.flatnonzero(moving[term.vertices].any(axis=1))
+            vertices = term.vertices[touched]
+            if len(touched):
+                blocks = term.blocks(x, a, some=touched)
+                couple(blocks, vertices, self.free_numbers[vertices], motion, out)
         return out.reshape(self.size, -1)
 
     def forces_by_activation(self, x: Floats, a: Floats) -> Floats:
@@ -251,53 +288,36 @@ class Flesh:
 
         A tet's forces are its gradient by its four vertices.
         """
-        self._check_volume(a)
-        out = np.empty((len(self.tets), 4, 3, 6))
-        elements.forces_by_activation(self.elements, np.ascontiguousarray(x), a, out)
-        return out
+        return self.elastic.forces_by_activation(x, a)
 
-    def openings(self, x: Floats) -> Floats:
+    def forces_by_control(self, x: Floats, controls: Floats) -> sp.csr_array:
+        """Return d(dE/dx)/d(controls), (size, k): k controls, an array of activations in turn."""
+        total = sp.csr_array((x.size, controls.size))
+        for term in self.terms:
+            found = term.forces_by_control(x, controls)
+            if found is not None:
+                total = total + found
+        return sp.csr_array(sp.csr_array(total)[self.free_coordinates])
+
+    def jacobians(self, x: Floats) -> Floats:
         """Return det F of every tet, (n,); where flesh has grown, that of F F_p^-1."""
         out = np.empty(len(self.tets))
         elements.jacobians(self.elements, np.ascontiguousarray(x), out)
         return out
 
-    def narrowing(self, x: Floats, y: Floats) -> float:
-        """Return the least det F(y) / det F(x) of all tets, det F(x) counting up to the barrier."""
+    def min_jacobian_ratio(self, x: Floats, y: Floats) -> float:
+        """Return min J(y) / min(J(x), J0) over all tets, J0 being where the barrier starts."""
         return float(elements.min_jacobian_ratio(self.elements, x, y))
 
     def inverted(self, x: Floats) -> int:
         """Return how many tets have det F <= 0."""
-        return int((self.openings(x) <= 0.0).sum())
-
-    def _check_volume(self, a: Floats) -> None:
-        """Raise where the law has no stress for an activation without volume."""
-        if laws.needs_volume(self.elements.law) and not elements.min_activated_volume(a) > 0.0:
-            wrong = int(np.argmin(symmetric_determinants(a)))
-            raise InvertedActivationError(
-                "material.activation", f"tet number {wrong} is activated to no positive volume"
-            )
+        return int((self.jacobians(x) <= 0.0).sum())
 
     @cached_property
     def _vertex_sum(self) -> VertexSum:
         return VertexSum(self.free_numbers[self.tets], len(self.free))
 
     @cached_property
-    def _block_sum(self) -> BlockSum:
+    def block_sum(self) -> BlockSum:
+        """Return what sums the tets' blocks up."""
         return BlockSum(self.free_numbers[self.tets], len(self.free))
-
-    @cached_property
-    def _sliding_entries(self) -> Ints:
-        """Where the sliding vertices' diagonal blocks are in the Hessian's data, (k, 3, 3)."""
-        offset = np.arange(3)
-        return self.diagonal[self._sliding_rows][:, :, None] + offset - offset[:, None]
-
-    @cached_property
-    def _forces(self) -> Floats:
-        """Room for the tets' forces, kept likewise."""
-        return np.empty((len(self.tets), 4, 3))
-
-    @cached_property
-    def _blocks(self) -> Floats:
-        """Room for the tets' blocks, kept: fresh memory costs as much as what is computed."""
-        return np.empty((len(self.tets), PAIRS, 3, 3))

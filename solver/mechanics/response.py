@@ -26,7 +26,7 @@ from solver.mechanics.linear import (
     NotPositiveDefiniteError,
 )
 from solver.mechanics.potential import BoundaryRates, Potential
-from solver.surface import Floats, Ints
+from solver.surface import Floats
 
 
 class Controls(Protocol):
@@ -59,20 +59,18 @@ class SparseControls:
         flesh: Flesh,
         x: Floats,
         a: Floats,
-        activations: sp.csr_array,
+        rates: sp.csr_array,
         boundary: BoundaryRates | None = None,
         potentials: Sequence[Potential] = (),
     ) -> SparseControls:
-        """Differentiate the forces on a flesh at x (p, 3) with activations ``a`` (n, 6).
+        """Differentiate the forces on a flesh at x (p, 3) with its controls ``a``.
 
-        ``activations`` (6 n, k) is da/dq, each tet's six entries in turn; ``boundary`` is how held
-        vertices, jaw and objects move, None if they do not; ``potentials`` is what there is beside
-        the flesh, each placed where x is.
+        ``rates`` (6 n, k) is da/dq, of activations each tet's six entries in turn; ``boundary`` is
+        how held vertices, jaw and objects move, None if they do not; ``potentials`` is what there
+        is beside the flesh, each placed where x is.
         """
-        count = activations.shape[1]
-        by_tet = flesh.forces_by_activation(x, a).transpose(0, 3, 1, 2).reshape(-1, 4, 3)
-        numbers = np.repeat(flesh.free_numbers[flesh.tets], 6, axis=0)
-        forces = force_columns(by_tet, numbers, flesh.size) @ activations
+        count = rates.shape[1]
+        forces = flesh.forces_by_control(x, a) @ rates
         held = sp.csr_array((flesh.rest.size, count))
         if boundary is not None:
             motion = np.zeros((len(flesh.rest), 3, count))
@@ -130,7 +128,7 @@ class Response:
         """
         matrix = flesh.hessian(x, a)
         if potentials or linear is None:
-            linear = GrowingSolver(matrix).plus(of_free(flesh, curvature(potentials, x)))
+            linear = GrowingSolver(matrix).plus(flesh.free_block(curvature(potentials, x)))
         try:
             return cls(flesh, linear.factor(matrix.data))
         except NotPositiveDefiniteError:
@@ -162,30 +160,9 @@ class Response:
         return np.asarray(controls.adjoint(solved) + controls.held.T @ flat)
 
 
-def force_columns(forces: Floats, numbers: Ints, size: int) -> sp.csc_array:
-    """Return (size, k) with the ``forces`` (k, 4, 3) on a tet's vertices in each column.
-
-    ``numbers`` (k, 4) are the vertices' among the free ones, -1 for one that is held.
-    """
-    rows = 3 * numbers[:, :, None] + np.arange(3)
-    # a held vertex feels no force: its entries are zeroed and go to row 0
-    held = rows < 0
-    values, rows = np.where(held, 0.0, forces), np.where(held, 0, rows)
-    indptr = 12 * np.arange(len(forces) + 1)
-    return sp.csc_array((values.ravel(), rows.ravel(), indptr), shape=(size, len(forces)))
-
-
 def curvature(potentials: Sequence[Potential], x: Floats) -> sp.csr_array:
     """Return the sum of the potentials' exact second derivatives (3 p, 3 p)."""
     total = sp.csr_array((x.size, x.size))
     for each in potentials:
         total = total + each.curvature(x)
     return total
-
-
-def of_free(flesh: Flesh, matrix: sp.csr_array) -> sp.csr_array:
-    """Return the part of a matrix (3 p, 3 p) that belongs to free coordinates, (size, size)."""
-    free = flesh.free_coordinates
-    found = sp.csr_array(sp.csr_array(matrix)[free][:, free])
-    found.sum_duplicates()
-    return found

@@ -34,18 +34,42 @@ class Planes:
         """Return how far the vertices ``x`` (p, 3) have left their planes, (k,) mm."""
         return np.asarray(((x[self.vertices] - self.points) * self.normals).sum(axis=1))
 
-    def energy(self, x: Floats) -> float:
-        """Return E."""
-        return float(0.5 * self.stiffness @ self.drift(x) ** 2)
 
-    def gradient(self, x: Floats) -> Floats:
-        """Return dE/dx of the vertices, (k, 3)."""
-        return np.asarray((self.stiffness * self.drift(x))[:, None] * self.normals)
+class PlanesTerm:
+    """The energy of flesh on ``planes``, an :class:`~solver.mechanics.terms.EnergyTerm`."""
 
-    def hessian(self) -> Floats:
-        """Return d2E/dx2 of each vertex, (k, 3, 3)."""
-        outer = self.normals[:, :, None] * self.normals[:, None, :]
-        return np.asarray(self.stiffness[:, None, None] * outer)
+    def __init__(self, planes: Planes) -> None:
+        self._planes = planes
+        outer = planes.normals[:, :, None] * planes.normals[:, None, :]
+        self._blocks = (planes.stiffness[:, None, None] * outer)[:, None]
+
+    @property
+    def vertices(self) -> Ints:
+        """See :class:`~solver.mechanics.terms.EnergyTerm`."""
+        return self._planes.vertices[:, None]
+
+    def energy(self, x: Floats, controls: Floats) -> float:  # noqa: ARG002
+        """See :class:`~solver.mechanics.terms.EnergyTerm`."""
+        return float(0.5 * self._planes.stiffness @ self._planes.drift(x) ** 2)
+
+    def forces(self, x: Floats, controls: Floats) -> Floats:  # noqa: ARG002
+        """See :class:`~solver.mechanics.terms.EnergyTerm`."""
+        along = self._planes.stiffness * self._planes.drift(x)
+        return np.asarray(along[:, None] * self._planes.normals)[:, None]
+
+    def blocks(
+        self,
+        x: Floats,  # noqa: ARG002
+        controls: Floats,  # noqa: ARG002
+        *,
+        project: float = 0.0,  # noqa: ARG002
+        some: Ints | None = None,
+    ) -> Floats:
+        """See :class:`~solver.mechanics.terms.EnergyTerm`."""
+        return self._blocks if some is None else self._blocks[some]
+
+    def forces_by_control(self, x: Floats, controls: Floats) -> None:
+        """See :class:`~solver.mechanics.terms.EnergyTerm`: none."""
 
 
 def planes(rest: Floats, tets: Ints, vertices: Ints, normals: Floats, mu: Floats | float) -> Planes:

@@ -16,8 +16,8 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.objective import determinants
 from solver.fitting.stretches import fibre_tensors, matrices
 from solver.mechanics import jaw
-from solver.mechanics.equilibrium import factorise
 from solver.mechanics.linear import LinearSolver, analyse
+from solver.mechanics.newton import factorize
 from solver.model import SubjectModel
 from solver.rig.result import ExpressionFit, Rig
 from solver.rig.round_trip import round_trip
@@ -264,9 +264,9 @@ def _check(
 def check_flesh(face: Face, a: Floats, x: Floats, linear: LinearSolver) -> FleshCheck:
     """Check vertices ``x`` (p, 3) under activations ``a`` (n, 6); ``linear`` finds the inertia."""
     flesh = face.flesh
-    det = flesh.openings(x)
+    det = flesh.jacobians(x)
     residual = np.linalg.norm(flesh.gradient(x, a)) / flesh.force_scale
-    _, share = factorise(flesh, linear, x, a)
+    _, share = factorize(flesh, linear, x, a)
     return FleshCheck(
         inverted=int((det <= 0.0).sum()),
         det_least=float(det.min()),

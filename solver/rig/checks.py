@@ -13,7 +13,7 @@ import numpy as np
 
 from solver.contact.crossing import Crossing
 from solver.errors import Notice
-from solver.mechanics.equilibrium import STALLED, TOLERANCE
+from solver.mechanics.newton import NewtonOptions
 from solver.model import SubjectModel
 from solver.rig.certificate import Certificate, ExpressionCheck
 from solver.rig.result import ExpressionFit, Rig
@@ -138,8 +138,8 @@ CHECKS = (
         "Flesh",
         "Residual force",
         "",
-        10 * TOLERANCE,
-        STALLED,
+        10 * NewtonOptions.tolerance,
+        NewtonOptions.stalled,
         "what is left of the forces, by the forces at unit strain",
         "The flesh has not come to rest. Fit this expression again with {longer}.",
     ),

@@ -106,7 +106,7 @@ def write_edit(person: EditedPerson, report: dict[str, Any], out: Path) -> list[
             skin=np.array([pose.skin for pose in poses], dtype=np.float32),
             x=np.array([pose.x for pose in poses]),
             growth=edited.growth,
-            stiffness=edited.stiffness,
+            stiffness_factor=edited.stiffness_factor,
             density=edited.density,
             bones=edited.bones,
             **csr_arrays("S", edited.S),

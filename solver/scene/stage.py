@@ -174,7 +174,7 @@ class Physics:
             material=self.material,
             linear=fastest(),
             pinned=not self.sliding,
-            stiffness=edited.stiffness,
+            stiffness_factor=edited.stiffness_factor,
             growth=edited.growth,
             bones=edited.bones,
         )

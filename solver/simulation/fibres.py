@@ -23,9 +23,10 @@ from solver.fitting.face import Face
 from solver.fitting.stretches import COLUMN, FROBENIUS, ROW
 from solver.mechanics import equilibrium
 from solver.mechanics.equilibrium import Equilibrium
-from solver.mechanics.flesh import IDENTITY
+from solver.mechanics.flesh import IDENTITY, Flesh
 from solver.mechanics.potential import BoundaryRates
 from solver.mechanics.response import Response, SparseControls
+from solver.mechanics.terms import ElasticTerm
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
 
@@ -50,13 +51,8 @@ def fibre_activations(model: SubjectModel, S: sp.csr_array, gamma: Floats) -> Fl
     return np.ascontiguousarray(active + isotropic[:, None] * IDENTITY)
 
 
-def activation_rates(
-    model: SubjectModel, S: sp.csr_array, gamma: Floats, count: int | None = None
-) -> sp.csr_array:
-    """Return the derivative (6 n, count) of :func:`fibre_activations`, each tet's entries in turn.
-
-    ``count`` columns, (m,) by default, are more where other controls follow the contractions.
-    """
+def activation_rates(model: SubjectModel, S: sp.csr_array, gamma: Floats) -> sp.csr_array:
+    """Return the derivative (6 n, m) of :func:`fibre_activations`, each tet's entries in turn."""
     rows, columns = _entries(S)
     active = np.flatnonzero(columns > 0)
     tets, muscles = rows[active], columns[active] - 1
@@ -64,8 +60,53 @@ def activation_rates(
     across = -0.5 * gamma[muscles, None] ** -1.5
     rates = S.data[active, None] * (along + across * (IDENTITY - along))
     places = 6 * tets[:, None] + np.arange(6), np.repeat(muscles[:, None], 6, axis=1)
-    shape = (6 * S.shape[0], count or len(gamma))
+    shape = (6 * S.shape[0], len(gamma))
     return sp.csr_array((rates.ravel(), tuple(map(np.ravel, places))), shape=shape)
+
+
+class FibreContractions:
+    """Flesh driven by contractions gamma (m,) along fibres, an ``EnergyTerm`` of its tets.
+
+    It is the law of the tets, ``elastic``, with the activations that the contractions come to.
+    """
+
+    def __init__(self, elastic: ElasticTerm, model: SubjectModel, S: sp.csr_array) -> None:
+        self._elastic = elastic
+        self._model = model
+        self._S = S
+
+    @property
+    def vertices(self) -> Ints:
+        """See :class:`solver.mechanics.terms.EnergyTerm`."""
+        return self._elastic.vertices
+
+    def energy(self, x: Floats, controls: Floats) -> float:
+        """See :class:`solver.mechanics.terms.EnergyTerm`."""
+        return self._elastic.energy(x, self._activations(controls))
+
+    def forces(self, x: Floats, controls: Floats) -> Floats:
+        """See :class:`solver.mechanics.terms.EnergyTerm`."""
+        return self._elastic.forces(x, self._activations(controls))
+
+    def blocks(
+        self, x: Floats, controls: Floats, *, project: float = 0.0, some: Ints | None = None
+    ) -> Floats:
+        """See :class:`solver.mechanics.terms.EnergyTerm`."""
+        return self._elastic.blocks(x, self._activations(controls), project=project, some=some)
+
+    def forces_by_control(self, x: Floats, controls: Floats) -> sp.csc_array:
+        """See :class:`solver.mechanics.terms.EnergyTerm`."""
+        by_activation = self._elastic.forces_by_control(x, self._activations(controls))
+        return sp.csc_array(by_activation @ activation_rates(self._model, self._S, controls))
+
+    def _activations(self, gamma: Floats) -> Floats:
+        return fibre_activations(self._model, self._S, gamma)
+
+
+def driven_by_fibres(face: Face) -> Flesh:
+    """Return a face's flesh with contractions (m,) of its muscles for controls."""
+    term = FibreContractions(face.flesh.elastic, face.model, face.S)
+    return face.flesh.driven_by(term, np.ones(face.model.muscle_count))
 
 
 def nearest_fibre(model: SubjectModel, S: sp.csr_array, a: Floats) -> Floats:
@@ -138,6 +179,7 @@ class _Fit:
 
     def __init__(self, face: Face, target: Floats) -> None:
         self._face = face
+        self._flesh = driven_by_fibres(face)
         self._target = target
         muscles = face.model.muscle_count
         self._relaxed = np.concatenate([np.ones(muscles), np.zeros(5)])
@@ -162,23 +204,19 @@ class _Fit:
         face = self._face
         x = x.copy()
         x[face.flesh.held] = face.held_positions(theta[-5:])
-        A = fibre_activations(face.model, face.S, theta[:-5])
-        return equilibrium.solve(face.flesh, face.linear, x, A, tolerance=face.tolerance)
+        return equilibrium.solve_equilibrium(
+            self._flesh, face.linear, x, theta[:-5], tolerance=face.tolerance
+        )
 
     def jacobian(self, theta: Floats, state: Equilibrium) -> Floats:
         """Return the derivative (3 k, m + 5) of the face's points by theta."""
-        face, flesh, model = self._face, self._face.flesh, self._face.model
+        face, flesh = self._face, self._flesh
         gamma, by_jaw = theta[:-5], np.eye(5, len(theta), len(theta) - 5)
-        direct = face.mandible_jacobian(theta[-5:])[flesh.held] @ by_jaw
-        controls = SparseControls.of(
-            flesh,
-            state.x,
-            fibre_activations(model, face.S, gamma),
-            activation_rates(model, face.S, gamma, len(theta)),
-            BoundaryRates(direct, by_jaw),
-        )
+        boundary = BoundaryRates(face.mandible_jacobian(theta[-5:])[flesh.held] @ by_jaw, by_jaw)
+        rates = sp.eye_array(len(gamma), len(theta), format="csr")
+        controls = SparseControls.of(flesh, state.x, gamma, rates, boundary)
         motion = Response(flesh, state.factor).motions(controls)
-        points = face.face_embedding @ motion.reshape(len(model.rest), -1)
+        points = face.face_embedding @ motion.reshape(len(flesh.rest), -1)
         return np.asarray(points.reshape(-1, len(theta)))
 
     def _step(self, theta: Floats, state: Equilibrium) -> Floats:

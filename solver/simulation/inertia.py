@@ -13,10 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
 from solver.mechanics.flesh import Flesh
+from solver.mechanics.terms import Springs
 from solver.similarity import Similarity
 from solver.surface import Floats
 
@@ -27,23 +27,19 @@ def lumped_masses(flesh: Flesh, density: Floats) -> Floats:
     return np.asarray(np.bincount(flesh.tets.ravel(), quarters, len(flesh.rest)), np.float64)
 
 
-class Inertial(Flesh):
-    """The same flesh, drawn to ``centre`` (p, 3) by springs and pulled by ``load`` (p, 3).
+class Inertia(Springs):
+    """Springs of every free vertex of a flesh: what inertia and damping of one step amount to.
 
-    ``springs`` (p,) are in Pa mm, the load in Pa mm^2: both are zero until they are set. Springs
-    are what inertia and damping of one step amount to (:meth:`launch`).
+    Springs and load are zero until they are set.
     """
 
     def __init__(self, flesh: Flesh) -> None:
-        # it is the same flesh, with all that was computed for it
-        vars(self).update(vars(flesh))
-        self.centre = flesh.rest
-        self.release()
+        super().__init__(flesh.rest, flesh.free)
 
     def release(self) -> None:
         """Take springs and load away."""
-        self.springs = np.zeros(len(self.rest))
-        self.load = np.zeros_like(self.rest)
+        self.stiffness = np.zeros_like(self.stiffness)
+        self.load = np.zeros_like(self.load)
 
     def launch(
         self, masses: Floats, y: Floats, flight: Floats, seconds: float, damping: float
@@ -53,26 +49,8 @@ class Inertial(Flesh):
         ``masses`` (p,) are in g, ``damping`` is in 1/s.
         """
         inertia, drag = 1.0 / seconds**2, damping / seconds
-        self.springs = (inertia + drag) * masses
+        self.stiffness = (inertia + drag) * masses
         self.centre = (inertia * flight + drag * y) / (inertia + drag)
-
-    def energy(self, x: Floats, a: Floats) -> float:
-        """See :meth:`Flesh.energy`."""
-        free = self.free
-        stretched = ((x - self.centre)[free] ** 2).sum(axis=1)
-        work = float((self.load * (x - self.rest))[free].sum())
-        return super().energy(x, a) + 0.5 * float(self.springs[free] @ stretched) - work
-
-    def gradient(self, x: Floats, a: Floats) -> Floats:
-        """See :meth:`Flesh.gradient`."""
-        outside = self.springs[:, None] * (x - self.centre) - self.load
-        return super().gradient(x, a) + outside[self.free].ravel()
-
-    def hessian(self, x: Floats, a: Floats, *, project: float = 0.0) -> sp.csr_array:
-        """See :meth:`Flesh.hessian`."""
-        matrix = super().hessian(x, a, project=project)
-        matrix.data[self.diagonal] += np.repeat(self.springs[self.free], 3)
-        return matrix
 
 
 # Where the flesh is and goes, and what one moment asks of it.

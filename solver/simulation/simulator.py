@@ -20,15 +20,13 @@ from solver.similarity import Similarity
 from solver.simulation.forces import Force
 from solver.simulation.inertia import (
     Drive,
-    Inertial,
+    Inertia,
     Motion,
     lumped_masses,
 )
-from solver.simulation.newton import FACTORISATIONS, Minimum, Newton
+from solver.simulation.newton import MOMENT, Minimum, Newton
 from solver.surface import Floats
 
-TOLERANCE = 1e-5
-SETTLED_MM = 0.005
 SMALLEST_PART = 2.0**-6
 """Part of a step below which it is not cut further."""
 
@@ -91,8 +89,8 @@ class Simulator:
         density: Floats,
         damping: float = 0.5,
         linear: str | None = None,
-        tolerance: float = TOLERANCE,
-        settled_mm: float = SETTLED_MM,
+        tolerance: float = MOMENT.tolerance,
+        settled_mm: float = MOMENT.settled_mm,
     ) -> None:
         self._face = face
         self._potentials = potentials
@@ -100,12 +98,12 @@ class Simulator:
         self._dynamic = dynamic
         self._damping = damping
         self._masses = lumped_masses(face.flesh, density)
-        self._flesh = Inertial(face.flesh)
+        self._inertia = Inertia(face.flesh)
+        self._flesh = face.flesh.plus(self._inertia)
         self._newton = Newton(
             self._flesh,
             potentials,
-            tolerance=tolerance,
-            settled_mm=settled_mm,
+            options=replace(MOMENT, tolerance=tolerance, settled_mm=settled_mm),
             linear=linear or fastest(),
         )
 
@@ -142,7 +140,7 @@ class Simulator:
             raise InputError(
                 "scene.times", f"a moment at {goal.time:g} s is not later than the one before"
             )
-        return self._go(now, before, goal, 1.0, FACTORISATIONS, dynamic=self._dynamic)
+        return self._go(now, before, goal, 1.0, MOMENT.factorizations, dynamic=self._dynamic)
 
     def _go(
         self,
@@ -194,13 +192,13 @@ class Simulator:
         seconds = goal.time - before.time
         into = goal.head.inverse()
         y = now.y
-        self._flesh.release()
+        self._inertia.release()
         if dynamic:
             flight = into(now.x + seconds * now.v)
-            self._flesh.launch(self._masses, y, flight, seconds, self._damping)
+            self._inertia.launch(self._masses, y, flight, seconds, self._damping)
         felt = replace(now, head=goal.head)
         for force in self._forces:
-            self._flesh.load += into.turn(force.at(felt, goal.time))
+            self._inertia.load += into.turn(force.at(felt, goal.time))
         start = Boundary(y[self._flesh.held], before.jaw, _seen(now.head, before))
         end = Boundary(self._face.held_positions(goal.jaw), goal.jaw, _seen(goal.head, goal))
         for potential in self._potentials:

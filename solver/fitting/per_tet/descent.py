@@ -20,7 +20,6 @@ from solver.fitting.per_tet.damping import Damping
 from solver.fitting.per_tet.objective import Objective, PerTetOptions
 from solver.fitting.per_tet.saddle import Quadratic, SaddleSolver
 from solver.fitting.per_tet.tissue import Tissue
-from solver.mechanics.equilibrium import Viscous
 from solver.surface import Floats
 
 # From one equilibrium of a per-tet model to the next, along a Gauss-Newton step.
@@ -245,13 +244,15 @@ def creep(
 
     It is ``start`` where nothing better is found.
     """
-    flesh = Viscous(tissue.face.flesh)
-    viscous = replace(tissue, face=tissue.face.with_flesh(flesh))
+    flesh = tissue.face.flesh
+    drags = flesh.drags()
+    viscous = replace(tissue, face=tissue.face.with_flesh(flesh.plus(*drags)))
     objective = Objective(viscous, data, options, start.pose.b)
     solver = SaddleSolver(viscous)
     state, damping, taken = start, Damping.start(len(tissue.active)), 0
     for viscosity in np.repeat(viscosities, steps):
-        flesh.viscosity, flesh.anchor = float(viscosity), state.x
+        for drag in drags:
+            drag.viscosity, drag.anchor = float(viscosity), state.x
         try:
             state = viscous.face.solve_equilibrium(state.pose, state.x, max_iterations=CORRECTIONS)
             step = Step.of(objective, solver, state, objective.value(state), damping)

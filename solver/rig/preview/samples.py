@@ -13,7 +13,8 @@ from solver.errors import SolveError
 from solver.fitting.face import Face, State
 from solver.fitting.sensitivity import coordinates, gradient_by_pose
 from solver.mechanics import jaw
-from solver.mechanics.equilibrium import Equilibrium, Stiffness
+from solver.mechanics.equilibrium import Equilibrium
+from solver.mechanics.newton import Factorization
 from solver.rig.preview.controls import Controls
 from solver.surface import Floats
 
@@ -188,7 +189,7 @@ class Simulator:
         return self._last
 
     def _near(self, values: Floats) -> State:
-        """Return the nearest state; only the last one still has its factorised stiffness."""
+        """Return the nearest state; only the last one still has its factorised Hessian."""
         distances = [float(np.linalg.norm(values - known)) for known, _ in self._known]
         nearest, x = self._known[int(np.argmin(distances))]
         if nearest is self._last_values:
@@ -199,8 +200,8 @@ class Simulator:
 def state_at(face: Face, controls: Controls, values: Floats, x: Floats) -> State:
     """Return the state of slider ``values`` (k,) with its equilibrium ``x`` (p, 3)."""
     pose = controls.pose(values)
-    stiffness = Stiffness(face.flesh, face.linear, x, face.tet_activations(pose.a))
-    return State(pose, Equilibrium(x, x, stiffness, 0.0, 0))
+    factor = Factorization(face.flesh, face.linear, x, face.tet_activations(pose.a))
+    return State(pose, Equilibrium(x, x, factor, 0.0, 0))
 
 
 # How the skin answers to the sliders at a sample: a whole derivative for one factorisation.

@@ -52,7 +52,7 @@ def test_nothing_is_edited_without_edits(model):
     edited = apply([], model, model.weights)
     assert edited.model is model
     assert (edited.growth == 1).all()
-    assert (edited.stiffness == 1).all()
+    assert (edited.stiffness_factor == 1).all()
     assert (edited.density == DENSITY).all()
     assert (edited.bones == 0).all()
     assert (model.weights != edited.S).nnz == 0
@@ -64,8 +64,8 @@ def test_fat_grows_by_the_passive_share(model):
     assert share.min() < 0.5 < share.max()
     np.testing.assert_allclose(edited.growth, 0.9 * (1 - share) + 1.2 * share)
     fat = edited.growth > 1
-    np.testing.assert_allclose(edited.stiffness[fat], edited.growth[fat] ** -3)
-    assert (edited.stiffness[~fat] == 1).all()
+    np.testing.assert_allclose(edited.stiffness_factor[fat], edited.growth[fat] ** -3)
+    assert (edited.stiffness_factor[~fat] == 1).all()
     assert fat.any()
     assert (~fat).any()
 
@@ -75,7 +75,9 @@ def test_edits_add_up_in_their_order(model):
     one = apply([Fat(1.0, 1.2)], model, model.weights)
     other = apply([Fat(1.0, 1.1)], model, model.weights)
     np.testing.assert_allclose(both.growth, one.growth * other.growth)
-    np.testing.assert_allclose(both.stiffness, 4 * one.stiffness * other.stiffness)
+    np.testing.assert_allclose(
+        both.stiffness_factor, 4 * one.stiffness_factor * other.stiffness_factor
+    )
 
 
 def test_edits_that_add_up_to_too_much_are_refused(model):
@@ -110,9 +112,15 @@ def test_stiffness_and_density_follow_a_map(model):
     painted = spots(model, np.array([[75.0, 60.0, 45.0]]), 40.0)
     edited = apply([Stiffness(4.0, painted), Density(0.5, painted)], model, model.weights)
     near = np.linalg.norm(centres(model) - [75.0, 60.0, 45.0], axis=1)
-    assert edited.stiffness[np.argmin(near)] > 1.5 > 1.2 > edited.stiffness[np.argmax(near)]
+    assert (
+        edited.stiffness_factor[np.argmin(near)]
+        > 1.5
+        > 1.2
+        > edited.stiffness_factor[np.argmax(near)]
+    )
     np.testing.assert_allclose(
-        np.log(edited.stiffness) / np.log(4.0), np.log(edited.density / DENSITY) / np.log(0.5)
+        np.log(edited.stiffness_factor) / np.log(4.0),
+        np.log(edited.density / DENSITY) / np.log(0.5),
     )
 
 
@@ -235,7 +243,9 @@ def test_a_moved_cranium_takes_its_own_teeth_and_sliding_flesh(model):
 def test_stiffer_flesh_is_held_to_its_bone_as_firmly(model):
     loose = replace(model, cranium=model.cranium[5:], sliding=model.cranium[:5])
     edited = apply([Stiffness(20.0)], loose, loose.weights)
-    held = [Face(loose, stiffness=each).flesh.sliding for each in (None, edited.stiffness)]
+    held = [
+        Face(loose, stiffness_factor=each).flesh.sliding for each in (None, edited.stiffness_factor)
+    ]
     assert held[0].stiffness.min() > 0.0
     np.testing.assert_allclose(held[1].stiffness, 20.0 * held[0].stiffness)
 

@@ -5,8 +5,7 @@ import pytest
 
 from solver.errors import SolveError
 from solver.fitting.face import Face
-from solver.mechanics import equilibrium, linear
-from solver.mechanics.equilibrium import Stiffness
+from solver.mechanics import equilibrium, linear, newton
 from solver.mechanics.flesh import Flesh
 from tests.solver.block import block_model, grid, poses
 
@@ -53,8 +52,8 @@ def test_a_column_buckles_however_near_the_stiffness_is_said_to_be(column):
     flesh, solver, x = column
     a = flesh.passive()
     x = x + 1e-3 * np.sin(np.pi * x[:, 2:] / x[:, 2].max()) * [1.0, 0.0, 0.0]
-    old = Stiffness(flesh, solver, flesh.rest, a)
-    found = equilibrium.solve(flesh, solver, x, a, near=old)
+    old = newton.Factorization(flesh, solver, flesh.rest, a)
+    found = equilibrium.solve_equilibrium(flesh, solver, x, a, near=old)
     assert found.minimum
     assert np.abs(found.x - x).max() > 3.0
 
@@ -67,5 +66,5 @@ def test_what_can_not_be_factorised_says_why(column):
     flesh, _, x = column
     for squeeze, code in ((1.0, "solve.singular"), (1e-4, "solve.crushed")):
         with pytest.raises(SolveError) as raised:
-            equilibrium.factorise(flesh, Hopeless(), x * [1.0, 1.0, squeeze], flesh.passive())
+            newton.factorize(flesh, Hopeless(), x * [1.0, 1.0, squeeze], flesh.passive())
         assert raised.value.code == code

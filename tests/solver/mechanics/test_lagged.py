@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 
 from solver.fitting.face import Face, Pose
-from solver.mechanics.equilibrium import (
-    CLOSE_MM,
-    correct,
-    untangled,
-)
+from solver.mechanics.equilibrium import CorrectorOptions, correct, untangle
 from tests.solver.block import block_model
 
 PULLED = np.array([[0.85, 0.0, 0.0, 0.85**-0.5, 0.0, 0.85**-0.5]] * 2)
@@ -29,7 +25,7 @@ def test_an_old_stiffness_leads_to_the_equilibrium(face, opening):
     a = face.tet_activations(pose.a)
     found = correct(face.flesh, face.linear, x, a, rest.equilibrium.factor)
     assert np.abs(x - settled.x).max() > 0.5
-    assert np.abs(found.x - settled.x).max() < CLOSE_MM
+    assert np.abs(found.x - settled.x).max() < CorrectorOptions.close_mm
 
 
 def test_crushed_tets_go_along_with_what_holds_them(face):
@@ -38,8 +34,8 @@ def test_crushed_tets_go_along_with_what_holds_them(face):
     moved = rest.copy()
     moved[face.model.mandible] += [0.0, 0.0, 6.0]
     moved[flesh.free] += np.random.default_rng(1).uniform(-0.1, 0.1, (len(flesh.free), 3))
-    turned = flesh.openings(moved) <= 0.0
-    found = untangled(flesh, rest, moved)
+    turned = flesh.jacobians(moved) <= 0.0
+    found = untangle(flesh, rest, moved)
     assert turned.any()
-    assert flesh.narrowing(rest, found) > 0.0
+    assert flesh.min_jacobian_ratio(rest, found) > 0.0
     assert (found[face.model.mandible] == moved[face.model.mandible]).all()

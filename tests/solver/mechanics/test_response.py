@@ -13,7 +13,7 @@ from solver.mechanics import jaw
 from solver.mechanics.flesh import Flesh
 from solver.mechanics.linear import SOLVERS, analyse
 from solver.mechanics.potential import Boundary, BoundaryRates
-from solver.mechanics.response import Response, SparseControls, curvature, of_free
+from solver.mechanics.response import Response, SparseControls, curvature
 from tests.solver.ball import ball
 from tests.solver.block import block_model, grid
 
@@ -79,7 +79,7 @@ class Driven:
             gradient = self.flesh.gradient(x, a)
             for each in self.potentials:
                 gradient += each.gradient(x).ravel()[self.flesh.free_coordinates]
-            H = self.flesh.hessian(x, a) + of_free(self.flesh, curvature(self.potentials, x))
+            H = self.flesh.hessian(x, a) + self.flesh.free_block(curvature(self.potentials, x))
             step = sp.linalg.spsolve(sp.csc_array(H), -gradient)
             if np.abs(step).max() < 1e-12:
                 return x

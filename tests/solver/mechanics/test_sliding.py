@@ -46,7 +46,7 @@ def test_contracting_flesh_slides_in_its_plane():
     flesh = sliding_block()
     a = np.tile([0.7, 0.0, 0.0, 1.2, 0.0, 1.2], (len(flesh.tets), 1))
     solver = linear.analyse(flesh.hessian(flesh.rest, flesh.passive()))
-    x = equilibrium.solve(flesh, solver, flesh.rest, a).x
+    x = equilibrium.solve_equilibrium(flesh, solver, flesh.rest, a).x
     back = flesh.sliding.vertices
     moved = np.linalg.norm(x[back] - flesh.rest[back], axis=1)
     assert moved.max() > 4.0

@@ -5,7 +5,6 @@ import pytest
 
 from solver.fitting.face import Face
 from solver.mechanics import equilibrium
-from solver.mechanics.equilibrium import Viscous
 from solver.mechanics.linear import analyse
 from tests.solver.block import block_model
 
@@ -13,9 +12,11 @@ STEP = 1e-6
 
 
 def test_derivatives():
-    flesh = Viscous(Face(block_model()).flesh)
+    plain = Face(block_model()).flesh
+    (drag,) = plain.drags()
+    flesh = plain.plus(drag)
     rng = np.random.default_rng(4)
-    flesh.viscosity, flesh.anchor = 0.3, flesh.rest + 0.1 * rng.standard_normal(flesh.rest.shape)
+    drag.viscosity, drag.anchor = 0.3, flesh.rest + 0.1 * rng.standard_normal(flesh.rest.shape)
     a, x = flesh.passive(), flesh.rest.copy()
     direction = rng.standard_normal(flesh.size)
 
@@ -36,15 +37,17 @@ def test_derivatives():
 def test_it_creeps_to_where_flesh_rests():
     """Step by step it comes to the same equilibrium, which it then does not leave."""
     face = Face(block_model())
-    plain, flesh = face.flesh, Viscous(face.flesh)
+    plain = face.flesh
+    (drag,) = plain.drags()
+    flesh = plain.plus(drag)
     linear = analyse(plain.hessian(plain.rest, plain.passive()))
     a = plain.passive()
     a[:, 0] = 0.8
-    goal = equilibrium.solve(plain, linear, plain.rest, a).x
-    flesh.viscosity, x, lengths = 0.5, plain.rest, []
+    goal = equilibrium.solve_equilibrium(plain, linear, plain.rest, a).x
+    drag.viscosity, x, lengths = 0.5, plain.rest, []
     for _ in range(25):
-        flesh.anchor = x
-        x = equilibrium.solve(flesh, linear, x, a).x
+        drag.anchor = x
+        x = equilibrium.solve_equilibrium(flesh, linear, x, a).x
         lengths.append(np.abs(x - goal).max())
     assert np.abs(plain.rest - goal).max() > 2 * lengths[0] > 0.1
     assert lengths == sorted(lengths, reverse=True)

@@ -6,7 +6,12 @@ import pytest
 from solver.fitting.face import Face
 from solver.mechanics import equilibrium
 from solver.simulation import fibres
-from solver.simulation.fibres import activation_rates, fibre_activations, fit_fibres
+from solver.simulation.fibres import (
+    activation_rates,
+    driven_by_fibres,
+    fibre_activations,
+    fit_fibres,
+)
 from tests.solver.simulation.test_fibres import fibred_block
 
 GAMMA, JAW = np.array([0.75, 1.15]), np.array([0.05, 0.0, 0.0, 0.0, 0.0])
@@ -21,7 +26,7 @@ def skin(face, gamma, jaw):
     x = face.model.rest.copy()
     x[face.flesh.held] = face.held_positions(jaw)
     A = fibre_activations(face.model, face.model.weights, gamma)
-    return face.face_points(equilibrium.solve(face.flesh, face.linear, x, A).x)
+    return face.face_points(equilibrium.solve_equilibrium(face.flesh, face.linear, x, A).x)
 
 
 def test_rates_are_those_of_the_activations(face):
@@ -37,6 +42,26 @@ def test_rates_are_those_of_the_activations(face):
         expected = (ends[0] - ends[1]) / (2 * step)
         np.testing.assert_allclose(rates, expected, atol=1e-8)
         assert np.abs(rates).max() > 0.1
+
+
+def test_contractions_drive_the_flesh_as_their_activations_do(face):
+    """The term's energy, forces and Hessian are those of the law with fibre_activations."""
+    flesh = driven_by_fibres(face)
+    rng = np.random.default_rng(9)
+    x = face.model.rest + 0.3 * rng.standard_normal(face.model.rest.shape)
+    A = fibre_activations(face.model, face.S, GAMMA)
+    assert flesh.energy(x, GAMMA) == face.flesh.energy(x, A) > 1.0
+    np.testing.assert_array_equal(flesh.gradient(x, GAMMA), face.flesh.gradient(x, A))
+    mine, theirs = flesh.hessian(x, GAMMA, project=0.4), face.flesh.hessian(x, A, project=0.4)
+    np.testing.assert_array_equal(mine.data, theirs.data)
+    exact, step = flesh.forces_by_control(x, GAMMA).toarray(), 1e-6
+    for muscle in (0, 1):
+        change = step * np.eye(2)[muscle]
+        ends = [flesh.gradient(x, GAMMA + sign * change) for sign in (1, -1)]
+        expected = (ends[0] - ends[1]) / (2 * step)
+        assert np.abs(expected).max() > 1.0
+        np.testing.assert_allclose(exact[:, muscle], expected, atol=1e-6 * np.abs(expected).max())
+    np.testing.assert_array_equal(flesh.passive(), [1.0, 1.0])
 
 
 def test_the_jacobian_is_that_of_the_equilibrium(face):

@@ -13,7 +13,7 @@ from solver.similarity import IDENTITY, Similarity, small_motion
 from solver.simulation.forces import Gravity
 from solver.simulation.inertia import (
     Drive,
-    Inertial,
+    Inertia,
     Motion,
     lumped_masses,
 )
@@ -51,10 +51,11 @@ def drive(face, pose, time=0.0, head=IDENTITY, objects=()):
 
 def test_derivatives_of_inertia_damping_and_work_match_differences():
     face = face_of(pascal=50.0)
-    flesh, rng = Inertial(face.flesh), np.random.default_rng(6)
+    inertia, rng = Inertia(face.flesh), np.random.default_rng(6)
+    flesh = face.flesh.plus(inertia)
     y, flight = (flesh.rest + rng.standard_normal(flesh.rest.shape) for _ in range(2))
-    flesh.launch(masses_of(face), y, flight, 0.02, 5.0)
-    flesh.load = 100.0 * rng.standard_normal(flesh.rest.shape)
+    inertia.launch(masses_of(face), y, flight, 0.02, 5.0)
+    inertia.load = 100.0 * rng.standard_normal(flesh.rest.shape)
     x, a = flesh.rest + 0.2 * rng.standard_normal(flesh.rest.shape), flesh.passive()
     step = rng.standard_normal(flesh.size)
     ends = [flesh.moved(x, sign * 1e-6 * step) for sign in (1, -1)]

@@ -1,0 +1,252 @@
+"""Terms of the flesh's energy: what a flesh sums up, the law of its tets being the first.
+
+A term is a sum over entries (a tet and its law, a tet with a fibre of a muscle, a vertex on a
+spring), each of the vertices of one tet or of one vertex alone, so that the Hessian keeps the
+tets' pattern. All terms of a flesh see the same controls and take what is theirs: activations of
+the tets (n, 6) or of muscles (m,). What meets skin or objects has no fixed pattern and is a
+:class:`solver.mechanics.potential.Potential`.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Protocol
+
+import numba as nb
+import numpy as np
+import scipy.sparse as sp
+
+from solver.errors import InputError, SolveError
+from solver.mechanics import elements, laws
+from solver.mechanics.assembly import PAIR, PAIRS
+from solver.mechanics.elements import Elements
+from solver.surface import Floats, Ints
+
+
+class EnergyTerm(Protocol):
+    """A part of the energy of vertices x (p, 3), by controls: a sum over e entries."""
+
+    @property
+    def vertices(self) -> Ints:
+        """Return each entry's vertices: (e, 4), those of a tet, or (e, 1)."""
+
+    def energy(self, x: Floats, controls: Floats) -> float:
+        """Return the energy, infinite where x is not feasible."""
+
+    def forces(self, x: Floats, controls: Floats) -> Floats:
+        """Return the gradient by each entry's vertices, (e, v, 3); the next call may overwrite."""
+
+    def blocks(
+        self, x: Floats, controls: Floats, *, project: float = 0.0, some: Ints | None = None
+    ) -> Floats:
+        """Return the second derivatives (e, v (v + 1) / 2, 3, 3) by the pairs u <= v of vertices.
+
+        ``project`` goes from 0, as they are, to 1, positive semi-definite; ``some`` are the only
+        entries that are asked for. The next call may overwrite the result.
+        """
+
+    def forces_by_control(self, x: Floats, controls: Floats) -> sp.csc_array | None:
+        """Return the gradient's derivative by the controls (3 p, k); None where there is none."""
+
+
+class InvertedActivationError(InputError, SolveError):
+    """A tet is activated to no positive volume: to a fit, a step that went too far."""
+
+
+class ElasticTerm:
+    """The law of all tets, an :class:`EnergyTerm`; its controls are activations (n, 6)."""
+
+    def __init__(self, mesh: Elements) -> None:
+        self._mesh = mesh
+
+    @property
+    def vertices(self) -> Ints:
+        """See :class:`EnergyTerm`."""
+        return self._mesh.tets
+
+    def energy(self, x: Floats, controls: Floats) -> float:
+        """See :class:`EnergyTerm`."""
+        out = np.empty(len(self._mesh.tets))
+        elements.energies(self._mesh, np.ascontiguousarray(x), controls, out)
+        return float(out.sum())
+
+    def forces(self, x: Floats, controls: Floats) -> Floats:
+        """See :class:`EnergyTerm`. Raises :class:`InvertedActivationError`."""
+        self._check(controls)
+        elements.forces(self._mesh, np.ascontiguousarray(x), controls, self._forces)
+        return self._forces
+
+    def blocks(
+        self, x: Floats, controls: Floats, *, project: float = 0.0, some: Ints | None = None
+    ) -> Floats:
+        """See :class:`EnergyTerm`. Raises :class:`InvertedActivationError`."""
+        self._check(controls)
+        mesh, out = self._mesh, self._blocks if some is None else np.empty((len(some), PAIRS, 3, 3))
+        if some is not None:
+            mesh, controls = mesh.take(some), controls[some]
+        elements.hessian_blocks(mesh, np.ascontiguousarray(x), controls, float(project), out)
+        return out
+
+    def forces_by_activation(self, x: Floats, a: Floats) -> Floats:
+        """Return the derivative by each tet's activation of its forces, (n, 4, 3, 6)."""
+        self._check(a)
+        out = np.empty((len(self._mesh.tets), 4, 3, 6))
+        elements.forces_by_activation(self._mesh, np.ascontiguousarray(x), a, out)
+        return out
+
+    def forces_by_control(self, x: Floats, controls: Floats) -> sp.csc_array:
+        """See :class:`EnergyTerm`: (3 p, 6 n), each tet's six entries in turn."""
+        by_tet = self.forces_by_activation(x, controls).transpose(0, 3, 1, 2)
+        vertices = np.repeat(self._mesh.tets, 6, axis=0)
+        return force_columns(by_tet.reshape(-1, 4, 3), vertices, x.size)
+
+    def _check(self, a: Floats) -> None:
+        if laws.needs_volume(self._mesh.law) and not elements.min_activated_volume(a) > 0.0:
+            xx, xy, xz, yy, yz, zz = a.T
+            volume = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+            raise InvertedActivationError(
+                "material.activation",
+                f"tet number {int(np.argmin(volume))} is activated to no positive volume",
+            )
+
+    @cached_property
+    def _forces(self) -> Floats:
+        return np.empty((len(self._mesh.tets), 4, 3))
+
+    @cached_property
+    def _blocks(self) -> Floats:
+        # kept: fresh memory costs as much as what is computed
+        return np.empty((len(self._mesh.tets), PAIRS, 3, 3))
+
+
+class Springs:
+    """Springs from vertices (k,) to a ``centre`` (p, 3), and a ``load`` (p, 3) that pulls them.
+
+    An :class:`EnergyTerm`: E = sum_v s_v / 2 |x_v - centre_v|^2 - load_v . (x_v - rest_v), with
+    ``stiffness`` s (p,) in Pa mm and the load in Pa mm^2. Both may be changed at any time.
+    """
+
+    def __init__(self, rest: Floats, vertices: Ints) -> None:
+        self._rest = rest
+        self._kept = vertices
+        self.centre = rest
+        self.stiffness = np.zeros(len(rest))
+        self.load = np.zeros_like(rest)
+
+    @property
+    def vertices(self) -> Ints:
+        """See :class:`EnergyTerm`."""
+        return self._kept[:, None]
+
+    def energy(self, x: Floats, controls: Floats) -> float:  # noqa: ARG002
+        """See :class:`EnergyTerm`."""
+        kept = self._kept
+        stretched = ((x - self.centre)[kept] ** 2).sum(axis=1)
+        work = float((self.load * (x - self._rest))[kept].sum())
+        return 0.5 * float(self.stiffness[kept] @ stretched) - work
+
+    def forces(self, x: Floats, controls: Floats) -> Floats:  # noqa: ARG002
+        """See :class:`EnergyTerm`."""
+        outside = self.stiffness[:, None] * (x - self.centre) - self.load
+        return np.asarray(outside[self._kept, None])
+
+    def blocks(
+        self,
+        x: Floats,  # noqa: ARG002
+        controls: Floats,  # noqa: ARG002
+        *,
+        project: float = 0.0,  # noqa: ARG002
+        some: Ints | None = None,
+    ) -> Floats:
+        """See :class:`EnergyTerm`."""
+        kept = self._kept if some is None else self._kept[some]
+        return self.stiffness[kept, None, None, None] * np.eye(3)
+
+    def forces_by_control(self, x: Floats, controls: Floats) -> None:
+        """See :class:`EnergyTerm`: none."""
+
+
+class Drag:
+    """Flesh that is slow to leave where it is: an implicit Euler step of an overdamped motion.
+
+        E(x) = tau/2 |x - x_0|^2_K
+
+    with K the stiffness of ``term`` at ``rest``, ``viscosity`` tau and ``anchor`` x_0 the place
+    before the step. Near buckling, where the flesh by itself would snap, such a step stays short;
+    without motion it feels nothing (a proximal point method, Rockafellar 1976; the time step is
+    1 / tau). ``held`` vertices do not count. An :class:`EnergyTerm`; viscosity and anchor may be
+    changed at any time.
+    """
+
+    def __init__(self, term: EnergyTerm, rest: Floats, controls: Floats, held: Ints) -> None:
+        self._vertices = term.vertices
+        self._K = term.blocks(rest, controls).copy()
+        self._held = held
+        self.viscosity = 0.0
+        self.anchor = rest
+
+    @property
+    def vertices(self) -> Ints:
+        """See :class:`EnergyTerm`."""
+        return self._vertices
+
+    def energy(self, x: Floats, controls: Floats) -> float:
+        """See :class:`EnergyTerm`."""
+        if not self.viscosity:
+            return 0.0
+        return 0.5 * float((self.forces(x, controls) * self._motion(x)[self._vertices]).sum())
+
+    def forces(self, x: Floats, controls: Floats) -> Floats:  # noqa: ARG002
+        """See :class:`EnergyTerm`."""
+        out = np.zeros((*self._vertices.shape, 3))
+        _multiply_blocks(self._K, self._vertices, self._motion(x), self.viscosity, out)
+        return out
+
+    def blocks(
+        self,
+        x: Floats,  # noqa: ARG002
+        controls: Floats,  # noqa: ARG002
+        *,
+        project: float = 0.0,  # noqa: ARG002
+        some: Ints | None = None,
+    ) -> Floats:
+        """See :class:`EnergyTerm`."""
+        return self.viscosity * (self._K if some is None else self._K[some])
+
+    def forces_by_control(self, x: Floats, controls: Floats) -> None:
+        """See :class:`EnergyTerm`: none."""
+
+    def _motion(self, x: Floats) -> Floats:
+        motion = x - self.anchor
+        motion[self._held] = 0.0
+        return motion
+
+
+@nb.njit(cache=True, parallel=True)
+def _multiply_blocks(
+    blocks: Floats, vertices: Ints, motion: Floats, scale: float, out: Floats
+) -> None:
+    """Fill ``out`` (e, v, 3) with the scaled blocks (e, v (v + 1) / 2, 3, 3) times a motion."""
+    count = vertices.shape[1]
+    for e in nb.prange(len(vertices)):
+        for u in range(count):
+            for i in range(3):
+                total = 0.0
+                for v in range(count):
+                    B = blocks[e, PAIR[u, v]]
+                    for j in range(3):
+                        total += (B[i, j] if u <= v else B[j, i]) * motion[vertices[e, v], j]
+                out[e, u, i] = scale * total
+
+
+def force_columns(forces: Floats, vertices: Ints, size: int) -> sp.csc_array:
+    """Return (size, k) with the ``forces`` (k, v, 3) on some vertices in each column.
+
+    ``vertices`` (k, v) are their numbers, -1 for one that is left out.
+    """
+    rows = 3 * vertices[:, :, None] + np.arange(3)
+    # what is left out is zeroed and goes to row 0
+    out = rows < 0
+    values, rows = np.where(out, 0.0, forces), np.where(out, 0, rows)
+    indptr = rows.shape[1] * 3 * np.arange(len(forces) + 1)
+    return sp.csc_array((values.ravel(), rows.ravel(), indptr), shape=(size, len(forces)))
