@@ -8,7 +8,7 @@ from pathlib import Path
 from solver.anatomy.build import build_subject_model, model_summary
 from solver.anatomy.meshing import meshed
 from solver.anatomy.template import Template
-from solver.meshio.read import read_registered
+from solver.meshio.registered import read_registered
 from solver.pipeline.common import Options, take, within
 from solver.progress import Progress, Step, silent
 from solver.rig.pictures import anatomy_picture, fibres_picture, tets_picture

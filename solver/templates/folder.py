@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from solver.anatomy.muscle_weights import with_axis
 from solver.anatomy.template import Depth, Muscle, ShapeBasis, Template, check_arrays
 from solver.errors import InputError
-from solver.meshio.read import read_raw
+from solver.meshio.raw import read_raw
 from solver.registration.pose import (
     AXES,
     UNITS,
