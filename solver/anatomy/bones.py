@@ -76,10 +76,10 @@ class VoxelGrid:
         points = self.lo + (points - 1.5) * VOXEL_MM
         values = field.transpose(2, 1, 0).ravel()
         vertices, faces = igl.marching_cubes(values, points, nx, ny, nz, 0.5)[:2]
-        return _simplified(Surface(np.asarray(vertices), np.asarray(faces).astype(np.int64)))
+        return _simplify(Surface(np.asarray(vertices), np.asarray(faces).astype(np.int64)))
 
 
-def _simplified(surface: Surface) -> Surface:
+def _simplify(surface: Surface) -> Surface:
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=True)
     trimesh.smoothing.filter_taubin(mesh, iterations=TAUBIN_STEPS)  # type: ignore[no-untyped-call]
     vertices, faces, _, _ = igl.qslim(np.asarray(mesh.vertices), np.asarray(mesh.faces), WRAP_FACES)
@@ -98,7 +98,7 @@ def wrap_bones(
     keeps :data:`JOINT_GAP_MM` to the mandible, and both keep :data:`SKIN_GAP_MM` to ``skin``.
     """
     jaw = grid.solid(mandible)
-    skull = _closed(grid.shell(cranium), CLOSING_MM)
+    skull = _close(grid.shell(cranium), CLOSING_MM)
     # Frontal slices: walls around brain, orbits and nose are rings there, the zygomatic arches are
     # not, so the temporal fossae stay open.
     for k in range(skull.shape[2]):
@@ -109,7 +109,7 @@ def wrap_bones(
     return grid.surface(ndimage.binary_opening(skull)), grid.surface(jaw)
 
 
-def _closed(volume: Volume, radius_mm: float) -> Volume:
+def _close(volume: Volume, radius_mm: float) -> Volume:
     width = int(np.ceil(radius_mm / VOXEL_MM)) + 1
     padded = np.pad(volume, width)
     grown = _distance(padded) <= radius_mm

@@ -77,7 +77,7 @@ def both_sides(points: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class Landmarks:
+class PointPairs:
     """Corresponding points ``source`` and ``target``, (k, 3) in mm, of the left and the middle."""
 
     source: Floats
@@ -85,7 +85,7 @@ class Landmarks:
 
 
 @dataclass(frozen=True)
-class Limits:
+class DepthLimits:
     """Least and greatest depth in mm, (n,) or one for all, of ``points`` (n, 3) under a skin.
 
     The points are those of the left and the middle.
@@ -96,7 +96,7 @@ class Limits:
     greatest: Floats | float
     skin: SkinDepth
 
-    def violated(self, warp: Warp) -> PlaneConstraints:
+    def corrections(self, warp: Warp) -> PlaneConstraints:
         """Return the displacements that bring the warped points back within their limits."""
         now = warp(self.points)
         depths, deeper = self.skin(now)
@@ -107,7 +107,7 @@ class Limits:
 
 
 def depth_warp(
-    landmarks: Landmarks, limits: list[Limits], *, centres: int, stiffness: float
+    landmarks: PointPairs, limits: list[DepthLimits], *, centres: int, stiffness: float
 ) -> Warp:
     """Return the least bending warp that meets landmarks and depth limits (Gauss-Newton).
 
@@ -125,7 +125,7 @@ def depth_warp(
     )
     warp = Warp(kernels, np.zeros((len(kernels) + 4, 3)))
     for _ in range(STEPS):
-        parts = [fixed, *[limit.violated(warp) for limit in limits]]
+        parts = [fixed, *[limit.corrections(warp) for limit in limits]]
         planes = PlaneConstraints(
             both_sides(np.vstack([part.points for part in parts])),
             both_sides(np.vstack([part.directions for part in parts])),

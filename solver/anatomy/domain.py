@@ -44,14 +44,14 @@ HOLDING = (Label.CRANIUM, Label.MANDIBLE, Label.CUT)
 
 
 @dataclass(frozen=True)
-class Planes:
+class CutPlanes:
     """Cut planes: flesh lies in front of ``back_z`` and above ``bottom_y``, in mm."""
 
     back_z: float
     bottom_y: float
 
     @classmethod
-    def of(cls, head: Template) -> Planes:
+    def of(cls, head: Template) -> CutPlanes:
         """Return the planes of a template."""
         return cls(head.back_z, head.bottom_y)
 
@@ -64,18 +64,18 @@ class Planes:
 
 def domain_soup(head: Template) -> Surface:
     """Return every triangle the tetrahedra have to follow: parted skin, bones and cut planes."""
-    planes = Planes.of(head)
-    skin = Surface(head.parted.vertices, head.skin.faces[head.flesh_faces])
-    surfaces = [_clipped(part, planes) for part in (skin, head.cranium, head.mandible)]
+    planes = CutPlanes.of(head)
+    skin = Surface(head.parted_skin.vertices, head.skin.faces[head.flesh_faces])
+    surfaces = [_clip(part, planes) for part in (skin, head.cranium, head.mandible)]
     points = surfaces[0].vertices
     lo, hi = points.min(axis=0) - MARGIN_MM, points.max(axis=0) + MARGIN_MM
     lo = np.maximum(lo, [-np.inf, planes.bottom_y - MARGIN_MM, planes.back_z - MARGIN_MM])
     back = _sheet(lo, hi, 2, planes.back_z)
     bottom = _sheet(lo, hi, 1, planes.bottom_y)
-    return joined([*surfaces, back, bottom])
+    return join_surfaces([*surfaces, back, bottom])
 
 
-def _clipped(surface: Surface, planes: Planes) -> Surface:
+def _clip(surface: Surface, planes: CutPlanes) -> Surface:
     used = planes.in_front(surface.vertices[surface.faces], -MARGIN_MM).any(axis=1)
     numbers, faces = np.unique(surface.faces[used], return_inverse=True)
     return Surface(surface.vertices[numbers], faces.reshape(-1, 3).astype(np.int64))
@@ -95,7 +95,7 @@ def _sheet(lo: Floats, hi: Floats, axis: int, value: float) -> Surface:
     return Surface(vertices, faces.astype(np.int64))
 
 
-def joined(surfaces: list[Surface]) -> Surface:
+def join_surfaces(surfaces: list[Surface]) -> Surface:
     """Return surfaces as one, their vertices and faces one after the other."""
     starts = np.cumsum([0] + [len(surface.vertices) for surface in surfaces[:-1]])
     return Surface(
@@ -113,7 +113,7 @@ def edge_lengths(head: Template, soup: Surface, edge_mm: float) -> EdgeLengths:
     wanted += [
         (head.regions[name], part) for name, part in FINE_REGIONS.items() if name in head.regions
     ]
-    skin = head.parted.vertices
+    skin = head.parted_skin.vertices
     for vertices, part in wanted:
         distance = cKDTree(skin[vertices]).query(points)[0]
         lengths = np.minimum(lengths, part * edge_mm + GROWTH * np.maximum(distance - GRID_MM, 0))
@@ -123,11 +123,11 @@ def edge_lengths(head: Template, soup: Surface, edge_mm: float) -> EdgeLengths:
 def label_tets(head: Template, vertices: Floats, tets: Ints) -> Ints:
     """Return the :class:`Label` (t,) of tetrahedra by winding numbers at their centres."""
     centres = vertices[tets].mean(axis=1)
-    skin = Surface(head.parted.vertices, head.skin.faces[head.flesh_faces])
+    skin = Surface(head.parted_skin.vertices, head.skin.faces[head.flesh_faces])
     labels = np.where(_inside(skin, centres), Label.FLESH, Label.OUTSIDE)
     labels[(labels == Label.FLESH) & _inside(head.cranium, centres)] = Label.CRANIUM
     labels[(labels == Label.FLESH) & _inside(head.mandible, centres)] = Label.MANDIBLE
-    labels[(labels == Label.FLESH) & ~Planes.of(head).in_front(centres)] = Label.CUT
+    labels[(labels == Label.FLESH) & ~CutPlanes.of(head).in_front(centres)] = Label.CUT
     return labels.astype(np.int64)
 
 
@@ -137,7 +137,7 @@ def _inside(surface: Surface, points: Floats) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Flesh:
+class MeshedFlesh:
     """Kept tetrahedra in the parted pose.
 
     ``outside`` (f, 3) are the faces towards the air, the skin and its linings, ``outside_of`` (f,)
@@ -151,7 +151,7 @@ class Flesh:
     held: dict[Label, Ints]
 
 
-def choose_flesh(vertices: Floats, tets: Ints, labels: Ints) -> Flesh:
+def choose_flesh(vertices: Floats, tets: Ints, labels: Ints) -> MeshedFlesh:
     """Return the flesh without tetrahedra that only stick things together, and its boundary.
 
     Dropped are tetrahedra with all vertices on bones or cut planes (nothing to solve for), those
@@ -172,7 +172,7 @@ def choose_flesh(vertices: Floats, tets: Ints, labels: Ints) -> Flesh:
     renumber = np.full(len(vertices), -1)
     renumber[numbers] = np.arange(len(numbers))
     outside, owner = _faces_towards(tets, labels, kept)[Label.OUTSIDE]
-    return Flesh(
+    return MeshedFlesh(
         vertices[numbers],
         own.reshape(-1, 4),
         renumber[outside],

@@ -16,9 +16,9 @@ from scipy.spatial import cKDTree
 
 from solver.anatomy.domain import (
     DEEP_FACTOR,
-    Flesh,
+    CutPlanes,
     Label,
-    Planes,
+    MeshedFlesh,
     choose_flesh,
     domain_soup,
     edge_lengths,
@@ -26,7 +26,7 @@ from solver.anatomy.domain import (
 )
 from solver.anatomy.embedding import barycentric, rows_of
 from solver.anatomy.muscle_weights import initial_weights
-from solver.anatomy.relaxation import relaxed
+from solver.anatomy.relaxation import relax
 from solver.anatomy.template import Template, TemplateMesh
 from solver.anatomy.tetrahedra import tetrahedralize
 from solver.anatomy.transfer import guidance
@@ -38,14 +38,14 @@ from solver.surface import Floats, Ints, Surface
 # From the parted pose, in which the flesh is meshed, back to the neutral pose.
 
 
-def closed(head: Template, vertices: Floats, tets: Ints, outside: Ints, held: Ints) -> Floats:
+def close_lips(head: Template, vertices: Floats, tets: Ints, outside: Ints, held: Ints) -> Floats:
     """Return the flesh's vertices (p, 3), meshed with parted lips, with the lips closed.
 
     Vertices of the ``outside`` faces (f, 3) move with the skin they lie on, ``held`` ones stay
     and the others follow harmonically; tets between the lips may come out inverted.
     """
     skin_side = np.setdiff1d(outside, held)
-    skin = Surface(head.parted.vertices, head.skin.faces[head.flesh_faces])
+    skin = Surface(head.parted_skin.vertices, head.skin.faces[head.flesh_faces])
     face, shares, _ = barycentric(vertices[skin_side], skin)
     displacement = np.einsum("nk,nkd->nd", shares, -head.parting[skin.faces[face]])
     known = np.concatenate([skin_side, held])
@@ -122,13 +122,13 @@ def make_mesh(
     progress(Step("mesh", 0.0, message="tetrahedra by fTetWild"))
     flesh = _mesh(head, edge_mm)
     progress(Step("relax", 0.85))
-    flesh = _fitted(head, flesh)
+    flesh = _fit(head, flesh)
     embedded, bound, jaw_skin = _bound_skin(head, flesh, edge_mm)
     rows = rows_of(flesh.tets[bound.tet], bound.shares, len(flesh.vertices))
     held = np.unique(np.concatenate(list(flesh.held.values())))
-    start = closed(head, flesh.vertices, flesh.tets, flesh.outside, held)
+    start = close_lips(head, flesh.vertices, flesh.tets, flesh.outside, held)
     guides = guidance(head, head.skin.vertices, embedded, rows, held, flesh.vertices[held], start)
-    rest = relaxed(start, flesh.tets, guides)
+    rest = relax(start, flesh.tets, guides)
     progress(Step("muscles", 0.92))
     weights = initial_weights(rest, flesh.tets, [muscle.surface for muscle in head.muscles])
     progress(Step("muscles", 1.0))
@@ -145,7 +145,7 @@ def make_mesh(
     )
 
 
-def _mesh(head: Template, edge_mm: float) -> Flesh:
+def _mesh(head: Template, edge_mm: float) -> MeshedFlesh:
     soup = domain_soup(head)
     vertices, tets = tetrahedralize(
         soup,
@@ -157,21 +157,21 @@ def _mesh(head: Template, edge_mm: float) -> Flesh:
     return choose_flesh(vertices, tets, label_tets(head, vertices, tets))
 
 
-def _fitted(head: Template, flesh: Flesh) -> Flesh:
+def _fit(head: Template, flesh: MeshedFlesh) -> MeshedFlesh:
     """Return the flesh with its vertices fitted to the parted skin in least squares."""
     skin = np.unique(head.skin.faces[head.flesh_faces])
-    parted = head.parted.vertices
+    parted = head.parted_skin.vertices
     for _ in range(FITTING_ROUNDS):
         bound = _bound(flesh, parted[skin])
         near = bound.distance < GREATEST_ENVELOPE_MM
         rows = rows_of(flesh.tets[bound.tet], bound.shares, len(flesh.vertices))[near]
         held, held_at = _on_bones(head, flesh)
         guides = guidance(head, parted, skin[near], rows, held, held_at, flesh.vertices)
-        flesh = replace(flesh, vertices=relaxed(flesh.vertices, flesh.tets, guides))
+        flesh = replace(flesh, vertices=relax(flesh.vertices, flesh.tets, guides))
     return flesh
 
 
-def _on_bones(head: Template, flesh: Flesh) -> tuple[Ints, Floats]:
+def _on_bones(head: Template, flesh: MeshedFlesh) -> tuple[Ints, Floats]:
     """Return the held vertices and the nearest points (h, 3) of what holds them."""
     place = flesh.vertices.copy()
     for label, bone in ((Label.CRANIUM, head.cranium), (Label.MANDIBLE, head.mandible)):
@@ -191,7 +191,7 @@ class Bound:
     distance: Floats
 
 
-def _bound(flesh: Flesh, points: Floats) -> Bound:
+def _bound(flesh: MeshedFlesh, points: Floats) -> Bound:
     face, shares, distance = barycentric(points, Surface(flesh.vertices, flesh.outside))
     tet = flesh.outside_of[face]
     corners = flesh.outside[face]
@@ -199,15 +199,15 @@ def _bound(flesh: Flesh, points: Floats) -> Bound:
     return Bound(tet, np.einsum("nck,nk->nc", same, shares), distance)
 
 
-def _bound_skin(head: Template, flesh: Flesh, edge_mm: float) -> tuple[Ints, Bound, Ints]:
+def _bound_skin(head: Template, flesh: MeshedFlesh, edge_mm: float) -> tuple[Ints, Bound, Ints]:
     """Return the skin vertices that follow the flesh, how, and those that follow the jaw.
 
     Vertices are bound in the parted pose: there the upper lip is far from the lower.
     """
     skin = np.unique(head.skin.faces[head.flesh_faces])
-    parted = head.parted.vertices[skin]
+    parted = head.parted_skin.vertices[skin]
     bound = _bound(flesh, parted)
-    in_front = Planes.of(head).in_front(parted)
+    in_front = CutPlanes.of(head).in_front(parted)
     near = (bound.distance < EMBED_MM * edge_mm) & in_front
     lost = skin[np.isin(skin, head.face_vertices) & ~near]
     if len(lost):
@@ -225,7 +225,7 @@ def _bound_skin(head: Template, flesh: Flesh, edge_mm: float) -> tuple[Ints, Bou
     return skin[near], Bound(bound.tet[near], bound.shares[near], bound.distance[near]), jaw_skin
 
 
-def _held(head: Template, flesh: Flesh) -> dict[str, Ints]:
+def _held(head: Template, flesh: MeshedFlesh) -> dict[str, Ints]:
     """Return vertex numbers by what holds them; a vertex of the mandible is held by it only."""
     mandible = flesh.held[Label.MANDIBLE]
     cranium = np.setdiff1d(flesh.held[Label.CRANIUM], mandible)
@@ -262,7 +262,9 @@ MAKING = 4
 log = structlog.get_logger(__name__)
 
 
-def meshed(template: Template, edge_mm: float = EDGE_MM, progress: Progress = silent) -> Template:
+def find_or_make_mesh(
+    template: Template, edge_mm: float = EDGE_MM, progress: Progress = silent
+) -> Template:
     """Return the template with tets of ``edge_mm``: its own, those in the cache, or new ones.
 
     New ones take minutes and are not reproducible, so they are kept in the cache folder under the

@@ -88,7 +88,7 @@ def enclosed_volume(surface: Surface) -> float:
     counted on a grid along the surface's principal axes, to about 2 %.
     """
     middle = surface.vertices.mean(axis=0)
-    if _closed(surface.faces):
+    if _is_closed(surface.faces):
         corners = surface.vertices[surface.faces] - middle
         return float(abs(np.linalg.det(corners).sum()) / 6.0)
     axes = np.linalg.svd(surface.vertices - middle, full_matrices=False)[2]
@@ -101,7 +101,7 @@ def enclosed_volume(surface: Surface) -> float:
     return box * float(contains(surface, grid @ axes + middle).mean())
 
 
-def _closed(faces: Ints) -> bool:
+def _is_closed(faces: Ints) -> bool:
     """Return whether every edge has two faces, which run along it in opposite directions."""
     edges = directed_edges(faces)
     places = np.array([faces.max() + 1, 1])
@@ -271,7 +271,7 @@ class _Field:
         place = (extent[cKDTree(surface).query(self._points)[1]] - low) / (high - low)
         end = BENT_END if _bend(muscle) > BENT else STRAIGHT_END
         given = (place < end) | (place > 1 - end)
-        potential = self._solved(np.zeros(len(guess)), guess, given)
+        potential = self._solve(np.zeros(len(guess)), guess, given)
         return self._gradient(potential)
 
     def around(self, muscle: Muscle) -> Floats:
@@ -288,13 +288,13 @@ class _Field:
         load = np.zeros(len(self._points))
         np.add.at(load, self._tets, sources)
         nothing = np.zeros(len(load))
-        correction = self._solved(load, nothing, np.zeros(len(load), dtype=bool))
+        correction = self._solve(load, nothing, np.zeros(len(load), dtype=bool))
         return np.asarray(turning + self._gradient(correction))
 
     def _gradient(self, potential: Floats) -> Floats:
         return np.asarray(np.einsum("ti,tid->td", potential[self._tets], self._gradients))
 
-    def _solved(self, load: Floats, guess: Floats, given: np.ndarray) -> Floats:
+    def _solve(self, load: Floats, guess: Floats, given: np.ndarray) -> Floats:
         """Return u (p,) with -div(sigma grad u) = ``load`` that is ``guess`` where it is given."""
         free = ~given
         pull = PULL * self._matrix.diagonal().mean() * sp.eye_array(len(guess))

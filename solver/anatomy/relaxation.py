@@ -58,7 +58,7 @@ class Guides:
         return cls(rows, targets, np.full(len(ids), weight))
 
     @classmethod
-    def joined(cls, parts: list[Guides]) -> Guides:
+    def join(cls, parts: list[Guides]) -> Guides:
         """Return the springs of all parts."""
         return cls(
             sp.csr_array(sp.vstack([part.rows for part in parts])),
@@ -73,7 +73,7 @@ class Guides:
         return float(np.sum(pull * away)), 2.0 * (self.rows.T @ pull)
 
 
-def relaxed(x: Floats, tets: Ints, guides: Guides) -> Floats:
+def relax(x: Floats, tets: Ints, guides: Guides) -> Floats:
     """Return the vertices (p, 3) of least energy, from the start ``x`` (p, 3) in mm.
 
     Raises
@@ -83,14 +83,14 @@ def relaxed(x: Floats, tets: Ints, guides: Guides) -> Floats:
     """
     stiffness = np.full(len(tets), STIFFNESS)
     if volumes(x, tets).min() <= 0:
-        x = _minimised(x, tets, guides, stiffness, SMOOTHING[0], ITERATIONS)
-    x = _minimised(x, tets, guides, stiffness, SMOOTHING[1], ITERATIONS)
+        x = _minimise(x, tets, guides, stiffness, SMOOTHING[0], ITERATIONS)
+    x = _minimise(x, tets, guides, stiffness, SMOOTHING[1], ITERATIONS)
     for _ in range(ROUNDS):
         bad = _bad(x, tets)
         if not bad.any():
             break
         stiffness[bad] *= STIFFENING
-        x = _minimised(x, tets, guides, stiffness, SMOOTHING[1], LATER_ITERATIONS)
+        x = _minimise(x, tets, guides, stiffness, SMOOTHING[1], LATER_ITERATIONS)
     inverted = np.flatnonzero(volumes(x, tets) <= 0)
     if len(inverted):
         raise SolveError(
@@ -106,7 +106,7 @@ def _bad(x: Floats, tets: Ints) -> np.ndarray:
     return np.asarray(narrow | (volumes(x, tets) <= 0))
 
 
-def _minimised(
+def _minimise(
     x: Floats, tets: Ints, guides: Guides, stiffness: Floats, smoothing: float, iterations: int
 ) -> Floats:
     unit = float(np.mean(np.abs(volumes(x, tets)))) ** (1 / 3)

@@ -292,7 +292,7 @@ class Template:
     mesh: TemplateMesh | None = None
 
     @property
-    def parted(self) -> Surface:
+    def parted_skin(self) -> Surface:
         """Return the skin with the lips parted."""
         return self.skin.moved(self.skin.vertices + self.parting)
 

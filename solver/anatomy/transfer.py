@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from solver.anatomy.depth_warp import SkinDepth
 from solver.anatomy.domain import boundary
 from solver.anatomy.embedding import barycentric
-from solver.anatomy.relaxation import Guides, relaxed
+from solver.anatomy.relaxation import Guides, relax
 from solver.anatomy.template import Muscle, Template, TemplateMesh
 from solver.anatomy.tetrahedra import barycentric_in_tets, dihedral_angles
 from solver.anatomy.warp import Warp, interpolate, spread
@@ -181,7 +181,7 @@ def guidance(
     """
     count = len(start)
     pull = np.where(np.isin(embedded, head.face_vertices), FACE_PULL, SKIN_PULL)
-    return Guides.joined(
+    return Guides.join(
         [
             Guides(surface_rows, skin[embedded], pull),
             Guides.of_vertices(held, held_at, BONE_PULL, count),
@@ -192,7 +192,7 @@ def guidance(
 
 # A template's tetrahedra carried into a person: the same tets, muscles and S for everybody.
 #
-# The skin's warp carries all vertices; then the mesh is relaxed, pulled by the person's skin
+# The skin's warp carries all vertices; then the mesh is relax, pulled by the person's skin
 # through its embedding and by the person's bones through the places it has on the template's.
 
 
@@ -233,7 +233,7 @@ def transport(
     guides = guidance(
         person, person.skin.vertices, mesh.embedded, mesh.surface_rows, held, place[held], start
     )
-    moved = relaxed(start, mesh.tets, guides)
+    moved = relax(start, mesh.tets, guides)
     narrow = dihedral_angles(moved, mesh.tets).min()
     if narrow < LEAST_DEG:
         raise SolveError(

@@ -9,7 +9,7 @@ import igl
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from solver.drawing.render import Body, Lit
+from solver.drawing.render import DrawnBody, Lit
 from solver.surface import Floats, Ints, Surface, adjacency
 
 # Colours of pictures: what skin, eyes, bones and muscles look like, and the error's scale.
@@ -153,7 +153,7 @@ EYE_SUBDIVISIONS = 2
 NONE = np.zeros((0, 3), np.int64)
 
 
-class Head:
+class DrawnHead:
     """The parts of ``neutral`` that are drawn: lashes are left out, eyeballs made finer.
 
     ``skin``, ``teeth``, ``mouth`` (gums and tongue) and ``eyes`` (the finer ones) are faces (f, 3).
@@ -189,16 +189,16 @@ class Head:
         surface = Surface(vertices, np.vstack([self.skin, self.teeth, self.mouth, self.eyes]))
         return Lit(surface, light)
 
-    def body(self, lit: Lit, faces: Ints | None = None, *, opacity: float = 1.0) -> Body:
+    def body(self, lit: Lit, faces: Ints | None = None, *, opacity: float = 1.0) -> DrawnBody:
         """Return the head, or some of its faces, in natural colours."""
-        return Body(lit, self._colour, faces=faces, opacity=opacity)
+        return DrawnBody(lit, self._colour, faces=faces, opacity=opacity)
 
-    def heat_map(self, lit: Lit, error_mm: Floats, most_mm: float = HEAT_MAX_MM) -> Body:
+    def heat_map(self, lit: Lit, error_mm: Floats, most_mm: float = HEAT_MAX_MM) -> DrawnBody:
         """Return the head in the colours of a distance (v,) in mm, grey where it is NaN."""
         colour = np.tile(UNMEASURED, (len(self._colour), 1))
         measured = np.flatnonzero(np.isfinite(error_mm))
         colour[measured] = linear(heat(error_mm[measured], most_mm))
-        return Body(lit, colour, gloss=0.04)
+        return DrawnBody(lit, colour, gloss=0.04)
 
 
 def _eye_colour(points: Floats) -> Floats:

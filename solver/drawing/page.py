@@ -22,7 +22,7 @@ SWATCH = 14
 Colour = tuple[float, float, float]
 
 
-class Page:
+class Sheet:
     """A page of a given size in pixels, on which the parts are placed by their corners."""
 
     def __init__(self, width: int, height: int) -> None:

@@ -267,7 +267,7 @@ class Lit:
 
 
 @dataclass(frozen=True)
-class Body:
+class DrawnBody:
     """A lit surface with a linear colour (n, 3) per vertex, and how it is drawn.
 
     ``gloss`` is the strength of the highlight. An ``opacity`` under 1 lets what is behind shine
@@ -289,7 +289,7 @@ class Body:
         return surface if self.faces is None else Surface(surface.vertices, self.faces)
 
 
-def render(bodies: list[Body], camera: Camera, width: int, height: int) -> Pixels:
+def render(bodies: list[DrawnBody], camera: Camera, width: int, height: int) -> Pixels:
     """Return an sRGB image (height, width, 3) in [0, 1]; later bodies are drawn over earlier ones.
 
     Opaque bodies should be one body, as only within a body what is nearer hides what is behind.
@@ -305,7 +305,7 @@ def render(bodies: list[Body], camera: Camera, width: int, height: int) -> Pixel
     return np.asarray(np.clip(image, 0, 1) ** (1 / GAMMA), np.float32)
 
 
-def faded(image: Pixels) -> Pixels:
+def fade(image: Pixels) -> Pixels:
     """Return a bust whose lower end, where scans are cut off, runs out into the background."""
     rows = np.linspace(0, 1, len(image), dtype=np.float32)
     share = np.clip((rows - FADE[0]) / (FADE[1] - FADE[0]), 0, 1)[:, None, None]
@@ -313,7 +313,7 @@ def faded(image: Pixels) -> Pixels:
     return np.asarray(image * (1 - share) + BACKGROUND * share, np.float32)
 
 
-def _shade(body: Body, seen: Visible, camera: Camera) -> tuple[Pixels, Pixels]:
+def _shade(body: DrawnBody, seen: Visible, camera: Camera) -> tuple[Pixels, Pixels]:
     """Return linear colour (pixels, 3) and opacity (pixels, 1) of what is seen of a body."""
     columns = [body.colour, body.lit.light, body.lit.normals, body.lit.surface.vertices]
     albedo, light, normal, place = np.split(seen.interpolate(np.hstack(columns)), 4, axis=1)

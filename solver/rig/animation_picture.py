@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from solver.drawing.head import Head
-from solver.drawing.page import HEADER, MARGIN, Page
-from solver.drawing.render import Body, Lit, Pixels, faded, render
+from solver.drawing.head import DrawnHead
+from solver.drawing.page import HEADER, MARGIN, Sheet
+from solver.drawing.render import DrawnBody, Lit, Pixels, fade, render
 from solver.model import SubjectModel
 from solver.rig.edit_report import EditedPerson
 from solver.rig.motion import SequenceFrame
@@ -27,7 +27,7 @@ class Filming:
     """Draws a subject's skins, one like the other: all from where the neutral is seen."""
 
     def __init__(self, model: SubjectModel) -> None:
-        self._head = Head(model.skin)
+        self._head = DrawnHead(model.skin)
         self._cameras = {
             yaw: face_camera(model.skin.vertices, model.face, yaw) for yaw in (0.0, THREE_QUARTER)
         }
@@ -52,7 +52,7 @@ class Filming:
         """
         body = self._head.body(self._head.lit(skin, light))
         shown = [body, *(_glass(each) for each in objects)]
-        return faded(render(shown, self._cameras[yaw], *size))
+        return fade(render(shown, self._cameras[yaw], *size))
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def contact_sheet(
     width, height = CELL
     columns = min(COLUMNS, len(shots))
     rows = -(-len(shots) // columns)
-    page = Page(2 * MARGIN + columns * width, HEADER + rows * (2 * height + 30) + MARGIN)
+    page = Sheet(2 * MARGIN + columns * width, HEADER + rows * (2 * height + 30) + MARGIN)
     page.heading(title, detail)
     for number, shot in enumerate(shots):
         left = MARGIN + number % columns * width
@@ -84,8 +84,10 @@ def contact_sheet(
     page.save(path)
 
 
-def _glass(surface: Surface) -> Body:
-    return Body(Lit(surface), np.tile(OBJECT, (len(surface.vertices), 1)), opacity=OBJECT_OPACITY)
+def _glass(surface: Surface) -> DrawnBody:
+    return DrawnBody(
+        Lit(surface), np.tile(OBJECT, (len(surface.vertices), 1)), opacity=OBJECT_OPACITY
+    )
 
 
 # A sheet of an edited person: before, after, and how far the skin has moved.
@@ -110,14 +112,14 @@ def edit_picture(person: EditedPerson, title: str, detail: str, path: Path) -> N
     if shown < there:
         detail = f"{detail}; {shown} of {there} expressions are shown"
     width, height = EDIT_CELL
-    page = Page(LEFT + width * len(views) + MARGIN, HEADER + 30 + 3 * height + FOOTER)
+    page = Sheet(LEFT + width * len(views) + MARGIN, HEADER + 30 + 3 * height + FOOTER)
     page.heading(title, detail)
     for row, name in enumerate(("Before", "After", "Moved")):
         page.text((MARGIN, HEADER + 30 + row * height + height // 2), name, 20)
     moved = [np.linalg.norm(after - before, axis=1) for _, _, before, after in views]
     model = person.unedited
     most = _scale_end(np.concatenate([each[model.face] for each in moved]))
-    head_before, head_after = Head(model.skin), Head(person.edited.model.skin)
+    head_before, head_after = DrawnHead(model.skin), DrawnHead(person.edited.model.skin)
     for column, (name, yaw, before, after) in enumerate(views):
         left = LEFT + column * width
         page.text((left + width // 2, HEADER), name, 17, anchor="ma")
@@ -129,7 +131,7 @@ def edit_picture(person: EditedPerson, title: str, detail: str, path: Path) -> N
         )
         camera = face_camera(model.skin.vertices, model.face, yaw)
         for row, body in enumerate(bodies):
-            image = faded(render([body], camera, width, height))
+            image = fade(render([body], camera, width, height))
             page.panel((left, HEADER + 30 + row * height), image)
     page.scale((LEFT + 20, HEADER + 30 + 3 * height + 12), 3 * width - 60, most)
     page.save(path)
@@ -179,9 +181,9 @@ def sequence_picture(
     model: SubjectModel, shots: Sequence[SequenceShot], title: str, detail: str, path: Path
 ) -> None:
     """Draw the frames in columns: seen, fitted, error in mm; heads without their motion."""
-    head = Head(model.skin)
+    head = DrawnHead(model.skin)
     width, height = SEQUENCE_CELL
-    page = Page(LEFT + width * len(shots) + MARGIN, HEADER + 30 + 3 * height + FOOTER)
+    page = Sheet(LEFT + width * len(shots) + MARGIN, HEADER + 30 + 3 * height + FOOTER)
     page.heading(title, detail)
     camera = face_camera(model.skin.vertices, model.face, 0.0)
     for row, name in enumerate(("Seen", "Fit", "Error")):
@@ -201,7 +203,7 @@ def sequence_picture(
             head.heat_map(solved, shot.error_mm),
         )
         for row, body in enumerate(bodies):
-            image = faded(render([body], camera, width, height))
+            image = fade(render([body], camera, width, height))
             page.panel((left, HEADER + 30 + row * height), image)
     page.scale((LEFT + 20, HEADER + 30 + 3 * height + 12), min(4 * width, width * len(shots)) - 60)
     page.save(path)

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from solver.drawing.head import Head
-from solver.drawing.page import GREY, HEADER, Page
-from solver.drawing.render import faded, render
+from solver.drawing.head import DrawnHead
+from solver.drawing.page import GREY, HEADER, Sheet
+from solver.drawing.render import fade, render
 from solver.errors import InputError, SolveError
 from solver.fitting.activation import Resting
 from solver.fitting.face import Face
@@ -279,9 +279,9 @@ def preview_picture(model: SubjectModel, preview: Preview, path: Path) -> None:
     unseen, neutral = preview.unseen, model.skin.vertices
     chosen = _chosen(unseen)
     overall = unseen.overall
-    head = Head(model.skin)
+    head = DrawnHead(model.skin)
     camera = face_camera(neutral, model.face, 0.0)
-    page = Page(MARGIN + COLUMNS * CELL[0], HEADER + 3 * CELL[1] + FOOTER)
+    page = Sheet(MARGIN + COLUMNS * CELL[0], HEADER + 3 * CELL[1] + FOOTER)
     page.heading(
         "Sliders on poses they were not made from",
         f"{overall.poses} poses    mean {overall.mean:.2f} mm    "
@@ -298,7 +298,7 @@ def preview_picture(model: SubjectModel, preview: Preview, path: Path) -> None:
         bodies = (head.body(simulated), head.body(previewed), head.heat_map(previewed, error))
         left = MARGIN + column * CELL[0]
         for row, body in enumerate(bodies):
-            image = faded(render([body], camera, *CELL))
+            image = fade(render([body], camera, *CELL))
             page.panel((left, HEADER + row * CELL[1]), image)
         words = f"{sample.slid.sort}, mean {unseen.off[number].mean():.2f} mm"
         page.text((left + CELL[0] // 2, HEADER), words, 17, anchor="ma")
