@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from solver.anatomy.warp import PlaneConstraints, Warp, least_bending, spread
 from solver.surface import Floats, Ints, Surface, directed_edges
 
-# How deep a point lies under the skin, and which way is deeper.
+# The depth of a point under the skin, and the way that leads deeper.
 
 
 class SkinDepth:
@@ -65,10 +65,9 @@ def boundary_edges(faces: Ints) -> tuple[Ints, Ints]:
     return edges, hole[local[:, 0]].astype(np.int64)
 
 
-STEPS = 14
+# Warps that keep landmarks and depths, on both sides alike.
 
-
-MIRROR = np.array([-1.0, 1.0, 1.0])
+MIRROR = np.array([-1.0, 1.0, 1.0])  # the mid-plane is x = 0
 
 
 def both_sides(points: Floats) -> Floats:
@@ -107,14 +106,19 @@ class DepthLimits:
 
 
 def depth_warp(
-    landmarks: PointPairs, limits: list[DepthLimits], *, centres: int, stiffness: float
+    landmarks: PointPairs,
+    limits: list[DepthLimits],
+    *,
+    centres: int,
+    stiffness: float,
+    steps: int = 14,
 ) -> Warp:
     """Return the least bending warp that meets landmarks and depth limits (Gauss-Newton).
 
-    Each step linearises the depths of the points that violate their limits. What is given for the
-    left also holds for the right, mirrored at x = 0: the warp is symmetric. It has ``centres`` on
-    the left and as many on the right; more ``stiffness`` misses what is wanted by more, less folds
-    space.
+    Each of the ``steps`` linearises the depths of the points that violate their limits. What is
+    given for the left also holds for the right, mirrored at x = 0: the warp is symmetric. It has
+    ``centres`` on the left and as many on the right; more ``stiffness`` misses what is wanted by
+    more, less folds space.
     """
     everything = np.vstack([landmarks.source, *[limit.points for limit in limits]])
     kernels = both_sides(everything[spread(everything, centres)])
@@ -124,7 +128,7 @@ def depth_warp(
         (landmarks.target - landmarks.source).ravel(),
     )
     warp = Warp(kernels, np.zeros((len(kernels) + 4, 3)))
-    for _ in range(STEPS):
+    for _ in range(steps):
         parts = [fixed, *[limit.corrections(warp) for limit in limits]]
         planes = PlaneConstraints(
             both_sides(np.vstack([part.points for part in parts])),

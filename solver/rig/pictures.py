@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from solver.anatomy.template import Template
-from solver.drawing.head import BONE, FAT, GAMMA, DrawnHead, both_sides, linear, muscle_colours
+from solver.drawing.head import COLOURS, DrawnHead, both_sides, linear, muscle_colours
 from solver.drawing.page import HEADER, INK, MARGIN, Colour, Sheet, swatch_columns, swatch_height
-from solver.drawing.render import Camera, DrawnBody, Lit, fade, render
+from solver.drawing.render import GAMMA, Camera, DrawnBody, Lit, fade, render
 from solver.model import SubjectModel
 from solver.rig.result import ExpressionFit
 from solver.surface import Floats, Ints, Surface, vertex_normals
@@ -195,7 +195,7 @@ def tets_picture(model: SubjectModel, path: Path) -> None:
         "Tetrahedra",
         f"{len(model.tets)} tets, {len(model.rest)} vertices; colour: muscle with the greatest "
         "share, fat where none has any",
-        {**palette, "fat and passive flesh": _srgb(FAT)},
+        {**palette, "fat and passive flesh": _srgb(COLOURS["fat"])},
     )
 
 
@@ -236,7 +236,7 @@ def _inside(anatomy: _Anatomy, palette: dict[str, Colour], organs: DrawnBody) ->
     used, numbers = np.unique(organs.drawn.faces, return_inverse=True)
     eyes_and_teeth = Surface(organs.drawn.vertices[used], numbers.reshape(-1, 3).astype(np.int64))
     pieces = [(eyes_and_teeth, organs.colour[used])]
-    pieces += [(bone, np.array([BONE])) for bone in anatomy.bones.values()]
+    pieces += [(bone, np.array([COLOURS["bone"]])) for bone in anatomy.bones.values()]
     for name, muscle in anatomy.muscles.items():
         pieces.append((muscle, linear(np.array([palette[both_sides(name)]]))))
     counts = [len(piece.vertices) for piece, _ in pieces]
@@ -257,7 +257,7 @@ def _tet_colours(model: SubjectModel, palette: dict[str, Colour]) -> Floats:
     passive = np.asarray(model.weights[:, [0]].todense())
     active = linear(np.array(by_muscle))[main]
     strength = np.where(passive < 1, 0.55 + 0.45 * (1 - passive), 0.0)
-    return np.asarray(strength * active + (1 - strength) * np.array(FAT))
+    return np.asarray(strength * active + (1 - strength) * np.array(COLOURS["fat"]))
 
 
 def _tet_body(model: SubjectModel, keep: np.ndarray, colour: Floats) -> DrawnBody:
