@@ -12,7 +12,7 @@ from solver.drawing.render import (
     Camera,
     look,
 )
-from solver.meshio.read import RawScan
+from solver.meshio.raw import RawScan
 from solver.surface import Floats, Ints, Surface
 
 CAMERAS = [

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from solver.drawing.head import Head
-from solver.drawing.page import HEADER, Page
-from solver.drawing.render import Body, faded, render
+from solver.drawing.head import DrawnHead
+from solver.drawing.page import HEADER, Sheet
+from solver.drawing.render import DrawnBody, fade, render
 from solver.fitting.face import Face, State
 from solver.rig.pictures import THREE_QUARTER, WIDTH, face_camera
 from solver.surface import Floats
@@ -33,11 +33,11 @@ def side_by_side(path: Path, face: Face, title: str, rows: Mapping[str, Compared
     All rows have the same fits, ``S`` and ``P`` for example, in the same order.
     """
     model = face.model
-    head = Head(model.skin)
+    head = DrawnHead(model.skin)
     fits = list(next(iter(rows.values())).fits)
     columns = 1 + 2 * len(fits)
     cell = (WIDTH // columns, WIDTH // columns * 9 // 8)
-    page = Page(WIDTH, HEADER + len(rows) * cell[1] + FOOTER)
+    page = Sheet(WIDTH, HEADER + len(rows) * cell[1] + FOOTER)
     page.text((24, 16), title, 30)
     for column, name in enumerate(["Scan", *(text for fit in fits for text in (fit, ""))]):
         page.text((column * cell[0] + cell[0] // 2, HEADER - 24), name, 20, anchor="ma")
@@ -47,14 +47,14 @@ def side_by_side(path: Path, face: Face, title: str, rows: Mapping[str, Compared
         for column, (body, caption) in enumerate(zip(bodies, [name, *captions], strict=True)):
             left = column * cell[0]
             camera = face_camera(model.skin.vertices, model.face, YAW)
-            page.panel((left, top), faded(render([body], camera, *cell)))
+            page.panel((left, top), fade(render([body], camera, *cell)))
             page.text((left + cell[0] // 2, top + cell[1] - 22), caption, 15, anchor="ma")
     page.scale((WIDTH - cell[0] - 80, HEADER + len(rows) * cell[1] + 12), cell[0])
     path.parent.mkdir(parents=True, exist_ok=True)
     page.save(path)
 
 
-def _row(head: Head, face: Face, compared: Compared) -> tuple[list[Body], list[str]]:
+def _row(head: DrawnHead, face: Face, compared: Compared) -> tuple[list[DrawnBody], list[str]]:
     """Return the bodies of a row, and the captions of all but the first."""
     bodies, captions = [head.body(head.lit(compared.scan))], []
     for state in compared.fits.values():

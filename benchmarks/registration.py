@@ -26,10 +26,7 @@ from benchmarks import report
 from benchmarks.corruption import Corruption, corrupted
 from benchmarks.documents import Section, Table
 from solver.anatomy.template import ShapeBasis, Template
-from solver.meshio.read import (
-    RawScan,
-    read_raw,
-)
+from solver.meshio.raw import RawScan, read_raw
 from solver.registration.mend import mend
 from solver.registration.register import Registration, register
 from solver.registration.topology import Topology, topology

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from solver.anatomy.build import build_subject_model
-from solver.anatomy.meshing import meshed
+from solver.anatomy.meshing import find_or_make_mesh
 from solver.model import SubjectModel
 from solver.templates.builtin.build import (
     builtin_capture_set,
@@ -54,6 +54,6 @@ def each(
     else:
         captures = {n: ict_capture_set(options.faces, n, options.capture_sets) for n in names}
         template = build_ict_template(options.anatomy, options.faces)
-    template = meshed(template, edge_mm)
+    template = find_or_make_mesh(template, edge_mm)
     for name, scans in captures.items():
         yield name, build_subject_model(template, scans.neutral.vertices, edge_mm=edge_mm), scans

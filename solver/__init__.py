@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from solver.fitting.face import Face as Face
     from solver.fitting.face import Pose as Pose
     from solver.fitting.objective import Target as Target
-    from solver.meshio.read import write_registered as write_registered
+    from solver.meshio.registered import write_registered as write_registered
     from solver.model import SubjectModel as SubjectModel
     from solver.pipeline import build_model as build_model
     from solver.pipeline import fit_activations as fit_activations
@@ -81,7 +81,7 @@ _PLACES = {
     "save_weights": "solver.rig.result:save_weights",
     "simulate": "solver.pipeline:simulate",
     "unseen_regulariser": "solver.fitting.chosen:unseen_regulariser",
-    "write_registered": "solver.meshio.read:write_registered",
+    "write_registered": "solver.meshio.registered:write_registered",
 }
 
 

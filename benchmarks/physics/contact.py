@@ -26,9 +26,9 @@ from solver.contact.crossing import (
     depth_inside,
 )
 from solver.contact.potentials import contact_potentials
-from solver.drawing.head import Head
-from solver.drawing.page import HEADER, Page
-from solver.drawing.render import Body, Camera, Lit, faded, render
+from solver.drawing.head import DrawnHead
+from solver.drawing.page import HEADER, Sheet
+from solver.drawing.render import Camera, DrawnBody, Lit, fade, render
 from solver.edits.edit import DENSITY
 from solver.fitting.face import Face, Pose
 from solver.model import SubjectModel
@@ -214,8 +214,8 @@ def measured(played: Played) -> Figures:
 
 def picture(path: Path, person: Fitted, played: dict[str, tuple[Played, Played]]) -> None:
     """Draw every scene's last frame without contact and with it: from outside, and cut open."""
-    head = Head(person.model.skin)
-    page = Page(WIDTH, HEADER + len(played) * CELL[1])
+    head = DrawnHead(person.model.skin)
+    page = Sheet(WIDTH, HEADER + len(played) * CELL[1])
     page.heading("Contact", "Without, and with: the last frame from outside, and cut open")
     for row, pair in enumerate(played.values()):
         for column, each in enumerate(pair):
@@ -223,7 +223,7 @@ def picture(path: Path, person: Fitted, played: dict[str, tuple[Played, Played]]
             for number, (bodies, yaw) in enumerate(views):
                 camera = Camera(each.scene.centre, each.scene.span, yaw)
                 left = (2 * column + number) * CELL[0]
-                page.panel((left, HEADER + row * CELL[1]), faded(render(bodies, camera, *CELL)))
+                page.panel((left, HEADER + row * CELL[1]), fade(render(bodies, camera, *CELL)))
             how = "with contact" if each.contact else "without"
             depth = max(found.most for found in each.depths)
             label = f"{each.scene.title}, {how}: {depth:.2f} mm"
@@ -233,7 +233,7 @@ def picture(path: Path, person: Fitted, played: dict[str, tuple[Played, Played]]
     page.save(path)
 
 
-def _views(person: Fitted, head: Head, played: Played) -> list[tuple[list[Body], float]]:
+def _views(person: Fitted, head: DrawnHead, played: Played) -> list[tuple[list[DrawnBody], float]]:
     """Return the bodies and the camera's turn of a scene's end: whole, and cut open."""
     last = len(played.scene.poses) - 1
     skin = person.face().whole_skin(played.steps[-1].y, played.scene.poses[-1].b)
@@ -241,8 +241,8 @@ def _views(person: Fitted, head: Head, played: Played) -> list[tuple[list[Body],
     whole, cut = [head.body(lit)], [head.body(_cut(lit.surface, played.scene.cut))]
     for each in played.scene.objects(last):
         colour = np.tile(OBJECT, (len(each.vertices), 1))
-        whole.append(Body(Lit(each), colour, opacity=0.35))
-        cut.append(Body(_cut(each, played.scene.cut), colour, opacity=0.35))
+        whole.append(DrawnBody(Lit(each), colour, opacity=0.35))
+        cut.append(DrawnBody(_cut(each, played.scene.cut), colour, opacity=0.35))
     return [(whole, THREE_QUARTER), (cut, SIDE)]
 
 

@@ -19,9 +19,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from benchmarks.documents import Figures
-from solver.drawing.head import Head
-from solver.drawing.page import HEADER, Page
-from solver.drawing.render import faded, render
+from solver.drawing.head import DrawnHead
+from solver.drawing.page import HEADER, Sheet
+from solver.drawing.render import fade, render
 from solver.edits.edit import (
     Edited,
     Replay,
@@ -148,16 +148,16 @@ def sheet(people: Mapping[str, EditedPerson], path: Path) -> None:
     )
     columns = {"unedited": unedited, **people}
     width, height = CELL
-    page = Page(width * len(columns), HEADER + 30 + (2 + len(first.expressions)) * height)
+    page = Sheet(width * len(columns), HEADER + 30 + (2 + len(first.expressions)) * height)
     page.heading("Edits", "one rig, the same activations in other flesh")
     for column, (name, person) in enumerate(columns.items()):
-        left, head = column * width, Head(person.edited.model.skin)
+        left, head = column * width, DrawnHead(person.edited.model.skin)
         page.text((left + width // 2, HEADER), name.replace("_", " "), 17, anchor="ma")
         views = [(person.after.skin, 0.0), (person.after.skin, THREE_QUARTER)]
         views += [(each.after.skin, 0.0) for each in person.expressions if each.after is not None]
         for row, (skin, yaw) in enumerate(views):
             camera = face_camera(model.skin.vertices, model.face, yaw)
-            image = faded(render([head.body(head.lit(skin))], camera, width, height))
+            image = fade(render([head.body(head.lit(skin))], camera, width, height))
             page.panel((left, HEADER + 30 + row * height), image)
     page.save(path)
 

@@ -22,9 +22,9 @@ from benchmarks.physics.fitted import Fitted
 from myoface.demo.outcome import khronos_validation
 from solver.anatomy.template import ShapeBasis
 from solver.animation.recording import RecordedDrives, from_recording
-from solver.drawing.head import Head
-from solver.drawing.page import HEADER, MARGIN, Page
-from solver.drawing.render import faded, render
+from solver.drawing.head import DrawnHead
+from solver.drawing.page import HEADER, MARGIN, Sheet
+from solver.drawing.render import fade, render
 from solver.pipeline.scenes import (
     finish,
     play,
@@ -107,9 +107,9 @@ def _direct(person: Fitted, basis: ShapeBasis, drives: RecordedDrives) -> Floats
 def picture(path: Path, person: Fitted, played: Played) -> None:
     """Draw frames in columns: driven directly, simulated, and the distance between them."""
     model, (width, height) = person.model, CELL
-    head, camera = Head(model.skin), face_camera(model.skin.vertices, model.face, 0.0)
+    head, camera = DrawnHead(model.skin), face_camera(model.skin.vertices, model.face, 0.0)
     distances = played.distances(person)
-    page = Page(SIDE + SHOWN * width + MARGIN, HEADER + 30 + 3 * height + FOOTER)
+    page = Sheet(SIDE + SHOWN * width + MARGIN, HEADER + 30 + 3 * height + FOOTER)
     detail = f"{len(played.frames)} frames, {distances.mean():.2f} mm apart on average"
     page.heading(TITLE, detail)
     for row, name in enumerate(("Shapes", "Muscles", "Apart")):
@@ -125,7 +125,7 @@ def picture(path: Path, person: Fitted, played: Played) -> None:
         for row, body in enumerate(
             (head.body(head.lit(shapes)), head.body(lit), head.heat_map(lit, apart))
         ):
-            page.panel((left, HEADER + 30 + row * height), faded(render([body], camera, *CELL)))
+            page.panel((left, HEADER + 30 + row * height), fade(render([body], camera, *CELL)))
     page.scale((SIDE + 20, HEADER + 30 + 3 * height + 12), 4 * width)
     path.parent.mkdir(parents=True, exist_ok=True)
     page.save(path)

@@ -17,9 +17,9 @@ from benchmarks.physics.fitted import Fitted
 from solver.anatomy.bones import bone_normals
 from solver.anatomy.domain import boundary
 from solver.drawing import head as drawing_head
-from solver.drawing.head import Head
-from solver.drawing.page import HEADER, Page
-from solver.drawing.render import Body, Lit, faded, render
+from solver.drawing.head import DrawnHead
+from solver.drawing.page import HEADER, Sheet
+from solver.drawing.render import DrawnBody, Lit, fade, render
 from solver.fitting.face import Face, Pose
 from solver.rig.pictures import THREE_QUARTER, WIDTH, face_camera
 from solver.surface import Floats, Surface
@@ -83,8 +83,8 @@ def along_bone(state: Raised) -> Floats:
 def picture(path: Path, person: Fitted) -> None:
     """Draw skin motion, and motion along the skull under it, sliding beside pinned."""
     model = person.model
-    head, cell = Head(model.skin), (WIDTH // 4, 480)
-    page = Page(WIDTH, HEADER + cell[1] + FOOTER)
+    head, cell = DrawnHead(model.skin), (WIDTH // 4, 480)
+    page = Sheet(WIDTH, HEADER + cell[1] + FOOTER)
     page.heading("Brows raised", "How far the skin moves, and the flesh along the skull, in mm")
     inner = _inner_faces(person)
     for number, (name, pinned) in enumerate((("sliding", False), ("pinned", True))):
@@ -97,11 +97,11 @@ def picture(path: Path, person: Fitted) -> None:
         colour = drawing_head.linear(drawing_head.heat(along_bone(state), MOST_MM))
         bodies = {
             f"{name}: skin": head.heat_map(head.lit(skin), shown, MOST_MM),
-            f"{name}: at the skull": Body(skull, colour, gloss=0.04),
+            f"{name}: at the skull": DrawnBody(skull, colour, gloss=0.04),
         }
         for column, (title, body) in enumerate(bodies.items(), start=2 * number):
             camera = face_camera(model.skin.vertices, model.face, THREE_QUARTER)
-            page.panel((column * cell[0], HEADER), faded(render([body], camera, *cell)))
+            page.panel((column * cell[0], HEADER), fade(render([body], camera, *cell)))
             page.text((column * cell[0] + cell[0] // 2, HEADER), title, 20, anchor="ma")
     page.scale((WIDTH - cell[0] - 120, HEADER + cell[1] + 12), cell[0], MOST_MM)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -50,7 +50,7 @@ def build(
     ] = True,
 ) -> None:
     """Build a template from --anatomy and --faces, from --folder, or the --builtin one."""
-    from solver.anatomy.meshing import meshed
+    from solver.anatomy.meshing import find_or_make_mesh
 
     sources = [anatomy is not None and faces is not None, folder is not None, builtin]
     if sum(sources) != 1 or (anatomy is None) != (faces is None):
@@ -58,7 +58,7 @@ def build(
     made = _build(anatomy, faces, folder)
     if mesh:
         with JobView("template") as view:
-            made = meshed(made, edge_mm, view)
+            made = find_or_make_mesh(made, edge_mm, view)
     output.parent.mkdir(parents=True, exist_ok=True)
     digest = made.save(output)
     out.print(

@@ -1,6 +1,7 @@
-"""Bone wraps: one smooth watertight surface around many bones, as a boundary of the flesh.
+"""Bones: wraps of them as a boundary of the flesh, their normals, and the frame of the jaw.
 
-Raw bones have sutures, thin orbital walls and foramina, which would fill with slivers of flesh.
+A wrap is one smooth watertight surface around many bones. Raw ones have sutures, thin orbital
+walls and foramina, which would fill with slivers of flesh.
 """
 
 from __future__ import annotations
@@ -18,35 +19,47 @@ from solver.mechanics import jaw
 from solver.model import JawFrame
 from solver.surface import Floats, Surface, vertex_normals
 
-VOXEL_MM = 1.25
-JOINT_GAP_MM = 1.5
-"""Room for flesh between mandible and cranium."""
-SKIN_GAP_MM = 2.4
-"""Room for flesh between bone and skin."""
-CLOSING_MM = 3.8
-WRAP_FACES = 6000
-SMOOTHING_VOXELS = 1.0
-TAUBIN_STEPS = 16
-
 Volume = np.ndarray
 
 
-class VoxelGrid:
-    """Cubes of :data:`VOXEL_MM` that cover the box ``lo`` to ``hi`` (3,) in mm."""
+@dataclass(frozen=True)
+class WrapOptions:
+    """Fineness of bone wraps, and the room that they leave for flesh."""
 
-    def __init__(self, lo: Floats, hi: Floats) -> None:
-        self.lo = lo
-        self.shape = tuple(np.ceil((hi - lo) / VOXEL_MM).astype(int))
+    voxel_mm: float = 1.25
+    joint_gap_mm: float = 1.5
+    """Room for flesh between mandible and cranium."""
+    skin_gap_mm: float = 2.4
+    """Room for flesh between bone and skin."""
+    closing_mm: float = 3.8
+    """Radius of the morphological closing: sutures and foramina are narrower than twice that."""
+    faces: int = 6000
+    """Of each wrap, after decimation."""
+    smoothing_voxels: float = 1.0
+    """Deviation of the Gaussian before marching cubes."""
+    taubin_steps: int = 16
+    """Of smoothing after it."""
+
+
+WRAP = WrapOptions()
+
+
+class VoxelGrid:
+    """Cubes that cover the box ``lo`` to ``hi`` (3,) in mm."""
+
+    def __init__(self, lo: Floats, hi: Floats, options: WrapOptions = WRAP) -> None:
+        self.lo, self.options, self._side = lo, options, options.voxel_mm
+        self.shape = tuple(np.ceil((hi - lo) / self._side).astype(int))
 
     def shell(self, surface: Surface) -> Volume:
         """Return True for the voxels a surface passes through."""
         triangles = surface.vertices[surface.faces]
         box = (triangles.max(axis=1) > self.lo).all(axis=1)
         mesh = trimesh.Trimesh(surface.vertices, surface.faces[box], process=False)
-        count = int(6 * mesh.area / VOXEL_MM**2)
+        count = int(6 * mesh.area / self._side**2)
         points, _ = trimesh.sample.sample_surface(mesh, count, seed=0)
         points = np.vstack([points, surface.vertices[np.unique(surface.faces)]])
-        numbers = np.floor((points - self.lo) / VOXEL_MM).astype(int)
+        numbers = np.floor((points - self.lo) / self._side).astype(int)
         numbers = numbers[((numbers >= 0) & (numbers < self.shape)).all(axis=1)]
         volume = np.zeros(self.shape, dtype=bool)
         volume[tuple(numbers.T)] = True
@@ -56,7 +69,7 @@ class VoxelGrid:
         """Return True for the voxels inside a closed surface or on it."""
         volume = self.shell(surface)
         numbers = np.argwhere(~volume)
-        centres = self.lo + (numbers + 0.5) * VOXEL_MM
+        centres = self.lo + (numbers + 0.5) * self._side
         lo, hi = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
         near = ((centres > lo) & (centres < hi)).all(axis=1)
         winding = igl.fast_winding_number(surface.vertices, surface.faces, centres[near])
@@ -68,25 +81,38 @@ class VoxelGrid:
         labels, _ = ndimage.label(volume)
         largest = labels == 1 + np.argmax(np.bincount(labels.ravel())[1:])
         padded = np.pad(largest, 2).astype(float)
-        field = ndimage.gaussian_filter(padded, SMOOTHING_VOXELS)
+        field = ndimage.gaussian_filter(padded, self.options.smoothing_voxels)
         # libigl counts x fastest.
         nx, ny, nz = field.shape
         steps = np.meshgrid(*[np.arange(k) for k in (nz, ny, nx)], indexing="ij")
         points = np.column_stack([steps[2].ravel(), steps[1].ravel(), steps[0].ravel()])
-        points = self.lo + (points - 1.5) * VOXEL_MM
+        points = self.lo + (points - 1.5) * self._side
         values = field.transpose(2, 1, 0).ravel()
         vertices, faces = igl.marching_cubes(values, points, nx, ny, nz, 0.5)[:2]
-        return _simplified(Surface(np.asarray(vertices), np.asarray(faces).astype(np.int64)))
+        return self._simplify(Surface(np.asarray(vertices), np.asarray(faces).astype(np.int64)))
 
+    def _simplify(self, surface: Surface) -> Surface:
+        mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=True)
+        steps, count = self.options.taubin_steps, self.options.faces
+        trimesh.smoothing.filter_taubin(mesh, iterations=steps)  # type: ignore[no-untyped-call]
+        vertices, faces, _, _ = igl.qslim(np.asarray(mesh.vertices), np.asarray(mesh.faces), count)
+        result = trimesh.Trimesh(vertices, faces, process=True)
+        if result.volume < 0:
+            result.invert()
+        return Surface(np.asarray(result.vertices, float), np.asarray(result.faces, np.int64))
 
-def _simplified(surface: Surface) -> Surface:
-    mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=True)
-    trimesh.smoothing.filter_taubin(mesh, iterations=TAUBIN_STEPS)  # type: ignore[no-untyped-call]
-    vertices, faces, _, _ = igl.qslim(np.asarray(mesh.vertices), np.asarray(mesh.faces), WRAP_FACES)
-    result = trimesh.Trimesh(vertices, faces, process=True)
-    if result.volume < 0:
-        result.invert()
-    return Surface(np.asarray(result.vertices, float), np.asarray(result.faces, np.int64))
+    def close(self, volume: Volume, radius_mm: float) -> Volume:
+        """Return the closing of ``volume`` by a ball."""
+        width = int(np.ceil(radius_mm / self._side)) + 1
+        padded = np.pad(volume, width)
+        grown = self.distance(padded) <= radius_mm
+        closed = ndimage.distance_transform_edt(grown, sampling=self._side) > radius_mm
+        inner = tuple(slice(width, -width) for _ in range(3))
+        return np.asarray((closed | padded)[inner])
+
+    def distance(self, volume: Volume) -> Floats:
+        """Return the distance in mm of each voxel to the nearest of ``volume``."""
+        return np.asarray(ndimage.distance_transform_edt(~volume, sampling=self._side))
 
 
 def wrap_bones(
@@ -95,34 +121,23 @@ def wrap_bones(
     """Return watertight wraps of cranium and mandible within the box of ``grid``.
 
     The cranium's wrap is solid: brain, orbits behind their rim, nose and sinuses are filled. It
-    keeps :data:`JOINT_GAP_MM` to the mandible, and both keep :data:`SKIN_GAP_MM` to ``skin``.
+    keeps ``joint_gap_mm`` of the grid's options to the mandible, and both keep ``skin_gap_mm`` to
+    ``skin``.
     """
+    options = grid.options
     jaw = grid.solid(mandible)
-    skull = _closed(grid.shell(cranium), CLOSING_MM)
+    skull = grid.close(grid.shell(cranium), options.closing_mm)
     # Frontal slices: walls around brain, orbits and nose are rings there, the zygomatic arches are
     # not, so the temporal fossae stay open.
     for k in range(skull.shape[2]):
         skull[:, :, k] = ndimage.binary_fill_holes(skull[:, :, k])
-    near_skin = _distance(grid.shell(skin)) < SKIN_GAP_MM
+    near_skin = grid.distance(grid.shell(skin)) < options.skin_gap_mm
     jaw &= ~near_skin
-    skull &= ~near_skin & (_distance(jaw) > JOINT_GAP_MM + VOXEL_MM)
+    skull &= ~near_skin & (grid.distance(jaw) > options.joint_gap_mm + options.voxel_mm)
     return grid.surface(ndimage.binary_opening(skull)), grid.surface(jaw)
 
 
-def _closed(volume: Volume, radius_mm: float) -> Volume:
-    width = int(np.ceil(radius_mm / VOXEL_MM)) + 1
-    padded = np.pad(volume, width)
-    grown = _distance(padded) <= radius_mm
-    closed = ndimage.distance_transform_edt(grown, sampling=VOXEL_MM) > radius_mm
-    inner = tuple(slice(width, -width) for _ in range(3))
-    return np.asarray((closed | padded)[inner])
-
-
-def _distance(volume: Volume) -> Floats:
-    return np.asarray(ndimage.distance_transform_edt(~volume, sampling=VOXEL_MM))
-
-
-# Normals of the bone surface under vertices of the flesh.
+# Normals of the bone surface under vertices of the flesh, along which they slide.
 
 
 def bone_normals(bone: Surface, points: Floats) -> Floats:
@@ -134,8 +149,8 @@ def bone_normals(bone: Surface, points: Floats) -> Floats:
     tree.init(bone.vertices, bone.faces)
     _, face, nearest = tree.squared_distance(bone.vertices, bone.faces, points)
     corners = bone.faces[face]
-    shares = igl.barycentric_coordinates(nearest, *bone.vertices[corners].transpose(1, 0, 2))
-    normals = (vertex_normals(bone)[corners] * shares[:, :, None]).sum(axis=1)
+    barycentric = igl.barycentric_coordinates(nearest, *bone.vertices[corners].transpose(1, 0, 2))
+    normals = (vertex_normals(bone)[corners] * barycentric[:, :, None]).sum(axis=1)
     return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
@@ -160,7 +175,7 @@ def jaw_frame(condyles: Floats) -> JawFrame:
 
 @dataclass(frozen=True)
 class JawResidual:
-    """What five degrees of freedom ``b`` (5,) miss of a motion of the lower teeth, in mm.
+    """The part of a motion of the lower teeth that five degrees of freedom ``b`` (5,) miss, in mm.
 
     ``rms`` and ``greatest`` are distances to the teeth in the closest rigid motion, and
     ``not_rigid`` is what that motion itself misses (root mean square): a linear face model

@@ -9,7 +9,7 @@ import numpy as np
 import structlog
 
 from solver.anatomy.bones import jaw_frame
-from solver.anatomy.domain import boundary, joined
+from solver.anatomy.domain import boundary, join_surfaces
 from solver.anatomy.embedding import barycentric
 from solver.anatomy.meshing import EDGE_MM, make_mesh
 from solver.anatomy.muscle_weights import enclosed_volume, fibre_directions, muscle_volumes
@@ -30,7 +30,7 @@ def build_subject_model(
     """Return the tetrahedral face of the person with the neutral scan ``neutral`` (n, 3) in mm.
 
     The template's own tets are carried into the person. Only where it has none of ``edge_mm``, or
-    where they can not be carried, the person is meshed from scratch; ``model.mesh_source`` says so.
+    where they cannot be carried, the person is meshed from scratch; ``model.mesh_source`` says so.
 
     Parameters
     ----------
@@ -61,14 +61,14 @@ def build_subject_model(
             mesh, person = transport(template, template.mesh, person, warp)
             made_by = "transport"
         except SolveError as error:
-            log.warning("the template's tets can not be carried", reason=str(error))
+            log.warning("the template's tets cannot be carried", reason=str(error))
             made_by = f"mesher, since transport failed: {error}"
     if made_by != "transport":
         mesh = make_mesh(person, edge_mm, progress)
-    return _assembled(template, person, mesh, made_by)
+    return _assemble(template, person, mesh, made_by)
 
 
-def _assembled(
+def _assemble(
     template: Template, person: Template, mesh: TemplateMesh, made_by: str
 ) -> SubjectModel:
     skin = person.skin.vertices
@@ -129,7 +129,7 @@ def model_summary(model: SubjectModel) -> dict[str, Any]:
     depth = barycentric(model.skin.vertices[model.face], Surface(model.rest, surface))[2]
     skin = model.skin.vertices
     face = np.ascontiguousarray(model.skin.faces[np.isin(model.skin.faces, model.face).all(axis=1)])
-    bones = joined(list(model.bones.values())).vertices
+    bones = join_surfaces(list(model.bones.values())).vertices
     clearance = np.sqrt(igl.point_mesh_squared_distance(bones, skin, face)[0].min())
     enclosed = {name: enclosed_volume(surface) for name, surface in model.muscles.items()}
     kept = muscle_volumes(model.rest, model.tets, model.weights)

@@ -6,6 +6,7 @@ Contact between them is solved elsewhere; here is only which vertices take part 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -14,13 +15,12 @@ from scipy.spatial import cKDTree
 
 from solver.surface import Floats, Ints, Surface, directed_edges, vertex_normals
 
-# Which lip a place on the skin belongs to: the one whose middle is nearer on the surface.
+# A place on the skin belongs to the lip whose middle is nearer on the surface.
 #
 # The way from one lip to the other leads around a corner of the mouth, so that no plane is needed,
 # which a bent line of the mouth or an overbite would cross.
 
-
-UPPER, LOWER = 1, -1
+UPPER, LOWER = 1, -1  # lips; 0 is neither
 
 
 def lips_apart(flesh: Surface, landmarks: Mapping[str, int]) -> Ints:
@@ -54,18 +54,29 @@ def lip_sides(skin: Floats, faces: Ints, upper: Ints, lower: Ints) -> Ints:
     return np.asarray(UPPER * (to_upper < to_lower) + LOWER * (to_lower < to_upper))
 
 
-LINING_MM = 6.0
-"""Lips' lining lies this near to the teeth that lips cover."""
-LID_MM = 4.0
-"""Lids lie this near to the eyeball."""
-ON_BALL_MM = 0.2
-"""And no deeper in it: what goes on behind the lids, in the socket, is none of them."""
-FRONT_TEETH = 0.5
-"""Part of the teeth's length, from the front, that lips cover."""
+@dataclass(frozen=True)
+class ContactDistances:
+    """Distances by which skin belongs to a contact region."""
+
+    lining_mm: float = 6.0
+    """Lips' lining lies this near to the teeth that lips cover."""
+    lid_mm: float = 4.0
+    """Lids lie this near to the eyeball."""
+    on_ball_mm: float = 0.2
+    """And no deeper in it: skin that goes on behind the lids, in the socket, is none of them."""
+    front_teeth: float = 0.5
+    """Part of the teeth's length, from the front, that lips cover."""
+
+
+DISTANCES = ContactDistances()
 
 
 def contact_regions(
-    flesh: Surface, sides: Ints, parts: Mapping[str, Ints], landmarks: Mapping[str, int]
+    flesh: Surface,
+    sides: Ints,
+    parts: Mapping[str, Ints],
+    landmarks: Mapping[str, int],
+    distances: ContactDistances = DISTANCES,
 ) -> dict[str, Ints]:
     """Return region -> skin vertices, sorted.
 
@@ -75,31 +86,40 @@ def contact_regions(
         The template's skin, all its vertices (V, 3) in mm, with only the triangles that bound the
         flesh: face, lips and linings.
     sides
-        (V,) the lip that a vertex belongs to (:func:`lip_sides`): which
-        teeth are nearer says nothing, as upper ones stand before the lower lip.
+        (V,) the lip that a vertex belongs to (:func:`lip_sides`): the nearer teeth say nothing, as
+        upper ones stand before the lower lip.
     parts
         Vertices of ``upper_teeth``, ``lower_teeth``, ``left_eyeball`` and ``right_eyeball``.
     landmarks
         Name -> vertex; has the four canthi (``endocanthion_l`` and so on).
+    distances
+        Distances by which skin belongs to a region.
     """
     regions = {name: np.sort(ids) for name, ids in parts.items()}
     skin, own = flesh.vertices, np.unique(flesh.faces)
-    teeth = np.vstack([_front(skin[parts[f"{jaw}_teeth"]]) for jaw in ("upper", "lower")])
-    lining = own[cKDTree(teeth).query(skin[own])[0] < LINING_MM]
+    teeth = np.vstack(
+        [_front(skin[parts[f"{jaw}_teeth"]], distances.front_teeth) for jaw in ("upper", "lower")]
+    )
+    lining = own[cKDTree(teeth).query(skin[own])[0] < distances.lining_mm]
     for lip, side in (("upper", UPPER), ("lower", LOWER)):
         regions[f"{lip}_lip_lining"] = lining[sides[lining] == side]
     for eye in ("left", "right"):
-        regions |= _lids(flesh, own, parts[f"{eye}_eyeball"], landmarks, eye)
+        regions |= _lids(flesh, own, parts[f"{eye}_eyeball"], landmarks, eye, distances)
     return regions
 
 
-def _front(teeth: Floats) -> Floats:
-    """Return those of a row of teeth's vertices that lips cover."""
-    return teeth[teeth[:, 2] > np.quantile(teeth[:, 2], 1 - FRONT_TEETH)]
+def _front(teeth: Floats, part: float) -> Floats:
+    """Return those of a row of teeth's vertices that lips cover, the foremost ``part``."""
+    return teeth[teeth[:, 2] > np.quantile(teeth[:, 2], 1 - part)]
 
 
 def _lids(
-    flesh: Surface, own: Ints, eyeball: Ints, landmarks: Mapping[str, int], side: str
+    flesh: Surface,
+    own: Ints,
+    eyeball: Ints,
+    landmarks: Mapping[str, int],
+    side: str,
+    distances: ContactDistances,
 ) -> dict[str, Ints]:
     """Split the skin on one eyeball along the line between the corners of the eye."""
     skin, ball = flesh.vertices, flesh.vertices[eyeball]
@@ -108,7 +128,8 @@ def _lids(
     away = skin[own] - centre
     height = np.linalg.norm(away, axis=1) - radius
     outward = (away * vertex_normals(flesh)[own]).sum(axis=1) > 0
-    own = own[outward & (height > -ON_BALL_MM) & (height < LID_MM) & (away[:, 2] > 0)]
+    on_lid = (height > -distances.on_ball_mm) & (height < distances.lid_mm)
+    own = own[outward & on_lid & (away[:, 2] > 0)]
     corners = [skin[landmarks[f"{name}_{side[0]}"]] for name in ("endocanthion", "exocanthion")]
     inner, outer = sorted(corners, key=lambda point: float(point[0]))
     line = np.interp(skin[own, 0], [inner[0], outer[0]], [inner[1], outer[1]])

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from solver.anatomy.warp import PlaneConstraints, Warp, least_bending, spread
 from solver.surface import Floats, Ints, Surface, directed_edges
 
-# How deep a point lies under the skin, and which way is deeper.
+# The depth of a point under the skin, and the way that leads deeper.
 
 
 class SkinDepth:
@@ -65,10 +65,9 @@ def boundary_edges(faces: Ints) -> tuple[Ints, Ints]:
     return edges, hole[local[:, 0]].astype(np.int64)
 
 
-STEPS = 14
+# Warps that keep landmarks and depths, on both sides alike.
 
-
-MIRROR = np.array([-1.0, 1.0, 1.0])
+MIRROR = np.array([-1.0, 1.0, 1.0])  # the mid-plane is x = 0
 
 
 def both_sides(points: Floats) -> Floats:
@@ -77,7 +76,7 @@ def both_sides(points: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class Landmarks:
+class PointPairs:
     """Corresponding points ``source`` and ``target``, (k, 3) in mm, of the left and the middle."""
 
     source: Floats
@@ -85,7 +84,7 @@ class Landmarks:
 
 
 @dataclass(frozen=True)
-class Limits:
+class DepthLimits:
     """Least and greatest depth in mm, (n,) or one for all, of ``points`` (n, 3) under a skin.
 
     The points are those of the left and the middle.
@@ -96,7 +95,7 @@ class Limits:
     greatest: Floats | float
     skin: SkinDepth
 
-    def violated(self, warp: Warp) -> PlaneConstraints:
+    def corrections(self, warp: Warp) -> PlaneConstraints:
         """Return the displacements that bring the warped points back within their limits."""
         now = warp(self.points)
         depths, deeper = self.skin(now)
@@ -107,14 +106,19 @@ class Limits:
 
 
 def depth_warp(
-    landmarks: Landmarks, limits: list[Limits], *, centres: int, stiffness: float
+    landmarks: PointPairs,
+    limits: list[DepthLimits],
+    *,
+    centres: int,
+    stiffness: float,
+    steps: int = 14,
 ) -> Warp:
     """Return the least bending warp that meets landmarks and depth limits (Gauss-Newton).
 
-    Each step linearises the depths of the points that violate their limits. What is given for the
-    left also holds for the right, mirrored at x = 0: the warp is symmetric. It has ``centres`` on
-    the left and as many on the right; more ``stiffness`` misses what is wanted by more, less folds
-    space.
+    Each of the ``steps`` linearises the depths of the points that violate their limits. What is
+    given for the left also holds for the right, mirrored at x = 0: the warp is symmetric. It has
+    ``centres`` on the left and as many on the right; more ``stiffness`` misses what is wanted by
+    more, less folds space.
     """
     everything = np.vstack([landmarks.source, *[limit.points for limit in limits]])
     kernels = both_sides(everything[spread(everything, centres)])
@@ -124,8 +128,8 @@ def depth_warp(
         (landmarks.target - landmarks.source).ravel(),
     )
     warp = Warp(kernels, np.zeros((len(kernels) + 4, 3)))
-    for _ in range(STEPS):
-        parts = [fixed, *[limit.violated(warp) for limit in limits]]
+    for _ in range(steps):
+        parts = [fixed, *[limit.corrections(warp) for limit in limits]]
         planes = PlaneConstraints(
             both_sides(np.vstack([part.points for part in parts])),
             both_sides(np.vstack([part.directions for part in parts])),

@@ -15,23 +15,13 @@ from solver.anatomy.template import Template
 from solver.anatomy.tetrahedra import EdgeLengths, background_grid
 from solver.surface import Floats, Ints, Surface
 
-MARGIN_MM = 4.0
-GRID_MM = 6.0
-PLANE_CELLS = 24
+# Edge length in these regions as a part of the edge length elsewhere on the face.
 FINE_REGIONS = {"upper_lip": 0.42, "lower_lip": 0.42, "eyes": 0.5, "nose": 0.5}
-"""Edge length in these regions as a part of the edge length elsewhere on the face."""
-DEEP_FACTOR = 2.0
-"""Edge length far from the face (neck, scalp, throat) as a multiple."""
-GROWTH = 0.4
-"""Edge length in mm gained by a mm of distance."""
-LEAST_PIECE = 0.05
-"""Pieces of flesh with a smaller part of the tetrahedra than this are dropped."""
-
 _FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 
 
 class Label(IntEnum):
-    """What a tetrahedron of the whole box belongs to."""
+    """Kind of a tetrahedron of the whole box."""
 
     OUTSIDE = 0
     FLESH = 1
@@ -44,14 +34,35 @@ HOLDING = (Label.CRANIUM, Label.MANDIBLE, Label.CUT)
 
 
 @dataclass(frozen=True)
-class Planes:
+class DomainOptions:
+    """Extent of the box that is meshed, and edge lengths in it."""
+
+    margin_mm: float = 4.0
+    """Of the box around the skin, and of skin and bones that are followed behind the planes."""
+    plane_cells: int = 24
+    """A side of the triangle grids on the cut planes."""
+    grid_mm: float = 6.0
+    """Cells of the background mesh that carries the edge lengths."""
+    deep_factor: float = 2.0
+    """Edge length far from the face (neck, scalp, throat) as a multiple of the face's."""
+    growth: float = 0.4
+    """Edge length in mm gained by a mm of distance."""
+    least_piece: float = 0.05
+    """Pieces of flesh with a smaller part of the tetrahedra than this are dropped."""
+
+
+DOMAIN = DomainOptions()
+
+
+@dataclass(frozen=True)
+class CutPlanes:
     """Cut planes: flesh lies in front of ``back_z`` and above ``bottom_y``, in mm."""
 
     back_z: float
     bottom_y: float
 
     @classmethod
-    def of(cls, head: Template) -> Planes:
+    def of(cls, head: Template) -> CutPlanes:
         """Return the planes of a template."""
         return cls(head.back_z, head.bottom_y)
 
@@ -62,28 +73,28 @@ class Planes:
         return ~(behind | below)
 
 
-def domain_soup(head: Template) -> Surface:
+def domain_soup(head: Template, options: DomainOptions = DOMAIN) -> Surface:
     """Return every triangle the tetrahedra have to follow: parted skin, bones and cut planes."""
-    planes = Planes.of(head)
-    skin = Surface(head.parted.vertices, head.skin.faces[head.flesh_faces])
-    surfaces = [_clipped(part, planes) for part in (skin, head.cranium, head.mandible)]
+    planes, margin = CutPlanes.of(head), options.margin_mm
+    skin = Surface(head.parted_skin.vertices, head.skin.faces[head.flesh_faces])
+    surfaces = [_clip(part, planes, margin) for part in (skin, head.cranium, head.mandible)]
     points = surfaces[0].vertices
-    lo, hi = points.min(axis=0) - MARGIN_MM, points.max(axis=0) + MARGIN_MM
-    lo = np.maximum(lo, [-np.inf, planes.bottom_y - MARGIN_MM, planes.back_z - MARGIN_MM])
-    back = _sheet(lo, hi, 2, planes.back_z)
-    bottom = _sheet(lo, hi, 1, planes.bottom_y)
-    return joined([*surfaces, back, bottom])
+    lo, hi = points.min(axis=0) - margin, points.max(axis=0) + margin
+    lo = np.maximum(lo, [-np.inf, planes.bottom_y - margin, planes.back_z - margin])
+    back = _sheet(lo, hi, 2, planes.back_z, options.plane_cells)
+    bottom = _sheet(lo, hi, 1, planes.bottom_y, options.plane_cells)
+    return join_surfaces([*surfaces, back, bottom])
 
 
-def _clipped(surface: Surface, planes: Planes) -> Surface:
-    used = planes.in_front(surface.vertices[surface.faces], -MARGIN_MM).any(axis=1)
+def _clip(surface: Surface, planes: CutPlanes, margin: float) -> Surface:
+    used = planes.in_front(surface.vertices[surface.faces], -margin).any(axis=1)
     numbers, faces = np.unique(surface.faces[used], return_inverse=True)
     return Surface(surface.vertices[numbers], faces.reshape(-1, 3).astype(np.int64))
 
 
-def _sheet(lo: Floats, hi: Floats, axis: int, value: float) -> Surface:
+def _sheet(lo: Floats, hi: Floats, axis: int, value: float, cells: int) -> Surface:
     u, v = (k for k in range(3) if k != axis)
-    steps = np.arange(PLANE_CELLS + 1) / PLANE_CELLS
+    steps = np.arange(cells + 1) / cells
     grid_u, grid_v = np.meshgrid(steps, steps, indexing="ij")
     vertices = np.empty((grid_u.size, 3))
     vertices[:, axis] = value
@@ -95,7 +106,7 @@ def _sheet(lo: Floats, hi: Floats, axis: int, value: float) -> Surface:
     return Surface(vertices, faces.astype(np.int64))
 
 
-def joined(surfaces: list[Surface]) -> Surface:
+def join_surfaces(surfaces: list[Surface]) -> Surface:
     """Return surfaces as one, their vertices and faces one after the other."""
     starts = np.cumsum([0] + [len(surface.vertices) for surface in surfaces[:-1]])
     return Surface(
@@ -104,30 +115,34 @@ def joined(surfaces: list[Surface]) -> Surface:
     )
 
 
-def edge_lengths(head: Template, soup: Surface, edge_mm: float) -> EdgeLengths:
+def edge_lengths(
+    head: Template, soup: Surface, edge_mm: float, options: DomainOptions = DOMAIN
+) -> EdgeLengths:
     """Return wanted edge lengths: fine at lips, eyes and nose, ``edge_mm`` on the face."""
-    lo, hi = soup.vertices.min(axis=0) - GRID_MM, soup.vertices.max(axis=0) + GRID_MM
-    points, tets = background_grid(lo, hi, GRID_MM)
-    lengths = np.full(len(points), DEEP_FACTOR * edge_mm)
+    grid = options.grid_mm
+    lo, hi = soup.vertices.min(axis=0) - grid, soup.vertices.max(axis=0) + grid
+    points, tets = background_grid(lo, hi, grid)
+    lengths = np.full(len(points), options.deep_factor * edge_mm)
     wanted = [(head.face_vertices, 1.0)]
     wanted += [
         (head.regions[name], part) for name, part in FINE_REGIONS.items() if name in head.regions
     ]
-    skin = head.parted.vertices
+    skin = head.parted_skin.vertices
     for vertices, part in wanted:
         distance = cKDTree(skin[vertices]).query(points)[0]
-        lengths = np.minimum(lengths, part * edge_mm + GROWTH * np.maximum(distance - GRID_MM, 0))
+        grown = part * edge_mm + options.growth * np.maximum(distance - grid, 0)
+        lengths = np.minimum(lengths, grown)
     return EdgeLengths(points, tets, lengths)
 
 
 def label_tets(head: Template, vertices: Floats, tets: Ints) -> Ints:
     """Return the :class:`Label` (t,) of tetrahedra by winding numbers at their centres."""
     centres = vertices[tets].mean(axis=1)
-    skin = Surface(head.parted.vertices, head.skin.faces[head.flesh_faces])
+    skin = Surface(head.parted_skin.vertices, head.skin.faces[head.flesh_faces])
     labels = np.where(_inside(skin, centres), Label.FLESH, Label.OUTSIDE)
     labels[(labels == Label.FLESH) & _inside(head.cranium, centres)] = Label.CRANIUM
     labels[(labels == Label.FLESH) & _inside(head.mandible, centres)] = Label.MANDIBLE
-    labels[(labels == Label.FLESH) & ~Planes.of(head).in_front(centres)] = Label.CUT
+    labels[(labels == Label.FLESH) & ~CutPlanes.of(head).in_front(centres)] = Label.CUT
     return labels.astype(np.int64)
 
 
@@ -137,7 +152,7 @@ def _inside(surface: Surface, points: Floats) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Flesh:
+class MeshedFlesh:
     """Kept tetrahedra in the parted pose.
 
     ``outside`` (f, 3) are the faces towards the air, the skin and its linings, ``outside_of`` (f,)
@@ -151,11 +166,14 @@ class Flesh:
     held: dict[Label, Ints]
 
 
-def choose_flesh(vertices: Floats, tets: Ints, labels: Ints) -> Flesh:
+def choose_flesh(
+    vertices: Floats, tets: Ints, labels: Ints, least_piece: float = DOMAIN.least_piece
+) -> MeshedFlesh:
     """Return the flesh without tetrahedra that only stick things together, and its boundary.
 
     Dropped are tetrahedra with all vertices on bones or cut planes (nothing to solve for), those
-    that bridge mandible and cranium (they would weld the joint), and small loose pieces.
+    that bridge mandible and cranium (they would weld the joint), and loose pieces of less than
+    ``least_piece`` of all.
     """
     flesh = labels == Label.FLESH
     sides = _faces_towards(tets, labels, np.flatnonzero(flesh))
@@ -167,12 +185,12 @@ def choose_flesh(vertices: Floats, tets: Ints, labels: Ints) -> Flesh:
     fixed = np.any(list(on.values()), axis=0)
     bridge = on[Label.CRANIUM][tets].any(axis=1) & on[Label.MANDIBLE][tets].any(axis=1)
     kept = np.flatnonzero(flesh & ~bridge & ~fixed[tets].all(axis=1))
-    kept = kept[_large_pieces(tets[kept])]
+    kept = kept[_large_pieces(tets[kept], least_piece)]
     numbers, own = np.unique(tets[kept], return_inverse=True)
     renumber = np.full(len(vertices), -1)
     renumber[numbers] = np.arange(len(numbers))
     outside, owner = _faces_towards(tets, labels, kept)[Label.OUTSIDE]
-    return Flesh(
+    return MeshedFlesh(
         vertices[numbers],
         own.reshape(-1, 4),
         renumber[outside],
@@ -202,7 +220,7 @@ def _faces_towards(tets: Ints, labels: Ints, kept: Ints) -> dict[Label, tuple[In
     return {label: (faces[side], owner[side]) for label, side in sides.items()}
 
 
-def _large_pieces(tets: Ints) -> np.ndarray:
+def _large_pieces(tets: Ints, least_piece: float) -> np.ndarray:
     """Return (t,) True for tetrahedra in large pieces joined by faces."""
     faces = np.sort(tets[:, _FACES].reshape(-1, 3), axis=1)
     owner = np.repeat(np.arange(len(tets)), 4)
@@ -211,7 +229,7 @@ def _large_pieces(tets: Ints) -> np.ndarray:
     pairs = owner[order[same]], owner[order[same + 1]]
     graph = sp.coo_array((np.ones(len(same)), pairs), shape=(len(tets), len(tets)))
     _, piece = connected_components(graph, directed=False)
-    return np.asarray(np.bincount(piece)[piece] >= LEAST_PIECE * len(tets))
+    return np.asarray(np.bincount(piece)[piece] >= least_piece * len(tets))
 
 
 def boundary(tets: Ints) -> Ints:

@@ -1,4 +1,4 @@
-"""How skin vertices follow the flesh: in the tetrahedron under the nearest outer triangle."""
+"""Skin vertices follow the flesh, in the tetrahedron under the nearest outer triangle."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from solver.surface import (
     vertex_areas,
 )
 
-LEAST_SHARE = -1.5
-"""A vertex may lie this far outside its tetrahedron, as a part of its height: skin crosses over
-where nostrils meet, and then lies behind the tets it covers."""
+# A vertex may lie this far outside its tetrahedron, as a part of its height: skin crosses over
+# where nostrils meet, and then lies behind the tets it covers.
+LEAST_COORDINATE = -1.5
 
 
 def barycentric(points: Floats, surface: Surface) -> tuple[Ints, Floats, Floats]:
-    """Return the nearest triangles (n,), the shares (n, 3) in them and the distance (n,)."""
+    """Return the nearest triangles (n,), coordinates (n, 3) in them and the distance (n,)."""
     points = np.ascontiguousarray(points)
     squared, face, closest = igl.point_mesh_squared_distance(
         points, surface.vertices, surface.faces
@@ -59,10 +59,10 @@ def shares_in_tets(points: Floats, vertices: Floats, corners: Ints, inside: Floa
         (n, 4) corners of the tetrahedron of each point.
     inside
         (n, 4) coordinates of a point in or on that tetrahedron. Where the point's own have one
-        below :data:`LEAST_SHARE` they are drawn towards these: what is missed is an offset.
+        below :data:`LEAST_COORDINATE` they are drawn towards these: what is missed is an offset.
     """
     exact = barycentric_in_tets(points, vertices[corners])
-    room = (inside - LEAST_SHARE) / np.maximum(inside - exact, 1e-12)
+    room = (inside - LEAST_COORDINATE) / np.maximum(inside - exact, 1e-12)
     part = np.minimum(np.where(exact < inside, room, 1.0).min(axis=1), 1.0)[:, None]
     return np.asarray(part * exact + (1.0 - part) * inside)
 
@@ -72,14 +72,12 @@ def shares_in_tets(points: Floats, vertices: Floats, corners: Ints, inside: Floa
 #     min_d  1/2 sum_ij (d_i - d_j)^2 + 1/2 sum_i A_i |d_i|^2 / l^2
 #
 # over the edges ij of the skin and the vertices i, of displacements d; those on flesh and on the
-# jaw are given. So what the chin does to the neck fades over the length l, and no edge opens where
-# the flesh ends. From lashes and tear film an edge goes to the skin wherever they touch it.
+# jaw are given. So the chin's pull on the neck fades over the length l, and no edge opens where the
+# flesh ends. From lashes and tear film an edge goes to the skin wherever they touch it.
 
 
-FADE_MM = 60.0
-"""The length l: a mouth opened wide takes the neck along by centimetres."""
-TOUCH_MM = 1.0
-"""Lashes hang on skin that is nearer than this."""
+FADE_MM = 60.0  # the length l: a mouth opened wide takes the neck along by centimetres
+TOUCH_MM = 1.0  # lashes hang on skin that is nearer than this
 
 
 class LooseSkin:

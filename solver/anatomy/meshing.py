@@ -1,4 +1,4 @@
-"""Tetrahedra of a head from scratch: how a template gets the mesh that every person shares."""
+"""Tetrahedra of a head from scratch: the mesh that a template shares with every person."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from solver.anatomy.domain import (
-    DEEP_FACTOR,
-    Flesh,
+    DOMAIN,
+    CutPlanes,
+    DomainOptions,
     Label,
-    Planes,
+    MeshedFlesh,
     choose_flesh,
     domain_soup,
     edge_lengths,
@@ -26,7 +27,7 @@ from solver.anatomy.domain import (
 )
 from solver.anatomy.embedding import barycentric, rows_of
 from solver.anatomy.muscle_weights import initial_weights
-from solver.anatomy.relaxation import relaxed
+from solver.anatomy.relaxation import relax
 from solver.anatomy.template import Template, TemplateMesh
 from solver.anatomy.tetrahedra import tetrahedralize
 from solver.anatomy.transfer import guidance
@@ -38,14 +39,14 @@ from solver.surface import Floats, Ints, Surface
 # From the parted pose, in which the flesh is meshed, back to the neutral pose.
 
 
-def closed(head: Template, vertices: Floats, tets: Ints, outside: Ints, held: Ints) -> Floats:
+def close_lips(head: Template, vertices: Floats, tets: Ints, outside: Ints, held: Ints) -> Floats:
     """Return the flesh's vertices (p, 3), meshed with parted lips, with the lips closed.
 
     Vertices of the ``outside`` faces (f, 3) move with the skin they lie on, ``held`` ones stay
     and the others follow harmonically; tets between the lips may come out inverted.
     """
     skin_side = np.setdiff1d(outside, held)
-    skin = Surface(head.parted.vertices, head.skin.faces[head.flesh_faces])
+    skin = Surface(head.parted_skin.vertices, head.skin.faces[head.flesh_faces])
     face, shares, _ = barycentric(vertices[skin_side], skin)
     displacement = np.einsum("nk,nkd->nd", shares, -head.parting[skin.faces[face]])
     known = np.concatenate([skin_side, held])
@@ -68,25 +69,34 @@ def harmonic_displacement(vertices: Floats, tets: Ints, known: Ints, values: Flo
     return displacement
 
 
-EDGE_MM = 9.0
-ENVELOPE = 0.08
-"""Distance between flesh surface and skin as a part of the edge length."""
-GREATEST_ENVELOPE_MM = 1.6
-MESHER_SECONDS = 900.0
-"""Of processor time; a head at the usual edge length takes one or two minutes."""
-JAW_FREE_MM = 15.0
-"""Within this distance of the mandible a cut plane is free: the jaw's angle moves with the jaw."""
-FACE_FREE_MM = 20.0
-"""So is one this near to the face under the jaw: the throat is drawn along."""
-FRONTALIS_MM = 6.0
-"""Forehead: the skull's vertices this near to the frontalis slide instead of being fixed."""
-EMBED_MM = 0.25
-"""Skin further from the flesh than this part of the edge length does not follow it."""
-LINING_MM = 8.0
-"""Skin beyond the flesh goes with the jaw this near to it, as the mouth's lining does: not the
-neck's."""
-FITTING_ROUNDS = 3
-"""Of binding the skin to the mesh and fitting the mesh to the skin."""
+EDGE_MM = 9.0  # the usual edge length on the face
+
+
+@dataclass(frozen=True)
+class MeshOptions:
+    """Distances that decide how flesh, skin and bones are joined."""
+
+    envelope: float = 0.08
+    """Distance between flesh surface and skin as a part of the edge length."""
+    greatest_envelope_mm: float = 1.6
+    mesher_seconds: float = 900.0
+    """Of processor time; a head at the usual edge length takes one or two minutes."""
+    jaw_free_mm: float = 15.0
+    """Within this distance of the mandible a cut plane is free: the jaw's angle moves with it."""
+    face_free_mm: float = 20.0
+    """So is one this near to the face under the jaw: the throat is drawn along."""
+    frontalis_mm: float = 6.0
+    """Forehead: the skull's vertices this near to the frontalis slide instead of being fixed."""
+    embedding: float = 0.25
+    """Skin further from the flesh than this part of the edge length does not follow it."""
+    lining_mm: float = 8.0
+    """Skin beyond the flesh goes with the jaw this near to it: the mouth's lining, not the neck."""
+    fitting_rounds: int = 3
+    """Of binding the skin to the mesh and fitting the mesh to the skin."""
+    domain: DomainOptions = DOMAIN
+
+
+MESH = MeshOptions()
 
 
 def with_mesh(
@@ -97,7 +107,10 @@ def with_mesh(
 
 
 def make_mesh(
-    head: Template, edge_mm: float = EDGE_MM, progress: Progress = silent
+    head: Template,
+    edge_mm: float = EDGE_MM,
+    progress: Progress = silent,
+    options: MeshOptions = MESH,
 ) -> TemplateMesh:
     """Fill the flesh between a head's skin and bones with tetrahedra (1 to 6 minutes).
 
@@ -113,6 +126,8 @@ def make_mesh(
         coarser. 9 mm gives about 7k vertices and 25k tetrahedra.
     progress
         Told about the phases ``mesh``, ``relax`` and ``muscles``.
+    options
+        Distances that decide how flesh, skin and bones are joined.
 
     Raises
     ------
@@ -120,15 +135,15 @@ def make_mesh(
         ``mesher.timeout``, ``mesher.crashed``, ``mesh.inverted`` or ``mesh.uncovered``.
     """
     progress(Step("mesh", 0.0, message="tetrahedra by fTetWild"))
-    flesh = _mesh(head, edge_mm)
+    flesh = _mesh(head, edge_mm, options)
     progress(Step("relax", 0.85))
-    flesh = _fitted(head, flesh)
-    embedded, bound, jaw_skin = _bound_skin(head, flesh, edge_mm)
+    flesh = _fit(head, flesh, options)
+    embedded, bound, jaw_skin = _bound_skin(head, flesh, edge_mm, options)
     rows = rows_of(flesh.tets[bound.tet], bound.shares, len(flesh.vertices))
     held = np.unique(np.concatenate(list(flesh.held.values())))
-    start = closed(head, flesh.vertices, flesh.tets, flesh.outside, held)
+    start = close_lips(head, flesh.vertices, flesh.tets, flesh.outside, held)
     guides = guidance(head, head.skin.vertices, embedded, rows, held, flesh.vertices[held], start)
-    rest = relaxed(start, flesh.tets, guides)
+    rest = relax(start, flesh.tets, guides)
     progress(Step("muscles", 0.92))
     weights = initial_weights(rest, flesh.tets, [muscle.surface for muscle in head.muscles])
     progress(Step("muscles", 1.0))
@@ -136,7 +151,7 @@ def make_mesh(
         edge_mm=edge_mm,
         vertices=rest,
         tets=flesh.tets,
-        **_held(head, flesh),
+        **_held(head, flesh, options),
         embedded=embedded,
         embedded_in=bound.tet,
         shares=bound.shares,
@@ -145,33 +160,35 @@ def make_mesh(
     )
 
 
-def _mesh(head: Template, edge_mm: float) -> Flesh:
-    soup = domain_soup(head)
+def _mesh(head: Template, edge_mm: float, options: MeshOptions) -> MeshedFlesh:
+    domain = options.domain
+    soup = domain_soup(head, domain)
     vertices, tets = tetrahedralize(
         soup,
-        DEEP_FACTOR * edge_mm,
-        envelope_mm=min(ENVELOPE * edge_mm, GREATEST_ENVELOPE_MM),
-        lengths=edge_lengths(head, soup, edge_mm),
-        cpu_seconds=MESHER_SECONDS,
+        domain.deep_factor * edge_mm,
+        envelope_mm=min(options.envelope * edge_mm, options.greatest_envelope_mm),
+        lengths=edge_lengths(head, soup, edge_mm, domain),
+        cpu_seconds=options.mesher_seconds,
     )
-    return choose_flesh(vertices, tets, label_tets(head, vertices, tets))
+    labels = label_tets(head, vertices, tets)
+    return choose_flesh(vertices, tets, labels, domain.least_piece)
 
 
-def _fitted(head: Template, flesh: Flesh) -> Flesh:
+def _fit(head: Template, flesh: MeshedFlesh, options: MeshOptions) -> MeshedFlesh:
     """Return the flesh with its vertices fitted to the parted skin in least squares."""
     skin = np.unique(head.skin.faces[head.flesh_faces])
-    parted = head.parted.vertices
-    for _ in range(FITTING_ROUNDS):
+    parted = head.parted_skin.vertices
+    for _ in range(options.fitting_rounds):
         bound = _bound(flesh, parted[skin])
-        near = bound.distance < GREATEST_ENVELOPE_MM
+        near = bound.distance < options.greatest_envelope_mm
         rows = rows_of(flesh.tets[bound.tet], bound.shares, len(flesh.vertices))[near]
         held, held_at = _on_bones(head, flesh)
         guides = guidance(head, parted, skin[near], rows, held, held_at, flesh.vertices)
-        flesh = replace(flesh, vertices=relaxed(flesh.vertices, flesh.tets, guides))
+        flesh = replace(flesh, vertices=relax(flesh.vertices, flesh.tets, guides))
     return flesh
 
 
-def _on_bones(head: Template, flesh: Flesh) -> tuple[Ints, Floats]:
+def _on_bones(head: Template, flesh: MeshedFlesh) -> tuple[Ints, Floats]:
     """Return the held vertices and the nearest points (h, 3) of what holds them."""
     place = flesh.vertices.copy()
     for label, bone in ((Label.CRANIUM, head.cranium), (Label.MANDIBLE, head.mandible)):
@@ -191,7 +208,7 @@ class Bound:
     distance: Floats
 
 
-def _bound(flesh: Flesh, points: Floats) -> Bound:
+def _bound(flesh: MeshedFlesh, points: Floats) -> Bound:
     face, shares, distance = barycentric(points, Surface(flesh.vertices, flesh.outside))
     tet = flesh.outside_of[face]
     corners = flesh.outside[face]
@@ -199,16 +216,18 @@ def _bound(flesh: Flesh, points: Floats) -> Bound:
     return Bound(tet, np.einsum("nck,nk->nc", same, shares), distance)
 
 
-def _bound_skin(head: Template, flesh: Flesh, edge_mm: float) -> tuple[Ints, Bound, Ints]:
+def _bound_skin(
+    head: Template, flesh: MeshedFlesh, edge_mm: float, options: MeshOptions
+) -> tuple[Ints, Bound, Ints]:
     """Return the skin vertices that follow the flesh, how, and those that follow the jaw.
 
     Vertices are bound in the parted pose: there the upper lip is far from the lower.
     """
     skin = np.unique(head.skin.faces[head.flesh_faces])
-    parted = head.parted.vertices[skin]
+    parted = head.parted_skin.vertices[skin]
     bound = _bound(flesh, parted)
-    in_front = Planes.of(head).in_front(parted)
-    near = (bound.distance < EMBED_MM * edge_mm) & in_front
+    in_front = CutPlanes.of(head).in_front(parted)
+    near = (bound.distance < options.embedding * edge_mm) & in_front
     lost = skin[np.isin(skin, head.face_vertices) & ~near]
     if len(lost):
         raise SolveError(
@@ -220,22 +239,22 @@ def _bound_skin(head: Template, flesh: Flesh, edge_mm: float) -> tuple[Ints, Bou
     loose = ~near & in_front
     to_jaw = cKDTree(head.mandible.vertices).query(parted[loose])[0]
     to_skull = cKDTree(head.cranium.vertices).query(parted[loose])[0]
-    lining = (to_jaw < to_skull) & (to_jaw < LINING_MM)
+    lining = (to_jaw < to_skull) & (to_jaw < options.lining_mm)
     jaw_skin = np.union1d(head.attached_mandible, skin[loose][lining])
     return skin[near], Bound(bound.tet[near], bound.shares[near], bound.distance[near]), jaw_skin
 
 
-def _held(head: Template, flesh: Flesh) -> dict[str, Ints]:
+def _held(head: Template, flesh: MeshedFlesh, options: MeshOptions) -> dict[str, Ints]:
     """Return vertex numbers by what holds them; a vertex of the mandible is held by it only."""
     mandible = flesh.held[Label.MANDIBLE]
     cranium = np.setdiff1d(flesh.held[Label.CRANIUM], mandible)
     cut = np.setdiff1d(flesh.held[Label.CUT], np.union1d(mandible, cranium))
-    cut = cut[~_drawn_along(head, flesh.vertices[cut])]
+    cut = cut[~_drawn_along(head, flesh.vertices[cut], options)]
     frontalis = [m.surface.vertices for m in head.muscles if "frontalis" in m.name]
     sliding = cranium[:0]
     if frontalis:
         distance = cKDTree(np.vstack(frontalis)).query(flesh.vertices[cranium])[0]
-        sliding = cranium[distance < FRONTALIS_MM]
+        sliding = cranium[distance < options.frontalis_mm]
     return {
         "cranium": np.setdiff1d(cranium, sliding),
         "mandible": mandible,
@@ -244,25 +263,26 @@ def _held(head: Template, flesh: Flesh) -> dict[str, Ints]:
     }
 
 
-def _drawn_along(head: Template, points: Floats) -> np.ndarray:
+def _drawn_along(head: Template, points: Floats, options: MeshOptions) -> np.ndarray:
     """Return (n,) True for points of a cut plane that move with jaw or face."""
     face = head.skin.vertices[head.face_vertices]
     throat = points[:, 1] < head.mandible.vertices[:, 1].min()
-    near_face = cKDTree(face).query(points)[0] < FACE_FREE_MM
-    near_jaw = cKDTree(head.mandible.vertices).query(points)[0] < JAW_FREE_MM
+    near_face = cKDTree(face).query(points)[0] < options.face_free_mm
+    near_jaw = cKDTree(head.mandible.vertices).query(points)[0] < options.jaw_free_mm
     return np.asarray(near_jaw | (throat & near_face))
 
 
 # A template's tets where its file carries none of the wanted size: made once, then kept.
 
 
-MAKING = 4
-"""Part of the name in the cache; counts up where meshes are made in another way."""
+MAKING = 4  # part of the name in the cache; counts up where meshes are made in another way
 
 log = structlog.get_logger(__name__)
 
 
-def meshed(template: Template, edge_mm: float = EDGE_MM, progress: Progress = silent) -> Template:
+def find_or_make_mesh(
+    template: Template, edge_mm: float = EDGE_MM, progress: Progress = silent
+) -> Template:
     """Return the template with tets of ``edge_mm``: its own, those in the cache, or new ones.
 
     New ones take minutes and are not reproducible, so they are kept in the cache folder under the

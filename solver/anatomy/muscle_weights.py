@@ -1,8 +1,13 @@
-"""Initial S: which part of a tetrahedron each muscle fills, and which muscles may come near it."""
+"""Muscles in tetrahedra: the initial S, the directions of fibres, and the axes of muscles.
+
+S (t, m + 1) holds the part of each tetrahedron that each muscle fills; its entries are the muscles
+that may ever act there.
+"""
 
 from __future__ import annotations
 
 import csv
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 
@@ -16,13 +21,9 @@ from solver.anatomy.template import Muscle
 from solver.anatomy.tetrahedra import volumes
 from solver.surface import Floats, Ints, Surface, area_normals, directed_edges
 
-CANDIDATE_MM = 10.0
-"""A muscle may act in the tetrahedra within this distance (the paper's sparsity of S)."""
-NEAR_LEVEL, LEVEL, FINE_LEVEL = 1, 2, 3
-"""Tetrahedra are sampled at the centres of 8^level parts."""
-FINE_BELOW_MM3 = 600.0
-"""Smaller muscles, which are thin, are sampled finely."""
-VOLUME_SAMPLES = 40_000
+CANDIDATE_MM = 10.0  # a muscle may act in the tets within this distance (the paper's sparsity of S)
+VOLUME_SAMPLES = 40_000  # of a box around an open surface, for its volume to about 2 %
+# Eight equal parts of a tetrahedron: each corner is half way between two of its corners.
 _OCTASECTION = (
     ((0, 0), (0, 1), (0, 2), (0, 3)),
     ((1, 1), (0, 1), (1, 2), (1, 3)),
@@ -33,10 +34,31 @@ _OCTASECTION = (
     ((0, 2), (1, 3), (2, 3), (1, 2)),
     ((0, 2), (1, 3), (1, 2), (0, 1)),
 )
-"""Eight equal parts of a tetrahedron: each corner is half way between two of its corners."""
 
 
-def initial_weights(vertices: Floats, tets: Ints, muscles: list[Surface]) -> sp.csr_array:
+@dataclass(frozen=True)
+class SamplingOptions:
+    """Fineness of the sampling of tetrahedra, at the centres of 8^level parts."""
+
+    near_level: int = 1
+    """To find candidates."""
+    level: int = 2
+    """For volume fractions."""
+    fine_level: int = 3
+    """For those of small muscles, which are thin."""
+    fine_below_mm3: float = 600.0
+    """Volume of a small muscle."""
+
+
+SAMPLING = SamplingOptions()
+
+
+def initial_weights(
+    vertices: Floats,
+    tets: Ints,
+    muscles: list[Surface],
+    sampling: SamplingOptions = SAMPLING,
+) -> sp.csr_array:
     """Return S (t, m + 1): volume fractions of muscles in tetrahedra, column 0 the passive rest.
 
     Stored entries are the candidates: the passive column and every muscle within
@@ -44,10 +66,10 @@ def initial_weights(vertices: Floats, tets: Ints, muscles: list[Surface]) -> sp.
     """
     row_parts, column_parts, fraction_parts = [], [], []
     for column, muscle in enumerate(muscles, start=1):
-        candidates = _candidates(vertices, tets, muscle)
+        candidates = _candidates(vertices, tets, muscle, sampling)
         row_parts.append(candidates)
         column_parts.append(np.full(len(candidates), column))
-        fraction_parts.append(_fractions(vertices[tets[candidates]], muscle))
+        fraction_parts.append(_fractions(vertices[tets[candidates]], muscle, sampling))
     rows, columns = np.concatenate(row_parts), np.concatenate(column_parts)
     sizes = np.array([enclosed_volume(muscle) for muscle in muscles])
     fractions = _without_overlap(rows, np.concatenate(fraction_parts), sizes[columns - 1])
@@ -88,7 +110,7 @@ def enclosed_volume(surface: Surface) -> float:
     counted on a grid along the surface's principal axes, to about 2 %.
     """
     middle = surface.vertices.mean(axis=0)
-    if _closed(surface.faces):
+    if _is_closed(surface.faces):
         corners = surface.vertices[surface.faces] - middle
         return float(abs(np.linalg.det(corners).sum()) / 6.0)
     axes = np.linalg.svd(surface.vertices - middle, full_matrices=False)[2]
@@ -101,8 +123,8 @@ def enclosed_volume(surface: Surface) -> float:
     return box * float(contains(surface, grid @ axes + middle).mean())
 
 
-def _closed(faces: Ints) -> bool:
-    """Return whether every edge has two faces, which run along it in opposite directions."""
+def _is_closed(faces: Ints) -> bool:
+    """Tell whether every edge has two faces, which run along it in opposite directions."""
     edges = directed_edges(faces)
     places = np.array([faces.max() + 1, 1])
     there, back = np.sort(edges @ places), np.sort(edges[:, ::-1] @ places)
@@ -115,12 +137,13 @@ def contains(surface: Surface, points: Floats) -> np.ndarray:
     return np.asarray(np.abs(winding) > 0.5)
 
 
-def _fractions(corners: Floats, muscle: Surface) -> Floats:
+def _fractions(corners: Floats, muscle: Surface, sampling: SamplingOptions) -> Floats:
     """Return which part (t,) of tetrahedra with ``corners`` (t, 4, 3) a muscle fills."""
     centres = corners.mean(axis=1)
     reach = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
     touched = np.flatnonzero(_within(centres, muscle, reach))
-    samples = _samples(FINE_LEVEL if enclosed_volume(muscle) < FINE_BELOW_MM3 else LEVEL)
+    small = enclosed_volume(muscle) < sampling.fine_below_mm3
+    samples = _samples(sampling.fine_level if small else sampling.level)
     points = np.einsum("sk,tkd->tsd", samples, corners[touched])
     inside = contains(muscle, points.reshape(-1, 3)).reshape(len(touched), len(samples))
     fractions = np.zeros(len(corners))
@@ -137,7 +160,7 @@ def _samples(level: int) -> Floats:
     return np.asarray(parts.mean(axis=1))
 
 
-def _candidates(vertices: Floats, tets: Ints, surface: Surface) -> Ints:
+def _candidates(vertices: Floats, tets: Ints, surface: Surface, sampling: SamplingOptions) -> Ints:
     """Return the tetrahedra within :data:`CANDIDATE_MM` of a muscle, by corners and samples."""
     near = np.asarray(_within(vertices, surface, CANDIDATE_MM)[tets].any(axis=1))
     others = np.flatnonzero(~near)
@@ -145,7 +168,7 @@ def _candidates(vertices: Floats, tets: Ints, surface: Surface) -> Ints:
     centres = corners.mean(axis=1)
     reach = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
     possible = _within(centres, surface, CANDIDATE_MM + reach)
-    points = np.einsum("sk,tkd->tsd", _samples(NEAR_LEVEL), corners[possible])
+    points = np.einsum("sk,tkd->tsd", _samples(sampling.near_level), corners[possible])
     inside = _within(points.reshape(-1, 3), surface, CANDIDATE_MM)
     near[others[possible]] = inside.reshape(points.shape[:2]).any(axis=1)
     return np.flatnonzero(near)
@@ -163,7 +186,7 @@ def _within(points: Floats, surface: Surface, reach: Floats | float) -> np.ndarr
     squared = igl.point_mesh_squared_distance(points[near], surface.vertices, surface.faces)[0]
     distance = np.sqrt(squared)
     result[near] = distance <= reach[near]
-    # What lies deeper inside is at least as far from the sides of the bounding box.
+    # A point deeper inside is at least as far from the sides of the bounding box.
     deep = near[~result[near] & (-gap[near] >= distance)]
     if len(deep):
         result[deep] = contains(surface, points[deep])
@@ -173,28 +196,40 @@ def _within(points: Floats, surface: Surface, reach: Floats | float) -> np.ndarr
 # Fibre directions of every muscle in every tetrahedron, by Laplace fields between attachments.
 #
 # Fibres run along the gradient of a potential u with div(sigma grad u) = 0 that grows from the
-# origin to the insertion; sigma is the muscle's share of a tet, so that no fibre leaves the muscle
-# sideways (the preferred directions of Ichim, Kadlecek, Kavan and Pauly, "Phace", 2017; Laplace-
-# Dirichlet fibres are due to Bayer, Blake, Plank and Trayanova, 2012). Around a ring u has no ends:
-# there it is an angle that grows by 2 pi on the way round.
+# origin to the insertion; sigma is the muscle's volume fraction of a tet, so that no fibre leaves
+# the muscle sideways (the preferred directions of Ichim, Kadlecek, Kavan and Pauly, "Phace", 2017;
+# Laplace-Dirichlet fibres are due to Bayer, Blake, Plank and Trayanova, 2012). Around a ring u has
+# no ends: there it is an angle that grows by 2 pi on the way round.
 
 
-STRAIGHT_END, BENT_END = 0.15, 0.05
-"""Part of a muscle's length at each end where the potential is given. Less takes the top of a dome,
-such as frontalis has, for the whole end, and fibres fan out from it; more takes the side of a bent
-muscle, such as half a ring, for its end."""
-BENT = 0.16
-"""A muscle is bent if its middle lies off its axis by more than this part of its length."""
-REACH_MM = 5.0
-"""Muscle further than this from its candidates is outside the flesh."""
-LEAST_SHARE = 0.01
-"""Conductivity of the flesh around a muscle, for its candidates beside it."""
-PULL = 1e-6
-"""Weight of the potential's first guess, for pieces of flesh that no end touches."""
+@dataclass(frozen=True)
+class FibreOptions:
+    """Ends of muscles, and the flesh around them, in the potentials of fibres."""
+
+    straight_end: float = 0.15
+    """Part of a muscle's length at each end where the potential is given. Less takes the top of a
+    dome, such as frontalis has, for the whole end, and fibres fan out from it."""
+    bent_end: float = 0.05
+    """The same of a bent muscle. More takes its side, such as half a ring has, for its end."""
+    bent: float = 0.16
+    """A muscle is bent if its middle lies off its axis by more than this part of its length."""
+    reach_mm: float = 5.0
+    """Muscle further than this from its candidates is outside the flesh."""
+    conductivity: float = 0.01
+    """Of the flesh around a muscle, for its candidates beside it."""
+    pull: float = 1e-6
+    """Weight of the potential's first guess, for pieces of flesh that no end touches."""
+
+
+FIBRES = FibreOptions()
 
 
 def fibre_directions(
-    vertices: Floats, tets: Ints, weights: sp.csr_array, muscles: tuple[Muscle, ...]
+    vertices: Floats,
+    tets: Ints,
+    weights: sp.csr_array,
+    muscles: tuple[Muscle, ...],
+    options: FibreOptions = FIBRES,
 ) -> Floats:
     """Return unit directions (nnz, 3), one for each stored entry of S, zero in column 0.
 
@@ -203,10 +238,12 @@ def fibre_directions(
     vertices, tets
         Rest vertices (p, 3) in mm and tetrahedra (n, 4) of positive volume.
     weights
-        S (n, m + 1): its entries are the candidates, its values the shares of the muscles.
+        S (n, m + 1): its entries are the candidates, its values their volume fractions.
     muscles
         The m muscles, in the place of ``vertices``. Directions go from origin to insertion, or
         once around a ring.
+    options
+        Ends of muscles, and the flesh around them.
     """
     entries = weights.tocoo()
     gradients, sizes = _basis(vertices, tets)
@@ -216,9 +253,8 @@ def fibre_directions(
         if len(own) == 0:
             continue
         rows = entries.row[own]
-        field = _Field(
-            vertices, tets[rows], gradients[rows], sizes[rows] * (entries.data[own] + LEAST_SHARE)
-        )
+        weight = sizes[rows] * (entries.data[own] + options.conductivity)
+        field = _Field(vertices, tets[rows], gradients[rows], weight, options)
         flow = field.around(muscle) if muscle.ring else field.along(muscle)
         length = np.linalg.norm(flow, axis=1)
         found = length > 0
@@ -249,7 +285,15 @@ def _bend(muscle: Muscle) -> float:
 class _Field:
     """Potentials on the candidates of one muscle, with the conductivity times volume of each."""
 
-    def __init__(self, vertices: Floats, tets: Ints, gradients: Floats, weight: Floats) -> None:
+    def __init__(
+        self,
+        vertices: Floats,
+        tets: Ints,
+        gradients: Floats,
+        weight: Floats,
+        options: FibreOptions,
+    ) -> None:
+        self._options = options
         numbers, local = np.unique(tets, return_inverse=True)
         self._points = vertices[numbers]
         self._tets = local.reshape(tets.shape)
@@ -262,16 +306,17 @@ class _Field:
 
     def along(self, muscle: Muscle) -> Floats:
         """Return the gradient (t, 3) of the potential between a muscle's ends."""
+        options = self._options
         surface = muscle.surface.vertices
-        # What of the muscle lies outside the flesh, such as the platysma below the cut, has no say.
-        surface = surface[cKDTree(self._points).query(surface)[0] < REACH_MM]
+        # Muscle outside the flesh, such as the platysma below the cut, has no say.
+        surface = surface[cKDTree(self._points).query(surface)[0] < options.reach_mm]
         extent = surface @ muscle.fibre
         low, high = np.quantile(extent, [0.02, 0.98])
         guess = (self._points @ muscle.fibre - low) / (high - low)
         place = (extent[cKDTree(surface).query(self._points)[1]] - low) / (high - low)
-        end = BENT_END if _bend(muscle) > BENT else STRAIGHT_END
+        end = options.bent_end if _bend(muscle) > options.bent else options.straight_end
         given = (place < end) | (place > 1 - end)
-        potential = self._solved(np.zeros(len(guess)), guess, given)
+        potential = self._solve(np.zeros(len(guess)), guess, given)
         return self._gradient(potential)
 
     def around(self, muscle: Muscle) -> Floats:
@@ -288,16 +333,16 @@ class _Field:
         load = np.zeros(len(self._points))
         np.add.at(load, self._tets, sources)
         nothing = np.zeros(len(load))
-        correction = self._solved(load, nothing, np.zeros(len(load), dtype=bool))
+        correction = self._solve(load, nothing, np.zeros(len(load), dtype=bool))
         return np.asarray(turning + self._gradient(correction))
 
     def _gradient(self, potential: Floats) -> Floats:
         return np.asarray(np.einsum("ti,tid->td", potential[self._tets], self._gradients))
 
-    def _solved(self, load: Floats, guess: Floats, given: np.ndarray) -> Floats:
+    def _solve(self, load: Floats, guess: Floats, given: np.ndarray) -> Floats:
         """Return u (p,) with -div(sigma grad u) = ``load`` that is ``guess`` where it is given."""
         free = ~given
-        pull = PULL * self._matrix.diagonal().mean() * sp.eye_array(len(guess))
+        pull = self._options.pull * self._matrix.diagonal().mean() * sp.eye_array(len(guess))
         matrix = (self._matrix + pull).tocsc()
         right = load + pull @ guess - matrix[:, given] @ guess[given]
         solution = guess.copy()
@@ -306,16 +351,14 @@ class _Field:
         return solution
 
 
-# The axes of muscles: which way their fibres run, from origin to insertion.
+# The axes of muscles, along which their fibres run from origin to insertion.
 #
 # For the muscles of BodyParts3D ``data/bodyparts3d_muscles.csv`` says it, from the attachments in
 # anatomy texts; a muscle that nobody described runs along its greatest length, away from the
 # skull.
 
 
-END = 0.1
-"""Part of a muscle's vertices that are an end."""
-MIRROR = np.array([-1.0, 1.0, 1.0])
+END = 0.1  # part of a muscle's vertices that are an end
 
 
 def bodyparts3d_muscle(name: str, surface: Surface, skull: Floats) -> Muscle:
@@ -328,7 +371,7 @@ def bodyparts3d_muscle(name: str, surface: Surface, skull: Floats) -> Muscle:
     if known is None:
         return with_axis(name, surface, skull)
     axis, ring = known
-    axis = axis * MIRROR if "right" in words else axis
+    axis = axis * [-1.0, 1.0, 1.0] if "right" in words else axis
     origin, insertion = _ends(surface, axis)
     return Muscle(name, surface, axis, origin, insertion, ring)
 

@@ -26,20 +26,33 @@ from solver.anatomy.tetrahedra import dihedral_angles, volumes
 from solver.errors import SolveError
 from solver.surface import Floats, Ints
 
-POWER = 4.0
-STIFFNESS = 0.1
-SMOOTHING = (0.1, 0.01)
-"""Of chi, as a part of the volume of a tet of mean edge length: the first to untangle."""
-WANTED_DEG = 12.0
-"""Tets with a smaller dihedral angle are stiffened and relaxed again."""
-STIFFENING = 3.0
-ROUNDS = 6
-ITERATIONS = 500
-"""Of L-BFGS in the first round; later ones have a small way to go."""
-LATER_ITERATIONS = 120
+POWER = 4.0  # of q in the energy: a kernel's constant
+# Edges of the regular tet, in columns.
 _REGULAR = np.array([[1.0, 0.5, 0.5], [0.0, 0.75**0.5, 0.75**0.5 / 3], [0.0, 0.0, (2 / 3) ** 0.5]])
-"""Edges of the regular tet, in columns."""
 _INVERSE = np.linalg.inv(_REGULAR)
+
+
+@dataclass(frozen=True)
+class RelaxationOptions:
+    """Weights and rounds of the relaxation."""
+
+    stiffness: float = 0.1
+    """c of a tet at first."""
+    untangling: float = 0.1
+    """Regularisation of chi, as a part of the volume of a tet of mean edge length, to untangle."""
+    smoothing: float = 0.01
+    """The same, for the result."""
+    wanted_deg: float = 12.0
+    """Tets with a smaller dihedral angle are stiffened and relaxed again."""
+    stiffening: float = 3.0
+    """The factor of each such round."""
+    rounds: int = 6
+    iterations: int = 500
+    """Of L-BFGS in the first round; later ones have a small way to go."""
+    later_iterations: int = 120
+
+
+RELAXATION = RelaxationOptions()
 
 
 @dataclass(frozen=True)
@@ -58,7 +71,7 @@ class Guides:
         return cls(rows, targets, np.full(len(ids), weight))
 
     @classmethod
-    def joined(cls, parts: list[Guides]) -> Guides:
+    def join(cls, parts: list[Guides]) -> Guides:
         """Return the springs of all parts."""
         return cls(
             sp.csr_array(sp.vstack([part.rows for part in parts])),
@@ -73,7 +86,7 @@ class Guides:
         return float(np.sum(pull * away)), 2.0 * (self.rows.T @ pull)
 
 
-def relaxed(x: Floats, tets: Ints, guides: Guides) -> Floats:
+def relax(x: Floats, tets: Ints, guides: Guides, options: RelaxationOptions = RELAXATION) -> Floats:
     """Return the vertices (p, 3) of least energy, from the start ``x`` (p, 3) in mm.
 
     Raises
@@ -81,16 +94,16 @@ def relaxed(x: Floats, tets: Ints, guides: Guides) -> Floats:
     SolveError
         ``mesh.inverted`` if a tet stays inverted.
     """
-    stiffness = np.full(len(tets), STIFFNESS)
+    stiffness = np.full(len(tets), options.stiffness)
     if volumes(x, tets).min() <= 0:
-        x = _minimised(x, tets, guides, stiffness, SMOOTHING[0], ITERATIONS)
-    x = _minimised(x, tets, guides, stiffness, SMOOTHING[1], ITERATIONS)
-    for _ in range(ROUNDS):
-        bad = _bad(x, tets)
+        x = _minimise(x, tets, guides, stiffness, options.untangling, options.iterations)
+    x = _minimise(x, tets, guides, stiffness, options.smoothing, options.iterations)
+    for _ in range(options.rounds):
+        bad = _is_bad(x, tets, options.wanted_deg)
         if not bad.any():
             break
-        stiffness[bad] *= STIFFENING
-        x = _minimised(x, tets, guides, stiffness, SMOOTHING[1], LATER_ITERATIONS)
+        stiffness[bad] *= options.stiffening
+        x = _minimise(x, tets, guides, stiffness, options.smoothing, options.later_iterations)
     inverted = np.flatnonzero(volumes(x, tets) <= 0)
     if len(inverted):
         raise SolveError(
@@ -101,12 +114,12 @@ def relaxed(x: Floats, tets: Ints, guides: Guides) -> Floats:
     return x
 
 
-def _bad(x: Floats, tets: Ints) -> np.ndarray:
-    narrow = dihedral_angles(x, tets).min(axis=1) < WANTED_DEG
+def _is_bad(x: Floats, tets: Ints, wanted_deg: float) -> np.ndarray:
+    narrow = dihedral_angles(x, tets).min(axis=1) < wanted_deg
     return np.asarray(narrow | (volumes(x, tets) <= 0))
 
 
-def _minimised(
+def _minimise(
     x: Floats, tets: Ints, guides: Guides, stiffness: Floats, smoothing: float, iterations: int
 ) -> Floats:
     unit = float(np.mean(np.abs(volumes(x, tets)))) ** (1 / 3)

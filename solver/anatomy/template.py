@@ -36,7 +36,7 @@ class Depth:
     source: str
 
 
-# What is known of how a topology varies: over persons and over expressions.
+# Shapes of a topology: its variation over persons and over expressions.
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class ShapeBasis:
     expression_names: tuple[str, ...]
 
 
-# Whether a template's arrays fit together: shapes, finite numbers, indices in range.
+# Checks that a template's arrays fit together: shapes, finite numbers, indices in range.
 
 
 def check_arrays(template: Template, file: str) -> None:
@@ -213,7 +213,9 @@ class TemplateMesh:
         return cls(**{**plain, "edge_mm": float(arrays["edge_mm"]), "weights": weights})
 
 
-FORMAT = 1
+# The template itself.
+
+FORMAT = 1  # of the file
 
 
 @dataclass(frozen=True)
@@ -292,7 +294,7 @@ class Template:
     mesh: TemplateMesh | None = None
 
     @property
-    def parted(self) -> Surface:
+    def parted_skin(self) -> Surface:
         """Return the skin with the lips parted."""
         return self.skin.moved(self.skin.vertices + self.parting)
 

@@ -20,8 +20,7 @@ import numpy as np
 from solver.errors import SolveError
 from solver.surface import Floats, Ints, Surface
 
-ML = 1e-3
-"""Of a cubic millimetre."""
+ML = 1e-3  # millilitres in a cubic millimetre
 
 _ROOT = Path(__file__).parents[2]
 _CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import igl
 import numpy as np
@@ -12,32 +12,43 @@ import scipy.sparse as sp
 from solver.anatomy.depth_warp import SkinDepth
 from solver.anatomy.domain import boundary
 from solver.anatomy.embedding import barycentric
-from solver.anatomy.relaxation import Guides, relaxed
+from solver.anatomy.relaxation import Guides, relax
 from solver.anatomy.template import Muscle, Template, TemplateMesh
 from solver.anatomy.tetrahedra import barycentric_in_tets, dihedral_angles
 from solver.anatomy.warp import Warp, interpolate, spread
 from solver.errors import SolveError
 from solver.surface import Floats, Ints, Surface
 
-CORRESPONDENCES = 900
-SMOOTHING_MM = 2.0
-CLEARANCE_MM = 1.9
-"""Bones stay this deep under the skin where they do in the template."""
-CLEARANCE_STEPS = 8
+
+@dataclass(frozen=True)
+class TransferOptions:
+    """Fineness of the warp between two skins, and the room it leaves over bones."""
+
+    correspondences: int = 900
+    """Flesh vertices spread over the skin that the warp goes through."""
+    smoothing_mm: float = 2.0
+    """Misses that it is allowed, for less bending."""
+    clearance_mm: float = 1.9
+    """Bones stay this deep under the skin where they do in the template."""
+    clearance_steps: int = 8
+    least_deg: float = 5.0
+    """A mesh with a smaller dihedral angle is of no use."""
 
 
-def skin_warp(template: Template, neutral: Floats) -> Warp:
-    """Return the smooth map of space from the template's head to the one with skin ``neutral``.
+TRANSFER = TransferOptions()
 
-    It goes through about :data:`CORRESPONDENCES` flesh vertices spread over the skin.
-    """
+
+def skin_warp(template: Template, neutral: Floats, options: TransferOptions = TRANSFER) -> Warp:
+    """Return the smooth map of space from the template's head to the one with skin ``neutral``."""
     flesh = np.unique(template.skin.faces[template.flesh_faces])
     source = template.skin.vertices
-    chosen = flesh[spread(source[flesh], CORRESPONDENCES)]
-    return interpolate(source[chosen], neutral[chosen], SMOOTHING_MM)
+    chosen = flesh[spread(source[flesh], options.correspondences)]
+    return interpolate(source[chosen], neutral[chosen], options.smoothing_mm)
 
 
-def carry(template: Template, neutral: Floats, warp: Warp) -> Template:
+def carry(
+    template: Template, neutral: Floats, warp: Warp, options: TransferOptions = TRANSFER
+) -> Template:
     """Return the anatomy of the person with skin ``neutral`` (n, 3), without shapes and tets.
 
     ``warp`` is the person's :func:`skin_warp`. The cut planes move outwards where the face
@@ -47,7 +58,8 @@ def carry(template: Template, neutral: Floats, warp: Warp) -> Template:
     before, after = _Depths(template, source), _Depths(template, neutral)
 
     def bone(surface: Surface) -> Surface:
-        return surface.moved(_deep_enough(surface.vertices, warp(surface.vertices), before, after))
+        start = warp(surface.vertices)
+        return surface.moved(_deep_enough(surface.vertices, start, before, after, options))
 
     face = template.face_vertices
     reach = neutral[face].min(axis=0) - source[face].min(axis=0)
@@ -57,7 +69,7 @@ def carry(template: Template, neutral: Floats, warp: Warp) -> Template:
         parting=warp(source + template.parting) - warp(source),
         cranium=bone(template.cranium),
         mandible=bone(template.mandible),
-        muscles=tuple(carried_muscle(muscle, warp) for muscle in template.muscles),
+        muscles=tuple(carry_muscle(muscle, warp) for muscle in template.muscles),
         condyles=warp(template.condyles),
         back_z=template.back_z + min(0.0, float(reach[2])),
         bottom_y=template.bottom_y + min(0.0, float(reach[1])),
@@ -66,7 +78,7 @@ def carry(template: Template, neutral: Floats, warp: Warp) -> Template:
     )
 
 
-def carried_muscle(muscle: Muscle, motion: Callable[[Floats], Floats]) -> Muscle:
+def carry_muscle(muscle: Muscle, motion: Callable[[Floats], Floats]) -> Muscle:
     """Return a muscle whose points have all been moved by ``motion``, (n, 3) -> (n, 3)."""
     middle = (muscle.origin + muscle.insertion) / 2
     half = muscle.fibre * np.linalg.norm(muscle.insertion - muscle.origin) / 2
@@ -82,7 +94,7 @@ def carried_muscle(muscle: Muscle, motion: Callable[[Floats], Floats]) -> Muscle
 
 
 class _Depths:
-    """How deep points lie under all skin of the flesh, and how far from the face's."""
+    """Depths of points under all skin of the flesh, and under the face's."""
 
     def __init__(self, template: Template, skin: Floats) -> None:
         flesh = template.skin.faces[template.flesh_faces]
@@ -91,15 +103,17 @@ class _Depths:
         self.face = SkinDepth(Surface(skin, flesh), flesh[on_face])
 
 
-def _deep_enough(points: Floats, moved: Floats, before: _Depths, after: _Depths) -> Floats:
-    """Return ``moved`` (n, 3) pushed as deep as ``points`` (n, 3), or :data:`CLEARANCE_MM`.
+def _deep_enough(
+    points: Floats, moved: Floats, before: _Depths, after: _Depths, options: TransferOptions
+) -> Floats:
+    """Return ``moved`` (n, 3) pushed as deep as ``points`` (n, 3), or the wanted clearance.
 
     Between face and lining there may be no room for both; then the face's skin is kept clear.
     """
-    for _ in range(CLEARANCE_STEPS):
+    for _ in range(options.clearance_steps):
         start = moved
         for skin_before, skin_after in ((before.flesh, after.flesh), (before.face, after.face)):
-            least = np.minimum(skin_before(points)[0], CLEARANCE_MM)
+            least = np.minimum(skin_before(points)[0], options.clearance_mm)
             depths, deeper = skin_after(moved)
             # A bone that reaches through the lining of the mouth has no depth to keep.
             missing = np.where(least > 0, np.maximum(least - depths, 0.0), 0.0)
@@ -109,7 +123,7 @@ def _deep_enough(points: Floats, moved: Floats, before: _Depths, after: _Depths)
     return moved
 
 
-# How all points of the flesh move when its tetrahedra do.
+# Motion of all points of the flesh when its tetrahedra move.
 
 
 class FleshMotion:
@@ -143,16 +157,24 @@ class FleshMotion:
         return self._warp(points) + correction
 
 
-# What pulls a mesh of flesh: the skin it carries, the bones it lies on, and its place.
+# Springs on a mesh of flesh: from the skin it carries, the bones it lies on, and its place.
 
 
-FACE_PULL = 20.0
-SKIN_PULL = 4.0
-"""Of a skin vertex, on the face and elsewhere; 1/mm^2."""
-BONE_PULL = 10.0
-"""Of a vertex on a bone or cut plane."""
-STAY = 0.1
-"""Of every vertex to where it starts, so that nothing drifts that is not pulled."""
+@dataclass(frozen=True)
+class Pulls:
+    """Weights of springs, 1/mm^2."""
+
+    face: float = 20.0
+    """Of a skin vertex on the face."""
+    skin: float = 4.0
+    """Of one elsewhere."""
+    bone: float = 10.0
+    """Of a vertex on a bone or cut plane."""
+    stay: float = 0.1
+    """Of every vertex to where it starts, so that nothing drifts that is not pulled."""
+
+
+PULLS = Pulls()
 
 
 def guidance(
@@ -163,6 +185,7 @@ def guidance(
     held: Ints,
     held_at: Floats,
     start: Floats,
+    pulls: Pulls = PULLS,
 ) -> Guides:
     """Return the springs of a mesh.
 
@@ -178,30 +201,32 @@ def guidance(
         (h,) vertices on bones and cut planes, and where they belong, (h, 3).
     start
         (p, 3) positions of all vertices.
+    pulls
+        Weights of the springs.
     """
     count = len(start)
-    pull = np.where(np.isin(embedded, head.face_vertices), FACE_PULL, SKIN_PULL)
-    return Guides.joined(
+    pull = np.where(np.isin(embedded, head.face_vertices), pulls.face, pulls.skin)
+    return Guides.join(
         [
             Guides(surface_rows, skin[embedded], pull),
-            Guides.of_vertices(held, held_at, BONE_PULL, count),
-            Guides.of_vertices(np.arange(count), start, STAY, count),
+            Guides.of_vertices(held, held_at, pulls.bone, count),
+            Guides.of_vertices(np.arange(count), start, pulls.stay, count),
         ]
     )
 
 
 # A template's tetrahedra carried into a person: the same tets, muscles and S for everybody.
 #
-# The skin's warp carries all vertices; then the mesh is relaxed, pulled by the person's skin
+# The skin's warp carries all vertices; then the mesh is relax, pulled by the person's skin
 # through its embedding and by the person's bones through the places it has on the template's.
 
 
-LEAST_DEG = 5.0
-"""A mesh with a smaller dihedral angle is of no use."""
-
-
 def transport(
-    template: Template, mesh: TemplateMesh, person: Template, warp: Warp
+    template: Template,
+    mesh: TemplateMesh,
+    person: Template,
+    warp: Warp,
+    options: TransferOptions = TRANSFER,
 ) -> tuple[TemplateMesh, Template]:
     """Return the template's mesh in a person, and the person with muscles moved as their tets are.
 
@@ -215,6 +240,8 @@ def transport(
         The template carried into the person by ``warp``.
     warp
         The map of space between their skins.
+    options
+        Of these, the least dihedral angle.
 
     Raises
     ------
@@ -233,16 +260,16 @@ def transport(
     guides = guidance(
         person, person.skin.vertices, mesh.embedded, mesh.surface_rows, held, place[held], start
     )
-    moved = relaxed(start, mesh.tets, guides)
+    moved = relax(start, mesh.tets, guides)
     narrow = dihedral_angles(moved, mesh.tets).min()
-    if narrow < LEAST_DEG:
+    if narrow < options.least_deg:
         raise SolveError(
             "mesh.flat",
             f"a tetrahedron is left with a dihedral angle of {narrow:.1f} degrees",
             degrees=float(narrow),
         )
     motion = FleshMotion(mesh.vertices, mesh.tets, moved, warp)
-    muscles = tuple(carried_muscle(muscle, motion) for muscle in template.muscles)
+    muscles = tuple(carry_muscle(muscle, motion) for muscle in template.muscles)
     return replace(mesh, vertices=moved), replace(person, muscles=muscles)
 
 

@@ -4,32 +4,32 @@ from __future__ import annotations
 
 import colorsys
 import re
+from dataclasses import dataclass
 
 import igl
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from solver.drawing.render import Body, Lit
+from solver.drawing.render import GAMMA, DrawnBody, Lit
 from solver.surface import Floats, Ints, Surface, adjacency
 
-# Colours of pictures: what skin, eyes, bones and muscles look like, and the error's scale.
+# Colours, linear RGB but for the sRGB of muscles and of the error's scale.
 
-
-GAMMA = 2.2
-SKIN = (0.62, 0.43, 0.34)  # linear, as all here except the muscles' and the error's
-TEETH = (0.72, 0.66, 0.54)
-MOUTH = (0.45, 0.16, 0.15)
-SCLERA = (0.74, 0.72, 0.69)
-IRIS = (0.10, 0.16, 0.17)
-PUPIL = (0.008, 0.008, 0.01)
-BONE = (0.72, 0.64, 0.50)
-FAT = (0.80, 0.62, 0.33)
-UNMEASURED = (0.60, 0.60, 0.61)
-PARTS = {"skin": SKIN, "teeth": TEETH, "mouth": MOUTH, "eyes": SCLERA}
+COLOURS = {
+    "skin": (0.62, 0.43, 0.34),
+    "teeth": (0.72, 0.66, 0.54),
+    "mouth": (0.45, 0.16, 0.15),
+    "eyes": (0.74, 0.72, 0.69),  # the sclera
+    "iris": (0.10, 0.16, 0.17),
+    "pupil": (0.008, 0.008, 0.01),
+    "bone": (0.72, 0.64, 0.50),
+    "fat": (0.80, 0.62, 0.33),
+    "unmeasured": (0.60, 0.60, 0.61),
+}
 IRIS_MM, PUPIL_MM = 6.0, 2.4  # radii; an adult iris is 11.7 mm across (Rüfer et al. 2005)
 
-HEAT_MAX_MM = 2.0
-HEAT = np.array(  # sRGB at equal steps from 0 to HEAT_MAX_MM, ever darker
+HEAT_MAX_MM = 2.0  # end of the scale where nobody says another: 1 mm is a good fit
+HEAT = np.array(  # sRGB at equal steps from 0 to the scale's end, ever darker
     [
         (0.84, 0.91, 0.94),
         (0.56, 0.79, 0.87),
@@ -43,9 +43,9 @@ HEAT = np.array(  # sRGB at equal steps from 0 to HEAT_MAX_MM, ever darker
 
 def heat(error_mm: Floats, most_mm: float = HEAT_MAX_MM) -> Floats:
     """Return the sRGB colour (n, 3) of distances (n,) in mm, the last from ``most_mm`` on."""
-    share = np.clip(error_mm / most_mm, 0, 1)
+    place = np.clip(error_mm / most_mm, 0, 1)
     steps = np.linspace(0, 1, len(HEAT))
-    return np.column_stack([np.interp(share, steps, HEAT[:, k]) for k in range(3)])
+    return np.column_stack([np.interp(place, steps, HEAT[:, k]) for k in range(3)])
 
 
 def linear(srgb: Floats) -> Floats:
@@ -73,42 +73,44 @@ def muscle_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, floa
     return colours
 
 
-# Which parts a scan topology is made of: skin, eyeballs, teeth, the rest of the mouth, lashes.
-#
-# A subject model does not name them, so they are told apart by shape: they are separate components,
-# eyeballs are spheres, and what is small lies at an eye or is a tooth.
+# Parts of a scan topology. A subject model does not name them, so they are told apart by shape:
+# they are separate components, eyeballs are spheres, and small ones lie at an eye or are teeth.
 
 
-EYE_RADIUS_MM = (9.0, 18.0)
-ROUNDNESS = 0.07  # deviation from the best sphere, by its radius (the cornea's bulge gives 0.04)
-NEAR_EYE = 2.2  # radii: lashes and tear film lie within
-TOOTH_MM = 34.0  # crown and root
+@dataclass(frozen=True)
+class PartSizes:
+    """Sizes that tell the parts of a head apart."""
+
+    eye_radius_mm: tuple[float, float] = (9.0, 18.0)
+    roundness: float = 0.07
+    """Of an eye: deviation from the best sphere by its radius (the cornea's bulge gives 0.04)."""
+    near_eye: float = 2.2
+    """Radii of an eye: lashes and tear film lie within."""
+    tooth_mm: float = 34.0
+    """Most of crown and root."""
 
 
-def skin_parts(skin: Surface) -> dict[str, Ints]:
+PART_SIZES = PartSizes()
+
+
+def skin_parts(skin: Surface, sizes: PartSizes = PART_SIZES) -> dict[str, Ints]:
     """Return part -> face numbers for ``skin``, ``eyes``, ``teeth``, ``mouth`` and ``lashes``.
 
     Every face belongs to one part; parts that are not there are left out. ``mouth`` is gums and
     tongue, ``lashes`` is everything else about the eyes.
     """
-    kinds = np.array(_kinds(skin))
-    label = _components(skin)[skin.faces[:, 0]]
+    edges = adjacency(skin.faces, len(skin.vertices))
+    label = connected_components(edges, directed=False)[1]
+    kinds = np.array(_kinds(skin, label, sizes))[label[skin.faces[:, 0]]]
     names = ("skin", "eyes", "teeth", "mouth", "lashes")
-    faces = {name: np.flatnonzero(kinds[label] == name) for name in names}
+    faces = {name: np.flatnonzero(kinds == name) for name in names}
     return {name: numbers for name, numbers in faces.items() if len(numbers)}
 
 
-def _components(skin: Surface) -> Ints:
-    count = len(skin.vertices)
-    edges = adjacency(skin.faces, count)
-    return np.asarray(connected_components(edges, directed=False)[1], np.int64)
-
-
-def _kinds(skin: Surface) -> list[str]:
-    """Return the part of every component."""
-    label = _components(skin)
+def _kinds(skin: Surface, label: Ints, sizes: PartSizes) -> list[str]:
+    """Return the part of every component, ``label`` (n,) giving the component of each vertex."""
     points = [skin.vertices[label == number] for number in range(label.max() + 1)]
-    spheres = [_sphere(component) for component in points]
+    spheres = [_eye_sphere(component, sizes) for component in points]
     eyes = [sphere for sphere in spheres if sphere is not None]
     largest = int(np.argmax([len(component) for component in points]))
     kinds = []
@@ -118,22 +120,22 @@ def _kinds(skin: Surface) -> list[str]:
             kinds.append("skin")
         elif spheres[number] is not None:
             kinds.append("eyes")
-        elif any(np.linalg.norm(centre - eye) < NEAR_EYE * radius for eye, radius in eyes):
+        elif any(np.linalg.norm(centre - eye) < sizes.near_eye * radius for eye, radius in eyes):
             kinds.append("lashes")
-        elif np.ptp(component, axis=0).max() < TOOTH_MM:
+        elif np.ptp(component, axis=0).max() < sizes.tooth_mm:
             kinds.append("teeth")
         else:
             kinds.append("mouth")
     if "teeth" not in kinds:  # rows of teeth in one piece: wider than deep, as no tongue is
-        sizes = [np.ptp(component, axis=0) for component in points]
+        extents = [np.ptp(component, axis=0) for component in points]
         kinds = [
-            "teeth" if kind == "mouth" and size[0] > size[2] else kind
-            for kind, size in zip(kinds, sizes, strict=True)
+            "teeth" if kind == "mouth" and extent[0] > extent[2] else kind
+            for kind, extent in zip(kinds, extents, strict=True)
         ]
     return kinds
 
 
-def _sphere(points: Floats) -> tuple[Floats, float] | None:
+def _eye_sphere(points: Floats, sizes: PartSizes) -> tuple[Floats, float] | None:
     """Return centre and radius if the points lie on most of a sphere of an eye's size."""
     if len(points) < 12:
         return None
@@ -142,18 +144,21 @@ def _sphere(points: Floats) -> tuple[Floats, float] | None:
     centre = solution[:3]
     distance = np.linalg.norm(points - centre, axis=1)
     radius = float(distance.mean())
-    round_enough = distance.std() < ROUNDNESS * radius
+    round_enough = distance.std() < sizes.roundness * radius
     whole = np.ptp(points, axis=0).min() > 1.6 * radius
-    if EYE_RADIUS_MM[0] < radius < EYE_RADIUS_MM[1] and round_enough and whole:
+    least, most = sizes.eye_radius_mm
+    if least < radius < most and round_enough and whole:
         return centre, radius
     return None
 
 
-EYE_SUBDIVISIONS = 2
+# The head as it is drawn.
+
+EYE_SUBDIVISIONS = 2  # so that the iris has a round edge
 NONE = np.zeros((0, 3), np.int64)
 
 
-class Head:
+class DrawnHead:
     """The parts of ``neutral`` that are drawn: lashes are left out, eyeballs made finer.
 
     ``skin``, ``teeth``, ``mouth`` (gums and tongue) and ``eyes`` (the finer ones) are faces (f, 3).
@@ -161,9 +166,9 @@ class Head:
 
     def __init__(self, neutral: Surface) -> None:
         parts = {name: neutral.faces[faces] for name, faces in skin_parts(neutral).items()}
-        self._colour = np.tile(SKIN, (len(neutral.vertices), 1))
+        self._colour = np.tile(COLOURS["skin"], (len(neutral.vertices), 1))
         for name, faces in parts.items():
-            self._colour[faces] = PARTS.get(name, SKIN)
+            self._colour[faces] = COLOURS.get(name, COLOURS["skin"])
         self.skin = parts["skin"]
         self.teeth = parts.get("teeth", NONE)
         self.mouth = parts.get("mouth", NONE)
@@ -189,26 +194,26 @@ class Head:
         surface = Surface(vertices, np.vstack([self.skin, self.teeth, self.mouth, self.eyes]))
         return Lit(surface, light)
 
-    def body(self, lit: Lit, faces: Ints | None = None, *, opacity: float = 1.0) -> Body:
+    def body(self, lit: Lit, faces: Ints | None = None, *, opacity: float = 1.0) -> DrawnBody:
         """Return the head, or some of its faces, in natural colours."""
-        return Body(lit, self._colour, faces=faces, opacity=opacity)
+        return DrawnBody(lit, self._colour, faces=faces, opacity=opacity)
 
-    def heat_map(self, lit: Lit, error_mm: Floats, most_mm: float = HEAT_MAX_MM) -> Body:
+    def heat_map(self, lit: Lit, error_mm: Floats, most_mm: float = HEAT_MAX_MM) -> DrawnBody:
         """Return the head in the colours of a distance (v,) in mm, grey where it is NaN."""
-        colour = np.tile(UNMEASURED, (len(self._colour), 1))
+        colour = np.tile(COLOURS["unmeasured"], (len(self._colour), 1))
         measured = np.flatnonzero(np.isfinite(error_mm))
         colour[measured] = linear(heat(error_mm[measured], most_mm))
-        return Body(lit, colour, gloss=0.04)
+        return DrawnBody(lit, colour, gloss=0.04)
 
 
 def _eye_colour(points: Floats) -> Floats:
     """Return the colours (n, 3) of two eyeballs that look forward."""
-    colour = np.tile(SCLERA, (len(points), 1))
+    colour = np.tile(COLOURS["eyes"], (len(points), 1))
     is_left = points[:, 0] > points[:, 0].mean()
     for eye in (np.flatnonzero(is_left), np.flatnonzero(~is_left)):
         offset = points[eye] - (points[eye].min(axis=0) + points[eye].max(axis=0)) / 2
         radius = np.hypot(offset[:, 0], offset[:, 1])
         front = offset[:, 2] > 0
-        colour[eye[front & (radius < IRIS_MM)]] = IRIS
-        colour[eye[front & (radius < PUPIL_MM)]] = PUPIL
+        colour[eye[front & (radius < IRIS_MM)]] = COLOURS["iris"]
+        colour[eye[front & (radius < PUPIL_MM)]] = COLOURS["pupil"]
     return colour

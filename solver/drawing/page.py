@@ -7,22 +7,16 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from solver.drawing.head import (
-    HEAT_MAX_MM,
-    heat,
-)
+from solver.drawing.head import HEAT_MAX_MM, heat
 from solver.drawing.render import Pixels
 
-INK, GREY = (38, 40, 46), (112, 116, 124)
-PAPER = (249, 249, 250)
-MARGIN = 24
-HEADER = 84
-SWATCH = 14
+INK, GREY, PAPER = (38, 40, 46), (112, 116, 124), (249, 249, 250)  # sRGB bytes
+MARGIN, HEADER, SWATCH = 24, 84, 14  # pixels: left of text, above the first picture, of a square
 
 Colour = tuple[float, float, float]
 
 
-class Page:
+class Sheet:
     """A page of a given size in pixels, on which the parts are placed by their corners."""
 
     def __init__(self, width: int, height: int) -> None:

@@ -10,18 +10,12 @@ from numpy.typing import NDArray
 
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
-# Soft studio light: what reaches each vertex from a few dozen directions, with shadows.
+# Soft studio light: light that reaches each vertex from a few dozen directions, with shadows.
 #
 # One small depth map per direction tells which vertices it reaches, so hollows darken and noses
 # cast soft shadows without tracing a ray.
 
-
-DIRECTIONS = 72
-MAP_PIXELS = 256
-LIFT_MM = 1.5  # off the surface, so that a triangle does not shade its own corners
-BIAS_PIXELS = 1.5
-EXPOSURE = 3.6
-SKY = np.array([0.30, 0.31, 0.34])
+SKY = np.array([0.30, 0.31, 0.34])  # linear RGB, as all light here
 GROUND = np.array([0.15, 0.12, 0.11])
 LAMPS = (  # direction, colour, sharpness
     (np.array([-0.60, 0.60, 0.75]), np.array([3.60, 3.42, 3.20]), 7.0),
@@ -30,25 +24,52 @@ LAMPS = (  # direction, colour, sharpness
 )
 
 
-def irradiance(surface: Surface, normals: Floats) -> Floats:
+@dataclass(frozen=True)
+class Shadows:
+    """Fineness of the light: its directions and their depth maps."""
+
+    directions: int = 72
+    map_pixels: int = 256
+    lift_mm: float = 1.5
+    """Off the surface, so that a triangle does not shade its own corners."""
+    bias_pixels: float = 1.5
+    """In depth, for the same reason."""
+    exposure: float = 3.6
+
+
+SHADOWS = Shadows()
+
+
+def irradiance(surface: Surface, normals: Floats, shadows: Shadows = SHADOWS) -> Floats:
     """Return the light (n, 3), linear RGB, that falls on each vertex; a bright one is about 1."""
-    directions = _sphere(DIRECTIONS)
+    directions = _sphere(shadows.directions)
     vertices = surface.vertices - (surface.vertices.min(axis=0) + surface.vertices.max(axis=0)) / 2
-    radius = float(np.linalg.norm(vertices, axis=1).max()) + 2 * LIFT_MM
+    radius = float(np.linalg.norm(vertices, axis=1).max()) + 2 * shadows.lift_mm
     light = _gather(
         vertices,
         surface.faces,
         normals,
         np.stack([_axes(direction) for direction in directions]),
-        _studio(directions) * EXPOSURE / DIRECTIONS,
+        _studio(directions) * shadows.exposure / shadows.directions,
         radius,
+        shadows.map_pixels,
+        shadows.lift_mm,
+        shadows.bias_pixels,
     )
     return np.asarray(light)
 
 
 @njit(cache=True)
 def _gather(
-    vertices: Floats, faces: Ints, normals: Floats, axes: Floats, colours: Floats, radius: float
+    vertices: Floats,
+    faces: Ints,
+    normals: Floats,
+    axes: Floats,
+    colours: Floats,
+    radius: float,
+    map_pixels: int,
+    lift_mm: float,
+    bias_pixels: float,
 ) -> Floats:
     """Return the light (n, 3) from all directions; ``axes`` (k, 3, 3) are those of their maps.
 
@@ -57,7 +78,7 @@ def _gather(
     """
     light = np.zeros((len(vertices), 3))
     places = np.empty((len(vertices), 3))
-    scale = MAP_PIXELS / (2 * radius)
+    scale = map_pixels / (2 * radius)
     for number in range(len(axes)):
         right, up, towards = axes[number]
         for vertex in range(len(vertices)):
@@ -65,27 +86,27 @@ def _gather(
             places[vertex, 0] = (x * right[0] + y * right[1] + z * right[2] + radius) * scale
             places[vertex, 1] = (x * up[0] + y * up[1] + z * up[2] + radius) * scale
             places[vertex, 2] = (x * towards[0] + y * towards[1] + z * towards[2]) * scale
-        nearest = _depth_map(places, faces)
+        nearest = _depth_map(places, faces, map_pixels)
         for vertex in range(len(vertices)):
             x, y, z = normals[vertex]
             cosine = x * towards[0] + y * towards[1] + z * towards[2]
             if cosine <= 0.0:
                 continue
-            lift = LIFT_MM * scale
+            lift = lift_mm * scale
             column = int(places[vertex, 0] + lift * (x * right[0] + y * right[1] + z * right[2]))
             row = int(places[vertex, 1] + lift * (x * up[0] + y * up[1] + z * up[2]))
-            if places[vertex, 2] + lift * cosine > nearest[row, column] - BIAS_PIXELS:
+            if places[vertex, 2] + lift * cosine > nearest[row, column] - bias_pixels:
                 light[vertex] += cosine * colours[number]
     return light
 
 
 @njit(cache=True)
-def _depth_map(places: Floats, faces: Ints) -> Floats:
+def _depth_map(places: Floats, faces: Ints, pixels: int) -> Floats:
     """Return the greatest third coordinate in each pixel of triangles seen along the third axis.
 
     ``places`` (n, 3) are in pixels of the map.
     """
-    nearest = np.full((MAP_PIXELS, MAP_PIXELS), -np.inf)
+    nearest = np.full((pixels, pixels), -np.inf)
     for face in range(len(faces)):
         ax, ay, az = places[faces[face, 0]]
         bx, by, bz = places[faces[face, 1]]
@@ -132,8 +153,7 @@ def _axes(direction: Floats) -> Floats:
     return np.stack([right, np.cross(direction, right), direction])
 
 
-# A small z-buffer: which triangle is seen in each pixel, without a window system or a GPU.
-
+# A small z-buffer: the triangle that is seen in each pixel, without a window system or a GPU.
 
 Pixels = NDArray[np.float32]
 
@@ -170,7 +190,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Visible:
-    """What a camera sees: ``triangle`` (h, w), -1 for nothing, and ``weights`` (h, w, 3)."""
+    """The triangles a camera sees: ``triangle`` (h, w), -1 for none, and ``weights`` (h, w, 3)."""
 
     triangle: NDArray[np.int32]
     weights: Pixels
@@ -246,11 +266,12 @@ def _blend(values: Pixels, corners: Ints, weights: Pixels) -> Pixels:
     return blended
 
 
-SUPERSAMPLING = 2
+# Pictures: surfaces with colour, gloss and opacity, in light.
+
+SUPERSAMPLING = 2  # pixels a side that make one of the image
 BACKGROUND = np.array([0.975, 0.975, 0.98], np.float32)  # sRGB
-GAMMA = 2.2
-SHOULDER = 0.3
-FADE = (0.85, 0.96)  # of the height
+GAMMA = 2.2  # of sRGB, nearly
+SHOULDER = 0.3  # of the tone curve, at which bright spots roll off instead of burning out
 
 
 class Lit:
@@ -267,7 +288,7 @@ class Lit:
 
 
 @dataclass(frozen=True)
-class Body:
+class DrawnBody:
     """A lit surface with a linear colour (n, 3) per vertex, and how it is drawn.
 
     ``gloss`` is the strength of the highlight. An ``opacity`` under 1 lets what is behind shine
@@ -289,7 +310,7 @@ class Body:
         return surface if self.faces is None else Surface(surface.vertices, self.faces)
 
 
-def render(bodies: list[Body], camera: Camera, width: int, height: int) -> Pixels:
+def render(bodies: list[DrawnBody], camera: Camera, width: int, height: int) -> Pixels:
     """Return an sRGB image (height, width, 3) in [0, 1]; later bodies are drawn over earlier ones.
 
     Opaque bodies should be one body, as only within a body what is nearer hides what is behind.
@@ -305,15 +326,18 @@ def render(bodies: list[Body], camera: Camera, width: int, height: int) -> Pixel
     return np.asarray(np.clip(image, 0, 1) ** (1 / GAMMA), np.float32)
 
 
-def faded(image: Pixels) -> Pixels:
-    """Return a bust whose lower end, where scans are cut off, runs out into the background."""
+def fade(image: Pixels, start: float = 0.85, end: float = 0.96) -> Pixels:
+    """Return a bust whose lower end, where scans are cut off, runs out into the background.
+
+    It begins to fade at ``start`` and is gone at ``end``, parts of the height from above.
+    """
     rows = np.linspace(0, 1, len(image), dtype=np.float32)
-    share = np.clip((rows - FADE[0]) / (FADE[1] - FADE[0]), 0, 1)[:, None, None]
-    share = share * share * (3 - 2 * share)
-    return np.asarray(image * (1 - share) + BACKGROUND * share, np.float32)
+    part = np.clip((rows - start) / (end - start), 0, 1)[:, None, None]
+    part = part * part * (3 - 2 * part)
+    return np.asarray(image * (1 - part) + BACKGROUND * part, np.float32)
 
 
-def _shade(body: Body, seen: Visible, camera: Camera) -> tuple[Pixels, Pixels]:
+def _shade(body: DrawnBody, seen: Visible, camera: Camera) -> tuple[Pixels, Pixels]:
     """Return linear colour (pixels, 3) and opacity (pixels, 1) of what is seen of a body."""
     columns = [body.colour, body.lit.light, body.lit.normals, body.lit.surface.vertices]
     albedo, light, normal, place = np.split(seen.interpolate(np.hstack(columns)), 4, axis=1)
@@ -327,9 +351,7 @@ def _shade(body: Body, seen: Visible, camera: Camera) -> tuple[Pixels, Pixels]:
     half /= np.linalg.norm(half, axis=1, keepdims=True)
     shine = np.clip(np.einsum("ij,ij->i", normal, half), 0, 1)[:, None] ** 28
     colour += body.gloss * shine * light
-    colour *= (1 + SHOULDER) / (
-        1 + SHOULDER * colour
-    )  # bright spots roll off instead of burning out
+    colour *= (1 + SHOULDER) / (1 + SHOULDER * colour)
     if body.edges:
         colour *= 1 - 0.55 * _edge_strength(seen)
     opacity = np.ones_like(facing)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from solver.drawing.head import HEAT_MAX_MM
-from solver.drawing.page import GREY, HEADER, MARGIN, Page
+from solver.drawing.page import GREY, HEADER, MARGIN, Sheet
 from solver.drawing.render import Pixels
 
 CAPTION = 30  # pixels over every column
@@ -45,13 +45,13 @@ def draw_sheet(
     layout: SheetLayout,
     scale_mm: float | None = HEAT_MAX_MM,
 ) -> None:
-    """Draw ``columns`` of one image a row; the colour scale ends at ``scale_mm`` (None: no scale)."""
+    """Draw ``columns`` of one image a row; the colours end at ``scale_mm`` (None: no scale)."""
     width, height = layout.cell
     across = min(layout.columns, len(columns))
     block = CAPTION + len(rows) * height
     blocks = -(-len(columns) // across)
     foot = HEADER + blocks * block
-    page = Page(layout.label + across * width + MARGIN, foot + layout.foot)
+    page = Sheet(layout.label + across * width + MARGIN, foot + layout.foot)
     page.heading(title, detail)
     for number, column in enumerate(columns):
         left, top = layout.label + number % across * width, HEADER + number // across * block

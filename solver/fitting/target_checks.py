@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from solver.errors import InputError, Notice
 from solver.fitting.face import Face
-from solver.meshio.read import RegisteredScan
+from solver.meshio.registered import RegisteredScan
 from solver.model import SubjectModel
 from solver.similarity import Similarity, weighted_motion
 from solver.surface import (

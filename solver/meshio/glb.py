@@ -1,4 +1,4 @@
-"""Binary glTF 2.0 (GLB): the positions of its one mesh, as stored.
+"""Binary glTF 2.0 (GLB): every mesh the scene shows, each in its node's place.
 
 The few fields that are needed are read here, because every one must be checked before it is
 trusted, and a general loader's conveniences (merging, welding) would change the vertex order.
@@ -7,63 +7,91 @@ trusted, and a general loader's conveniences (merging, welding) would change the
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.meshio.rows import (
-    NO_FACES,
-    Mesh,
-    empty,
-    joined,
-    truncated,
-    unreadable,
-    unsupported,
+from solver.errors import InputError
+from solver.meshio.faults import (
+    empty_error,
+    truncated_error,
+    unreadable_error,
+    unsupported_error,
 )
+from solver.meshio.mesh import NO_FACES, Mesh, join_meshes
 from solver.surface import Floats, Ints
 
-MM_PER_METRE = 1000.0
+MM_PER_METRE = 1000.0  # glTF's unit is the metre
+
+# Numbers of the glTF 2.0 specification: types of components and accessors, modes of primitives.
 FLOAT = 5126
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", FLOAT: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+POINTS, TRIANGLES, STRIP, FAN = 0, 4, 5, 6  # modes
 JSON_CHUNK, BINARY_CHUNK = b"JSON", b"BIN\0"
-MAX_DEPTH = 64
-NOT_VALID = (KeyError, IndexError, TypeError, AttributeError, OverflowError)
-"""What reading a description that breaks glTF's rules raises."""
+
+MAX_DEPTH = 64  # of nodes in nodes: no exporter comes near, and recursion stays within Python's
+NOT_VALID = (KeyError, IndexError, TypeError, AttributeError, OverflowError)  # by broken rules
 
 
-def read_glb(file: str, content: bytes) -> Floats:
-    """Return the vertices (n, 3) of GLB ``content`` in mm; glTF's unit is the metre.
+def read_glb(file: str, content: bytes, *, strict: bool = False) -> Mesh:
+    """Return what the scene of GLB ``content`` shows as one mesh, in metres.
 
-    The scene must show one mesh, whose parts share one list of positions; the transform of its
-    node is applied.
+    The transforms of nodes are applied. For registered scans (``strict``) the scene must show one
+    mesh, whose parts share one list of positions; only these are returned, in the order of the
+    file.
     """
     document, binary = read_chunks(file, content)
     try:
         shown = shown_meshes(file, document)
-        if len(shown) != 1:
-            raise unsupported(file, f"the scene must show exactly one mesh, found {len(shown)}")
-        mesh, transform = shown[0]
-        positions = {part["attributes"]["POSITION"] for part in mesh["primitives"]}
-        if len(positions) != 1:
-            raise unsupported(file, "the parts of the mesh do not share one list of positions")
-        vertices = read_positions(file, document, binary, positions.pop())
+        if strict:
+            return _registered_mesh(file, document, binary, shown)
+        parts = []
+        for mesh, transform in shown:
+            for number, primitive in enumerate(mesh["primitives"]):
+                name = f"{mesh.get('name', 'mesh')}[{number}]"
+                parts.append(_place(_part(file, document, binary, primitive, name), transform))
     except NOT_VALID as error:
-        raise unreadable(file, f"the glTF description is not valid ({error!r})") from None
-    with np.errstate(all="ignore"):  # what overflows is refused as not finite by the caller
-        return np.asarray(vertices @ transform[:3, :3].T + transform[:3, 3]) * MM_PER_METRE
+        raise _invalid_error(file, error) from None
+    if not parts:
+        raise empty_error(file)
+    return join_meshes(parts)
+
+
+def _invalid_error(file: str, error: Exception) -> InputError:
+    return unreadable_error(file, f"the glTF description is not valid ({error!r})")
+
+
+def _registered_mesh(
+    file: str,
+    document: dict[str, Any],
+    binary: bytes,
+    shown: list[tuple[dict[str, Any], Floats]],
+) -> Mesh:
+    """Return the vertices of the one mesh that the scene shows."""
+    if len(shown) != 1:
+        reason = f"the scene must show exactly one mesh, found {len(shown)}"
+        raise unsupported_error(file, reason)
+    mesh, transform = shown[0]
+    positions = {part["attributes"]["POSITION"] for part in mesh["primitives"]}
+    if len(positions) != 1:
+        reason = "the parts of the mesh do not share one list of positions"
+        raise unsupported_error(file, reason)
+    vertices = read_positions(file, document, binary, positions.pop())
+    return _place(Mesh(vertices), transform)
 
 
 def read_chunks(file: str, content: bytes) -> tuple[dict[str, Any], bytes]:
     """Return the description and the binary buffer of a GLB file."""
     if not content:
-        raise empty(file)
+        raise empty_error(file)
     if content[:4] != b"glTF" or content[4:8] != (2).to_bytes(4, "little"):
-        raise unreadable(file, "not a binary glTF 2.0 file")
+        raise unreadable_error(file, "not a binary glTF 2.0 file")
     length = int.from_bytes(content[8:12], "little")
     if len(content) < length or len(content) < 20:
-        raise truncated(
+        raise truncated_error(
             file,
             f"the header announces {length} bytes, found {len(content)}",
             expected=length,
@@ -75,15 +103,15 @@ def read_chunks(file: str, content: bytes) -> tuple[dict[str, Any], bytes]:
         size = int.from_bytes(content[position : position + 4], "little")
         kind = content[position + 4 : position + 8]
         if position + 8 + size > len(content):
-            raise truncated(file, f"a chunk of {size} bytes runs past the end of the file")
+            raise truncated_error(file, f"a chunk of {size} bytes runs past the end of the file")
         parts.setdefault(kind, content[position + 8 : position + 8 + size])
         position += 8 + size
     try:
         document = json.loads(parts.get(JSON_CHUNK, b""))
     except (ValueError, RecursionError):
-        raise unreadable(file, "the description is not valid JSON") from None
+        raise unreadable_error(file, "the description is not valid JSON") from None
     if not isinstance(document, dict):
-        raise unreadable(file, "the description is not a JSON object")
+        raise unreadable_error(file, "the description is not a JSON object")
     return document, parts.get(BINARY_CHUNK, b"")
 
 
@@ -94,7 +122,7 @@ def shown_meshes(file: str, document: dict[str, Any]) -> list[tuple[dict[str, An
 
     def visit(number: int, parent: Floats, depth: int) -> None:
         if depth > MAX_DEPTH or number in seen:
-            raise unsupported(file, "the scene is not a tree of reasonable depth")
+            raise unsupported_error(file, "the scene is not a tree of reasonable depth")
         seen.add(number)
         node = _item(document["nodes"], number)
         transform = parent @ _transform(file, node)
@@ -131,7 +159,7 @@ def _transform(file: str, node: dict[str, Any]) -> Floats:
         transform[:3, :3] = rotation * np.array(node.get("scale", (1, 1, 1)), np.float64)
         transform[:3, 3] = np.array(node.get("translation", (0, 0, 0)), np.float64)
     except ValueError:
-        raise unreadable(file, "the transform of a node is not valid") from None
+        raise unreadable_error(file, "the transform of a node is not valid") from None
     return transform
 
 
@@ -139,10 +167,10 @@ def read_positions(file: str, document: dict[str, Any], binary: bytes, number: i
     """Return the positions (n, 3) of accessor ``number``."""
     accessor = _item(document["accessors"], number)
     if accessor["type"] != "VEC3" or accessor["componentType"] != FLOAT:
-        raise unsupported(file, "the positions are not stored as 32-bit floats")
+        raise unsupported_error(file, "the positions are not stored as 32-bit floats")
     positions = read_accessor(file, document, binary, number)
     if len(positions) == 0:
-        raise empty(file)
+        raise empty_error(file)
     return positions.astype(np.float64)
 
 
@@ -152,49 +180,27 @@ def read_accessor(
     """Return the rows (n, width) of accessor ``number`` as they are stored."""
     accessor = _item(document["accessors"], number)
     if "sparse" in accessor or "bufferView" not in accessor:
-        raise unsupported(file, "sparse or compressed data are not supported")
+        raise unsupported_error(file, "sparse or compressed data are not supported")
     view = _item(document["bufferViews"], accessor["bufferView"])
     if _item(document["buffers"], view["buffer"]).get("uri") is not None:
-        raise unsupported(file, "the data lie in another file")
+        raise unsupported_error(file, "the data lie in another file")
     kind, width = np.dtype(COMPONENTS[accessor["componentType"]]), WIDTHS[accessor["type"]]
     size = kind.itemsize * width
     count, stride = accessor["count"], view.get("byteStride", size)
     start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
     if not all(isinstance(value, int) and value >= 0 for value in (count, stride, start)):
-        raise unreadable(file, "the counts and offsets of the data are not valid")
+        raise unreadable_error(file, "the counts and offsets of the data are not valid")
     if count == 0:
         return np.zeros((0, width), kind)
     expected = start + (count - 1) * stride + size
     if stride < size or expected > len(binary):
-        raise truncated(
+        raise truncated_error(
             file,
             f"the data need {expected} bytes, found {len(binary)}",
             expected=expected,
             found=len(binary),
         )
     return np.ndarray((count, width), kind, binary, start, (stride, kind.itemsize))
-
-
-# Binary glTF 2.0 as a raw scan: every mesh the scene shows, each in its node's place.
-
-
-POINTS, TRIANGLES, STRIP, FAN = 0, 4, 5, 6
-
-
-def read_raw_glb(file: str, content: bytes) -> Mesh:
-    """Return the meshes of GLB ``content`` as one, in metres as glTF demands."""
-    document, binary = read_chunks(file, content)
-    parts = []
-    try:
-        for mesh, transform in shown_meshes(file, document):
-            for number, primitive in enumerate(mesh["primitives"]):
-                name = f"{mesh.get('name', 'mesh')}[{number}]"
-                parts.append(_placed(_part(file, document, binary, primitive, name), transform))
-    except NOT_VALID as error:
-        raise unreadable(file, f"the glTF description is not valid ({error!r})") from None
-    if not parts:
-        raise empty(file)
-    return joined(parts)
 
 
 def _part(
@@ -210,7 +216,7 @@ def _part(
         corners = np.arange(len(vertices), dtype=np.int64)
     faces = _triangles(file, corners, mode)
     if len(faces) and not 0 <= faces.min() <= faces.max() < len(vertices):
-        raise unreadable(
+        raise unreadable_error(
             file,
             f"{name} uses vertex {faces.max()}, but there are {len(vertices)}",
             expected=len(vertices),
@@ -224,11 +230,17 @@ def _part(
         scale = 1 if stored.dtype.kind == "f" else int(np.iinfo(str(stored.dtype)).max)
         values = np.asarray(stored[:, :3], np.float64) / scale
         if values.shape != vertices.shape:
-            raise unreadable(file, f"{attribute} of {name} does not fit its positions")
+            raise unreadable_error(file, f"{attribute} of {name} does not fit its positions")
         return values
 
     is_empty = len(faces) == 0 and mode != POINTS
-    return Mesh(vertices, faces, rows("NORMAL"), rows("COLOR_0"), (name,) if is_empty else ())
+    return Mesh(
+        vertices,
+        faces,
+        rows("NORMAL"),
+        rows("COLOR_0"),
+        empty_groups=(name,) if is_empty else (),
+    )
 
 
 def _triangles(file: str, corners: Ints, mode: int) -> Ints:
@@ -236,7 +248,7 @@ def _triangles(file: str, corners: Ints, mode: int) -> Ints:
         return NO_FACES
     if mode == TRIANGLES:
         if len(corners) % 3:
-            raise unreadable(file, f"{len(corners)} corners do not make whole triangles")
+            raise unreadable_error(file, f"{len(corners)} corners do not make whole triangles")
         return corners.reshape(-1, 3)
     if mode == STRIP:
         faces = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
@@ -245,21 +257,18 @@ def _triangles(file: str, corners: Ints, mode: int) -> Ints:
     if mode == FAN:
         first = np.full(max(len(corners) - 2, 0), corners[0])
         return np.stack([first, corners[1:-1], corners[2:]], axis=1)
-    raise unsupported(file, "lines are no surface: export triangles")
+    raise unsupported_error(file, "lines are no surface: export triangles")
 
 
-def _placed(mesh: Mesh, transform: Floats) -> Mesh:
+def _place(mesh: Mesh, transform: Floats) -> Mesh:
     """Return the mesh moved by a (4, 4) transform; a mirroring node turns its triangles round."""
     linear = transform[:3, :3]
-    mirrored = np.linalg.det(linear) < 0
     normals = mesh.normals
-    if normals is not None:
-        normals = normals @ np.linalg.pinv(linear)
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-30
-    return Mesh(
-        mesh.vertices @ linear.T + transform[:3, 3],
-        mesh.faces[:, ::-1] if mirrored else mesh.faces,
-        normals,
-        mesh.colours,
-        mesh.empty_groups,
-    )
+    with np.errstate(all="ignore"):  # what overflows is refused as not finite by the caller
+        mirrored = np.linalg.det(linear) < 0
+        vertices = np.asarray(mesh.vertices @ linear.T + transform[:3, 3])
+        if normals is not None:
+            normals = normals @ np.linalg.pinv(linear)
+            normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-30
+    faces = mesh.faces[:, ::-1] if mirrored else mesh.faces
+    return replace(mesh, vertices=vertices, faces=faces, normals=normals)

@@ -1,60 +1,96 @@
-"""Wavefront OBJ, read strictly: every ``v`` line is one vertex, in the order of the file."""
+"""Wavefront OBJ: every ``v`` line is one vertex, in the order of the file.
+
+Polygons, groups, vertex colours and normals are read too; textures and materials are left out.
+"""
 
 from __future__ import annotations
 
-import io
 import math
 import re
-from array import array
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from solver.meshio.rows import (
+from solver.errors import InputError
+from solver.meshio.faults import (
+    empty_error,
+    not_finite_error,
+    truncated_error,
+    unreadable_error,
+    unsupported_error,
+)
+from solver.meshio.mesh import (
+    NO_FACES,
     Mesh,
     columns,
-    empty,
     fan,
-    not_finite,
     numbers_by_row,
-    truncated,
+    parse_numbers,
     unit_colours,
-    unreadable,
-    unsupported,
+    whole_numbers_by_row,
 )
 from solver.surface import Floats, Ints, Surface
 
+VERTEX, FACE, NORMAL = (b"v ", b"v\t"), (b"f ", b"f\t"), (b"vn ", b"vn\t")
+GROUP = (b"g ", b"g\t", b"o ", b"o\t")
 NUMBERS_PER_VERTEX = (3, 4, 6, 7)  # position; with weight; with colour; with both
+MOST_UNUSED = 0.05  # of the vertices in no face: beyond, a file without a last line end was cut
 
 
-def read_obj(file: str, content: bytes) -> Floats:
-    """Return the vertices (n, 3) of OBJ ``content``; ``file`` names it in errors.
+def read_obj(file: str, content: bytes, *, strict: bool = False) -> Mesh:
+    """Return the mesh of OBJ ``content``; without faces it is a point cloud.
 
-    Faces are checked to be whole and within range, and otherwise ignored.
+    Parameters
+    ----------
+    file
+        The file's name, for errors.
+    content
+        Its bytes.
+    strict
+        For registered scans: coordinates must be finite and no line may be continued, and of the
+        rest only faces are checked. Otherwise continued lines are joined, a file that was cut off
+        is ``scan.truncated``, and normals, colours and empty groups are returned.
+
+    Raises
+    ------
+    InputError
+        ``scan.empty``, ``scan.unreadable``, ``scan.truncated``, ``scan.format`` or ``scan.nan``,
+        with the ``line`` of the first fault.
     """
-    coordinates = array("d")
-    highest, highest_line = 0, 0
-    for line, row in enumerate(io.BytesIO(content), start=1):
-        if row.startswith((b"v ", b"v\t")):
-            coordinates.extend(_vertex(file, line, row, len(coordinates) // 3))
-        elif row.startswith((b"f ", b"f\t")):
-            index = _highest_index(file, line, row, len(coordinates) // 3)
-            if index > highest:
-                highest, highest_line = index, line
-        elif row.rstrip().endswith(b"\\"):
-            raise unsupported(file, "continued lines are not supported", line=line)
-    count = len(coordinates) // 3
-    if count == 0:
-        raise empty(file)
-    if highest > count:
-        raise truncated(
-            file,
-            f"line {highest_line} uses vertex {highest}, but there are {count}",
-            line=highest_line,
-            expected=highest,
-            found=count,
-        )
-    return np.frombuffer(coordinates, dtype=np.float64).reshape(-1, 3).copy()
+    if strict:
+        if b"\\" in content:
+            _check_lines(file, content, strict)
+        lines = content.split(b"\n")
+    else:
+        if content.rstrip().endswith(b"\\"):
+            raise truncated_error(file, "the last line announces another")
+        lines = re.sub(rb"\\\r?\n", b" ", content).split(b"\n")
+    rows = [line[2:] for line in lines if line.startswith(VERTEX)]
+    parsed = numbers_by_row(b"\n".join(rows)) if rows else None
+    if parsed is None or not np.isin(parsed[1], NUMBERS_PER_VERTEX).all():
+        raise _find_fault(file, content, strict)
+    values, counts = parsed
+    vertices = columns(values, counts, 0, 3)
+    faces_text = b"\n".join(line[2:] for line in lines if line.startswith(FACE))
+    faces = _triangles(lines, faces_text, len(vertices))
+    if faces is None or (strict and not np.isfinite(vertices).all()):
+        raise _find_fault(file, content, strict)
+    if strict:
+        return Mesh(vertices, faces)
+    if not content.endswith(b"\n"):
+        _check_end(file, faces, len(vertices))
+    colours = None
+    if counts.min() >= 6:
+        weights = int(counts[0]) - 6
+        colours = unit_colours(columns(values, counts, 3 + weights, 6 + weights))
+    return Mesh(
+        vertices=vertices,
+        faces=faces,
+        normals=_normals(lines, len(vertices), faces_text),
+        colours=colours,
+        empty_groups=_empty_groups(lines),
+    )
 
 
 def write_obj(path: Path, surface: Surface) -> None:
@@ -65,99 +101,20 @@ def write_obj(path: Path, surface: Surface) -> None:
         np.savetxt(stream, surface.faces + 1, fmt="f %d %d %d")
 
 
-def _vertex(file: str, line: int, row: bytes, vertex: int) -> list[float]:
-    words = row.split()[1:]
-    if len(words) not in NUMBERS_PER_VERTEX:
-        raise unreadable(
-            file, f"a vertex needs 3 numbers, found {len(words)}", line=line, vertex=vertex
-        )
-    try:
-        position = [float(word) for word in words[:3]]
-    except ValueError:
-        found = b" ".join(words[:3]).decode("ascii", "replace")[:60]
-        raise unreadable(
-            file, f"not three numbers: {found!r}", line=line, vertex=vertex, found=found
-        ) from None
-    if not all(map(math.isfinite, position)):
-        raise not_finite(file, vertex, tuple(position), line=line)
-    return position
-
-
-def _highest_index(file: str, line: int, row: bytes, vertices: int) -> int:
-    """Return the highest vertex number (counted from 1) that a face uses."""
-    words = row.split()[1:]
-    if len(words) < 3:
-        raise unreadable(file, f"a face needs 3 vertices, found {len(words)}", line=line)
-    try:
-        numbers = [int(word.partition(b"/")[0]) for word in words]
-    except ValueError:
-        raise unreadable(file, "a face holds what is not a vertex number", line=line) from None
-    if 0 in numbers or min(numbers) < -vertices:
-        raise unreadable(file, f"a face uses vertex {min(numbers)}, which is none", line=line)
-    return max(numbers)
-
-
-# Wavefront OBJ as a raw scan: polygons, groups, vertex colours; textures are left out.
-
-
-VERTEX, FACE, NORMAL = (b"v ", b"v\t"), (b"f ", b"f\t"), (b"vn ", b"vn\t")
-CUT_SHARE = 0.05
-GROUP = (b"g ", b"g\t", b"o ", b"o\t")
-
-
-def read_raw_obj(file: str, content: bytes) -> Mesh:
-    """Return the mesh of OBJ ``content``; without faces it is a point cloud.
-
-    What is wrong in a line is looked for, and named, by the strict reader.
-    """
-    if content.rstrip().endswith(b"\\"):
-        raise truncated(file, "the last line announces another")
-    lines = re.sub(rb"\\\r?\n", b" ", content).split(b"\n")
-    rows = [line[2:] for line in lines if line.startswith(VERTEX)]
-    if not rows:
-        raise empty(file)
-    parsed = numbers_by_row(b"\n".join(rows))
-    if parsed is None or not np.isin(parsed[1], NUMBERS_PER_VERTEX).all():
-        raise _named(file, content)
-    values, counts = parsed
-    vertices = columns(values, counts, 0, 3)
-    colours = None
-    if counts.min() >= 6:
-        weights = int(counts[0]) - 6
-        colours = unit_colours(columns(values, counts, 3 + weights, 6 + weights))
-    faces, faces_text = _faces(file, content, lines, len(vertices))
-    if not len(faces) and not content.endswith(b"\n"):
-        raise truncated(file, "it ends within a line, before the first face")
-    if not content.endswith(b"\n"):
-        unused = len(vertices) - len(np.unique(faces))
-        if unused > CUT_SHARE * len(vertices):
-            raise truncated(
-                file, f"it ends without a line end and {unused} vertices are in no face"
-            )
-    return Mesh(
-        vertices=vertices,
-        faces=faces,
-        normals=_normals(lines, len(vertices), faces_text),
-        colours=colours,
-        empty_groups=_empty_groups(lines),
-    )
-
-
-def _faces(file: str, content: bytes, lines: list[bytes], vertices: int) -> tuple[Ints, bytes]:
-    """Return the triangles (f, 3) and the text they came from."""
-    text = b"\n".join(line[2:] for line in lines if line.startswith(FACE))
+def _triangles(lines: list[bytes], text: bytes, vertices: int) -> Ints | None:
+    """Return the triangles (f, 3) of face lines' ``text``; None if there is a fault in it."""
     if not text:
-        return np.zeros((0, 3), np.int64), text
-    parsed = numbers_by_row(re.sub(rb"/\S*", b"", text) if b"/" in text else text)
+        return NO_FACES
+    parsed = whole_numbers_by_row(re.sub(rb"/\S*", b"", text) if b"/" in text else text)
     if parsed is None:
-        raise _named(file, content)
-    numbers, counts = parsed[0].astype(np.int64), parsed[1]
-    if (numbers < 0).any():
+        return None
+    numbers, counts = parsed
+    if counts.min() < 3 or numbers.max() > vertices:
+        return None
+    if numbers.min() < 0:
         before = np.repeat(_vertices_before_faces(lines), counts)
         numbers = np.where(numbers < 0, numbers + before + 1, numbers)
-    if counts.min() < 3 or numbers.min() < 1 or numbers.max() > vertices:
-        raise _named(file, content)
-    return fan(numbers - 1, counts), text
+    return fan(numbers - 1, counts) if numbers.min() >= 1 else None
 
 
 def _vertices_before_faces(lines: list[bytes]) -> Ints:
@@ -165,6 +122,17 @@ def _vertices_before_faces(lines: list[bytes]) -> Ints:
     is_vertex = np.array([line.startswith(VERTEX) for line in lines])
     is_face = np.array([line.startswith(FACE) for line in lines])
     return np.asarray(np.cumsum(is_vertex)[is_face], np.int64)
+
+
+def _check_end(file: str, faces: Ints, vertices: int) -> None:
+    """Raise ``scan.truncated`` if a file without a last line end lacks too much to be whole."""
+    if not len(faces):
+        raise truncated_error(file, "it ends within a line, before the first face")
+    unused = vertices - len(np.unique(faces))
+    if unused > MOST_UNUSED * vertices:
+        raise truncated_error(
+            file, f"it ends without a line end and {unused} vertices are in no face"
+        )
 
 
 def _normals(lines: list[bytes], vertices: int, faces_text: bytes) -> Floats | None:
@@ -181,27 +149,98 @@ def _normals(lines: list[bytes], vertices: int, faces_text: bytes) -> Floats | N
 
 def _empty_groups(lines: list[bytes]) -> tuple[str, ...]:
     """Return the names of groups and objects that end up without a single face."""
-    named: dict[str, bool] = {}
+    has_faces: dict[str, bool] = {}
     current: dict[bytes, list[str]] = {}
     for line in lines:
         if line.startswith(GROUP):
             kind, *words = line.split()
             current[kind] = [word.decode("utf-8", "replace")[:60] for word in words]
             for name in current[kind]:
-                named.setdefault(name, False)
+                has_faces.setdefault(name, False)
         elif current and line.startswith(FACE):
-            named |= dict.fromkeys((name for names in current.values() for name in names), True)
-    return tuple(name for name, has_faces in named.items() if not has_faces)
+            has_faces |= dict.fromkeys((name for names in current.values() for name in names), True)
+    return tuple(name for name, filled in has_faces.items() if not filled)
 
 
-def _named(file: str, content: bytes) -> Exception:
-    """Return the fault with its line; a broken last line without an end is a cut."""
+# Line by line, for a file that is known to have a fault: which line, and what is wrong there.
+
+
+def _find_fault(file: str, content: bytes, strict: bool) -> InputError:
+    """Return the first fault; in a lenient reading a broken last line without an end is a cut."""
     last = content.count(b"\n") + 1
     try:
-        read_obj(file, content)
-    except ValueError as error:
-        context = getattr(error, "context", {})
-        if context.get("line") == last and not content.endswith(b"\n"):
-            return truncated(file, f"line {last}, the last, is not whole", line=last)
-        return error
-    return unreadable(file, "not a valid OBJ file")
+        _check_lines(file, content, strict)
+    except InputError as error:
+        if strict or error.context.get("line") != last or content.endswith(b"\n"):
+            return error
+        return truncated_error(file, f"line {last}, the last, is not whole", line=last)
+    return unreadable_error(file, "not a valid OBJ file")
+
+
+def _check_lines(file: str, content: bytes, strict: bool) -> None:
+    """Raise what is wrong with the first faulty line, or with the highest vertex number."""
+    count, highest, highest_line = 0, 0, 0
+    for line, row in _numbered_lines(content, strict):
+        if row.startswith(VERTEX):
+            _check_vertex(file, line, row, count, strict)
+            count += 1
+        elif row.startswith(FACE):
+            index = _highest_index(file, line, row, count)
+            if index > highest:
+                highest, highest_line = index, line
+        elif strict and row.rstrip().endswith(b"\\"):
+            raise unsupported_error(file, "continued lines are not supported", line=line)
+    if count == 0:
+        raise empty_error(file)
+    if highest > count:
+        raise truncated_error(
+            file,
+            f"line {highest_line} uses vertex {highest}, but there are {count}",
+            line=highest_line,
+            expected=highest,
+            found=count,
+        )
+
+
+def _numbered_lines(content: bytes, strict: bool) -> Iterator[tuple[int, bytes]]:
+    """Yield lines with their numbers; continued ones joined, under the first's, unless strict."""
+    start, joined = 0, b""
+    for line, row in enumerate(content.split(b"\n"), start=1):
+        start, joined = (start, joined + b" " + row) if joined else (line, row)
+        if not strict and (head := joined.removesuffix(b"\r")).endswith(b"\\"):
+            joined = head[:-1] or b" "
+            continue
+        yield start, joined
+        joined = b""
+
+
+def _check_vertex(file: str, line: int, row: bytes, vertex: int, strict: bool) -> None:
+    words = row.split()[1:]
+    if len(words) not in NUMBERS_PER_VERTEX:
+        raise unreadable_error(
+            file, f"a vertex needs 3 numbers, found {len(words)}", line=line, vertex=vertex
+        )
+    numbers = parse_numbers(row[2:])
+    if numbers is None:
+        found = b" ".join(words).decode("ascii", "replace")[:60]
+        raise unreadable_error(
+            file, f"not three numbers: {found!r}", line=line, vertex=vertex, found=found
+        )
+    if strict and not all(map(math.isfinite, numbers[:3])):
+        raise not_finite_error(file, vertex, tuple(numbers[:3]), line=line)
+
+
+def _highest_index(file: str, line: int, row: bytes, vertices: int) -> int:
+    """Return the highest vertex number (counted from 1) that a face uses."""
+    words = row.split()[1:]
+    if len(words) < 3:
+        raise unreadable_error(file, f"a face needs 3 vertices, found {len(words)}", line=line)
+    try:
+        numbers = [int(word.partition(b"/")[0]) for word in words]
+    except ValueError:
+        reason = "a face holds what is not a vertex number"
+        raise unreadable_error(file, reason, line=line) from None
+    if 0 in numbers or min(numbers) < -vertices:
+        reason = f"a face uses vertex {min(numbers)}, which is none"
+        raise unreadable_error(file, reason, line=line)
+    return max(numbers)

@@ -1,26 +1,24 @@
-"""PLY (ascii and binary), read strictly: only the vertex element, in the order of the file."""
+"""PLY, ascii and binary: vertices with normals, colours and confidence, and polygons."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from solver.meshio.rows import (
-    NO_FACES,
-    Mesh,
-    empty,
-    fan,
-    not_finite,
-    numbers_by_row,
-    truncated,
-    unit_colours,
-    unreadable,
-    unsupported,
+from solver.errors import InputError
+from solver.meshio.faults import (
+    empty_error,
+    not_finite_error,
+    truncated_error,
+    unreadable_error,
+    unsupported_error,
 )
+from solver.meshio.mesh import NO_FACES, Mesh, fan, numbers_by_row, parse_numbers, unit_colours
 from solver.surface import Floats, Ints, Surface
 
 TYPES = {
@@ -34,8 +32,16 @@ TYPES = {
     **dict.fromkeys(("double", "float64"), "f8"),
 }
 BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
-MAX_HEADER_LINES = 1000
-MAX_DIGITS = 12
+PLACE, NORMAL, COLOUR = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")
+CONFIDENCE = "confidence"
+INDEX_NAMES = ("vertex_indices", "vertex_index")
+
+MAX_HEADER_LINES = 1000  # so that a binary file without end_header is not searched to its end
+MAX_DIGITS = 12  # of a count
+
+Columns = dict[str, Floats]
+Polygons = tuple[Ints, Ints]  # all corners one after the other, and how many each polygon has
+Rows = tuple[Columns, dict[str, Polygons]]
 
 
 @dataclass
@@ -53,7 +59,7 @@ class Element:
 
     @property
     def has_list(self) -> bool:
-        """Return whether rows differ in length."""
+        """Tell whether rows differ in length."""
         return bool(self.items)
 
     def row_type(self, byte_order: str) -> np.dtype:
@@ -61,55 +67,81 @@ class Element:
         return np.dtype([(name, byte_order + code) for name, code in self.properties])
 
 
-def read_ply(file: str, content: bytes, also: str | None = None) -> Floats:
-    """Return the vertices (n, 3) of PLY ``content``; ``file`` names it in errors.
+def read_ply(file: str, content: bytes, *, strict: bool = False) -> Mesh:
+    """Return the mesh of PLY ``content``; without faces it is a point cloud.
 
-    Where the vertices have the property ``also``, it is the fourth column.
+    Parameters
+    ----------
+    file
+        The file's name, for errors.
+    content
+        Its bytes.
+    strict
+        For registered scans: the vertices must be the first element, without lists, and nothing
+        else is read; in text they must be finite. Otherwise blank lines of text do not count.
+
+    Raises
+    ------
+    InputError
+        ``scan.empty``, ``scan.unreadable``, ``scan.truncated``, ``scan.format`` or ``scan.nan``,
+        with the ``line`` of the fault in text.
     """
-    form, elements, body, body_line = read_header(file, content)
-    vertices = elements[0] if elements else Element("", 0)
-    if vertices.name != "vertex" or vertices.has_list:
-        raise unsupported(file, "the first element must be 'vertex', without list properties")
-    if vertices.count == 0:
-        raise empty(file)
-    names = [name for name, _ in vertices.properties]
-    if not {"x", "y", "z"} <= set(names):
-        raise unreadable(file, "the vertices have no x, y and z")
-    wanted = [*"xyz", also] if also in names else [*"xyz"]
+    form, elements, start = read_header(file, content)
+    if strict and (not elements or elements[0].name != "vertex" or elements[0].has_list):
+        reason = "the first element must be 'vertex', without list properties"
+        raise unsupported_error(file, reason)
+    body: _AsciiBody | _BinaryBody
     if form == "ascii":
-        columns = [names.index(name) for name in wanted]
-        return _ascii_vertices(file, content[body:], elements, columns, body_line)
-    order = BYTE_ORDERS[form]
-    expected = sum(element.count * element.row_type(order).itemsize for element in elements)
-    if len(content) - body < expected:
-        raise truncated(
-            file,
-            f"the header announces at least {expected} bytes, {len(content) - body} follow",
-            expected=expected,
-            found=len(content) - body,
-        )
-    rows = np.frombuffer(content, vertices.row_type(order), count=vertices.count, offset=body)
-    return np.stack([rows[name] for name in wanted], axis=1).astype(np.float64)
+        body = _AsciiBody(file, content, elements, start, strict)
+    else:
+        body = _BinaryBody(file, content, elements, start, BYTE_ORDERS[form])
+    vertex: Columns = {}
+    polygons: Polygons = (np.zeros(0, np.int64), np.zeros(0, np.int64))
+    for element in elements[:1] if strict else elements:
+        if element.name == "tristrips":
+            raise unsupported_error(file, "triangle strips are not supported: export triangles")
+        scalars, lists = body.read(element)
+        if element.name == "vertex":
+            vertex = scalars
+        elif element.name == "face" and element.count:
+            index = next((name for name in INDEX_NAMES if name in lists), None)
+            if index is None:
+                raise unreadable_error(file, "the faces have no vertex_indices")
+            polygons = lists[index]
+    if not set(PLACE) <= set(vertex):
+        raise unreadable_error(file, "the vertices have no x, y and z")
+    if len(vertex["x"]) == 0:
+        raise empty_error(file)
+    if strict and isinstance(body, _AsciiBody):
+        _check_finite_rows(file, vertex, body)
+    colours = _columns(vertex, COLOUR)
+    return Mesh(
+        vertices=np.stack([vertex[name] for name in PLACE], axis=1),
+        faces=_triangles(file, polygons, len(vertex["x"])),
+        normals=_columns(vertex, NORMAL),
+        colours=None if colours is None else unit_colours(colours),
+        confidence=vertex.get(CONFIDENCE),
+    )
 
 
-def read_header(file: str, content: bytes) -> tuple[str, list[Element], int, int]:
-    """Return the format, the elements, and where the body starts (byte, line)."""
+def read_header(file: str, content: bytes) -> tuple[str, list[Element], int]:
+    """Return the format, the elements, and the byte at which the body starts."""
     form = ""
     elements: list[Element] = []
     position = 0
     for line in range(1, MAX_HEADER_LINES):
         end = content.find(b"\n", position)
         if end < 0:
-            raise truncated(file, "the header has no 'end_header'")
+            raise truncated_error(file, "the header has no 'end_header'")
         words = content[position:end].decode("ascii", "replace").split()
         position = end + 1
         if line == 1:
             if words != ["ply"]:
-                raise unreadable(file, "not a PLY file: the first line is not 'ply'", line=1)
+                raise unreadable_error(file, "not a PLY file: the first line is not 'ply'", line=1)
         elif words == ["end_header"]:
             if not form:
-                raise unreadable(file, "the header names no format", line=line)
-            return form, elements, position, line + 1
+                raise unreadable_error(file, "the header names no format", line=line)
+            return form, elements, position
         elif not words or words[0] in ("comment", "obj_info"):
             continue
         elif words[0] == "format" and len(words) == 3 and words[1] in BYTE_ORDERS:
@@ -119,8 +151,8 @@ def read_header(file: str, content: bytes) -> tuple[str, list[Element], int, int
         elif words[0] == "property" and elements:
             _add_property(file, line, elements[-1], words[1:])
         else:
-            raise unreadable(file, f"not a header line: {' '.join(words)[:60]!r}", line=line)
-    raise unreadable(file, f"the header is longer than {MAX_HEADER_LINES} lines")
+            raise unreadable_error(file, f"not a header line: {' '.join(words)[:60]!r}", line=line)
+    raise unreadable_error(file, f"the header is longer than {MAX_HEADER_LINES} lines")
 
 
 def _is_count(word: str) -> bool:
@@ -131,48 +163,240 @@ def _add_property(file: str, line: int, element: Element, words: list[str]) -> N
     is_list = words[:1] == ["list"]
     types, name = words[int(is_list) : -1], words[-1] if words else ""
     if len(types) != (2 if is_list else 1) or any(word not in TYPES for word in types):
-        raise unreadable(file, "not a property this format knows", line=line)
+        raise unreadable_error(file, "not a property this format knows", line=line)
     if is_list and TYPES[types[0]].startswith("f"):
-        raise unreadable(file, "the length of a list must be a whole number", line=line)
+        raise unreadable_error(file, "the length of a list must be a whole number", line=line)
     if any(name == other for other, _ in element.properties):
-        raise unreadable(file, f"property {name[:60]!r} appears twice", line=line)
+        raise unreadable_error(file, f"property {name[:60]!r} appears twice", line=line)
     if is_list:
         element.items[name] = TYPES[types[1]]
     element.properties.append((name, TYPES[types[0]]))
 
 
-def _ascii_vertices(
-    file: str, body: bytes, elements: list[Element], columns: list[int], first_line: int
-) -> Floats:
-    rows = body.splitlines()
-    expected = sum(element.count for element in elements)
-    if len(rows) < expected:
-        raise truncated(
-            file,
-            f"the header announces {expected} rows, {len(rows)} follow",
-            expected=expected,
-            found=len(rows),
-        )
-    vertices = np.empty((elements[0].count, len(columns)))
-    width = len(elements[0].properties)
-    for vertex in range(len(vertices)):
-        words = rows[vertex].split()
-        line = first_line + vertex
-        if len(words) != width:
-            raise unreadable(
-                file, f"{width} numbers expected, {len(words)} found", line=line, vertex=vertex
+class _BinaryBody:
+    """Reads one element after the other from a binary body."""
+
+    def __init__(
+        self, file: str, content: bytes, elements: list[Element], start: int, order: str
+    ) -> None:
+        self._file, self._content, self._position, self._order = file, content, start, order
+        expected = sum(element.count * element.row_type(order).itemsize for element in elements)
+        if len(content) - start < expected:
+            raise truncated_error(
+                file,
+                f"the header announces at least {expected} bytes, {len(content) - start} follow",
+                expected=expected,
+                found=len(content) - start,
             )
-        try:
-            vertices[vertex] = [float(words[column]) for column in columns]
-        except ValueError:
-            raise unreadable(file, "not three numbers", line=line, vertex=vertex) from None
-        if not np.isfinite(vertices[vertex]).all():
-            raise not_finite(file, vertex, tuple(vertices[vertex].tolist()), line=line)
-    return vertices
+
+    def read(self, element: Element) -> Rows:
+        """Return the columns and lists of an element."""
+        lengths = self._list_lengths(element) if element.count else {}
+        row = _row_type(element, lengths, self._order)
+        end = self._position + row.itemsize * element.count
+        if end <= len(self._content):
+            rows = np.frombuffer(self._content, row, count=element.count, offset=self._position)
+            if all((rows[_length(name)] == count).all() for name, count in lengths.items()):
+                self._position = end
+                return _table(rows, element, lengths)
+        return {}, self._read_lists(element)
+
+    def _read_lists(self, element: Element) -> dict[str, Polygons]:
+        """Return the lists of rows that differ in length."""
+        lists: dict[str, tuple[list[Ints], list[int]]] = {name: ([], []) for name in element.items}
+        for number in range(element.count):
+            lengths = self._list_lengths(element)
+            row = _row_type(element, lengths, self._order)
+            if self._position + row.itemsize > len(self._content):
+                raise truncated_error(
+                    self._file,
+                    f"{element.count} rows of {element.name!r} announced, {number} follow",
+                    expected=element.count,
+                    found=number,
+                )
+            values = np.frombuffer(self._content, row, count=1, offset=self._position)[0]
+            self._position += row.itemsize
+            for name, count in lengths.items():
+                lists[name][0].append(values[name].astype(np.int64))
+                lists[name][1].append(count)
+        return {
+            name: (np.concatenate(items), np.array(counts, np.int64))
+            for name, (items, counts) in lists.items()
+        }
+
+    def _list_lengths(self, element: Element) -> dict[str, int]:
+        """Return how many items each list of the next row has (0 behind the end).
+
+        Of a list longer than the file, only as many are counted as no longer fit in it.
+        """
+        position = self._position
+        lengths: dict[str, int] = {}
+        for name, code in element.properties:
+            kind = np.dtype(self._order + code)
+            if name in element.items:
+                value = self._content[position : position + kind.itemsize]
+                whole = len(value) == kind.itemsize
+                announced = max(int(np.frombuffer(value, kind)[0]), 0) if whole else 0
+                size = np.dtype(element.items[name]).itemsize
+                lengths[name] = min(announced, len(self._content) // size + 1)
+                position += lengths[name] * size
+            position += kind.itemsize
+        return lengths
 
 
-# Writing a mesh as binary PLY, exactly: coordinates in double precision.
+def _length(name: str) -> str:
+    return f"number of {name}"
 
+
+def _row_type(element: Element, lengths: dict[str, int], order: str) -> np.dtype:
+    fields: list[tuple[Any, ...]] = []
+    for name, code in element.properties:
+        if name in lengths:
+            fields.append((_length(name), order + code))
+            fields.append((name, order + element.items[name], (lengths[name],)))
+        else:
+            fields.append((name, order + code))
+    return np.dtype(fields)
+
+
+def _table(rows: np.ndarray, element: Element, lengths: dict[str, int]) -> Rows:
+    """Return the columns and lists of rows that are all of one length."""
+    scalars = {
+        name: rows[name].astype(np.float64)
+        for name, _ in element.properties
+        if name not in element.items
+    }
+    lists = {
+        name: (rows[name].astype(np.int64).ravel(), np.full(len(rows), count, np.int64))
+        for name, count in lengths.items()
+    }
+    return scalars, lists
+
+
+class _AsciiBody:
+    """Reads one element after the other from a body of text, a row a line."""
+
+    def __init__(
+        self, file: str, content: bytes, elements: list[Element], start: int, strict: bool
+    ) -> None:
+        self._file, self._content, self._start = file, content, start
+        self._every = content[start:].removesuffix(b"\n").split(b"\n")
+        self._rows = self._every if strict else [row for row in self._every if row.strip()]
+        self._position = 0
+        expected = sum(element.count for element in elements)
+        if len(self._rows) < expected:
+            raise truncated_error(
+                file,
+                f"the header announces {expected} rows, {len(self._rows)} follow",
+                expected=expected,
+                found=len(self._rows),
+            )
+
+    def line(self, row: int) -> int:
+        """Return the line of the file, from 1, in which a row stands."""
+        if self._rows is not self._every:
+            filled = (k for k, text in enumerate(self._every) if text.strip())
+            row = next(islice(filled, row, None))
+        return self._content.count(b"\n", 0, self._start) + 1 + row
+
+    def read(self, element: Element) -> Rows:
+        """Return the columns of an element, or of one with lists the first list."""
+        start, self._position = self._position, self._position + element.count
+        rows = self._rows[start : self._position]
+        width = len(element.properties)
+        if not rows:
+            return {name: np.zeros(0) for name, _ in element.properties}, {}
+        parsed = numbers_by_row(b"\n".join(rows))
+        if parsed is None:
+            raise self._fault(element, rows, start)
+        values, counts = parsed
+        if element.has_list:
+            return {}, self._read_list(element, values, counts, start)
+        if (counts != width).any():
+            raise self._fault(element, rows, start)
+        table = values.reshape(-1, width)
+        return {name: table[:, k] for k, (name, _) in enumerate(element.properties)}, {}
+
+    def _read_list(
+        self, element: Element, values: Floats, counts: Ints, start: int
+    ) -> dict[str, Polygons]:
+        name = next(iter(element.items))
+        before = [other for other, _ in element.properties].index(name)
+        starts = np.cumsum(counts) - counts + before
+        at = np.minimum(starts, len(values) - 1)
+        lengths = np.where(counts > before, values[at].astype(np.int64), -1)
+        short = (lengths < 0) | (before + 1 + lengths > counts)
+        if short.any():
+            row = start + int(np.argmax(short))
+            if row == len(self._rows) - 1 and not self._content.endswith(b"\n"):
+                raise truncated_error(self._file, "the last line is not whole", line=self.line(row))
+            reason = "a list is shorter than it says"
+            raise unreadable_error(self._file, reason, line=self.line(row))
+        items = np.repeat(starts + 1, lengths) + _count_up(lengths)
+        return {name: (values[items].astype(np.int64), lengths)}
+
+    def _fault(self, element: Element, rows: list[bytes], start: int) -> InputError:
+        """Return the fault of the first row that is not as announced."""
+        width, of_vertex = len(element.properties), element.name == "vertex"
+        for number, row in enumerate(rows):
+            words = row.split()
+            numbers = parse_numbers(row)
+            if len(words) != width and not element.has_list:
+                reason = f"{width} numbers expected, {len(words)} found"
+            elif numbers is None:
+                reason = (
+                    "not three numbers"
+                    if of_vertex
+                    else f"not a row of {element.name!r}: {row[:60]!r}"
+                )
+            else:
+                continue
+            where = {"vertex": number} if of_vertex else {}
+            return unreadable_error(self._file, reason, line=self.line(start + number), **where)
+        return unreadable_error(self._file, f"the rows of {element.name!r} are not as announced")
+
+
+def _count_up(lengths: Ints) -> Ints:
+    """Return 0, 1, ... up to each of ``lengths``, one after the other."""
+    return np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+
+
+def _triangles(file: str, polygons: Polygons, vertices: int) -> Ints:
+    corners, counts = polygons
+    if len(corners) == 0:
+        return NO_FACES
+    outside = (corners < 0) | (corners >= vertices)
+    if outside.any():
+        face = int(np.searchsorted(np.cumsum(counts), np.argmax(outside), side="right"))
+        found = int(corners[np.argmax(outside)])
+        raise unreadable_error(
+            file,
+            f"face {face} uses vertex {found}, but there are {vertices}",
+            face=face,
+            found=found,
+            expected=vertices,
+        )
+    return fan(corners, counts)
+
+
+def _columns(vertex: Columns, names: tuple[str, ...]) -> Floats | None:
+    if not set(names) <= set(vertex):
+        return None
+    return np.stack([vertex[name] for name in names], axis=1)
+
+
+def _check_finite_rows(file: str, vertex: Columns, body: _AsciiBody) -> None:
+    """Raise ``scan.nan``, with its line, for the first vertex that is not finite."""
+    names = [name for name in (*PLACE, CONFIDENCE) if name in vertex]
+    table = np.stack([vertex[name] for name in names], axis=1)
+    bad = ~np.isfinite(table).all(axis=1)
+    if bad.any():
+        number = int(np.argmax(bad))
+        found = tuple(table[number].tolist())
+        raise not_finite_error(file, number, found, line=body.line(number))
+
+
+# Writing: binary, in double precision, so that what is read back is equal.
 
 _FACE = np.dtype([("count", "u1"), ("corners", "<i4", (3,))])
 
@@ -201,241 +425,3 @@ def write_ply(path: Path, surface: Surface, values: Mapping[str, Floats] | None 
     faces = np.empty(len(surface.faces), dtype=_FACE)
     faces["count"], faces["corners"] = 3, surface.faces
     path.write_bytes(header.encode() + vertices.tobytes() + faces.tobytes())
-
-
-# PLY (ascii and binary) as a raw scan: vertices, normals, colours and polygons.
-
-
-INDEX_NAMES = ("vertex_indices", "vertex_index")
-NORMAL, COLOUR = ("nx", "ny", "nz"), ("red", "green", "blue")
-Columns = dict[str, Floats]
-Polygons = tuple[Ints, Ints]
-
-
-def read_raw_ply(file: str, content: bytes) -> Mesh:
-    """Return the mesh of PLY ``content``; without faces it is a point cloud."""
-    form, elements, body, body_line = read_header(file, content)
-    read = _ascii_reader if form == "ascii" else _binary_reader
-    element_rows = read(file, content, body, body_line, BYTE_ORDERS[form])
-    vertex: Columns = {}
-    polygons: Polygons = (np.zeros(0, np.int64), np.zeros(0, np.int64))
-    for element in elements:
-        if element.name == "tristrips":
-            raise unsupported(file, "triangle strips are not supported: export triangles")
-        scalars, lists = element_rows(element)
-        if element.name == "vertex":
-            vertex = scalars
-        elif element.name == "face" and element.count:
-            index = next((name for name in INDEX_NAMES if name in lists), None)
-            if index is None:
-                raise unreadable(file, "the faces have no vertex_indices")
-            polygons = lists[index]
-    if not {"x", "y", "z"} <= set(vertex):
-        raise unreadable(file, "the vertices have no x, y and z")
-    if len(vertex["x"]) == 0:
-        raise empty(file)
-    return Mesh(
-        vertices=np.stack([vertex[name] for name in "xyz"], axis=1),
-        faces=_triangles(file, polygons, len(vertex["x"])),
-        normals=_columns(vertex, NORMAL),
-        colours=None if COLOUR[0] not in vertex else _colours(vertex),
-    )
-
-
-RowReader = Callable[[Element], tuple[Columns, dict[str, Polygons]]]
-
-
-def _binary_reader(file: str, content: bytes, body: int, _line: int, order: str) -> RowReader:
-    """Return a reader of one element after the other from a binary body."""
-    position = body
-
-    def read(element: Element) -> tuple[Columns, dict[str, Polygons]]:
-        nonlocal position
-        lengths = _list_lengths(element, content, position, order) if element.count else {}
-        row = _row_type(element, lengths, order)
-        if position + row.itemsize * element.count <= len(content):
-            rows = np.frombuffer(content, row, count=element.count, offset=position)
-            if all((rows[_length(name)] == count).all() for name, count in lengths.items()):
-                position += row.itemsize * element.count
-                return _fixed(rows, element, lengths)
-        if not element.has_list:
-            raise truncated(
-                file,
-                f"{element.count} rows of {element.name!r} announced, "
-                f"{(len(content) - position) // row.itemsize} follow",
-                expected=element.count,
-                found=(len(content) - position) // row.itemsize,
-            )
-        lists: dict[str, tuple[list[Ints], list[int]]] = {name: ([], []) for name in element.items}
-        for number in range(element.count):
-            lengths = _list_lengths(element, content, position, order)
-            row = _row_type(element, lengths, order)
-            if position + row.itemsize > len(content):
-                raise truncated(
-                    file,
-                    f"{element.count} rows of {element.name!r} announced, {number} follow",
-                    expected=element.count,
-                    found=number,
-                )
-            values = np.frombuffer(content, row, count=1, offset=position)[0]
-            position += row.itemsize
-            for name, count in lengths.items():
-                lists[name][0].append(values[name].astype(np.int64))
-                lists[name][1].append(count)
-        return {}, {
-            name: (np.concatenate(items), np.array(counts, np.int64))
-            for name, (items, counts) in lists.items()
-        }
-
-    return read
-
-
-def _length(name: str) -> str:
-    return f"number of {name}"
-
-
-def _list_lengths(element: Element, content: bytes, position: int, order: str) -> dict[str, int]:
-    """Return how many items each list of the row at ``position`` has (0 behind the end).
-
-    Of a list longer than the file, only as many are counted as no longer fit in it.
-    """
-    lengths: dict[str, int] = {}
-    for name, code in element.properties:
-        kind = np.dtype(order + code)
-        if name in element.items:
-            value = content[position : position + kind.itemsize]
-            whole = len(value) == kind.itemsize
-            announced = max(int(np.frombuffer(value, kind)[0]), 0) if whole else 0
-            size = np.dtype(element.items[name]).itemsize
-            lengths[name] = min(announced, len(content) // size + 1)
-            position += lengths[name] * size
-        position += kind.itemsize
-    return lengths
-
-
-def _row_type(element: Element, lengths: dict[str, int], order: str) -> np.dtype:
-    fields: list[tuple[Any, ...]] = []
-    for name, code in element.properties:
-        if name in lengths:
-            fields.append((_length(name), order + code))
-            fields.append((name, order + element.items[name], (lengths[name],)))
-        else:
-            fields.append((name, order + code))
-    return np.dtype(fields)
-
-
-def _fixed(
-    rows: np.ndarray, element: Element, lengths: dict[str, int]
-) -> tuple[Columns, dict[str, Polygons]]:
-    scalars = {
-        name: rows[name].astype(np.float64)
-        for name, _ in element.properties
-        if name not in element.items
-    }
-    lists = {
-        name: (rows[name].astype(np.int64).ravel(), np.full(len(rows), count, np.int64))
-        for name, count in lengths.items()
-    }
-    return scalars, lists
-
-
-def _ascii_reader(file: str, content: bytes, body: int, line: int, _order: str) -> RowReader:
-    """Return a reader of one element after the other from an ascii body."""
-    lines = [row for row in content[body:].split(b"\n") if row.strip()]
-    position = 0
-
-    def read(element: Element) -> tuple[Columns, dict[str, Polygons]]:
-        nonlocal position
-        rows = lines[position : position + element.count]
-        if len(rows) < element.count:
-            raise truncated(
-                file,
-                f"{element.count} rows of {element.name!r} announced, {len(rows)} follow",
-                expected=element.count,
-                found=len(rows),
-            )
-        if not rows:
-            return {name: np.zeros(0) for name, _ in element.properties}, {}
-        first_line, position = line + position, position + element.count
-        parsed = numbers_by_row(b"\n".join(rows))
-        at_end = position == len(lines) and not content.endswith(b"\n")
-        if parsed is None:
-            raise _named(file, content, element, rows, first_line)
-        values, counts = parsed
-        if not element.has_list:
-            width = len(element.properties)
-            if (counts != width).any():
-                raise _named(file, content, element, rows, first_line)
-            table = values.reshape(-1, width)
-            return {name: table[:, k] for k, (name, _) in enumerate(element.properties)}, {}
-        name = next(iter(element.items))
-        before = [other for other, _ in element.properties].index(name)
-        starts = np.cumsum(counts) - counts + before
-        if (counts <= before).any():
-            raise _named(file, content, element, rows, first_line)
-        lengths = values[starts].astype(np.int64)
-        short = (lengths < 0) | (before + 1 + lengths > counts)
-        if short.any():
-            number = int(np.argmax(short))
-            if at_end and number == len(rows) - 1:
-                raise truncated(file, "the last line is not whole", line=first_line + number)
-            raise unreadable(file, "a list is shorter than it says", line=first_line + number)
-        items = np.repeat(starts + 1, lengths) + _count_up(lengths)
-        return {}, {name: (values[items].astype(np.int64), lengths)}
-
-    return read
-
-
-def _count_up(lengths: Ints) -> Ints:
-    """Return 0, 1, ... up to each of ``lengths``, one after the other."""
-    return np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
-
-
-def _named(
-    file: str, content: bytes, element: Element, rows: list[bytes], first_line: int
-) -> Exception:
-    """Return the fault of the first row that is not as announced."""
-    if element.name == "vertex":
-        try:
-            read_ply(file, content)
-        except ValueError as error:
-            return error
-    for number, row in enumerate(rows):
-        try:
-            if len([float(word) for word in row.split()]) >= len(element.properties):
-                continue
-        except ValueError:
-            pass
-        return unreadable(
-            file, f"not a row of {element.name!r}: {row[:60]!r}", line=first_line + number
-        )
-    return unreadable(file, f"the rows of {element.name!r} are not as announced")
-
-
-def _triangles(file: str, polygons: Polygons, vertices: int) -> Ints:
-    corners, counts = polygons
-    if len(corners) == 0:
-        return NO_FACES
-    outside = (corners < 0) | (corners >= vertices)
-    if outside.any():
-        face = int(np.searchsorted(np.cumsum(counts), np.argmax(outside), side="right"))
-        found = int(corners[np.argmax(outside)])
-        raise unreadable(
-            file,
-            f"face {face} uses vertex {found}, but there are {vertices}",
-            face=face,
-            found=found,
-            expected=vertices,
-        )
-    return fan(corners, counts)
-
-
-def _columns(vertex: Columns, names: tuple[str, ...]) -> Floats | None:
-    if not set(names) <= set(vertex):
-        return None
-    return np.stack([vertex[name] for name in names], axis=1)
-
-
-def _colours(vertex: Columns) -> Floats | None:
-    colours = _columns(vertex, COLOUR)
-    return None if colours is None else unit_colours(colours)

@@ -4,20 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from solver.meshio.rows import (
-    NO_FACES,
-    Mesh,
-    columns,
-    empty,
-    numbers_by_row,
-    truncated,
-    unit_colours,
-    unreadable,
-)
+from solver.errors import InputError
+from solver.meshio.faults import empty_error, truncated_error, unreadable_error
+from solver.meshio.mesh import Mesh, columns, numbers_by_row, parse_numbers, unit_colours
 from solver.surface import Floats
 
-MAX_COLUMNS = 12
-UNIT_LENGTH = 0.02
+MAX_COLUMNS = 12  # position, intensity, normal and colour, with room for one column more or two
+UNIT_LENGTH = 0.02  # the median length of normals differs from 1 by less
 
 
 def read_xyz(file: str, content: bytes) -> Mesh:
@@ -31,35 +24,28 @@ def read_xyz(file: str, content: bytes) -> Mesh:
     first = _first_row(lines)
     rows = [line for line in lines[first:] if line.strip() and not _is_comment(line)]
     if not rows:
-        raise empty(file)
+        raise empty_error(file)
     parsed = numbers_by_row(b"\n".join(rows))
     width = len(rows[0].split())
     if parsed is None or width < 3 or (parsed[1] != width).any():
-        raise _named(file, content, lines, first, width)
+        raise _find_fault(file, content, lines, first, width)
     if width > MAX_COLUMNS:
-        raise unreadable(file, f"{width} columns: a point has x, y, z, normal and colour")
+        raise unreadable_error(file, f"{width} columns: a point has x, y, z, normal and colour")
     values, counts = parsed
-    announced = _announced(lines[:first])
+    announced = _point_count(lines[:first])
     if announced is not None and announced > len(rows):
-        raise truncated(
+        raise truncated_error(
             file,
             f"{announced} points announced, {len(rows)} follow",
             expected=announced,
             found=len(rows),
         )
     normals, colours = _attributes(columns(values, counts, 3, width))
-    return Mesh(columns(values, counts, 0, 3), NO_FACES, normals, colours)
+    return Mesh(columns(values, counts, 0, 3), normals=normals, colours=colours)
 
 
 def _is_comment(line: bytes) -> bool:
     return line.lstrip().startswith((b"#", b"//"))
-
-
-def _numbers(line: bytes) -> list[float] | None:
-    try:
-        return [float(word) for word in line.split()]
-    except ValueError:
-        return None
 
 
 def _first_row(lines: list[bytes]) -> int:
@@ -68,7 +54,7 @@ def _first_row(lines: list[bytes]) -> int:
     for number, line in enumerate(lines):
         if not line.strip() or _is_comment(line):
             continue
-        values = _numbers(line)
+        values = parse_numbers(line)
         if values is not None and len(values) >= 3:
             return number
         headings += 1
@@ -77,7 +63,7 @@ def _first_row(lines: list[bytes]) -> int:
     return len(lines)
 
 
-def _announced(heading: list[bytes]) -> int | None:
+def _point_count(heading: list[bytes]) -> int | None:
     counts = [line.strip() for line in heading if line.strip().isdigit()]
     return int(counts[0]) if counts else None
 
@@ -98,18 +84,21 @@ def _attributes(rest: Floats) -> tuple[Floats | None, Floats | None]:
     return normals, colours
 
 
-def _named(file: str, content: bytes, lines: list[bytes], first: int, width: int) -> Exception:
+def _find_fault(
+    file: str, content: bytes, lines: list[bytes], first: int, width: int
+) -> InputError:
     """Return the fault of the first line that is not ``width`` numbers."""
     for number, line in enumerate(lines[first:], start=first + 1):
         if not line.strip() or _is_comment(line):
             continue
-        values = _numbers(line)
+        values = parse_numbers(line)
         if values is not None and len(values) == width >= 3:
             continue
         if number == len(lines) and not content.endswith(b"\n"):
-            return truncated(file, f"line {number}, the last, is not whole", line=number)
+            return truncated_error(file, f"line {number}, the last, is not whole", line=number)
         if values is None:
-            return unreadable(file, "not a row of numbers", line=number)
+            return unreadable_error(file, "not a row of numbers", line=number)
         expected = max(width, 3)
-        return unreadable(file, f"{expected} numbers expected, {len(values)} found", line=number)
-    return unreadable(file, "not a list of points")
+        reason = f"{expected} numbers expected, {len(values)} found"
+        return unreadable_error(file, reason, line=number)
+    return unreadable_error(file, "not a list of points")

@@ -12,7 +12,7 @@ import numpy as np
 from solver.errors import InputError, Notice
 from solver.fitting import target_checks
 from solver.fitting.objective import Target
-from solver.meshio.read import RegisteredScan
+from solver.meshio.registered import RegisteredScan
 from solver.model import SubjectModel
 from solver.progress import Progress, Step
 from solver.rig.result import ExpressionFit

@@ -29,7 +29,7 @@ from solver.fitting.target_checks import (
 )
 from solver.mechanics.flesh import IDENTITY
 from solver.mechanics.linear import fastest
-from solver.meshio.read import RegisteredScan, read_registered
+from solver.meshio.registered import RegisteredScan, read_registered
 from solver.model import SubjectModel
 from solver.pipeline.common import (
     Distance,

@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 
 from solver.anatomy.build import build_subject_model, model_summary
-from solver.anatomy.meshing import meshed
+from solver.anatomy.meshing import find_or_make_mesh
 from solver.anatomy.template import Template
-from solver.meshio.read import read_registered
+from solver.meshio.registered import read_registered
 from solver.pipeline.common import Options, take, within
 from solver.progress import Progress, Step, silent
 from solver.rig.pictures import anatomy_picture, fibres_picture, tets_picture
@@ -36,7 +36,9 @@ def build_model(
     progress(Step("read", 0.0, message=neutral.name))
     anatomy = builtin_template() if template is None else Template.load(template)
     vertices = read_registered(neutral, anatomy.skin.faces, len(anatomy.skin.vertices)).vertices
-    anatomy = meshed(anatomy, given["edge_mm"], lambda step: progress(within(step, 0.02, 0.7)))
+    anatomy = find_or_make_mesh(
+        anatomy, given["edge_mm"], lambda step: progress(within(step, 0.02, 0.7))
+    )
     model = build_subject_model(
         anatomy,
         vertices,

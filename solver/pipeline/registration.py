@@ -7,7 +7,8 @@ import os
 from pathlib import Path
 
 from solver.anatomy.template import Template
-from solver.meshio.read import read_raw, read_registered, write_registered
+from solver.meshio.raw import read_raw
+from solver.meshio.registered import read_registered, write_registered
 from solver.pipeline.common import Options, take
 from solver.progress import Progress, Step, silent
 from solver.registration.landmarks import (

@@ -18,8 +18,7 @@ from solver.fitting.objective import Target
 from solver.fitting.sequence import Tracker, stillness
 from solver.fitting.target_checks import check_held
 from solver.mechanics.linear import fastest
-from solver.meshio.plausible import MAX_MEDIAN_MOTION_MM
-from solver.meshio.read import RegisteredScan
+from solver.meshio.registered import PLAUSIBLE, RegisteredScan
 from solver.model import SubjectModel
 from solver.pipeline.common import (
     Distance,
@@ -331,7 +330,7 @@ def _check_place(source: Performance, number: int, model: SubjectModel) -> None:
     scan = source.frame(number)
     away = np.linalg.norm(scan.vertices - model.skin.vertices[model.face], axis=1)
     away = away[scan.confidence > 0]
-    if len(away) and np.median(away) > MAX_MEDIAN_MOTION_MM:
+    if len(away) and np.median(away) > PLAUSIBLE.median_motion_mm:
         raise InputError(
             "performance.misaligned",
             f"{source.name}, frame {number}: the points lie {np.median(away):.0f} mm off the "

@@ -18,8 +18,8 @@ import numpy as np
 from solver.anatomy.template import Template
 from solver.anatomy.warp import similarity
 from solver.drawing.render import (
-    Body,
     Camera,
+    DrawnBody,
     Lit,
     Pixels,
     Visible,
@@ -277,7 +277,7 @@ def find_landmarks(scan: Surface, face: Floats, model: Path) -> Points:
     """
     landmarker = _landmarker(model)
     low, high = face.min(axis=0), face.max(axis=0)
-    body = Body(Lit(scan), np.broadcast_to(GREY, scan.vertices.shape))
+    body = DrawnBody(Lit(scan), np.broadcast_to(GREY, scan.vertices.shape))
     seen: dict[str, list[Floats]] = {}
     for yaw in YAWS:
         camera = Camera((low + high) / 2, span=1.6 * float(high[1] - low[1]), yaw=yaw)

@@ -9,11 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from solver.meshio.read import RawScan
-from solver.meshio.rows import (
-    alike,
-    weld,
-)
+from solver.meshio.mesh import alike, weld
+from solver.meshio.raw import RawScan
 from solver.surface import Floats, Ints, area_normals
 
 FLAT = 1e-7

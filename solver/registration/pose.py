@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from solver.anatomy.template import Template
 from solver.anatomy.warp import similarity, spread
 from solver.errors import InputError
-from solver.meshio.read import RawScan
+from solver.meshio.raw import RawScan
 from solver.registration.mend import (
     Samples,
     sample,

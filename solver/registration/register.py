@@ -12,8 +12,8 @@ import numpy as np
 from solver.anatomy.template import Template
 from solver.anatomy.warp import similarity
 from solver.errors import InputError
-from solver.meshio.read import RawScan
-from solver.meshio.rows import empty
+from solver.meshio.faults import empty_error
+from solver.meshio.raw import RawScan
 from solver.progress import Progress, Step, silent
 from solver.registration.confidence import Trust, head_motion, trust
 from solver.registration.landmarks import find_landmarks, landmark_vertices
@@ -71,7 +71,7 @@ def start_by_shape(raw: RawScan, patch: FacePatch, frame: Mapping[str, Any]) -> 
     """
     upright = (_axis(frame, "up"), _axis(frame, "forward"))
     if not len(raw.vertices):
-        raise empty(raw.file)
+        raise empty_error(raw.file)
     best: tuple[float, float, ScanSurface, Similarity] | None = None
     likely, others = _factors(raw, str(frame["unit"]))
     for factors in (likely, others):

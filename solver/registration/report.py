@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from solver.drawing.head import Head
-from solver.drawing.page import HEADER, Page
-from solver.drawing.render import Body, Camera, Lit, render
+from solver.drawing.head import DrawnHead
+from solver.drawing.page import HEADER, Sheet
+from solver.drawing.render import Camera, DrawnBody, Lit, render
 from solver.registration.register import Registration
 from solver.registration.scan_surface import ScanSurface
 from solver.registration.topology import Topology
@@ -150,7 +150,7 @@ DOT_MM = 1.2
 def distance_picture(registered: Registration, topology: Topology, path: Path) -> None:
     """Draw scan, registration and distance side by side, from the front and both sides."""
     scan, skin, trust = registered.start.scan, registered.skin, registered.trust
-    head = Head(topology.template.skin)
+    head = DrawnHead(topology.template.skin)
     lit = head.lit(skin.vertices)
     raw = _scan_body(scan, registered.motion(scan.vertices))
     columns = {
@@ -158,7 +158,7 @@ def distance_picture(registered: Registration, topology: Topology, path: Path) -
         "registered": head.body(lit),
         "distance": head.heat_map(lit, trust.distance_mm),
     }
-    page = Page(len(columns) * CELL[0], HEADER + TITLE + len(VIEWS) * CELL[1] + 72)
+    page = Sheet(len(columns) * CELL[0], HEADER + TITLE + len(VIEWS) * CELL[1] + 72)
     seen = topology.face[trust.covered[topology.face]]
     distance = trust.distance_mm[seen]
     page.heading(
@@ -182,11 +182,11 @@ def _camera(face: Floats, yaw: float) -> Camera:
     return Camera(centre, span=1.4 * float(high[1] - low[1]), yaw=yaw)
 
 
-def _scan_body(scan: ScanSurface, vertices: Floats) -> Body:
+def _scan_body(scan: ScanSurface, vertices: Floats) -> DrawnBody:
     surface = Surface(vertices, scan.faces)
     if not len(scan.faces):
         surface = _dots(vertices)
-    return Body(Lit(surface), np.broadcast_to(GREY, surface.vertices.shape))
+    return DrawnBody(Lit(surface), np.broadcast_to(GREY, surface.vertices.shape))
 
 
 def _dots(points: Floats) -> Surface:

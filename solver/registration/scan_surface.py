@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from solver.errors import InputError
-from solver.meshio.read import RawScan
+from solver.meshio.raw import RawScan
 from solver.surface import (
     Floats,
     Ints,

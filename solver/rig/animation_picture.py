@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from solver.drawing.head import Head
+from solver.drawing.head import DrawnHead
 from solver.drawing.page import MARGIN
-from solver.drawing.render import Body, Lit, Pixels, faded, render
+from solver.drawing.render import DrawnBody, Lit, Pixels, fade, render
 from solver.drawing.sheet import Column, SheetLayout, draw_sheet
 from solver.model import SubjectModel
 from solver.rig.edit_report import EditedPerson
@@ -26,7 +26,7 @@ class Filming:
     """Draws a subject's skins, one like the other: all from where the neutral is seen."""
 
     def __init__(self, model: SubjectModel) -> None:
-        self._head = Head(model.skin)
+        self._head = DrawnHead(model.skin)
         self._cameras = {
             yaw: face_camera(model.skin.vertices, model.face, yaw) for yaw in (0.0, THREE_QUARTER)
         }
@@ -51,7 +51,7 @@ class Filming:
         """
         body = self._head.body(self._head.lit(skin, light))
         shown = [body, *(_glass(each) for each in objects)]
-        return faded(render(shown, self._cameras[yaw], *size))
+        return fade(render(shown, self._cameras[yaw], *size))
 
 
 @dataclass(frozen=True)
@@ -79,8 +79,10 @@ def contact_sheet(
     draw_sheet(path, title, detail, ("", ""), columns, layout, scale_mm=None)
 
 
-def _glass(surface: Surface) -> Body:
-    return Body(Lit(surface), np.tile(OBJECT, (len(surface.vertices), 1)), opacity=OBJECT_OPACITY)
+def _glass(surface: Surface) -> DrawnBody:
+    return DrawnBody(
+        Lit(surface), np.tile(OBJECT, (len(surface.vertices), 1)), opacity=OBJECT_OPACITY
+    )
 
 
 # A sheet of an edited person: before, after, and how far the skin has moved.
@@ -103,7 +105,7 @@ def edit_picture(person: EditedPerson, title: str, detail: str, path: Path) -> N
     moved = [np.linalg.norm(after - before, axis=1) for _, _, before, after in views]
     model = person.unedited
     most = _scale_end(np.concatenate([each[model.face] for each in moved]))
-    head_before, head_after = Head(model.skin), Head(person.edited.model.skin)
+    head_before, head_after = DrawnHead(model.skin), DrawnHead(person.edited.model.skin)
     layout = SheetLayout()
     columns = []
     for (name, yaw, before, after), motion in zip(views, moved, strict=True):
@@ -115,7 +117,7 @@ def edit_picture(person: EditedPerson, title: str, detail: str, path: Path) -> N
         )
         camera = face_camera(model.skin.vertices, model.face, yaw)
         columns.append(
-            Column(name, [faded(render([body], camera, *layout.cell)) for body in bodies])
+            Column(name, [fade(render([body], camera, *layout.cell)) for body in bodies])
         )
     draw_sheet(path, title, detail, ("Before", "After", "Moved"), columns, layout, most)
 
@@ -160,7 +162,7 @@ def sequence_picture(
     model: SubjectModel, shots: Sequence[SequenceShot], title: str, detail: str, path: Path
 ) -> None:
     """Draw the frames in columns: seen, fitted, error in mm; heads without their motion."""
-    head = Head(model.skin)
+    head = DrawnHead(model.skin)
     camera = face_camera(model.skin.vertices, model.face, 0.0)
     layout = SheetLayout()
     columns = []
@@ -171,7 +173,7 @@ def sequence_picture(
             head.body(solved),
             head.heat_map(solved, shot.error_mm),
         )
-        images = [faded(render([body], camera, *layout.cell)) for body in bodies]
+        images = [fade(render([body], camera, *layout.cell)) for body in bodies]
         caption = f"frame {shot.frame.frame}, mean {shot.frame.mean_mm:.2f} mm"
         columns.append(Column(caption, images))
     draw_sheet(path, title, detail, ("Seen", "Fit", "Error"), columns, layout)

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from solver.anatomy.template import Template
-from solver.drawing.head import BONE, FAT, GAMMA, Head, both_sides, linear, muscle_colours
-from solver.drawing.page import HEADER, INK, MARGIN, Colour, Page, swatch_columns, swatch_height
-from solver.drawing.render import Body, Camera, Lit, faded, render
+from solver.drawing.head import COLOURS, DrawnHead, both_sides, linear, muscle_colours
+from solver.drawing.page import HEADER, INK, MARGIN, Colour, Sheet, swatch_columns, swatch_height
+from solver.drawing.render import GAMMA, Camera, DrawnBody, Lit, fade, render
 from solver.model import SubjectModel
 from solver.rig.result import ExpressionFit
 from solver.surface import Floats, Ints, Surface, vertex_normals
@@ -94,7 +94,7 @@ THREE_QUARTER, SECTION, SIDE = np.radians(38.0), np.radians(62.0), np.radians(88
 def fit_picture(model: SubjectModel, fit: ExpressionFit, path: Path) -> None:
     """Draw scan, fit and error (mm, on ``model.face``) side by side, from two cameras."""
     error = fit.measured_error(model.face)
-    head = Head(model.skin)
+    head = DrawnHead(model.skin)
     scan, solved = head.lit(fit.target), head.lit(fit.skin)
     bodies = {
         "Scan": head.body(scan),
@@ -102,7 +102,7 @@ def fit_picture(model: SubjectModel, fit: ExpressionFit, path: Path) -> None:
         "Error": head.heat_map(solved, fit.error_mm),
     }
     cell, footer = (WIDTH // 3, 520), 64
-    page = Page(WIDTH, HEADER + 2 * cell[1] + footer)
+    page = Sheet(WIDTH, HEADER + 2 * cell[1] + footer)
     page.heading(
         fit.name.replace("_", " "),
         f"{ROLES.get(fit.role, fit.role)}    mean {error.mean():.2f} mm    "
@@ -111,7 +111,7 @@ def fit_picture(model: SubjectModel, fit: ExpressionFit, path: Path) -> None:
     for column, (title, body) in enumerate(bodies.items()):
         left = column * cell[0]
         for row, yaw in enumerate((0.0, THREE_QUARTER)):
-            image = faded(render([body], face_camera(model.skin.vertices, model.face, yaw), *cell))
+            image = fade(render([body], face_camera(model.skin.vertices, model.face, yaw), *cell))
             page.panel((left, HEADER + row * cell[1]), image)
         page.text((left + cell[0] // 2, HEADER), title, 20, anchor="ma")
     page.scale((WIDTH - cell[0] + 60, HEADER + 2 * cell[1] + 12), cell[0] - 130)
@@ -153,7 +153,7 @@ def template_picture(template: Template, path: Path) -> None:
 
 def _draw_anatomy(anatomy: _Anatomy, path: Path, title: str, detail: str) -> None:
     palette = muscle_colours(tuple(anatomy.muscles))
-    head = Head(anatomy.skin)
+    head = DrawnHead(anatomy.skin)
     lit = head.lit(anatomy.skin.vertices)
     inside = _inside(anatomy, palette, head.body(lit, np.vstack([head.eyes, head.teeth])))
     glass = head.body(lit, head.skin, opacity=0.1)
@@ -195,7 +195,7 @@ def tets_picture(model: SubjectModel, path: Path) -> None:
         "Tetrahedra",
         f"{len(model.tets)} tets, {len(model.rest)} vertices; colour: muscle with the greatest "
         "share, fat where none has any",
-        {**palette, "fat and passive flesh": _srgb(FAT)},
+        {**palette, "fat and passive flesh": _srgb(COLOURS["fat"])},
     )
 
 
@@ -203,17 +203,17 @@ def _views_with_legend(
     path: Path,
     skin: Floats,
     face: Ints,
-    views: list[tuple[str, float, list[Body]]],
+    views: list[tuple[str, float, list[DrawnBody]]],
     title: str,
     detail: str,
     legend: dict[str, Colour],
 ) -> None:
     cell = (WIDTH // len(views), 640)
     rows = -(-len(legend) // swatch_columns(WIDTH - 2 * MARGIN))
-    page = Page(WIDTH, HEADER + cell[1] + 48 + rows * swatch_height() + MARGIN)
+    page = Sheet(WIDTH, HEADER + cell[1] + 48 + rows * swatch_height() + MARGIN)
     page.heading(title, detail)
     for column, (name, yaw, bodies) in enumerate(views):
-        image = faded(render(bodies, face_camera(skin, face, yaw), *cell))
+        image = fade(render(bodies, face_camera(skin, face, yaw), *cell))
         page.panel((column * cell[0], HEADER), image)
         place = (column * cell[0] + cell[0] // 2, HEADER + cell[1] + 6)
         page.text(place, name, 17, anchor="ma")
@@ -231,12 +231,12 @@ def face_camera(skin: Floats, face: Ints, yaw: float) -> Camera:
     return Camera(centre, span=1.62 * height, yaw=yaw)
 
 
-def _inside(anatomy: _Anatomy, palette: dict[str, Colour], organs: Body) -> Body:
+def _inside(anatomy: _Anatomy, palette: dict[str, Colour], organs: DrawnBody) -> DrawnBody:
     """Return bones, muscles, and the eyes and teeth of ``organs`` as one body."""
     used, numbers = np.unique(organs.drawn.faces, return_inverse=True)
     eyes_and_teeth = Surface(organs.drawn.vertices[used], numbers.reshape(-1, 3).astype(np.int64))
     pieces = [(eyes_and_teeth, organs.colour[used])]
-    pieces += [(bone, np.array([BONE])) for bone in anatomy.bones.values()]
+    pieces += [(bone, np.array([COLOURS["bone"]])) for bone in anatomy.bones.values()]
     for name, muscle in anatomy.muscles.items():
         pieces.append((muscle, linear(np.array([palette[both_sides(name)]]))))
     counts = [len(piece.vertices) for piece, _ in pieces]
@@ -246,7 +246,7 @@ def _inside(anatomy: _Anatomy, palette: dict[str, Colour], organs: Body) -> Body
         np.vstack([piece.faces + start for (piece, _), start in zip(pieces, starts, strict=True)]),
     )
     colour = [np.broadcast_to(colour, piece.vertices.shape) for piece, colour in pieces]
-    return Body(Lit(surface), np.vstack(colour))
+    return DrawnBody(Lit(surface), np.vstack(colour))
 
 
 def _tet_colours(model: SubjectModel, palette: dict[str, Colour]) -> Floats:
@@ -257,10 +257,10 @@ def _tet_colours(model: SubjectModel, palette: dict[str, Colour]) -> Floats:
     passive = np.asarray(model.weights[:, [0]].todense())
     active = linear(np.array(by_muscle))[main]
     strength = np.where(passive < 1, 0.55 + 0.45 * (1 - passive), 0.0)
-    return np.asarray(strength * active + (1 - strength) * np.array(FAT))
+    return np.asarray(strength * active + (1 - strength) * np.array(COLOURS["fat"]))
 
 
-def _tet_body(model: SubjectModel, keep: np.ndarray, colour: Floats) -> Body:
+def _tet_body(model: SubjectModel, keep: np.ndarray, colour: Floats) -> DrawnBody:
     """Return the outside of the kept tets, every triangle flat and in its tet's colour."""
     tets = model.tets[keep]
     faces = tets[:, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]].reshape(-1, 3)
@@ -272,7 +272,7 @@ def _tet_body(model: SubjectModel, keep: np.ndarray, colour: Floats) -> Body:
     corners = model.rest[faces[outside]].reshape(-1, 3)
     triangles: Ints = np.arange(len(corners)).reshape(-1, 3)
     shades = np.repeat(colour[owner[outside]], 3, axis=0)
-    return Body(Lit(Surface(corners, triangles)), shades, gloss=0.0, edges=True)
+    return DrawnBody(Lit(Surface(corners, triangles)), shades, gloss=0.0, edges=True)
 
 
 def _srgb(colour: Colour) -> Colour:
@@ -295,7 +295,7 @@ def skin_picture(template: Template, path: Path) -> None:
     palette = _palette(list(template.regions))
     legend = {**palette, **_numbered(template)}
     rows = -(-len(legend) // swatch_columns(SKIN_WIDTH - 2 * MARGIN))
-    page = Page(SKIN_WIDTH, HEADER + CELL_HEIGHT + MARGIN + rows * swatch_height() + MARGIN)
+    page = Sheet(SKIN_WIDTH, HEADER + CELL_HEIGHT + MARGIN + rows * swatch_height() + MARGIN)
     page.heading(
         f"Skin of template {template.name} {template.version}",
         f"{len(template.regions)} regions, {len(template.landmarks)} landmarks",
@@ -311,17 +311,17 @@ def skin_picture(template: Template, path: Path) -> None:
     page.save(path)
 
 
-def _body(template: Template, palette: dict[str, Colour]) -> Body:
-    head = Head(template.skin)
+def _body(template: Template, palette: dict[str, Colour]) -> DrawnBody:
+    head = DrawnHead(template.skin)
     lit = head.lit(template.skin.vertices)
     colour = head.body(lit).colour.copy()
     for name, vertices in template.regions.items():
         colour[vertices] = linear(np.array(palette[name]))
-    return Body(lit, colour, gloss=0.0)
+    return DrawnBody(lit, colour, gloss=0.0)
 
 
 def _mark(
-    page: Page, template: Template, camera: Camera, corner: tuple[int, int], width: int
+    page: Sheet, template: Template, camera: Camera, corner: tuple[int, int], width: int
 ) -> None:
     """Put a dot and the number of each landmark that faces the camera."""
     if not template.landmarks:

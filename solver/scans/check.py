@@ -16,10 +16,7 @@ from numpy.typing import NDArray
 
 from solver.anatomy.template import Template
 from solver.errors import InputError
-from solver.meshio.read import (
-    RawScan,
-    read_raw,
-)
+from solver.meshio.raw import RawScan, read_raw
 from solver.registration.mend import Samples, mend
 from solver.registration.pose import (
     FacePoints,

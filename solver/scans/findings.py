@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 
 from solver.anatomy.template import Template
 from solver.errors import InputError
-from solver.meshio.read import RawScan
+from solver.meshio.raw import RawScan
 from solver.registration.landmarks import (
     match,
     read_landmarks,

@@ -14,8 +14,8 @@ from typing import Protocol
 import numpy as np
 
 from solver.errors import InputError
-from solver.meshio.read import REGISTERED_FORMATS as SCAN_FORMATS
-from solver.meshio.read import RegisteredScan, read_registered
+from solver.meshio.registered import REGISTERED_FORMATS as SCAN_FORMATS
+from solver.meshio.registered import RegisteredScan, read_registered
 from solver.storage import map_array
 from solver.surface import Floats, Ints, Surface
 
@@ -53,7 +53,7 @@ def open_performance(path: Path, neutral: Surface, face: Ints) -> Performance:
         whose frames do not lie one after the other); from a frame ``performance.bounds``
         (infinite or too far away; ``vertex`` is the point's number in the file) or
         ``performance.unit``, with ``frame``, or what
-        :func:`~solver.meshio.read.read_registered` finds.
+        :func:`~solver.meshio.registered.read_registered` finds.
     """
     if path.is_dir():
         return _Folder.open(path, neutral, face)

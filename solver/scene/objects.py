@@ -24,7 +24,7 @@ from solver.contact.potentials import touching
 from solver.contact.surface import ContactSurface, collision_mesh
 from solver.drawing.head import skin_parts
 from solver.errors import InputError
-from solver.meshio.read import read_raw
+from solver.meshio.raw import read_raw
 from solver.model import SubjectModel
 from solver.scene.places import Places
 from solver.similarity import small_motion
@@ -58,7 +58,7 @@ def objects_of(
 
     Raises :class:`InputError`: ``scene.object_name`` for two of one name, ``scene.times`` for keys
     that are not one after the other, ``scene.object_large`` for one with too many vertices, as
-    :class:`Places`, and as :func:`~solver.meshio.read.read_raw` for its file.
+    :class:`Places`, and as :func:`~solver.meshio.raw.read_raw` for its file.
     """
     names = [entry["name"] for entry in entries]
     for number, name in enumerate(names):

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from solver.anatomy.domain import joined
+from solver.anatomy.domain import join_surfaces
 from solver.errors import InputError
 from solver.surface import Floats, Surface
 from solver.templates.downloads import (
@@ -27,7 +27,7 @@ from solver.templates.downloads import (
 #
 # ``data/bodyparts3d_parts.csv`` says which of its organs the face needs and what they are. Release
 # 4.0 (``FJ1234.obj`` with element lists) has no muscles of facial expression or mastication, and
-# another pose; it can not be used.
+# another pose; it cannot be used.
 
 
 def public_parts(folder: Path) -> list[tuple[str, str, Surface]]:
@@ -39,7 +39,7 @@ def public_parts(folder: Path) -> list[tuple[str, str, Surface]]:
     ------
     InputError
         ``anatomy.index`` if there is no such mesh, ``anatomy.release`` for release 4.0,
-        ``anatomy.part`` if an organ is missing, ``download.*`` for a file that can not be read.
+        ``anatomy.part`` if an organ is missing, ``download.*`` for a file that cannot be read.
     """
     files = {file.name: file for file in public_files(folder, ".obj")}
     if not any(name.startswith(("FMA", "FJ")) for name in files):
@@ -116,20 +116,20 @@ def read_parts(folder: Path) -> dict[str, Part]:
         :func:`~solver.templates.bodyparts3d.public_parts`.
     """
     index = folder / "index.csv"
-    parts = _indexed(index) if index.is_file() else _published(folder)
+    parts = _read_index(index) if index.is_file() else _read_download(folder)
     for side in ("left", "right"):
         _name_eye_rings(parts, side)
     return parts
 
 
-def _published(folder: Path) -> dict[str, Part]:
+def _read_download(folder: Path) -> dict[str, Part]:
     return {
         name: Part(category, surface.moved(to_subject_axes(surface.vertices)))
         for name, category, surface in public_parts(folder)
     }
 
 
-def _indexed(index: Path) -> dict[str, Part]:
+def _read_index(index: Path) -> dict[str, Part]:
     with index.open(newline="") as stream:
         reader = csv.DictReader(stream)
         missing = _COLUMNS - set(reader.fieldnames or ())
@@ -161,7 +161,7 @@ def _read_mesh(path: Path) -> Surface:
         mesh = trimesh.load_mesh(path, process=False)
     except (OSError, ValueError, IndexError) as error:
         raise InputError(
-            "anatomy.mesh", f"{path.name} can not be read: {error}", file=str(path)
+            "anatomy.mesh", f"{path.name} cannot be read: {error}", file=str(path)
         ) from error
     return Surface(
         to_subject_axes(np.asarray(mesh.vertices, dtype=float)),
@@ -184,14 +184,14 @@ def muscle_names(parts: dict[str, Part]) -> list[str]:
     return sorted(facial) + sorted(chewing)
 
 
-def named(parts: dict[str, Part], name: str) -> Surface:
+def part_surface(parts: dict[str, Part], name: str) -> Surface:
     """Return a part's surface; raises :class:`InputError` (``anatomy.part``) if it is missing."""
     if name not in parts:
         raise InputError("anatomy.part", f"the anatomy has no part named '{name}'", part=name)
     return parts[name].surface
 
 
-def reflected(points: Floats) -> Floats:
+def reflect(points: Floats) -> Floats:
     """Return points (..., 3) on the other side of the mid-plane."""
     return np.asarray(points * np.array([-1.0, 1.0, 1.0]) + np.array([2 * MIDDLE_X, 0.0, 0.0]))
 
@@ -215,7 +215,7 @@ def symmetric(parts: dict[str, Part]) -> dict[str, Part]:
 
 
 def _mirror_image(surface: Surface) -> Surface:
-    return Surface(reflected(surface.vertices), surface.faces[:, ::-1].copy())
+    return Surface(reflect(surface.vertices), surface.faces[:, ::-1].copy())
 
 
 def _halves(surface: Surface) -> Surface:
@@ -225,9 +225,9 @@ def _halves(surface: Surface) -> Surface:
     vertices = surface.vertices[numbers]
     vertices[:, 0] = np.maximum(vertices[:, 0], MIDDLE_X)
     half = Surface(vertices, faces.reshape(-1, 3).astype(np.int64))
-    return joined([half, _mirror_image(half)])
+    return join_surfaces([half, _mirror_image(half)])
 
 
-def merged(parts: dict[str, Part], *categories: str) -> Surface:
+def merge_parts(parts: dict[str, Part], *categories: str) -> Surface:
     """Return all parts of some categories as one surface."""
-    return joined([part.surface for part in parts.values() if part.category in categories])
+    return join_surfaces([part.surface for part in parts.values() if part.category in categories])

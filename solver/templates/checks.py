@@ -94,7 +94,7 @@ def check_skin(template: Template) -> Iterator[Finding]:
             "planes", "face", f"{count} vertices of the face are behind or below the planes"
         )
     if np.linalg.norm(template.parting, axis=1).max() < 0.5:
-        yield warning("parting", "skin", "the lips are not parted: closed ones can not be meshed")
+        yield warning("parting", "skin", "the lips are not parted: closed ones cannot be meshed")
 
 
 def check_bones(template: Template) -> Iterator[Finding]:
@@ -170,10 +170,10 @@ def check_depths(template: Template) -> Iterator[Finding]:
             )
             continue
         if not DEPTH_MM[0] <= row.mean <= DEPTH_MM[1]:
-            yield error("depths.range", row.landmark, f"a depth of {row.mean:g} mm can not be")
+            yield error("depths.range", row.landmark, f"a depth of {row.mean:g} mm cannot be")
         if row.deviation is not None and not 0 < row.deviation < row.mean:
             yield error(
-                "depths.range", row.landmark, f"a deviation of {row.deviation:g} mm can not be"
+                "depths.range", row.landmark, f"a deviation of {row.deviation:g} mm cannot be"
             )
         vertex = template.landmarks[row.landmark]
         bone = template.cranium if row.bone == "cranium" else template.mandible

@@ -45,7 +45,7 @@ class PublicFile:
                 return archive.read(self.member)
         except NOT_READABLE as error:
             raise InputError(
-                "download.unreadable", f"{self} can not be read: {error}", file=str(self)
+                "download.unreadable", f"{self} cannot be read: {error}", file=str(self)
             ) from error
 
     def __str__(self) -> str:

@@ -68,7 +68,7 @@ def write_template(template: Template, folder: Path) -> None:
         raise InputError("template.folder", f"{folder} is not empty", file=str(folder))
     (folder / DESCRIPTION).write_text(_description(template), encoding="utf-8")
     write_ply(folder / "skin.ply", template.skin)
-    write_ply(folder / "parted.ply", template.parted)
+    write_ply(folder / "parted.ply", template.parted_skin)
     write_ply(folder / "cranium.ply", template.cranium)
     write_ply(folder / "mandible.ply", template.mandible)
     _write_muscles(template.muscles, folder)
@@ -99,10 +99,10 @@ def _description(template: Template) -> str:
     left, right = (_numbers(point) for point in template.condyles)
     return f"""\
 format = {FORMAT}
-name = {_quoted(template.name)}
-version = {_quoted(template.version)}
-source = {_quoted(template.source)}
-licence = {_quoted(template.licence or "unknown")}
+name = {_quote(template.name)}
+version = {_quote(template.version)}
+source = {_quote(template.source)}
+licence = {_quote(template.licence or "unknown")}
 
 [frame]  # unit and axes of meshes and of points in tables; x is to the subject's left
 unit = "mm"
@@ -119,7 +119,7 @@ right = {right}
 """
 
 
-def _quoted(text: str) -> str:
+def _quote(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)  # TOML knows no surrogate pairs
 
 

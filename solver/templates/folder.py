@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from solver.anatomy.muscle_weights import with_axis
 from solver.anatomy.template import Depth, Muscle, ShapeBasis, Template, check_arrays
 from solver.errors import InputError
-from solver.meshio.read import read_raw
+from solver.meshio.raw import read_raw
 from solver.registration.pose import (
     AXES,
     UNITS,
@@ -44,7 +44,7 @@ class Row:
         """Return a cell; ``default`` where it is empty."""
         return self._cells.get(column) or default
 
-    def required(self, column: str) -> str:
+    def cell(self, column: str) -> str:
         """Return a cell that must not be empty."""
         text = self.text(column)
         if not text:
@@ -54,7 +54,7 @@ class Row:
     def number(self, column: str) -> float:
         """Return a cell as a finite number."""
         try:
-            value = float(self.required(column))
+            value = float(self.cell(column))
         except ValueError:
             raise self.fault(f"{column} is no number: {self.text(column)!r}") from None
         if not np.isfinite(value):
@@ -196,13 +196,13 @@ BONES = ("cranium", "mandible")
 
 
 @dataclass(frozen=True)
-class Frame:
+class FolderFrame:
     """Unit and axes of a folder: ``matrix`` (3, 3) turns its points into the product's, in mm."""
 
     matrix: Floats
 
     @classmethod
-    def named(cls, unit: str, up: str, forward: str) -> Frame:
+    def of_axes(cls, unit: str, up: str, forward: str) -> FolderFrame:
         """Return the frame of a unit and two axes such as ``z`` and ``-y``.
 
         Raises :class:`InputError` (``template.frame``).
@@ -307,16 +307,16 @@ def _read(folder: Path) -> Template:
     return template
 
 
-def _frame(description: dict[str, Any]) -> Frame:
+def _frame(description: dict[str, Any]) -> FolderFrame:
     given = description.get("frame", {})
     if not isinstance(given, dict):
         raise _value_fault("frame is no table")
-    return Frame.named(
+    return FolderFrame.of_axes(
         str(given.get("unit", "mm")), str(given.get("up", "y")), str(given.get("forward", "z"))
     )
 
 
-def _mesh(folder: Path, name: str, frame: Frame, file: Path | None = None) -> Surface:
+def _mesh(folder: Path, name: str, frame: FolderFrame, file: Path | None = None) -> Surface:
     """Return the mesh ``name`` with any known suffix, or that of ``file``."""
     path = file or next(
         (found for suffix in SUFFIXES if (found := folder / f"{name}{suffix}").is_file()), None
@@ -338,14 +338,14 @@ def _mesh(folder: Path, name: str, frame: Frame, file: Path | None = None) -> Su
     return Surface(frame(scan.vertices), scan.faces)
 
 
-def _muscles(folder: Path, frame: Frame, skull: Floats) -> tuple[Muscle, ...]:
+def _muscles(folder: Path, frame: FolderFrame, skull: Floats) -> tuple[Muscle, ...]:
     rows = read_table(folder / "muscles.csv", ("name", "file"))
     muscles: dict[str, Muscle] = {}
     for row in rows:
-        name = row.required("name")
+        name = row.cell("name")
         if name in muscles:
             raise row.fault(f"there is another muscle {name}")
-        file = folder / row.required("file")
+        file = folder / row.cell("file")
         if not file.resolve().is_relative_to(folder.resolve()):
             raise row.fault(f"file lies outside the folder: {row.text('file')!r}")
         surface = _mesh(folder, name, frame, file)
@@ -355,7 +355,7 @@ def _muscles(folder: Path, frame: Frame, skull: Floats) -> tuple[Muscle, ...]:
     return tuple(muscles.values())
 
 
-def _muscle(row: Row, name: str, surface: Surface, frame: Frame, skull: Floats) -> Muscle:
+def _muscle(row: Row, name: str, surface: Surface, frame: FolderFrame, skull: Floats) -> Muscle:
     """Return a muscle with the attachments and fibre axis of its row, or else of its shape."""
     ring = row.flag("ring")
     origin, insertion, fibre = (row.point(each) for each in ("origin", "insertion", "fibre"))
@@ -373,7 +373,7 @@ def _muscle(row: Row, name: str, surface: Surface, frame: Frame, skull: Floats) 
 def _landmarks(folder: Path, count: int) -> dict[str, int]:
     landmarks: dict[str, int] = {}
     for row in read_table(folder / "landmarks.csv", ("name", "vertex")):
-        name, text = row.required("name"), row.required("vertex")
+        name, text = row.cell("name"), row.cell("vertex")
         if name in landmarks:
             raise row.fault(f"there is another landmark {name}")
         if not text.isdecimal():
@@ -392,22 +392,22 @@ def _depths(folder: Path) -> tuple[Depth, ...]:
         return ()
     depths = []
     for row in read_table(path, ("landmark", "bone", "depth_mm", "source")):
-        if row.required("bone") not in BONES:
+        if row.cell("bone") not in BONES:
             raise row.fault(f"bone is neither of {' and '.join(BONES)}: {row.text('bone')!r}")
         deviation = row.number("sd_mm") if row.text("sd_mm") else None
         depths.append(
             Depth(
-                row.required("landmark"),
+                row.cell("landmark"),
                 row.text("bone"),
                 row.number("depth_mm"),
                 deviation,
-                row.required("source"),
+                row.cell("source"),
             )
         )
     return tuple(depths)
 
 
-def _shapes(folder: Path, frame: Frame, skin: Surface) -> ShapeBasis | None:
+def _shapes(folder: Path, frame: FolderFrame, skin: Surface) -> ShapeBasis | None:
     """Return how the skin varies, from whole meshes in ``expressions`` and ``identities``."""
     names, expressions = _deltas(folder / "expressions", frame, skin)
     _, identities = _deltas(folder / "identities", frame, skin)
@@ -417,7 +417,7 @@ def _shapes(folder: Path, frame: Frame, skin: Surface) -> ShapeBasis | None:
 
 
 def _deltas(
-    folder: Path, frame: Frame, skin: Surface
+    folder: Path, frame: FolderFrame, skin: Surface
 ) -> tuple[tuple[str, ...], NDArray[np.float32]]:
     files = sorted(path for path in folder.glob("*") if path.suffix in SUFFIXES)
     deltas = np.empty((len(files), *skin.vertices.shape), dtype=np.float32)
@@ -426,7 +426,7 @@ def _deltas(
     return tuple(path.stem for path in files), deltas
 
 
-def _in_topology(path: Path, frame: Frame, skin: Surface) -> Floats:
+def _in_topology(path: Path, frame: FolderFrame, skin: Surface) -> Floats:
     """Return the vertices (n, 3) of a mesh that must have the skin's."""
     vertices = _mesh(path.parent, path.stem, frame, path).vertices
     if len(vertices) != len(skin.vertices):
@@ -443,7 +443,7 @@ def _in_topology(path: Path, frame: Frame, skin: Surface) -> Floats:
 def _parting(
     folder: Path,
     description: dict[str, Any],
-    frame: Frame,
+    frame: FolderFrame,
     skin: Surface,
     shapes: ShapeBasis | None,
 ) -> Floats:

@@ -50,7 +50,7 @@ def public_facekit(folder: Path) -> dict[str, np.ndarray]:
     ------
     InputError
         ``faces.unreadable`` if there is no neutral, ``faces.topology`` if a shape has another
-        number of vertices, ``download.*`` for a file that can not be read.
+        number of vertices, ``download.*`` for a file that cannot be read.
     """
     files = _of_one_folder(folder)
     neutral, quads = obj_mesh(files.pop(NEUTRAL))

@@ -26,7 +26,7 @@ from solver.anatomy.contact_regions import (
     contact_regions,
     lips_apart,
 )
-from solver.anatomy.depth_warp import Landmarks, Limits, SkinDepth, depth_warp
+from solver.anatomy.depth_warp import DepthLimits, PointPairs, SkinDepth, depth_warp
 from solver.anatomy.muscle_weights import bodyparts3d_muscle
 from solver.anatomy.template import Depth, Template
 from solver.anatomy.warp import similarity, spread
@@ -69,7 +69,7 @@ class DepthTable:
         return np.maximum(least, least_mm), greatest
 
 
-def teeth_and_eyes(parts: dict[str, Part], kit: FaceKit) -> Landmarks:
+def teeth_and_eyes(parts: dict[str, Part], kit: FaceKit) -> PointPairs:
     """Return the middles of 28 tooth crowns and the centres of the eyeballs in both models."""
     source, target = [], []
     skin = kit.skin
@@ -77,15 +77,15 @@ def teeth_and_eyes(parts: dict[str, Part], kit: FaceKit) -> Landmarks:
         # 16 teeth a jaw from left to right; BodyParts3D has no wisdom teeth.
         teeth = _components(skin.faces, numbers)[1:-1]
         for tooth, name in zip(teeth, ict_facekit.TEETH_NAMES, strict=True):
-            crown = bodyparts3d.named(parts, name.format(jaw=jaw)).vertices
+            crown = bodyparts3d.part_surface(parts, name.format(jaw=jaw)).vertices
             source.append(_crown(crown, jaw))
             target.append(_crown(skin.vertices[tooth], jaw))
-    eyes = bodyparts3d.named(parts, "eyeball").vertices
+    eyes = bodyparts3d.part_surface(parts, "eyeball").vertices
     balls = skin.vertices[ict_facekit.EYEBALLS.start : ict_facekit.EYEBALLS.stop]
     for side in (1, -1):
         source.append(_sphere_centre(eyes[eyes[:, 0] * side > 0]))
         target.append(_sphere_centre(balls[balls[:, 0] * side > 0]))
-    return Landmarks(np.array(source), np.array(target))
+    return PointPairs(np.array(source), np.array(target))
 
 
 def _components(faces: Ints, numbers: range) -> list[Ints]:
@@ -107,7 +107,7 @@ def _sphere_centre(points: Floats) -> Floats:
     return np.asarray(np.linalg.lstsq(system, np.sum(points**2, axis=1), rcond=None)[0][:3])
 
 
-def depth_landmarks(skin: Surface) -> tuple[Landmarks, Landmarks, DepthTable]:
+def depth_landmarks(skin: Surface) -> tuple[PointPairs, PointPairs, DepthTable]:
     """Return skull anchors, muscle anchors and depths from ``bodyparts3d_landmarks.csv``.
 
     Rows of kind ``anchor`` fix a point of the skull at its mean depth under a skin vertex, those of
@@ -124,13 +124,13 @@ def depth_landmarks(skin: Surface) -> tuple[Landmarks, Landmarks, DepthTable]:
             under = skin.vertices[vertex] - depth * normals[vertex]
             pairs = [(point, under)]
             if row["side"] == "both":
-                pairs.append((bodyparts3d.reflected(point), under * [-1, 1, 1]))
+                pairs.append((bodyparts3d.reflect(point), under * [-1, 1, 1]))
             anchors[row["kind"]] += pairs
             if row["kind"] != "muscle":
                 depths += [(*source, depth, float(row["sd_mm"])) for source, _ in pairs]
     table = np.array(depths)
     bone, muscle = (
-        Landmarks(*np.array(anchors[kind]).transpose(1, 0, 2)) for kind in ("anchor", "muscle")
+        PointPairs(*np.array(anchors[kind]).transpose(1, 0, 2)) for kind in ("anchor", "muscle")
     )
     return bone, muscle, DepthTable(table[:, :3], table[:, 3], table[:, 4])
 
@@ -194,10 +194,10 @@ def carry_anatomy(parts: dict[str, Part], kit: FaceKit) -> Anatomy:
         name: parts[name].surface.moved(align(parts[name].surface.vertices))
         for name in bodyparts3d.muscle_names(parts)
     }
-    sample = np.vstack([_sampled(surface.vertices) for surface in muscles.values()])
+    sample = np.vstack([_sample(surface.vertices) for surface in muscles.values()])
     sample = sample[(sample[:, 1] > LOWEST_Y) & (sample[:, 0] >= 0)]
     bone_limits = _bone_limits(
-        bodyparts3d.merged(parts, "cranium", "mandible"), align, depths, outer
+        bodyparts3d.merge_parts(parts, "cranium", "mandible"), align, depths, outer
     )
     landmarks = _left(
         align(np.vstack([teeth.source, anchors.source])),
@@ -205,20 +205,23 @@ def carry_anatomy(parts: dict[str, Part], kit: FaceKit) -> Anatomy:
     )
     first = depth_warp(
         landmarks,
-        [bone_limits, Limits(sample, MUSCLE_DEPTH_MM, np.inf, outer)],
+        [bone_limits, DepthLimits(sample, MUSCLE_DEPTH_MM, np.inf, outer)],
         centres=300,
         stiffness=0.5,
     )
     skull, jaw = (
         surface.moved(first(align(surface.vertices)))
-        for surface in (bodyparts3d.merged(parts, "cranium"), bodyparts3d.named(parts, "mandible"))
+        for surface in (
+            bodyparts3d.merge_parts(parts, "cranium"),
+            bodyparts3d.part_surface(parts, "mandible"),
+        )
     )
     cranium, mandible = wrap_bones(skull, jaw, head, VoxelGrid(WRAP_LO, WRAP_HI))
     sample = first(sample)
     wraps = [SkinDepth(cranium), SkinDepth(mandible)]
     bed = first(bone_limits.points)
     bed = bed[spread(bed, BED_SAMPLES)]
-    # What a wrap has swallowed has to come out: the bone beside it can not be held there.
+    # What a wrap has swallowed has to come out: the bone beside it cannot be held there.
     buried = sample[np.any([wrap.inside(sample) for wrap in wraps], axis=0)]
     bed = bed[cKDTree(buried).query(bed)[0] > BURIED_MM]
     landmarks = _left(
@@ -228,9 +231,9 @@ def carry_anatomy(parts: dict[str, Part], kit: FaceKit) -> Anatomy:
     second = depth_warp(
         landmarks,
         [
-            Limits(sample, MUSCLE_DEPTH_MM, np.inf, outer),
-            Limits(sample, LINING_DEPTH_MM, np.inf, SkinDepth(flesh)),
-            *[Limits(sample, -np.inf, -BONE_GAP_MM, wrap) for wrap in wraps],
+            DepthLimits(sample, MUSCLE_DEPTH_MM, np.inf, outer),
+            DepthLimits(sample, LINING_DEPTH_MM, np.inf, SkinDepth(flesh)),
+            *[DepthLimits(sample, -np.inf, -BONE_GAP_MM, wrap) for wrap in wraps],
         ],
         centres=400,
         stiffness=0.1,
@@ -239,16 +242,16 @@ def carry_anatomy(parts: dict[str, Part], kit: FaceKit) -> Anatomy:
     return Anatomy(cranium, mandible, jaw, muscles)
 
 
-def _left(source: Floats, target: Floats) -> Landmarks:
+def _left(source: Floats, target: Floats) -> PointPairs:
     left = source[:, 0] > -ON_MIDDLE_MM
-    return Landmarks(source[left], target[left])
+    return PointPairs(source[left], target[left])
 
 
-def _sampled(vertices: Floats) -> Floats:
+def _sample(vertices: Floats) -> Floats:
     return vertices[spread(vertices, min(MUSCLE_SAMPLES, len(vertices) // 4))]
 
 
-def _bone_limits(bones: Surface, align: Align, table: DepthTable, depth: SkinDepth) -> Limits:
+def _bone_limits(bones: Surface, align: Align, table: DepthTable, depth: SkinDepth) -> DepthLimits:
     aligned = align(bones.vertices)
     near = np.flatnonzero(
         (aligned[:, 1] > LOWEST_Y) & (bones.vertices[:, 0] > bodyparts3d.MIDDLE_X)
@@ -263,7 +266,7 @@ def _bone_limits(bones: Surface, align: Align, table: DepthTable, depth: SkinDep
         points - 0.5 * deeper, -deeper
     )
     greatest[hidden] = np.inf
-    return Limits(points, least, greatest, depth)
+    return DepthLimits(points, least, greatest, depth)
 
 
 # Landmarks on both sides of the ICT-FaceKit face, and the soft-tissue depths at them.

@@ -18,9 +18,7 @@ from service.queue.wakeups import QUEUES
 from solver import pipeline
 from solver.errors import InputError
 from solver.mechanics.linear import DOUBLE, SOLVERS
-from solver.meshio import (
-    read,
-)
+from solver.meshio import raw, registered
 from solver.rig import (
     motion,
 )
@@ -89,10 +87,10 @@ def test_a_fault_in_a_scene_is_named_where_it_is() -> None:
 
 
 def test_scans_may_be_what_the_solver_reads() -> None:
-    assert captures.FORMATS == read.REGISTERED_FORMATS
-    assert tuple(read.FORMATS) == captures.RAW_FORMATS
+    assert captures.FORMATS == registered.REGISTERED_FORMATS
+    assert tuple(raw.FORMATS) == captures.RAW_FORMATS
     assert captures.PERFORMANCE_FORMATS == performance.FORMATS
-    assert set(read.REGISTERED_FORMATS) < set(captures.ASSET_FORMATS)
+    assert set(registered.REGISTERED_FORMATS) < set(captures.ASSET_FORMATS)
 
 
 def test_frames_are_where_the_worker_looks() -> None:

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from solver.drawing.head import Head
-from solver.drawing.render import faded, render
+from solver.drawing.head import DrawnHead
+from solver.drawing.render import fade, render
 from solver.drawing.sheet import Column, SheetLayout, draw_sheet
 from solver.errors import InputError, SolveError
 from solver.fitting.activation import Resting
@@ -278,7 +278,7 @@ def preview_picture(model: SubjectModel, preview: Preview, path: Path) -> None:
     unseen, neutral = preview.unseen, model.skin.vertices
     chosen = _chosen(unseen)
     overall = unseen.overall
-    head = Head(model.skin)
+    head = DrawnHead(model.skin)
     camera = face_camera(neutral, model.face, 0.0)
     layout = SheetLayout(cell=(330, 420), label=110, foot=160, notes=LEGEND)
     columns = []
@@ -289,7 +289,7 @@ def preview_picture(model: SubjectModel, preview: Preview, path: Path) -> None:
         error[model.face] = unseen.off[number]
         simulated, previewed = head.lit(sample.skin), head.lit(shown)
         bodies = (head.body(simulated), head.body(previewed), head.heat_map(previewed, error))
-        images = [faded(render([body], camera, *layout.cell)) for body in bodies]
+        images = [fade(render([body], camera, *layout.cell)) for body in bodies]
         words = f"{sample.slid.sort}, mean {unseen.off[number].mean():.2f} mm"
         columns.append(Column(words, images))
     detail = (

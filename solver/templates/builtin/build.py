@@ -22,7 +22,7 @@ from solver.anatomy.contact_regions import (
     contact_regions,
     lips_apart,
 )
-from solver.anatomy.domain import joined
+from solver.anatomy.domain import join_surfaces
 from solver.anatomy.template import Template
 from solver.storage import cache_directory
 from solver.surface import Floats, Ints, Surface
@@ -77,7 +77,7 @@ class Regions:
         forehead = self._y < self._at["trichion"][1] - 15
         return np.asarray(self._visible[self._front & self._above_jaw & forehead])
 
-    def named(self) -> dict[str, Ints]:
+    def by_name(self) -> dict[str, Ints]:
         """Return the regions of the face, and the neck, by name; they do not overlap."""
         at, x, y = self._at, self._x, self._y
         face = np.isin(self._visible, self.face())
@@ -199,13 +199,13 @@ def build_template(head: Head) -> Template:
         parting=head.expression(PARTING),
         cranium=skull.cranium,
         mandible=skull.mandible,
-        muscles=build_muscles(head, skin, _bed(head, skin, skull)),
+        muscles=build_muscles(head, skin, _muscle_bed(head, skin, skull)),
         condyles=skull.condyles,
         back_z=BACK_Z,
         bottom_y=BOTTOM_Y,
         landmarks=head.landmarks,
         regions={
-            **regions.named(),
+            **regions.by_name(),
             **contact_regions(flesh, sides, _teeth_and_eyes(parts), head.landmarks),
         },
         shapes=shape_basis(head),
@@ -219,13 +219,13 @@ def _teeth_and_eyes(parts: Mapping[str, Ints]) -> dict[str, Ints]:
     return touching | {f"{side}_eyeball": parts[f"{side}_eye"] for side in ("left", "right")}
 
 
-def _bed(head: Head, skin: OuterSkin, skull: Skull) -> Surface:
+def _muscle_bed(head: Head, skin: OuterSkin, skull: Skull) -> Surface:
     """Return what muscles lie on: bones, eyes and the linings of mouth and eye sockets."""
     visible = np.isin(np.arange(len(head.neutral)), skin.visible_vertices)
     faces = head.faces[head.part_faces["skin"]]
     eyes = [head.faces[head.part_faces[part]] for part in ("left_eye", "right_eye")]
     lining = np.concatenate([faces[~visible[faces].all(axis=1)], *eyes])
-    return joined([Surface(head.neutral, lining), skull.cranium, skull.mandible])
+    return join_surfaces([Surface(head.neutral, lining), skull.cranium, skull.mandible])
 
 
 IDENTITY_SHAPES = (

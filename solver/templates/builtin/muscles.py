@@ -77,11 +77,11 @@ def build_muscles(head: Head, skin: OuterSkin, bed: Surface) -> tuple[Muscle, ..
     muscles = []
     for row in read_muscles():
         left = sweep.muscle(row)
-        muscles += [left, _mirrored(left)] if row.paired else [left]
+        muscles += [left, _mirror(left)] if row.paired else [left]
     return tuple(muscles)
 
 
-def _mirrored(left: Muscle) -> Muscle:
+def _mirror(left: Muscle) -> Muscle:
     flip = np.array([-1.0, 1.0, 1.0])
     surface = Surface(left.surface.vertices * flip, left.surface.faces[:, ::-1].copy())
     name = left.name.removesuffix("_l") + "_r"

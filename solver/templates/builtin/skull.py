@@ -256,10 +256,10 @@ class _HalfGrid:
         vertices, triangles, _ = igl.marching_cubes(
             whole.transpose(2, 1, 0).ravel(), points, *whole.shape, 0.0
         )
-        return _decimated(vertices, triangles[:, ::-1], faces)
+        return _decimate(vertices, triangles[:, ::-1], faces)
 
 
-def _decimated(vertices: Floats, triangles: Ints, faces: int) -> Surface:
+def _decimate(vertices: Floats, triangles: Ints, faces: int) -> Surface:
     """Smooth away the grid's steps and keep about ``faces`` triangles, most where it curves."""
     mesh = trimesh.Trimesh(vertices, triangles, process=False)
     trimesh.smoothing.filter_taubin(mesh, iterations=6)  # type: ignore[no-untyped-call]

@@ -38,7 +38,7 @@ log = structlog.get_logger(__name__)
 def fetch_wheel() -> Path:
     """Return the wheel's path in the cache, fetching it from the package index if it is not there.
 
-    Raises :class:`InputError`: ``builtin.fetch`` if the index can not be reached or refuses the
+    Raises :class:`InputError`: ``builtin.fetch`` if the index cannot be reached or refuses the
     file, ``builtin.hash`` if the cached file is not the expected one.
     """
     wheel = cache_directory() / WHEEL_NAME
@@ -92,7 +92,7 @@ class SourceFiles:
             self._zip = zipfile.ZipFile(wheel)
         except (OSError, zipfile.BadZipFile) as error:
             raise InputError(
-                "builtin.unreadable", f"{wheel.name} can not be read: {error}", file=wheel.name
+                "builtin.unreadable", f"{wheel.name} cannot be read: {error}", file=wheel.name
             ) from error
 
     @cached_property

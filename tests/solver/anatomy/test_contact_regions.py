@@ -33,7 +33,7 @@ def builtin():
     parts |= {f"{side}_eyeball": own[f"{side}_eye"] for side in ("left", "right")}
     flesh = Surface(head.neutral, head.faces[head.part_faces["skin"]])
     sides = lips_apart(flesh, head.landmarks)
-    named = Regions(head, OuterSkin(head), sides).named()
+    named = Regions(head, OuterSkin(head), sides).by_name()
     return flesh, sides, parts, head.landmarks, named
 
 

@@ -1,7 +1,7 @@
 """Tets of a template without any are made once and kept."""
 
 from solver.anatomy import meshing
-from solver.anatomy.meshing import meshed
+from solver.anatomy.meshing import find_or_make_mesh
 from tests.solver.ball import EDGE_MM, ball_template, meshed_ball
 
 
@@ -15,13 +15,13 @@ def test_tets_are_made_once_and_anew_if_the_file_was_spoilt(tmp_path, monkeypatc
 
     monkeypatch.setenv("MYOFACE_CACHE", str(tmp_path))
     monkeypatch.setattr(meshing, "with_mesh", with_mesh)
-    first = meshed(ball_template(), EDGE_MM)
+    first = find_or_make_mesh(ball_template(), EDGE_MM)
     assert first.sha256 == meshed_ball().sha256
-    assert meshed(ball_template(), EDGE_MM).sha256 == first.sha256
-    assert meshed(first, EDGE_MM) is first
+    assert find_or_make_mesh(ball_template(), EDGE_MM).sha256 == first.sha256
+    assert find_or_make_mesh(first, EDGE_MM) is first
     assert made == [EDGE_MM]
     (kept,) = tmp_path.iterdir()
     kept.write_bytes(kept.read_bytes()[:1000])
-    assert meshed(ball_template(), EDGE_MM).sha256 == first.sha256
+    assert find_or_make_mesh(ball_template(), EDGE_MM).sha256 == first.sha256
     assert made == [EDGE_MM, EDGE_MM]
     assert list(tmp_path.iterdir()) == [kept]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from solver.anatomy.relaxation import Guides, _shape_energy, relaxed
+from solver.anatomy.relaxation import Guides, _shape_energy, relax
 from solver.anatomy.tetrahedra import background_grid, dihedral_angles, volumes
 
 
@@ -20,7 +20,7 @@ def test_inverted_tets_are_untangled_and_sides_stay(block):
     inner = int(np.argmin(np.linalg.norm(points - 20.0, axis=1)))
     tangled[inner] += [22.0, 3.0, -4.0]
     assert volumes(tangled, tets).min() < 0
-    result = relaxed(tangled, tets, guides)
+    result = relax(tangled, tets, guides)
     assert volumes(result, tets).min() > 0
     assert dihedral_angles(result, tets).min() > 20
     assert np.abs(guides.rows @ result - guides.targets).max() < 0.5
@@ -29,7 +29,7 @@ def test_inverted_tets_are_untangled_and_sides_stay(block):
 def test_the_same_start_gives_the_same_bits(block):
     points, tets, guides = block
     start = points + np.random.default_rng(0).normal(0, 1.0, points.shape)
-    assert np.array_equal(relaxed(start, tets, guides), relaxed(start, tets, guides))
+    assert np.array_equal(relax(start, tets, guides), relax(start, tets, guides))
 
 
 @pytest.mark.parametrize("smoothing", [0.0, 0.1])

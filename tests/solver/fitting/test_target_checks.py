@@ -15,7 +15,7 @@ from solver.fitting.target_checks import (
     check_held,
     idle_muscles,
 )
-from solver.meshio.read import RegisteredScan
+from solver.meshio.registered import RegisteredScan
 from solver.surface import Surface
 from tests.solver.block import head_block
 

@@ -11,7 +11,7 @@ import trimesh
 
 from solver.errors import InputError
 from solver.meshio.obj import write_obj
-from solver.meshio.read import read_raw
+from solver.meshio.raw import read_raw
 from solver.registration.mend import mend
 from solver.surface import Surface
 
@@ -141,6 +141,8 @@ def test_point_clouds_as_text(text: str, tmp_path: Path) -> None:
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 4\n", "scan.truncated", 4),
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\nf 2", "scan.truncated", 5),
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 1", "scan.truncated", 3),
+        ("a.obj", "v 0 0 \\\n0\nv nan 0 0\nv 1 x 0\nf 1 2 3\n", "scan.unreadable", 4),
+        ("a.obj", "v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 2.5\n", "scan.unreadable", 4),
         ("a.xyz", "0 0 0\n1 2 3\n1 oops 3\n1 2 3\n", "scan.unreadable", 3),
         ("a.xyz", "0 0 0\n1 2 3\n1 2", "scan.truncated", 3),
         ("a.pts", "5\n0 0 0\n1 2 3\n", "scan.truncated", None),

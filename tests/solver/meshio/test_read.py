@@ -14,11 +14,7 @@ from hypothesis import strategies as st
 
 from solver.errors import InputError
 from solver.meshio.obj import write_obj
-from solver.meshio.read import (
-    REGISTERED_FORMATS,
-    read_registered,
-    write_registered,
-)
+from solver.meshio.registered import REGISTERED_FORMATS, read_registered, write_registered
 from solver.surface import Surface
 from tests.fixtures import ict_capture
 
@@ -142,7 +138,7 @@ def test_empty_and_cut_short(suffix: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("factor", "hint"), [(1e-3, "metres"), (0.1, "centimetres"), (50.0, "can not be a head")]
+    ("factor", "hint"), [(1e-3, "metres"), (0.1, "centimetres"), (50.0, "cannot be a head")]
 )
 def test_wrong_unit_has_a_hint(factor: float, hint: str, tmp_path: Path) -> None:
     error = fault(write(tmp_path / "head.ply", HEAD.moved(HEAD.vertices * factor)))

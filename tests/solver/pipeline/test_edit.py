@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from solver.drawing.page import Page
+from solver.drawing.page import Sheet
 from solver.errors import InputError
 from solver.fitting.face import Face, Pose
 from solver.pipeline import PersonFiles, edit
@@ -89,7 +89,7 @@ def test_the_picture_says_how_many_expressions_it_leaves_out(
     rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     headings: list[str] = []
-    monkeypatch.setattr(Page, "heading", lambda _page, _title, detail: headings.append(detail))
+    monkeypatch.setattr(Sheet, "heading", lambda _page, _title, detail: headings.append(detail))
     run(rig, tmp_path / "one", PALSY)
     assert "expressions are shown" not in headings[0]
     shutil.copytree(rig, tmp_path / "rig")

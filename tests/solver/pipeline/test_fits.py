@@ -17,7 +17,7 @@ from solver.fitting import (
 from solver.fitting.face import Face, Pose
 from solver.fitting.reference import NotConvergedError, Reference
 from solver.meshio.obj import write_obj
-from solver.meshio.read import read_registered
+from solver.meshio.registered import read_registered
 from solver.pipeline import fit_activations, fit_geometry
 from solver.progress import Step
 from solver.rig.result import load_activations, save_weights

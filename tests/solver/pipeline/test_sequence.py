@@ -14,7 +14,7 @@ from solver.errors import InputError, SolveError
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, Target
 from solver.fitting.sequence import Tracker, stillness
-from solver.meshio.read import RegisteredScan
+from solver.meshio.registered import RegisteredScan
 from solver.pipeline.common import Targets
 from solver.pipeline.sequence import Follower, fit_sequence
 from solver.progress import Step

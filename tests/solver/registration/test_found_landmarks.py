@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError
-from solver.meshio.read import read_raw
+from solver.meshio.raw import read_raw
 from solver.registration.landmarks import find_landmarks, read_landmarks
 from solver.surface import Surface
 from tests.fixtures import data_folder

@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from solver.drawing.head import skin_parts
 from solver.errors import InputError
 from solver.fitting.face import Face
-from solver.meshio.read import read_registered
+from solver.meshio.registered import read_registered
 from solver.model import SubjectModel
 from solver.rig.certificate import Certificate, certify
 from solver.rig.export import write_rig

@@ -10,7 +10,7 @@ import trimesh
 
 from solver.errors import InputError
 from solver.meshio.obj import write_obj
-from solver.meshio.read import write_registered
+from solver.meshio.registered import write_registered
 from solver.scans.performance import open_performance, write_performance
 from solver.surface import Surface
 

@@ -95,4 +95,4 @@ def test_the_other_half_is_the_mirror_image():
     assert chin.vertices[:, 0].min() == 2 * middle - 7.0
     assert enclosed_volume(chin) == pytest.approx(2 * (7.0 - middle) * 16)
     left, right = (found[f"{side} ear"].surface.vertices for side in ("left", "right"))
-    np.testing.assert_allclose(right, bodyparts3d.reflected(left))
+    np.testing.assert_allclose(right, bodyparts3d.reflect(left))

@@ -1,0 +1,270 @@
+"""Registered scans: meshes with the template's vertices, in the template's order.
+
+A registered scan is read exactly, and checked: whether it can be this person's head in size, in the
+order of its vertices and in its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from solver.errors import InputError
+from solver.meshio.faults import check_finite, check_suffix, read_content
+from solver.meshio.glb import MM_PER_METRE, read_glb
+from solver.meshio.mesh import Mesh
+from solver.meshio.obj import read_obj
+from solver.meshio.ply import read_ply, write_ply
+from solver.meshio.stl import read_stl
+from solver.surface import Floats, Ints, Surface
+
+READERS: dict[str, Callable[..., Mesh]] = {
+    ".obj": read_obj,
+    ".ply": read_ply,
+    ".stl": read_stl,
+    ".glb": read_glb,
+}
+REGISTERED_FORMATS = tuple(READERS)
+MAX_BYTES = 256 * 2**20  # a head of a million vertices as text takes less
+UNITS = {"metres": 1000.0, "centimetres": 10.0, "inches": 25.4}  # name -> mm
+
+
+@dataclass(frozen=True)
+class PlausibleScan:
+    """What a registered scan of a head has to keep to, here for any head that was ever scanned."""
+
+    head_mm: tuple[float, float] = (100.0, 700.0)
+    """Largest extent: from a bare face to a head with neck and shoulders."""
+    edge_ratio: float = 0.2
+    """Most of the median edge by the largest extent; shuffled vertices give about 0.4."""
+    median_motion_mm: float = 25.0
+    """Off the neutral: a wide open jaw moves half of a bare face by about 10 mm."""
+    mirrored: float = 0.25
+    """Part of a rotation's squared distances that a mirror image leaves if it is the better one."""
+    same_place_mm: float = 0.01
+    """Corners of an STL that are one vertex of the template lie no further apart."""
+
+
+PLAUSIBLE = PlausibleScan()
+
+
+@dataclass(frozen=True)
+class RegisteredScan:
+    """``vertices`` (n, 3) in mm and their ``confidence`` (n,) in [0, 1], 0 where nothing was seen.
+
+    A file that says nothing about confidence is trusted everywhere.
+    """
+
+    vertices: Floats
+    confidence: Floats
+
+
+def write_registered(path: Path, surface: Surface, confidence: Floats) -> None:
+    """Write a registered scan as PLY; :func:`read_registered` reads it."""
+    write_ply(path, surface, {"confidence": confidence})
+
+
+def read_registered(
+    path: Path,
+    faces: Ints,
+    vertex_count: int,
+    *,
+    neutral: Floats | None = None,
+    plausible: PlausibleScan = PLAUSIBLE,
+) -> RegisteredScan:
+    """Return the vertices (vertex_count, 3) of a registered scan, in mm, and their confidence.
+
+    The format follows the file's suffix. OBJ, PLY and STL carry no unit and must be in mm; GLB is
+    in metres, as glTF demands. ``faces`` (f, 3) are the template's; an expression is checked
+    against ``neutral`` (vertex_count, 3). Only PLY carries a confidence, in the vertices' property
+    of that name; elsewhere it is 1.
+
+    Raises :class:`InputError`: ``scan.format``, ``scan.too_large``, ``scan.empty``,
+    ``scan.unreadable``, ``scan.truncated``, ``scan.nan``, ``scan.vertex_count``,
+    ``scan.vertex_order``, ``scan.confidence``, ``scan.unit``, ``scan.misaligned`` or
+    ``scan.mirrored``, each with ``file`` and, where it helps, ``line``, ``vertex``, ``expected``
+    and ``found``.
+    """
+    file, suffix = path.name, check_suffix(path, REGISTERED_FORMATS)
+    content = read_content(path, MAX_BYTES, "a registered scan")
+    mesh = READERS[suffix](file, content, strict=True)
+    vertices = mesh.vertices
+    if suffix == ".stl":
+        vertices = _number_facets(file, vertices, faces, vertex_count, plausible.same_place_mm)
+    elif suffix == ".glb":
+        with np.errstate(over="ignore"):
+            vertices = vertices * MM_PER_METRE
+    confidence = np.ones(len(vertices)) if mesh.confidence is None else mesh.confidence
+    _check_confidence(file, confidence)
+    if len(vertices) != vertex_count:
+        raise InputError(
+            "scan.vertex_count",
+            f"{file} has {len(vertices)} vertices; the template's topology has {vertex_count}; a "
+            "raw scan is sent as raw and registered first",
+            file=file,
+            expected=vertex_count,
+            found=len(vertices),
+        )
+    check_finite(file, vertices)
+    check_scale(file, vertices, plausible)
+    check_vertex_order(file, vertices, faces, plausible)
+    if neutral is not None:
+        check_alignment(file, vertices, neutral, plausible)
+    return RegisteredScan(vertices, confidence)
+
+
+def _check_confidence(file: str, confidence: Floats) -> None:
+    """Raise ``scan.confidence`` unless all of the confidence (n,) lies in [0, 1]."""
+    wrong = ~((confidence >= 0) & (confidence <= 1))
+    if wrong.any():
+        vertex = int(np.argmax(wrong))
+        raise InputError(
+            "scan.confidence",
+            f"{file}: vertex {vertex} has confidence {confidence[vertex]}, not within 0 and 1",
+            file=file,
+            vertex=vertex,
+            found=str(confidence[vertex]),
+        )
+
+
+def _number_facets(
+    file: str, corners: Floats, faces: Ints, vertex_count: int, same_place_mm: float
+) -> Floats:
+    """Return vertices (vertex_count, 3) of an STL's ``corners`` (3 f, 3) by the template's faces.
+
+    STL shares no vertices, so its facets must be the template's ``faces`` (f, 3) in the same order;
+    corners that are one vertex in the template must lie in one place.
+    """
+    if len(corners) != faces.size:
+        raise InputError(
+            "scan.vertex_count",
+            f"{file} has {len(corners) // 3} triangles; the template has {len(faces)}",
+            file=file,
+            expected=len(faces),
+            found=len(corners) // 3,
+        )
+    check_finite(file, corners)
+    vertices = np.full((vertex_count, 3), np.nan)
+    vertices[faces.ravel()] = corners
+    loose = np.flatnonzero(np.isnan(vertices[:, 0]))
+    if len(loose):
+        raise InputError(
+            "scan.format",
+            f"{file}: STL cannot carry vertex {loose[0]}, which is in no triangle: "
+            "use OBJ, PLY or GLB",
+            file=file,
+            vertex=int(loose[0]),
+        )
+    apart = np.abs(vertices[faces] - corners.reshape(-1, 3, 3)).max(axis=(1, 2))
+    if apart.max() > same_place_mm:
+        triangle = int(np.argmax(apart > same_place_mm))
+        raise InputError(
+            "scan.vertex_order",
+            f"{file}: triangle {triangle} does not meet its neighbours as in the template; "
+            "the triangles must be the template's, in the same order",
+            file=file,
+            triangle=triangle,
+        )
+    return vertices
+
+
+def check_scale(file: str, vertices: Floats, plausible: PlausibleScan = PLAUSIBLE) -> None:
+    """Raise ``scan.unit`` unless the vertices (n, 3) are as large as a head in mm."""
+    with np.errstate(over="ignore"):
+        extent = float(np.nan_to_num(np.ptp(vertices, axis=0).max()))
+    low, high = plausible.head_mm
+    if low <= extent <= high:
+        return
+    guess = next((unit for unit, factor in UNITS.items() if low <= extent * factor <= high), None)
+    if low <= extent / 1000 <= high:
+        hint = "it seems to hold millimetres where the format's unit is the metre"
+    elif guess is not None:
+        hint = f"it seems to be in {guess}: scale it by {UNITS[guess]:g}"
+    else:
+        hint = "it cannot be a head in mm"
+    raise InputError(
+        "scan.unit",
+        f"{file} is {extent:.4g} mm across, a head is {low:g} to {high:g} mm; {hint}",
+        file=file,
+        expected=list(plausible.head_mm),
+        found=extent,
+    )
+
+
+def check_vertex_order(
+    file: str, vertices: Floats, faces: Ints, plausible: PlausibleScan = PLAUSIBLE
+) -> None:
+    """Raise ``scan.vertex_order`` if the template's faces (f, 3) join vertices far apart."""
+    edges = np.linalg.norm(vertices[faces] - vertices[np.roll(faces, 1, axis=1)], axis=2)
+    median, extent = float(np.median(edges)), float(np.ptp(vertices, axis=0).max())
+    if median > plausible.edge_ratio * extent:
+        raise InputError(
+            "scan.vertex_order",
+            f"{file}: neighbours in the template lie {median:.3g} mm apart; "
+            "the vertices are not in the template's order",
+            file=file,
+            found=median,
+        )
+
+
+def check_alignment(
+    file: str, vertices: Floats, neutral: Floats, plausible: PlausibleScan = PLAUSIBLE
+) -> None:
+    """Raise ``scan.misaligned`` if the expression (n, 3) is far off the neutral (n, 3).
+
+    Scans of one session share the skull's place; the message says by how much this one is moved.
+    One that is the neutral's mirror image rather than moved is ``scan.mirrored``.
+    """
+    motion = _rigid_motion(neutral, vertices)
+    if motion.mirror_leaves < plausible.mirrored:
+        raise InputError(
+            "scan.mirrored",
+            f"{file} is mirrored against the neutral (left and right exchanged, or inside out): "
+            "switch off mirroring in the export",
+            file=file,
+        )
+    median = float(np.median(np.linalg.norm(vertices - neutral, axis=1)))
+    if median <= plausible.median_motion_mm:
+        return
+    raise InputError(
+        "scan.misaligned",
+        f"{file} lies {median:.0f} mm off the neutral (median over all vertices): it is turned by "
+        f"{motion.degrees:.0f} degrees and moved by {motion.shift:.0f} mm; align its skull with "
+        "the neutral's",
+        file=file,
+        expected=plausible.median_motion_mm,
+        found=median,
+    )
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """The best rigid motion, in degrees and mm.
+
+    ``mirror_leaves`` is what a mirror image leaves of its squared distances, as a part of them; 1
+    where they are too small to tell.
+    """
+
+    degrees: float
+    shift: float
+    mirror_leaves: float
+
+
+def _rigid_motion(start: Floats, end: Floats) -> _Motion:
+    """Return the best rigid motion of ``start`` (n, 3) onto ``end`` (Kabsch 1976)."""
+    centred, goal = start - start.mean(0), end - end.mean(0)
+    u, s, vt = np.linalg.svd(centred.T @ goal)
+    sign = np.sign(np.linalg.det(u @ vt))
+    cosine = (np.trace(u @ np.diag([1.0, 1.0, sign]) @ vt) - 1) / 2
+    # What is left of the squared distances by a rotation, and by a mirrored one; a flat surface is
+    # its own mirror image.
+    spread = np.sum(centred**2) + np.sum(goal**2)
+    left = [spread - 2.0 * (s[0] + s[1] + side * s[2]) for side in (sign, -sign)]
+    return _Motion(
+        float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))),
+        float(np.linalg.norm(end.mean(0) - start.mean(0))),
+        float(left[1] / left[0]) if left[0] > 1e-3 * spread else 1.0,
+    )
