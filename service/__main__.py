@@ -13,6 +13,7 @@ from service.app import create_app
 from service.http.deadline import protocol
 from service.process import configure_logs, die_with_parent
 from service.settings import Settings
+from service.store.database import NewerDatabaseError
 
 # Seconds for which an idle connection stays open: longer than a proxy in front keeps it (Caddy:
 # two minutes), else a request meets a connection that is being closed
@@ -29,7 +30,7 @@ def main() -> None:
     app = create_app(settings)
     try:
         prepare(app.state.store, app.state.keyring, settings)
-    except OpenDoorError as error:
+    except (OpenDoorError, NewerDatabaseError) as error:
         sys.exit(str(error))
     uvicorn.run(
         app,

@@ -13,6 +13,8 @@ from typing import Any
 
 from alembic import command
 from alembic.config import Config
+from alembic.migration import MigrationContext
+from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, Engine, create_engine, event, func, make_url, select, text
 from sqlalchemy.orm import Session
 
@@ -40,6 +42,10 @@ PATIENCE = {
 
 # A request has a thread (40 at most) and briefly a second connection, for its key
 POOL = {"pool_size": 10, "max_overflow": 40}
+
+
+class NewerDatabaseError(Exception):
+    """A newer release has changed the tables in ways that this one does not know."""
 
 
 class Database:
@@ -84,10 +90,16 @@ class Database:
         """Bring the schema up to date; processes that start together wait for one another.
 
         ``move`` is Alembic's ``upgrade`` or ``downgrade``.
+
+        Raises
+        ------
+        NewerDatabaseError
+            If the schema has a revision that this release does not have.
         """
         config = Config()
         config.set_main_option("script_location", str(MIGRATIONS))
         with self._one_at_a_time(), self._migrating() as connection:
+            _refuse_newer(connection, config)
             config.attributes["connection"] = connection
             move(config, revision)
 
@@ -138,6 +150,17 @@ class Database:
     def close(self) -> None:
         """Close the pooled connections."""
         self.engine.dispose()
+
+
+def _refuse_newer(connection: Connection, config: Config) -> None:
+    current = MigrationContext.configure(connection).get_current_revision()
+    connection.rollback()  # else Alembic would take the transaction for its caller's
+    known = {script.revision for script in ScriptDirectory.from_config(config).walk_revisions()}
+    if current is not None and current not in known:
+        raise NewerDatabaseError(
+            f"the database is of a newer release (revision {current}): start that release, "
+            "or restore a backup of this one's"
+        )
 
 
 def clock(session: Session) -> datetime:

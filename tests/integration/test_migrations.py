@@ -12,7 +12,7 @@ from alembic.migration import MigrationContext
 from sqlalchemy import func, select, text
 
 from service.settings import Settings
-from service.store.database import Database
+from service.store.database import Database, NewerDatabaseError
 from service.store.models import DEFAULT_TENANT, Base, Subject, Upload
 
 
@@ -34,6 +34,15 @@ def test_the_tables_are_those_of_the_models_after_going_back_and_forth(database:
                 assert compare_metadata(context, Base.metadata) == []
     with database.write(DEFAULT_TENANT) as session:
         session.add(Subject(name="Alex"))
+    database.close()
+
+
+def test_a_database_of_a_newer_release_is_refused_with_a_sentence(database: Database) -> None:
+    database.migrate()
+    with database.engine.begin() as connection:
+        connection.execute(text("UPDATE alembic_version SET version_num = '9999'"))
+    with pytest.raises(NewerDatabaseError, match="newer release"):
+        database.migrate()
     database.close()
 
 
