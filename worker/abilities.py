@@ -9,11 +9,11 @@ from importlib.metadata import PackageNotFoundError, version
 
 from sqlalchemy.orm import Session
 
-from service.kinds import KINDS
 from service.settings import Settings
 from service.store.claims import Abilities
 from service.store.database import clock
 from service.store.models import Worker
+from solver.kinds import KINDS
 from worker.kinds import CALLS
 
 HOST = socket.gethostname()

@@ -10,11 +10,9 @@ from sqlalchemy.orm import Session
 
 from service.errors import Problem
 from service.jobs.repository import get
-from service.kinds import KINDS
 from service.store import jobs
 from service.store.files import Files
-
-LEAVE_FRAMES = ("sequence", "animation")
+from solver.kinds import KINDS
 
 
 def read(
@@ -42,5 +40,5 @@ def newest_picture(session: Session, files: Files, job_id: str) -> bytes | None:
 
 def _check(session: Session, job_id: str) -> None:
     job = get(session, job_id)
-    if KINDS[job.kind].leaves not in LEAVE_FRAMES:
+    if not KINDS[job.kind].frames:
         raise Problem(409, "job.no_frames", f"a {job.kind} job has no frames", job_id=job_id)

@@ -13,11 +13,11 @@ from service.errors import Problem
 from service.jobs import repository
 from service.jobs.inputs import resolve
 from service.jobs.schemas import Cancel, NewJob, Retry
-from service.kinds import KINDS, Kind
 from service.store import jobs
 from service.store.models import Job, new_id
 from service.store.transitions import FINAL
 from service.subjects import repository as subjects
+from solver.kinds import KINDS, Kind
 
 
 def submit(
@@ -44,7 +44,7 @@ def submit(
     job = Job(
         id=job_id or new_id(),
         subject_id=new.subject_id,
-        kind=kind.kind,
+        kind=kind.name,
         queue=kind.queue,
         request=new.model_dump(),
         inputs=inputs.files,
@@ -108,6 +108,7 @@ def check_options(name: str, options: dict[str, Any]) -> Kind:
     except ValueError as error:  # NaN, an infinity, half a surrogate pair
         raise Problem(422, "job.options", f"options are not strict JSON: {error}") from error
     if faults := kind.faults(options):
-        detail = f"{faults[0]['where']}: {faults[0]['message']}"
-        raise Problem(422, "job.options", detail, errors=faults)
+        detail = f"{faults[0].where}: {faults[0].message}"
+        errors = [fault.as_dict() for fault in faults]
+        raise Problem(422, "job.options", detail, errors=errors)
     return kind

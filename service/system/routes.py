@@ -10,11 +10,11 @@ from service.access.principal import Scope, need
 from service.captures.service import FORMATS, LANDMARK_FORMATS, RAW_FORMATS
 from service.dependencies import ReadSession, SettingsDep, WholeStore
 from service.errors import problems
-from service.kinds import KINDS
 from service.schemas import Page
 from service.store.retention import own_days
 from service.system.schemas import KindView, Limits, Readiness, Retention, WorkerView
 from service.system.service import living_workers, readiness
+from solver.kinds import KINDS
 
 router = APIRouter(tags=["system"])
 
@@ -49,7 +49,7 @@ def limits(session: ReadSession, settings: SettingsDep) -> Limits:
 )
 def solvers() -> Any:
     """List the kinds of job with their options as JSON Schema."""
-    return {"items": list(KINDS.values())}
+    return {"items": [KindView.of(kind) for kind in KINDS.values()]}
 
 
 @router.get(

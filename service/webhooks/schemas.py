@@ -7,10 +7,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from service.kinds import KINDS
 from service.outbound.client import LONGEST_URL, Refused, parse
 from service.schemas import Body, View
 from service.store.models import Delivery
+from solver.kinds import KINDS
 
 EventType = Literal[
     "job.started",

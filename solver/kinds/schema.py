@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 from pydantic import BaseModel
@@ -32,6 +33,7 @@ class _Printed(GenerateJsonSchema):
         return super().nullable_schema(schema)
 
 
+@cache
 def json_schema(model: type[BaseModel]) -> dict[str, Any]:
     """Return the JSON Schema of a document; its members' order is the model's."""
     found = model.model_json_schema(schema_generator=_Printed)
