@@ -20,5 +20,6 @@ KIND = Kind(
     leaves="model",
     report="model.json",
     result="model.npz",
+    folder="model",
     options=BuildModel,
 )

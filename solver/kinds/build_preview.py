@@ -33,5 +33,6 @@ KIND = Kind(
     leaves="preview",
     report="preview.json",
     result="preview.bin",
+    folder="preview",
     options=BuildPreview,
 )

@@ -18,5 +18,6 @@ KIND = Kind(
     leaves="check",
     report="check.json",
     result="check.png",
+    folder="check",
     options=CheckScan,
 )

@@ -21,5 +21,6 @@ KIND = Kind(
     leaves="edit",
     report="edit.json",
     result="edit.glb",
+    folder="edited",
     options=Edit,
 )

@@ -1,11 +1,10 @@
 """A scene's ``edits`` of the anatomy, made one after the other."""
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Discriminator, Field, Tag
 
-from solver.kinds.values import Document, Place, Vector, find_kind
+from solver.kinds.values import Document, Place, Vector, find_kind, form_by_member
 
 # --- maps on the skin -----------------------------------------------------------------------------
 
@@ -31,20 +30,12 @@ class SpotMap(Document):
     radius_mm: float = Field(gt=0, le=200)
 
 
-def _form_of_map(value: Any) -> str | None:
-    if isinstance(value, Mapping):
-        for name in ("asset", "regions", "spots"):
-            if name in value:
-                return f"<{name}>"
-    return "<asset>" if isinstance(value, AssetMap) else None
-
-
 SkinMap = Annotated[
     Annotated[AssetMap, Tag("<asset>")]
     | Annotated[RegionMap, Tag("<regions>")]
     | Annotated[SpotMap, Tag("<spots>")],
     Discriminator(
-        _form_of_map,
+        form_by_member("asset", "regions", "spots"),
         custom_error_type="no_such_form",
         custom_error_message="is not null or an object with asset, regions or spots",
     ),

@@ -37,5 +37,6 @@ KIND = Kind(
     leaves="rig",
     report="report.json",
     result="rig.glb",
+    folder="rig-new",
     options=FitActivations,
 )

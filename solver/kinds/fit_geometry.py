@@ -44,5 +44,6 @@ KIND = Kind(
     leaves="rig",
     report="report.json",
     result="rig.glb",
+    folder="rig",
     options=FitGeometry,
 )

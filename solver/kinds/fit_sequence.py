@@ -46,6 +46,7 @@ KIND = Kind(
     leaves="sequence",
     report="sequence.json",
     result="sequence.npz",
+    folder="sequence",
     options=FitSequence,
     frames=True,
 )

@@ -61,6 +61,8 @@ class Kind:
         The JSON file of its verdict or figures, which the job's result shows.
     result
         The file that a person opens first.
+    folder
+        The folder that a command line fills by default.
     frames
         Whether it leaves frames, which can be read while it runs and are gone on with after a stop.
     """
@@ -74,6 +76,7 @@ class Kind:
     result: str
     options: type[Options] = Options
     asks: tuple[Input, ...] = ()
+    folder: str = "result"
     frames: bool = False
     name: str = ""
 

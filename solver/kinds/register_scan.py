@@ -17,5 +17,6 @@ KIND = Kind(
     leaves="registration",
     report="registration.json",
     result="registered.ply",
+    folder="registered",
     options=RegisterScan,
 )

@@ -24,6 +24,7 @@ KIND = Kind(
     leaves="animation",
     report="animation.json",
     result="animation.glb",
+    folder="simulation",
     options=Simulate,
     frames=True,
 )

@@ -1,6 +1,6 @@
 """What documents are made of: strict objects, numbers, vectors and places."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag
@@ -47,4 +47,16 @@ Place = Annotated[
 
 def find_kind(value: Any) -> str | None:
     """Return the tag of an object that its member ``kind`` tells from others."""
-    return f"<{value['kind']}>" if isinstance(value, Mapping) and "kind" in value else None
+    if isinstance(value, Mapping):
+        return f"<{value['kind']}>" if "kind" in value else None
+    return f"<{value.kind}>" if isinstance(value, Document) and hasattr(value, "kind") else None
+
+
+def form_by_member(*members: str) -> Callable[[Any], str | None]:
+    """Return what finds the tag of an object by the first of the members that it has."""
+
+    def find_form(value: Any) -> str | None:
+        names = value if isinstance(value, Mapping) else getattr(value, "__dict__", ())
+        return next((f"<{member}>" for member in members if member in names), None)
+
+    return find_form

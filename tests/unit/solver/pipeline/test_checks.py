@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from solver.errors import InputError
+from solver.jobs import run_job
 from solver.meshio.obj import write_obj
-from solver.pipeline import check_scan
 from solver.templates.builtin.build import builtin_expression
 
 
@@ -20,7 +20,7 @@ def test_a_neutral_with_an_open_mouth_is_bad_as_an_expression_it_is_good(tmp_pat
     write_obj(scan, builtin_expression({"jawOpen": 0.5}))
     verdicts = {}
     for role in ("neutral", "expression", "unknown"):
-        report, picture = check_scan(scan, tmp_path / role, options={"role": role})
+        report, picture = run_job("check_scan", tmp_path / role, scan=scan, role=role)
         found = json.loads(report.read_text(encoding="utf-8"))
         verdicts[role] = (found["verdict"], [entry["code"] for entry in found["findings"]])
         assert Image.open(picture).width > 1000
@@ -35,7 +35,7 @@ def test_a_neutral_with_an_open_mouth_is_bad_as_an_expression_it_is_good(tmp_pat
 def test_an_unreadable_scan_is_a_verdict_with_advice(content: bytes, tmp_path: Path) -> None:
     scan = tmp_path / "scan.obj"
     scan.write_bytes(content)
-    report, picture = check_scan(scan, tmp_path / "out")
+    report, picture = run_job("check_scan", tmp_path / "out", scan=scan)
     found = json.loads(report.read_text(encoding="utf-8"))
     assert found["verdict"] == "bad"
     (finding,) = found["findings"]
@@ -52,16 +52,22 @@ def test_an_unreadable_scan_is_a_verdict_with_advice(content: bytes, tmp_path: P
 def test_a_size_beyond_all_units_is_a_verdict(size: float, code: str, tmp_path: Path) -> None:
     scan = tmp_path / "scan.xyz"
     np.savetxt(scan, size * np.random.default_rng(0).standard_normal((300, 3)))
-    report, _ = check_scan(scan, tmp_path / "out")
+    report, _ = run_job("check_scan", tmp_path / "out", scan=scan)
     found = json.loads(report.read_text(encoding="utf-8"))
     assert found["verdict"] == "bad"
     assert code in [entry["code"] for entry in found["findings"]]
 
 
-@pytest.mark.parametrize("options", [{"role": "boss"}, {"unit": "mile"}, {"up": "w"}, {"x": 1}])
+@pytest.mark.parametrize("options", [{"unit": "mile"}, {"up": "w"}, {"x": 1}])
 def test_options_that_do_not_exist_are_refused(options: dict, tmp_path: Path) -> None:
     scan = tmp_path / "scan.obj"
     write_obj(scan, builtin_expression({}))
     with pytest.raises(InputError) as caught:
-        check_scan(scan, tmp_path / "out", options=options)
+        run_job("check_scan", tmp_path / "out", scan=scan, options=options)
     assert caught.value.code.startswith("options.")
+
+
+def test_a_role_that_does_not_exist_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        run_job("check_scan", tmp_path / "out", scan=tmp_path / "scan.obj", role="boss")
+    assert caught.value.code == "options.role"

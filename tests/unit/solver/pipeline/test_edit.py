@@ -14,10 +14,10 @@ from PIL import Image
 from solver.drawing.page import Page
 from solver.errors import InputError
 from solver.fitting.face import Face, Pose
-from solver.pipeline import PersonFiles, edit
+from solver.jobs import run_job
 from solver.progress import Step
 from solver.rig.gltf_check import validate_glb
-from solver.rig.result import ExpressionFit, save_activations, save_weights
+from solver.rig.result import ExpressionFit, load_activations, save_activations, save_weights
 from tests.unit.solver.block import head_block
 
 MODEL = head_block((7, 5, 1))
@@ -42,11 +42,15 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def files_of(rig: Path) -> dict[str, Path]:
+    names = {"model": "model.npz", "weights": "muscle_weights.npz", "rig": "activations.npz"}
+    return {name: rig / file for name, file in names.items()}
+
+
 def run(rig: Path, out: Path, *edits: dict[str, object], **scene: object) -> list[Step]:
     steps: list[Step] = []
     options = {"scene": {"edits": list(edits), **scene}}
-    person = PersonFiles(rig / "model.npz", rig / "muscle_weights.npz", rig)
-    files = edit(person, out, options=options, progress=steps.append)
+    files = run_job("edit", out, options=options, progress=steps.append, **files_of(rig))
     assert all(file.stat().st_size > 0 for file in files)
     return steps
 
@@ -93,8 +97,7 @@ def test_the_picture_says_how_many_expressions_it_leaves_out(
     run(rig, tmp_path / "one", PALSY)
     assert "expressions are shown" not in headings[0]
     shutil.copytree(rig, tmp_path / "rig")
-    person = PersonFiles(rig / "model.npz", rig / "muscle_weights.npz", rig)
-    [wide] = person.expressions(MODEL)
+    [wide] = load_activations(rig / "activations.npz", MODEL)
     many = [replace(wide, name=f"wide_{number}") for number in range(5)]
     save_activations(tmp_path / "rig" / "activations.npz", many, MODEL)
     run(tmp_path / "rig", tmp_path / "many", PALSY)

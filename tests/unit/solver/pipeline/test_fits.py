@@ -16,9 +16,9 @@ from solver.fitting import (
 )
 from solver.fitting.face import Face, Pose
 from solver.fitting.reference import NotConvergedError, Reference
+from solver.jobs import run_job
 from solver.meshio.obj import write_obj
 from solver.meshio.read import read_registered
-from solver.pipeline import fit_activations, fit_geometry
 from solver.progress import Step
 from solver.rig.result import load_activations, save_weights
 from solver.surface import Floats, Surface
@@ -57,9 +57,8 @@ def activations(
     """Fit the expressions; return the report and the steps that were told."""
     steps: list[Step] = []
     scans = {name: files / f"{name}.obj" for name in names}
-    fit_activations(
-        files / "model.npz", files / "weights.npz", scans, out, progress=steps.append, **more
-    )
+    given = {"model": files / "model.npz", "weights": files / "weights.npz", **more}
+    run_job("fit_activations", out, captures=scans, progress=steps.append, **given)
     return json.loads((out / "report.json").read_text()), steps
 
 
@@ -122,26 +121,29 @@ def test_geometry_by_ipopt_from_one_target(
 ) -> None:
     scans = {"wide": files / "wide.obj"}
     options = {"solver": "ipopt", "rounds": 2}
-    fit_geometry(files / "model.npz", scans, tmp_path / "rig", options=options)
+    model = files / "model.npz"
+    run_job("fit_geometry", tmp_path / "rig", options=options, captures=scans, model=model)
     report = json.loads((tmp_path / "rig" / "report.json").read_text())
     assert report["settings"]["solver"] == "ipopt"
     assert [warning["code"] for warning in report["warnings"]] == ["fit.one_target"]
     assert report["expressions"]["wide"]["mean_mm"] < 0.1
     assert report["inverted"] == 0
-    after, _ = activations(files, tmp_path / "next", "narrow", rig=tmp_path / "rig")
+    before = tmp_path / "rig" / "activations.npz"
+    after, _ = activations(files, tmp_path / "next", "narrow", rig=before)
     assert after["seconds"]["geometry"] == pytest.approx(report["seconds"]["geometry"], abs=2e-3)
     monkeypatch.setattr(geometry, "MOST_TETS", 400)
     scans["narrow"] = files / "narrow.obj"
     with pytest.raises(InputError, match="use solver reduced") as caught:
-        fit_geometry(files / "model.npz", scans, tmp_path / "no", options={"solver": "ipopt"})
+        run_job("fit_geometry", tmp_path / "no", options=options, captures=scans, model=model)
     assert caught.value.code == "options.too_large"
 
 
 def test_a_flipped_scan_is_called_so(files: Path, tmp_path: Path) -> None:
     turned = np.array([-1.0, 1.0, 1.0]) * MODEL.skin.vertices
     scans = {"flipped": write(tmp_path / "flipped.obj", turned), "wide": files / "wide.obj"}
+    given = {"model": files / "model.npz", "weights": files / "weights.npz"}
     with pytest.raises(InputError, match=r"flipped.obj .* 180 degrees") as caught:
-        fit_activations(files / "model.npz", files / "weights.npz", scans, tmp_path / "rig")
+        run_job("fit_activations", tmp_path / "rig", captures=scans, **given)
     assert caught.value.code == "scan.misaligned"
 
 
@@ -149,11 +151,12 @@ def test_a_fit_to_planes_is_not_misled_by_vertices_that_slid(files: Path, tmp_pa
     faces, count = MODEL.skin.faces, len(MODEL.skin.vertices)
     true = read_registered(files / "narrow.obj", faces, count).vertices
     scans = {"slid": write(tmp_path / "slid.obj", true + np.array([4.0, 0.0, 0.0]))}
-    given = (files / "model.npz", files / "weights.npz", scans)
+    given = {"model": files / "model.npz", "weights": files / "weights.npz"}
     away = {}
     for distance in ("point", "plane"):
         out = tmp_path / distance
-        fit_activations(*given, out, options={"distance": distance})
+        options = {"distance": distance}
+        run_job("fit_activations", out, options=options, captures=scans, **given)
         report = json.loads((out / "report.json").read_text())
         assert (report["settings"]["distance"], report["inverted"]) == (distance, 0)
         skin = load_activations(out / "activations.npz", MODEL)[0].skin
@@ -162,9 +165,9 @@ def test_a_fit_to_planes_is_not_misled_by_vertices_that_slid(files: Path, tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("option", "known"), [("solver", "reduced, ipopt"), ("distance", "point, plane")]
+    ("option", "known"), [("solver", "'reduced' or 'ipopt'"), ("distance", "'point' or 'plane'")]
 )
 def test_an_unknown_choice_is_refused(files: Path, tmp_path: Path, option: str, known: str) -> None:
-    with pytest.raises(InputError, match=f"known are {known}") as caught:
+    with pytest.raises(InputError, match=f"not one of {known}") as caught:
         activations(files, tmp_path, "wide", options={option: "fast"})
     assert caught.value.code == f"options.{option}"

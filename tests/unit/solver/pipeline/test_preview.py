@@ -12,8 +12,8 @@ import pytest
 
 from solver.errors import InputError
 from solver.fitting.face import Face, Pose
+from solver.jobs import run_job
 from solver.mechanics.flesh import IDENTITY
-from solver.pipeline.preview import build_preview
 from solver.progress import Step
 from solver.rig.result import ExpressionFit, load_activations, save_activations, save_weights
 from solver.rig.view.format import read_container
@@ -43,7 +43,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def build(files: Path, out: Path, rig: str = "activations.npz", **more: object) -> list[Path]:
-    return build_preview(files / "model.npz", files / "weights.npz", files / rig, out, **more)  # type: ignore[arg-type]
+    given = {"model": files / "model.npz", "weights": files / "weights.npz", "rig": files / rig}
+    return run_job("build_preview", out, **given, **more)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,8 @@ from solver.anatomy.tetrahedra import volume_ml
 from solver.animation.blendshapes import Blendshapes, Solved
 from solver.errors import InputError, SolveError
 from solver.fitting.face import Face, Pose
+from solver.jobs import run_job
 from solver.mechanics.flesh import IDENTITY
-from solver.pipeline import PersonFiles, animate, simulate
 from solver.progress import Step
 from solver.rig.gltf_check import validate_glb
 from solver.rig.result import ExpressionFit, save_activations, save_weights
@@ -46,8 +46,9 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def person_of(rig: Path, **more: Any) -> PersonFiles:
-    return PersonFiles(rig / "model.npz", rig / "muscle_weights.npz", rig, **more)
+def files_of(rig: Path) -> dict[str, Path]:
+    names = {"model": "model.npz", "weights": "muscle_weights.npz", "rig": "activations.npz"}
+    return {name: rig / file for name, file in names.items()}
 
 
 def play(
@@ -57,8 +58,8 @@ def play(
     assets: dict[str, Path] | None = None,
     **how: Any,
 ) -> dict[str, Any]:
-    person = person_of(rig, assets=assets or {})
-    files = simulate(person, out, options={"scene": scene}, **how)
+    options = {"scene": scene}
+    files = run_job("simulate", out, options=options, captures=assets, **files_of(rig), **how)
     assert all(file.stat().st_size > 0 for file in files)
     report: dict[str, Any] = json.loads((out / "animation.json").read_text())
     return report
@@ -214,11 +215,13 @@ def test_a_recording_is_played_by_the_muscles(rig: Path, tmp_path: Path) -> None
     shapes = {"mouthSmile_L": Solved(Pose(left, np.zeros(5)), 0.1)}
     Blendshapes(MODEL.muscle_names, shapes).save(tmp_path / "shapes.npz", MODEL, MODEL.weights)
     take = recording(tmp_path / "take.csv", [0.0, 0.5, 1.0, 1.0])
-    animate(
-        person_of(rig, assets={"take": take}),
+    run_job(
+        "animate",
         tmp_path / "out",
-        blendshapes=tmp_path / "shapes.npz",
         options={"scene": {"recording": {"asset": "take"}}},
+        captures={"take": take},
+        blendshapes=tmp_path / "shapes.npz",
+        **files_of(rig),
     )
     report = json.loads((tmp_path / "out/animation.json").read_text())
     assert (report["frames"], report["blendshapes"]) == (4, 1)
@@ -246,9 +249,9 @@ def test_bad_scenes_are_refused_before_blendshapes_are_solved(
 ) -> None:
     (tmp_path / "mesh.obj").write_text("v 0 0 0\nv 9 0 0\nv 0 9 0\nf 1 2 3\n")
     take = recording(tmp_path / "take.csv", [0.0, 0.5, 1.0])
-    person = person_of(rig, assets={"take": take, "mesh": tmp_path / "mesh.obj"})
+    how = {"options": {"scene": scene}, "captures": {"take": take, "mesh": tmp_path / "mesh.obj"}}
     steps: list[Step] = []
     with pytest.raises(InputError) as raised:
-        animate(person, tmp_path / "out", options={"scene": scene}, progress=steps.append)
+        run_job("animate", tmp_path / "out", progress=steps.append, **how, **files_of(rig))
     assert raised.value.code == code
     assert [step.phase for step in steps] == ["read"]

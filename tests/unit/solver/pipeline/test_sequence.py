@@ -14,9 +14,10 @@ from solver.errors import InputError, SolveError
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, Target
 from solver.fitting.sequence import Tracker, stillness
+from solver.jobs import run_job
+from solver.jobs.common import Targets
+from solver.jobs.fit_sequence import Follower
 from solver.meshio.read import RegisteredScan
-from solver.pipeline.common import Targets
-from solver.pipeline.sequence import Follower, fit_sequence
 from solver.progress import Step
 from solver.rig.motion import read_frames
 from solver.rig.result import save_weights
@@ -48,8 +49,12 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def fit(files: Path, out: Path, take: str = "take.npy", *, resume: bool = False, **options: object):
-    given = (files / "model.npz", files / "weights.npz", files / take)
-    return fit_sequence(*given, out, resume=resume, options=options)
+    return run_job("fit_sequence", out, resume=resume, options=options, **inputs_of(files, take))
+
+
+def inputs_of(files: Path, take: str = "take.npy") -> dict[str, Path]:
+    names = {"model": "model.npz", "weights": "weights.npz", "performance": take}
+    return {name: files / file for name, file in names.items()}
 
 
 def test_a_simulated_performance_is_followed(files: Path, tmp_path: Path) -> None:
@@ -70,7 +75,7 @@ def test_a_simulated_performance_is_followed(files: Path, tmp_path: Path) -> Non
 def test_frames_are_there_before_the_end_and_a_fit_goes_on_after_them(
     files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("solver.pipeline.sequence.CHUNK_FRAMES", 2)
+    monkeypatch.setattr("solver.jobs.fit_sequence.CHUNK_FRAMES", 2)
     fit(files, tmp_path / "whole", step=2)
 
     class DiedError(Exception):
@@ -81,11 +86,12 @@ def test_frames_are_there_before_the_end_and_a_fit_goes_on_after_them(
             raise DiedError
 
     with pytest.raises(DiedError):
-        fit_sequence(
-            *(files / name for name in ("model.npz", "weights.npz", "take.npy")),
+        run_job(
+            "fit_sequence",
             tmp_path / "parts",
             options={"step": 2},
             progress=die,
+            **inputs_of(files),
         )
     assert [frame.frame for frame in read_frames(tmp_path / "parts" / "frames", 2)] == [0, 2, 4]
     fit(files, tmp_path / "parts", resume=True, step=2)
@@ -129,8 +135,8 @@ def test_what_can_not_be_fitted_keeps_the_pose_and_warns(
         return whole(tracker, target, before)
 
     monkeypatch.setattr(Tracker, "fit", fails_once)
-    given = (files / "model.npz", files / "weights.npz", files / "take.npy")
-    fit_sequence(*given, tmp_path, options={"end": 5}, progress=steps.append)
+    how = {"options": {"end": 5}, "progress": steps.append}
+    run_job("fit_sequence", tmp_path, **how, **inputs_of(files))
     found = np.load(tmp_path / "sequence.npz")
     assert found["status"].tolist() == ["fitted", "fitted", "kept", "fitted", "fitted"]
     np.testing.assert_array_equal(found["activations"][1], found["activations"][2])
@@ -154,7 +160,7 @@ def test_frames_are_fitted_to_planes_too(files: Path, tmp_path: Path) -> None:
     points, planes = (np.load(tmp_path / d / "sequence.npz") for d in ("point", "plane"))
     assert (planes["status"] == "fitted").all()
     assert not np.allclose(planes["activations"], points["activations"], atol=1e-3)
-    with pytest.raises(InputError, match="known are point, plane") as caught:
+    with pytest.raises(InputError, match="not one of 'point' or 'plane'") as caught:
         fit(files, tmp_path, distance="surface")
     assert caught.value.code == "options.distance"
 
