@@ -31,10 +31,10 @@ from solver.drawing.page import HEADER, Sheet
 from solver.drawing.render import Camera, DrawnBody, Lit, fade, render
 from solver.edits.edit import DENSITY
 from solver.fitting.face import Face, Pose
+from solver.kinds.scene import STIFFNESS_PA
 from solver.model import SubjectModel
 from solver.rig.pictures import SIDE, THREE_QUARTER, WIDTH
 from solver.scene.objects import check_objects
-from solver.scene.stage import STIFFNESS_PA
 from solver.simulation.simulator import Simulator, Stepped
 from solver.surface import Floats, Surface
 

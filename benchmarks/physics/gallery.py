@@ -13,13 +13,14 @@ import trimesh
 from benchmarks.physics.fitted import Fitted
 from benchmarks.physics.headset import headset
 from benchmarks.physics.jobs import FOLDER
-from solver.pipeline.scenes import (
+from solver.jobs.scenes import (
     play,
     skin_of,
 )
+from solver.kinds.scene import SimulateScene
 from solver.progress import silent
 from solver.rig.animation_picture import Filming, Shot, contact_sheet
-from solver.scene.document import check
+from solver.scene.document import read_scene
 from solver.scene.keys import keyed
 from solver.scene.places import Places
 from solver.scene.stage import Stage
@@ -67,9 +68,9 @@ def _end(
     person: Fitted, places: Places, title: str, scene: Mapping[str, Any], folder: Path
 ) -> Shot:
     """Play a scene and return its last frame."""
-    scene = check(scene, "simulate")
-    drives = keyed(scene, person.poses, person.model, person.S)
-    stage = Stage(scene, places, person.S, drives)
+    played = read_scene(scene, SimulateScene)
+    drives = keyed(played, person.poses, person.model, person.S)
+    stage = Stage(played, places, person.S, drives)
     last = play(stage, folder / title, title, silent, resume=False, share=(0.0, 1.0))[-1]
     return Shot(
         title,
