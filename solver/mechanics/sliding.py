@@ -16,7 +16,7 @@ from solver.surface import Floats, Ints
 
 @dataclass(frozen=True)
 class SlidingPlanes:
-    """SlidingPlanes that vertices slide on: ``vertices`` (k,), ``points`` and unit ``normals`` (k, 3).
+    """Planes that vertices slide on: ``vertices`` (k,), ``points`` and unit ``normals`` (k, 3).
 
     ``stiffness`` (k,) is in stress units times mm.
     """
