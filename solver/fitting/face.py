@@ -17,7 +17,7 @@ from solver.mechanics.equilibrium import Equilibrium, PredictorOptions
 from solver.mechanics.flesh import COROTATED_TRACE, IDENTITY, Flesh, Material
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import Factorization, NewtonOptions
-from solver.mechanics.sliding import Planes, no_planes, planes
+from solver.mechanics.sliding import SlidingPlanes, no_planes, planes
 from solver.model import SubjectModel
 from solver.surface import Floats
 from solver.threads import leave_threads_to_kernels
@@ -319,7 +319,7 @@ class Face:
         x[self.flesh.free] += response.reshape(-1, 3)
         return x
 
-    def _sliding_planes(self, mu: Floats | float) -> Planes:
+    def _sliding_planes(self, mu: Floats | float) -> SlidingPlanes:
         """Return the planes along the skull that the model's sliding vertices stay on."""
         model = self.model
         if not len(model.sliding):

@@ -7,7 +7,7 @@ import numpy as np
 from solver.model import JawFrame
 from solver.surface import Floats
 
-DEGREES_OF_FREEDOM = 5
+DEGREES_OF_FREEDOM = 5  # hinge, sideways, and three of translation
 
 
 def _rotation(axis: Floats, angle: float) -> tuple[Floats, Floats]:

@@ -30,8 +30,19 @@ from solver.mechanics.terms import ElasticTerm
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
 
-LEAST, MOST = 0.3, 1.5
-"""Limits of gamma: a muscle shortens to a third and gives way to half as much again."""
+
+@dataclass(frozen=True)
+class FibreOptions:
+    """Limits of contractions, and how they are fitted."""
+
+    least: float = 0.3  # gamma of a muscle that has shortened to a third
+    most: float = 1.5  # of one that gives way to half as much again
+    # weight of relaxed muscles and a closed jaw, in mm^2 by rad^2 or mm^2 or contraction^2
+    rest: float = 1e-2
+    steps: int = 12  # at most
+    shortest: float = 2.0**-4  # part of a step below which it is given up
+    gain: float = 1e-3  # part of the distance that a step gains at least, or it is the last
+    rounding: float = 1e-9  # a limit that is reached leaves this much room
 
 
 def fibre_activations(model: SubjectModel, S: sp.csr_array, gamma: Floats) -> Floats:
@@ -109,10 +120,12 @@ def driven_by_fibres(face: Face) -> Flesh:
     return face.flesh.driven_by(term, np.ones(face.model.muscle_count))
 
 
-def nearest_fibre(model: SubjectModel, S: sp.csr_array, a: Floats) -> Floats:
+def nearest_fibre(
+    model: SubjectModel, S: sp.csr_array, a: Floats, options: FibreOptions = FibreOptions()
+) -> Floats:
     """Return the contractions (m,) along the fibres that activations ``a`` (m, 6) come to.
 
-    They are f^T S(a_j) f, its mean over the muscle's volume, within [:data:`LEAST`, :data:`MOST`].
+    They are f^T S(a_j) f, its mean over the muscle's volume, within the ``options``' limits.
     Raises as :func:`fibre_activations`.
     """
     rows, columns = _entries(S)
@@ -123,7 +136,7 @@ def nearest_fibre(model: SubjectModel, S: sp.csr_array, a: Floats) -> Floats:
     whole = np.bincount(columns, weight, minlength=count)
     sums = np.bincount(columns, weight * stretch, minlength=count)
     found = np.where(whole > 0.0, sums / np.where(whole > 0.0, whole, 1.0), 1.0)
-    return np.asarray(np.clip(found, LEAST, MOST)[1:])
+    return np.asarray(np.clip(found, options.least, options.most)[1:])
 
 
 def _entries(S: sp.csr_array) -> tuple[Ints, Ints]:
@@ -146,17 +159,6 @@ def _along(model: SubjectModel, S: sp.csr_array) -> Floats:
 # differentiated as everywhere: dx/dtheta = -H^-1 d(grad E)/dtheta.
 
 
-MOST_STEPS = 12
-SHORTEST = 2.0**-4
-"""Part of a step below which it is given up."""
-GAIN = 1e-3
-"""Part of the distance that a step gains at least, or it is the last."""
-REST = 1e-2
-"""Weight of relaxed muscles and a closed jaw, in mm^2 by rad^2 or mm^2 or contraction^2."""
-ROUNDING = 1e-9
-"""A limit that is reached leaves this much room."""
-
-
 @dataclass(frozen=True)
 class FibreFit:
     """Contractions ``gamma`` (m,), the ``jaw`` (5,), and vertices ``x`` (p, 3) they lead to."""
@@ -166,36 +168,37 @@ class FibreFit:
     x: Floats
 
 
-def fit_fibres(face: Face, target: Floats) -> FibreFit:
+def fit_fibres(face: Face, target: Floats, options: FibreOptions = FibreOptions()) -> FibreFit:
     """Fit the face's points (k, 3) to ``target`` (k, 3) from rest, in mm.
 
     Raises :class:`~solver.errors.InputError` (``model.fibres``) for a model without fibres.
     """
-    return _Fit(face, target).solve()
+    return _Fit(face, target, options).solve()
 
 
 class _Fit:
     """Unknowns theta (m + 5,) are contractions and jaw."""
 
-    def __init__(self, face: Face, target: Floats) -> None:
+    def __init__(self, face: Face, target: Floats, options: FibreOptions = FibreOptions()) -> None:
+        self._options = options
         self._face = face
         self._flesh = driven_by_fibres(face)
         self._target = target
         muscles = face.model.muscle_count
         self._relaxed = np.concatenate([np.ones(muscles), np.zeros(5)])
-        self._low = np.concatenate([np.full(muscles, LEAST), np.full(5, -np.inf)])
-        self._high = np.concatenate([np.full(muscles, MOST), np.full(5, np.inf)])
+        self._low = np.concatenate([np.full(muscles, options.least), np.full(5, -np.inf)])
+        self._high = np.concatenate([np.full(muscles, options.most), np.full(5, np.inf)])
 
     def solve(self) -> FibreFit:
         theta = self._relaxed
         state = self.settle(theta, self._face.model.rest)
-        for _ in range(MOST_STEPS):
+        for _ in range(self._options.steps):
             before = self._value(theta, state)
-            found = self._searched(theta, self._step(theta, state), state, before)
+            found = self._search(theta, self._step(theta, state), state, before)
             if found is None:
                 break
             theta, state = found
-            if self._value(theta, state) > (1.0 - GAIN) * before:
+            if self._value(theta, state) > (1.0 - self._options.gain) * before:
                 break
         return FibreFit(theta[:-5], theta[-5:], state.x)
 
@@ -221,18 +224,21 @@ class _Fit:
 
     def _step(self, theta: Floats, state: Equilibrium) -> Floats:
         """Return the step of Gauss-Newton within the limits."""
-        scale, pull = np.sqrt(len(self._target)), np.sqrt(REST)
+        scale, pull = np.sqrt(len(self._target)), np.sqrt(self._options.rest)
         system = [self.jacobian(theta, state) / scale, pull * np.eye(len(theta))]
         right = [-self._off(state).ravel() / scale, pull * (self._relaxed - theta)]
-        room = self._low - theta - ROUNDING, self._high - theta + ROUNDING
+        room = (
+            self._low - theta - self._options.rounding,
+            self._high - theta + self._options.rounding,
+        )
         return np.asarray(lsq_linear(np.vstack(system), np.concatenate(right), room).x)
 
-    def _searched(
+    def _search(
         self, theta: Floats, step: Floats, state: Equilibrium, before: float
     ) -> tuple[Floats, Equilibrium] | None:
         """Return where the first part of a step that gains leads to, None if none does."""
         part = 1.0
-        while part >= SHORTEST:
+        while part >= self._options.shortest:
             tried = theta + part * step
             with suppress(SolveError):  # too far: half of it may not be
                 reached = self.settle(tried, state.x)
@@ -243,7 +249,7 @@ class _Fit:
 
     def _value(self, theta: Floats, state: Equilibrium) -> float:
         distance = (self._off(state) ** 2).sum() / len(self._target)
-        return float(distance + REST * ((theta - self._relaxed) ** 2).sum())
+        return float(distance + self._options.rest * ((theta - self._relaxed) ** 2).sum())
 
     def _off(self, state: Equilibrium) -> Floats:
         return self._face.face_points(state.x) - self._target

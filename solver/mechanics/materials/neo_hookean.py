@@ -24,8 +24,8 @@ from solver.mechanics.linalg3 import (
     dot,
     full,
     product,
-    scaled,
-    squared,
+    scale,
+    square,
     symmetric_cofactor,
     symmetric_determinant,
     times,
@@ -91,9 +91,9 @@ def hessian_modes(
         right[1, entry] = C[entry]
         left[1, entry] = volume * second * C[entry]
     m, g = volume * mu * (1.0 - shrunk), (1.0 - project) * first
-    B = squared(inverse)
+    B = square(inverse)
     metric = (m * B[0], m * B[1], m * B[2], m * B[3], m * B[4], m * B[5])
-    return 2, metric, scaled(g, F)
+    return 2, metric, scale(g, F)
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)

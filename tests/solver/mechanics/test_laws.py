@@ -71,7 +71,7 @@ def allowed(a, law):
     return IDENTITY + 0.3 * (a - IDENTITY) if laws.needs_volume(law) else a
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", LAWS, ids=get_args(laws.Law))
 @pytest.mark.parametrize(("F", "a"), states())
 def test_derivatives_match_finite_differences(F, a, law):
     a = allowed(a, law)
@@ -96,7 +96,7 @@ def test_derivatives_match_finite_differences(F, a, law):
     np.testing.assert_allclose(exact, numeric, rtol=0, atol=1e-6 * np.abs(numeric).max())
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", LAWS, ids=get_args(laws.Law))
 @pytest.mark.parametrize(("F", "a"), states())
 def test_projected_hessian_is_positive_semidefinite_and_exact_where_the_raw_one_is(F, a, law):
     a = allowed(a, law)
@@ -123,7 +123,7 @@ def test_energy_vanishes_where_the_activation_is_met():
     assert density(R @ activation_matrix(a), a, lam=0.0) == pytest.approx(0.0, abs=1e-14)
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", LAWS, ids=get_args(laws.Law))
 def test_inverted_elements_have_infinite_energy(law):
     assert density(np.diag([1.0, 1.0, -0.1]), IDENTITY, law) == np.inf
 
