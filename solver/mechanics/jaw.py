@@ -1,4 +1,4 @@
-"""The mandible's rigid motion: five degrees of freedom b (SYSTEM: jaw)."""
+"""The mandible's rigid motion: five degrees of freedom b."""
 
 from __future__ import annotations
 

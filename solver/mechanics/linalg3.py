@@ -92,7 +92,7 @@ CONDITION = 1e-2  # det Y / (t^3 / 8) below which R is off by 1e-12: singular ve
 LEAST_SUM = 1e-8  # of two singular values: R turns by 1 / (s_i + s_j), no faster than this
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def cofactor(G: Matrix) -> Matrix:
     """Return d(det G)/dG."""
     a, b, c, d, e, f, g, h, i = G
@@ -109,7 +109,7 @@ def cofactor(G: Matrix) -> Matrix:
     )
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def dot(X: Matrix, Y: Matrix) -> float:
     """Return <X, Y> = tr(X^T Y)."""
     return (
@@ -119,14 +119,14 @@ def dot(X: Matrix, Y: Matrix) -> float:
     )
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def determinant(F: Matrix) -> float:
     """Return det F."""
     a, b, c, d, e, f, g, h, i = F
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def symmetric_cofactor(A: Symmetric) -> Symmetric:
     """Return d(det A)/dA as a symmetric matrix."""
     xx, xy, xz, yy, yz, zz = A
@@ -140,14 +140,14 @@ def symmetric_cofactor(A: Symmetric) -> Symmetric:
     )
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def symmetric_determinant(A: Symmetric) -> float:
     """Return det A."""
     C = symmetric_cofactor(A)
     return A[0] * C[0] + A[1] * C[1] + A[2] * C[2]
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def times(F: Matrix, A: Symmetric) -> Matrix:
     """Return F A."""
     a, b, c, d, e, f, g, h, i = F
@@ -165,7 +165,7 @@ def times(F: Matrix, A: Symmetric) -> Matrix:
     )
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def product(X: Matrix, Y: Matrix) -> Matrix:
     """Return X Y."""
     return (
@@ -181,7 +181,7 @@ def product(X: Matrix, Y: Matrix) -> Matrix:
     )
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def scale(s: float, X: Matrix) -> Matrix:
     """Return s X."""
     return (
@@ -197,13 +197,13 @@ def scale(s: float, X: Matrix) -> Matrix:
     )
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def full(A: Symmetric) -> Matrix:
     """Return A with all its nine entries."""
     return A[0], A[1], A[2], A[1], A[3], A[4], A[2], A[4], A[5]
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def square(A: Symmetric) -> Symmetric:
     """Return A A."""
     a, b, c, d, e, f = A

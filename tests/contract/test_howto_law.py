@@ -22,12 +22,19 @@ import numpy as np
 from solver.fitting import activation
 from solver.fitting.face import Face
 from solver.fitting.objective import Regulariser, SkinDistance, Target
+from solver.mechanics import laws
 from solver.mechanics.flesh import Material
 from tests.solver.block import block_model, poses
 
 model = block_model()
 {use}
 pose, rest = poses(1)[0], face.rest_state()
+stretch = np.diag([1.1, 0.9, 1.05])
+identity, moduli = tuple(face.flesh.passive()[0]), (1.0, 1.0, 3.0, 5.0)
+psi = laws.density(2, tuple(stretch.ravel()), identity, moduli)
+# not the kernels of the tree before
+whole = face.flesh.energy(model.rest @ stretch, face.flesh.passive())
+np.testing.assert_allclose(whole, psi * face.flesh.volumes.sum())
 points = face.face_points(face.continuation(rest, pose).x)
 target = Target.from_points(points)
 prior = Regulariser(w_a=1e-9, w_v=0.0, w_b=1e-12, prior=face.rest_pose())
@@ -44,7 +51,8 @@ assert np.abs(fitted.state.pose.a - pose.a).max() < 0.02
 def follow(tree: Path) -> tuple[set[str], list[str]]:
     """Do what the page says in a tree; return the files it touched, and the code of its last part.
 
-    "Create" takes the next block for a file's text, "Change" the diffs up to the next heading.
+    "Create" takes the next block for a file's text, "Change" all diffs. Of commands all are run
+    but the tests.
     """
     touched, use = set(), []
     path, verb = Path(), ""
@@ -64,6 +72,8 @@ def follow(tree: Path) -> tuple[set[str], list[str]]:
             path.write_text(text.replace(f"{before}\n", f"{after}\n"), encoding="utf-8")
         elif found[3] == "python":
             use.append(found[4])
+        elif found[3] == "sh" and "pytest" not in found[4]:
+            subprocess.run(["sh", "-ec", found[4]], cwd=tree, check=True)
     return touched, use
 
 
@@ -71,10 +81,10 @@ def follow(tree: Path) -> tuple[set[str], list[str]]:
 def copy(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, set[str], list[str]]:
     """Return a copy of the solver and its tests with the law in it."""
     tree = tmp_path_factory.mktemp("tree")
-    ignore = shutil.ignore_patterns("__pycache__")
-    shutil.copytree(ROOT / "solver", tree / "solver", ignore=ignore)
+    # with the kernels compiled so far, as in a tree that was worked in
+    shutil.copytree(ROOT / "solver", tree / "solver")
     (tree / "tests").mkdir()
-    shutil.copytree(ROOT / "tests" / "solver", tree / "tests" / "solver", ignore=ignore)
+    shutil.copytree(ROOT / "tests" / "solver", tree / "tests" / "solver")
     shutil.copy(ROOT / "tests" / "fixtures.py", tree / "tests")
     return tree, *follow(tree)
 
