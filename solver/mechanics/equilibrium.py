@@ -84,7 +84,7 @@ def solve_equilibrium(
     energy = Energy(flesh, linear, a)
     _check_orientation(energy, x)
     search = Search(energy, x, options, near)
-    search.minimize()
+    search.minimise()
     # NaN, too, is no equilibrium
     if not search.residual <= max(tolerance, options.stalled):
         raise SolveError(

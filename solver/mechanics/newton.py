@@ -266,7 +266,7 @@ class Search:
         """Return the residual."""
         return self._energy.residual(self.gradient)
 
-    def minimize(self) -> None:
+    def minimise(self) -> None:
         """Go on until the search ends: at its tolerance, settled, or where no step leads down.
 
         An equilibrium that is unstable but perfectly symmetric is one to chord steps, too: the

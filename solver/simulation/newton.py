@@ -98,7 +98,7 @@ class Newton:
         options = replace(self._options, factorizations=factorizations)
         search = Search(energy, x, options, self._factor, self._projection)
         try:
-            search.minimize()
+            search.minimise()
         finally:
             self._factor, self._projection = search.factorization, search.projection
         # NaN, too, is no minimum
