@@ -22,7 +22,6 @@ from solver.anatomy.tetrahedra import volumes
 from solver.surface import Floats, Ints, Surface, area_normals, directed_edges
 
 CANDIDATE_MM = 10.0  # a muscle may act in the tets within this distance (the paper's sparsity of S)
-VOLUME_SAMPLES = 40_000  # of a box around an open surface, for its volume to about 2 %
 # Eight equal parts of a tetrahedron: each corner is half way between two of its corners.
 _OCTASECTION = (
     ((0, 0), (0, 1), (0, 2), (0, 3)),
@@ -103,11 +102,11 @@ def muscle_volumes(vertices: Floats, tets: Ints, weights: sp.csr_array) -> Float
     return np.asarray(weights.T @ volumes(vertices, tets))[1:]
 
 
-def enclosed_volume(surface: Surface) -> float:
+def enclosed_volume(surface: Surface, samples: int = 40_000) -> float:
     """Return the volume in mm^3 of the points that a surface winds around.
 
     Where it is closed that is a sum over its triangles. Else, with gaps or pieces inside out, it is
-    counted on a grid along the surface's principal axes, to about 2 %.
+    counted on a grid of ``samples`` along the surface's principal axes, to about 2 %.
     """
     middle = surface.vertices.mean(axis=0)
     if _is_closed(surface.faces):
@@ -117,7 +116,7 @@ def enclosed_volume(surface: Surface) -> float:
     local = (surface.vertices - middle) @ axes.T
     lo, hi = local.min(axis=0), local.max(axis=0)
     box = float(np.prod(hi - lo))
-    counts = np.ceil((hi - lo) / (box / VOLUME_SAMPLES) ** (1 / 3)).astype(int)
+    counts = np.ceil((hi - lo) / (box / samples) ** (1 / 3)).astype(int)
     steps = [lo[k] + (hi - lo)[k] * (np.arange(n) + 0.5) / n for k, n in enumerate(counts)]
     grid = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
     return box * float(contains(surface, grid @ axes + middle).mean())
@@ -358,9 +357,6 @@ class _Field:
 # skull.
 
 
-END = 0.1  # part of a muscle's vertices that are an end
-
-
 def bodyparts3d_muscle(name: str, surface: Surface, skull: Floats) -> Muscle:
     """Return a muscle of BodyParts3D with the axis of the table.
 
@@ -397,9 +393,9 @@ def with_axis(name: str, surface: Surface, skull: Floats) -> Muscle:
     return Muscle(name, surface, fibre, origin, insertion)
 
 
-def _ends(surface: Surface, axis: Floats) -> Floats:
-    """Return the centres (2, 3) of the ends of a surface along an axis."""
+def _ends(surface: Surface, axis: Floats, part: float = 0.1) -> Floats:
+    """Return the centres (2, 3) of a surface's ends along an axis, each ``part`` of the vertices."""
     along = surface.vertices @ axis
-    low, high = np.quantile(along, [END, 1 - END])
+    low, high = np.quantile(along, [part, 1 - part])
     ends = (surface.vertices[along <= low], surface.vertices[along >= high])
     return np.stack([end.mean(axis=0) for end in ends])

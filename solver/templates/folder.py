@@ -1,4 +1,9 @@
-"""Tables and lists of a template folder, read so that every fault names its file and line."""
+"""Read a template from a folder of meshes and tables that a studio can write.
+
+``template.toml`` says what it is and in which unit and axes; ``skin``, ``parted``, ``cranium``,
+``mandible`` and ``muscles/*`` are meshes (OBJ or PLY); the rest are tables. A ZIP of the folder
+will do as well. See docs/guide/templates.md.
+"""
 
 from __future__ import annotations
 
@@ -20,17 +25,13 @@ from solver.anatomy.muscle_weights import with_axis
 from solver.anatomy.template import Depth, Muscle, ShapeBasis, Template, check_arrays
 from solver.errors import InputError
 from solver.meshio.raw import read_raw
-from solver.registration.pose import (
-    AXES,
-    UNITS,
-)
-from solver.storage import (
-    NOT_READABLE,
-    check_directory,
-)
+from solver.registration.pose import AXES, UNITS
+from solver.storage import NOT_READABLE, check_directory
 from solver.surface import Floats, Ints, Surface
 
 _RANGE = re.compile(r"(\d+)-(\d+)")
+
+# Tables and lists, read so that every fault names its file and line.
 
 
 class Row:
@@ -179,19 +180,13 @@ def _read_text(path: Path) -> str:
         raise InputError("template.unreadable", f"{path.name}: {error}", file=path.name) from error
 
 
-# A template as a folder of meshes and tables that a studio can write; see docs/guide/templates.md.
-#
-# ``template.toml`` says what it is and in which unit and axes; ``skin``, ``parted``, ``cranium``,
-# ``mandible`` and ``muscles/*`` are meshes (OBJ or PLY); the rest are tables. A ZIP of the folder
-# will do as well.
+# The folder.
 
-
-FORMAT = 1
+FORMAT = 1  # of template.toml
 DESCRIPTION = "template.toml"
-MAX_UNPACKED_BYTES = 2 * 2**30
+MAX_UNPACKED_BYTES = 2 * 2**30  # of a ZIP: no real template comes near
 SUFFIXES = (".ply", ".obj")
-PARTS = ("flesh", "face", "with_cranium", "with_mandible")
-"""Sets of skin vertices in ``parts.json``."""
+PARTS = ("flesh", "face", "with_cranium", "with_mandible")  # sets of skin vertices in parts.json
 BONES = ("cranium", "mandible")
 
 

@@ -101,8 +101,8 @@ def _shapes(files: list[PublicFile], neutral: Floats) -> np.ndarray:
 # displacements and their names, ``I`` and ``idn`` identities.
 
 
-VERTEX_COUNT = 26719
-MM_PER_UNIT = 10.0
+VERTEX_COUNT = 26719  # of the published topology
+MM_PER_UNIT = 10.0  # published in cm
 
 # Ranges of vertex numbers, as published with the model.
 NARROW_FACE = range(0, 6706)

@@ -41,31 +41,29 @@ from solver.templates.ict_facekit import FaceKit
 # Corresponding points of BodyParts3D and the ICT-FaceKit head, and the soft-tissue depths.
 
 
-CROWN_MM = 8.0
-"""Height of the part of a tooth whose middle is the landmark."""
-RANGE_SD = 2.0
-"""Depths may differ from the mean by this many standard deviations."""
-DEPTH_SPREAD_MM = 18.0
-"""How far around a depth landmark its depth is wanted."""
-
-
 @dataclass(frozen=True)
 class DepthTable:
-    """Soft-tissue depths at points (k, 3) of the skull, mean and standard deviation in mm."""
+    """Soft-tissue depths at points (k, 3) of the skull, mean and standard deviation in mm.
+
+    Depths may differ from the mean by ``range_sd`` standard deviations, and are wanted within about
+    ``spread_mm`` of their points.
+    """
 
     points: Floats
     mean: Floats
     deviation: Floats
+    range_sd: float = 2.0
+    spread_mm: float = 18.0
 
     def bounds(self, points: Floats, least_mm: float) -> tuple[Floats, Floats]:
         """Return least and greatest depths (n,); no greatest one far from every landmark."""
-        weights = np.exp(-((cdist(points, self.points) / DEPTH_SPREAD_MM) ** 2) / 2)
+        weights = np.exp(-((cdist(points, self.points) / self.spread_mm) ** 2) / 2)
         total = weights.sum(axis=1) + 1e-12
         mean = weights @ self.mean / total
         deviation = weights @ self.deviation / total
         near = total > np.exp(-2.0)
-        least = np.where(near, mean - RANGE_SD * deviation, 0.0)
-        greatest = np.where(near, mean + RANGE_SD * deviation, np.inf)
+        least = np.where(near, mean - self.range_sd * deviation, 0.0)
+        greatest = np.where(near, mean + self.range_sd * deviation, np.inf)
         return np.maximum(least, least_mm), greatest
 
 
@@ -95,9 +93,10 @@ def _components(faces: Ints, numbers: range) -> list[Ints]:
     return sorted(parts, key=lambda part: int(part[0]))
 
 
-def _crown(tooth: Floats, jaw: str) -> Floats:
+def _crown(tooth: Floats, jaw: str, height_mm: float = 8.0) -> Floats:
+    """Return the middle of the lowest or highest ``height_mm`` of a tooth."""
     height = tooth[:, 1] if jaw == "upper" else -tooth[:, 1]
-    crown = tooth[height < height.min() + CROWN_MM]
+    crown = tooth[height < height.min() + height_mm]
     return np.asarray((crown.min(axis=0) + crown.max(axis=0)) / 2)
 
 
@@ -135,27 +134,39 @@ def depth_landmarks(skin: Surface) -> tuple[PointPairs, PointPairs, DepthTable]:
     return bone, muscle, DepthTable(table[:, :3], table[:, 3], table[:, 4])
 
 
-MUSCLE_DEPTH_MM = 1.8
-"""Least depth of muscles and bones under the skin (dermis)."""
-LOWEST_Y = -105.0
-"""Anatomy below this height of the head takes no part in the fit."""
-BONE_SAMPLES = 900
-"""Points of one half of the bones whose depth is kept."""
-MUSCLE_SAMPLES = 120
-"""Points of each muscle that are kept inside the flesh."""
-BED_SAMPLES = 200
-"""Points of the bones that muscles stay attached to in the second warp."""
-WRAP_LO = np.array([-100.0, -110.0, 12.0])
+# Bones and muscles, carried into the head.
+
+WRAP_LO = np.array([-100.0, -110.0, 12.0])  # the box of the bone wraps
 WRAP_HI = np.array([100.0, 155.0, 125.0])
-BURIED_MM = 4.0
-"""Around muscles inside wrapped bone, bones do not hold the second warp."""
-ON_MIDDLE_MM = 0.5
-LINING_DEPTH_MM = 0.3
-"""Least depth of muscles under the lining of mouth and eyelids."""
-BONE_GAP_MM = 0.2
-"""Least distance between muscles and wrapped bones."""
 
 Align = Callable[[Floats], Floats]
+
+
+@dataclass(frozen=True)
+class CarryOptions:
+    """Depths, gaps and samples of the two warps that carry bones and muscles."""
+
+    muscle_depth_mm: float = 1.8
+    """Least depth of muscles and bones under the skin (dermis)."""
+    lowest_y: float = -105.0
+    """Anatomy below this height of the head takes no part in the fit."""
+    bone_samples: int = 900
+    """Points of one half of the bones whose depth is kept."""
+    muscle_samples: int = 120
+    """Points of each muscle that are kept inside the flesh."""
+    bed_samples: int = 200
+    """Points of the bones that muscles stay attached to in the second warp."""
+    buried_mm: float = 4.0
+    """Around muscles inside wrapped bone, bones do not hold the second warp."""
+    on_middle_mm: float = 0.5
+    """Landmarks this far on the right still count as those of the middle."""
+    lining_depth_mm: float = 0.3
+    """Least depth of muscles under the lining of mouth and eyelids."""
+    bone_gap_mm: float = 0.2
+    """Least distance between muscles and wrapped bones."""
+
+
+CARRY = CarryOptions()
 
 
 @dataclass(frozen=True)
@@ -168,7 +179,7 @@ class Anatomy:
     muscles: dict[str, Surface]
 
 
-def carry_anatomy(parts: dict[str, Part], kit: FaceKit) -> Anatomy:
+def carry_anatomy(parts: dict[str, Part], kit: FaceKit, options: CarryOptions = CARRY) -> Anatomy:
     """Return bone wraps and face muscles inside the head.
 
     A first warp carries bones and muscles by teeth, eyes and soft-tissue depths. A second one
@@ -194,18 +205,21 @@ def carry_anatomy(parts: dict[str, Part], kit: FaceKit) -> Anatomy:
         name: parts[name].surface.moved(align(parts[name].surface.vertices))
         for name in bodyparts3d.muscle_names(parts)
     }
-    sample = np.vstack([_sample(surface.vertices) for surface in muscles.values()])
-    sample = sample[(sample[:, 1] > LOWEST_Y) & (sample[:, 0] >= 0)]
+    sample = np.vstack(
+        [_sample(surface.vertices, options.muscle_samples) for surface in muscles.values()]
+    )
+    sample = sample[(sample[:, 1] > options.lowest_y) & (sample[:, 0] >= 0)]
     bone_limits = _bone_limits(
-        bodyparts3d.merge_parts(parts, "cranium", "mandible"), align, depths, outer
+        bodyparts3d.merge_parts(parts, "cranium", "mandible"), align, depths, outer, options
     )
     landmarks = _left(
         align(np.vstack([teeth.source, anchors.source])),
         np.vstack([teeth.target, anchors.target]),
+        options.on_middle_mm,
     )
     first = depth_warp(
         landmarks,
-        [bone_limits, DepthLimits(sample, MUSCLE_DEPTH_MM, np.inf, outer)],
+        [bone_limits, DepthLimits(sample, options.muscle_depth_mm, np.inf, outer)],
         centres=300,
         stiffness=0.5,
     )
@@ -220,20 +234,21 @@ def carry_anatomy(parts: dict[str, Part], kit: FaceKit) -> Anatomy:
     sample = first(sample)
     wraps = [SkinDepth(cranium), SkinDepth(mandible)]
     bed = first(bone_limits.points)
-    bed = bed[spread(bed, BED_SAMPLES)]
+    bed = bed[spread(bed, options.bed_samples)]
     # What a wrap has swallowed has to come out: the bone beside it cannot be held there.
     buried = sample[np.any([wrap.inside(sample) for wrap in wraps], axis=0)]
-    bed = bed[cKDTree(buried).query(bed)[0] > BURIED_MM]
+    bed = bed[cKDTree(buried).query(bed)[0] > options.buried_mm]
     landmarks = _left(
         np.vstack([bed, first(align(muscle_anchors.source))]),
         np.vstack([bed, muscle_anchors.target]),
+        options.on_middle_mm,
     )
     second = depth_warp(
         landmarks,
         [
-            DepthLimits(sample, MUSCLE_DEPTH_MM, np.inf, outer),
-            DepthLimits(sample, LINING_DEPTH_MM, np.inf, SkinDepth(flesh)),
-            *[DepthLimits(sample, -np.inf, -BONE_GAP_MM, wrap) for wrap in wraps],
+            DepthLimits(sample, options.muscle_depth_mm, np.inf, outer),
+            DepthLimits(sample, options.lining_depth_mm, np.inf, SkinDepth(flesh)),
+            *[DepthLimits(sample, -np.inf, -options.bone_gap_mm, wrap) for wrap in wraps],
         ],
         centres=400,
         stiffness=0.1,
@@ -242,22 +257,24 @@ def carry_anatomy(parts: dict[str, Part], kit: FaceKit) -> Anatomy:
     return Anatomy(cranium, mandible, jaw, muscles)
 
 
-def _left(source: Floats, target: Floats) -> PointPairs:
-    left = source[:, 0] > -ON_MIDDLE_MM
+def _left(source: Floats, target: Floats, on_middle_mm: float) -> PointPairs:
+    left = source[:, 0] > -on_middle_mm
     return PointPairs(source[left], target[left])
 
 
-def _sample(vertices: Floats) -> Floats:
-    return vertices[spread(vertices, min(MUSCLE_SAMPLES, len(vertices) // 4))]
+def _sample(vertices: Floats, most: int) -> Floats:
+    return vertices[spread(vertices, min(most, len(vertices) // 4))]
 
 
-def _bone_limits(bones: Surface, align: Align, table: DepthTable, depth: SkinDepth) -> DepthLimits:
+def _bone_limits(
+    bones: Surface, align: Align, table: DepthTable, depth: SkinDepth, options: CarryOptions
+) -> DepthLimits:
     aligned = align(bones.vertices)
     near = np.flatnonzero(
-        (aligned[:, 1] > LOWEST_Y) & (bones.vertices[:, 0] > bodyparts3d.MIDDLE_X)
+        (aligned[:, 1] > options.lowest_y) & (bones.vertices[:, 0] > bodyparts3d.MIDDLE_X)
     )
-    chosen = near[spread(aligned[near], BONE_SAMPLES)]
-    least, greatest = table.bounds(bones.vertices[chosen], MUSCLE_DEPTH_MM)
+    chosen = near[spread(aligned[near], options.bone_samples)]
+    least, greatest = table.bounds(bones.vertices[chosen], options.muscle_depth_mm)
     points = aligned[chosen]
     mesh = trimesh.Trimesh(aligned, bones.faces, process=False)
     _, deeper = depth(points)
@@ -304,8 +321,7 @@ def depth_table(skin: Floats) -> tuple[dict[str, int], tuple[Depth, ...]]:
     return both_sides(landmarks, skin), tuple(depths)
 
 
-# Landmarks and named regions of the ICT-FaceKit face.
-
+# Regions of the ICT-FaceKit face.
 
 # Vertices of the published 68 facial landmarks that bound the regions.
 LANDMARKS = {
@@ -366,16 +382,9 @@ def named_regions(skin: Floats, sides: Ints) -> dict[str, Ints]:
 # The template of the ICT-FaceKit topology with the anatomy of BodyParts3D.
 
 
-BACK_Z = 24.0
-BOTTOM_Y = -95.5
-PARTING = 0.4
-PARTING_EXPRESSIONS = (
-    "mouthLowerDown_L",
-    "mouthLowerDown_R",
-    "mouthUpperUp_L",
-    "mouthUpperUp_R",
-)
-CONDYLE_MM = 10.0
+BACK_Z, BOTTOM_Y = 24.0, -95.5  # cut planes, mm
+PARTING = 0.4  # weight of each expression that parts the lips
+PARTING_EXPRESSIONS = ("mouthLowerDown_L", "mouthLowerDown_R", "mouthUpperUp_L", "mouthUpperUp_R")
 
 
 def build_ict_template(anatomy_dir: Path, faces_dir: Path) -> Template:
@@ -455,13 +464,13 @@ def _moving_with_jaw(kit: FaceKit) -> Ints:
     return np.asarray(inner[with_jaw[inner] < with_head[inner]])
 
 
-def _condyles(mandible: Surface) -> Floats:
+def _condyles(mandible: Surface, size_mm: float = 10.0) -> Floats:
     """Return the centres (2, 3) of the left and right condyle: the highest point's surroundings."""
     centres = []
     for side in (1, -1):
         half = mandible.vertices[mandible.vertices[:, 0] * side > 0]
         back = half[half[:, 2] < np.quantile(half[:, 2], 0.3)]
         top = back[np.argmax(back[:, 1])]
-        near = back[np.linalg.norm(back - top, axis=1) < CONDYLE_MM]
+        near = back[np.linalg.norm(back - top, axis=1) < size_mm]
         centres.append((near.min(axis=0) + near.max(axis=0)) / 2)
     return np.array(centres)
