@@ -394,7 +394,7 @@ def with_axis(name: str, surface: Surface, skull: Floats) -> Muscle:
 
 
 def _ends(surface: Surface, axis: Floats, part: float = 0.1) -> Floats:
-    """Return the centres (2, 3) of a surface's ends along an axis, each ``part`` of the vertices."""
+    """Return the centres (2, 3) of both ends along an axis, each ``part`` of the vertices."""
     along = surface.vertices @ axis
     low, high = np.quantile(along, [part, 1 - part])
     ends = (surface.vertices[along <= low], surface.vertices[along >= high])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from solver.drawing.page import HEADER
+from solver.drawing.sheet import HEADER
 from solver.model import SubjectModel
 from solver.rig.pictures import anatomy_picture, fit_picture, tets_picture
 from solver.rig.result import ExpressionFit
