@@ -76,23 +76,21 @@ EDGE_MM = 9.0  # the usual edge length on the face
 class MeshOptions:
     """Distances that decide how flesh, skin and bones are joined."""
 
-    envelope: float = 0.08
-    """Distance between flesh surface and skin as a part of the edge length."""
+    envelope: float = 0.08  # distance between flesh surface and skin as a part of the edge length
     greatest_envelope_mm: float = 1.6
+    # Of processor time; a head at the usual edge length takes one or two minutes.
     mesher_seconds: float = 900.0
-    """Of processor time; a head at the usual edge length takes one or two minutes."""
+    # Within this distance of the mandible a cut plane is free: the jaw's angle moves with it.
     jaw_free_mm: float = 15.0
-    """Within this distance of the mandible a cut plane is free: the jaw's angle moves with it."""
+    # So is one this near to the face under the jaw: the throat is drawn along.
     face_free_mm: float = 20.0
-    """So is one this near to the face under the jaw: the throat is drawn along."""
+    # Forehead: the skull's vertices this near to the frontalis slide instead of being fixed.
     frontalis_mm: float = 6.0
-    """Forehead: the skull's vertices this near to the frontalis slide instead of being fixed."""
+    # Skin further from the flesh than this part of the edge length does not follow it.
     embedding: float = 0.25
-    """Skin further from the flesh than this part of the edge length does not follow it."""
+    # Skin beyond the flesh goes with the jaw this near to it: the mouth's lining, not the neck.
     lining_mm: float = 8.0
-    """Skin beyond the flesh goes with the jaw this near to it: the mouth's lining, not the neck."""
-    fitting_rounds: int = 3
-    """Of binding the skin to the mesh and fitting the mesh to the skin."""
+    fitting_rounds: int = 3  # of binding the skin to the mesh and fitting the mesh to the skin
     domain: DomainOptions = DOMAIN
 
 

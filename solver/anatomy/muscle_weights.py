@@ -39,14 +39,10 @@ _OCTASECTION = (
 class SamplingOptions:
     """Fineness of the sampling of tetrahedra, at the centres of 8^level parts."""
 
-    near_level: int = 1
-    """To find candidates."""
-    level: int = 2
-    """For volume fractions."""
-    fine_level: int = 3
-    """For those of small muscles, which are thin."""
-    fine_below_mm3: float = 600.0
-    """Volume of a small muscle."""
+    near_level: int = 1  # to find candidates
+    level: int = 2  # for volume fractions
+    fine_level: int = 3  # for those of small muscles, which are thin
+    fine_below_mm3: float = 600.0  # volume of a small muscle
 
 
 SAMPLING = SamplingOptions()
@@ -205,19 +201,17 @@ def _within(points: Floats, surface: Surface, reach: Floats | float) -> np.ndarr
 class FibreOptions:
     """Ends of muscles, and the flesh around them, in the potentials of fibres."""
 
+    # Part of a muscle's length at each end where the potential is given. Less takes the top of a
+    # dome, such as frontalis has, for the whole end, and fibres fan out from it.
     straight_end: float = 0.15
-    """Part of a muscle's length at each end where the potential is given. Less takes the top of a
-    dome, such as frontalis has, for the whole end, and fibres fan out from it."""
+    # The same of a bent muscle. More takes its side, such as half a ring has, for its end.
     bent_end: float = 0.05
-    """The same of a bent muscle. More takes its side, such as half a ring has, for its end."""
+    # A muscle is bent if its middle lies off its axis by more than this part of its length.
     bent: float = 0.16
-    """A muscle is bent if its middle lies off its axis by more than this part of its length."""
-    reach_mm: float = 5.0
-    """Muscle further than this from its candidates is outside the flesh."""
-    conductivity: float = 0.01
-    """Of the flesh around a muscle, for its candidates beside it."""
+    reach_mm: float = 5.0  # muscle further than this from its candidates is outside the flesh
+    conductivity: float = 0.01  # of the flesh around a muscle, for its candidates beside it
+    # Weight of the potential's first guess, for pieces of flesh that no end touches.
     pull: float = 1e-6
-    """Weight of the potential's first guess, for pieces of flesh that no end touches."""
 
 
 FIBRES = FibreOptions()

@@ -25,40 +25,29 @@ SIDES = (("_l", "_r", 1.0), ("_r", "_l", -1.0))
 class AnatomyBounds:
     """Sizes and distances that a sound template keeps to."""
 
+    # Least and greatest height of the part of a head that is fitted.
     face_mm: tuple[float, float] = (90.0, 320.0)
-    """Least and greatest height of the part of a head that is fitted."""
+    # Bone may lie this far outside the skin, or in another bone, by rounding alone.
     touching_mm: float = 0.3
-    """Bone may lie this far outside the skin, or in another bone, by rounding alone."""
-    condyle_mm: float = 8.0
-    """A condyle's centre is at most this far from the mandible's surface."""
-    depth_mm: tuple[float, float] = (1.0, 45.0)
-    """Soft tissue is never thinner or thicker on a face."""
-    depth_sd: float = 3.0
-    """The bone's depth may differ from the table's by so many deviations ..."""
+    condyle_mm: float = 8.0  # a condyle's centre is at most this far from the mandible's surface
+    depth_mm: tuple[float, float] = (1.0, 45.0)  # soft tissue is never thinner or thicker on a face
+    depth_sd: float = 3.0  # the bone's depth may differ from the table's by so many deviations ...
+    # ... and by so much where none is known.
     depth_slack_mm: float = 4.0
-    """... and by so much where none is known."""
-    dihedral_deg: float = 5.0
-    """Least angle of a tetrahedron."""
-    volume_kept: float = 0.85
-    """Part of a muscle's volume that its tetrahedra should have."""
-    muscle_mm3: float = 15.0
-    """No muscle of the face is smaller."""
-    open_edges: int = 12
-    """Smaller gaps do not matter: the inside is found by winding numbers."""
+    dihedral_deg: float = 5.0  # least angle of a tetrahedron
+    volume_kept: float = 0.85  # part of a muscle's volume that its tetrahedra should have
+    muscle_mm3: float = 15.0  # no muscle of the face is smaller
+    open_edges: int = 12  # smaller gaps do not matter: the inside is found by winding numbers
+    # Vertices of a muscle further outside the flesh, or deeper in a bone, are counted.
     out_mm: float = 0.5
-    """Vertices of a muscle further outside the flesh, or deeper in a bone, are counted."""
-    few: float = 0.05
-    """Part of a muscle's vertices that is worth a look ..."""
+    few: float = 0.05  # part of a muscle's vertices that is worth a look ...
+    # ... and that makes it useless.
     most: float = 0.5
-    """... and that makes it useless."""
+    # Most from the middle of an origin to bone: it is the middle of a broad one.
     origin_mm: float = 15.0
-    """Most from the middle of an origin to bone: it is the middle of a broad one."""
-    insertion_mm: float = 20.0
-    """Most from the middle of an insertion to skin or bone."""
-    partner_mm: float = 8.0
-    """Most between a muscle's middle and the mirror image of its partner's."""
-    partner_volume: float = 1.5
-    """Greatest ratio of two partners' volumes."""
+    insertion_mm: float = 20.0  # most from the middle of an insertion to skin or bone
+    partner_mm: float = 8.0  # most between a muscle's middle and the mirror image of its partner's
+    partner_volume: float = 1.5  # greatest ratio of two partners' volumes
 
 
 BOUNDS = AnatomyBounds()

@@ -146,24 +146,15 @@ Align = Callable[[Floats], Floats]
 class CarryOptions:
     """Depths, gaps and samples of the two warps that carry bones and muscles."""
 
-    muscle_depth_mm: float = 1.8
-    """Least depth of muscles and bones under the skin (dermis)."""
-    lowest_y: float = -105.0
-    """Anatomy below this height of the head takes no part in the fit."""
-    bone_samples: int = 900
-    """Points of one half of the bones whose depth is kept."""
-    muscle_samples: int = 120
-    """Points of each muscle that are kept inside the flesh."""
-    bed_samples: int = 200
-    """Points of the bones that muscles stay attached to in the second warp."""
-    buried_mm: float = 4.0
-    """Around muscles inside wrapped bone, bones do not hold the second warp."""
-    on_middle_mm: float = 0.5
-    """Landmarks this far on the right still count as those of the middle."""
-    lining_depth_mm: float = 0.3
-    """Least depth of muscles under the lining of mouth and eyelids."""
-    bone_gap_mm: float = 0.2
-    """Least distance between muscles and wrapped bones."""
+    muscle_depth_mm: float = 1.8  # least depth of muscles and bones under the skin (dermis)
+    lowest_y: float = -105.0  # anatomy below this height of the head takes no part in the fit
+    bone_samples: int = 900  # points of one half of the bones whose depth is kept
+    muscle_samples: int = 120  # points of each muscle that are kept inside the flesh
+    bed_samples: int = 200  # points of the bones that muscles stay attached to in the second warp
+    buried_mm: float = 4.0  # around muscles inside wrapped bone, bones do not hold the second warp
+    on_middle_mm: float = 0.5  # landmarks this far on the right still count as those of the middle
+    lining_depth_mm: float = 0.3  # least depth of muscles under the lining of mouth and eyelids
+    bone_gap_mm: float = 0.2  # least distance between muscles and wrapped bones
 
 
 CARRY = CarryOptions()

@@ -29,14 +29,11 @@ class SweepOptions:
     """Fineness of the ribbons, and the layers over and under them."""
 
     step_mm: float = 2.5
-    skin_layer_mm: float = 1.0
-    """Least thickness of skin over a muscle, where there is room."""
-    bed_gap_mm: float = 0.3
-    """Between a muscle and the bed it lies on."""
-    deepest_mm: float = 40.0
-    """Room for a muscle where no bed is under it."""
+    skin_layer_mm: float = 1.0  # least thickness of skin over a muscle, where there is room
+    bed_gap_mm: float = 0.3  # between a muscle and the bed it lies on
+    deepest_mm: float = 40.0  # room for a muscle where no bed is under it
+    # Rounds of averaging the skin's normals, along which muscles are sunk.
     normal_smoothing: int = 6
-    """Rounds of averaging the skin's normals, along which muscles are sunk."""
 
 
 SWEEP = SweepOptions()

@@ -36,12 +36,11 @@ UNCHECKED = " Not yet compared with the printed table."
 class VisibilityOptions:
     """Rays that tell the skin seen from outside from its linings."""
 
+    # Skin that sees less than 3 % of its hemisphere is lining: mouth, eye sockets, nostrils.
     hidden: float = 0.97
-    """Skin that sees less than 3 % of its hemisphere is lining: mouth, eye sockets, nostrils."""
-    directions: int = 400
-    """Of rays from every vertex, over the whole sphere."""
+    directions: int = 400  # of rays from every vertex, over the whole sphere
+    # Rays start above the skin, so that they do not meet the vertex's own triangles.
     off_skin_mm: float = 0.05
-    """Rays start above the skin, so that they do not meet the vertex's own triangles."""
 
 
 VISIBILITY = VisibilityOptions()
@@ -195,14 +194,11 @@ class SkullOptions:
     """Fineness of the bones, and the room over them."""
 
     grid_mm: float = 1.5
-    smoothing_voxels: float = 0.8
-    """Deviation of the Gaussian before marching cubes."""
-    clearance_mm: float = 2.4
-    """Least soft tissue on a bone."""
+    smoothing_voxels: float = 0.8  # deviation of the Gaussian before marching cubes
+    clearance_mm: float = 2.4  # least soft tissue on a bone
     cranium_faces: int = 11000
     mandible_faces: int = 5000
-    relaxations: int = 8
-    """Steps that even the vertices out after decimation."""
+    relaxations: int = 8  # steps that even the vertices out after decimation
 
 
 SKULL = SkullOptions()
