@@ -12,13 +12,7 @@ from scipy.spatial import cKDTree
 from solver.anatomy.tetrahedra import barycentric_in_tets
 from solver.drawing.head import skin_parts
 from solver.model import SubjectModel
-from solver.surface import (
-    Floats,
-    Ints,
-    Surface,
-    adjacency,
-    vertex_areas,
-)
+from solver.surface import Floats, Ints, Surface, adjacency, vertex_areas
 
 # A vertex may lie this far outside its tetrahedron, as a part of its height: skin crosses over
 # where nostrils meet, and then lies behind the tets it covers.

@@ -15,12 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solver.errors import InputError
-from solver.meshio.faults import (
-    empty_error,
-    truncated_error,
-    unreadable_error,
-    unsupported_error,
-)
+from solver.meshio.faults import empty_error, truncated_error, unreadable_error, unsupported_error
 from solver.meshio.mesh import NO_FACES, Mesh, join_meshes
 from solver.surface import Floats, Ints
 

@@ -17,11 +17,7 @@ import trimesh
 from solver.anatomy.domain import join_surfaces
 from solver.errors import InputError
 from solver.surface import Floats, Surface
-from solver.templates.downloads import (
-    PublicFile,
-    obj_mesh,
-    public_files,
-)
+from solver.templates.downloads import PublicFile, obj_mesh, public_files
 
 # The download as DBCLS publishes it: release 3.0, one OBJ an organ, named by its FMA id.
 #

@@ -21,12 +21,7 @@ from solver.model import SubjectModel
 from solver.scans.live_link import ARKIT_NAMES, LiveLinkTake, read_live_link
 from solver.storage import read_arrays
 from solver.surface import Floats, Ints, Surface
-from solver.templates.downloads import (
-    PublicFile,
-    obj_mesh,
-    obj_vertices,
-    public_files,
-)
+from solver.templates.downloads import PublicFile, obj_mesh, obj_vertices, public_files
 from solver.templates.export import CaptureSet
 
 # ICT-FaceKit as USC ICT publishes it: the folder ``FaceXModel`` of OBJ meshes, in cm.

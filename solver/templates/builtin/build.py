@@ -16,29 +16,15 @@ from pathlib import Path
 import numpy as np
 import structlog
 
-from solver.anatomy.contact_regions import (
-    LOWER,
-    UPPER,
-    contact_regions,
-    lips_apart,
-)
+from solver.anatomy.contact_regions import LOWER, UPPER, contact_regions, lips_apart
 from solver.anatomy.domain import join_surfaces
 from solver.anatomy.template import Template
 from solver.storage import cache_directory
 from solver.surface import Floats, Ints, Surface
 from solver.templates.builtin.head import Head, shape_basis
 from solver.templates.builtin.muscles import build_muscles
-from solver.templates.builtin.skull import (
-    OuterSkin,
-    Skull,
-    build_skull,
-    depth_table,
-)
-from solver.templates.builtin.source import (
-    WHEEL_SHA256,
-    SourceFiles,
-    fetch_wheel,
-)
+from solver.templates.builtin.skull import OuterSkin, Skull, build_skull, depth_table
+from solver.templates.builtin.source import WHEEL_SHA256, SourceFiles, fetch_wheel
 from solver.templates.export import CaptureSet
 
 log = structlog.get_logger(__name__)
