@@ -210,7 +210,7 @@ def guidance(
 
 # A template's tetrahedra carried into a person: the same tets, muscles and S for everybody.
 #
-# The skin's warp carries all vertices; then the mesh is relax, pulled by the person's skin
+# The skin's warp carries all vertices; then the mesh is relaxed, pulled by the person's skin
 # through its embedding and by the person's bones through the places it has on the template's.
 
 
