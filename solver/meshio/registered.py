@@ -34,7 +34,7 @@ UNITS = {"metres": 1000.0, "centimetres": 10.0, "inches": 25.4}  # name -> mm
 
 @dataclass(frozen=True)
 class PlausibleScan:
-    """What a registered scan of a head has to keep to, here for any head that was ever scanned."""
+    """Bounds that a registered scan of any head keeps to."""
 
     # Largest extent: from a bare face to a head with neck and shoulders.
     head_mm: tuple[float, float] = (100.0, 700.0)
