@@ -27,8 +27,8 @@ from solver.contact.crossing import (
 )
 from solver.contact.potentials import contact_potentials
 from solver.drawing.head import DrawnHead
-from solver.drawing.page import HEADER, Sheet
 from solver.drawing.render import Camera, DrawnBody, Lit, fade, render
+from solver.drawing.sheet import HEADER, Sheet
 from solver.edits.edit import DENSITY
 from solver.fitting.face import Face, Pose
 from solver.kinds.scene import STIFFNESS_PA

@@ -20,8 +20,8 @@ import scipy.sparse as sp
 
 from benchmarks.documents import Figures
 from solver.drawing.head import DrawnHead
-from solver.drawing.page import HEADER, Sheet
 from solver.drawing.render import fade, render
+from solver.drawing.sheet import HEADER, Sheet
 from solver.edits.edit import (
     Edited,
     Replay,

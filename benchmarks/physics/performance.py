@@ -23,8 +23,8 @@ from myoface.demo.outcome import khronos_validation
 from solver.anatomy.template import ShapeBasis
 from solver.animation.recording import RecordedDrives, from_recording
 from solver.drawing.head import DrawnHead
-from solver.drawing.page import HEADER, MARGIN, Sheet
 from solver.drawing.render import fade, render
+from solver.drawing.sheet import HEADER, MARGIN, Sheet
 from solver.jobs.scenes import (
     finish,
     play,

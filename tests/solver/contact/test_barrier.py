@@ -22,7 +22,7 @@ from solver.errors import InputError
 from solver.mechanics.potential import Boundary, BoundaryRates
 from solver.scene.objects import check_objects
 from solver.surface import Surface
-from tests.fixtures import fixture_model
+from tests.fixtures import small_model
 from tests.solver.ball import ball
 
 GAP = 0.4 * BarrierOptions.distance_mm
@@ -185,7 +185,7 @@ def test_crossing_triangles_are_found():
 
 
 def test_the_contact_surface_lies_under_the_skin_and_turns_with_it():
-    model = fixture_model("neutral_coarse")
+    model = small_model()
     faces = model.skin.faces[np.isin(model.skin.faces, model.embedded).all(axis=1)]
     surface = ContactSurface.of(model, faces)
     number = np.searchsorted(model.embedded, surface.skin)
@@ -200,7 +200,7 @@ def test_the_contact_surface_lies_under_the_skin_and_turns_with_it():
 
 def crumpled(count):
     """Return a face of which some skin vertices are thrown about, and its skin's triangles."""
-    model = fixture_model("neutral_coarse")
+    model = small_model()
     offset = model.offset.copy()
     offset[:count] += np.random.default_rng(0).normal(scale=2.0, size=(count, 3))
     faces = model.skin.faces[np.isin(model.skin.faces, model.embedded).all(axis=1)]
@@ -255,7 +255,7 @@ def test_a_neutral_that_crosses_itself_widely_is_refused():
 
 
 def test_objects_that_contact_can_not_begin_with_are_refused():
-    model = fixture_model("neutral_coarse")
+    model = small_model()
     front = model.skin.vertices[model.face, 2].max()
     box = trimesh.creation.box([40.0, 40.0, 2.0])
 
@@ -274,7 +274,7 @@ def test_objects_that_contact_can_not_begin_with_are_refused():
 
 
 def test_parts_of_an_object_may_cross_each_other():
-    model = fixture_model("neutral_coarse")
+    model = small_model()
     skin = model.skin.vertices[model.face]
     tip = skin[skin[:, 2].argmax()]
     parts = [ball(tip + np.array([shift, 0.0, 15.0]), 8.0) for shift in (0.0, 6.0)]

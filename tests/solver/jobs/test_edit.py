@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from solver.drawing.page import Sheet
+from solver.drawing.sheet import Sheet
 from solver.errors import InputError
 from solver.fitting.face import Face, Pose
 from solver.jobs import run_job
