@@ -178,7 +178,7 @@ def improve(
 def _tried(face: Face, state: State, step: Step, go: Mover) -> State | None:
     """Return the state a step leads to, None where that is too far."""
     try:
-        return go(face, state, step.response, state.pose.changed(step.change))
+        return go(face, state, step.response, state.pose.add(step.change))
     except SolveError:
         return None
 

@@ -16,8 +16,9 @@ import numpy as np
 import scipy.linalg
 
 from solver.errors import SolveError
+from solver.fitting.controls import Layout
 from solver.fitting.face import Face, State
-from solver.fitting.objective import JAW_UNITS, Regulariser, Term
+from solver.fitting.objective import Regulariser, Term
 from solver.fitting.sensitivity import Sensitivity
 from solver.surface import Floats
 
@@ -27,25 +28,15 @@ PRODUCTS = 16
 ACCURACY = 0.1
 """Length of the correction that a step is left without, as a part of it in the model's own norm."""
 
-JAW_DAMPING = 1e-3
-
-LARGEST_STEP = 0.4
-LARGEST_TURN = 0.1
-"""Change of an activation's entry and of the jaw's angles in a step of reach 1."""
-
 
 @dataclass(frozen=True)
 class Step:
-    """A change of (a, b), (6 m + 5,), the flesh's linear response to it, (size,), and f's gain."""
+    """A change of (a, b), (6 m + 5,), the flesh's linear response (size,), f's gain, the reach."""
 
     change: Floats
     response: Floats
     gain: float
-
-    @property
-    def reach(self) -> float:
-        """Return its length in units of what a linear model is surely good for."""
-        return reach(self.change)
+    reach: float
 
 
 class GaussNewton:
@@ -59,6 +50,7 @@ class GaussNewton:
         state: State,
         matrix: Floats,
     ) -> None:
+        self._layout = state.pose.layout
         self._sensitivity = Sensitivity(face, state)
         self._curvature = data.curvature(state.estimate)
         self._regulariser = regulariser.gauss_newton(state.pose)
@@ -71,7 +63,7 @@ class GaussNewton:
 
         Raises :class:`SolveError` (``solve.not_finite``) where there is none.
         """
-        units = damping * damping_units(len(self._gradient))
+        units = damping * self._layout.damping
         known = self._regulariser + np.diag(units)
         step, bent = np.zeros_like(self._gradient), np.zeros_like(self._gradient)
         for _ in range(PRODUCTS):
@@ -86,10 +78,12 @@ class GaussNewton:
             length = slope / (direction @ bend)
             step = step + length * direction
             bent = bent + length * bend
-        part = 1.0 / max(reach(step) / trust, 1.0)
+        reach = self._layout.reach(step)
+        part = 1.0 / max(reach / trust, 1.0)
         step, bent = part * step, part * (bent - units * step)
         gain = -self._gradient @ step - 0.5 * step @ bent
-        return Step(step, self._sensitivity.flesh_by_pose(step), float(gain))
+        response = self._sensitivity.flesh_by_pose(step)
+        return Step(step, response, float(gain), self._layout.reach(step))
 
     def _product(self, change: Floats) -> Floats:
         """Return J^T C J applied to a change of (a, b)."""
@@ -100,7 +94,7 @@ class GaussNewton:
 def curvature(face: Face, data: Term, state: State) -> Floats:
     """Return J^T C J at a state, (6 m + 5, 6 m + 5): f's Gauss-Newton matrix but for its priors."""
     jacobian = Sensitivity(face, state).by_pose()
-    return jacobian.contracted(data.curvature(state.estimate))
+    return jacobian.contract(data.curvature(state.estimate))
 
 
 def _taught(matrix: Floats, change: Floats, seen: Floats) -> Floats:
@@ -115,15 +109,17 @@ def _taught(matrix: Floats, change: Floats, seen: Floats) -> Floats:
     return matrix
 
 
-def damped_step(hessian: Floats, gradient: Floats, damping: float, trust: float) -> Floats:
-    """Solve (H + damping D^2) step = -gradient, D the units of (a, b); cut to the ``trust``.
+def damped_step(
+    layout: Layout, hessian: Floats, gradient: Floats, damping: float, trust: float
+) -> Floats:
+    """Solve (H + damping D^2) step = -gradient, D the units of ``layout``; cut to the ``trust``.
 
     Raises :class:`SolveError` (``solve.not_finite``) where there is no such step.
     """
     damped = hessian.copy()
-    damped[np.diag_indices_from(damped)] += damping * damping_units(len(damped))
+    damped[np.diag_indices_from(damped)] += damping * layout.damping
     step = solved(damped, -gradient)
-    return np.asarray(step / max(reach(step) / trust, 1.0))
+    return np.asarray(step / max(layout.reach(step) / trust, 1.0))
 
 
 def solved(matrix: Floats, right: Floats) -> Floats:
@@ -135,14 +131,3 @@ def solved(matrix: Floats, right: Floats) -> Floats:
         return np.asarray(scipy.linalg.solve(matrix, right, assume_a="pos"))
     except (np.linalg.LinAlgError, ValueError) as error:
         raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
-
-
-def damping_units(size: int) -> Floats:
-    """Return the diagonal of D^2, (size,): what damping weighs each entry of (a, b) by."""
-    return np.concatenate([np.ones(size - 5), JAW_UNITS**2 * JAW_DAMPING])
-
-
-def reach(step: Floats) -> float:
-    """Return the length of a step (6 m + 5,) in units of what a linear model is surely good for."""
-    by_a, turn = np.abs(step[:-5]).max(), np.abs(step[-5:-3]).max()
-    return float(max(by_a / LARGEST_STEP, turn / LARGEST_TURN))

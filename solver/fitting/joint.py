@@ -30,10 +30,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from solver.errors import InputError, SolveError
-from solver.fitting import (
-    activation,
-    gauss_newton,
-)
+from solver.fitting import activation
 from solver.fitting.face import Face, Pose, State
 from solver.fitting.objective import Regulariser, Term
 from solver.fitting.sensitivity import Sensitivity
@@ -347,11 +344,12 @@ class _Linearised:
         self._curvature = rows[:, jacobian.free]
         self._touched = np.flatnonzero(np.diff(rows.indptr))
         self._coupling = self._curvature[self._touched] @ jacobian.flesh
-        self._coupling[:, -5:] += rows[self._touched][:, jacobian.moving] @ jacobian.jaw
-        self._by_pose = jacobian.transposed(gradient) + regulariser.gradient(state.pose)
-        self._hessian = jacobian.contracted(curvature) + regulariser.gauss_newton(state.pose)
-        units = gauss_newton.damping_units(len(self._hessian))
-        self._factor = scipy.linalg.cho_factor(self._hessian + damping * np.diag(units))
+        direct = sp.coo_array(rows[self._touched] @ jacobian.held)
+        self._coupling[direct.row, direct.col] += direct.data
+        self._by_pose = jacobian.adjoint(gradient) + regulariser.gradient(state.pose)
+        self._hessian = jacobian.contract(curvature) + regulariser.gauss_newton(state.pose)
+        units = np.diag(state.pose.layout.damping)
+        self._factor = scipy.linalg.cho_factor(self._hessian + damping * units)
 
     def gradient_by_geometry(self) -> Floats:
         """Return f's derivative (nnz,) by S, the pose following."""
@@ -371,8 +369,8 @@ class _Linearised:
         problem, state = self._problem, self._state
         flesh = self._response.flesh_by_geometry(change)
         by_pose = -self._solve(self._by_pose + self._coupled(flesh))
-        by_pose *= share / max(gauss_newton.reach(by_pose), 1.0)
-        pose = state.pose.changed(by_pose)
+        by_pose *= share / max(state.pose.layout.reach(by_pose), 1.0)
+        pose = state.pose.add(by_pose)
         predicted = self._predicted(flesh, by_pose)
         trial = self._moved(S, flesh + self._jacobian.flesh @ by_pose, pose)
         if trial is None:

@@ -24,7 +24,7 @@ from solver.fitting.objective import (
     Target,
     Term,
 )
-from solver.fitting.sensitivity import PoseJacobian, Sensitivity
+from solver.fitting.sensitivity import Jacobian, Sensitivity
 from solver.mechanics.equilibrium import CorrectorOptions, correct, untangle
 from solver.mechanics.newton import Factorization
 from solver.surface import Floats
@@ -61,14 +61,14 @@ class _Kept:
     The matrix is that of points with ``weights`` (k,).
     """
 
-    jacobian: PoseJacobian
+    jacobian: Jacobian
     weights: Floats
     hessian: Floats
 
     @classmethod
-    def of(cls, jacobian: PoseJacobian, data: SkinDistance, x: Floats) -> _Kept:
+    def of(cls, jacobian: Jacobian, data: SkinDistance, x: Floats) -> _Kept:
         """Contract the curvature of a frame's ``data`` with the sensitivities."""
-        return cls(jacobian, data.target.weights, jacobian.contracted(data.curvature(x)))
+        return cls(jacobian, data.target.weights, jacobian.contract(data.curvature(x)))
 
     def for_data(self, data: SkinDistance, x: Floats) -> _Kept:
         """Return what suits a frame whose points may be seen otherwise."""
@@ -174,10 +174,10 @@ class Tracker:
         state = self.state
         value = activation.objective(data, regulariser, state)
         for taken in range(STEPS):
-            gradient = kept.jacobian.transposed(data.gradient(state.x))
+            gradient = kept.jacobian.adjoint(data.gradient(state.x))
             gradient += regulariser.gradient(state.pose)
             hessian = kept.hessian + regulariser.gauss_newton(state.pose)
-            step = damped_step(hessian, gradient, self._damping, trust=1.0)
+            step = damped_step(state.pose.layout, hessian, gradient, self._damping, trust=1.0)
             slope, bend = float(gradient @ step), float(step @ hessian @ step)
             if -slope - 0.5 * bend <= TOLERANCE * value:
                 return _Found(state, value, taken, easily=True)
@@ -201,7 +201,7 @@ class Tracker:
 
     def _moved(self, kept: _Kept, state: State, step: Floats) -> State | None:
         """Return the state a step of the pose leads to, None if it is far."""
-        pose = state.pose.changed(step)
+        pose = state.pose.add(step)
         x = self.face.flesh.moved(state.x, kept.jacobian.flesh @ step)
         x[self.face.model.mandible] = self.face.mandible(pose.b)
         flesh, a = self.face.flesh, self.face.tet_activations(pose.a)
@@ -236,12 +236,9 @@ def stillness(face: Face) -> Floats:
     The motion is the linear response, at rest, to usual changes of every activation and of the
     jaw, all at once and independent of each other.
     """
-    jacobian = Sensitivity(face, face.rest_state()).by_pose()
-    columns = jacobian.flesh.shape[1]
-    by_pose = np.zeros((face.model.rest.size, columns))
-    by_pose[jacobian.free] = jacobian.flesh
-    by_pose[jacobian.moving, -len(JAW_MOTION) :] = jacobian.jaw
-    usual = np.concatenate([np.full(columns - len(JAW_MOTION), EXCITED), JAW_MOTION])
-    motion = np.asarray(face.face_embedding @ (by_pose * usual).reshape(-1, 3 * columns))
+    by_pose = Sensitivity(face, face.rest_state()).motions_by_pose()
+    usual = face.layout.join([np.full_like(face.rest_pose().a, EXCITED), JAW_MOTION])
+    columns = (by_pose * usual).reshape(len(by_pose), -1)
+    motion = np.asarray(face.face_embedding @ columns)
     squares = np.sum(motion.reshape(len(motion), -1) ** 2, axis=1)
     return np.asarray(1.0 / (1.0 + squares / MOBILE_MM**2) ** 2)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from solver.fitting import stretches
-from solver.fitting.objective import JAW_UNITS
+from solver.fitting.controls import JAW_UNITS
 from solver.surface import Floats
 
 LARGEST_STEP = 0.5
