@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from solver.mechanics import response
-from solver.mechanics.flesh import IDENTITY
+from solver.mechanics.flesh import IDENTITY, Flesh
 from solver.mechanics.jaw import DEGREES_OF_FREEDOM
 from solver.surface import Floats, Ints
 
@@ -129,6 +129,10 @@ class FitControls(Protocol):
     @property
     def layout(self) -> Layout:
         """Return the blocks of q."""
+
+    @property
+    def flesh(self) -> Flesh:
+        """Return the flesh, which takes :meth:`flesh_controls`."""
 
     def flesh_controls(self, q: Floats) -> Floats:
         """Return what drives the flesh: activations (n, 6) of its tets, or its term's own."""

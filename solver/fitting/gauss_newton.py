@@ -10,14 +10,13 @@ a BFGS update keeps in K what the product told, for the next direction and for t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy.linalg
 
 from solver.errors import SolveError
 from solver.fitting.controls import Layout
 from solver.fitting.face import Face, State
+from solver.fitting.least_squares import Step
 from solver.fitting.objective import Regulariser, Term
 from solver.fitting.sensitivity import Sensitivity
 from solver.surface import Floats
@@ -27,16 +26,6 @@ PRODUCTS = 16
 
 ACCURACY = 0.1
 """Length of the correction that a step is left without, as a part of it in the model's own norm."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """A change of (a, b), (6 m + 5,), the flesh's linear response (size,), f's gain, the reach."""
-
-    change: Floats
-    response: Floats
-    gain: float
-    reach: float
 
 
 class GaussNewton:
@@ -68,22 +57,21 @@ class GaussNewton:
         step, bent = np.zeros_like(self._gradient), np.zeros_like(self._gradient)
         for _ in range(PRODUCTS):
             residual = -(self._gradient + bent)
-            direction = solved(self.matrix + known, residual)
-            slope = direction @ residual
-            if slope <= ACCURACY**2 * step @ bent:
+            direction = solve_positive(self.matrix + known, residual)
+            square = direction @ residual
+            if square <= ACCURACY**2 * step @ bent:
                 break
             seen = self._product(direction)
-            self.matrix = _taught(self.matrix, direction, seen)
-            bend = seen + known @ direction
-            length = slope / (direction @ bend)
+            self.matrix = _update(self.matrix, direction, seen)
+            image = seen + known @ direction
+            length = square / (direction @ image)
             step = step + length * direction
-            bent = bent + length * bend
-        reach = self._layout.reach(step)
-        part = 1.0 / max(reach / trust, 1.0)
+            bent = bent + length * image
+        part = 1.0 / max(self._layout.reach(step) / trust, 1.0)
         step, bent = part * step, part * (bent - units * step)
-        gain = -self._gradient @ step - 0.5 * step @ bent
+        slope, bend = float(self._gradient @ step), float(step @ bent)
         response = self._sensitivity.flesh_by_pose(step)
-        return Step(step, response, float(gain), self._layout.reach(step))
+        return Step(step, slope, bend, self._layout.reach(step), response)
 
     def _product(self, change: Floats) -> Floats:
         """Return J^T C J applied to a change of (a, b)."""
@@ -97,14 +85,14 @@ def curvature(face: Face, data: Term, state: State) -> Floats:
     return jacobian.contract(data.curvature(state.estimate))
 
 
-def _taught(matrix: Floats, change: Floats, seen: Floats) -> Floats:
+def _update(matrix: Floats, change: Floats, seen: Floats) -> Floats:
     """Return ``matrix`` updated by BFGS so that its product with ``change`` is what was seen."""
     expected = matrix @ change
-    bend, true = float(change @ expected), float(change @ seen)
+    guessed, true = float(change @ expected), float(change @ seen)
     # what the data do not feel is left to the regulariser
-    if min(bend, true) <= 1e-12 * np.abs(matrix).max() * float(change @ change):
+    if min(guessed, true) <= 1e-12 * np.abs(matrix).max() * float(change @ change):
         return matrix
-    matrix = matrix - np.outer(expected, expected) / bend
+    matrix = matrix - np.outer(expected, expected) / guessed
     matrix += np.outer(seen, seen) / true
     return matrix
 
@@ -118,11 +106,11 @@ def damped_step(
     """
     damped = hessian.copy()
     damped[np.diag_indices_from(damped)] += damping * layout.damping
-    step = solved(damped, -gradient)
+    step = solve_positive(damped, -gradient)
     return np.asarray(step / max(layout.reach(step) / trust, 1.0))
 
 
-def solved(matrix: Floats, right: Floats) -> Floats:
+def solve_positive(matrix: Floats, right: Floats) -> Floats:
     """Return matrix^-1 right for a positive definite matrix.
 
     Raises :class:`SolveError` (``solve.not_finite``) where it is none.

@@ -130,6 +130,27 @@ class PoseRates:
         return self._layout.join([(self._S.T @ by_tet_a)[1:], self.by_jaw.T @ motion])
 
 
+class PoseControls:
+    """Activations of S and the jaw: :class:`solver.fitting.controls.FitControls`."""
+
+    def __init__(self, face: Face) -> None:
+        self._face = face
+        self.layout = face.layout
+        self.flesh = face.flesh
+
+    def flesh_controls(self, q: Floats) -> Floats:
+        """See :class:`solver.fitting.controls.FitControls`."""
+        return self._face.tet_activations(self.layout.part("activations", q))
+
+    def held_positions(self, q: Floats) -> Floats:
+        """See :class:`solver.fitting.controls.FitControls`."""
+        return self._face.held_positions(self.layout.part("jaw", q))
+
+    def linearise(self, q: Floats, x: Floats) -> PoseRates:
+        """See :class:`solver.fitting.controls.FitControls`."""
+        return PoseRates.at(self._face, Pose(*self.layout.split(q)), x)
+
+
 class WeightRates:
     """The derivative by S's values (nnz,): :class:`solver.mechanics.response.Controls`."""
 
