@@ -10,39 +10,31 @@ which keeps its volume; A_i = s_i0 I + sum_j s_ij S_j.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.optimize import lsq_linear
 
 from solver.anatomy.tetrahedra import volumes
-from solver.errors import InputError, SolveError
+from solver.errors import InputError
+from solver.fitting.controls import Block, Layout, jaw_block
 from solver.fitting.face import Face
+from solver.fitting.skin_fit import SkinFit
 from solver.fitting.stretches import COLUMN, FROBENIUS, ROW
-from solver.mechanics import equilibrium
-from solver.mechanics.equilibrium import Equilibrium
 from solver.mechanics.flesh import IDENTITY, Flesh
 from solver.mechanics.potential import BoundaryRates
-from solver.mechanics.response import Response, SparseControls
+from solver.mechanics.response import SparseControls
 from solver.mechanics.terms import ElasticTerm
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
 
 
 @dataclass(frozen=True)
-class FibreOptions:
-    """Limits of contractions, and how they are fitted."""
+class ContractionLimits:
+    """Limits of contractions."""
 
     least: float = 0.3  # gamma of a muscle that has shortened to a third
     most: float = 1.5  # of one that gives way to half as much again
-    # weight of relaxed muscles and a closed jaw, in mm^2 by rad^2 or mm^2 or contraction^2
-    rest: float = 1e-2
-    steps: int = 12  # at most
-    shortest: float = 2.0**-4  # part of a step below which it is given up
-    gain: float = 1e-3  # part of the distance that a step gains at least, or it is the last
-    rounding: float = 1e-9  # a limit that is reached leaves this much room
 
 
 def fibre_activations(model: SubjectModel, S: sp.csr_array, gamma: Floats) -> Floats:
@@ -121,7 +113,10 @@ def driven_by_fibres(face: Face) -> Flesh:
 
 
 def nearest_fibre(
-    model: SubjectModel, S: sp.csr_array, a: Floats, options: FibreOptions = FibreOptions()
+    model: SubjectModel,
+    S: sp.csr_array,
+    a: Floats,
+    options: ContractionLimits = ContractionLimits(),
 ) -> Floats:
     """Return the contractions (m,) along the fibres that activations ``a`` (m, 6) come to.
 
@@ -154,9 +149,6 @@ def _along(model: SubjectModel, S: sp.csr_array) -> Floats:
 
 
 # Fitting fibre muscles to a target skin: one contraction a muscle, and the jaw.
-#
-# Gauss-Newton on the mean square distance of the face's vertices, the equilibrium x(gamma, b) being
-# differentiated as everywhere: dx/dtheta = -H^-1 d(grad E)/dtheta.
 
 
 @dataclass(frozen=True)
@@ -168,88 +160,42 @@ class FibreFit:
     x: Floats
 
 
-def fit_fibres(face: Face, target: Floats, options: FibreOptions = FibreOptions()) -> FibreFit:
+class FibreControls:
+    """Contractions along fibres and the jaw: :class:`solver.fitting.controls.FitControls`."""
+
+    def __init__(self, face: Face, options: ContractionLimits = ContractionLimits()) -> None:
+        self._face = face
+        self.flesh = driven_by_fibres(face)
+        relaxed = np.ones(face.model.muscle_count)
+        contractions = Block("contractions", relaxed, lower=options.least, upper=options.most)
+        self.layout = Layout((contractions, jaw_block()))
+
+    def flesh_controls(self, q: Floats) -> Floats:
+        """See :class:`solver.fitting.controls.FitControls`."""
+        return self.layout.part("contractions", q)
+
+    def held_positions(self, q: Floats) -> Floats:
+        """See :class:`solver.fitting.controls.FitControls`."""
+        return self._face.held_positions(self.layout.part("jaw", q))
+
+    def linearise(self, q: Floats, x: Floats) -> SparseControls:
+        """See :class:`solver.fitting.controls.FitControls`."""
+        gamma, b = self.layout.split(q)
+        by_jaw = np.eye(self.layout.size)[self.layout["jaw"]]
+        direct = self._face.mandible_jacobian(b)[self.flesh.held]
+        rates = sp.eye_array(len(gamma), self.layout.size, format="csr")
+        boundary = BoundaryRates(direct @ by_jaw, by_jaw)
+        return SparseControls.of(self.flesh, x, gamma, rates, boundary)
+
+
+def fit_fibres(
+    face: Face, target: Floats, options: ContractionLimits = ContractionLimits()
+) -> FibreFit:
     """Fit the face's points (k, 3) to ``target`` (k, 3) from rest, in mm.
 
     Raises :class:`~solver.errors.InputError` (``model.fibres``) for a model without fibres.
     """
-    return _Fit(face, target, options).solve()
-
-
-class _Fit:
-    """Unknowns theta (m + 5,) are contractions and jaw."""
-
-    def __init__(self, face: Face, target: Floats, options: FibreOptions = FibreOptions()) -> None:
-        self._options = options
-        self._face = face
-        self._flesh = driven_by_fibres(face)
-        self._target = target
-        muscles = face.model.muscle_count
-        self._relaxed = np.concatenate([np.ones(muscles), np.zeros(5)])
-        self._low = np.concatenate([np.full(muscles, options.least), np.full(5, -np.inf)])
-        self._high = np.concatenate([np.full(muscles, options.most), np.full(5, np.inf)])
-
-    def solve(self) -> FibreFit:
-        theta = self._relaxed
-        state = self.settle(theta, self._face.model.rest)
-        for _ in range(self._options.steps):
-            before = self._value(theta, state)
-            found = self._search(theta, self._step(theta, state), state, before)
-            if found is None:
-                break
-            theta, state = found
-            if self._value(theta, state) > (1.0 - self._options.gain) * before:
-                break
-        return FibreFit(theta[:-5], theta[-5:], state.x)
-
-    def settle(self, theta: Floats, x: Floats) -> Equilibrium:
-        """Return the equilibrium of theta, found from x (p, 3)."""
-        face = self._face
-        x = x.copy()
-        x[face.flesh.held] = face.held_positions(theta[-5:])
-        return equilibrium.solve_equilibrium(
-            self._flesh, face.linear, x, theta[:-5], tolerance=face.tolerance
-        )
-
-    def jacobian(self, theta: Floats, state: Equilibrium) -> Floats:
-        """Return the derivative (3 k, m + 5) of the face's points by theta."""
-        face, flesh = self._face, self._flesh
-        gamma, by_jaw = theta[:-5], np.eye(5, len(theta), len(theta) - 5)
-        boundary = BoundaryRates(face.mandible_jacobian(theta[-5:])[flesh.held] @ by_jaw, by_jaw)
-        rates = sp.eye_array(len(gamma), len(theta), format="csr")
-        controls = SparseControls.of(flesh, state.x, gamma, rates, boundary)
-        motion = Response(flesh, state.factor).motions(controls)
-        points = face.face_embedding @ motion.reshape(len(flesh.rest), -1)
-        return np.asarray(points.reshape(-1, len(theta)))
-
-    def _step(self, theta: Floats, state: Equilibrium) -> Floats:
-        """Return the step of Gauss-Newton within the limits."""
-        scale, pull = np.sqrt(len(self._target)), np.sqrt(self._options.rest)
-        system = [self.jacobian(theta, state) / scale, pull * np.eye(len(theta))]
-        right = [-self._off(state).ravel() / scale, pull * (self._relaxed - theta)]
-        room = (
-            self._low - theta - self._options.rounding,
-            self._high - theta + self._options.rounding,
-        )
-        return np.asarray(lsq_linear(np.vstack(system), np.concatenate(right), room).x)
-
-    def _search(
-        self, theta: Floats, step: Floats, state: Equilibrium, before: float
-    ) -> tuple[Floats, Equilibrium] | None:
-        """Return where the first part of a step that gains leads to, None if none does."""
-        part = 1.0
-        while part >= self._options.shortest:
-            tried = theta + part * step
-            with suppress(SolveError):  # too far: half of it may not be
-                reached = self.settle(tried, state.x)
-                if self._value(tried, reached) < before:
-                    return tried, reached
-            part *= 0.5
-        return None
-
-    def _value(self, theta: Floats, state: Equilibrium) -> float:
-        distance = (self._off(state) ** 2).sum() / len(self._target)
-        return float(distance + self._options.rest * ((theta - self._relaxed) ** 2).sum())
-
-    def _off(self, state: Equilibrium) -> Floats:
-        return self._face.face_points(state.x) - self._target
+    controls = FibreControls(face, options)
+    found = SkinFit(face, controls, target).solve().point
+    gamma, jaw = controls.layout.split(found.q)
+    return FibreFit(gamma, jaw, found.equilibrium.x)
