@@ -20,13 +20,13 @@ from solver.anatomy.tetrahedra import volume_ml
 from solver.errors import InputError
 from solver.mechanics.jaw import DEGREES_OF_FREEDOM
 from solver.model import SubjectModel
+from solver.rig.result import ENTRIES
 from solver.similarity import IDENTITY, Similarity, small_motion
 from solver.simulation.inertia import Motion
 from solver.surface import Floats
 
-FORMAT = 1
-FRAMES = "frames"
-"""The folder of frames that are ready: ``000010-000019.json`` holds the 11th to the 20th."""
+FORMAT = 1  # of files of frames, of reports and of sequence.npz
+FRAMES = "frames"  # folder of those that are ready: 000010-000019.json holds the 11th to the 20th
 
 ARRAYS = ("activations", "jaw", "head", "eyes")
 
@@ -80,13 +80,13 @@ class MotionFrame:
         del values["moved"]
         for name in ARRAYS:
             values[name] = values[name].tolist()
-        return {**values, "x": _packed(self.moved, "<f4")}
+        return {**values, "x": _pack(self.moved, "<f4")}
 
     @classmethod
     def of(cls, values: dict[str, Any]) -> MotionFrame:
         """Return the frame that :meth:`as_dict` gave these values of."""
         given = dict(values)
-        moved = _unpacked(given.pop("x"), "<f4")
+        moved = _unpack(given.pop("x"), "<f4")
         arrays = {name: np.array(given[name], np.float64) for name in ARRAYS}
         return cls(**{**given, **arrays, "moved": moved})
 
@@ -116,7 +116,7 @@ def write_motion(
         "format": FORMAT,
         "scene": scene,
         "frames": [frame.as_dict() for frame in frames],
-        "state": {"x": _packed(motion.x, "<f8"), "v": _packed(motion.v, "<f8")},
+        "state": {"x": _pack(motion.x, "<f8"), "v": _pack(motion.v, "<f8")},
         "picture": None if picture is None else base64.b64encode(picture).decode(),
     }
     path = folder / f"{frames[0].frame:06d}-{frames[-1].frame:06d}.json"
@@ -140,7 +140,7 @@ def read_motion(folder: Path, scene: str, rest: Floats) -> Ready:
             if content["format"] != FORMAT:
                 raise ValueError(f"their format is {content['format']}, not {FORMAT}")
             read = [MotionFrame.of(each) for each in content["frames"]]
-            state = [_unpacked(content["state"][name], "<f8") for name in ("x", "v")]
+            state = [_unpack(content["state"][name], "<f8") for name in ("x", "v")]
             motion = Motion(state[0], state[1], read[-1].placed)
             found = content["scene"]
         except (OSError, ValueError, LookupError, TypeError, zlib.error) as error:
@@ -164,11 +164,11 @@ def read_motion(folder: Path, scene: str, rest: Floats) -> Ready:
     return Ready(frames, motion)
 
 
-def _packed(values: Floats, kind: str) -> str:
+def _pack(values: Floats, kind: str) -> str:
     return base64.b64encode(zlib.compress(values.astype(kind).tobytes(), 1)).decode()
 
 
-def _unpacked(text: str, kind: str) -> Floats:
+def _unpack(text: str, kind: str) -> Floats:
     content = zlib.decompress(base64.b64decode(text))
     return np.frombuffer(content, kind).reshape(-1, 3).astype(np.float64)
 
@@ -210,7 +210,6 @@ def _furthest(moved: Floats) -> float:
 
 
 Status = Literal["fitted", "kept", "unseen"]
-ENTRIES = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 
 @dataclass(frozen=True)
@@ -324,16 +323,16 @@ def sequence_report(frames: Sequence[SequenceFrame], fps: float, name: str) -> d
         "kept": _numbers(frames, "kept"),
         "unseen": _numbers(frames, "unseen"),
         "fps": fps,
-        "mean_mm": _rounded(np.mean, errors),
-        "median_mm": _rounded(np.median, errors),
-        "p95_mm": _rounded(lambda values: np.percentile(values, 95), errors),
+        "mean_mm": _round(np.mean, errors),
+        "median_mm": _round(np.median, errors),
+        "p95_mm": _round(lambda values: np.percentile(values, 95), errors),
         "worst_frame": max(fitted, key=lambda frame: frame.mean_mm or 0.0).frame
         if fitted
         else None,
         "max_mm": max((frame.max_mm for frame in fitted if frame.max_mm is not None), default=None),
         "inverted": sum(frame.inverted for frame in frames),
-        "iterations": _rounded(np.mean, [frame.iterations for frame in fitted]),
-        "frame_ms": _rounded(np.median, [1e3 * each for each in seconds]),
+        "iterations": _round(np.mean, [frame.iterations for frame in fitted]),
+        "frame_ms": _round(np.median, [1e3 * each for each in seconds]),
         "frames_per_second": round(len(seconds) / sum(seconds), 2) if sum(seconds) else None,
     }
 
@@ -342,7 +341,7 @@ def _numbers(frames: Iterable[SequenceFrame], status: Status) -> list[int]:
     return [frame.frame for frame in frames if frame.status == status]
 
 
-def _rounded(statistic: Any, values: Sequence[float]) -> float | None:
+def _round(statistic: Any, values: Sequence[float]) -> float | None:
     return round(float(statistic(values)), 4) if values else None
 
 

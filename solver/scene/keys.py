@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from solver.animation.keys import HeadKey, Key, KeyedDrives, from_keys
+from solver.animation.keys import HeadKey, KeyedDrives, PoseKey, from_keys
 from solver.errors import InputError
 from solver.fitting.face import Pose
 from solver.fitting.stretches import (
@@ -21,16 +21,15 @@ from solver.surface import Floats
 
 Entry = Mapping[str, Any]
 
-DEFAULT_FPS = 30.0
+DEFAULT_FPS = 30.0  # of a scene that does not say
 
+# as far as a jaw gets, and a little more, as fits bite some degrees deep: beyond it flesh tears
 JAW_LIMITS = {
     "open_deg": (-10.0, 45.0),
     "left_deg": (-15.0, 15.0),
     "move_mm": (-20.0, 20.0),
 }
-"""What a jaw can do, and a little more, as fits bite some degrees deep: beyond it flesh tears."""
-
-NO_MOVE = (0.0, 0.0, 0.0)
+NO_MOVE = (0.0, 0.0, 0.0)  # of a key that does not say
 
 
 def keyed(
@@ -48,7 +47,7 @@ def keyed(
     entries = document.get("keys", [])
     muscles = _Muscles(model, S)
     keys = [
-        Key(
+        PoseKey(
             entry["time"],
             entry.get("expressions", {}),
             {name: muscles.activation(name, how) for name, how in entry.get("muscles", {}).items()},

@@ -22,12 +22,10 @@ from solver.contact.potentials import contact_potentials
 from solver.edits.bones import Bone
 from solver.edits.edit import Edit, Edited, apply
 from solver.edits.fat import (
-    RADIUS_MM,
-    SOFTENING,
     Density,
     Fat,
     Filler,
-    Stiffness,
+    Stiffening,
     under_skin,
 )
 from solver.edits.paralysis import Paralysis
@@ -66,7 +64,7 @@ def edits_of(entries: Sequence[Entry], places: Places) -> list[Edit]:
 
 
 def _fat(entry: Entry, places: Places) -> Edit:
-    softening = entry.get("softening", SOFTENING)
+    softening = entry.get("softening", Fat.softening)
     return Fat(entry["f_min"], entry["f_max"], places.painted(entry.get("map")), softening)
 
 
@@ -74,7 +72,7 @@ def _filler(entry: Entry, places: Places) -> Edit:
     points = np.array([places.point(stop["at"]) for stop in entry["path"]])
     depths = np.array([stop.get("depth_mm", 0.0) for stop in entry["path"]])
     path = under_skin(places.model, points, depths)
-    return Filler(path, entry["ml"], entry.get("radius_mm", RADIUS_MM))
+    return Filler(path, entry["ml"], entry.get("radius_mm", Filler.radius_mm))
 
 
 def _bone(entry: Entry, places: Places) -> Edit:
@@ -83,7 +81,7 @@ def _bone(entry: Entry, places: Places) -> Edit:
 
 
 def _stiffness(entry: Entry, places: Places) -> Edit:
-    return Stiffness(entry["factor"], places.painted(entry.get("map")))
+    return Stiffening(entry["factor"], places.painted(entry.get("map")))
 
 
 def _density(entry: Entry, places: Places) -> Edit:
@@ -142,15 +140,14 @@ LAWS: Mapping[str, Material] = {
     "corotated_det": COROTATED_DET,
     "neo_hookean": NEO_HOOKEAN,
 }
-FITTED_LAW = "corotated_trace"
-"""The law that rigs are fitted with: their activations lead to their poses."""
+FITTED_LAW = "corotated_trace"  # rigs are fitted with it: their activations lead to their poses
+# mu of facial soft tissue: a Young's modulus of 7.5 kPa, and of 8.6 by the other two laws
 STIFFNESS_PA = 3000.0
-"""mu of facial soft tissue: a Young's modulus of 7.5 kPa, and of 8.6 by the other two laws."""
 
 
 @dataclass(frozen=True)
 class Physics:
-    """What a scene's flesh is made of, and what it meets.
+    """Material of a scene's flesh, and what it meets.
 
     ``material`` is in Pa. Flesh slides on the skull with ``sliding``; ``lips`` is contact of skin
     with itself, ``teeth`` of lips with teeth, ``eyes`` of lids with eyeballs, ``friction`` its
@@ -217,20 +214,19 @@ def physics_of(document: Mapping[str, Any]) -> Physics:
     )
 
 
+# of a scene: ten minutes at 30 a second, and a few gigabytes while its files are written
 MOST_FRAMES = 20_000
-"""Of a scene: ten minutes at 30 a second, and a few gigabytes while its files are written."""
-DAMPING = 0.5
-STEPS = 4
-"""Of a dynamic face in a frame: flesh swings some 15 times a second, which long steps damp."""
+DAMPING = 0.5  # of a dynamic face whose scene does not say
+STEPS = 4  # of a dynamic face in a frame: flesh swings some 15 times a second, long steps damp
 
 
 class Stage:
-    """What a scene, that its schema has found good, makes of a person with the S (n, m + 1).
+    """A person with the S (n, m + 1) in a scene that its schema has found good.
 
     ``drives`` say what the face does; ``linear`` names the linear solver; ``objects`` are what the
     face meets. Raises
     :class:`~solver.errors.InputError` (``scene.*``, ``force.point``, ``contact.crossed``) for what
-    the person does not have or can not be.
+    the person does not have or cannot be.
     """
 
     def __init__(

@@ -12,7 +12,7 @@ from solver.edits.fat import (
     Density,
     Fat,
     Filler,
-    Stiffness,
+    Stiffening,
 )
 from solver.edits.paralysis import Paralysis
 from solver.errors import InputError
@@ -55,7 +55,7 @@ def test_every_kind_is_described_and_becomes_an_edit(schema, places):
     assert described == edit["properties"]["kind"]["enum"]
     assert described == list(KINDS) == [each["kind"] for each in EVERY_KIND]
     made = edits_of(EVERY_KIND, places)
-    assert [type(each) for each in made] == [Fat, Filler, Bone, Stiffness, Density, Paralysis]
+    assert [type(each) for each in made] == [Fat, Filler, Bone, Stiffening, Density, Paralysis]
     skin = places.model.skin.vertices
     np.testing.assert_array_equal(np.flatnonzero(made[0].painted), places.model.regions["left"])
     np.testing.assert_allclose(made[1].path, [skin[5] - [0, 0, 3], [75, 60, 45]])
