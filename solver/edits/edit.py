@@ -27,7 +27,7 @@ DENSITY = 1e-3  # of flesh, in g/mm^3: water's
 
 @dataclass(frozen=True)
 class EditOptions:
-    """How far edits may go, and how they end on the face."""
+    """Limits of edits, and the widths over which they end on the face."""
 
     # lengths over those at rest that flesh may have with all edits: flesh that grows more finds no
     # rest

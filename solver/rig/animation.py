@@ -107,7 +107,7 @@ def write_video(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], f
 
 @dataclass(frozen=True)
 class FilmOptions:
-    """How many frames the picture and the film show, and how they are drawn."""
+    """Frames of the picture and the film."""
 
     shots: int = 8  # frames in the picture
     size: tuple[int, int] = (480, 576)  # of the film, pixels

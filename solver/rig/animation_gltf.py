@@ -45,7 +45,7 @@ BLOCK = 64  # frames that are looked at together
 
 @dataclass(frozen=True)
 class BasisOptions:
-    """How few shapes may span how many skins, and how well."""
+    """Number and accuracy of the shapes that span many skins."""
 
     within_mm: float = 0.1  # a vertex may be so far off
     most_shapes: int = 64  # with so many it may be further off
@@ -218,7 +218,7 @@ SHORT = 2**15 - 1  # the greatest of 16 bits
 
 @dataclass(frozen=True)
 class AnimationOptions:
-    """How much an animation's file leaves out."""
+    """Limits of what an animation's file leaves out."""
 
     basis: BasisOptions = BasisOptions()
     keys_mm: float = 0.05  # a vertex may be so far off for the keys that are left out

@@ -90,7 +90,7 @@ def _glass(surface: Surface) -> DrawnBody:
 
 @dataclass(frozen=True)
 class EditSheetOptions:
-    """How much of an edited person a sheet shows."""
+    """Amount of an edited person that a sheet shows."""
 
     expressions: int = 4  # columns beside those at rest, at most
     # ends of the colours' scale: the least that holds nearly all of the motion

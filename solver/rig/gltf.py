@@ -36,7 +36,7 @@ MATERIALS = {  # linear base colour and opacity, roughness
 
 @dataclass(frozen=True)
 class ShapeOptions:
-    """What of a rig's shapes is written, and how they are shown one after the other."""
+    """Limits below which a shape is still, and the times in which shapes are shown in turn."""
 
     still_mm: float = 1e-3  # a vertex that moves less is left out of a sparse target
     still_normal: float = 1e-3  # and one whose normal turns less, of length 1

@@ -22,7 +22,7 @@ from solver.surface import Floats
 
 @dataclass(frozen=True)
 class RoundTripOptions:
-    """How a pose is fitted again, and which muscles are compared.
+    """Weights of the second fit, and the muscles that are compared.
 
     The regularisers are light: the target can be reached, and a bias would be taken for an error.
     """

@@ -20,7 +20,7 @@ from solver.errors import InputError
 from solver.mechanics.linear import DOUBLE, SOLVERS
 from solver.meshio import raw, registered
 from solver.rig import (
-    motion,
+    frames,
 )
 from solver.scans import performance
 from solver.scene import document
@@ -94,7 +94,7 @@ def test_scans_may_be_what_the_solver_reads() -> None:
 
 
 def test_frames_are_where_the_worker_looks() -> None:
-    assert attempt.FRAMES == motion.FRAMES == motion.FRAMES
+    assert attempt.FRAMES == frames.FRAMES
 
 
 def test_linear_solvers_are_those_of_the_solver() -> None:

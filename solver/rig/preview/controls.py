@@ -43,7 +43,7 @@ from solver.surface import Floats
 
 @dataclass(frozen=True)
 class SliderOptions:
-    """How far sliders go, and how fits are split between them."""
+    """Ends of the sliders, and weights that split fits between them."""
 
     # length to which a slider at 1 shortens a muscle's fibres: well within what muscles can (half:
     # solver.rig.certificate.MUSCLE_SOURCE), and on the straight line from rest to there the

@@ -113,7 +113,7 @@ Listener = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class PreviewOptions:
-    """How a preview is made."""
+    """Weights and times of a preview's making."""
 
     off_face: float = 0.1  # weight of a skin vertex off the face, where nothing is measured
     learning: float = 0.6  # part of the time by which the poses to learn from are done
