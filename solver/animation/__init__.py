@@ -1,1 +1,1 @@
-"""What muscles, jaw, head and eyes do over time: from keys, or from a recording."""
+"""Motion of muscles, jaw, head and eyes over time: from keys, or from a recording."""

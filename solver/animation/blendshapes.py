@@ -3,7 +3,7 @@
 The target of a shape is the subject's neutral with the template's displacement added, and the fit
 is that of an expression of a known S. Which of ARKit's weights drives a shape, its name says.
 
-A corrective shape (``mouthClose`` brings the lips of an open jaw together) can not be had alone:
+A corrective shape (``mouthClose`` brings the lips of an open jaw together) cannot be had alone:
 its lips would go through each other. It is solved together with the one that it corrects, and is
 what the two have beyond that one.
 """
@@ -67,7 +67,7 @@ class Blend:
         return Pose(np.asarray(a), np.asarray(share @ self.jaw))
 
 
-def unfolded(a: Floats) -> tuple[Floats, int]:
+def unfold(a: Floats) -> tuple[Floats, int]:
     """Return activations (m, 6) with every eigenvalue at least what fits keep to, and the changed.
 
     The second value counts the muscles that had a smaller one.
@@ -81,13 +81,10 @@ def unfolded(a: Floats) -> tuple[Floats, int]:
     return result, len(folded)
 
 
-FORMAT = 1
-
-CORRECTED = {"mouthClose": "jawOpen"}
-"""Corrective shapes, and what they correct."""
-
+FORMAT = 1  # of blendshapes.npz
+CORRECTED = {"mouthClose": "jawOpen"}  # corrective shape -> the one it corrects
+# mm; a shape that moves no point of the face further is nothing for muscles: a tongue, a pupil
 LEAST_MOTION_MM = 0.05
-"""A shape that moves no point of the face further is nothing for muscles: a tongue, a pupil."""
 
 
 @dataclass(frozen=True)
@@ -217,11 +214,11 @@ def solve_blendshapes(
     face: Face,
     targets: Mapping[str, Floats],
     done: Mapping[str, Solved],
-    told: Callable[[str, Solved], None],
+    listen: Callable[[str, Solved], None],
 ) -> Blendshapes:
     """Fit activations and jaw to ``targets``, name -> the face's points (k, 3) in mm.
 
-    Shapes that are ``done`` are taken as they are; ``told`` hears of every other as it is solved.
+    Shapes that are ``done`` are taken as they are; ``listen`` hears of every other as it is solved.
     One that does not come to rest stays at rest.
     """
     missing = {
@@ -247,7 +244,7 @@ def solve_blendshapes(
             off = target.distances(face.face_points(state.x))
             pose = _beyond(state.pose, found.get(CORRECTED.get(name, "")))
             found[name] = Solved(pose, float(off.mean()), settled)
-            told(name, found[name])
+            listen(name, found[name])
     return Blendshapes(face.model.muscle_names, {name: found[name] for name in targets})
 
 

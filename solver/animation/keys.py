@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from solver.animation.blendshapes import (
     Blend,
-    unfolded,
+    unfold,
 )
 from solver.errors import InputError
 from solver.fitting.face import Pose
@@ -41,7 +41,7 @@ class PosedFrame:
 
 
 class Drives(Protocol):
-    """What the face does at any time; ``times`` (f,) in seconds are those of its frames."""
+    """Motion of a face at any time; ``times`` (f,) in seconds are those of its frames."""
 
     times: Floats
 
@@ -52,11 +52,9 @@ class Drives(Protocol):
 # Values over time between keys.
 
 
+# "smooth" is a monotone cubic (Fritsch and Carlson 1980), which goes beyond no key's value
 Interpolation = Literal["smooth", "linear"]
-"""``smooth`` is a monotone cubic (Fritsch and Carlson 1980), which goes beyond no key's value."""
-
-SHORTEST_SECONDS = 1e-9
-"""Between two keys: values change at no infinite rate."""
+SHORTEST_SECONDS = 1e-9  # between two keys: values change at no infinite rate
 
 Track = Callable[[float], Floats]
 
@@ -95,11 +93,11 @@ def check_times(times: Sequence[float], what: str) -> None:
             )
 
 
-# Where the head is: keys of its turns and shifts, about a pivot in the neck.
+# The head's motion: keys of its turns and shifts, about a pivot in the neck.
 
 
+# heads turn about the upper neck, so far from the middle of the jaw's condyles
 BELOW_JAW_MM, BEHIND_JAW_MM = 40.0, 20.0
-"""Where heads turn, from the middle of the jaw's condyles: about the upper neck."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +117,7 @@ def neck(model: SubjectModel) -> Floats:
     return np.asarray(model.jaw.origin - [0.0, BELOW_JAW_MM, BEHIND_JAW_MM])
 
 
-def turned(pivot: Floats, rotation: Floats, shift: Floats) -> Similarity:
+def turn_about(pivot: Floats, rotation: Floats, shift: Floats) -> Similarity:
     """Return the turn by a rotation vector (3,) about ``pivot`` (3,), and the ``shift`` (3,)."""
     matrix = Rotation.from_rotvec(rotation).as_matrix()
     return Similarity(1.0, matrix, pivot - matrix @ pivot + shift)
@@ -144,12 +142,12 @@ class HeadMotion:
     def __call__(self, time: float) -> Similarity:
         """Return the motion into the world at ``time`` in s."""
         place = self._track(time)
-        return turned(self._pivot, place[:3], place[3:])
+        return turn_about(self._pivot, place[:3], place[3:])
 
 
 @dataclass(frozen=True)
-class Key:
-    """What the face does at ``time`` in s; what a key does not name is at rest there.
+class PoseKey:
+    """Pose of a face at ``time`` in s; what a key does not name is at rest there.
 
     ``expressions`` are weights from 0 to 1; ``activations`` are those of single muscles (6,), of
     which what differs from rest is added to the expressions'; so is ``jaw`` (5,), rad and mm.
@@ -166,7 +164,7 @@ class KeyedDrives:
 
     def __init__(
         self,
-        keys: Sequence[Key],
+        keys: Sequence[PoseKey],
         poses: Mapping[str, Pose],
         model: SubjectModel,
         times: Floats,
@@ -176,38 +174,38 @@ class KeyedDrives:
         self.times = times
         self._head = head
         _check_names(keys, poses, model)
-        used = _named(key.expressions for key in keys)
+        used = _names_of(key.expressions for key in keys)
         self._blend = Blend.of({name: poses[name] for name in used}, model.muscle_count)
-        moved = _named(key.activations for key in keys)
+        moved = _names_of(key.activations for key in keys)
         self._muscles = [model.muscle_names.index(name) for name in moved]
         moments = [key.time for key in keys]
 
-        def tracked(values: list[Floats], width: int) -> Track:
+        def track_of(values: list[Floats], width: int) -> Track:
             return track(moments, np.reshape(values, (len(keys), width)), "keys", interpolation)
 
-        self._weights = tracked(
+        self._weights = track_of(
             [np.array([key.expressions.get(name, 0.0) for name in used]) for key in keys], len(used)
         )
-        self._moves = tracked(
+        self._moves = track_of(
             [
                 np.array([key.activations.get(name, IDENTITY) - IDENTITY for name in moved])
                 for key in keys
             ],
             6 * len(moved),
         )
-        self._jaw = tracked([key.jaw for key in keys], 5)
+        self._jaw = track_of([key.jaw for key in keys], 5)
 
     def __call__(self, time: float) -> PosedFrame:
         """See :class:`~solver.animation.keys.Drives`."""
         pose = self._blend.pose(self._weights(time))
         a = pose.a
         a[self._muscles] += self._moves(time).reshape(-1, 6)
-        a, clamped = unfolded(a)
+        a, clamped = unfold(a)
         return PosedFrame(a, pose.b + self._jaw(time), self._head(time), np.zeros((2, 3)), clamped)
 
 
 def from_keys(
-    keys: Sequence[Key],
+    keys: Sequence[PoseKey],
     poses: Mapping[str, Pose],
     model: SubjectModel,
     times: Floats,
@@ -226,12 +224,12 @@ def from_keys(
     return KeyedDrives(keys, poses, model, times, motion, interpolation)
 
 
-def _named(mappings: Iterable[Mapping[str, object]]) -> list[str]:
+def _names_of(mappings: Iterable[Mapping[str, object]]) -> list[str]:
     """Return all names, in the order in which they come."""
     return list(dict.fromkeys(name for names in mappings for name in names))
 
 
-def _check_names(keys: Sequence[Key], poses: Mapping[str, Pose], model: SubjectModel) -> None:
+def _check_names(keys: Sequence[PoseKey], poses: Mapping[str, Pose], model: SubjectModel) -> None:
     for number, key in enumerate(keys):
         for code, noun, names, known in (
             ("scene.expression", "expression", key.expressions, list(poses)),

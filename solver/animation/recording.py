@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from solver.animation.blendshapes import Blendshapes, unfolded
+from solver.animation.blendshapes import Blendshapes, unfold
 from solver.animation.keys import (
     HeadKey,
     HeadMotion,
     PosedFrame,
     neck,
     track,
-    turned,
+    turn_about,
 )
 from solver.errors import InputError
 from solver.model import SubjectModel
@@ -50,8 +50,8 @@ class RecordedDrives:
         """See :class:`~solver.animation.keys.Drives`."""
         weights, head, eyes = np.split(self._track(time), [-9, -6])
         pose = self._blend.pose(weights)
-        a, clamped = unfolded(pose.a)
-        motion = turned(self._neck, head, np.zeros(3)).then(self._head(time))
+        a, clamped = unfold(pose.a)
+        motion = turn_about(self._neck, head, np.zeros(3)).then(self._head(time))
         return PosedFrame(a, pose.b, motion, eyes.reshape(2, 3), clamped)
 
 

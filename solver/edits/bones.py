@@ -14,10 +14,7 @@ from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints, Surface
 
-STEEPEST = 8.0 / (3.0 * np.sqrt(3.0))
-"""The greatest slope of (1 - t^2)^2."""
-NEAR_MM = 40.0
-"""A handle lies within this distance of its bone."""
+STEEPEST = 8.0 / (3.0 * np.sqrt(3.0))  # the greatest slope of (1 - t^2)^2
 
 
 @dataclass(frozen=True)
@@ -50,7 +47,7 @@ class Bone:
                 expected_mm=round(least, 1),
             )
         surface = model.bones[self.bone]
-        handle = self._handle(surface)
+        handle = self._handle(surface, before.options.handle_mm)
 
         def motion(points: Floats) -> Floats:
             away = np.linalg.norm(points - handle, axis=1)
@@ -67,17 +64,17 @@ class Bone:
         )
         return replace(before, model=anatomy, bones=bones)
 
-    def _handle(self, surface: Surface) -> Floats:
+    def _handle(self, surface: Surface, near_mm: float) -> Floats:
         """Return the bone's point (3,) nearest to ``at``."""
         at = np.ascontiguousarray(self.at, dtype=np.float64)[None]
         squared, _, nearest = igl.point_mesh_squared_distance(at, surface.vertices, surface.faces)
         away = float(np.sqrt(squared[0]))
-        if away > NEAR_MM:
+        if away > near_mm:
             raise InputError(
                 "scene.bone",
-                f"the handle lies {away:.0f} mm off the {self.bone}, {NEAR_MM:.0f} at most can be",
+                f"the handle lies {away:.0f} mm off the {self.bone}, {near_mm:.0f} at most can be",
                 found_mm=round(away, 1),
-                expected_mm=NEAR_MM,
+                expected_mm=near_mm,
             )
         return np.asarray(nearest[0])
 

@@ -19,11 +19,27 @@ from solver.simulation.inertia import Drive
 from solver.simulation.simulator import Simulator
 from solver.surface import Floats
 
-# What edits make of a face: the only thing that simulations see of them.
+# A face as edits leave it: the only thing that simulations see of them.
 
 
-DENSITY = 1e-3
-"""Of flesh, in g/mm^3: water's."""
+DENSITY = 1e-3  # of flesh, in g/mm^3: water's
+
+
+@dataclass(frozen=True)
+class EditOptions:
+    """Limits of edits, and the widths over which they end on the face."""
+
+    # lengths over those at rest that flesh may have with all edits: flesh that grows more finds no
+    # rest
+    growth: tuple[float, float] = (0.5, 1.8)
+    fat_growth: tuple[float, float] = (0.6, 1.5)  # f of fat: flesh grows to f^3 of its volume
+    filler_growth: float = 1.35  # f of a tet: above, it would be as large as the flesh around it
+    least_room_mm3: float = 1e-9  # flesh that a filler needs
+    factor: float = 100.0  # of stiffness or density, at most; at least one over it
+    fade_mm: float = 20.0  # from the ends of the model's flesh, where fat ends
+    blur_mm: float = 2.0  # by which what is painted runs into its surroundings on the skin
+    side_mm: float = 5.0  # half of the way in which a paralysed side passes into the other one
+    handle_mm: float = 40.0  # between a handle and its bone
 
 
 @dataclass(frozen=True)
@@ -50,17 +66,15 @@ class Edited:
     density: Floats
     bones: Floats
     S: sp.csr_array
+    options: EditOptions = EditOptions()
 
     @classmethod
-    def nothing(cls, model: SubjectModel, S: sp.csr_array) -> Edited:
+    def nothing(
+        cls, model: SubjectModel, S: sp.csr_array, options: EditOptions = EditOptions()
+    ) -> Edited:
         """Return the face as it is."""
         ones = np.ones(len(model.tets))
-        return cls(model, model, ones, ones, DENSITY * ones, np.zeros_like(model.rest), S)
-
-
-LEAST_GROWTH, MOST_GROWTH = 0.5, 1.8
-"""Lengths over those at rest that flesh may have with all edits: flesh that grows more finds no
-rest."""
+        return cls(model, model, ones, ones, DENSITY * ones, np.zeros_like(model.rest), S, options)
 
 
 class Edit(Protocol):
@@ -73,22 +87,28 @@ class Edit(Protocol):
         """
 
 
-def apply(edits: Iterable[Edit], model: SubjectModel, S: sp.csr_array) -> Edited:
+def apply(
+    edits: Iterable[Edit],
+    model: SubjectModel,
+    S: sp.csr_array,
+    options: EditOptions = EditOptions(),
+) -> Edited:
     """Return what all ``edits``, in their order, make of a person with the S (n, m + 1).
 
     Raises :class:`~solver.errors.InputError` as they do, and ``scene.growth`` where together they
     make flesh grow or shrink out of all measure.
     """
-    edited = Edited.nothing(model, S)
+    edited = Edited.nothing(model, S, options)
+    low, high = options.growth
     for edit in edits:
         edited = edit(edited)
         least, most = float(edited.growth.min()), float(edited.growth.max())
-        if least < LEAST_GROWTH or most > MOST_GROWTH:
-            found = least if least < LEAST_GROWTH else most
+        if least < low or most > high:
+            found = least if least < low else most
             raise InputError(
                 "scene.growth",
                 f"the edits together make flesh grow to {found:.2f} of its length: it can be "
-                f"{LEAST_GROWTH} to {MOST_GROWTH}",
+                f"{low} to {high}",
                 found=round(found, 3),
             )
     return edited
@@ -97,10 +117,12 @@ def apply(edits: Iterable[Edit], model: SubjectModel, S: sp.csr_array) -> Edited
 # Expressions replayed on an edited person: the same activations in other flesh.
 
 
-SECONDS = 1.0
-"""The way from rest to an expression counts as taking so long, for friction."""
-PARTS = 4
-"""Steps of that way: in one of them lips would be pressed through each other, or buckle."""
+@dataclass(frozen=True)
+class ReplayOptions:
+    """The way from rest to an expression."""
+
+    seconds: float = 1.0  # that it counts as taking, for friction
+    steps: int = 4  # in one of them lips would be pressed through each other, or buckle
 
 
 @dataclass(frozen=True)
@@ -124,14 +146,21 @@ class Replay:
     :class:`~solver.errors.SolveError` where the edited person finds no rest.
     """
 
-    def __init__(self, edited: Edited, face: Face, potentials: Sequence[Potential]) -> None:
+    def __init__(
+        self,
+        edited: Edited,
+        face: Face,
+        potentials: Sequence[Potential],
+        options: ReplayOptions = ReplayOptions(),
+    ) -> None:
         begun = perf_counter()
+        self._options = options
         self._face = face
         self._simulator = Simulator(face, potentials, [], dynamic=False, density=edited.density)
         self._drive = Drive(0.0, face.flesh.passive(), np.zeros(5), NO_MOTION)
         self._rest = self._simulator.rest(self._drive)
-        self.neutral = self._replayed(self._rest.x, self._drive.jaw, perf_counter() - begun)
-        """The edited person at rest."""
+        # the edited person at rest
+        self.neutral = self._measure(self._rest.x, self._drive.jaw, perf_counter() - begun)
 
     def pose(self, A: Floats, jaw: Floats) -> Replayed:
         """Return the equilibrium for activations ``A`` (n, 6) of the tets and a ``jaw`` (5,).
@@ -139,12 +168,16 @@ class Replay:
         Raises :class:`~solver.errors.SolveError` if there is none.
         """
         begun = perf_counter()
-        goal, motion, drive = Drive(SECONDS, A, jaw, NO_MOTION), self._rest, self._drive
-        for part in np.arange(1, PARTS + 1) / PARTS:
+        goal, motion, drive = (
+            Drive(self._options.seconds, A, jaw, NO_MOTION),
+            self._rest,
+            self._drive,
+        )
+        for part in np.arange(1, self._options.steps + 1) / self._options.steps:
             target = self._drive.toward(goal, float(part))
             motion, drive = self._simulator.step(motion, drive, target).motion, target
-        return self._replayed(motion.x, jaw, perf_counter() - begun)
+        return self._measure(motion.x, jaw, perf_counter() - begun)
 
-    def _replayed(self, x: Floats, jaw: Floats, seconds: float) -> Replayed:
+    def _measure(self, x: Floats, jaw: Floats, seconds: float) -> Replayed:
         face = self._face
         return Replayed(x, face.whole_skin(x, jaw), jaw, face.flesh.inverted(x), seconds)

@@ -15,19 +15,16 @@ from solver.mechanics.flesh import shape_gradients
 from solver.model import SubjectModel
 from solver.surface import Floats, adjacency, vertex_normals
 
-# Where a model's flesh ends, though a person's does not: at its cuts, and along the neck.
+# Ends of a model's flesh where a person's goes on: at its cuts, and along the neck.
 
 
-FADE_MM = 20.0
-
-
-def off_the_ends(model: SubjectModel) -> Floats:
-    """Return 0 for tets (n,) where the model ends, and 1 from :data:`FADE_MM` on."""
+def off_the_ends(model: SubjectModel, fade_mm: float = 20.0) -> Floats:
+    """Return 0 for tets (n,) where the model ends, and 1 from ``fade_mm`` on."""
     ends = np.vstack([model.rest[model.cut], _border(model)])
     if not len(ends):
         return np.ones(len(model.tets))
     centres = model.rest[model.tets].mean(axis=1)
-    t = np.minimum(cKDTree(ends).query(centres)[0] / FADE_MM, 1.0)
+    t = np.minimum(cKDTree(ends).query(centres)[0] / fade_mm, 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t))
 
 
@@ -45,12 +42,6 @@ def _border(model: SubjectModel) -> Floats:
     return max(lines, key=lambda line: float(np.ptp(line, axis=0).max()), default=np.zeros((0, 3)))
 
 
-LEAST_GROWTH, MOST_GROWTH = 0.6, 1.5
-"""Limits of a growth f: flesh grows to f^3 of its volume."""
-SOFTENING = 3.0
-"""Flesh that grew is softer by f to this power: the same tissue in more volume."""
-
-
 @dataclass(frozen=True)
 class Fat:
     """Growth f_i = f_min (1 - s_i0) + f_max s_i0 of F_p = f I, where a map says (SYSTEM: fat).
@@ -58,27 +49,29 @@ class Fat:
     Muscle grows by ``f_min``, passive flesh by ``f_max``; s_i0 is S's passive share of a tet.
     (0.9, 1.0) is slim, (1.0, 1.2) fat. A ``painted`` map (V,), see :mod:`solver.edits.maps`, draws
     f towards 1, and so do the ends of the model's flesh. Where f > 1 the stiffness is
-    divided by f^``softening``; the exponent is ours.
+    divided by f^``softening``, as it is the same tissue in more volume; the exponent is ours.
     """
 
     f_min: float
     f_max: float
     painted: Floats | None = None
-    softening: float = SOFTENING
+    softening: float = 3.0
 
     def __call__(self, before: Edited) -> Edited:
         """Return the person with it; raises ``scene.fat`` for a growth out of all measure."""
+        options = before.options
+        low, high = options.fat_growth
         for factor in (self.f_min, self.f_max):
-            if not LEAST_GROWTH <= factor <= MOST_GROWTH:
+            if not low <= factor <= high:
                 raise InputError(
                     "scene.fat",
-                    f"flesh grows by a factor between {LEAST_GROWTH} and {MOST_GROWTH}, "
-                    f"not {factor}",
+                    f"flesh grows by a factor between {low} and {high}, not {factor}",
                     found=factor,
                 )
         passive = before.S[:, [0]].toarray()[:, 0]
         whole = self.f_min * (1.0 - passive) + self.f_max * passive
-        share = into_volume(before.model, self.painted) * off_the_ends(before.model)
+        share = into_volume(before.model, self.painted, options.blur_mm)
+        share = share * off_the_ends(before.model, options.fade_mm)
         growth = 1.0 + (whole - 1.0) * share
         softer = np.maximum(growth, 1.0) ** -self.softening
         return replace(
@@ -91,11 +84,7 @@ class Fat:
 # Filler: a volume that is injected along the path of a needle.
 
 
-MM3_PER_ML = 1000.0
-RADIUS_MM = 2.5
-LEAST_ROOM_MM3 = 1e-9
-MOST_FILLER_GROWTH = 1.35
-"""Growth f of a tet at most: above, a bit of filler would be as large as the flesh around it."""
+MM3_PER_ML = 1000.0  # mm^3 in a ml
 
 
 @dataclass(frozen=True)
@@ -108,11 +97,11 @@ class Filler:
 
     path: Floats
     ml: float
-    radius_mm: float = RADIUS_MM
+    radius_mm: float = 2.5
 
     def __call__(self, before: Edited) -> Edited:
         """Return the person with it; raises ``scene.filler`` where there is no room for it."""
-        model = before.model
+        model, options = before.model, before.options
         if not (self.ml > 0.0 and self.radius_mm > 0.0 and len(self.path)):
             raise InputError(
                 "scene.filler", "a filler needs a path, and a volume and a radius above 0"
@@ -121,15 +110,15 @@ class Filler:
         shares = np.exp(-0.5 * (away / self.radius_mm) ** 2)
         volumes = shape_gradients(model.rest, model.tets)[1] * before.growth**3
         room = float(volumes @ shares)
-        if room < LEAST_ROOM_MM3:
+        if room < options.least_room_mm3:
             raise InputError(
                 "scene.filler",
                 f"there is no flesh within {self.radius_mm} mm of the path: lay it under the skin, "
                 "or make the radius larger",
             )
         growth = np.cbrt(1.0 + self.ml * MM3_PER_ML / room * shares)
-        if not growth.max() <= MOST_FILLER_GROWTH:
-            most = (MOST_FILLER_GROWTH**3 - 1.0) * room / MM3_PER_ML / shares.max()
+        if not growth.max() <= options.filler_growth:
+            most = (options.filler_growth**3 - 1.0) * room / MM3_PER_ML / shares.max()
             raise InputError(
                 "scene.filler",
                 f"{self.ml} ml do not fit into the flesh within {self.radius_mm} mm of the path: "
@@ -162,12 +151,8 @@ def distance_to_path(points: Floats, path: Floats) -> Floats:
 # Flesh that is stiffer or softer, heavier or lighter, where a map says.
 
 
-MOST_STIFFNESS_FACTOR = 100.0
-"""A factor of stiffness or density is at most this, and at least one over it."""
-
-
 @dataclass(frozen=True)
-class Stiffness:
+class Stiffening:
     """Stiffness times ``factor``^u, u being the tet's share of a ``painted`` map (V,)."""
 
     factor: float
@@ -193,12 +178,12 @@ class Density:
 
 
 def _change(before: Edited, factor: float, painted: Floats | None) -> Floats:
-    if not 1.0 / MOST_STIFFNESS_FACTOR <= factor <= MOST_STIFFNESS_FACTOR:
+    most = before.options.factor
+    if not 1.0 / most <= factor <= most:
         raise InputError(
             "scene.factor",
-            f"a factor lies between {1.0 / MOST_STIFFNESS_FACTOR} and {MOST_STIFFNESS_FACTOR:g}, "
-            f"not at {factor}",
+            f"a factor lies between {1.0 / most} and {most:g}, not at {factor}",
             found=factor,
         )
-    share: Floats = factor ** into_volume(before.model, painted)
+    share: Floats = factor ** into_volume(before.model, painted, before.options.blur_mm)
     return share

@@ -14,15 +14,12 @@ from solver.mechanics.flesh import shape_gradients
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints, vertex_areas
 
-BLUR_MM = 2.0
-"""How far what is painted runs into its surroundings on the skin."""
 
-
-def into_volume(model: SubjectModel, painted: Floats | None) -> Floats:
+def into_volume(model: SubjectModel, painted: Floats | None, blur_mm: float = 2.0) -> Floats:
     """Return the share (n,) of each tet in what is painted (V,) on the face; None is all of it.
 
     u on the tets' vertices minimises the integral of |grad u|^2 over the flesh plus that of
-    (u - painted)^2 / :data:`BLUR_MM` over the face's skin: heat that comes from there and leaves
+    (u - painted)^2 / ``blur_mm`` over the face's skin: heat that comes from there and leaves
     nowhere. Raises :class:`InputError` (``scene.map``) for a map of another skin or with values
     outside of [0, 1].
     """
@@ -36,7 +33,7 @@ def into_volume(model: SubjectModel, painted: Floats | None) -> Floats:
     stiffness = sp.csc_array((entries.ravel(), pairs), shape=(count, count))
     on_face = np.isin(model.embedded, model.face)
     skin = model.embedding[on_face]
-    area = vertex_areas(model.skin.vertices, model.skin.faces)[model.embedded[on_face]] / BLUR_MM
+    area = vertex_areas(model.skin.vertices, model.skin.faces)[model.embedded[on_face]] / blur_mm
     weighed = skin.T @ sp.diags_array(area)
     system = stiffness + weighed @ skin
     # a trace of stiffness for flesh in no contact with the face, which gets none of it

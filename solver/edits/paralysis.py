@@ -12,9 +12,6 @@ from solver.edits.edit import Edited
 from solver.errors import InputError
 from solver.surface import Floats, Ints
 
-HALF_WIDTH_MM = 5.0
-"""Around the mid-plane a paralysed side passes into the other one over twice this width."""
-
 
 @dataclass(frozen=True)
 class Paralysis:
@@ -72,5 +69,5 @@ def _side(before: Edited, side: str) -> Floats:
     model = before.model
     x = model.rest[model.tets].mean(axis=1)[:, 0] - model.jaw.origin[0]
     outward = x if side == "left" else -x
-    t = np.clip(0.5 + 0.5 * outward / HALF_WIDTH_MM, 0.0, 1.0)
+    t = np.clip(0.5 + 0.5 * outward / before.options.side_mm, 0.0, 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t))

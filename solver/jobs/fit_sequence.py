@@ -29,13 +29,12 @@ from solver.rig.animation_picture import (
     SequenceShot,
     sequence_picture,
 )
+from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter
 from solver.rig.motion import (
-    FRAMES,
     SequenceFrame,
     Status,
     read_frames,
     sequence_report,
-    write_frames,
     write_sequence,
 )
 from solver.rig.result import load_weights
@@ -186,8 +185,7 @@ def _six(motion: Similarity) -> Floats:
     return np.concatenate([Rotation.from_matrix(motion.rotation).as_rotvec(), motion.shift])
 
 
-CHUNK_FRAMES, CHUNK_SECONDS = 30, 2.0
-"""A file of frames holds so many at most, and is written at the latest after so long."""
+CHUNKS = ChunkOptions(frames=30)
 UNLIKE_MM = 5.0
 """Mean distance that says that a performance is not this person's: a fit leaves less than 2."""
 MOST_SHOTS = 6
@@ -225,7 +223,7 @@ def run(task: Task[FitSequence]) -> list[Path]:
     shown = set(np.linspace(0, len(numbers) - 1, MOST_SHOTS).round().astype(int).tolist())
     shots: list[SequenceShot] = []
     animated = AnimatedSkin(subject.skin)
-    chunks = _Chunks(out / FRAMES, len(done))
+    chunks = ChunkWriter[SequenceFrame](out / FRAMES, len(done), CHUNKS)
     try:
         for position in range(len(done), len(numbers)):
             frame = follower.fit(numbers[position], source.frame(numbers[position]))
@@ -343,24 +341,3 @@ def _tell(progress: Progress, frame: SequenceFrame, count: int, total: int) -> N
         progress(Step("warning", done, message=words))
     words = f"frame {count} of {total}"
     progress(Step("frames", done, mean_error_mm=frame.mean_mm, message=words))
-
-
-class _Chunks:
-    """Writes frames into files as they come, so many at a time or after so long."""
-
-    def __init__(self, folder: Path, first: int) -> None:
-        self._folder = folder
-        self._first = first
-        self._frames: list[SequenceFrame] = []
-        self._since = time.monotonic()
-
-    def add(self, frame: SequenceFrame) -> None:
-        self._frames.append(frame)
-        if len(self._frames) == CHUNK_FRAMES or time.monotonic() - self._since > CHUNK_SECONDS:
-            self.flush()
-
-    def flush(self) -> None:
-        if self._frames:
-            write_frames(self._folder, self._first, self._frames)
-        self._first += len(self._frames)
-        self._frames, self._since = [], time.monotonic()

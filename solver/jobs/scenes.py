@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import io
 import json
@@ -25,7 +26,8 @@ from solver.model import SubjectModel
 from solver.progress import Progress, Step
 from solver.rig.animation import write_animation
 from solver.rig.animation_picture import Filming
-from solver.rig.motion import FRAMES, MotionFrame, motion_report, read_motion, write_motion
+from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter
+from solver.rig.motion import MotionFrame, motion_report, motion_values, read_motion
 from solver.rig.result import load_weights
 from solver.scene.document import document_of
 from solver.scene.places import Places
@@ -78,8 +80,7 @@ def _hash(path: Path) -> str:
 # A scene's frames, one after the other: what simulations and animations share.
 
 
-CHUNK_FRAMES, CHUNK_SECONDS = 10, 2.0
-"""A file of frames holds so many at most, and is written at the latest after so long."""
+CHUNKS = ChunkOptions(frames=10)
 EXPORT = 0.9
 """Part of a job after which its files are written."""
 READ = 0.02
@@ -110,7 +111,8 @@ def play(
     ready = read_motion(out / FRAMES, scene, stage.model.rest)
     done, motion = ready.frames, ready.motion
     times = stage.drives.times
-    chunks = _Chunks(out / FRAMES, scene, stage)
+    beside = _Beside(scene, stage, motion)
+    chunks = ChunkWriter(out / FRAMES, len(done), CHUNKS, beside)
     drive: Drive | None = None
     if done:
         before = float(times[len(done) - 1])
@@ -126,8 +128,9 @@ def play(
                 error.context["frame"] = number
                 raise
             frame = _frame(stage, number, pose, goal, stepped)
-            motion, drive = stepped.motion, goal
-            chunks.add(frame, motion)
+            motion = beside.motion = stepped.motion
+            drive = goal
+            chunks.add(frame)
             done.append(frame)
             part = (number + 1) / len(times)
             words = f"frame {number + 1} of {len(times)}"
@@ -229,29 +232,20 @@ def _place(head: Similarity) -> Floats:
     return np.concatenate([turn, head.shift])
 
 
-class _Chunks:
-    """Writes frames into files as they come, so many at a time or after so long."""
+class _Beside:
+    """Values beside the frames of a file: the motion to go on from, and at times a picture."""
 
-    def __init__(self, folder: Path, scene: str, stage: Stage) -> None:
-        self._folder, self._scene, self._stage = folder, scene, stage
-        self._frames: list[MotionFrame] = []
-        self._motion: Motion | None = None
-        self._since = time.monotonic()
+    def __init__(self, scene: str, stage: Stage, motion: Motion) -> None:
+        self._scene, self._stage = scene, stage
         self._pictured = -np.inf
         self._filming = Filming(stage.model)
+        self.motion = motion
 
-    def add(self, frame: MotionFrame, motion: Motion) -> None:
-        self._frames.append(frame)
-        self._motion = motion
-        if len(self._frames) == CHUNK_FRAMES or time.monotonic() - self._since > CHUNK_SECONDS:
-            self.flush()
-
-    def flush(self) -> None:
-        if self._frames and self._motion is not None:
-            write_motion(
-                self._folder, self._frames, self._motion, self._scene, self._draw(self._frames[-1])
-            )
-        self._frames, self._since = [], time.monotonic()
+    def __call__(self, last: MotionFrame) -> dict[str, Any]:
+        """Return them for a file with this ``last`` frame, which ended in ``motion``."""
+        picture = self._draw(last)
+        encoded = None if picture is None else base64.b64encode(picture).decode()
+        return motion_values(self._scene, self.motion, encoded)
 
     def _draw(self, frame: MotionFrame) -> bytes | None:
         """Return a JPEG of a frame, if there has been none for a while."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from fractions import Fraction
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,21 +23,19 @@ from solver.rig.animation_gltf import Singles, write_animation_glb
 from solver.rig.animation_picture import Filming, Shot, contact_sheet
 from solver.rig.gltf import Solid
 from solver.rig.motion import MotionFrame
-from solver.scene.objects import Obstacle
+from solver.scene.objects import SceneObject
 from solver.similarity import small_motion
 from solver.surface import Floats, Ints
 
 # ``animation.npz``: an animation as arrays; docs/guide/simulation.md describes it.
 
 
-FORMAT = 1
-TRACKS = (
+FORMAT = 1  # of animation.npz
+TRACKS = (  # taken of every frame, see MotionFrame
     *("time", "activations", "jaw", "head", "eyes"),
     *("penetration_mm", "behind_teeth", "inverted", "iterations", "seconds"),
 )
-"""What is taken of every frame, see :class:`~solver.rig.motion.MotionFrame`."""
-FASTEST = 1
-"""The level of compression: skins hardly shrink, however long one tries."""
+FASTEST = 1  # level of compression: skins hardly shrink, however long one tries
 
 
 def write_animation_npz(
@@ -73,12 +71,12 @@ def write_animation_npz(
 # ``animation.mp4``: frames as a film, by PyAV (the extra ``video``).
 
 
+# tried in this order, the best first; not every FFmpeg has it
 CODECS = {"libx264": {"crf": "18", "preset": "medium"}, "mpeg4": {"qscale": "3"}}
-"""What is tried, the best first; not every FFmpeg has the first."""
 
 
 def check_video() -> None:
-    """Raise :class:`InputError` (``options.video``) where films can not be written."""
+    """Raise :class:`InputError` (``options.video``) where films cannot be written."""
     if find_spec("av") is None:
         raise InputError(
             "options.video",
@@ -107,12 +105,15 @@ def write_video(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], f
         film.mux(stream.encode())
 
 
-MOST_SHOTS = 8
-"""Frames in the picture."""
-FILM = (480, 576)
-LIT_FRAMES = 6
-"""Of so many frames, one is lit by itself."""
-SLOWEST, USUAL_FPS = 1.0, 30.0
+@dataclass(frozen=True)
+class FilmOptions:
+    """Frames of the picture and the film."""
+
+    shots: int = 8  # frames in the picture
+    size: tuple[int, int] = (480, 576)  # of the film, pixels
+    lit_every: int = 6  # of so many frames, one is lit by itself
+    least_fps: float = 1.0  # of a slower animation the film is faster
+    single_fps: float = 30.0  # of an animation of one frame
 
 
 def write_animation(
@@ -124,8 +125,9 @@ def write_animation(
     title: str,
     report: dict[str, Any],
     vertices: Ints,
-    objects: Sequence[Obstacle] = (),
+    objects: Sequence[SceneObject] = (),
     video: bool = False,
+    options: FilmOptions = FilmOptions(),
 ) -> list[Path]:
     """Write ``frames``, whose ``skins`` (f, v, 3) are in the head's frame, mm; return the paths.
 
@@ -146,7 +148,7 @@ def write_animation(
     figures = {**report, "glb": {**asdict(written), "bytes": glb.stat().st_size}}
     table.write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     filming = Filming(model)
-    shown = np.unique(np.linspace(0, len(frames) - 1, MOST_SHOTS).round().astype(int))
+    shown = np.unique(np.linspace(0, len(frames) - 1, options.shots).round().astype(int))
     shots = [_shot(frames[number], skins[number], objects) for number in shown]
     contact_sheet(filming, shots, title, _detail(frames, times), sheet)
     files = [table, glb, arrays, sheet]
@@ -154,11 +156,12 @@ def write_animation(
     film.unlink(missing_ok=True)  # one of another scene is not to stay beside the new files
     if video:
         files.append(film)
-        write_video(film, _film(filming, frames, skins, objects), FILM, _fps(times))
+        pictures = _film(filming, frames, skins, objects, options)
+        write_video(film, pictures, options.size, _fps(times, options))
     return files
 
 
-def _shot(frame: MotionFrame, skin: Singles, objects: Sequence[Obstacle]) -> Shot:
+def _shot(frame: MotionFrame, skin: Singles, objects: Sequence[SceneObject]) -> Shot:
     placed = frame.placed(skin.astype(np.float64))
     return Shot(f"{frame.time:.2f} s", placed, tuple(each.at(frame.time) for each in objects))
 
@@ -167,7 +170,8 @@ def _film(
     filming: Filming,
     frames: Sequence[MotionFrame],
     skins: Singles,
-    objects: Sequence[Obstacle],
+    objects: Sequence[SceneObject],
+    options: FilmOptions,
 ) -> Iterator[Pixels]:
     """Draw all frames; light, which takes longest, is interpolated between some of them."""
 
@@ -175,13 +179,13 @@ def _film(
         return _shot(frames[number], skins[number], objects)
 
     light = filming.light(shot(0).skin)
-    for first in range(0, len(frames), LIT_FRAMES):
-        begin, end = light, min(first + LIT_FRAMES, len(frames) - 1)
+    for first in range(0, len(frames), options.lit_every):
+        begin, end = light, min(first + options.lit_every, len(frames) - 1)
         light = filming.light(shot(end).skin)
-        for number in range(first, min(first + LIT_FRAMES, len(frames))):
+        for number in range(first, min(first + options.lit_every, len(frames))):
             share = (number - first) / max(end - first, 1)
             now, here = shot(number), begin + share * (light - begin)
-            yield filming.picture(now.skin, here, FILM, objects=now.objects)
+            yield filming.picture(now.skin, here, options.size, objects=now.objects)
 
 
 def _detail(frames: Sequence[MotionFrame], times: Floats) -> str:
@@ -193,8 +197,8 @@ def _detail(frames: Sequence[MotionFrame], times: Floats) -> str:
     )
 
 
-def _fps(times: Floats) -> float:
+def _fps(times: Floats, options: FilmOptions) -> float:
     """Return the usual number of frames a second."""
     if len(times) < 2:
-        return USUAL_FPS
-    return max(SLOWEST, round(1.0 / float(np.median(np.diff(times))), 2))
+        return options.single_fps
+    return max(options.least_fps, round(1.0 / float(np.median(np.diff(times))), 2))

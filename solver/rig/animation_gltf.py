@@ -40,24 +40,24 @@ from solver.surface import Floats, Ints, Surface, vertex_normals
 
 Singles = NDArray[np.float32]
 
-MOST_SHAPES = 64
-FIRST_SHAPES = 6
-MORE_SHAPES = 1.4
-"""So many times as many shapes are tried next."""
-REWEIGHTINGS, LAST_REWEIGHTINGS = 2, 8
-"""Before there are more shapes, and where there may be no more."""
-LEAST_IMPORTANCE = np.float32(1e-3)
-"""Of a coordinate, by the mean: all of them count."""
-MOST_SAMPLES = 400
-"""The shapes are those of so many frames at most, evenly taken; all frames are made of them."""
-STILL_MM = 1e-3
-"""What moves less is left out, a vertex or a shape."""
-BLOCK = 64
-"""Frames that are looked at together."""
-SMALLEST_SHAPE = 1e-9
-"""Square of a shape, by the greatest, that counts as none."""
-RIDGE = 1e-6
-"""Part of the greatest variance of weights that keeps normals from growing where shapes hide."""
+BLOCK = 64  # frames that are looked at together
+
+
+@dataclass(frozen=True)
+class BasisOptions:
+    """Number and accuracy of the shapes that span many skins."""
+
+    within_mm: float = 0.1  # a vertex may be so far off
+    most_shapes: int = 64  # with so many it may be further off
+    first_shapes: int = 6  # tried first
+    more_shapes: float = 1.4  # so many times as many are tried next
+    reweightings: int = 2  # before there are more shapes
+    last_reweightings: int = 8  # where there may be no more shapes
+    least_importance: float = 1e-3  # of a coordinate, by the mean: all of them count
+    most_samples: int = 400  # frames that shapes are made of, evenly taken; they make all frames
+    still_mm: float = 1e-3  # what moves less is left out, a vertex or a shape
+    smallest_shape: float = 1e-9  # square of a shape, by the greatest, that counts as none
+    ridge: float = 1e-6  # of the weights' greatest variance: keeps normals small where shapes hide
 
 
 @dataclass(frozen=True)
@@ -73,24 +73,24 @@ class Basis:
     weights: Floats
 
 
-def spanning(neutral: Surface, skins: Singles, within_mm: float) -> Basis:
-    """Return a basis of ``skins`` (f, v, 3), mm, with no vertex further off than ``within_mm``.
+def span_skins(neutral: Surface, skins: Singles, options: BasisOptions = BasisOptions()) -> Basis:
+    """Return a basis of ``skins`` (f, v, 3), mm, with no vertex further off than the options say.
 
-    Unless there are :data:`MOST_SHAPES`, or frames that were not sampled ask for more.
+    Unless there are ``most_shapes``, or frames that were not sampled ask for more.
     """
-    moving = _moving(neutral, skins)
-    chosen = np.unique(np.linspace(0, len(skins) - 1, MOST_SAMPLES).round().astype(int))
+    moving = _moving(neutral, skins, options.still_mm)
+    chosen = _samples(len(skins), options)
     samples = _motion(neutral, skins[chosen], moving)
-    directions, importance = _directions(samples, within_mm)
+    directions, importance = _directions(samples, options)
     towards = (directions * importance).astype(np.float64)
     # skins of fewer dimensions leave shapes of nothing
-    solve = np.linalg.pinv(towards @ directions.T, rcond=SMALLEST_SHAPE, hermitian=True)
+    solve = np.linalg.pinv(towards @ directions.T, rcond=options.smallest_shape, hermitian=True)
     amounts = np.vstack(
         [_motion(neutral, block, moving) @ towards.T @ solve for block in _blocks(skins)]
     )
     least, most = amounts.min(axis=0), amounts.max(axis=0)
     longest = np.linalg.norm(directions.reshape(len(directions), -1, 3), axis=2).max(axis=1)
-    used = (most - least) * longest > STILL_MM
+    used = (most - least) * longest > options.still_mm
     span = (most - least)[used]
     start = least @ directions
     shapes = np.vstack([start[None], span[:, None] * directions[used]])
@@ -98,12 +98,14 @@ def spanning(neutral: Surface, skins: Singles, within_mm: float) -> Basis:
     return Basis(moving, shapes.reshape(-1, len(moving), 3).astype(np.float32), weights)
 
 
-def normal_shapes(neutral: Surface, skins: Singles, basis: Basis) -> Singles:
+def normal_shapes(
+    neutral: Surface, skins: Singles, basis: Basis, options: BasisOptions = BasisOptions()
+) -> Singles:
     """Return changes of the moving vertices' normals (s, k, 3), whose blend is the skins' normals.
 
     They are the least squares over frames of the animation: normals are not linear in the motion.
     """
-    chosen = np.unique(np.linspace(0, len(skins) - 1, MOST_SAMPLES).round().astype(int))
+    chosen = _samples(len(skins), options)
     at_rest = vertex_normals(neutral)[basis.moving]
     weights = basis.weights[chosen]
     right = np.zeros((weights.shape[1], at_rest.size))
@@ -111,7 +113,7 @@ def normal_shapes(neutral: Surface, skins: Singles, basis: Basis) -> Singles:
         surface = neutral.moved(skins[frame].astype(np.float64))
         right += row[:, None] * (vertex_normals(surface)[basis.moving] - at_rest).ravel()
     gram = weights.T @ weights
-    gram[np.diag_indices_from(gram)] += RIDGE * gram.max()
+    gram[np.diag_indices_from(gram)] += options.ridge * gram.max()
     changes = np.linalg.solve(gram, right)
     return changes.reshape(-1, *at_rest.shape).astype(np.float32)
 
@@ -129,14 +131,15 @@ def greatest_error(neutral: Surface, skins: Singles, basis: Basis) -> float:
     return worst
 
 
-def _directions(samples: Singles, within_mm: float) -> tuple[Singles, Singles]:
+def _directions(samples: Singles, options: BasisOptions) -> tuple[Singles, Singles]:
     """Return shapes (s, 3 k) that make all ``samples`` (f, 3 k), and how much coordinates count.
 
     The importance (3 k,) is what the shapes are the best by.
     """
     importance = np.ones(samples.shape[1], np.float32)
-    most = min(MOST_SHAPES, len(samples))
-    count, tries = min(FIRST_SHAPES, most), 0
+    most = min(options.most_shapes, len(samples))
+    least = np.float32(options.least_importance)
+    count, tries = min(options.first_shapes, most), 0
     while True:
         gram = ((samples * importance) @ samples.T).astype(np.float64)
         along = np.linalg.eigh(gram)[1][:, -count:].astype(np.float32)
@@ -144,21 +147,28 @@ def _directions(samples: Singles, within_mm: float) -> tuple[Singles, Singles]:
         off = (samples - along @ directions).reshape(len(samples), -1, 3)
         errors = np.linalg.norm(off, axis=2).max(axis=0)
         tries += 1
-        if errors.max() <= within_mm or (count == most and tries == LAST_REWEIGHTINGS):
+        if errors.max() <= options.within_mm or (
+            count == most and tries == options.last_reweightings
+        ):
             return directions, importance
-        if tries >= REWEIGHTINGS and count < most:
-            count, tries = min(int(MORE_SHAPES * count), most), 0
+        if tries >= options.reweightings and count < most:
+            count, tries = min(int(options.more_shapes * count), most), 0
         importance = importance * np.repeat(errors / errors.mean(), 3)
-        importance = np.maximum(importance / importance.mean(), LEAST_IMPORTANCE)
+        importance = np.maximum(importance / importance.mean(), least)
 
 
-def _moving(neutral: Surface, skins: Singles) -> Ints:
+def _samples(frames: int, options: BasisOptions) -> Ints:
+    """Return the numbers of the frames that stand for all."""
+    return np.unique(np.linspace(0, frames - 1, options.most_samples).round().astype(int))
+
+
+def _moving(neutral: Surface, skins: Singles, still_mm: float) -> Ints:
     """Return the vertices that leave their place; one, if all are still."""
     vertices = neutral.vertices.astype(np.float32)
     most = np.zeros(len(vertices), np.float32)
     for block in _blocks(skins):
         most = np.maximum(most, np.abs(block - vertices).max(axis=(0, 2)))
-    moving = np.flatnonzero(most > STILL_MM)
+    moving = np.flatnonzero(most > still_mm)
     return moving if len(moving) else np.zeros(1, np.int64)
 
 
@@ -179,8 +189,8 @@ def _longest(motion: Singles) -> float:
 # Fewer keys: frames that lie between others, as near as can be seen, are left out.
 
 
+# how far frames (k,) between two others are off, mm, where those two are the only keys
 Error = Callable[[int, int, Ints], Floats]
-"""How far frames (k,) between two others are off, mm, where those two are the only keys."""
 
 
 def needed_keys(frames: int, error: Error, within_mm: float) -> Ints:
@@ -202,20 +212,24 @@ def needed_keys(frames: int, error: Error, within_mm: float) -> Ints:
     return np.array(sorted(kept))
 
 
-SHAPES_MM, KEYS_MM = 0.1, 0.05
-"""What vertices may be off for the shapes that are left out, and for the keys that are."""
-QUANTISATION = "KHR_mesh_quantization"
+QUANTISATION = "KHR_mesh_quantization"  # glTF's extension for whole numbers
+SHORT = 2**15 - 1  # the greatest of 16 bits
 
 
-MOST_STRETCH = 30.0
-"""Small shapes are stored so many times as large at most, and their weights as much smaller: whole
-numbers are as far apart in small shapes as in large ones."""
-SHORT = 2**15 - 1
+@dataclass(frozen=True)
+class AnimationOptions:
+    """Limits of what an animation's file leaves out."""
+
+    basis: BasisOptions = BasisOptions()
+    keys_mm: float = 0.05  # a vertex may be so far off for the keys that are left out
+    # small shapes are stored so many times as large at most, and their weights as much smaller:
+    # whole numbers are as far apart in small shapes as in large ones
+    most_stretch: float = 30.0
 
 
 @dataclass(frozen=True)
 class AnimatedGlb:
-    """What was written: how many ``shapes`` and ``keys``, how far a vertex is off, at most, mm."""
+    """Figures of what was written: ``shapes``, ``keys``, how far a vertex is off, at most, mm."""
 
     shapes: int
     keys: int
@@ -229,28 +243,29 @@ def write_animation_glb(
     heads: Floats,
     times: Floats,
     solids: Sequence[Solid] = (),
+    options: AnimationOptions = AnimationOptions(),
 ) -> AnimatedGlb:
     """Write ``skins`` (f, v, 3), mm in the head's frame, of the moments ``times`` (f,) in s.
 
     ``heads`` (f, 6) are rotation vectors in rad and shifts in mm, which the face's node carries;
     ``solids`` have nodes beside it. Lengths in the file are in metres.
     """
-    basis = spanning(neutral, skins, SHAPES_MM)
-    normals = normal_shapes(neutral, skins, basis)
-    stretch = np.clip(1.0 / np.maximum(_greatest(normals), 1e-9), 1.0, MOST_STRETCH)
-    rounded = _rounded(basis, stretch)
-    keys = needed_keys(len(times), _skin_error(rounded, times), KEYS_MM)
+    basis = span_skins(neutral, skins, options.basis)
+    normals = normal_shapes(neutral, skins, basis, options.basis)
+    stretch = np.clip(1.0 / np.maximum(_greatest(normals), 1e-9), 1.0, options.most_stretch)
+    rounded = _round_shapes(basis, stretch)
+    keys = needed_keys(len(times), _skin_error(rounded, times), options.keys_mm)
 
     def rigid(buffer: Buffer, shape: Surface, places: Floats) -> Tracks:
-        turns = needed_keys(len(times), _rigid_error(shape, places, times), KEYS_MM)
+        turns = needed_keys(len(times), _rigid_error(shape, places, times), options.keys_mm)
         return rigid_tracks(buffer, times[turns], places[turns])
 
     def targets(buffer: Buffer, _normals: Floats) -> list[gl.Attributes]:
         places = buffer.places(basis.moving, len(neutral.vertices))
         return [
             gl.Attributes(
-                POSITION=buffer.quantised(shape * METRES * factor, places, 16, bounds=True),
-                NORMAL=buffer.quantised(normal * factor, places, 8),
+                POSITION=buffer.quantise(shape * METRES * factor, places, 16, bounds=True),
+                NORMAL=buffer.quantise(normal * factor, places, 8),
             )
             for shape, normal, factor in zip(basis.shapes, normals, stretch, strict=True)
         ]
@@ -269,7 +284,7 @@ def write_animation_glb(
     return AnimatedGlb(len(names), len(keys), error)
 
 
-def _rounded(basis: Basis, stretch: Floats) -> Basis:
+def _round_shapes(basis: Basis, stretch: Floats) -> Basis:
     """Return the basis as it reads back."""
     steps = SHORT * METRES * stretch[:, None, None]
     return replace(basis, shapes=(np.rint(basis.shapes * steps) / steps).astype(np.float32))
@@ -330,16 +345,16 @@ def _between(values: Floats, keys: Floats, times: Floats) -> Floats:
 # for the end of the sequence.
 
 
-REACHED_MM = 0.2
-"""How far a vertex may be off its place in the animation, unless there are too many shapes."""
-MOST_SEQUENCE_SHAPES = 48
+# a sequence's shapes are fewer and coarser than a simulation's: fits are some 0.5 mm off
+SEQUENCE_BASIS = BasisOptions(within_mm=0.2, most_shapes=48)
 
 
 class AnimatedSkin:
     """Takes the skins (v, 3), mm, of a sequence's frames."""
 
-    def __init__(self, neutral: Surface) -> None:
+    def __init__(self, neutral: Surface, options: BasisOptions = SEQUENCE_BASIS) -> None:
         self._neutral = neutral
+        self._options = options
         self._shapes = np.zeros((0, neutral.vertices.size), np.float32)
         self._weights: list[Floats] = []
         self._frames: list[SequenceFrame] = []
@@ -350,7 +365,7 @@ class AnimatedSkin:
         weights = self._shapes @ motion
         rest = motion - weights @ self._shapes
         off = np.linalg.norm(rest.reshape(-1, 3), axis=1).max()
-        if len(weights) < MOST_SEQUENCE_SHAPES and off > REACHED_MM:
+        if len(weights) < self._options.most_shapes and off > self._options.within_mm:
             length = np.linalg.norm(rest)
             self._shapes = np.vstack([self._shapes, rest / length])
             weights = np.append(weights, length)

@@ -86,24 +86,38 @@ def _glass(surface: Surface) -> DrawnBody:
 
 # A sheet of an edited person: before, after, and how far the skin has moved.
 
-VIEWS_AT_REST, MOST_EXPRESSIONS = 3, 4  # columns of a sheet
-SCALES_MM = (1.0, 2.0, 4.0, 8.0, 16.0)  # the least that holds nearly all of the motion ends it
+
+@dataclass(frozen=True)
+class EditSheetOptions:
+    """Amount of an edited person that a sheet shows."""
+
+    expressions: int = 4  # columns beside those at rest, at most
+    # ends of the colours' scale: the least that holds nearly all of the motion
+    scales_mm: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0)
+    nearly_all: float = 99.5  # percent of the face's vertices
+
 
 View = tuple[str, float, Floats, Floats]
 
 
-def edit_picture(person: EditedPerson, title: str, detail: str, path: Path) -> None:
+def edit_picture(
+    person: EditedPerson,
+    title: str,
+    detail: str,
+    path: Path,
+    options: EditSheetOptions = EditSheetOptions(),
+) -> None:
     """Draw the person at rest from three sides and in up to four expressions, in columns.
 
     Where there are more, or some found no rest, the heading says how many are shown.
     """
-    views = _views(person)
-    shown, there = len(views) - VIEWS_AT_REST, len(person.expressions)
+    views = [*_rest_views(person), *_expression_views(person)[: options.expressions]]
+    shown, there = len(views) - len(_rest_views(person)), len(person.expressions)
     if shown < there:
         detail = f"{detail}; {shown} of {there} expressions are shown"
     moved = [np.linalg.norm(after - before, axis=1) for _, _, before, after in views]
     model = person.unedited
-    most = _scale_end(np.concatenate([each[model.face] for each in moved]))
+    most = _scale_end(np.concatenate([each[model.face] for each in moved]), options)
     head_before, head_after = DrawnHead(model.skin), DrawnHead(person.edited.model.skin)
     layout = SheetLayout()
     columns = []
@@ -121,24 +135,28 @@ def edit_picture(person: EditedPerson, title: str, detail: str, path: Path) -> N
     draw_sheet(path, title, detail, ("Before", "After", "Moved"), columns, layout, most)
 
 
-def _views(person: EditedPerson) -> list[View]:
-    """Return name, camera's angle and skins before and after of every column."""
+def _rest_views(person: EditedPerson) -> list[View]:
+    """Return name, camera's angle and skins before and after of the columns at rest."""
     before, after = person.before.skin, person.after.skin
-    views = [
+    return [
         ("at rest", 0.0, before, after),
         ("three quarters", THREE_QUARTER, before, after),
         ("left side", SIDE, before, after),
     ]
-    for each in person.expressions:
-        if each.before is not None and each.after is not None:
-            name = each.name.replace("_", " ")
-            views.append((name, 0.0, each.before.skin, each.after.skin))
-    return views[: VIEWS_AT_REST + MOST_EXPRESSIONS]
 
 
-def _scale_end(moved_mm: Floats) -> float:
-    usual = np.percentile(moved_mm, 99.5)
-    return next((end for end in SCALES_MM if end >= usual), SCALES_MM[-1])
+def _expression_views(person: EditedPerson) -> list[View]:
+    """Return the same of every expression that was found before and after."""
+    return [
+        (each.name.replace("_", " "), 0.0, each.before.skin, each.after.skin)
+        for each in person.expressions
+        if each.before is not None and each.after is not None
+    ]
+
+
+def _scale_end(moved_mm: Floats, options: EditSheetOptions) -> float:
+    usual = np.percentile(moved_mm, options.nearly_all)
+    return next((end for end in options.scales_mm if end >= usual), options.scales_mm[-1])
 
 
 # A contact sheet of a sequence: some of its frames as seen, as fitted, and the error.

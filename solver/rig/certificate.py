@@ -1,4 +1,4 @@
-"""What is checked of a rig's expressions beyond their distance to the scans."""
+"""Checks of a rig's expressions beyond their distance to the scans."""
 
 from __future__ import annotations
 
@@ -23,25 +23,24 @@ from solver.rig.result import ExpressionFit, Rig
 from solver.rig.round_trip import round_trip
 from solver.surface import Floats, Ints
 
-# Whether muscles and jaw of a fit do what they can do in a living face.
+# Muscles and jaw of a fit against those of a living face.
 
-
-SHORTEST, LONGEST = 0.5, 2.0
-"""Stretches of a muscle in any direction; see :data:`MUSCLE_SOURCE`."""
 
 MUSCLE_SOURCE = (
     "A muscle makes force down to half its best length (Zajac 1989), and one that halves its "
     "length thickens to twice its size at most, as it keeps its volume."
 )
 
-LONGEST_FIBRE = 1.1
-"""A muscle pulls; one whose activation lengthens its fibres by more than this pushes."""
 
-VOLUMES = (0.7, 1.3)
-"""Volume of a contracted muscle by its volume at rest; water does not go."""
+@dataclass(frozen=True)
+class MuscleLimits:
+    """Limits of a muscle's activation; see :data:`MUSCLE_SOURCE`."""
 
-LEAST_FLESH_MM3 = 10.0
-"""A muscle of which S leaves less than this moves nothing, and is not judged."""
+    shortest: float = 0.5  # stretch in any direction
+    longest: float = 2.0
+    longest_fibre: float = 1.1  # a muscle pulls: one whose fibres lengthen by more pushes
+    volumes: tuple[float, float] = (0.7, 1.3)  # by that at rest; water does not go
+    least_flesh_mm3: float = 10.0  # with less of S a muscle moves nothing, and is not judged
 
 
 @dataclass(frozen=True)
@@ -58,30 +57,33 @@ class Muscles:
     volume: Floats
     fibres: Floats
     flesh_mm3: Floats
+    limits: MuscleLimits = MuscleLimits()
 
     def faults(self, muscle: int) -> list[str]:
-        """Return in plain words what a muscle does that muscles can not do."""
-        if self.flesh_mm3[muscle] < LEAST_FLESH_MM3:
+        """Return in plain words what a muscle does that muscles cannot do."""
+        limits = self.limits
+        if self.flesh_mm3[muscle] < limits.least_flesh_mm3:
             return []
         least, most = self.shortest[muscle], self.longest[muscle]
         fibres, volume = self.fibres[muscle], self.volume[muscle]
         faults = []
         if least <= 0.0:
             faults.append("is turned inside out")
-        elif least < SHORTEST:
+        elif least < limits.shortest:
             faults.append(f"shrinks to {100 * least:.0f} % in one direction")
-        if most > LONGEST:
+        if most > limits.longest:
             faults.append(f"stretches to {100 * most:.0f} % in one direction")
-        if fibres > LONGEST_FIBRE:
+        if fibres > limits.longest_fibre:
             faults.append(f"pushes: its fibres lengthen to {100 * fibres:.0f} %")
-        if least > 0.0 and not VOLUMES[0] <= volume <= VOLUMES[1]:
+        if least > 0.0 and not limits.volumes[0] <= volume <= limits.volumes[1]:
             faults.append(f"has {100 * volume:.0f} % of its volume")
         return faults
 
     @property
     def inside_out(self) -> Ints:
         """Return the numbers of the muscles that are turned inside out."""
-        return np.flatnonzero((self.shortest <= 0.0) & (self.flesh_mm3 >= LEAST_FLESH_MM3))
+        judged = self.flesh_mm3 >= self.limits.least_flesh_mm3
+        return np.flatnonzero((self.shortest <= 0.0) & judged)
 
 
 def muscles(model: SubjectModel, volumes: Floats, S: sp.csr_array, a: Floats) -> Muscles:
@@ -104,6 +106,7 @@ def _by_entry(of_tets: Floats, S: sp.csr_array) -> Floats:
     return np.asarray(np.repeat(of_tets, np.diff(S.indptr)))
 
 
+# from rest, in degrees and mm; see JAW_SOURCE
 JAW_RANGES = {
     "opening_deg": (-6.0, 51.0),
     "opening_mm": (-4.0, 67.0),
@@ -111,7 +114,6 @@ JAW_RANGES = {
     "condyles_forward_mm": (-2.0, 28.0),
     "condyles_down_mm": (-2.0, 15.0),
 }
-"""From rest, in degrees and mm; see :data:`JAW_SOURCE`."""
 
 JAW_SOURCE = (
     "Mean and two standard deviations of adults: opening between the incisors 49.3 (9.1) mm and "
@@ -145,7 +147,7 @@ class JawMotion:
     condyles_down_mm: float
 
     def faults(self) -> list[str]:
-        """Return in plain words what the jaw does that jaws can not do."""
+        """Return in plain words what the jaw does that jaws cannot do."""
         faults = []
         for name, (low, high) in JAW_RANGES.items():
             value = getattr(self, name)
@@ -214,8 +216,8 @@ class Certificate:
     settings: dict[str, Any]
 
 
+# called before each expression with its name and number
 Listener = Callable[[str, int], None]
-"""Called before each expression with its name and number."""
 
 
 def with_round_trips(

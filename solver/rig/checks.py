@@ -23,7 +23,7 @@ ORDER: tuple[Verdict, ...] = ("good", "usable", "bad")
 
 
 @dataclass(frozen=True)
-class Check:
+class RigCheck:
     """A figure with its limits: good up to ``good``, usable up to ``usable``, else bad.
 
     With ``least`` the figure is good from ``good`` upwards. ``meaning`` and ``advice`` are for the
@@ -47,7 +47,7 @@ class Check:
             return "good"
         return "usable" if sign * value <= sign * self.usable else "bad"
 
-    def advised(self, settings: Mapping[str, Any]) -> str:
+    def advise(self, settings: Mapping[str, Any]) -> str:
         """Return the advice to somebody whose job had these ``settings``."""
         longer = "more iterations"
         for option in ("rounds", "max_iterations"):
@@ -57,7 +57,7 @@ class Check:
 
 
 CHECKS = (
-    Check(
+    RigCheck(
         "skin.mean",
         "Skin",
         "Mean distance",
@@ -68,7 +68,7 @@ CHECKS = (
         "Look at the expression's picture. If the error is all over the face, the scan is not"
         " registered to this neutral: register it again. If it is in one place, look there.",
     ),
-    Check(
+    RigCheck(
         "skin.p95",
         "Skin",
         "Distance of the worst twentieth",
@@ -79,7 +79,7 @@ CHECKS = (
         "Look at the red patches in the picture: hair, a shadow or a hole in the scan shows as a"
         " patch with a sharp rim. Mask it or scan again.",
     ),
-    Check(
+    RigCheck(
         "skin.region",
         "Skin",
         "Mean distance in the worst region",
@@ -89,7 +89,7 @@ CHECKS = (
         "the region of the face that fits worst",
         "Run fit_geometry again with one more scan, of an expression that moves this region.",
     ),
-    Check(
+    RigCheck(
         "skin.coverage",
         "Skin",
         "Face that the scan shows",
@@ -100,7 +100,7 @@ CHECKS = (
         "The rest of the face follows the muscles and is not measured. Scan again if it matters.",
         least=True,
     ),
-    Check(
+    RigCheck(
         "flesh.inverted",
         "Flesh",
         "Inverted tets",
@@ -110,7 +110,7 @@ CHECKS = (
         "tets that are turned inside out",
         "Do not simulate with this expression. Fit it again with {longer}.",
     ),
-    Check(
+    RigCheck(
         "flesh.flattest",
         "Flesh",
         "Flattest tet",
@@ -123,7 +123,7 @@ CHECKS = (
         " ten times as much of its volume.",
         least=True,
     ),
-    Check(
+    RigCheck(
         "flesh.volume",
         "Flesh",
         "Change of volume",
@@ -133,7 +133,7 @@ CHECKS = (
         "of the flesh as a whole; living flesh keeps its volume",
         "The skin is not touched by this. Do not take masses or volumes from this expression.",
     ),
-    Check(
+    RigCheck(
         "flesh.residual",
         "Flesh",
         "Residual force",
@@ -143,7 +143,7 @@ CHECKS = (
         "what is left of the forces, by the forces at unit strain",
         "The flesh has not come to rest. Fit this expression again with {longer}.",
     ),
-    Check(
+    RigCheck(
         "flesh.minimum",
         "Flesh",
         "Unstable equilibrium",
@@ -153,7 +153,7 @@ CHECKS = (
         "1 if the flesh could snap into another shape",
         "The skin may be used. Simulations may snap away from this shape: leave it out of them.",
     ),
-    Check(
+    RigCheck(
         "muscles.inside_out",
         "Muscles and jaw",
         "Muscles turned inside out",
@@ -164,7 +164,7 @@ CHECKS = (
         "The skin is right, the muscles are not: play the expression back, but do not edit its"
         " activations. A training scan that moves these muscles differently helps.",
     ),
-    Check(
+    RigCheck(
         "muscles.beyond",
         "Muscles and jaw",
         "Muscles beyond what muscles can do",
@@ -175,7 +175,7 @@ CHECKS = (
         "The expression may be played back and blended. Do not read these activations as effort; no"
         " option changes that.",
     ),
-    Check(
+    RigCheck(
         "jaw.range",
         "Muscles and jaw",
         "Jaw beyond what jaws can do",
@@ -183,9 +183,9 @@ CHECKS = (
         0,
         np.inf,
         "figures of its motion that are outside the range of adults' jaws",
-        "Check the neutral scan: with parted or clenched teeth there, every jaw angle is off.",
+        "RigCheck the neutral scan: with parted or clenched teeth there, every jaw angle is off.",
     ),
-    Check(
+    RigCheck(
         "contact.lips",
         "Contact",
         "Lips in each other",
@@ -196,7 +196,7 @@ CHECKS = (
         "A fit follows its scan: correct the scan if its lips cross by as much, else fit it again"
         " with {longer}.",
     ),
-    Check(
+    RigCheck(
         "contact.teeth",
         "Contact",
         "Lips in teeth",
@@ -206,7 +206,7 @@ CHECKS = (
         "greatest depth of a lip in the teeth",
         "Seen from the side, teeth may show through a lip. Sculpt it, or leave the expression out.",
     ),
-    Check(
+    RigCheck(
         "contact.bite",
         "Contact",
         "Teeth in teeth",
@@ -216,7 +216,7 @@ CHECKS = (
         "greatest depth of lower teeth in upper ones",
         "The jaw closes too far or goes back too far: see its motion.",
     ),
-    Check(
+    RigCheck(
         "trip.skin",
         "Round trip",
         "Simulated from rest",
@@ -227,7 +227,7 @@ CHECKS = (
         "The skin may be used. This pose has two shapes of rest: blend into it from a neighbouring"
         " expression instead of from rest.",
     ),
-    Check(
+    RigCheck(
         "trip.snap",
         "Round trip",
         "Simulated from rest, greatest",
@@ -238,7 +238,7 @@ CHECKS = (
         "A patch of skin snaps into another shape. Look there in the picture; blend into this pose"
         " from a neighbouring expression.",
     ),
-    Check(
+    RigCheck(
         "trip.refit",
         "Round trip",
         "Fitted again",
@@ -248,7 +248,7 @@ CHECKS = (
         "mean distance between the simulated skin and a new fit to it",
         "The solver stops before the minimum: fit with {longer}.",
     ),
-    Check(
+    RigCheck(
         "trip.activations",
         "Round trip",
         "Activations found again",
@@ -258,7 +258,7 @@ CHECKS = (
         "difference of the excited muscles' activations by their distance from rest",
         "Other activations give the same skin: do not compare single muscles between expressions.",
     ),
-    Check(
+    RigCheck(
         "solver.failed",
         "Solver",
         "Fits that broke down",
@@ -268,7 +268,7 @@ CHECKS = (
         "the best state on the way was kept",
         "Do not use this expression. Mend what its warnings say of its scan, and fit it again.",
     ),
-    Check(
+    RigCheck(
         "solver.stopped",
         "Solver",
         "Fits that ended early",
@@ -278,7 +278,7 @@ CHECKS = (
         "stopped before the minimum",
         "If the picture shows errors, fit this expression again with {longer}.",
     ),
-    Check(
+    RigCheck(
         "solver.warnings",
         "Solver",
         "Warnings",
@@ -323,7 +323,7 @@ class Measure:
 class Judgement:
     """A check over all expressions that it could be made for; ``worst`` names one of them."""
 
-    check: Check
+    check: RigCheck
     worst: str
     measures: dict[str, Measure]
 
@@ -402,9 +402,9 @@ def _measures(
     found |= _contact(check.crossing, check.scan_crossing)
     if fit.round_trip is not None:
         trip = fit.round_trip
-        unreached = "" if trip.reached else "the pose can not be reached from rest"
+        unreached = "" if trip.is_reached else "the pose cannot be reached from rest"
         found["trip.skin"] = Measure(trip.skin_mean_mm, unreached)
-        if trip.reached:
+        if trip.is_reached:
             found["trip.snap"] = Measure(trip.skin_max_mm)
             failed = "" if np.isfinite(trip.refit_mean_mm) else "the new fit did not come to rest"
             found["trip.refit"] = Measure(trip.refit_mean_mm, failed)

@@ -1,4 +1,4 @@
-"""What edits did to a person: figures, and the files of an edited person."""
+"""Figures of what edits did to a person, and the files of an edited person."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from solver.rig.gltf import in_turn, write_face
 from solver.storage import csr_arrays
 from solver.surface import Floats, vertex_areas, vertex_normals
 
-FORMAT = 1
+FORMAT = 1  # of edit.json and edit.npz
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Compared:
 
 @dataclass(frozen=True)
 class EditedPerson:
-    """What an edit leaves: the person before and after, at rest and in all expressions."""
+    """The person before and after an edit, at rest and in all expressions."""
 
     edited: Edited
     before: Replayed
@@ -77,7 +77,7 @@ def edit_report(person: EditedPerson) -> dict[str, Any]:
         "neutral": {
             "moved_mm": float(person.moved_mm[face].mean()),
             "moved_max_mm": float(person.moved_mm[face].max()),
-            **_solved(person.after, gauge),
+            **_pose_figures(person.after, gauge),
         },
         "penetration_neutral_mm": gauge.neutral().most,
         "expressions": expressions,
@@ -173,11 +173,11 @@ def _expression(person: EditedPerson, compared: Compared, gauge: Gauge) -> dict[
         figures["motion_mm"] = _mean(before.skin[face] - person.before.skin[face])
         figures["off_fit_mm"] = _mean(before.skin[face] - compared.fitted[face])
     if after is not None:
-        figures |= _solved(after, gauge)
+        figures |= _pose_figures(after, gauge)
     return figures
 
 
-def _solved(pose: Replayed, gauge: Gauge) -> dict[str, Any]:
+def _pose_figures(pose: Replayed, gauge: Gauge) -> dict[str, Any]:
     return {
         "inverted": pose.inverted,
         "penetration_mm": gauge.at(pose.x, pose.jaw).most,

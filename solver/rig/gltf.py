@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
@@ -16,16 +17,13 @@ from solver.drawing.head import skin_parts
 from solver.rig.result import ExpressionFit, Rig
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
-METRES = 1e-3
-STILL_MM = 1e-3  # a vertex that moves less than a micrometre is left out of a sparse target
-STILL_NORMAL = 1e-3
+METRES = 1e-3  # a mm, glTF's unit is the metre
 SPARSE_COST = 14 / 12  # bytes of a sparse entry by those of a dense one
-MOVE_SECONDS, HOLD_SECONDS = 0.6, 0.4
 GENERATOR = "Myoface"
 ERROR_ATTRIBUTE = "_ERROR_MM"
 NOTHING: Mapping[str, Floats] = MappingProxyType({})
+# property of a node that is moved -> accessors of its times and its values
 Tracks = Mapping[str, tuple[int, int]]
-"""What of a node is moved -> accessors of its times and its values."""
 MATERIALS = {  # linear base colour and opacity, roughness
     "skin": ((0.67, 0.40, 0.30, 1.0), 0.55),
     "eyes": ((0.80, 0.80, 0.78, 1.0), 0.10),
@@ -34,6 +32,24 @@ MATERIALS = {  # linear base colour and opacity, roughness
     "lashes": ((0.10, 0.07, 0.06, 0.15), 0.60),
     "object": ((0.35, 0.45, 0.52, 0.30), 0.20),
 }
+
+
+@dataclass(frozen=True)
+class ShapeOptions:
+    """Limits below which a shape is still, and the times in which shapes are shown in turn."""
+
+    still_mm: float = 1e-3  # a vertex that moves less is left out of a sparse target
+    still_normal: float = 1e-3  # and one whose normal turns less, of length 1
+    move_seconds: float = 0.6  # from the neutral to a shape, and back
+    hold_seconds: float = 0.4
+
+    @property
+    def period(self) -> float:
+        """Return the time in s that each shape has."""
+        return 2 * self.move_seconds + self.hold_seconds
+
+
+DEFAULTS = ShapeOptions()  # every expression whole, a second and a half each
 
 
 @dataclass(frozen=True)
@@ -48,7 +64,7 @@ class Solid:
     places: Floats
 
 
-def write_glb(path: Path, rig: Rig) -> None:
+def write_glb(path: Path, rig: Rig, options: ShapeOptions = DEFAULTS) -> None:
     """Write the neutral skin (v, 3), its expressions as morph targets and an animation, in metres.
 
     ``_ERROR_MM`` is the greatest distance to the scans over all expressions, mm, 0 where nothing
@@ -56,7 +72,8 @@ def write_glb(path: Path, rig: Rig) -> None:
     """
     shapes = {fit.name: fit.skin for fit in rig.expressions}
     worst = worst_error(rig.expressions, len(rig.model.skin.vertices))
-    write_face(path, rig.model.skin, shapes, in_turn, {ERROR_ATTRIBUTE: worst})
+    animate = partial(in_turn, options=options)
+    write_face(path, rig.model.skin, shapes, animate, {ERROR_ATTRIBUTE: worst}, options)
 
 
 def write_face(
@@ -65,6 +82,7 @@ def write_face(
     shapes: Mapping[str, Floats],
     animate: Callable[[Buffer, int], gl.Animation | None],
     attributes: Mapping[str, Floats] = NOTHING,
+    options: ShapeOptions = DEFAULTS,
 ) -> None:
     """Write a skin with named ``shapes`` (v, 3), mm, as morph targets of node 0, and an animation.
 
@@ -77,9 +95,11 @@ def write_face(
         return [
             gl.Attributes(
                 POSITION=buffer.morph(
-                    (shape - neutral.vertices) * METRES, STILL_MM * METRES, bounds=True
+                    (shape - neutral.vertices) * METRES, options.still_mm * METRES, bounds=True
                 ),
-                NORMAL=buffer.morph(vertex_normals(neutral.moved(shape)) - normals, STILL_NORMAL),
+                NORMAL=buffer.morph(
+                    vertex_normals(neutral.moved(shape)) - normals, options.still_normal
+                ),
             )
             for shape in shapes.values()
         ]
@@ -206,16 +226,16 @@ def _material(part: str) -> gl.Material:
     )
 
 
-def in_turn(buffer: Buffer, count: int) -> gl.Animation | None:
+def in_turn(buffer: Buffer, count: int, options: ShapeOptions = DEFAULTS) -> gl.Animation | None:
     """Return neutral -> expression -> neutral for one after the other; None if there is none."""
     if not count:
         return None
-    period = 2 * MOVE_SECONDS + HOLD_SECONDS
+    period, shown = options.period, options.move_seconds + options.hold_seconds
     times = [0.0]
     weights = [np.zeros(count)]
     for number, shape in enumerate(np.eye(count)):
         start = number * period
-        times += [start + MOVE_SECONDS, start + MOVE_SECONDS + HOLD_SECONDS, start + period]
+        times += [start + options.move_seconds, start + shown, start + period]
         weights += [shape, shape, np.zeros(count)]
     at_keys = buffer.dense(np.array(times), gl.SCALAR, bounds=True)
     values = buffer.dense(np.concatenate(weights), gl.SCALAR)
@@ -264,8 +284,8 @@ def _same_side(quaternions: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class Places:
-    """Where ``count`` sparse values stand among ``of``: a buffer view of whole numbers."""
+class SparsePlaces:
+    """Numbers of the ``count`` vertices among ``of`` that sparse values are of: a buffer view."""
 
     view: int
     count: int
@@ -321,14 +341,16 @@ class Buffer:
             _set_bounds(accessor, values if len(values) == len(change) else whole)
         return len(self.accessors) - 1
 
-    def places(self, moving: Ints, count: int) -> Places:
+    def places(self, moving: Ints, count: int) -> SparsePlaces:
         """Add the numbers (k,) of the vertices of ``count`` that sparse values are of."""
         short = count <= 2**16
         view = self._view(moving.astype("<u2" if short else "<u4"))
-        return Places(view, len(moving), count, gl.UNSIGNED_SHORT if short else gl.UNSIGNED_INT)
+        return SparsePlaces(
+            view, len(moving), count, gl.UNSIGNED_SHORT if short else gl.UNSIGNED_INT
+        )
 
-    def quantised(
-        self, values: Floats, places: Places, bits: Literal[8, 16], *, bounds: bool = False
+    def quantise(
+        self, values: Floats, places: SparsePlaces, bits: Literal[8, 16], *, bounds: bool = False
     ) -> int:
         """Add values (k, 3) from -1 to 1 at ``places``, zero elsewhere, as whole numbers.
 

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+# glTF component type -> dtype
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+# glTF type -> numbers an element
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
@@ -42,22 +44,22 @@ def _values(document: dict[str, Any], binary: bytes, accessor: dict[str, Any]) -
     kind = COMPONENTS[accessor["componentType"]]
     values = np.zeros((accessor["count"], width), kind)
     if "bufferView" in accessor:
-        values = _stored(document, binary, accessor["bufferView"], kind, values.shape)
+        values = _read_view(document, binary, accessor["bufferView"], kind, values.shape)
     if "sparse" in accessor:
         sparse = accessor["sparse"]
         place = sparse["indices"]
         index_kind = COMPONENTS[place["componentType"]]
         count = sparse["count"]
-        rows = _stored(document, binary, place["bufferView"], index_kind, (count,))
+        rows = _read_view(document, binary, place["bufferView"], index_kind, (count,))
         if (np.diff(rows.astype(np.int64)) <= 0).any():
             raise ValueError("sparse indices do not increase")
-        values[rows] = _stored(
+        values[rows] = _read_view(
             document, binary, sparse["values"]["bufferView"], kind, (count, width)
         )
     return values
 
 
-def _stored(
+def _read_view(
     document: dict[str, Any], binary: bytes, view: int, kind: str, shape: tuple[int, ...]
 ) -> np.ndarray:
     place = document["bufferViews"][view]

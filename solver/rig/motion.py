@@ -1,18 +1,16 @@
-"""A simulation's frames on disk: as they come, with what the next attempt needs to go on.
+"""Frames of simulations and of fitted sequences: their records, files and figures.
 
-All files are documented in docs/guide/simulation.md.
+All files are documented in docs/guide/simulation.md and docs/guide/sequences.md.
 """
 
 from __future__ import annotations
 
-import base64
 import csv
 import json
-import zlib
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -20,27 +18,21 @@ from solver.anatomy.tetrahedra import volume_ml
 from solver.errors import InputError
 from solver.mechanics.jaw import DEGREES_OF_FREEDOM
 from solver.model import SubjectModel
+from solver.rig.frames import ChunkReader, FrameRecord, pack, unpack
+from solver.rig.result import ENTRIES
 from solver.similarity import IDENTITY, Similarity, small_motion
 from solver.simulation.inertia import Motion
 from solver.surface import Floats
 
-FORMAT = 1
-FRAMES = "frames"
-"""The folder of frames that are ready: ``000010-000019.json`` holds the 11th to the 20th."""
-
-ARRAYS = ("activations", "jaw", "head", "eyes")
+FORMAT = 1  # of reports and of sequence.npz
 
 
 @dataclass(frozen=True)
-class MotionFrame:
+class MotionFrame(FrameRecord):
     """One frame of a simulation.
 
-    frame, time
-        Its number, from 0, and its time in s.
-    activations, jaw
-        (m, 6) and (5,), as of an expression.
-    head
-        (6,) rotation vector (rad) and translation (mm): the head in the world, x -> R x + t.
+    time
+        In s.
     eyes
         (2, 3) rotation vectors in the head's frame, the subject's left eye first.
     moved
@@ -48,47 +40,25 @@ class MotionFrame:
     penetration_mm, behind_teeth
         How deep skin is in teeth, in other skin or in objects, at the worst, and the number of the
         lips' vertices behind teeth, see :class:`~solver.contact.crossing.Penetration`.
-    inverted
-        Number of tets with det F <= 0.
-    iterations, halvings, residual, seconds
+    halvings, residual
         How the solve went, see :class:`~solver.simulation.simulator.Stepped`.
     """
 
-    frame: int
     time: float
-    activations: Floats
-    jaw: Floats
-    head: Floats
     eyes: Floats
     moved: Floats
     penetration_mm: float
     behind_teeth: int
-    inverted: int
-    iterations: int
     halvings: int
     residual: float
-    seconds: float
+
+    ARRAYS: ClassVar[tuple[str, ...]] = (*FrameRecord.ARRAYS, "eyes")
+    PACKED: ClassVar[Mapping[str, str]] = {"moved": "x"}
 
     @property
     def placed(self) -> Similarity:
         """Return the head's motion into the world."""
         return small_motion(self.head)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the frame as JSON values; ``moved`` in single precision, packed as ``x``."""
-        values = asdict(replace(self, moved=np.zeros((0, 3))))
-        del values["moved"]
-        for name in ARRAYS:
-            values[name] = values[name].tolist()
-        return {**values, "x": _packed(self.moved, "<f4")}
-
-    @classmethod
-    def of(cls, values: dict[str, Any]) -> MotionFrame:
-        """Return the frame that :meth:`as_dict` gave these values of."""
-        given = dict(values)
-        moved = _unpacked(given.pop("x"), "<f4")
-        arrays = {name: np.array(given[name], np.float64) for name in ARRAYS}
-        return cls(**{**given, **arrays, "moved": moved})
 
 
 @dataclass(frozen=True)
@@ -99,78 +69,38 @@ class Ready:
     motion: Motion
 
 
-def write_motion(
-    folder: Path,
-    frames: Sequence[MotionFrame],
-    motion: Motion,
-    scene: str,
-    picture: bytes | None = None,
-) -> Path:
-    """Write frames, which follow on one another, whole or not at all.
+def motion_values(scene: str, motion: Motion, picture: str | None) -> dict[str, Any]:
+    """Return the values beside the frames of a file.
 
-    ``motion`` is where the last one ended, ``scene`` the hash of all that is simulated, ``picture``
-    a JPEG of the last one.
+    ``scene`` is the hash of all that is simulated, ``motion`` where the last frame ended,
+    ``picture`` a JPEG of it in base 64.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    content = {
-        "format": FORMAT,
-        "scene": scene,
-        "frames": [frame.as_dict() for frame in frames],
-        "state": {"x": _packed(motion.x, "<f8"), "v": _packed(motion.v, "<f8")},
-        "picture": None if picture is None else base64.b64encode(picture).decode(),
-    }
-    path = folder / f"{frames[0].frame:06d}-{frames[-1].frame:06d}.json"
-    partial = path.with_suffix(".partial")
-    partial.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
-    partial.replace(path)
-    return path
+    state = {"x": pack(motion.x, "<f8"), "v": pack(motion.v, "<f8")}
+    return {"scene": scene, "state": state, "picture": picture}
 
 
 def read_motion(folder: Path, scene: str, rest: Floats) -> Ready:
-    """Return what :func:`write_motion` left in a folder; no frames, and rest, if it is not there.
+    """Return the frames of a folder and where they ended; none, at rest, if it is not there.
 
     Raises :class:`InputError`: ``simulate.frames`` if there is a gap or what is no frame,
     ``simulate.other_scene`` if the frames are another scene's.
     """
-    frames: list[MotionFrame] = []
-    motion = Motion(rest, np.zeros_like(rest), IDENTITY)
-    for path in sorted(folder.glob("*.json")):
-        try:
-            content = json.loads(path.read_bytes())
-            if content["format"] != FORMAT:
-                raise ValueError(f"their format is {content['format']}, not {FORMAT}")
-            read = [MotionFrame.of(each) for each in content["frames"]]
-            state = [_unpacked(content["state"][name], "<f8") for name in ("x", "v")]
-            motion = Motion(state[0], state[1], read[-1].placed)
-            found = content["scene"]
-        except (OSError, ValueError, LookupError, TypeError, zlib.error) as error:
-            raise InputError(
-                "simulate.frames", f"{path.name} holds no frames: {error}", file=path.name
-            ) from error
-        if found != scene:
+    motions = [Motion(rest, np.zeros_like(rest), IDENTITY)]
+
+    def take(values: Mapping[str, Any], frames: Sequence[MotionFrame]) -> None:
+        state = [unpack(values["state"][name], "<f8") for name in ("x", "v")]
+        motions.append(Motion(state[0], state[1], frames[-1].placed))
+        if values["scene"] != scene:
             raise InputError(
                 "simulate.other_scene",
                 "the frames that are ready belong to another scene, person or rig: begin anew",
-                file=path.name,
             )
-        is_next = path.stem == f"{len(frames):06d}-{len(frames) + len(read) - 1:06d}"
-        if not is_next or any(each.moved.shape != rest.shape for each in read):
-            raise InputError(
-                "simulate.frames",
-                f"{path.name} does not follow on the {len(frames)} frames before it",
-                file=path.name,
-            )
-        frames += read
-    return Ready(frames, motion)
 
-
-def _packed(values: Floats, kind: str) -> str:
-    return base64.b64encode(zlib.compress(values.astype(kind).tobytes(), 1)).decode()
-
-
-def _unpacked(text: str, kind: str) -> Floats:
-    content = zlib.decompress(base64.b64decode(text))
-    return np.frombuffer(content, kind).reshape(-1, 3).astype(np.float64)
+    reader = ChunkReader(
+        MotionFrame, "simulate.frames", lambda frame: frame.moved.shape == rest.shape, take
+    )
+    frames = reader.read(folder)
+    return Ready(frames, motions[-1])
 
 
 def motion_report(frames: Sequence[MotionFrame], model: SubjectModel) -> dict[str, Any]:
@@ -205,96 +135,42 @@ def _furthest(moved: Floats) -> float:
 
 
 # The result of a sequence on disk: frames as they come, and what is left at the end.
-#
-# All files are documented in docs/guide/sequences.md.
 
 
 Status = Literal["fitted", "kept", "unseen"]
-ENTRIES = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 
 @dataclass(frozen=True)
-class SequenceFrame:
-    """One frame, fitted.
+class SequenceFrame(FrameRecord):
+    """One frame of a performance, fitted; its number is the performance's.
 
-    frame
-        Its number in the performance.
+    The head is in the studio, zero where it was not asked for.
+
     status
         ``fitted``; ``kept``: the fit failed and the pose is the frame before's; ``unseen``: too
         little of the face was seen, the pose is kept too.
-    activations, jaw
-        (m, 6) and (5,), as of an expression.
-    head
-        (6,) rotation vector (rad) and translation (mm): the head in the studio, x -> R x + t; zero
-        where it was not asked for.
     mean_mm, p95_mm, max_mm
         Distance between fit and frame over the face's points that were seen, None without any.
     coverage
         Share of the face's points that were seen.
-    inverted
-        Number of tets with det F <= 0.
-    iterations, seconds
-        How the solve went.
     """
 
-    frame: int
     status: Status
-    activations: Floats
-    jaw: Floats
-    head: Floats
     mean_mm: float | None
     p95_mm: float | None
     max_mm: float | None
     coverage: float
-    inverted: int
-    iterations: int
-    seconds: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the frame as JSON values."""
-        arrays = {name: getattr(self, name).tolist() for name in ("activations", "jaw", "head")}
-        return {**asdict(self), **arrays}
-
-    @classmethod
-    def of(cls, values: dict[str, Any]) -> SequenceFrame:
-        """Return the frame that :meth:`as_dict` gave these values of."""
-        arrays = {name: np.array(values[name], float) for name in ("activations", "jaw", "head")}
-        return cls(**{**values, **arrays})
-
-
-def write_frames(folder: Path, first: int, frames: Sequence[SequenceFrame]) -> Path:
-    """Write frames, the ``first``-th of the sequence and on, whole or not at all."""
-    folder.mkdir(parents=True, exist_ok=True)
-    content = {"format": FORMAT, "frames": [frame.as_dict() for frame in frames]}
-    path = folder / f"{first:06d}-{first + len(frames) - 1:06d}.json"
-    partial = path.with_suffix(".partial")
-    partial.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
-    partial.replace(path)
-    return path
 
 
 def read_frames(folder: Path, muscles: int) -> list[SequenceFrame]:
-    """Return the frames that :func:`write_frames` left in a folder, none if it is not there.
+    """Return the frames of a sequence in a folder, none if it is not there.
 
     Raises :class:`InputError` (``sequence.frames``) if there is a gap or another model's frames.
     """
-    frames: list[SequenceFrame] = []
-    for path in sorted(folder.glob("*.json")):
-        try:
-            read = [SequenceFrame.of(each) for each in json.loads(path.read_bytes())["frames"]]
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise InputError(
-                "sequence.frames", f"{path.name} holds no frames: {error}", file=path.name
-            ) from error
-        is_next = path.stem == f"{len(frames):06d}-{len(frames) + len(read) - 1:06d}"
-        if not is_next or any(each.activations.shape != (muscles, 6) for each in read):
-            raise InputError(
-                "sequence.frames",
-                f"{path.name} does not follow on the {len(frames)} frames before it",
-                file=path.name,
-            )
-        frames += read
-    return frames
+    reader = ChunkReader(
+        SequenceFrame, "sequence.frames", lambda frame: frame.activations.shape == (muscles, 6)
+    )
+    return reader.read(folder)
 
 
 def write_sequence(
@@ -324,16 +200,16 @@ def sequence_report(frames: Sequence[SequenceFrame], fps: float, name: str) -> d
         "kept": _numbers(frames, "kept"),
         "unseen": _numbers(frames, "unseen"),
         "fps": fps,
-        "mean_mm": _rounded(np.mean, errors),
-        "median_mm": _rounded(np.median, errors),
-        "p95_mm": _rounded(lambda values: np.percentile(values, 95), errors),
+        "mean_mm": _round(np.mean, errors),
+        "median_mm": _round(np.median, errors),
+        "p95_mm": _round(lambda values: np.percentile(values, 95), errors),
         "worst_frame": max(fitted, key=lambda frame: frame.mean_mm or 0.0).frame
         if fitted
         else None,
         "max_mm": max((frame.max_mm for frame in fitted if frame.max_mm is not None), default=None),
         "inverted": sum(frame.inverted for frame in frames),
-        "iterations": _rounded(np.mean, [frame.iterations for frame in fitted]),
-        "frame_ms": _rounded(np.median, [1e3 * each for each in seconds]),
+        "iterations": _round(np.mean, [frame.iterations for frame in fitted]),
+        "frame_ms": _round(np.median, [1e3 * each for each in seconds]),
         "frames_per_second": round(len(seconds) / sum(seconds), 2) if sum(seconds) else None,
     }
 
@@ -342,7 +218,7 @@ def _numbers(frames: Iterable[SequenceFrame], status: Status) -> list[int]:
     return [frame.frame for frame in frames if frame.status == status]
 
 
-def _rounded(statistic: Any, values: Sequence[float]) -> float | None:
+def _round(statistic: Any, values: Sequence[float]) -> float | None:
     return round(float(statistic(values)), 4) if values else None
 
 

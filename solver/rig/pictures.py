@@ -14,25 +14,30 @@ from solver.drawing.head import COLOURS, DrawnHead, both_sides, linear, muscle_c
 from solver.drawing.render import GAMMA, Camera, DrawnBody, Lit, fade, render
 from solver.drawing.sheet import HEADER, INK, MARGIN, Colour, Sheet, swatch_columns, swatch_height
 from solver.model import SubjectModel
-from solver.rig.result import ExpressionFit
+from solver.rig.result import ROLES, ExpressionFit
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
 # Short threads along the fibres of muscles, for pictures.
 
 
-LEAST_SHARE = 0.1
-"""A thread runs through each tet of which the muscle has this share."""
-STEP_MM, STEPS = 1.0, 4
-"""A thread follows the fibres this far both ways."""
-RADIUS_MM = 0.35
-NEIGHBOURS = 6
-_SIDES = 3
+@dataclass(frozen=True)
+class ThreadOptions:
+    """Length and thickness of the threads that show fibres."""
+
+    least_share: float = 0.1  # a thread runs through each tet of which the muscle has this share
+    step_mm: float = 1.0  # a thread follows the fibres so far at a time
+    steps: int = 4  # so often, both ways
+    radius_mm: float = 0.35
+    neighbours: int = 6  # tets whose fibres a step follows, on average
+    sides: int = 3  # of a tube
 
 
-def fibre_threads(model: SubjectModel) -> dict[str, Surface]:
+def fibre_threads(
+    model: SubjectModel, options: ThreadOptions = ThreadOptions()
+) -> dict[str, Surface]:
     """Return muscle -> thin tubes along its fibres, in mm.
 
-    Muscles without a tet of :data:`LEAST_SHARE` are left out, and all if the model has no fibres.
+    Muscles without a tet of ``least_share`` are left out, and all if the model has no fibres.
     """
     if model.fibres is None:
         return {}
@@ -40,54 +45,54 @@ def fibre_threads(model: SubjectModel) -> dict[str, Surface]:
     centres = model.rest[model.tets].mean(axis=1)
     threads = {}
     for column, name in enumerate(model.muscle_names, start=1):
-        own = np.flatnonzero((entries.col == column) & (entries.data >= LEAST_SHARE))
+        own = np.flatnonzero((entries.col == column) & (entries.data >= options.least_share))
         if len(own):
             points = centres[entries.row[own]]
-            threads[name] = _tubes(_traced(points, model.fibres[own]))
+            threads[name] = _tubes(_trace(points, model.fibres[own], options), options)
     return threads
 
 
-def _traced(points: Floats, directions: Floats) -> Floats:
-    """Return polylines (k, 2 STEPS + 1, 3) through the points of a field."""
+def _trace(points: Floats, directions: Floats, options: ThreadOptions) -> Floats:
+    """Return polylines (k, 2 steps + 1, 3) through the points of a field."""
     tree = cKDTree(points)
-    count = min(NEIGHBOURS, len(points))
+    count = min(options.neighbours, len(points))
     halves = []
     for sign in (-1.0, 1.0):
         place, ahead, line = points, directions, []
-        for _ in range(STEPS):
+        for _ in range(options.steps):
             near = tree.query(place, k=range(1, count + 1))[1]
             ahead = directions[near].mean(axis=1)
             ahead = ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
-            place = place + sign * STEP_MM * ahead
+            place = place + sign * options.step_mm * ahead
             line.append(place)
         halves.append(line)
     return np.stack([*halves[0][::-1], points, *halves[1]], axis=1)
 
 
-def _tubes(lines: Floats) -> Surface:
+def _tubes(lines: Floats, options: ThreadOptions) -> Surface:
     """Return triangles around polylines (k, s, 3), thinner towards both ends."""
     count, steps, _ = lines.shape
+    sides = options.sides
     along = np.gradient(lines, axis=1)
     along /= np.maximum(np.linalg.norm(along, axis=2, keepdims=True), 1e-9)
     least = np.eye(3)[np.abs(along).argmin(axis=2)]
     across = np.cross(along, least)
     across /= np.linalg.norm(across, axis=2, keepdims=True)
     other = np.cross(along, across)
-    width = RADIUS_MM * np.sin(np.linspace(0.15, np.pi - 0.15, steps)) ** 0.5
-    angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
+    width = options.radius_mm * np.sin(np.linspace(0.15, np.pi - 0.15, steps)) ** 0.5
+    angle = 2 * np.pi * np.arange(sides) / sides
     circle = (
         np.cos(angle)[:, None] * across[:, :, None] + np.sin(angle)[:, None] * other[:, :, None]
     )
     vertices = lines[:, :, None] + width[:, None, None] * circle
-    number: Ints = np.arange(count * steps * _SIDES).reshape(count, steps, _SIDES)
+    number: Ints = np.arange(count * steps * sides).reshape(count, steps, sides)
     a, b = number[:, :-1], number[:, 1:]
     after_a, after_b = np.roll(a, -1, axis=2), np.roll(b, -1, axis=2)
     faces = np.stack([np.stack([a, after_a, after_b], -1), np.stack([a, after_b, b], -1)])
     return Surface(vertices.reshape(-1, 3), faces.reshape(-1, 3))
 
 
-WIDTH = 1600
-ROLES = {"train": "training expression", "test": "unseen expression"}
+WIDTH = 1600  # of a picture, pixels
 THREE_QUARTER, SECTION, SIDE = np.radians(38.0), np.radians(62.0), np.radians(88.0)
 
 
@@ -105,7 +110,7 @@ def fit_picture(model: SubjectModel, fit: ExpressionFit, path: Path) -> None:
     page = Sheet(WIDTH, HEADER + 2 * cell[1] + footer)
     page.heading(
         fit.name.replace("_", " "),
-        f"{ROLES.get(fit.role, fit.role)}    mean {error.mean():.2f} mm    "
+        f"{_role_words(fit.role)}    mean {error.mean():.2f} mm    "
         f"95 % below {np.percentile(error, 95):.2f} mm    greatest {error.max():.2f} mm",
     )
     for column, (title, body) in enumerate(bodies.items()):
@@ -118,9 +123,13 @@ def fit_picture(model: SubjectModel, fit: ExpressionFit, path: Path) -> None:
     page.save(path)
 
 
+def _role_words(role: str) -> str:
+    return f"{ROLES[role]} expression" if role in ROLES else role
+
+
 @dataclass(frozen=True)
 class _Anatomy:
-    """What a picture of an anatomy shows; ``middle`` is the x of the plane between the sides."""
+    """Parts in a picture of an anatomy; ``middle`` is the x of the plane between the sides."""
 
     skin: Surface
     face: Ints
@@ -283,31 +292,41 @@ def _srgb(colour: Colour) -> Colour:
 # A picture of a template's skin: its regions in colours, its landmarks by number.
 
 
-SKIN_WIDTH, CELL_HEIGHT = 1800, 900
 VIEWS = (("front", 0.0), ("left", np.radians(55.0)))
-FACING = 0.15
-"""Landmarks on skin that is turned further away (cosine) are not drawn."""
-DOT = 3
 
 
-def skin_picture(template: Template, path: Path) -> None:
+@dataclass(frozen=True)
+class SkinSheetOptions:
+    """Size of a picture of a skin with its landmarks, in pixels."""
+
+    width: int = 1800
+    height: int = 900  # of a view
+    facing: float = 0.15  # landmarks on skin turned further away (cosine) are not drawn
+    dot: int = 3  # radius of a landmark
+
+
+def skin_picture(
+    template: Template, path: Path, options: SkinSheetOptions = SkinSheetOptions()
+) -> None:
     """Draw the skin from the front and the left, with a list of regions and landmarks."""
     palette = _palette(list(template.regions))
-    legend = {**palette, **_numbered(template)}
-    rows = -(-len(legend) // swatch_columns(SKIN_WIDTH - 2 * MARGIN))
-    page = Sheet(SKIN_WIDTH, HEADER + CELL_HEIGHT + MARGIN + rows * swatch_height() + MARGIN)
+    legend = {**palette, **_number_landmarks(template)}
+    across = options.width - 2 * MARGIN
+    rows = -(-len(legend) // swatch_columns(across))
+    height = HEADER + options.height + MARGIN + rows * swatch_height() + MARGIN
+    page = Sheet(options.width, height)
     page.heading(
         f"Skin of template {template.name} {template.version}",
         f"{len(template.regions)} regions, {len(template.landmarks)} landmarks",
     )
     body = _body(template, palette)
-    width = SKIN_WIDTH // len(VIEWS)
+    width = options.width // len(VIEWS)
     for column, (_, yaw) in enumerate(VIEWS):
         camera = _camera(template, yaw)
         corner = (column * width, HEADER)
-        page.panel(corner, render([body], camera, width, CELL_HEIGHT))
-        _mark(page, template, camera, corner, width)
-    page.swatches((MARGIN, HEADER + CELL_HEIGHT + MARGIN), legend, SKIN_WIDTH - 2 * MARGIN)
+        page.panel(corner, render([body], camera, width, options.height))
+        _mark(page, template, camera, corner, width, options)
+    page.swatches((MARGIN, HEADER + options.height + MARGIN), legend, across)
     page.save(path)
 
 
@@ -321,24 +340,30 @@ def _body(template: Template, palette: dict[str, Colour]) -> DrawnBody:
 
 
 def _mark(
-    page: Sheet, template: Template, camera: Camera, corner: tuple[int, int], width: int
+    page: Sheet,
+    template: Template,
+    camera: Camera,
+    corner: tuple[int, int],
+    width: int,
+    options: SkinSheetOptions,
 ) -> None:
     """Put a dot and the number of each landmark that faces the camera."""
+    dot = options.dot
     if not template.landmarks:
         return
     vertices = np.array(list(template.landmarks.values()))
     points = template.skin.vertices[vertices]
     flesh = Surface(template.skin.vertices, template.skin.faces[template.flesh_faces])
     facing = vertex_normals(flesh)[vertices] @ camera.axes[2]
-    for number, (x, y, _) in enumerate(camera.project(points, width, CELL_HEIGHT), start=1):
-        if facing[number - 1] > FACING:
+    for number, (x, y, _) in enumerate(camera.project(points, width, options.height), start=1):
+        if facing[number - 1] > options.facing:
             place = (corner[0] + round(x), corner[1] + round(y))
-            box = [place[0] - DOT, place[1] - DOT, place[0] + DOT, place[1] + DOT]
+            box = [place[0] - dot, place[1] - dot, place[0] + dot, place[1] + dot]
             page.draw.ellipse(box, fill=INK)
-            page.text((place[0] + DOT + 2, place[1]), str(number), 13, anchor="lm")
+            page.text((place[0] + dot + 2, place[1]), str(number), 13, anchor="lm")
 
 
-def _numbered(template: Template) -> dict[str, Colour]:
+def _number_landmarks(template: Template) -> dict[str, Colour]:
     ink: Colour = (INK[0] / 255, INK[1] / 255, INK[2] / 255)
     return {f"{number}  {name}": ink for number, name in enumerate(template.landmarks, start=1)}
 

@@ -24,7 +24,7 @@ from solver.rig.checks import (
     overall,
     use,
 )
-from solver.rig.result import ExpressionFit, Rig
+from solver.rig.result import ENTRIES, ExpressionFit, Rig
 from solver.surface import Floats
 
 PACKAGES = ("myoface", "numpy", "scipy", "numba")
@@ -100,7 +100,7 @@ def _judgement(judgement: Judgement, settings: dict[str, Any]) -> dict[str, Any]
         "detail": worst.detail,
         "failed": failed,
         "meaning": check.meaning,
-        "advice": check.advised(settings),
+        "advice": check.advise(settings),
     }
 
 
@@ -143,7 +143,7 @@ def _expression(
         "round_trip": None
         if fit.round_trip is None
         else {
-            "reached": fit.round_trip.reached,
+            "reached": fit.round_trip.is_reached,
             **{name: _figure(value) for name, value in asdict(fit.round_trip).items()},
         },
     }
@@ -213,7 +213,6 @@ def _version(package: str) -> str | None:
 # ``activations.csv``: what every muscle does in every expression, for spreadsheets and scripts.
 
 
-ENTRIES = ("xx", "xy", "xz", "yy", "yz", "zz")
 JAW = ("jaw.1", "jaw.2", "jaw.3", "jaw.4", "jaw.5")
 
 

@@ -22,7 +22,9 @@ from solver.rig.round_trip import RoundTrip
 from solver.storage import read_arrays
 from solver.surface import Floats, Ints
 
-FORMAT = 1
+FORMAT = 1  # of activations.npz and muscle_weights.npz
+ENTRIES = ("xx", "xy", "xz", "yy", "yz", "zz")  # of an activation, in the order of its columns
+ROLES = {"train": "training", "test": "unseen"}  # of an expression's scan, in words
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,7 @@ def save_activations(
     """Write ``activations.npz``; lengths in mm, surfaces and errors in single precision."""
     muscles, vertices = model.muscle_count, len(model.skin.vertices)
 
-    def stacked(field: str, shape: tuple[int, ...], dtype: type = np.float64) -> np.ndarray:
+    def column(field: str, shape: tuple[int, ...], dtype: type = np.float64) -> np.ndarray:
         rows: np.ndarray = np.array([getattr(fit, field) for fit in expressions], dtype=dtype)
         return rows.reshape(len(expressions), *shape)
 
@@ -123,15 +125,15 @@ def save_activations(
             muscles=np.array(model.muscle_names, dtype=np.str_),
             names=np.array([fit.name for fit in expressions], dtype=np.str_),
             roles=np.array([fit.role for fit in expressions], dtype=np.str_),
-            activations=stacked("activations", (muscles, 6)),
-            jaw=stacked("jaw", (5,)),
-            skin=stacked("skin", (vertices, 3), np.float32),
-            target=stacked("target", (vertices, 3), np.float32),
-            error_mm=stacked("error_mm", (vertices,), np.float32),
-            inverted=stacked("inverted", (), np.int64),
-            iterations=stacked("iterations", (), np.int64),
-            seconds=stacked("seconds", ()),
-            objective=stacked("objective", ()),
+            activations=column("activations", (muscles, 6)),
+            jaw=column("jaw", (5,)),
+            skin=column("skin", (vertices, 3), np.float32),
+            target=column("target", (vertices, 3), np.float32),
+            error_mm=column("error_mm", (vertices,), np.float32),
+            inverted=column("inverted", (), np.int64),
+            iterations=column("iterations", (), np.int64),
+            seconds=column("seconds", ()),
+            objective=column("objective", ()),
             x=x,
             round_trip=trips,
             solver=np.array([fit.solver for fit in expressions], dtype=np.str_),

@@ -6,7 +6,7 @@ The first half shows whether the pose has another equilibrium than the one that 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,18 +19,24 @@ from solver.fitting.stretches import FROBENIUS
 from solver.mechanics.flesh import IDENTITY
 from solver.surface import Floats
 
-EXCITED = 0.05
-"""A muscle whose activation is this far from rest (Frobenius) counts as excited."""
 
-REFIT = {"w_a": 1e-5, "w_v": 1e-3, "w_b": 1e-7}
-"""Light regularisers: the target can be reached, and a bias would be taken for an error."""
+@dataclass(frozen=True)
+class RoundTripOptions:
+    """Weights of the second fit, and the muscles that are compared.
 
-STOP = ActivationOptions(25, tolerance=1e-2)
+    The regularisers are light: the target can be reached, and a bias would be taken for an error.
+    """
+
+    excited: float = 0.05  # a muscle this far from rest (Frobenius) counts as excited
+    w_a: float = 1e-5
+    w_v: float = 1e-3
+    w_b: float = 1e-7
+    stop: ActivationOptions = field(default_factory=lambda: ActivationOptions(25, tolerance=1e-2))
 
 
 @dataclass(frozen=True)
 class RoundTrip:
-    """What came back; NaN where the pose can not be reached from rest, or not be fitted again.
+    """Figures of what came back; NaN where a pose cannot be reached from rest or fitted again.
 
     ``skin_*_mm`` are distances between the fitted and the simulated skin over the face, ``refit_*``
     between the simulated and the fitted-again one. ``activation_error`` is the difference of the
@@ -44,12 +50,18 @@ class RoundTrip:
     activation_error: float = np.nan
 
     @property
-    def reached(self) -> bool:
+    def is_reached(self) -> bool:
         """Return whether the pose was reached from rest."""
         return bool(np.isfinite(self.skin_mean_mm))
 
 
-def round_trip(face: Face, pose: Pose, fitted_face: Floats, rest: Resting) -> RoundTrip:
+def round_trip(
+    face: Face,
+    pose: Pose,
+    fitted_face: Floats,
+    rest: Resting,
+    options: RoundTripOptions = RoundTripOptions(),
+) -> RoundTrip:
     """Simulate ``pose`` from ``rest`` and fit it again to the simulated skin.
 
     ``fitted_face`` (k, 3) is the fitted skin of the face, in mm.
@@ -61,10 +73,13 @@ def round_trip(face: Face, pose: Pose, fitted_face: Floats, rest: Resting) -> Ro
     points = face.face_points(simulated.x)
     apart = np.linalg.norm(points - fitted_face, axis=1)
     there = RoundTrip(float(apart.mean()), float(apart.max()))
-    regulariser = Regulariser(**REFIT, prior=face.rest_pose())
+    weights = {"w_a": options.w_a, "w_v": options.w_v, "w_b": options.w_b}
+    regulariser = Regulariser(**weights, prior=face.rest_pose())
     data = SkinDistance(face, Target.from_points(points))
     try:
-        again = activation.fit(face, data, regulariser, rest.state, STOP, matrix=rest.matrix).state
+        again = activation.fit(
+            face, data, regulariser, rest.state, options.stop, matrix=rest.matrix
+        ).state
     except (SolveError, np.linalg.LinAlgError):
         return there
     left = np.linalg.norm(face.face_points(again.x) - points, axis=1)
@@ -72,14 +87,14 @@ def round_trip(face: Face, pose: Pose, fitted_face: Floats, rest: Resting) -> Ro
         there,
         refit_mean_mm=float(left.mean()),
         refit_max_mm=float(left.max()),
-        activation_error=activation_error(pose.a, again.pose.a),
+        activation_error=activation_error(pose.a, again.pose.a, options.excited),
     )
 
 
-def activation_error(a: Floats, found: Floats) -> float:
+def activation_error(a: Floats, found: Floats, excited_from: float = 0.05) -> float:
     """Return |found - a| by |a - a_I| over the excited muscles of ``a`` (m, 6); NaN without any."""
     strength = np.sqrt((a - IDENTITY) ** 2 @ FROBENIUS)
-    excited = strength > EXCITED
+    excited = strength > excited_from
     if not excited.any():
         return float("nan")
     missed = np.sqrt((found - a) ** 2 @ FROBENIUS)

@@ -33,18 +33,23 @@ from solver.drawing.head import skin_parts
 from solver.errors import InputError
 from solver.mechanics import jaw
 from solver.model import SubjectModel
-from solver.rig.gltf import HOLD_SECONDS, MATERIALS, MOVE_SECONDS, STILL_MM, worst_error
+from solver.rig.gltf import DEFAULTS, MATERIALS, ShapeOptions, worst_error
 from solver.rig.result import ExpressionFit, load_activations
 from solver.surface import Floats, Surface, vertex_normals
 
 FORMATS = [".usdc", ".usda", ".usd"]
-FRAMES_PER_SECOND = 30.0
+FRAMES_PER_SECOND = 30.0  # of the time codes, as animation tools expect
 ROOT = Sdf.Path("/Face")
 HEAD, JAW = "head", "head/jaw"
 JOINTS = [HEAD, JAW]
 
 
-def write_usd(path: Path, model: SubjectModel, expressions: Sequence[ExpressionFit]) -> None:
+def write_usd(
+    path: Path,
+    model: SubjectModel,
+    expressions: Sequence[ExpressionFit],
+    options: ShapeOptions = DEFAULTS,
+) -> None:
     """Write a rig as ``.usdc``, ``.usda`` or ``.usd``; a file that is there is replaced.
 
     Raises :class:`InputError` (``usd.format``) for another ending.
@@ -63,11 +68,12 @@ def write_usd(path: Path, model: SubjectModel, expressions: Sequence[ExpressionF
     stage.SetDefaultPrim(root.GetPrim())
     Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
     _skeleton(stage, model)
-    _skin(stage, model.skin, expressions)
+    _skin(stage, model.skin, expressions, options.still_mm)
     for name, bone in model.bones.items():
         _bone(stage, name, bone)
     names = [fit.name for fit in expressions]
-    _animation(stage, model, names, np.array([fit.jaw for fit in expressions]).reshape(-1, 5))
+    jaws = np.array([fit.jaw for fit in expressions]).reshape(-1, 5)
+    _animation(stage, model, names, jaws, options)
     root.CreateExtentAttr(_extent(_swept(model, expressions)))
     stage.GetRootLayer().Export(str(path))
 
@@ -94,7 +100,9 @@ def _skeleton(stage: Usd.Stage, model: SubjectModel) -> None:
     binding.CreateAnimationSourceRel().SetTargets([ROOT.AppendChild("Animation")])
 
 
-def _skin(stage: Usd.Stage, skin: Surface, expressions: Sequence[ExpressionFit]) -> None:
+def _skin(
+    stage: Usd.Stage, skin: Surface, expressions: Sequence[ExpressionFit], still_mm: float
+) -> None:
     mesh = _mesh(stage, "Skin", skin, joint=HEAD)
     normals = vertex_normals(skin)
     mesh.CreateNormalsAttr(_vectors(normals))
@@ -109,7 +117,7 @@ def _skin(stage: Usd.Stage, skin: Surface, expressions: Sequence[ExpressionFit])
     for fit in expressions:
         place = _free(stage, mesh.GetPath(), fit.name)
         change = fit.skin - skin.vertices
-        moving = np.flatnonzero((np.abs(change) > STILL_MM).any(axis=1))
+        moving = np.flatnonzero((np.abs(change) > still_mm).any(axis=1))
         turned = vertex_normals(skin.moved(fit.skin)) - normals
         shape = UsdSkel.BlendShape.Define(stage, place)
         shape.CreatePointIndicesAttr(Vt.IntArray.FromNumpy(moving.astype(np.int32)))
@@ -159,7 +167,13 @@ def _materials(stage: Usd.Stage, mesh: UsdGeom.Mesh, skin: Surface) -> None:
     UsdShade.MaterialBindingAPI(mesh).SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition)
 
 
-def _animation(stage: Usd.Stage, model: SubjectModel, names: list[str], jaws: Floats) -> None:
+def _animation(
+    stage: Usd.Stage,
+    model: SubjectModel,
+    names: list[str],
+    jaws: Floats,
+    options: ShapeOptions,
+) -> None:
     """Move shapes and jaw: from neutral to an expression, hold it, and back, one after the other.
 
     ``jaws`` (q, 5) are the expressions' b.
@@ -180,12 +194,12 @@ def _animation(stage: Usd.Stage, model: SubjectModel, names: list[str], jaws: Fl
         rotations.Set([Gf.Quatf(1.0), Gf.Quatf(w, x, y, z)], time)
 
     still, closed = np.zeros(len(names)), np.zeros(jaw.DEGREES_OF_FREEDOM)
-    period = 2 * MOVE_SECONDS + HOLD_SECONDS
+    period, held = options.period, options.move_seconds + options.hold_seconds
     key(0.0, still, closed)
     for number, (shown, b) in enumerate(zip(np.eye(len(names)), jaws, strict=True)):
         start = number * period
-        key(start + MOVE_SECONDS, shown, b)
-        key(start + MOVE_SECONDS + HOLD_SECONDS, shown, b)
+        key(start + options.move_seconds, shown, b)
+        key(start + held, shown, b)
         key(start + period, still, closed)
     stage.SetTimeCodesPerSecond(FRAMES_PER_SECOND)
     stage.SetFramesPerSecond(FRAMES_PER_SECOND)

@@ -19,6 +19,7 @@ from solver.rig.certificate import (
     MUSCLE_SOURCE,
 )
 from solver.rig.checks import overall
+from solver.rig.result import ROLES
 
 # Small pieces of the certificate's page.
 
@@ -70,7 +71,7 @@ def row(heading: str, *cells: tuple[str, str]) -> str:
 # The certificate's page: what it says of one expression, and of the muscles in all of them.
 
 
-PICTURE_WIDTH, JPEG_QUALITY = 1400, 86
+PICTURE_WIDTH, JPEG_QUALITY = 1400, 86  # of a fit's picture: sharp on a large screen
 SOLVERS = {"reduced": "Reduced solver,", "ipopt": "IPOPT,"}
 ENDINGS = {
     "converged": "converged",
@@ -84,8 +85,7 @@ CONTACTS = {
     "lower_teeth_mm": "lips in lower teeth",
     "bite_mm": "teeth in teeth",
 }
-STRONG_PERCENT = 40.0
-"""Change of a fibre's length at which a cell has its full colour."""
+STRONG_PERCENT = 40.0  # change of a fibre's length at which a cell has its full colour
 
 
 def article(anchor: str, name: str, found: dict[str, Any], picture: Path) -> str:
@@ -194,7 +194,7 @@ def _trip(trip: dict[str, Any] | None) -> str:
     if trip is None:
         return "not tried"
     if not trip["reached"]:
-        return "the pose can not be reached from rest"
+        return "the pose cannot be reached from rest"
     words = (
         f"simulated from rest: mean {figure(trip['skin_mean_mm'], 3)} mm, greatest "
         f"{figure(trip['skin_max_mm'], 3)} mm away; fitted again: mean "
@@ -241,7 +241,6 @@ def _faults(muscles: dict[str, Any]) -> str:
     )
 
 
-ROLES = {"train": "training", "test": "unseen"}
 MEANS = {"train_mean_mm": "mean of training scans", "test_mean_mm": "mean of unseen scans"}
 FILES = {
     "rig.glb": "the skin with one named morph target per expression",
@@ -251,12 +250,9 @@ FILES = {
     "report.json": "the figures of this page",
 }
 
-WHOLE = {"flesh.inverted", "muscles.beyond"}
-"""Checks whose figures are counts."""
-FEW = 4
-"""So many expressions are named one by one, even where a check fails in all of them."""
-LONG = 200
-"""Letters of a detail that is only told with its expression."""
+WHOLE = {"flesh.inverted", "muscles.beyond"}  # checks whose figures are counts
+FEW = 4  # expressions that are named one by one, even where a check fails in all of them
+LONG = 200  # letters of a detail that is only told with its expression
 
 
 def write_page(path: Path, figures: dict[str, Any]) -> None:

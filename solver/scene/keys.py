@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import scipy.sparse as sp
 
-from solver.animation.keys import HeadKey, Key, KeyedDrives, from_keys
+from solver.animation.keys import HeadKey, KeyedDrives, PoseKey, from_keys
 from solver.errors import InputError
 from solver.fitting.face import Pose
 from solver.fitting.stretches import (
@@ -19,12 +19,12 @@ from solver.mechanics.flesh import shape_gradients
 from solver.model import SubjectModel
 from solver.surface import Floats
 
+# as far as a jaw gets, and a little more, as fits bite some degrees deep: beyond it flesh tears
 JAW_LIMITS = {
     "open_deg": (-10.0, 45.0),
     "left_deg": (-15.0, 15.0),
     "move_mm": (-20.0, 20.0),
 }
-"""What a jaw can do, and a little more, as fits bite some degrees deep: beyond it flesh tears."""
 
 
 def keyed(
@@ -41,7 +41,7 @@ def keyed(
     """
     muscles = _Muscles(model, S)
     keys = [
-        Key(
+        PoseKey(
             entry.time,
             entry.expressions,
             {name: muscles.activation(name, how) for name, how in entry.muscles.items()},

@@ -30,13 +30,12 @@ from solver.scene.places import Places
 from solver.similarity import small_motion
 from solver.surface import Surface, directed_edges
 
-MOST_VERTICES = 20_000
-"""Of one object: contact looks at every triangle in every step."""
-BALL_SUBDIVISIONS = 3
+MOST_VERTICES = 20_000  # of one object: contact looks at every triangle in every step
+BALL_SUBDIVISIONS = 3  # of an icosahedron, for a round enough ball
 
 
 @dataclass(frozen=True)
-class Obstacle:
+class SceneObject:
     """An object: its ``shape`` around its own origin, mm, and its ``path``.
 
     The path gives a rotation vector and a shift (6,) at any time in s.
@@ -53,7 +52,7 @@ class Obstacle:
 
 def objects_of(
     entries: Sequence[Object], places: Places, interpolation: Interpolation = "smooth"
-) -> list[Obstacle]:
+) -> list[SceneObject]:
     """Return the objects that a scene describes.
 
     Raises :class:`InputError`: ``scene.object_name`` for two of one name, ``scene.times`` for keys
@@ -67,7 +66,7 @@ def objects_of(
     return [_object(entry, places, interpolation) for entry in entries]
 
 
-def _object(entry: Object, places: Places, interpolation: Interpolation) -> Obstacle:
+def _object(entry: Object, places: Places, interpolation: Interpolation) -> SceneObject:
     name, origin, path = entry.name, places.point(entry.at), entry.path
     shape = _shape(name, entry.mesh, places)
     values = np.array(
@@ -75,9 +74,9 @@ def _object(entry: Object, places: Places, interpolation: Interpolation) -> Obst
     ).reshape(len(path), 6)
     if not path:
         still = np.concatenate([np.zeros(3), origin])
-        return Obstacle(name, shape, lambda _time: still)
+        return SceneObject(name, shape, lambda _time: still)
     moved = track([key.time for key in path], values, f"{name}'s path", interpolation)
-    return Obstacle(name, shape, moved)
+    return SceneObject(name, shape, moved)
 
 
 def _shape(name: str, mesh: AssetMesh | Box | Ball, places: Places) -> Surface:
@@ -114,7 +113,7 @@ def _surface(mesh: trimesh.Trimesh) -> Surface:
 
 
 def check_objects(model: SubjectModel, objects: Mapping[str, Surface]) -> None:
-    """Refuse objects, in the head's frame where they begin, that contact can not start with.
+    """Refuse objects, in the head's frame where they begin, that contact cannot start with.
 
     Raises
     ------
@@ -125,7 +124,7 @@ def check_objects(model: SubjectModel, objects: Mapping[str, Surface]) -> None:
         :meth:`ContactSurface.of`.
     """
     for name, each in objects.items():
-        if not _closed(each):
+        if not _is_closed(each):
             raise InputError(
                 "scene.object_open",
                 f"{name} is not a closed surface whose triangles look outward",
@@ -156,7 +155,7 @@ def check_objects(model: SubjectModel, objects: Mapping[str, Surface]) -> None:
             )
 
 
-def _closed(surface: Surface) -> bool:
+def _is_closed(surface: Surface) -> bool:
     """Tell whether every edge has two triangles, one to either side, that look outward."""
     corners = surface.vertices[surface.faces]
     volume = np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))

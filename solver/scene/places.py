@@ -1,4 +1,4 @@
-"""Where on a person something is: landmarks, skin vertices, points, and maps painted on the skin.
+"""Places on a person: landmarks, skin vertices, points, and maps painted on the skin.
 
 A place is a landmark's name, the number of a skin vertex, or a point [x, y, z] in mm.
 """

@@ -24,7 +24,7 @@ from solver.edits.fat import (
     Density,
     Fat,
     Filler,
-    Stiffness,
+    Stiffening,
     under_skin,
 )
 from solver.edits.paralysis import Paralysis
@@ -72,7 +72,7 @@ def _edit(entry: described.Edit, places: Places) -> Edit:
         at, move = places.point(entry.at), np.array(entry.move_mm, np.float64)
         return Bone(entry.bone, at, entry.radius_mm, move)
     if isinstance(entry, described.Stiffness):
-        return Stiffness(entry.factor, places.painted(entry.map))
+        return Stiffening(entry.factor, places.painted(entry.map))
     if isinstance(entry, described.Density):
         return Density(entry.factor, places.painted(entry.map))
     muscles = None if entry.muscles is None else tuple(entry.muscles)
@@ -107,7 +107,7 @@ LAWS: Mapping[str, Material] = {
 
 @dataclass(frozen=True)
 class Physics:
-    """What a scene's flesh is made of, and what it meets.
+    """Material of a scene's flesh, and what it meets.
 
     ``material`` is in Pa. Flesh slides on the skull with ``sliding``; ``lips`` is contact of skin
     with itself, ``teeth`` of lips with teeth, ``eyes`` of lids with eyeballs, ``friction`` its
@@ -173,10 +173,9 @@ def physics_of(scene: scenes.Flesh) -> Physics:
     )
 
 
+# of a scene: ten minutes at 30 a second, and a few gigabytes while its files are written
 MOST_FRAMES = 20_000
-"""Of a scene: ten minutes at 30 a second, and a few gigabytes while its files are written."""
-STEPS = 4
-"""Of a dynamic face in a frame: flesh swings some 15 times a second, which long steps damp."""
+STEPS = 4  # of a dynamic face in a frame: flesh swings some 15 times a second, long steps damp
 
 
 class Stage:
@@ -185,7 +184,7 @@ class Stage:
     ``drives`` say what the face does; ``linear`` names the linear solver; ``objects`` are what the
     face meets. Raises
     :class:`~solver.errors.InputError` (``scene.*``, ``force.point``, ``contact.crossed``) for what
-    the person does not have or can not be.
+    the person does not have or cannot be.
     """
 
     def __init__(

@@ -17,7 +17,7 @@ from service.queue.wakeups import QUEUES
 from solver.kinds import KINDS, OptionsError
 from solver.mechanics.linear import DOUBLE, SOLVERS
 from solver.meshio import raw, registered
-from solver.rig import motion
+from solver.rig import frames
 from solver.scans import performance
 from worker import attempt
 
@@ -128,7 +128,7 @@ def test_scans_may_be_what_the_solver_reads() -> None:
 
 
 def test_frames_are_where_the_worker_looks() -> None:
-    assert attempt.FRAMES == motion.FRAMES
+    assert attempt.FRAMES == frames.FRAMES
 
 
 @pytest.mark.parametrize("kind", KINDS)

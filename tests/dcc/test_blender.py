@@ -18,9 +18,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from solver.rig.animation_gltf import (
-    KEYS_MM,
-    REACHED_MM,
+    SEQUENCE_BASIS,
     AnimatedSkin,
+    AnimationOptions,
     write_animation_glb,
 )
 from solver.rig.gltf import Solid, write_glb
@@ -169,7 +169,7 @@ def test_a_sequence_moves_as_it_was_fitted(blender: Path, tmp_path: Path) -> Non
     for number, skin in enumerate(skins):
         expected = _placed(skin, number)
         off = np.linalg.norm(scene.mm(f"frame_{number}") - expected, axis=1).max()
-        assert off < REACHED_MM + 0.01, f"frame {number}"
+        assert off < SEQUENCE_BASIS.within_mm + 0.01, f"frame {number}"
 
 
 def test_an_animation_is_made_of_few_shapes(blender: Path, tmp_path: Path) -> None:
@@ -195,7 +195,7 @@ def test_an_animation_is_made_of_few_shapes(blender: Path, tmp_path: Path) -> No
     assert scene.known["range"] == [0, 11]
     for number, skin in enumerate(skins):
         off = np.linalg.norm(scene.mm(f"frame_{number}") - _placed(skin, number), axis=1).max()
-        assert off < written.max_error_mm + KEYS_MM + 0.01, f"frame {number}"
+        assert off < written.max_error_mm + AnimationOptions().keys_mm + 0.01, f"frame {number}"
 
 
 def _frame(number: int) -> SequenceFrame:

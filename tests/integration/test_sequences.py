@@ -16,10 +16,8 @@ from service.queue.table import Claim
 from service.store.files import FolderFiles
 from service.store.models import DEFAULT_TENANT
 from solver.mechanics.flesh import IDENTITY
-from solver.rig.motion import (
-    SequenceFrame,
-    write_frames,
-)
+from solver.rig.frames import write_chunk
+from solver.rig.motion import SequenceFrame
 from solver.rig.result import save_weights
 from tests.service_client import Studio, eventually
 from tests.solver.block import block_model
@@ -123,7 +121,7 @@ def test_the_real_solver_goes_on_in_an_attempt_s_folder(tmp_path: Path) -> None:
         iterations=1,
         seconds=0.0,
     )
-    ready = write_frames(tmp_path / "before", 0, [before])
+    ready = write_chunk(tmp_path / "before", 0, [before], {})
     frames = {ready.name: store.put(ready).sha256}
     claim = Claim(
         "job", DEFAULT_TENANT, 2, "fit_sequence", "ada", inputs, {"step": 2}, None, None, frames, {}

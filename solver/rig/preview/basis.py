@@ -11,12 +11,14 @@ import scipy.sparse as sp
 
 from solver.surface import Floats, Ints
 
-MODES = 64
-RIDGE = 1e-5
-"""Of the mean diagonal of the normal equations."""
 
-SLOPE = 0.15
-"""Weight of a slope's row beside a motion's: a slope says what happens so far from its sample."""
+@dataclass(frozen=True)
+class ReductionOptions:
+    """Size of the reduced skin, and how its map is found."""
+
+    modes: int = 64
+    ridge: float = 1e-5  # of the mean diagonal of the normal equations
+    slope: float = 0.15  # weight of a slope's row: it says what happens so far from its sample
 
 
 @dataclass(frozen=True)
@@ -39,18 +41,25 @@ class ReducedSkin:
         return np.tensordot(amounts, self.basis.astype(np.float64), 1)
 
 
-def modes_of(motions: Floats, weights: Floats) -> Floats:
+def modes_of(
+    motions: Floats, weights: Floats, options: ReductionOptions = ReductionOptions()
+) -> Floats:
     """Return the main modes (r, n, 3) of motions (s, n, 3), orthonormal with ``weights`` (n,)."""
     scaled = motions.reshape(len(motions), -1) * np.repeat(np.sqrt(weights), 3)
     gram = scaled @ scaled.T
     values, vectors = scipy.linalg.eigh(gram)
-    kept = np.argsort(values)[::-1][:MODES]
+    kept = np.argsort(values)[::-1][: options.modes]
     kept = kept[values[kept] > 1e-10 * values.max()]
     modes = (vectors[:, kept] / np.sqrt(values[kept])).T @ motions.reshape(len(motions), -1)
     return np.asarray(modes.reshape(len(kept), *motions.shape[1:]))
 
 
-def quadratic_map(values: Floats, amounts: Floats, slopes: Sequence[Floats | None]) -> Floats:
+def quadratic_map(
+    values: Floats,
+    amounts: Floats,
+    slopes: Sequence[Floats | None],
+    options: ReductionOptions = ReductionOptions(),
+) -> Floats:
     """Return the map (f, r) from features of the sliders to amounts, by ridge regression.
 
     ``values`` (s, k) and ``amounts`` (s, r) are the samples', ``slopes`` d amounts / d values
@@ -61,11 +70,11 @@ def quadratic_map(values: Floats, amounts: Floats, slopes: Sequence[Floats | Non
     rows, rights = [sp.csr_array(features(values, pairs))], [amounts]
     for each, slope in zip(values, slopes, strict=True):
         if slope is not None:
-            rows.append(SLOPE * feature_slopes(each, pairs))
-            rights.append(SLOPE * slope.T)
+            rows.append(options.slope * feature_slopes(each, pairs))
+            rights.append(options.slope * slope.T)
     matrix = sp.csr_array(sp.vstack(rows))
     normal = (matrix.T @ matrix).toarray()
-    normal[np.diag_indices_from(normal)] += RIDGE * np.trace(normal) / len(normal)
+    normal[np.diag_indices_from(normal)] += options.ridge * np.trace(normal) / len(normal)
     return np.asarray(scipy.linalg.solve(normal, matrix.T @ np.vstack(rights), assume_a="pos"))
 
 
@@ -86,7 +95,7 @@ def feature_slopes(values: Floats, pairs: tuple[Ints, Ints]) -> sp.csr_array:
     return sp.csr_array((data, (rows, places)), shape=shape)
 
 
-def reduced(modes: Floats, table: Floats) -> ReducedSkin:
+def reduce_skin(modes: Floats, table: Floats) -> ReducedSkin:
     """Return the reduced skin of ``modes`` (r, n, 3) and the map (f, r) of their amounts.
 
     Every mode is scaled to a greatest coordinate of 1, which suits half precision.

@@ -2,7 +2,7 @@
 
 All are numbers from 0 to 1 that change (a, b) linearly. A muscle's slider contracts it along its
 fibres (:mod:`~solver.rig.preview.controls`). The jaw has two controls, one each way, for each of
-its degrees of freedom that is used. One number per muscle can not tell all of a fit with six: what
+its degrees of freedom that is used. One number per muscle cannot tell all of a fit with six: what
 is left of each expression is a control of its own, so that every fit can be reached.
 """
 
@@ -41,21 +41,29 @@ from solver.surface import Floats
 # The small w keeps what is hardly seen near the fits too.
 
 
-FULL_STRETCH = 0.6
-"""Length to which a slider at 1 shortens a muscle's fibres.
+@dataclass(frozen=True)
+class SliderOptions:
+    """Ends of the sliders, and weights that split fits between them."""
 
-Well within what muscles can (half: :data:`solver.rig.certificate.MUSCLE_SOURCE`), and on the
-straight line from rest to there the muscle's volume is never off by more than 5 %.
-"""
+    # length to which a slider at 1 shortens a muscle's fibres: well within what muscles can (half:
+    # solver.rig.certificate.MUSCLE_SOURCE), and on the straight line from rest to there the
+    # muscle's volume is never off by more than 5 %
+    full_stretch: float = 0.6
+    unseen: float = 1e-2  # the weight w, mm^2
+    jitter: float = 1e-9  # part of the mean diagonal that makes a Gram matrix definite
+    margin: float = 1.25  # the jaw's sliders go so many times as far as the fitted expressions
+    least_opening: float = 0.2  # rad, by which the jaw opens at least
+    # way of the condyles per radian of opening (Muto and Kanazawa 1996: 20.5 mm and 39.1 degrees)
+    condyle_path_mm: float = 30.0
+    least_jaw_mm: float = 0.3  # motion of the chin from which on a degree of freedom is used
 
-UNSEEN = 1e-2
-"""The weight w, mm^2."""
 
-JITTER = 1e-9
-"""Part of the mean diagonal that makes a Gram matrix definite."""
-
-
-def nearest_amounts(activations: Floats, contractions: Floats, seen: Floats) -> Floats:
+def nearest_amounts(
+    activations: Floats,
+    contractions: Floats,
+    seen: Floats,
+    options: SliderOptions = SliderOptions(),
+) -> Floats:
     """Return the amounts (e, k), from 0 to 1, that come nearest to fitted activations.
 
     ``activations`` (e, 6 m) are differences from rest, ``contractions`` (6 m, k) the changes at 1,
@@ -63,25 +71,15 @@ def nearest_amounts(activations: Floats, contractions: Floats, seen: Floats) -> 
     """
     if not contractions.size:
         return np.zeros((len(activations), 0))
-    norm = seen + UNSEEN * np.diag(np.tile(FROBENIUS, len(seen) // 6))
+    norm = seen + options.unseen * np.diag(np.tile(FROBENIUS, len(seen) // 6))
     gram = contractions.T @ norm @ contractions
-    root = np.linalg.cholesky(gram + np.eye(len(gram)) * JITTER * np.trace(gram) / len(gram)).T
+    jitter = np.eye(len(gram)) * options.jitter * np.trace(gram) / len(gram)
+    root = np.linalg.cholesky(gram + jitter).T
     right = scipy.linalg.solve_triangular(root, contractions.T @ norm @ activations.T, trans="T")
     return np.array([scipy.optimize.lsq_linear(root, each, (0.0, 1.0)).x for each in right.T])
 
 
-MARGIN = 1.25
-"""The jaw's sliders go so many times as far as the fitted expressions do."""
-
-LEAST_OPENING = 0.2
-"""The jaw opens by so many radians at least."""
-
-CONDYLE_PATH_MM = 30.0
-"""The condyles' way forward per radian of opening (Muto and Kanazawa 1996: 20.5 mm and 39.1°)."""
-
-LEAST_JAW_MM = 0.3
-"""Motion of the chin from which on a degree of freedom counts as used."""
-
+# b's entries, and where each leads when it grows and when it falls
 JAW_WAYS = (
     ("jaw opens", "jaw closes"),
     ("jaw turns left", "jaw turns right"),
@@ -89,7 +87,6 @@ JAW_WAYS = (
     ("jaw moves up", "jaw moves down"),
     ("jaw moves forward", "jaw moves back"),
 )
-"""b's entries, and where each leads when it grows and when it falls."""
 
 Kind = Literal["muscle", "jaw", "expression"]
 
@@ -105,7 +102,7 @@ class Control:
 
 
 @dataclass(frozen=True)
-class Controls:
+class Sliders:
     """The k sliders.
 
     ``directions`` (6 m + 5, k) is the change of (a, b) from ``rest`` that each makes at 1,
@@ -130,15 +127,20 @@ class Controls:
         return [number for number, control in enumerate(self.each) if control.kind == kind]
 
 
-def controls_of(face: Face, rest: Resting, fits: Sequence[ExpressionFit]) -> Controls:
+def controls_of(
+    face: Face,
+    rest: Resting,
+    fits: Sequence[ExpressionFit],
+    options: SliderOptions = SliderOptions(),
+) -> Sliders:
     """Return the controls of a face with one fitted expression or more."""
     layout = face.layout
     in_a, in_b = layout["activations"], layout["jaw"]
     fitted = np.array([Pose(fit.activations, fit.jaw).vector() for fit in fits]) - layout.rest
-    muscles, changes = _muscles(face)
+    muscles, changes = _muscles(face, options.full_stretch)
     # rest.matrix is the curvature of a mean square: twice J^T J
-    contracted = nearest_amounts(fitted[:, in_a], changes, 0.5 * rest.matrix[in_a, in_a])
-    jaw, ways, opened = _jaw(fitted[:, in_b])
+    contracted = nearest_amounts(fitted[:, in_a], changes, 0.5 * rest.matrix[in_a, in_a], options)
+    jaw, ways, opened = _jaw(fitted[:, in_b], options)
     directions = np.zeros((layout.size, len(muscles) + len(jaw)))
     directions[in_a, : len(muscles)] = changes
     directions[in_b, len(muscles) :] = ways
@@ -148,7 +150,7 @@ def controls_of(face: Face, rest: Resting, fits: Sequence[ExpressionFit]) -> Con
         Control(f"{fit.name}, the rest", "expression", f"What else {fit.name} uses") for fit in fits
     )
     whole = np.hstack([values, np.eye(len(fits))])
-    return Controls(
+    return Sliders(
         (*muscles, *jaw, *others),
         face.rest_pose(),
         np.hstack([directions, left.T]),
@@ -156,7 +158,7 @@ def controls_of(face: Face, rest: Resting, fits: Sequence[ExpressionFit]) -> Con
     )
 
 
-def _muscles(face: Face) -> tuple[list[Control], Floats]:
+def _muscles(face: Face, full_stretch: float) -> tuple[list[Control], Floats]:
     """Return the muscles' controls and their changes of a (6 m, .).
 
     A muscle without fibres in S moves nothing, and has none.
@@ -166,27 +168,27 @@ def _muscles(face: Face) -> tuple[list[Control], Floats]:
     kept = np.flatnonzero(np.isfinite(tensors).all(axis=(1, 2)))
     changes = np.zeros((count, 6, len(kept)))
     for column, muscle in enumerate(kept):
-        changes[muscle, :, column] = shortened(tensors[muscle], FULL_STRETCH) - IDENTITY
+        changes[muscle, :, column] = shortened(tensors[muscle], full_stretch) - IDENTITY
     names = [model.muscle_names[muscle] for muscle in kept]
     return [Control(name, "muscle", name, name) for name in names], changes.reshape(6 * count, -1)
 
 
-def _jaw(fitted: Floats) -> tuple[list[Control], Floats, Floats]:
+def _jaw(fitted: Floats, options: SliderOptions) -> tuple[list[Control], Floats, Floats]:
     """Return the jaw's controls, their changes of b (5, .) and the values (e, .) of ``fitted``.
 
     An opening jaw takes its condyles along, ``fitted`` (e, 5) counts from there.
     """
     along = np.eye(5)
-    along[4, 0] = CONDYLE_PATH_MM
+    along[4, 0] = options.condyle_path_mm
     places = fitted @ np.linalg.inv(along).T
     listed, columns, values = [], [], []
     for axis, ways in enumerate(JAW_WAYS):
         for sign, title in zip((1.0, -1.0), ways, strict=True):
             there = np.maximum(sign * places[:, axis], 0.0)
-            most = MARGIN * there.max(initial=0.0)
+            most = options.margin * there.max(initial=0.0)
             if title == "jaw opens":
-                most = max(most, LEAST_OPENING)
-            if most * JAW_UNITS[axis] < LEAST_JAW_MM:
+                most = max(most, options.least_opening)
+            if most * JAW_UNITS[axis] < options.least_jaw_mm:
                 continue
             listed.append(Control(title.replace(" ", "_"), "jaw", title.capitalize()))
             columns.append(sign * most * along[:, axis])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,20 +18,27 @@ from solver.fitting.activation import Resting
 from solver.fitting.face import Face
 from solver.model import SubjectModel
 from solver.rig.pictures import face_camera
-from solver.rig.preview.basis import ReducedSkin, modes_of, quadratic_map, reduced
-from solver.rig.preview.controls import Controls, controls_of
+from solver.rig.preview.basis import (
+    ReducedSkin,
+    ReductionOptions,
+    modes_of,
+    quadratic_map,
+    reduce_skin,
+)
+from solver.rig.preview.controls import SliderOptions, Sliders, controls_of
 from solver.rig.preview.samples import (
     Responses,
     Sample,
-    Simulator,
-    learned_from,
-    measured_on,
+    SampleOptions,
+    SliderSolver,
+    poses_to_learn,
+    poses_to_measure,
 )
 from solver.rig.result import ExpressionFit
 from solver.rig.view.format import write_container
 from solver.surface import Floats, Ints
 
-# How far the reduced skin is off the simulated one, on poses it was not made from.
+# Distance between the reduced skin and the simulated one, on poses it was not made from.
 
 
 @dataclass(frozen=True)
@@ -100,14 +107,20 @@ class PreviewError:
         )
 
 
-OFF_FACE = 0.1
-"""Weight of a skin vertex off the face, where nothing is measured, beside one on it."""
-
-LEARNING, MEASURING = 0.6, 0.85
-"""Parts of the time by which the poses to learn from, and those to measure with, are done."""
-
+# called with what is being done and how much of all is ready, in [0, 1]
 Listener = Callable[[str, float], None]
-"""Called with what is being done and how much of all is ready, in [0, 1]."""
+
+
+@dataclass(frozen=True)
+class PreviewOptions:
+    """Weights and times of a preview's making."""
+
+    off_face: float = 0.1  # weight of a skin vertex off the face, where nothing is measured
+    learning: float = 0.6  # part of the time by which the poses to learn from are done
+    measuring: float = 0.85  # part of the time by which those to measure with are done
+    sliders: SliderOptions = field(default_factory=SliderOptions)
+    samples: SampleOptions = field(default_factory=SampleOptions)
+    reduction: ReductionOptions = field(default_factory=ReductionOptions)
 
 
 @dataclass(frozen=True)
@@ -119,7 +132,7 @@ class Preview:
     others, and ``dropped`` of those to measure with, are out of reach or out of time.
     """
 
-    controls: Controls
+    controls: Sliders
     skin: ReducedSkin
     unseen: PreviewError
     fitted: PreviewError
@@ -147,6 +160,7 @@ def make_preview(
     seed: int,
     seconds: float,
     listen: Listener,
+    options: PreviewOptions = PreviewOptions(),
 ) -> Preview:
     """Make the preview of a face with its fitted expressions.
 
@@ -160,25 +174,26 @@ def make_preview(
     begin = time.monotonic()
     rest = Resting(face)
     listen("controls", 0.0)
-    controls = controls_of(face, rest, fits)
-    learning, measuring = learned_from(controls, seed), measured_on(controls, seed)
+    controls = controls_of(face, rest, fits, options.sliders)
+    learning = poses_to_learn(controls, seed, options.samples)
+    measuring = poses_to_measure(controls, seed, options.samples)
     known = {fit.name: fit.x for fit in fits if fit.x is not None}
-    simulator = Simulator(face, controls, rest.state, known)
+    simulator = SliderSolver(face, controls, rest.state, known)
     samples = simulator.solve(
         learning,
-        begin + LEARNING * seconds,
-        lambda done: listen("simulate", LEARNING * done / len(learning)),
+        begin + options.learning * seconds,
+        lambda done: listen("simulate", options.learning * done / len(learning)),
     )
-    way = MEASURING - LEARNING
+    way = options.measuring - options.learning
     unseen = simulator.solve(
         measuring,
-        begin + MEASURING * seconds,
-        lambda done: listen("measure", LEARNING + way * done / len(measuring)),
+        begin + options.measuring * seconds,
+        lambda done: listen("measure", options.learning + way * done / len(measuring)),
     )
     if not samples or not unseen:
         message = "too few poses of the sliders could be simulated to make and to measure them"
         raise SolveError("preview.unreachable", message, learned=len(samples), measured=len(unseen))
-    skin = _learned(face, controls, samples, begin + seconds, listen)
+    skin = _learn(face, controls, samples, begin + seconds, listen, options)
     neutral, shown = face.model.skin.vertices, face.model.face
     presets = [
         sample
@@ -197,35 +212,37 @@ def make_preview(
     )
 
 
-def _learned(
+def _learn(
     face: Face,
-    controls: Controls,
+    controls: Sliders,
     samples: Sequence[Sample],
     deadline: float,
     listen: Listener,
+    options: PreviewOptions,
 ) -> ReducedSkin:
     """Return the reduced skin of samples; slopes are left out after the ``deadline``.
 
     Those of a control alone say nothing that mixed poses do not.
     """
     motions = np.array([sample.skin for sample in samples]) - face.model.skin.vertices
-    weights = vertex_weights(face.model)
-    modes = modes_of(motions, weights)
+    weights = vertex_weights(face.model, options.off_face)
+    modes = modes_of(motions, weights, options.reduction)
     measure = modes * weights[:, None]
     responses = Responses(face, controls, measure)
     slopes: list[Floats | None] = []
     for number, sample in enumerate(samples):
-        listen("slopes", MEASURING + (1.0 - MEASURING) * number / len(samples))
+        part = number / len(samples)
+        listen("slopes", options.measuring + (1.0 - options.measuring) * part)
         is_wanted = sample.slid.sort != "alone" and time.monotonic() < deadline
         slopes.append(responses.at(sample) if is_wanted else None)
     values = np.array([sample.slid.values for sample in samples])
     amounts = np.einsum("rnc,snc->sr", measure, motions, optimize=True)
-    return reduced(modes, quadratic_map(values, amounts, slopes))
+    return reduce_skin(modes, quadratic_map(values, amounts, slopes, options.reduction))
 
 
-def vertex_weights(model: SubjectModel) -> Floats:
+def vertex_weights(model: SubjectModel, off_face: float = 0.1) -> Floats:
     """Return what every skin vertex counts, (n,), with a sum of 1."""
-    weights = np.full(len(model.skin.vertices), OFF_FACE)
+    weights = np.full(len(model.skin.vertices), off_face)
     weights[model.face] = 1.0
     return np.asarray(weights / weights.sum())
 
@@ -264,7 +281,6 @@ def _header(preview: Preview) -> dict[str, Any]:
 # Simulated and previewed skin of poses that the preview was not made from, side by side.
 
 
-COLUMNS = 4  # poses in the picture
 LEGEND = (
     "colour of the bottom row: distance between the two skins above it, mm",
     "grey: no part of the face, not compared",
@@ -273,10 +289,10 @@ LEGEND = (
 )
 
 
-def preview_picture(model: SubjectModel, preview: Preview, path: Path) -> None:
-    """Draw some unseen poses, from the middle one by their error to the worst."""
+def preview_picture(model: SubjectModel, preview: Preview, path: Path, poses: int = 4) -> None:
+    """Draw some unseen ``poses``, from the middle one by their error to the worst."""
     unseen, neutral = preview.unseen, model.skin.vertices
-    chosen = _chosen(unseen)
+    chosen = _choose(unseen, poses)
     overall = unseen.overall
     head = DrawnHead(model.skin)
     camera = face_camera(neutral, model.face, 0.0)
@@ -300,9 +316,9 @@ def preview_picture(model: SubjectModel, preview: Preview, path: Path) -> None:
     draw_sheet(path, "Sliders on poses they were not made from", detail, rows, columns, layout)
 
 
-def _chosen(unseen: PreviewError) -> list[int]:
+def _choose(unseen: PreviewError, poses: int) -> list[int]:
     """Return the numbers of the samples to draw, those of a control alone left out."""
     mixed = [row for row, sample in enumerate(unseen.samples) if sample.slid.sort != "alone"]
     order = sorted(mixed, key=lambda row: float(unseen.off[row].mean()))
-    places = np.linspace(0.5, 1.0, COLUMNS) * (len(order) - 1)
+    places = np.linspace(0.5, 1.0, poses) * (len(order) - 1)
     return list(dict.fromkeys(order[round(place)] for place in places)) if order else []

@@ -15,30 +15,34 @@ from solver.fitting.sensitivity import Sensitivity
 from solver.mechanics import jaw
 from solver.mechanics.equilibrium import Equilibrium
 from solver.mechanics.newton import Factorization
-from solver.rig.preview.controls import Controls
+from solver.rig.preview.controls import Sliders
 from solver.surface import Floats
 
-# Which poses of the sliders are simulated: those that people look at, and some between.
+# Poses of the sliders that are simulated: those that people look at, and some between.
 
 
-LEVELS = (0.5, 1.0)
-"""Of a control alone, and of a fitted expression."""
+@dataclass(frozen=True)
+class PoseCounts:
+    """Numbers of mixed poses by sort."""
 
-PAIRS, VARIATIONS, BLENDS, PLAUSIBLE = 24, 24, 12, 48
-"""Poses of those sorts to learn from."""
+    plausible: int
+    pairs: int
+    variations: int
+    blends: int
 
-UNSEEN_PAIRS, UNSEEN_VARIATIONS, UNSEEN_BLENDS, UNSEEN_PLAUSIBLE = 8, 8, 6, 16
-"""And to measure the error with, beside every control alone."""
 
-TOGETHER = (0.3, 1.0)
-"""Values of a pair."""
+@dataclass(frozen=True)
+class SampleOptions:
+    """Poses to learn from, and those to measure the error with, beside every control alone."""
 
-EXCITED = 8
-"""Muscles of a plausible pose, both sides counting as one."""
-
-EXCITATION, ASYMMETRY = (0.05, 0.6), 0.1
-OPENED = 0.6
-"""Values in a plausible pose: of its muscles, the other side's difference, of the jaw at most."""
+    levels: tuple[float, float] = (0.5, 1.0)  # of a control alone, and of a fitted expression
+    learn: PoseCounts = PoseCounts(plausible=48, pairs=24, variations=24, blends=12)
+    measure: PoseCounts = PoseCounts(plausible=16, pairs=8, variations=8, blends=6)
+    pair: tuple[float, float] = (0.3, 1.0)  # values of a pair
+    muscles: int = 8  # of a plausible pose, both sides counting as one
+    excitation: tuple[float, float] = (0.05, 0.6)  # of those muscles
+    asymmetry: float = 0.1  # difference of the other side's, at most
+    opening: float = 0.6  # of the jaw, at most
 
 
 @dataclass(frozen=True)
@@ -50,30 +54,37 @@ class Slid:
     about: str | None = None
 
 
-def learned_from(controls: Controls, seed: int) -> list[Slid]:
+def poses_to_learn(
+    controls: Sliders, seed: int, options: SampleOptions = SampleOptions()
+) -> list[Slid]:
     """Return the poses that the preview is made from, the most important first."""
     rng = np.random.default_rng([seed, 0])
     return [
         *(
             Slid("expression", level * values, name)
             for name, values in controls.presets.items()
-            for level in reversed(LEVELS)
+            for level in reversed(options.levels)
         ),
-        *(_alone(controls, number, level) for number in range(len(controls)) for level in LEVELS),
-        *_mixed(controls, rng, PLAUSIBLE, PAIRS, VARIATIONS, BLENDS),
+        *(
+            _alone(controls, number, level)
+            for number in range(len(controls))
+            for level in options.levels
+        ),
+        *_mix(controls, rng, options.learn, options),
     ]
 
 
-def measured_on(controls: Controls, seed: int) -> list[Slid]:
+def poses_to_measure(
+    controls: Sliders, seed: int, options: SampleOptions = SampleOptions()
+) -> list[Slid]:
     """Return other poses: every control alone, and mixed ones of all sorts."""
     rng = np.random.default_rng([seed, 1])
-    levels = rng.uniform(min(LEVELS) / 2, max(LEVELS), len(controls))
+    levels = rng.uniform(min(options.levels) / 2, max(options.levels), len(controls))
     alone = [_alone(controls, number, level) for number, level in enumerate(levels)]
-    mixed = _mixed(controls, rng, UNSEEN_PLAUSIBLE, UNSEEN_PAIRS, UNSEEN_VARIATIONS, UNSEEN_BLENDS)
-    return [*mixed, *alone]
+    return [*_mix(controls, rng, options.measure, options), *alone]
 
 
-def _alone(controls: Controls, number: int, level: float) -> Slid:
+def _alone(controls: Sliders, number: int, level: float) -> Slid:
     """Return a pose of one control; what is left of an expression, with what its muscles do."""
     control = controls.each[number]
     values = np.zeros(len(controls))
@@ -84,50 +95,48 @@ def _alone(controls: Controls, number: int, level: float) -> Slid:
     return Slid("alone", values, control.name)
 
 
-def _mixed(
-    controls: Controls,
-    rng: np.random.Generator,
-    plausible: int,
-    pairs: int,
-    variations: int,
-    blends: int,
+def _mix(
+    controls: Sliders, rng: np.random.Generator, counts: PoseCounts, options: SampleOptions
 ) -> Iterator[Slid]:
-    for _ in range(plausible):
-        yield Slid("plausible", plausible_values(controls, rng))
+    for _ in range(counts.plausible):
+        yield Slid("plausible", plausible_values(controls, rng, options))
     used = _used_together(controls)
-    for _ in range(pairs if used.any() else 0):
+    for _ in range(counts.pairs if used.any() else 0):
         pair = rng.choice(used.size, p=used.ravel() / used.sum())
         values = np.zeros(len(controls))
-        values[list(np.unravel_index(pair, used.shape))] = rng.uniform(*TOGETHER, 2)
+        values[list(np.unravel_index(pair, used.shape))] = rng.uniform(*options.pair, 2)
         yield Slid("pair", values)
     fitted = np.array(list(controls.presets.values()))
     changeable = controls.of_kind("muscle") + controls.of_kind("jaw")
-    for _ in range(variations):
+    for _ in range(counts.variations):
         values = fitted[rng.integers(len(fitted))].copy()
         values[rng.choice(changeable)] = rng.uniform()
         yield Slid("variation", values)
-    for _ in range(blends if len(fitted) > 1 else 0):
+    for _ in range(counts.blends if len(fitted) > 1 else 0):
         part = rng.uniform()
         one, other = fitted[rng.choice(len(fitted), 2, replace=False)]
         yield Slid("blend", part * one + (1.0 - part) * other)
 
 
-def plausible_values(controls: Controls, rng: np.random.Generator) -> Floats:
+def plausible_values(
+    controls: Sliders, rng: np.random.Generator, options: SampleOptions = SampleOptions()
+) -> Floats:
     """Return a random pose that faces take: some muscles of both sides alike, the jaw open."""
     kinds: dict[str, list[int]] = {}
     for number in controls.of_kind("muscle"):
         kinds.setdefault(both_sides(controls.each[number].name), []).append(number)
     values = np.zeros(len(controls))
-    for kind in rng.choice(list(kinds), min(EXCITED, len(kinds)), replace=False):
-        excitation = rng.uniform(*EXCITATION)
+    for kind in rng.choice(list(kinds), min(options.muscles, len(kinds)), replace=False):
+        excitation = rng.uniform(*options.excitation)
         for number in kinds[str(kind)]:
-            values[number] = max(excitation + rng.uniform(-ASYMMETRY, ASYMMETRY), 0.0)
+            other = rng.uniform(-options.asymmetry, options.asymmetry)
+            values[number] = max(excitation + other, 0.0)
     # the first of the jaw's controls opens it
-    values[controls.of_kind("jaw")[0]] = rng.uniform(0.0, OPENED)
+    values[controls.of_kind("jaw")[0]] = rng.uniform(0.0, options.opening)
     return values
 
 
-def _used_together(controls: Controls) -> Floats:
+def _used_together(controls: Sliders) -> Floats:
     """Return how much the expressions use two muscles or ways of the jaw together, (k, k)."""
     fitted = np.array(list(controls.presets.values()))
     fitted[:, controls.of_kind("expression")] = 0.0
@@ -143,17 +152,17 @@ class Sample:
     skin: Floats
 
 
+# called with the number of poses that have been tried
 Listener = Callable[[int], None]
-"""Called with the number of poses that have been tried."""
 
 
-class Simulator:
+class SliderSolver:
     """Finds equilibria of a face's sliders; ``fitted`` (p, 3) are those of whole expressions."""
 
     def __init__(
         self,
         face: Face,
-        controls: Controls,
+        controls: Sliders,
         rest: State,
         fitted: Mapping[str, Floats],
     ) -> None:
@@ -197,20 +206,20 @@ class Simulator:
         return state_at(self._face, self._controls, nearest, x)
 
 
-def state_at(face: Face, controls: Controls, values: Floats, x: Floats) -> State:
+def state_at(face: Face, controls: Sliders, values: Floats, x: Floats) -> State:
     """Return the state of slider ``values`` (k,) with its equilibrium ``x`` (p, 3)."""
     pose = controls.pose(values)
     factor = Factorization(face.flesh, face.linear, x, face.tet_activations(pose.a))
     return State(pose, Equilibrium(x, x, factor, 0.0, 0))
 
 
-# How the skin answers to the sliders at a sample: a whole derivative for one factorisation.
+# The skin's response to the sliders at a sample: a whole derivative for one factorisation.
 
 
 class Responses:
     """Derivatives by the sliders of the skin's inner products with ``modes`` (r, n, 3)."""
 
-    def __init__(self, face: Face, controls: Controls, modes: Floats) -> None:
+    def __init__(self, face: Face, controls: Sliders, modes: Floats) -> None:
         self._face, self._controls = face, controls
         model = face.model
         count = len(modes)

@@ -1,1 +1,1 @@
-"""What a browser reads of a rig: ``view.bin``, ``inside.bin`` and their container."""
+"""Files of a rig that a browser reads: ``view.bin``, ``inside.bin`` and their container."""

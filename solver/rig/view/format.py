@@ -20,15 +20,15 @@ import numpy as np
 from solver.errors import InputError
 
 MAGIC = b"MYOV"
-FORMAT = 1
+FORMAT = 1  # of the container
 DTYPES = ("float32", "float16", "uint32", "uint8")
-ALIGNMENT = 8
+ALIGNMENT = 8  # bytes: a browser maps arrays of any dtype in place
 PREFIX = struct.Struct("<4sI")
 
 
 @dataclass(frozen=True)
 class Container:
-    """What is in such a file: ``header`` without its table of arrays, and ``arrays`` by name."""
+    """Content of such a file: ``header`` without its table of arrays, and ``arrays`` by name."""
 
     header: dict[str, Any]
     arrays: dict[str, np.ndarray]
@@ -42,15 +42,15 @@ def write_container(
     The same content gives the same bytes. ``format``, ``unit`` and ``arrays`` are put into the
     header here. Raises :class:`ValueError` for another dtype and for NaN in the header.
     """
-    stored = {name: _stored(name, array) for name, array in arrays.items()}
+    stored = {name: _store(name, array) for name, array in arrays.items()}
     text, begin = _header(header, stored)
     with path.open("wb") as stream:
         stream.write(PREFIX.pack(MAGIC, len(text)) + text)
         place = begin
         for array in stored.values():
-            stream.write(bytes(_aligned(place) - place))
+            stream.write(bytes(_align(place) - place))
             stream.write(array.data)
-            place = _aligned(place) + array.nbytes
+            place = _align(place) + array.nbytes
 
 
 def read_container(path: str | Path) -> Container:
@@ -62,7 +62,7 @@ def read_container(path: str | Path) -> Container:
     path = Path(path)
     content = path.read_bytes()
     try:
-        header, arrays = _parsed(content)
+        header, arrays = _parse(content)
     except (struct.error, ArithmeticError, LookupError, TypeError, ValueError) as error:
         raise InputError(
             "view.unreadable", f"{path.name} is no view of a rig: {error}", file=path.name
@@ -79,7 +79,7 @@ def read_container(path: str | Path) -> Container:
     return Container(header, arrays)
 
 
-def _stored(name: str, array: np.ndarray) -> np.ndarray:
+def _store(name: str, array: np.ndarray) -> np.ndarray:
     if array.dtype.name not in DTYPES:
         raise ValueError(f"{name} has dtype {array.dtype}; a view holds {', '.join(DTYPES)}")
     return np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
@@ -98,7 +98,7 @@ def _header(header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tupl
             allow_nan=False,
             separators=(",", ":"),
         ).encode()
-        needed = _aligned(PREFIX.size + len(text))
+        needed = _align(PREFIX.size + len(text))
         if needed <= begin:
             return text.ljust(begin - PREFIX.size), begin
         begin = needed
@@ -108,13 +108,13 @@ def _table(arrays: Mapping[str, np.ndarray], begin: int) -> dict[str, Any]:
     table = {}
     place = begin
     for name, array in arrays.items():
-        place = _aligned(place)
+        place = _align(place)
         table[name] = {"dtype": array.dtype.name, "shape": list(array.shape), "offset": place}
         place += array.nbytes
     return table
 
 
-def _parsed(content: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def _parse(content: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     magic, length = PREFIX.unpack_from(content)
     if magic != MAGIC:
         raise ValueError("it does not begin with MYOV")
@@ -132,5 +132,5 @@ def _parsed(content: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     return header, arrays
 
 
-def _aligned(place: int) -> int:
+def _align(place: int) -> int:
     return place + -place % ALIGNMENT

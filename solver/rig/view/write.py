@@ -24,8 +24,8 @@ from solver.surface import Floats, Ints, Surface
 # How any points in and about the flesh follow its tets.
 
 
+# the face of a tet opposite each of its corners
 OPPOSITE = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-"""The face of a tet opposite each of its corners."""
 
 
 def bind(points: Floats, vertices: Floats, tets: Ints) -> tuple[Ints, Floats]:
@@ -58,7 +58,7 @@ def _outer_faces(tets: Ints) -> tuple[Ints, Ints]:
     return unique[outer], first[outer] // len(OPPOSITE)
 
 
-NO_MUSCLE = 255
+NO_MUSCLE = 255  # the number for none, in a byte
 NO_SURFACE = Surface(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
 Arrays = dict[str, np.ndarray]
 

@@ -17,12 +17,12 @@ from solver.animation.blendshapes import (
     Solved,
     expression_targets,
     solve_blendshapes,
-    unfolded,
+    unfold,
 )
 from solver.animation.keys import (
     Gaze,
     HeadKey,
-    Key,
+    PoseKey,
     from_keys,
     neck,
 )
@@ -63,7 +63,7 @@ def test_poses_are_blended_linearly_from_rest() -> None:
 def test_no_sum_folds_a_muscle() -> None:
     a = REST.copy()
     a[1, :3] = -0.3, 0.2, 0.1
-    kept, count = unfolded(a)
+    kept, count = unfold(a)
     assert count == 1
     np.testing.assert_array_equal(kept[0], REST[0])
     before, after = (np.linalg.eigh(matrices(each))[0][1] for each in (a, kept))
@@ -74,9 +74,9 @@ def test_no_sum_folds_a_muscle() -> None:
 def test_keys_pass_through_their_values_and_never_beyond() -> None:
     squeezed = IDENTITY * 0.8
     keys = [
-        Key(0.5, {"smile": 0.0}),
-        Key(1.0, {"smile": 1.0}, {"right": squeezed}, np.array([0.1, 0.0, 0.0, 0.0, 0.0])),
-        Key(2.0, {"smile": 1.0, "open": 1.0}),
+        PoseKey(0.5, {"smile": 0.0}),
+        PoseKey(1.0, {"smile": 1.0}, {"right": squeezed}, np.array([0.1, 0.0, 0.0, 0.0, 0.0])),
+        PoseKey(2.0, {"smile": 1.0, "open": 1.0}),
     ]
     drives = from_keys(keys, POSES, MODEL, np.arange(60) / 30.0)
     np.testing.assert_array_equal(drives(0.0).a, REST)
@@ -94,14 +94,14 @@ def test_keys_pass_through_their_values_and_never_beyond() -> None:
 @pytest.mark.parametrize(
     ("keys", "code", "where"),
     [
-        ([Key(0.0), Key(0.0)], "scene.times", "keys[1]"),
-        ([Key(np.nan)], "scene.times", "keys[0]"),
-        ([Key(0.0), Key(1e-320)], "scene.times", "keys[1]"),
-        ([Key(0.0), Key(1.0, {"grin": 1.0})], "scene.expression", "keys[1]"),
-        ([Key(0.0, {}, {"tongue": IDENTITY})], "scene.muscle", "keys[0]"),
+        ([PoseKey(0.0), PoseKey(0.0)], "scene.times", "keys[1]"),
+        ([PoseKey(np.nan)], "scene.times", "keys[0]"),
+        ([PoseKey(0.0), PoseKey(1e-320)], "scene.times", "keys[1]"),
+        ([PoseKey(0.0), PoseKey(1.0, {"grin": 1.0})], "scene.expression", "keys[1]"),
+        ([PoseKey(0.0, {}, {"tongue": IDENTITY})], "scene.muscle", "keys[0]"),
     ],
 )
-def test_keys_that_can_not_be(keys: list[Key], code: str, where: str) -> None:
+def test_keys_that_can_not_be(keys: list[PoseKey], code: str, where: str) -> None:
     with pytest.raises(InputError, match=re.escape(where)) as caught:
         from_keys(keys, POSES, MODEL, np.zeros(1))
     assert caught.value.code == code

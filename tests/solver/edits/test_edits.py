@@ -11,7 +11,7 @@ from solver.edits.fat import (
     Density,
     Fat,
     Filler,
-    Stiffness,
+    Stiffening,
     distance_to_path,
     under_skin,
 )
@@ -71,7 +71,7 @@ def test_fat_grows_by_the_passive_share(model):
 
 
 def test_edits_add_up_in_their_order(model):
-    both = apply([Fat(1.0, 1.2), Stiffness(4.0), Fat(1.0, 1.1)], model, model.weights)
+    both = apply([Fat(1.0, 1.2), Stiffening(4.0), Fat(1.0, 1.1)], model, model.weights)
     one = apply([Fat(1.0, 1.2)], model, model.weights)
     other = apply([Fat(1.0, 1.1)], model, model.weights)
     np.testing.assert_allclose(both.growth, one.growth * other.growth)
@@ -110,7 +110,7 @@ def test_a_paralysed_side_ends_at_the_middle(model):
 
 def test_stiffness_and_density_follow_a_map(model):
     painted = spots(model, np.array([[75.0, 60.0, 45.0]]), 40.0)
-    edited = apply([Stiffness(4.0, painted), Density(0.5, painted)], model, model.weights)
+    edited = apply([Stiffening(4.0, painted), Density(0.5, painted)], model, model.weights)
     near = np.linalg.norm(centres(model) - [75.0, 60.0, 45.0], axis=1)
     assert (
         edited.stiffness_factor[np.argmin(near)]
@@ -242,7 +242,7 @@ def test_a_moved_cranium_takes_its_own_teeth_and_sliding_flesh(model):
 
 def test_stiffer_flesh_is_held_to_its_bone_as_firmly(model):
     loose = replace(model, cranium=model.cranium[5:], sliding=model.cranium[:5])
-    edited = apply([Stiffness(20.0)], loose, loose.weights)
+    edited = apply([Stiffening(20.0)], loose, loose.weights)
     held = [
         Face(loose, stiffness_factor=each).flesh.sliding for each in (None, edited.stiffness_factor)
     ]
@@ -258,7 +258,7 @@ def test_stiffer_flesh_is_held_to_its_bone_as_firmly(model):
         (Fat(1.0, 1.2, np.ones(7)), "scene.map", "shape (7,)"),
         (Fat(1.0, 1.2, np.full(65, 2.0)), "scene.map", "first is 2.0 at vertex 0"),
         (Fat(1.0, 1.2, np.full(65, np.nan)), "scene.map", "nan"),
-        (Stiffness(0.0), "scene.factor", "0.0"),
+        (Stiffening(0.0), "scene.factor", "0.0"),
         (Density(1e4), "scene.factor", "10000"),
         (Paralysis(("tongue",)), "scene.muscle", "tongue"),
         (Paralysis(strength=1.5), "scene.strength", "1.5"),

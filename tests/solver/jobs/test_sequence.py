@@ -19,6 +19,7 @@ from solver.jobs.common import Targets
 from solver.jobs.fit_sequence import Follower
 from solver.meshio.registered import RegisteredScan
 from solver.progress import Step
+from solver.rig.frames import ChunkOptions
 from solver.rig.motion import read_frames
 from solver.rig.result import save_weights
 from tests.fixtures import fixture_model
@@ -75,7 +76,7 @@ def test_a_simulated_performance_is_followed(files: Path, tmp_path: Path) -> Non
 def test_frames_are_there_before_the_end_and_a_fit_goes_on_after_them(
     files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("solver.jobs.fit_sequence.CHUNK_FRAMES", 2)
+    monkeypatch.setattr("solver.jobs.fit_sequence.CHUNKS", ChunkOptions(frames=2))
     fit(files, tmp_path / "whole", step=2)
 
     class DiedError(Exception):

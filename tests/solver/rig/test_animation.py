@@ -18,7 +18,7 @@ from solver.model import SubjectModel
 from solver.rig import animation
 from solver.rig.animation import write_animation
 from solver.rig.motion import MotionFrame
-from solver.scene.objects import Obstacle
+from solver.scene.objects import SceneObject
 from solver.storage import read_arrays
 from solver.surface import Floats, Surface
 from solver.templates.builtin.build import builtin_expression
@@ -77,7 +77,7 @@ def test_all_files_show_the_same(tmp_path: Path) -> None:
         title="Opening",
         report={"inverted": 0},
         vertices=model.face,
-        objects=[Obstacle("ball", shape, path)],
+        objects=[SceneObject("ball", shape, path)],
         video=True,
     )
     ends = ("json", "glb", "npz", "png", "mp4")

@@ -10,13 +10,14 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation, Slerp
 
-from solver.rig.animation_gltf import KEYS_MM, SHAPES_MM, needed_keys, write_animation_glb
+from solver.rig.animation_gltf import AnimationOptions, needed_keys, write_animation_glb
 from solver.rig.gltf import Solid
 from solver.rig.gltf_check import validate_glb
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
 BALL = trimesh.creation.icosphere(subdivisions=3, radius=90.0)
 NEUTRAL = Surface(np.asarray(BALL.vertices, np.float64), np.asarray(BALL.faces, np.int64))
+KEYS_MM, SHAPES_MM = AnimationOptions().keys_mm, AnimationOptions().basis.within_mm
 FRAMES = 50
 TIMES = np.arange(FRAMES) / 25.0
 STILL = np.zeros((FRAMES, 6))

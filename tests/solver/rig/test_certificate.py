@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from solver.fitting.face import Face, Pose, State
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.certificate import certify, check_flesh, with_round_trips
-from solver.rig.checks import CHECKS, Check, judge
+from solver.rig.checks import CHECKS, RigCheck, judge
 from solver.rig.report import report
 from solver.rig.result import ExpressionFit, Rig
 from solver.rig.round_trip import activation_error
@@ -103,7 +103,7 @@ def test_an_activation_out_of_reach_is_told(face: Face, state: State) -> None:
     fit = replace(fitted(face, state), activations=wild, jaw=np.array([0.0, 0.0, 0.0, 6000.0, 0.0]))
     fits = with_round_trips(face, (fit,))
     assert fits[0].round_trip is not None
-    assert not fits[0].round_trip.reached
+    assert not fits[0].round_trip.is_reached
     rig = Rig(face.model, face.S, fits, {})
     judged = {each.check.code: each for each in judge(rig, certify(face, rig, {}))}
     assert judged["trip.skin"].verdict == "bad"
@@ -143,8 +143,8 @@ def test_it_says_which_expressions_may_be_used(face: Face, state: State) -> None
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.code)
-def test_advice_names_the_option_of_the_job(check: Check) -> None:
-    assert "{" not in check.advised({})
-    assert check.advised({"max_iterations": 25}).count("max_iterations 50 instead of 25") == (
+def test_advice_names_the_option_of_the_job(check: RigCheck) -> None:
+    assert "{" not in check.advise({})
+    assert check.advise({"max_iterations": 25}).count("max_iterations 50 instead of 25") == (
         check.advice.count("{longer}")
     )

@@ -7,7 +7,8 @@ import pytest
 
 from solver.errors import InputError
 from solver.mechanics.flesh import IDENTITY
-from solver.rig.motion import MotionFrame, read_motion, write_motion
+from solver.rig.frames import write_chunk
+from solver.rig.motion import MotionFrame, motion_values, read_motion
 from solver.simulation.inertia import Motion
 from tests.solver.block import block_model
 
@@ -43,8 +44,9 @@ def frames(rest, count, start=0):
 def test_what_was_written_is_read(tmp_path, rest):
     written = frames(rest, 3)
     motion = Motion(rest + 1.0, rest - 2.0, written[-1].placed)
-    write_motion(tmp_path, written[:2], motion, "scene")
-    path = write_motion(tmp_path, written[2:], motion, "scene", b"JPEG")
+    beside = motion_values("scene", motion, None)
+    write_chunk(tmp_path, 0, written[:2], beside)
+    path = write_chunk(tmp_path, 2, written[2:], beside)
     assert path.name == "000002-000002.json"
     ready = read_motion(tmp_path, "scene", rest)
     for one, other in zip(ready.frames, written, strict=True):
@@ -65,7 +67,8 @@ def test_a_folder_without_frames_is_rest(tmp_path, rest):
 
 def test_frames_of_another_scene_or_after_a_gap_are_refused(tmp_path, rest):
     motion = Motion(rest, rest, frames(rest, 1)[0].placed)
-    write_motion(tmp_path, frames(rest, 2), motion, "scene")
+    beside = motion_values("scene", motion, None)
+    write_chunk(tmp_path, 0, frames(rest, 2), beside)
     for scene, model, code in (
         ("other", rest, "simulate.other_scene"),
         ("scene", rest[:-1], "simulate.frames"),
@@ -73,7 +76,7 @@ def test_frames_of_another_scene_or_after_a_gap_are_refused(tmp_path, rest):
         with pytest.raises(InputError) as raised:
             read_motion(tmp_path, scene, model)
         assert raised.value.code == code
-    write_motion(tmp_path, frames(rest, 1, start=3), motion, "scene")
+    write_chunk(tmp_path, 3, frames(rest, 1, start=3), beside)
     with pytest.raises(InputError, match="follow"):
         read_motion(tmp_path, "scene", rest)
     (tmp_path / "000004-000004.json").write_text("{}")

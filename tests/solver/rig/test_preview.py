@@ -12,16 +12,16 @@ from solver.fitting.face import Face, Pose
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.preview.basis import feature_slopes, features
 from solver.rig.preview.controls import (
-    FULL_STRETCH,
-    Controls,
+    SliderOptions,
+    Sliders,
     controls_of,
     nearest_amounts,
 )
 from solver.rig.preview.samples import (
     Responses,
-    Simulator,
-    learned_from,
-    measured_on,
+    SliderSolver,
+    poses_to_learn,
+    poses_to_measure,
 )
 from solver.rig.result import ExpressionFit
 from tests.solver.block import head_block
@@ -61,11 +61,11 @@ def fitted(face: Face, rest: Resting, name: str, a: np.ndarray, b: np.ndarray) -
 
 
 @pytest.fixture(scope="module")
-def controls(face: Face, rest: Resting, fits: list[ExpressionFit]) -> Controls:
+def controls(face: Face, rest: Resting, fits: list[ExpressionFit]) -> Sliders:
     return controls_of(face, rest, fits)
 
 
-def test_a_preset_is_the_pose_of_its_fit(controls: Controls, fits: list[ExpressionFit]) -> None:
+def test_a_preset_is_the_pose_of_its_fit(controls: Sliders, fits: list[ExpressionFit]) -> None:
     for fit in fits:
         values = controls.presets[fit.name]
         pose = controls.pose(values)
@@ -77,7 +77,7 @@ def test_a_preset_is_the_pose_of_its_fit(controls: Controls, fits: list[Expressi
     assert ways == ["jaw_opens", "jaw_closes", "jaw_moves_forward", "jaw_moves_back"]
 
 
-def test_a_muscle_shortens_along_its_fibres_and_keeps_its_volume(controls: Controls) -> None:
+def test_a_muscle_shortens_along_its_fibres_and_keeps_its_volume(controls: Sliders) -> None:
     muscles = controls.of_kind("muscle")
     assert [controls.each[number].muscle for number in muscles] == list(MODEL.muscle_names)
     for muscle, number in enumerate(muscles):
@@ -85,7 +85,7 @@ def test_a_muscle_shortens_along_its_fibres_and_keeps_its_volume(controls: Contr
             a = controls.pose(amount * np.eye(len(controls))[number]).a
             xx, xy, xz, yy, yz, zz = a[muscle]
             stretch = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-            assert xx == pytest.approx(1.0 - amount * (1.0 - FULL_STRETCH))
+            assert xx == pytest.approx(1.0 - amount * (1.0 - SliderOptions().full_stretch))
             assert np.linalg.det(stretch) == pytest.approx(1.0, abs=0.05)
             assert np.allclose(np.delete(a, muscle, axis=0), IDENTITY)
         assert np.linalg.det(stretch) == pytest.approx(1.0)
@@ -109,12 +109,12 @@ def test_an_expression_tells_its_contractions_and_no_pushing() -> None:
 
 
 def test_slopes_of_the_skin_are_its_differences(
-    face: Face, rest: Resting, controls: Controls
+    face: Face, rest: Resting, controls: Sliders
 ) -> None:
     rng = np.random.default_rng(2)
     modes = rng.normal(size=(3, *MODEL.skin.vertices.shape))
-    simulator = Simulator(face, controls, rest.state, {})
-    slid = next(pose for pose in learned_from(controls, 0) if pose.sort == "plausible")
+    simulator = SliderSolver(face, controls, rest.state, {})
+    slid = next(pose for pose in poses_to_learn(controls, 0) if pose.sort == "plausible")
     (sample,) = simulator.solve([slid], np.inf, lambda _: None)
     slopes = Responses(face, controls, modes).at(sample)
     assert slopes is not None
@@ -138,9 +138,9 @@ def test_slopes_of_the_features_are_their_differences() -> None:
         assert np.allclose((ahead - behind)[0] / 2e-6, slopes[number])
 
 
-def test_nothing_is_measured_on_what_was_learned_from(controls: Controls) -> None:
-    learned = {pose.values.tobytes() for pose in learned_from(controls, 3)}
-    measured = measured_on(controls, 3)
+def test_nothing_is_measured_on_what_was_learned_from(controls: Sliders) -> None:
+    learned = {pose.values.tobytes() for pose in poses_to_learn(controls, 3)}
+    measured = poses_to_measure(controls, 3)
     assert learned.isdisjoint(pose.values.tobytes() for pose in measured)
     assert {pose.about for pose in measured if pose.sort == "alone"} == {
         control.name for control in controls.each

@@ -10,7 +10,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from solver.rig.animation_gltf import (
-    REACHED_MM,
+    SEQUENCE_BASIS,
     AnimatedSkin,
 )
 from solver.rig.gltf_check import validate_glb
@@ -51,7 +51,7 @@ def test_skins_read_back(tmp_path: Path) -> None:
     assert (weights.min(), weights.max()) == (0.0, 1.0)
     for number, skin in enumerate(skins):
         shown = NEUTRAL.vertices + 1e3 * np.tensordot(weights[number], shapes, 1)
-        assert np.linalg.norm(shown - skin, axis=1).max() < REACHED_MM
+        assert np.linalg.norm(shown - skin, axis=1).max() < SEQUENCE_BASIS.within_mm
     turns = Rotation.from_quat(tracks["rotation"]).as_matrix()
     expected = Rotation.from_rotvec([[0.0, 0.6 * number, 0.0] for number in range(FRAMES)])
     np.testing.assert_allclose(turns, expected.as_matrix(), atol=1e-6)

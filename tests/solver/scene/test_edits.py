@@ -9,7 +9,7 @@ from solver.edits.fat import (
     Density,
     Fat,
     Filler,
-    Stiffness,
+    Stiffening,
 )
 from solver.edits.paralysis import Paralysis
 from solver.errors import InputError
@@ -52,7 +52,7 @@ def test_every_kind_is_described_and_becomes_an_edit(places):
         kind.model_fields["kind"].annotation.__args__[0] for kind in EDITS
     ]
     made = edits_of(described(EVERY_KIND), places)
-    assert [type(each) for each in made] == [Fat, Filler, Bone, Stiffness, Density, Paralysis]
+    assert [type(each) for each in made] == [Fat, Filler, Bone, Stiffening, Density, Paralysis]
     skin = places.model.skin.vertices
     np.testing.assert_array_equal(np.flatnonzero(made[0].painted), places.model.regions["left"])
     np.testing.assert_allclose(made[1].path, [skin[5] - [0, 0, 3], [75, 60, 45]])
