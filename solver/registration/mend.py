@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 
 from solver.meshio.mesh import alike, weld
 from solver.meshio.raw import RawScan
+from solver.similarity import Similarity
 from solver.surface import Floats, Ints, area_normals
 
 FLAT = 1e-7
@@ -138,10 +139,9 @@ class Samples:
     normals: Floats
     oriented: bool
 
-    def moved(self, scale: float, rotation: Floats, translation: Floats) -> Samples:
-        """Return the samples in another frame: x -> scale * rotation x + translation."""
-        points = scale * self.points @ rotation.T + translation
-        return Samples(points, self.normals @ rotation.T, self.oriented)
+    def transform(self, motion: Similarity) -> Samples:
+        """Return the samples in another frame."""
+        return Samples(motion(self.points), motion.turn(self.normals), self.oriented)
 
 
 def sample(

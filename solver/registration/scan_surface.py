@@ -70,10 +70,10 @@ def scan_surface(scan: RawScan, mm_per_unit: float) -> ScanSurface:
     vertices = mm_per_unit * scan.vertices
     if len(scan.faces):
         surface = _without_debris(_thinned(Surface(vertices, scan.faces)))
-        _check(len(surface.vertices), scan.file)
+        check_size(len(surface.vertices), scan.file)
         return MeshScan(_outward(surface))
     points = _thinned_points(vertices)
-    _check(len(points), scan.file)
+    check_size(len(points), scan.file)
     return CloudScan(points)
 
 
@@ -163,7 +163,8 @@ class Alike:
         return Matches(place, direction, distance, np.zeros(len(points), dtype=bool)), near
 
 
-def _check(count: int, file: str) -> None:
+def check_size(count: int, file: str) -> None:
+    """Raise :class:`InputError` (``scan.empty``) for a scan of next to nothing."""
     if count < LEAST_VERTICES:
         raise InputError(
             "scan.empty",

@@ -21,7 +21,6 @@ from scipy.spatial.transform import Rotation
 
 from solver.anatomy.template import ShapeBasis, Template
 from solver.registration.mend import Samples
-from solver.registration.pose import Pose
 from solver.registration.scan_surface import ScanSurface
 from solver.registration.topology import Topology
 from solver.similarity import Similarity, small_motion
@@ -264,13 +263,13 @@ IGNORED = ("eyeLook", "Pupil", "tongue")
 
 @dataclass(frozen=True)
 class Likeness:
-    """The fitted template: its whole ``skin`` (n, 3) in mm in its own frame, the scan's pose."""
+    """The fitted template: its whole ``skin`` (n, 3) in mm in its own frame, the scan's motion."""
 
     skin: Floats
-    pose: Pose
+    motion: Similarity
 
 
-def fit_likeness(scan: Samples, pose: Pose, template: Template, face: Surface) -> Likeness:
+def fit_likeness(scan: Samples, pose: Similarity, template: Template, face: Surface) -> Likeness:
     """Fit the template's shapes to a scan from a good ``pose``.
 
     ``face`` is the part of the skin that is fitted, in the template's numbers. A template without
@@ -296,13 +295,13 @@ def fit_likeness(scan: Samples, pose: Pose, template: Template, face: Surface) -
 
 def _fit(
     scan: Samples,
-    pose: Pose,
+    pose: Similarity,
     rest: Floats,
     faces: Ints,
     basis: NDArray[np.float32],
     precision: Floats,
     people: int,
-) -> tuple[Floats, Pose]:
+) -> tuple[Floats, Similarity]:
     """Return the weights (k,) of ``basis`` (k, n, 3) and the pose, fitted together.
 
     The weights behind the first ``people`` are expressions, kept within [0, STRONGEST].
@@ -311,7 +310,7 @@ def _fit(
     weights = np.zeros(count)
     tree = KDTree(scan.points)
     area = vertex_areas(rest, faces)
-    scale, rotation, translation = pose.scale, pose.rotation, pose.translation
+    scale, rotation, translation = pose.scale, pose.rotation, pose.shift
     for reach in LIKENESS_REACHES_MM:
         model = rest + np.tensordot(weights, basis, 1)
         normals = vertex_normals(Surface(model, faces))
@@ -335,4 +334,4 @@ def _fit(
         growth = float(np.clip(1 + step[-1], 0.95, 1.05))
         translation = growth * turn @ (translation - centre) + centre + step[count + 3 : -1]
         rotation, scale = turn @ rotation, growth * scale
-    return weights, Pose(scale, rotation, translation, pose.residual_mm, pose.coverage)
+    return weights, Similarity(scale, rotation, translation)

@@ -16,16 +16,16 @@ from solver.drawing.render import (
     Camera,
     look,
 )
+from solver.registration.locate import (
+    FacePoints,
+    FacePose,
+    face_points,
+    find_pose,
+    orient_outward,
+)
 from solver.registration.mend import (
     Samples,
     sample,
-)
-from solver.registration.pose import (
-    FacePoints,
-    Pose,
-    axis_directions,
-    find_pose,
-    is_face,
 )
 from solver.surface import Floats, Ints, Surface
 
@@ -257,8 +257,8 @@ def _region(place: Floats, skin: Floats, template: Template) -> str:
 # More or less than one face in a scan: a second head, or only a part of a face.
 
 
-PART_SHARE, PART_COST = 0.8, 2.35
-"""Halves of other persons' faces cost up to 2.2; skulls and balls 2.5 and more where one is."""
+# Halves of other persons' faces cost up to 1.5, balls and skulls 2.2 and more where one is.
+PART_SHARE, PART_COST = 0.8, 1.9
 NOTHING_MM = 18.0
 OPPOSITE = {"left": "right", "right": "left", "upper": "lower", "lower": "upper"}
 OTHER_SHARE = 0.08
@@ -277,16 +277,16 @@ def parts_of(face: Surface) -> dict[str, FacePoints]:
         "lower": centre[:, 1] < middle,
     }
     return {
-        name: FacePoints(Surface(face.vertices, face.faces[kept])) for name, kept in halves.items()
+        name: face_points(Surface(face.vertices, face.faces[kept])) for name, kept in halves.items()
     }
 
 
 def visible_part(scan: Samples, face: Surface, scales: list[float]) -> str | None:
     """Return which half of a face a scan shows that shows no whole one; else None."""
-    parts = parts_of(face)
-    best: tuple[str, Pose] | None = None
+    parts, scan = parts_of(face), orient_outward(scan)
+    best: tuple[str, FacePose] | None = None
     for name, part in parts.items():
-        pose = find_pose(part, scan, scales, axis_directions())
+        pose = find_pose(part, scan, scales)
         is_part = pose.coverage > PART_SHARE and pose.cost < PART_COST
         is_better = best is None or pose.cost < best[1].cost
         if is_part and is_better and _is_absent(parts[OPPOSITE[name]], scan, pose):
@@ -294,18 +294,18 @@ def visible_part(scan: Samples, face: Surface, scales: list[float]) -> str | Non
     return None if best is None else best[0]
 
 
-def _is_absent(part: FacePoints, scan: Samples, pose: Pose) -> bool:
+def _is_absent(part: FacePoints, scan: Samples, pose: FacePose) -> bool:
     """Return whether most of a part of the face has nothing of the scan about it."""
-    gap, _ = KDTree(pose.apply(scan.points)).query(part.points)
+    gap, _ = KDTree(pose.motion(scan.points)).query(part.points)
     return bool((gap > NOTHING_MM).mean() > 0.5)
 
 
-def has_second_face(scan: Samples, face: FacePoints, pose: Pose) -> bool:
+def has_second_face(scan: Samples, face: FacePoints, pose: FacePose) -> bool:
     """Return whether there is another face in the scan than the one at ``pose``."""
-    there = pose.apply(scan.points) - face.points.mean(axis=0)
+    scan = orient_outward(scan)
+    there = pose.motion(scan.points) - face.points.mean(axis=0)
     outside = ((there < HEAD_MM[0]) | (there > HEAD_MM[1])).any(axis=1)
     if outside.sum() < OTHER_SHARE * len(outside):
         return False
     rest = Samples(scan.points[outside], scan.normals[outside], scan.oriented)
-    directions = np.concatenate([pose.rotation[None], axis_directions() @ pose.rotation])
-    return is_face(find_pose(face, rest, [pose.scale], directions))
+    return find_pose(face, rest, [pose.motion.scale]).is_face()

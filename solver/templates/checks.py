@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import igl
@@ -17,11 +17,7 @@ from solver.anatomy.depth_warp import (
 from solver.anatomy.muscle_weights import contains, enclosed_volume, muscle_volumes
 from solver.anatomy.template import Muscle, Template
 from solver.anatomy.tetrahedra import dihedral_angles, volumes
-from solver.errors import (
-    Finding,
-    error,
-    warning,
-)
+from solver.errors import Finding
 from solver.registration.landmarks import (
     IBUG_68,
     SYNONYMS,
@@ -42,6 +38,16 @@ LEAST_DIHEDRAL_DEG = 5.0
 VOLUME_KEPT = 0.85
 """Part of a muscle's volume that its tetrahedra should have."""
 SIDES = (("_l", "_r", 1.0), ("_r", "_l", -1.0))
+
+
+def error(code: str, about: str, message: str) -> Finding:
+    """Return a finding about a part, such as a muscle, that makes the template of no use."""
+    return Finding(code, "error", message, context={"about": about})
+
+
+def warning(code: str, about: str, message: str) -> Finding:
+    """Return a finding about a part that is worth a look."""
+    return Finding(code, "warning", message, context={"about": about})
 
 
 def flesh_surface(template: Template) -> Surface:
@@ -417,7 +423,15 @@ class TemplateReport:
         """Return the report as JSON values."""
         return {
             "good": self.good,
-            "findings": [asdict(finding) for finding in self.findings],
+            "findings": [
+                {
+                    "severity": finding.severity,
+                    "code": finding.code,
+                    **finding.context,
+                    "message": finding.message,
+                }
+                for finding in self.findings
+            ],
             "figures": self.figures,
         }
 
