@@ -84,6 +84,10 @@ class JudgeOptions:
 
 SEARCH, JUDGE = SearchOptions(), JudgeOptions()
 BRIEFLY = JudgeOptions(steps=15)  # for a choice among poses
+# For a choice among sizes where no unit fits.
+QUICK = SearchOptions(
+    cell=5.0, first_tips=60, rolls=12, stages=((30, 2, 150), (70, 5, 24), (250, 10, 3)), finer=1
+)
 SCAN_SAMPLES, FACE_SAMPLES = 60_000, 1200  # points that stand for a scan and for a face
 EXTENTS = (1e-9, 1e9)  # least and greatest extent of a scan in its own unit, whatever that is
 
@@ -279,12 +283,15 @@ def _search(
     best = find_pose(face, samples, known, upright)
     for scales in others:
         if not best.is_face() or choose_unit(best.motion.scale, unit, declared)[1] is None:
-            found = find_pose(face, samples, scales, upright)
-            best = min(best, found, key=lambda pose: pose.cost)
+            found = find_pose(face, samples, scales, upright, QUICK)
+            if found.cost < best.cost:
+                best, known = found, [found.motion.scale]
     if best.is_good():
         return best
-    rest = find_pose(face, samples, known, upright, first=False)
-    return min(best, rest, key=lambda pose: pose.cost)
+    more = [find_pose(face, samples, known, upright, first=False)]
+    if known[0] == best.motion.scale:
+        more.append(find_pose(face, samples, known, upright))
+    return min(best, *more, key=lambda pose: pose.cost)
 
 
 def _location(
