@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from solver.anatomy.template import Template
-from solver.anatomy.warp import similarity
 from solver.drawing.render import (
     Camera,
     DrawnBody,
@@ -27,6 +26,7 @@ from solver.drawing.render import (
     render,
 )
 from solver.errors import InputError
+from solver.similarity import fit_similarity
 from solver.surface import Floats, Ints, Surface
 
 # Landmarks of a raw scan from a file: JSON, CSV or the 68 points of an ``ljson``.
@@ -193,8 +193,8 @@ def match(file: str, points: Points, template: Template) -> tuple[Floats, Ints]:
 
 
 def _misfit(points: Floats, rest: Floats) -> Floats:
-    scale, rotation, shift = similarity(points, rest)
-    return np.asarray(np.linalg.norm(scale * points @ rotation.T + shift - rest, axis=1))
+    motion = fit_similarity(points, rest)
+    return np.asarray(np.linalg.norm(motion(points) - rest, axis=1))
 
 
 def _other_side(name: str) -> str:

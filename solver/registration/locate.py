@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from solver.anatomy.template import Template
-from solver.anatomy.warp import similarity, spread
+from solver.anatomy.warp import spread
 from solver.errors import Finding, InputError, Severity
 from solver.meshio.raw import RawScan
 from solver.registration.mend import Samples, sample
@@ -31,7 +31,7 @@ from solver.registration.units import (
     is_slip,
     nearest_axis,
 )
-from solver.similarity import Similarity
+from solver.similarity import Similarity, fit_similarity
 from solver.surface import Floats, Ints, Surface
 
 Axes = tuple[Floats | None, Floats | None]
@@ -224,7 +224,7 @@ def locate_face(
         upright = (given_axis(frame, "up"), given_axis(frame, "forward"))
         pose = _search(face, samples, unit, scan.mm_per_unit, upright)
         return _location(pose, pose.is_face(), face, unit, scan.mm_per_unit)
-    start = Similarity(*similarity(*marks))
+    start = fit_similarity(*marks)
     pose = slide_into_place(face, samples, KDTree(samples.points), start, start.scale)
     return _location(pose, True, face, unit, scan.mm_per_unit)
 

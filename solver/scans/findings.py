@@ -15,7 +15,6 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from solver.anatomy.template import Template
-from solver.anatomy.warp import similarity
 from solver.errors import Finding, InputError, Severity
 from solver.meshio.raw import RawScan
 from solver.registration.landmarks import (
@@ -31,6 +30,7 @@ from solver.registration.mend import (
 from solver.registration.units import choose_unit
 from solver.scans.cover import Cover
 from solver.scans.mouth import Roughness
+from solver.similarity import fit_similarity
 from solver.surface import Floats
 
 EXPORT_AGAIN = "Export the scan again from the scanner's software and send the new file."
@@ -326,7 +326,7 @@ def landmark_findings(
     except InputError as error:
         return [error_finding(error)], None
     rest = template.skin.vertices[vertices]
-    mm_per_unit, _ = choose_unit(similarity(places, rest)[0], unit, scan.mm_per_unit)
+    mm_per_unit, _ = choose_unit(fit_similarity(places, rest).scale, unit, scan.mm_per_unit)
     gap = KDTree(samples.points).query(np.array(list(points.values())))[0] * mm_per_unit
     worst = int(np.argmax(gap))
     if gap[worst] <= OFF_SURFACE_MM:

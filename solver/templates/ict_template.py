@@ -29,7 +29,8 @@ from solver.anatomy.contact_regions import (
 from solver.anatomy.depth_warp import DepthLimits, PointPairs, SkinDepth, depth_warp
 from solver.anatomy.muscle_weights import bodyparts3d_muscle
 from solver.anatomy.template import Depth, Template
-from solver.anatomy.warp import similarity, spread
+from solver.anatomy.warp import spread
+from solver.similarity import fit_similarity
 from solver.surface import Floats, Ints, Surface, adjacency
 from solver.templates import (
     bodyparts3d,
@@ -180,10 +181,7 @@ def carry_anatomy(parts: dict[str, Part], kit: FaceKit) -> Anatomy:
     parts = bodyparts3d.symmetric(parts)
     teeth = teeth_and_eyes(parts, kit)
     anchors, muscle_anchors, depths = depth_landmarks(kit.skin)
-    scale, rotation, shift = similarity(teeth.source, teeth.target)
-
-    def align(points: Floats) -> Floats:
-        return scale * points @ rotation.T + shift
+    align = fit_similarity(teeth.source, teeth.target)
 
     head, flesh = (
         Surface(kit.skin.vertices, kit.skin.faces[ict_facekit.faces_within(kit.skin.faces, part)])
@@ -448,8 +446,8 @@ def _moving_with_jaw(kit: FaceKit) -> Ints:
     """Return the vertices of teeth, gums and tongue that follow the lower teeth in ``jawOpen``."""
     rest, moved = kit.skin.vertices, kit.skin.vertices + kit.deltas["jawOpen"]
     teeth = slice(ict_facekit.LOWER_TEETH.start, ict_facekit.LOWER_TEETH.stop)
-    scale, rotation, shift = similarity(rest[teeth], moved[teeth])
-    with_jaw = np.linalg.norm(moved - (scale * rest @ rotation.T + shift), axis=1)
+    motion = fit_similarity(rest[teeth], moved[teeth])
+    with_jaw = np.linalg.norm(moved - motion(rest), axis=1)
     with_head = np.linalg.norm(moved - rest, axis=1)
     inner = np.arange(ict_facekit.GUMS_AND_TONGUE.start, ict_facekit.EYEBALLS.start)
     return np.asarray(inner[with_jaw[inner] < with_head[inner]])

@@ -12,7 +12,6 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from solver.anatomy.template import Template
-from solver.anatomy.warp import similarity
 from solver.errors import InputError, judge_findings
 from solver.meshio.obj import write_obj
 from solver.meshio.raw import RawScan, read_raw
@@ -29,7 +28,7 @@ from solver.registration.mend import mend
 from solver.registration.register import find_start
 from solver.registration.units import FRAME
 from solver.scans.check import check
-from solver.similarity import Similarity
+from solver.similarity import Similarity, fit_similarity
 from solver.surface import Floats, Surface
 from solver.templates.builtin.build import builtin_template
 
@@ -101,7 +100,7 @@ def test_the_face_is_found_in_any_pose_unit_and_crop(number: int) -> None:
     assert found.size_known == (unit in MM_PER_UNIT[:4])
     face, rest = template().face_vertices, template().skin.vertices
     there = place(head.vertices[face])
-    known = Similarity(*similarity(there, rest[face]))
+    known = fit_similarity(there, rest[face])
     assert np.linalg.norm(found.pose.motion(there) - known(there), axis=1).mean() < 12.0
     assert found.motion.then(known_turn(known)).degrees < 12.0
 
