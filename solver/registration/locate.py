@@ -458,10 +458,10 @@ def _starts(
         turns.append(np.stack([x, np.cross(forward, x), forward], axis=2) @ level)
     turn = np.concatenate(turns)
     poses = _Poses(np.ones(len(turn)), turn, np.tile(tips, (options.rolls, 1)) - turn @ face.tip)
-    return _allowed(poses, upright, options)
+    return _keep_upright(poses, upright, options)
 
 
-def _allowed(poses: _Poses, upright: Axes, options: SearchOptions) -> _Poses:
+def _keep_upright(poses: _Poses, upright: Axes, options: SearchOptions) -> _Poses:
     """Return the poses whose up (y) and forward (z) are about the given ones; all if none is."""
     kept = np.ones(len(poses.turns), dtype=bool)
     for axis, given in zip((1, 2), upright, strict=True):

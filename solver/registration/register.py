@@ -27,7 +27,7 @@ from solver.registration.nonrigid import (
     REFINE,
     folded_triangles,
     free_form,
-    unfolded,
+    unfold,
 )
 from solver.registration.scan_surface import ScanSurface, check_size, scan_surface
 from solver.registration.shape_fit import Pins, align, expressions, fit_shapes, persons
@@ -73,9 +73,9 @@ def find_start(
     return Start(scan, place.motion, place.mm_per_unit, place.unit, place.size_known)
 
 
+# A face that free form covers less, or leaves farther off on average, is none.
 LEAST_COVER, FARTHEST_MM = 0.15, 1.0
-STILL = 0.1
-"""Least weight of the vertices on which an expression's head is aligned."""
+STILL = 0.1  # least weight of the vertices on which an expression's head is aligned
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ def _register_neutral(
         weights, schedule = np.zeros(0), FROM_AFAR
     progress(Step("free form", 0.6))
     fitted = free_form(scan, motion, shape, topology, schedule, pins)
-    fitted = unfolded(rest.vertices, fitted, topology.flesh)
+    fitted = unfold(rest.vertices, fitted, topology.flesh)
     skin = rest.moved(carry_hidden(topology.groups, shape, shape, fitted, topology.outer))
     seen = trust(scan, motion, skin, topology.outer)
     folds = folded_triangles(rest.vertices, skin.vertices, topology.flesh)
@@ -202,7 +202,7 @@ def _register_expression(
         shape, motion, weights, schedule = fit.vertices, fit.motion, fit.weights, REFINE
     progress(Step("free form", 0.6))
     fitted = free_form(scan, motion, shape, topology, schedule, pins)
-    fitted = unfolded(neutral, fitted, topology.flesh)
+    fitted = unfold(neutral, fitted, topology.flesh)
     skin = rest.moved(carry_hidden(topology.groups, neutral, shape, fitted, topology.outer))
     seen = trust(scan, motion, skin, topology.outer)
     back = head_motion(skin.vertices, shape, topology.stable * seen.confidence)

@@ -17,21 +17,21 @@ from solver.scans.check import ScanCheck
 from solver.scans.cover import FAR_MM
 from solver.surface import Floats, Ints, Surface, area_normals
 
-WIDTH, HEIGHT = 420, 520
-SUPERSAMPLING = 2
-YAWS = (0.0, np.radians(42), np.radians(-42))
-SPAN_MM = 330.0
-LIGHT = np.array([0.35, 0.45, 0.82])
-GREY = np.array([0.80, 0.78, 0.76])
-INWARD = np.array([0.45, 0.52, 0.66])
-FAULT = np.array([0.93, 0.55, 0.10])
-MISSING = np.array([0.86, 0.10, 0.12])
-BACKGROUND = np.array([0.975, 0.975, 0.98])
-MOST_POINTS = 100_000
-LARGEST_DISC, MISSING_PIXELS = 8, 8
+WIDTH, HEIGHT = 420, 520  # pixels of a view
+SUPERSAMPLING = 2  # pixels drawn for one that is kept, along each axis
+YAWS = (0.0, np.radians(42), np.radians(-42))  # of the views
+SPAN_MM = 330.0  # height of a view
+LIGHT = np.array([0.35, 0.45, 0.82])  # where it comes from
+GREY = np.array([0.80, 0.78, 0.76])  # skin
+INWARD = np.array([0.45, 0.52, 0.66])  # triangles that face inwards
+FAULT = np.array([0.93, 0.55, 0.10])  # spikes
+MISSING = np.array([0.86, 0.10, 0.12])  # of the face
+BACKGROUND = np.array([0.975, 0.975, 0.98])  # of the sheet
+MOST_POINTS = 100_000  # of a cloud that are drawn
+LARGEST_DISC, MISSING_PIXELS = 8, 8  # radii in pixels
+# What is missing is drawn where the fitted face has it, even if the scan lies before it.
 BEHIND_MM = 25.0
-"""What is missing is drawn where the fitted face has it, even if the scan lies before it."""
-BACK_MM = 45.0
+BACK_MM = 45.0  # of the view's middle behind the face
 
 
 def check_picture(check: ScanCheck, title: str, path: Path) -> None:

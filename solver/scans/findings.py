@@ -1,4 +1,4 @@
-"""What a check of a scan says: findings with a stable code, a plain sentence and advice.
+"""Findings of a scan's check, each with a stable code, a plain sentence and advice.
 
 Every code has one advice, here, so that the whole of what operators are told can be read in one
 place; ``docs/guide/scans.md`` lists the same.
@@ -100,14 +100,23 @@ def error_finding(error: InputError) -> Finding:
 # Findings about the face itself: what is missing, how rough it is, its mouth and its eyes.
 
 
-HOLE_MM2, CUT_OFF_MM2 = 180.0, 500.0
-LEAST_COVER, LEAST_SIDE = 0.7, 0.6
-NOISE_MM, MUCH_NOISE_MM = 0.5, 1.5
-COARSE_MM = 6.0
-COARSE_NOISE = 0.2
-"""A coarse scan is that much rougher, by its spacing: the quadratic misses folds of the skin."""
-MANY_SPIKES = 4
-LIPS_APART_MM = 3.0
+@dataclass(frozen=True)
+class FaceLimits:
+    """Beyond these a scan's face has a finding."""
+
+    hole_mm2: float = 180.0  # area of a hole
+    cut_off_mm2: float = 500.0  # area missing at the rim
+    least_cover: float = 0.7  # share of the face
+    least_side: float = 0.6  # share of a side
+    noise_mm: float = 0.5  # a warning
+    much_noise_mm: float = 1.5  # more is an error
+    coarse_mm: float = 6.0  # between vertices
+    coarse_noise: float = 0.2  # more noise a mm of spacing: the quadratic misses folds
+    spikes: int = 4  # vertices
+    lips_apart_mm: float = 3.0  # an open mouth
+
+
+FACE = FaceLimits()
 
 
 @dataclass(frozen=True)
@@ -124,19 +133,21 @@ def cover_findings(cover: Cover, features: Features) -> list[Finding]:
     shares = {side: cover.share(side) for side in ("left", "right", "upper", "lower")}
     worst = min(shares, key=lambda side: shares[side])
     whole = cover.share()
-    if whole < LEAST_COVER or shares[worst] < LEAST_SIDE:
+    if whole < FACE.least_cover or shares[worst] < FACE.least_side:
         message = f"{1 - whole:.0%} of the face is missing, most of it on the {worst} side."
         if worst in ("upper", "lower"):
             message = f"{1 - whole:.0%} of the face is missing, most of it in the {worst} half."
         found.append(make_finding("scan.coverage", "error", message, covered=round(whole, 3)))
-    cut = [hole for hole in cover.holes if hole.at_rim and hole.area_mm2 > CUT_OFF_MM2]
+    cut = [hole for hole in cover.holes if hole.at_rim and hole.area_mm2 > FACE.cut_off_mm2]
     if cut and not found:
         area = sum(hole.area_mm2 for hole in cut)
         regions = ", ".join(dict.fromkeys(hole.region for hole in cut))
         message = f"The scan ends before the face does: {area / 100:.0f} cm2 miss at the {regions}."
         found.append(make_finding("scan.cut_off", "warning", message, area_mm2=round(area)))
-    holes = [hole for hole in cover.holes if not hole.at_rim and hole.area_mm2 > HOLE_MM2]
-    if features.lip_gap_mm >= LIPS_APART_MM:  # a rough fit may have the chin where the mouth is
+    holes = [hole for hole in cover.holes if not hole.at_rim and hole.area_mm2 > FACE.hole_mm2]
+    if (
+        features.lip_gap_mm >= FACE.lips_apart_mm
+    ):  # a rough fit may have the chin where the mouth is
         holes = [hole for hole in holes if not hole.region.endswith(("lip", "chin"))]
     if holes:
         largest = holes[0]
@@ -153,17 +164,17 @@ def cover_findings(cover: Cover, features: Features) -> list[Finding]:
 def roughness_findings(rough: Roughness, spikes: int) -> list[Finding]:
     """Return whether a face is noisy, spiky or coarse."""
     found = []
-    limit = NOISE_MM + COARSE_NOISE * max(rough.spacing_mm - 3.0, 0.0)
+    limit = FACE.noise_mm + FACE.coarse_noise * max(rough.spacing_mm - 3.0, 0.0)
     if rough.noise_mm > limit:
-        severity: Severity = "error" if rough.noise_mm > limit + MUCH_NOISE_MM else "warning"
+        severity: Severity = "error" if rough.noise_mm > limit + FACE.much_noise_mm else "warning"
         message = f"The surface is noisy: {rough.noise_mm:.1f} mm; a good scan has below 0.3 mm."
-        figures = {"found": round(rough.noise_mm, 2), "expected": NOISE_MM}
+        figures = {"found": round(rough.noise_mm, 2), "expected": FACE.noise_mm}
         found.append(make_finding("scan.noise", severity, message, **figures))
-    if rough.spacing_mm > COARSE_MM:
+    if rough.spacing_mm > FACE.coarse_mm:
         message = f"The scan is coarse: a vertex every {rough.spacing_mm:.0f} mm on the face."
-        figures = {"found": round(rough.spacing_mm, 1), "expected": COARSE_MM}
+        figures = {"found": round(rough.spacing_mm, 1), "expected": FACE.coarse_mm}
         found.append(make_finding("scan.coarse", "warning", message, **figures))
-    if spikes >= MANY_SPIKES:
+    if spikes >= FACE.spikes:
         message = f"{spikes} spikes stick out on or around the face."
         found.append(make_finding("scan.spikes", "warning", message, found=spikes))
     return found
@@ -178,7 +189,7 @@ def feature_findings(features: Features, role: str) -> list[Finding]:
         return []
     severity: Severity = "error" if role == "neutral" else "info"
     found = []
-    if features.lip_gap_mm >= LIPS_APART_MM:
+    if features.lip_gap_mm >= FACE.lips_apart_mm:
         message = f"The mouth is open: the lips are {features.lip_gap_mm:.0f} mm apart."
         gap = features.lip_gap_mm
         found.append(make_finding("scan.mouth_open", severity, message, found=gap))
@@ -193,13 +204,19 @@ def feature_findings(features: Features, role: str) -> list[Finding]:
 # Findings about the file and its mesh, before anything is known of a face.
 
 
-MANY_NOT_FINITE = 0.2
-FEW_FLAT = 0.0005
-FEW_FLIPPED = 0.005
-MANY_UNUSED = 0.2
-TOUCHING_EDGES = 0.005
-"""Where corners are joined by place, parts that touch give so many edges of three triangles."""
-DENSE = 400_000
+@dataclass(frozen=True)
+class FileLimits:
+    """Shares of vertices or triangles beyond which a fault is worth a look."""
+
+    not_finite: float = 0.2  # vertices: an error
+    flat: float = 0.0005  # triangles
+    flipped: float = 0.005  # triangles
+    unused: float = 0.2  # vertices
+    touching: float = 0.005  # edges of three triangles where touching parts are joined
+    dense: int = 400_000  # vertices, not a share
+
+
+FILE = FileLimits()
 
 
 def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
@@ -223,7 +240,7 @@ def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
         share = mending.not_finite / vertices
         add(
             "scan.nan",
-            "error" if share > MANY_NOT_FINITE else "warning",
+            "error" if share > FILE.not_finite else "warning",
             f"{_count(mending.not_finite, 'vertex', 'vertices')} of {vertices} "
             f"{'is' if mending.not_finite == 1 else 'are'} not a number; the first is vertex "
             f"{mending.first_not_finite} (counted from 0).",
@@ -243,27 +260,27 @@ def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
     if mending.flat:
         add(
             "scan.zero_area_faces",
-            "warning" if mending.flat > FEW_FLAT * triangles else "info",
+            "warning" if mending.flat > FILE.flat * triangles else "info",
             f"{_count(mending.flat, 'triangle has', 'triangles have')} no area.",
             found=mending.flat,
         )
     if mending.repeated:
         add(
             "scan.repeated_faces",
-            "warning" if mending.repeated > FEW_FLAT * triangles else "info",
+            "warning" if mending.repeated > FILE.flat * triangles else "info",
             f"{_count(mending.repeated, 'triangle is', 'triangles are')} there twice.",
             found=mending.repeated,
         )
     if mending.unused:
         add(
             "scan.unused_vertices",
-            "warning" if mending.unused > MANY_UNUSED * vertices else "info",
+            "warning" if mending.unused > FILE.unused * vertices else "info",
             f"{_count(mending.unused, 'vertex is', 'vertices are')} in no triangle.",
             found=mending.unused,
         )
     if mending.non_manifold:
         usual = raw.format == "stl" or mending.duplicate > WELDED_SHARE * vertices
-        few = usual and mending.non_manifold < TOUCHING_EDGES * 1.5 * triangles
+        few = usual and mending.non_manifold < FILE.touching * 1.5 * triangles
         add(
             "scan.non_manifold",
             "info" if few else "warning",
@@ -273,7 +290,7 @@ def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
     if mending.flipped:
         add(
             "scan.inconsistent_normals",
-            "warning" if mending.flipped > FEW_FLIPPED * triangles else "info",
+            "warning" if mending.flipped > FILE.flipped * triangles else "info",
             f"{_count(mending.flipped, 'triangle faces', 'triangles face')} the other way than "
             "the surface around.",
             found=mending.flipped,
@@ -292,13 +309,13 @@ def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
             "warning",
             f"{raw.file} is a point cloud without normals; they are found from neighbours.",
         )
-    if vertices > DENSE:
+    if vertices > FILE.dense:
         add(
             "scan.dense",
             "warning",
             f"{vertices:,} vertices are more than a registration can use.",
             found=vertices,
-            expected=DENSE,
+            expected=FILE.dense,
         )
     return found
 
@@ -310,7 +327,7 @@ def _count(number: int, one: str, many: str) -> str:
 # Findings about landmarks that came with a scan: whether they belong to it.
 
 
-OFF_SURFACE_MM = 6.0
+OFF_SURFACE_MM = 6.0  # farther landmarks are of another scan, or in another unit
 
 
 def landmark_findings(
@@ -346,7 +363,7 @@ def landmark_findings(
 # Findings about how a scan lies: its axes and winding.
 
 
-MOST_INWARD, SOME_INWARD = 0.8, 0.1
+MOST_INWARD, SOME_INWARD = 0.8, 0.1  # shares of a face whose triangles face inwards
 
 
 def axis_findings(place: Location, frame: Mapping[str, Any]) -> list[Finding]:
