@@ -8,7 +8,6 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict
 
 Role = Literal["neutral", "expression", "performance", "asset"]
-Kind = str  # a name among the kinds that the service lists
 Scope = Literal["read", "write", "delete", "webhooks", "metrics", "admin"]
 State = Literal["queued", "running", "canceling", "succeeded", "failed", "canceled"]
 
@@ -24,11 +23,12 @@ class Resource(BaseModel):
 
 
 class JobKind(Resource):
-    """A kind of job; ``options`` is the JSON Schema of its options."""
+    """A kind of job; ``reads`` names its inputs, ``options`` is the JSON Schema of its options."""
 
     kind: str
     title: str
     description: str
+    reads: list[str] = []
     options: dict[str, Any]
 
 
@@ -145,7 +145,7 @@ class Job(Resource):
 
     id: str
     subject_id: str
-    kind: Kind
+    kind: str
     state: State
     priority: int = 0
     parent_id: str | None = None

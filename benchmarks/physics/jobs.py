@@ -22,11 +22,11 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.documents import Figures
 from myoface.client import Client
-from myoface.resources import Kind, Rig
+from myoface.resources import Rig
 from solver.surface import Floats
 
 FOLDER = Path(__file__).parents[2] / "docs" / "examples" / "scenes"
-SCENES: Mapping[str, Kind] = {
+SCENES: Mapping[str, str] = {
     "fat": "edit",
     "slim": "edit",
     "chin_forward": "edit",
@@ -101,7 +101,7 @@ def _in_head(folder: Path, times: list[float]) -> Floats:
 
 
 def _made(
-    client: Client, rig: Rig, kind: Kind, scene: Mapping[str, Any], folder: Path
+    client: Client, rig: Rig, kind: str, scene: Mapping[str, Any], folder: Path
 ) -> Mapping[str, Any]:
     """Run one job to its end, download what it leaves, and return its report."""
     job = client.run(kind, rig.subject_id, rig_id=rig.id, options={"scene": scene})

@@ -30,7 +30,7 @@ from myoface.cli.console import (
 )
 from myoface.client import DEFAULT_URL, Client
 from myoface.errors import UNREACHABLE, ApiError
-from myoface.resources import Capture, Job, Kind, Result, Role
+from myoface.resources import Capture, Job, Result, Role
 
 captures = typer.Typer(
     help="A subject's scans: add, check, register, list, delete.", no_args_is_help=True
@@ -274,7 +274,7 @@ def _check(
 
 def _solve(
     client: Client,
-    kind: Kind,
+    kind: str,
     subject: str,
     capture: Capture,
     options: dict[str, Any],

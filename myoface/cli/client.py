@@ -162,10 +162,8 @@ def submit_job(
         chosen = []
         if capture:
             chosen = choose(client.captures(subject), capture)
-        elif kind in ("fit_geometry", "fit_activations"):
-            listed = reversed(
-                client.captures(subject)
-            )  # a rig has them in the order of their scans
+        elif any(each.kind == kind and "captures" in each.reads for each in client.kinds()):
+            listed = reversed(client.captures(subject))  # a rig has them in their scans' order
             chosen = [each for each in listed if each.role == "expression"]
         given = {} if scene is None else {"scene": read_scene(scene)}
         job = client.submit(

@@ -36,7 +36,6 @@ from myoface.resources import (
     Job,
     JobKind,
     Key,
-    Kind,
     LogLine,
     Me,
     MotionFrame,
@@ -202,7 +201,7 @@ class AsyncClient(AsyncConnection):
 
     async def submit(
         self,
-        kind: Kind,
+        kind: str,
         subject_id: str,
         *,
         captures: Iterable[str] = (),
@@ -224,7 +223,7 @@ class AsyncClient(AsyncConnection):
         return Job.model_validate(response.json())
 
     async def run(
-        self, kind: Kind, subject_id: str, *, watch: Watcher = unwatched, **request: Any
+        self, kind: str, subject_id: str, *, watch: Watcher = unwatched, **request: Any
     ) -> Job:
         """Submit a job and wait for it; see :meth:`submit` and :meth:`wait`."""
         job = await self.submit(kind, subject_id, **request)

@@ -38,7 +38,6 @@ from myoface.resources import (
     Job,
     JobKind,
     Key,
-    Kind,
     LogLine,
     Me,
     MotionFrame,
@@ -202,7 +201,7 @@ class Client(Connection):
 
     def submit(
         self,
-        kind: Kind,
+        kind: str,
         subject_id: str,
         *,
         captures: Iterable[str] = (),
@@ -223,9 +222,7 @@ class Client(Connection):
         response = self._request("PUT", f"/v1/jobs/{uuid.uuid4()}", json=given)
         return Job.model_validate(response.json())
 
-    def run(
-        self, kind: Kind, subject_id: str, *, watch: Watcher = unwatched, **request: Any
-    ) -> Job:
+    def run(self, kind: str, subject_id: str, *, watch: Watcher = unwatched, **request: Any) -> Job:
         """Submit a job and wait for it; see :meth:`submit` and :meth:`wait`."""
         job = self.submit(kind, subject_id, **request)
         return self.wait(job.id, watch)

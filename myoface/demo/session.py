@@ -13,14 +13,14 @@ from typing import Any
 from myoface.cli.console import JobView, err, transfer_bar
 from myoface.client import Client
 from myoface.errors import ApiError
-from myoface.resources import Artifact, Job, Kind, Result, Role
+from myoface.resources import Artifact, Job, Result, Role
 from solver.templates.export import CaptureSet
 
 LOG_TAIL = 20
 WORTH_TELLING_S = 0.05
 
 # Options per kind of job; those that are not given are the solver's own.
-Options = Mapping[Kind, dict[str, Any]]
+Options = Mapping[str, dict[str, Any]]
 
 
 @dataclass
@@ -51,7 +51,7 @@ class Session:
             subject = self.client.create_subject(name, template_id=template_id)
             ids = self._upload(subject.id, captures)
 
-        def solve(kind: Kind, **inputs: Any) -> Job:
+        def solve(kind: str, **inputs: Any) -> Job:
             return self._solve(kind, subject.id, options=options.get(kind), **inputs)
 
         model = solve("build_model")
@@ -85,7 +85,7 @@ class Session:
             ids[name] = capture.id
         return ids
 
-    def _solve(self, kind: Kind, subject_id: str, **request: Any) -> Job:
+    def _solve(self, kind: str, subject_id: str, **request: Any) -> Job:
         job = self.client.submit(kind, subject_id, **request)
         try:
             with JobView(kind) as view:

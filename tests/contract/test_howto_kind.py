@@ -1,0 +1,150 @@
+"""The how-to for a new kind of job, followed to the letter in a copy of the tree.
+
+Its three files are written out of its code blocks; then the kind is asked for in all ways: over
+HTTP, with the client, on the command line, and from the list that the page shows.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+ROOT = Path(__file__).parents[2]
+HOWTO = ROOT / "docs" / "develop" / "add-a-kind.md"
+ROOMS = ("solver", "service", "worker", "myoface", "tests")
+FILE = re.compile(r"`([\w/.]+)`:\n\n```python\n(.*?)```", re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a copy of the tree with the how-to's files."""
+    folder = tmp_path_factory.mktemp("tree")
+    for room in ROOMS:
+        shutil.copytree(ROOT / room, folder / room)
+    shutil.copy2(ROOT / "pyproject.toml", folder)
+    written = FILE.findall(HOWTO.read_text(encoding="utf-8"))
+    assert [Path(path).parts[:2] for path, _ in written][:2] == [
+        ("solver", "kinds"),
+        ("solver", "jobs"),
+    ]
+    assert len(written) == 3
+    for path, content in written:
+        assert not (folder / path).exists()
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        (folder / path).write_text(content, encoding="utf-8")
+    return folder
+
+
+def test_the_files_of_the_how_to_are_in_style(copy: Path) -> None:
+    files = [path for path, _ in FILE.findall(HOWTO.read_text(encoding="utf-8"))]
+    for command in (["check", "-q"], ["format", "--check", "-q"]):
+        ruff = [sys.executable, "-m", "ruff", *command, *files]
+        subprocess.run(ruff, cwd=copy, check=True)
+
+
+def test_its_test_passes(copy: Path) -> None:
+    path = FILE.findall(HOWTO.read_text(encoding="utf-8"))[2][0]
+    _run(copy, "-m", "pytest", "-q", path)
+
+
+@pytest.mark.slow
+def test_the_kind_is_there_for_everybody(copy: Path, tmp_path: Path) -> None:
+    _run(copy, str(copy / "tests" / "contract" / Path(__file__).name), str(tmp_path))
+
+
+def _run(copy: Path, *arguments: str) -> None:
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        cwd=copy,
+        env={**os.environ, "PYTHONPATH": str(copy)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def ask_in_all_ways(folder: Path) -> None:
+    """Ask for the new kind; runs in the copy."""
+    from myoface.cli import app
+    from myoface.client import Client
+    from service.settings import Settings
+    from tests.service_client import running, served
+
+    data = folder / "data"
+    subject, rig = put_rig(Settings(data_dir=data), folder, served)
+    with running(data, jobs="solver.jobs") as (stack, studio):
+        bad = {"kind": "measure_rig", "subject_id": subject, "rig_id": rig}
+        answer = studio.http.post("/v1/jobs", json={**bad, "options": {"least_mm": -1}})
+        assert answer.status_code == 422, answer.text
+        assert answer.json()["detail"] == "options.least_mm: -1 is less than the minimum of 0"
+        done = studio.done("measure_rig", subject, rig_id=rig, options={"least_mm": 1})
+        assert done["result"]["summary"] == {"moved_mm": {"smile": 3.0}}
+        assert [each["name"] for each in done["result"]["artifacts"]] == ["measurement.json"]
+
+        listed = {each["kind"]: each for each in studio.get(KINDS_ROUTE)["items"]}
+        new = listed["measure_rig"]
+        assert "rig" in new["reads"]
+        assert not {"captures", "performance"} & set(new["reads"])  # a button of each rig
+        with Client(stack.url, studio.key) as client:
+            job = client.wait(client.submit("measure_rig", subject, rig_id=rig).id)
+            assert job.state == "succeeded"
+
+        shell = {"MYOFACE_API_KEY": studio.key, "MYOFACE_URL": stack.url}
+        shown = CliRunner(env=shell).invoke(app, ["jobs", "kinds", "measure_rig"])
+        assert "skin that moves by less does not count" in " ".join(shown.output.split())
+
+    names = ("model.npz", "muscle_weights.npz", "activations.npz")
+    for name in names:
+        (folder / "rig").mkdir(exist_ok=True)
+        shutil.copy(folder / name, folder / "rig" / name)
+    out = folder / "measured"
+    solve = ["solve", "measure-rig", str(folder / "model.npz"), str(folder / "rig")]
+    made = CliRunner().invoke(app, [*solve, "--least-mm", "1", "-o", str(out)])
+    assert made.exit_code == 0, made.output
+    measured = json.loads((out / "measurement.json").read_text(encoding="utf-8"))
+    assert measured == {"moved_mm": {"smile": 3.0}}
+
+
+KINDS_ROUTE = "/v1/kinds"
+
+
+def put_rig(settings: object, folder: Path, served: object) -> tuple[str, str]:
+    """Put a subject with a model and a rig into a service that stands; return their ids."""
+    from solver.mechanics.flesh import IDENTITY
+    from solver.rig.result import ExpressionFit, save_activations, save_weights
+    from tests.solver.block import head_block
+
+    model = head_block()
+    skin = model.skin.vertices + np.array([0.0, 3.0, 0.0])
+    a, none = np.tile(IDENTITY, (model.muscle_count, 1)), np.zeros(len(skin))
+    fit = ExpressionFit("smile", "train", a, np.zeros(5), skin, skin, none, 0, 1, 0.0, 0.0)
+    model.save(folder / "model.npz")
+    save_weights(folder / "muscle_weights.npz", model.weights, model)
+    save_activations(folder / "activations.npz", (fit,), model)
+    with served(settings) as studio:  # type: ignore[operator]
+        subject = studio.subject()
+        smile = studio.capture(subject, "smile")
+        files = studio.http.app.state.store.files
+
+        def stored(*names: str) -> dict[str, str]:
+            return {name: files.put(folder / name).sha256 for name in names}
+
+        made = studio.submit("build_model", subject)
+        studio.pretend(made, stored("model.npz"))
+        job = studio.submit("fit_geometry", subject, captures=[smile])
+        left = stored("muscle_weights.npz", "activations.npz")
+        studio.pretend(job, left, rig={"subject_id": subject, "model_job_id": made})
+        return subject, str(studio.job(job)["result"]["rig_id"])
+
+
+if __name__ == "__main__":
+    ask_in_all_ways(Path(sys.argv[1]))
