@@ -1,9 +1,11 @@
 # Every target sets up what it needs by itself; `make help` lists them.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all chaos fuzz load two-hosts compose-check check up lock fast-servers servers setup setup-dev clean
+.PHONY: help demo quick test test-all chaos fuzz load two-hosts compose-check check up lock fast-servers servers setup setup-dev clean
 
 BIN := .venv/bin
 TESTS := $(BIN)/python -m pytest
+# One process more than processors: many tests wait for servers, leases and timeouts.
+WORKERS ?= $(shell expr $$(nproc 2>/dev/null || echo 2) + 1)
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -11,12 +13,19 @@ help: ## list the targets
 demo: setup ## the whole product on the built-in face: scans in over HTTP, a fitted rig and a report out
 	@$(BIN)/myoface demo
 
-test: check fast-servers ## the checks, the fast tests and one end-to-end run (under 10 minutes on two cores)
-	@$(TESTS) -m "not slow or end_to_end"
+quick: setup-dev ## style, types, and unit tests that need no data and no process (QUICKTIME)
+	@$(BIN)/ruff check --quiet
+	@$(BIN)/ruff format --check --quiet
+	@$(BIN)/mypy
+	@$(TESTS) --quick --quiet -n $(WORKERS)
 
-test-all: check servers ## every test there is, the slow ones too
+test: check fast-servers ## what CI runs: the checks and all tests that are not slow (TESTTIME)
+	@$(TESTS) -n $(WORKERS) -m "not slow or end_to_end and not servers"
+
+test-all: servers ## also the slow tests: all on the servers, the browser, campaigns (ALLTIME)
 	@scripts/blender-venv || echo "no Blender here: its tests skip"
-	@$(TESTS)
+	@$(MAKE) --no-print-directory test
+	@$(TESTS) -m "slow and (servers or not end_to_end)"
 
 chaos: setup-dev ## 60 jobs while workers, solvers and broker are killed, frozen and starved; prints the tally
 	@$(BIN)/python -m tests.campaigns.chaos

@@ -16,6 +16,8 @@ from service.store.database import Store
 from service.store.files import DamagedFileError, Files, FolderFiles, UnreachableError, files_at, s3
 from service.store.models import DEFAULT_TENANT, Template, now
 
+pytestmark = pytest.mark.telling
+
 SCAN = os.urandom(1_000_000)
 SHA256 = hashlib.sha256(SCAN).hexdigest()
 NOBODY = "0" * 64

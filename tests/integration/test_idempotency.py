@@ -7,9 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import pytest
 
 from service.settings import Settings
 from tests.service_client import Studio, served
+
+pytestmark = pytest.mark.telling
 
 
 def _post(studio: Studio, path: str, key: str, **body: Any) -> httpx.Response:

@@ -20,6 +20,8 @@ from service.store.database import Store, clock
 from service.store.models import DEFAULT_TENANT, Job, Subject, Tenant
 from tests.service_client import running, served
 
+pytestmark = pytest.mark.telling
+
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:

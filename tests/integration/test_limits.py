@@ -15,6 +15,8 @@ from service.store.broker import EmbeddedBroker
 from service.store.models import DEFAULT_TENANT, Capture, FrameChunk, Tenant
 from tests.service_client import Studio, served
 
+pytestmark = pytest.mark.telling
+
 
 @pytest.fixture
 def broker(tmp_path: Path) -> Iterator[str]:

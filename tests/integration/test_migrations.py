@@ -15,6 +15,8 @@ from service.settings import Settings
 from service.store.database import Database, NewerDatabaseError
 from service.store.models import DEFAULT_TENANT, Base, Subject, Upload
 
+pytestmark = pytest.mark.telling
+
 
 @pytest.fixture
 def database(tmp_path: Path) -> Database:

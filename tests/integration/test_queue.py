@@ -21,6 +21,8 @@ from service.settings import Settings
 from service.store.database import WAKE, Store, clock
 from service.store.models import Attempt, Event, Job, Subject, Tenant, now
 
+pytestmark = pytest.mark.telling
+
 ANYTHING = Abilities("w", frozenset({"build_model", "register_scan"}), memory_mb=8192, threads=1)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 
+import pytest
 from sqlalchemy import select
 
 from service.queue import table
@@ -12,6 +13,8 @@ from service.queue.states import HELD, State
 from service.store.database import WAKE, Store
 from service.store.models import Job, Tenant
 from tests.integration.test_queue import ANYTHING, Shop, store  # noqa: F401 (a fixture)
+
+pytestmark = pytest.mark.telling
 
 
 def test_workers_at_a_time_keep_to_a_quota(store: Store) -> None:  # noqa: F811

@@ -22,6 +22,8 @@ from service.store.models import Upload
 from service.uploads.service import UploadService
 from tests.service_client import OFFSET_STREAM, Studio, eventually, served
 
+pytestmark = pytest.mark.telling
+
 SCAN = b"".join(f"v {i} 0 0\n".encode() for i in range(50_000))
 SHA256 = hashlib.sha256(SCAN).hexdigest()
 

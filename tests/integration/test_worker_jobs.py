@@ -10,6 +10,8 @@ import pytest
 from myoface.stack import Stack
 from tests.service_client import Studio, eventually, running
 
+pytestmark = pytest.mark.telling
+
 
 @pytest.fixture
 def studio(stack_and_studio: tuple[Stack, Studio]) -> Studio:

@@ -49,6 +49,7 @@ def test_check_tells_what_is_wrong(saved: Path, tmp_path: Path) -> None:
     assert {finding["code"] for finding in report["findings"]} == {"condyle.side"}
 
 
+@pytest.mark.long
 def test_show_prints_the_hash_and_draws(saved: Path, tmp_path: Path) -> None:
     told = run("show", saved, "-o", tmp_path / "pictures")
     assert Template.load(saved).sha256 in told

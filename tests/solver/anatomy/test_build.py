@@ -9,6 +9,8 @@ from solver.errors import InputError
 from solver.model import SubjectModel
 from tests.solver.ball import ball_template
 
+pytestmark = pytest.mark.long
+
 LOWER = np.array([0.0, -20.0, 2.0])
 
 

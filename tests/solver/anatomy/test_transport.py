@@ -11,6 +11,8 @@ from solver.anatomy.template import Template
 from solver.errors import InputError, SolveError
 from tests.solver.ball import EDGE_MM, meshed_ball
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def template():

@@ -14,6 +14,8 @@ from solver.jobs import run_job
 from solver.meshio.obj import write_obj
 from solver.templates.builtin.build import builtin_expression
 
+pytestmark = pytest.mark.long
+
 
 def test_a_neutral_with_an_open_mouth_is_bad_as_an_expression_it_is_good(tmp_path: Path) -> None:
     scan = tmp_path / "scan.obj"

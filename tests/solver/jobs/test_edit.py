@@ -20,6 +20,8 @@ from solver.rig.gltf_check import validate_glb
 from solver.rig.result import ExpressionFit, load_activations, save_activations, save_weights
 from tests.solver.block import head_block
 
+pytestmark = pytest.mark.long
+
 MODEL = head_block((7, 5, 1))
 PALSY = {"kind": "paralysis", "side": "left"}
 FAT = {"kind": "fat", "f_min": 1.0, "f_max": 1.2}

@@ -24,6 +24,8 @@ from solver.rig.result import load_activations, save_weights
 from solver.surface import Floats, Surface
 from tests.solver.block import head_block
 
+pytestmark = pytest.mark.long
+
 MODEL = head_block((7, 5, 1))
 
 

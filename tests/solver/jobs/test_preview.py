@@ -19,6 +19,8 @@ from solver.rig.result import ExpressionFit, load_activations, save_activations,
 from solver.rig.view.format import read_container
 from tests.solver.block import head_block
 
+pytestmark = pytest.mark.long
+
 MODEL = head_block((7, 5, 1))
 
 

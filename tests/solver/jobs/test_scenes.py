@@ -24,6 +24,8 @@ from solver.rig.result import ExpressionFit, save_activations, save_weights
 from solver.scans.live_link import ARKIT_NAMES
 from tests.solver.block import head_block
 
+pytestmark = pytest.mark.long
+
 MODEL = head_block((7, 5, 1))
 WIDE = np.array([[0.8, 0.02, 0.0, 1.1, 0.0, 1.1], [0.8, -0.02, 0.0, 1.1, 0.0, 1.1]])
 JAW = np.array([0.04, 0.0, 0.0, 0.0, 0.0])

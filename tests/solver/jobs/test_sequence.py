@@ -25,6 +25,8 @@ from solver.rig.result import save_weights
 from tests.fixtures import fixture_model
 from tests.solver.block import block_model
 
+pytestmark = pytest.mark.long
+
 FRAMES = 8
 MODEL = block_model()
 JAW = np.array([0.08, 0.0, 0.0, 0.5, 0.0])

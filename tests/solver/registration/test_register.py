@@ -14,6 +14,8 @@ from solver.registration.topology import topology
 from solver.registration.units import FRAME
 from solver.templates.builtin.build import builtin_template
 
+pytestmark = pytest.mark.long
+
 SMILE = {"mouthSmileLeft": 0.9, "mouthSmileRight": 0.9, "jawOpen": 0.4, "browInnerUp": 0.6}
 
 

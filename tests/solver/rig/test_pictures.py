@@ -23,6 +23,7 @@ def model() -> SubjectModel:
     return small_model()
 
 
+@pytest.mark.long
 def test_fit_picture_shows_scan_fit_and_where_they_differ(
     model: SubjectModel, tmp_path: Path
 ) -> None:

@@ -253,6 +253,7 @@ def test_the_table_says_what_the_arrays_say(rig: Rig, tmp_path: Path) -> None:
     assert row["fibres"] == ""  # this model has no fibres
 
 
+@pytest.mark.long
 def test_write_rig_writes_every_file(rig: Rig, certificate: Certificate, tmp_path: Path) -> None:
     one = replace(rig, expressions=rig.expressions[:1])
     written = write_rig(one, certificate, tmp_path / "rig")

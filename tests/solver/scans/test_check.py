@@ -20,6 +20,8 @@ from solver.surface import Surface
 from solver.templates.builtin.build import builtin_capture_set
 from tests.fixtures import data_folder, ict_capture
 
+pytestmark = pytest.mark.long
+
 SLOW = (
     "not a face",
     "half a face",
