@@ -30,7 +30,7 @@ STOP = ActivationOptions(25, tolerance=1e-2)
 
 @dataclass(frozen=True)
 class RoundTrip:
-    """What came back; NaN where the pose can not be reached from rest, or not be fitted again.
+    """What came back; NaN where the pose cannot be reached from rest, or not be fitted again.
 
     ``skin_*_mm`` are distances between the fitted and the simulated skin over the face, ``refit_*``
     between the simulated and the fitted-again one. ``activation_error`` is the difference of the
