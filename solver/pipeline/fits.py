@@ -44,7 +44,8 @@ from solver.pipeline.common import (
 from solver.progress import Progress, Step, silent
 from solver.rig.certificate import certify, with_round_trips
 from solver.rig.export import write_rig
-from solver.rig.result import ExpressionFit, Rig, load_activations, load_weights
+from solver.rig.result import ExpressionFit, load_activations, load_weights
+from solver.rig.rig import Rig
 
 
 def fit_geometry(
