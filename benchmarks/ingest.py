@@ -22,8 +22,8 @@ import trimesh
 from benchmarks import report
 from benchmarks.bad_scans import BAD_SCANS, Subject
 from benchmarks.documents import Section, Table
+from solver.jobs import run_job
 from solver.meshio.obj import write_obj
-from solver.pipeline.checks import check_scan
 from solver.surface import Surface
 from solver.templates.builtin.build import (
     builtin_capture_set,
@@ -135,7 +135,7 @@ def checked(
 ) -> tuple[float, dict[str, Any]]:
     """Return the seconds of a check and its report."""
     start = time.perf_counter()
-    report_file, _ = check_scan(scan, out, landmarks=landmarks, options={"role": role})
+    report_file, _ = run_job("check_scan", out, scan=scan, landmarks=landmarks, role=role)
     seconds = time.perf_counter() - start
     return seconds, json.loads(report_file.read_text(encoding="utf-8"))
 

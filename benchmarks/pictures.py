@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from solver.drawing.head import DrawnHead
-from solver.drawing.page import HEADER, Sheet
 from solver.drawing.render import DrawnBody, fade, render
+from solver.drawing.sheet import HEADER, Sheet
 from solver.fitting.face import Face, State
 from solver.rig.pictures import THREE_QUARTER, WIDTH, face_camera
 from solver.surface import Floats

@@ -20,8 +20,8 @@ from benchmarks.subject_fits import Fits
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
+from solver.jobs.build_preview import TOLERANCE
 from solver.mechanics.linear import fastest
-from solver.pipeline.preview import TOLERANCE
 from solver.rig.preview.make import make_preview
 from solver.rig.result import ExpressionFit
 

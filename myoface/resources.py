@@ -8,18 +8,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict
 
 Role = Literal["neutral", "expression", "performance", "asset"]
-Kind = Literal[
-    "check_scan",
-    "register_scan",
-    "build_model",
-    "fit_geometry",
-    "fit_activations",
-    "fit_sequence",
-    "build_preview",
-    "simulate",
-    "animate",
-    "edit",
-]
+Kind = str  # a name among the kinds that the service lists
 Scope = Literal["read", "write", "delete", "webhooks", "metrics", "admin"]
 State = Literal["queued", "running", "canceling", "succeeded", "failed", "canceled"]
 

@@ -106,6 +106,10 @@ class Settings(BaseSettings):
     long_workers: int = Field(default=1, ge=1)
     solver_threads: int = Field(default=os.cpu_count() or 1, ge=1)
     solver_memory_mb: int = Field(default=8192, gt=0)
+    jobs: str = Field(
+        default="solver.jobs",
+        description="package with a module for each kind of job; tests have a stand-in",
+    )
 
     webhook_workers: int = Field(
         default=8, ge=0, description="threads that deliver; 0: no worker for webhooks here"

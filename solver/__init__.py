@@ -22,13 +22,9 @@ if TYPE_CHECKING:
     from solver.fitting.face import Face as Face
     from solver.fitting.face import Pose as Pose
     from solver.fitting.objective import Target as Target
+    from solver.jobs import run_job as run_job
     from solver.meshio.registered import write_registered as write_registered
     from solver.model import SubjectModel as SubjectModel
-    from solver.pipeline import build_model as build_model
-    from solver.pipeline import fit_activations as fit_activations
-    from solver.pipeline import fit_geometry as fit_geometry
-    from solver.pipeline import fit_sequence as fit_sequence
-    from solver.pipeline import simulate as simulate
     from solver.rig.result import load_activations as load_activations
     from solver.rig.result import load_weights as load_weights
     from solver.rig.result import save_weights as save_weights
@@ -47,16 +43,12 @@ __all__ = [
     "SubjectModel",
     "Target",
     "Template",
-    "build_model",
     "expression_terms",
-    "fit_activations",
     "fit_expression",
-    "fit_geometry",
-    "fit_sequence",
     "load_activations",
     "load_weights",
+    "run_job",
     "save_weights",
-    "simulate",
     "unseen_regulariser",
     "write_registered",
 ]
@@ -70,16 +62,12 @@ _PLACES = {
     "SubjectModel": "solver.model:SubjectModel",
     "Target": "solver.fitting.objective:Target",
     "Template": "solver.anatomy.template:Template",
-    "build_model": "solver.pipeline:build_model",
     "expression_terms": "solver.fitting.chosen:terms",
-    "fit_activations": "solver.pipeline:fit_activations",
     "fit_expression": "solver.fitting.chosen:fit",
-    "fit_geometry": "solver.pipeline:fit_geometry",
-    "fit_sequence": "solver.pipeline:fit_sequence",
     "load_activations": "solver.rig.result:load_activations",
     "load_weights": "solver.rig.result:load_weights",
+    "run_job": "solver.jobs:run_job",
     "save_weights": "solver.rig.result:save_weights",
-    "simulate": "solver.pipeline:simulate",
     "unseen_regulariser": "solver.fitting.chosen:unseen_regulariser",
     "write_registered": "solver.meshio.registered:write_registered",
 }

@@ -26,7 +26,7 @@ class _PlainError(Exception):
 
 
 class InputError(_PlainError, ValueError):
-    """Something the user gave can not be used."""
+    """Something the user gave cannot be used."""
 
 
 class SolveError(_PlainError, RuntimeError):

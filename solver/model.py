@@ -14,7 +14,7 @@ from solver.errors import InputError
 from solver.storage import Archive, Arrays, csr_arrays, csr_from, with_prefix
 from solver.surface import Floats, Ints, Surface
 
-FORMAT = 1
+FORMAT = 1  # of the file
 
 
 @dataclass(frozen=True)

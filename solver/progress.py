@@ -1,4 +1,4 @@
-"""How a long computation tells what it is doing, without knowing who listens."""
+"""Progress of a long computation, reported without knowing who listens."""
 
 from __future__ import annotations
 

@@ -19,28 +19,23 @@ import scipy.sparse as sp
 
 from solver.errors import InputError
 
-# Reading arrays that others packed: what a file claims is checked before room is made for it.
+# Reading arrays that others packed: a file's claims are checked before room is made for them.
 #
 # A megabyte of NPZ can unpack to a gigabyte, and a header can claim any shape. So a file's list of
 # members is bounded, every member is an array of plain values whose header agrees with its size,
 # and all of them together are no larger than a limit. Pickles are never read.
 
-
+# Errors of reading a ZIP that is damaged, or packed in a way that is not known.
 NOT_READABLE = (OSError, EOFError, BadZipFile, RuntimeError, struct.error, zlib.error)
-"""What reading a ZIP raises that is damaged, or packed in a way that is not known."""
+MOST_BYTES = 1 << 30  # that a file may unpack to
+MOST_DIRECTORY_BYTES = 1 << 20  # of a ZIP's list of members; each takes about a hundred
+PLAIN = "biufU"  # kinds of values: booleans, whole numbers, floats and text
 
-MOST_BYTES = 1 << 30
-"""What a file may unpack to."""
-MOST_DIRECTORY_BYTES = 1 << 20
-"""A ZIP's list of members; each takes about a hundred bytes of it."""
-PLAIN = "biufU"
-"""Kinds of values: booleans, whole numbers, floats and text."""
-
+# The end of a ZIP's directory, and the locator of the end that large archives have besides.
 END_OF_DIRECTORY = struct.Struct("<4s4H2LH")
 END_MAGIC, LARGE_MAGIC = b"PK\5\6", b"PK\6\7"
-LARGE_SIZE = 20
-LONGEST_COMMENT = 1 << 16
-ENCRYPTED = 1
+LARGE_SIZE, LONGEST_COMMENT = 20, 1 << 16  # bytes
+ENCRYPTED = 1  # the bit of a member's flags
 
 
 def read_arrays(path: Path, most_bytes: int = MOST_BYTES) -> dict[str, np.ndarray]:
@@ -150,12 +145,14 @@ def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
     return shape, dtype
 
 
+# Archives of our own.
+
 Arrays = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
 class Archive:
-    """What is stored: ``header``, JSON values with the ``format`` number, and ``arrays``."""
+    """The content of a file: ``header``, JSON values with the ``format`` number, and ``arrays``."""
 
     header: dict[str, Any]
     arrays: Arrays

@@ -25,9 +25,6 @@ class Surface:
         return Surface(vertices, self.faces)
 
 
-# Smooth normals.
-
-
 def vertex_normals(surface: Surface) -> Floats:
     """Return unit vertex normals (n, 3); a vertex without area gets (0, 0, 1)."""
     normals = np.asarray(igl.per_vertex_normals(surface.vertices, surface.faces))
@@ -37,7 +34,7 @@ def vertex_normals(surface: Surface) -> Floats:
     return normals / np.where(flat, 1.0, length)[:, None]
 
 
-# What many rooms ask of triangles: their edges, neighbours, normals and areas.
+# Triangles of any kind: their edges, neighbours, normals and areas.
 
 
 def directed_edges(faces: Ints) -> Ints:

@@ -1,7 +1,9 @@
-"""Real subject models and captures for tests, read from the shared data folder.
+"""Subject models and captures for tests: a small one of our own, and real ones.
 
-The folder is ``MYOFACE_DATA`` or ``../shared/data`` beside the project; a test that needs it is
-skipped, with the reason, where it is missing.
+The small person lies in ``tests/fixtures`` (made by :mod:`tests.make_fixtures`) and is always
+there. Real models and captures are read from the shared data folder, ``MYOFACE_DATA`` or
+``../shared/data`` beside the project; a test that needs it is skipped, with the reason, where it is
+missing.
 """
 
 from __future__ import annotations
@@ -21,6 +23,27 @@ from solver.surface import Floats, Ints, Surface
 MM_PER_M = 1000.0
 NARROW_FACE = 6706  # ICT-FaceKit: the vertices below are the face without ears and neck
 BOUNDARY_CRANIUM, BOUNDARY_MANDIBLE = 1, 2
+MODEL_FILE = Path(__file__).parent / "fixtures" / "small_model.npz"
+EXPRESSIONS_FILE = MODEL_FILE.with_name("small_expressions.npz")
+
+
+@cache
+def small_model() -> SubjectModel:
+    """Return a person with the built-in face, in about 5000 tets with a minimum angle of 14 deg.
+
+    Its topology has eyes, teeth, tongue, ears and neck; S are the template's initial weights.
+    """
+    return SubjectModel.load(MODEL_FILE)
+
+
+@cache
+def small_capture(name: str) -> Surface:
+    """Return ``neutral``, ``smile``, ``surprise`` or ``ah`` of the small person, whole topology."""
+    neutral = small_model().skin
+    if name == "neutral":
+        return neutral
+    with np.load(EXPRESSIONS_FILE) as data:
+        return neutral.moved(neutral.vertices + data[name].astype(np.float64))
 
 
 def data_folder(*parts: str) -> Path:

@@ -1,4 +1,4 @@
-"""A studio in a test: a running stack with the stand-in pipeline, and short words to drive it."""
+"""A studio in a test: a running stack with stand-in jobs, and short words to drive it."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import httpx
 from fastapi.testclient import TestClient
@@ -31,6 +32,7 @@ QUICK = {
     "port": 0,
     "webhook_workers": 0,
 }
+STANDIN = {"jobs": "tests.standin.jobs"}
 FINAL = {"succeeded", "failed", "canceled"}
 
 
@@ -202,14 +204,9 @@ def served(settings: Settings) -> Iterator[Studio]:
 
 @contextmanager
 def running(data_dir: Path, **settings: Any) -> Iterator[tuple[Stack, Studio]]:
-    """Run a stack whose solver processes find the stand-in pipeline."""
-    path = os.pathsep.join([str(ROOT / "tests" / "standin"), str(ROOT)])
-    before = os.environ.get("PYTHONPATH")
-    os.environ["PYTHONPATH"] = path
-    try:
-        stack = Stack(Settings(data_dir=data_dir, **{**QUICK, **settings}))
-    finally:
-        os.environ.pop("PYTHONPATH") if before is None else os.environ.update(PYTHONPATH=before)
+    """Run a stack whose solver processes do the stand-in jobs."""
+    with mock.patch.dict(os.environ, PYTHONPATH=str(ROOT)):
+        stack = Stack(Settings(data_dir=data_dir, **{**QUICK, **STANDIN, **settings}))
     with stack, httpx.Client(base_url=stack.url, timeout=30) as http:
         yield stack, Studio(http, stack.key)
 

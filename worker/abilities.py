@@ -9,12 +9,11 @@ from importlib.metadata import PackageNotFoundError, version
 
 from sqlalchemy.orm import Session
 
-from service.kinds import KINDS
 from service.queue.claims import Abilities
 from service.settings import Settings
 from service.store.database import clock
 from service.store.models import Worker
-from worker.kinds import CALLS
+from solver.kinds import KINDS
 
 HOST = socket.gethostname()
 NAME = f"{HOST}:{os.getpid()}"
@@ -28,7 +27,7 @@ def abilities(settings: Settings, kinds: Iterable[str] = ()) -> Abilities:
     ValueError
         If this release does not know one of them.
     """
-    known, only = CALLS.keys() & KINDS.keys(), frozenset(kinds)
+    known, only = KINDS.keys(), frozenset(kinds)
     if strangers := only - known:
         raise ValueError(f"unknown kinds of job: {', '.join(sorted(strangers))}")
     return Abilities(

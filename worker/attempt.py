@@ -7,10 +7,10 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from service.kinds import KINDS
 from service.queue.table import Claim
 from service.store.files import Files
 from service.store.models import Artifact, Rig
+from solver.kinds import KINDS
 
 MEDIA_TYPES = {
     ".glb": "model/gltf-binary",

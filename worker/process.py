@@ -50,6 +50,7 @@ class SolverProcess:
                     "progress_fd": writing,
                     "parent": os.getpid(),
                     "memory_bytes": settings.solver_memory_mb * 1024**2,
+                    "jobs": settings.jobs,
                 }
             )
         )

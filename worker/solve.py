@@ -1,8 +1,8 @@
 """``python -m worker.solve <attempt folder>``: the solver process.
 
-Reads ``job.json``, calls `solver.pipeline` and writes ``result.json`` or ``error.json``; progress
-goes as JSON lines to a pipe, the log to standard error. It knows no database and no queue, so
-whatever happens to it costs an attempt at most.
+Reads ``job.json``, calls the kind's module of `solver.jobs` and writes ``result.json`` or
+``error.json``; progress goes as JSON lines to a pipe, the log to standard error. It knows no
+database and no queue, so whatever happens to it costs an attempt at most.
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ from typing import TYPE_CHECKING, Any
 import structlog
 
 from service.process import configure_logs, die_with_parent
+from solver.jobs import run_job
+from solver.kinds import KINDS
 from worker.errors import NO_ROOM, is_full
-from worker.kinds import CALLS, Task
 
 if TYPE_CHECKING:
     from solver.progress import Progress, Step
@@ -44,7 +45,7 @@ def main(folder: Path) -> int:
     try:
         try:
             with os.fdopen(process["progress_fd"], "w", buffering=1) as pipe:
-                verdict, result = "result.json", solve(folder, to_pipe(pipe.write))
+                verdict, result = "result.json", solve(folder, to_pipe(pipe.write), process["jobs"])
         except Exception as error:
             if is_full(error):
                 raise
@@ -85,22 +86,30 @@ def _describe_error(error: Exception, memory_bytes: int) -> dict[str, Any]:
     return {"code": "solver.crash", "message": message}
 
 
-def solve(folder: Path, progress: Progress) -> dict[str, Any]:
-    """Call the pipeline; returns ``{summary, expressions}``, what the job tells of its results."""
+def solve(folder: Path, progress: Progress, jobs: str = "solver.jobs") -> dict[str, Any]:
+    """Do the job; returns ``{summary, expressions}``, what the job tells of its results."""
     job = json.loads((folder / "job.json").read_text())
     captures: dict[str, Path] = {}
     files: dict[str, Path] = {}
-    capture_role = "unknown"
+    role = "unknown"
     for item in job["inputs"]:
-        capture_role = item.get("capture_role", capture_role)
+        role = item.get("capture_role", role)
         if item["role"] in ("capture", "asset"):
             captures[item["name"]] = Path(item["path"])
         else:
             files[item["role"]] = Path(item["path"])
-    how = {"options": job["options"], "progress": progress}
-    out, call = folder / "out", CALLS[job["kind"]]
-    call.run(Task(files, captures, capture_role, job["resume"], out, how))
-    return _describe(out / call.tells)
+    run_job(
+        job["kind"],
+        folder / "out",
+        options=job["options"],
+        captures=captures,
+        role=role,
+        resume=job["resume"],
+        progress=progress,
+        jobs=jobs,
+        **files,
+    )
+    return _describe(folder / "out" / KINDS[job["kind"]].report)
 
 
 def _describe(file: Path) -> dict[str, Any]:

@@ -25,6 +25,7 @@ from benchmarks.plots import COLOURS, HEIGHT_IN, STYLE, WIDTH_IN, power_law, sav
 from solver.anatomy.domain import boundary
 from solver.edits.edit import DENSITY
 from solver.fitting.face import Face
+from solver.kinds.scene import STIFFNESS_PA
 from solver.mechanics import equilibrium, linear
 from solver.mechanics.flesh import (
     COROTATED_DET,
@@ -34,7 +35,6 @@ from solver.mechanics.flesh import (
     Material,
 )
 from solver.model import SubjectModel
-from solver.scene.stage import STIFFNESS_PA
 from solver.similarity import IDENTITY
 from solver.simulation.inertia import (
     Drive,

@@ -27,14 +27,14 @@ from solver.contact.crossing import (
 )
 from solver.contact.potentials import contact_potentials
 from solver.drawing.head import DrawnHead
-from solver.drawing.page import HEADER, Sheet
 from solver.drawing.render import Camera, DrawnBody, Lit, fade, render
+from solver.drawing.sheet import HEADER, Sheet
 from solver.edits.edit import DENSITY
 from solver.fitting.face import Face, Pose
+from solver.kinds.scene import STIFFNESS_PA
 from solver.model import SubjectModel
 from solver.rig.pictures import SIDE, THREE_QUARTER, WIDTH
 from solver.scene.objects import check_objects
-from solver.scene.stage import STIFFNESS_PA
 from solver.simulation.simulator import Simulator, Stepped
 from solver.surface import Floats, Surface
 

@@ -20,8 +20,8 @@ import scipy.sparse as sp
 
 from benchmarks.documents import Figures
 from solver.drawing.head import DrawnHead
-from solver.drawing.page import HEADER, Sheet
 from solver.drawing.render import fade, render
+from solver.drawing.sheet import HEADER, Sheet
 from solver.edits.edit import (
     Edited,
     Replay,
@@ -30,11 +30,13 @@ from solver.edits.edit import (
 )
 from solver.errors import SolveError
 from solver.fitting.face import Face
+from solver.kinds.scene import Contact, EditScene, Flesh
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.rig.edit_report import Compared, EditedPerson, edit_report
 from solver.rig.pictures import THREE_QUARTER, face_camera
 from solver.rig.result import ExpressionFit, load_activations, load_weights
+from solver.scene.document import read_scene
 from solver.scene.places import Places
 from solver.scene.stage import (
     Physics,
@@ -49,7 +51,7 @@ EFFECTS = ("fat", "slim", "full_cheeks", "chin_forward", "lip_filler", "palsy", 
 EXPRESSIONS = ("smile", "surprise", "disgust")
 CELL = (250, 300)
 FIT_TOLERANCE = 1e-5
-NO_CONTACT = {"lips": False, "teeth": False, "eyes": False}
+NO_CONTACT = Flesh(contact=Contact(lips=False, teeth=False, eyes=False))
 
 
 @dataclass(frozen=True)
@@ -78,12 +80,12 @@ class Subject:
 
 def run(subject: Subject, names: Sequence[str] = EFFECTS) -> dict[str, EditedPerson]:
     """Make the edits of the scenes with these names."""
-    physics = physics_of({})
+    physics = physics_of(Flesh())
     before, all_before = poses(Edited.nothing(subject.model, subject.S), physics, subject.fits)
     people = {}
     for name in names:
-        entries = json.loads((SCENES / f"{name}.json").read_text())["edits"]
-        edited = apply(edits_of(entries, subject.places), subject.model, subject.S)
+        scene = read_scene(json.loads((SCENES / f"{name}.json").read_text()), EditScene)
+        edited = apply(edits_of(scene.edits, subject.places), subject.model, subject.S)
         after, all_after = poses(edited, physics, subject.fits)
         compared = [
             Compared(fit.name, one, other, fit.skin)
@@ -105,7 +107,7 @@ def fibres(subject: Subject) -> Figures:
     the fibres, ``fibre_mm`` contractions and jaw fitted anew.
     """
     model, nothing = subject.model, Edited.nothing(subject.model, subject.S)
-    blended = physics_of({"contact": NO_CONTACT})
+    blended = physics_of(NO_CONTACT)
     as_fitted = poses(nothing, blended, subject.fits)[1]
     projected = poses(nothing, replace(blended, fibre_muscles=True), subject.fits)[1]
     face = Face(model, linear=fastest(), tolerance=FIT_TOLERANCE)

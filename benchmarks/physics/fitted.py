@@ -10,10 +10,10 @@ import scipy.sparse as sp
 
 from solver.animation.blendshapes import Blendshapes
 from solver.fitting.face import Face, Pose
+from solver.kinds.scene import STIFFNESS_PA
 from solver.mechanics.flesh import COROTATED_TRACE
 from solver.model import SubjectModel
 from solver.rig.result import load_activations, load_weights
-from solver.scene.stage import STIFFNESS_PA
 from solver.similarity import IDENTITY, Similarity
 from solver.simulation.inertia import Drive
 

@@ -13,14 +13,15 @@ import trimesh
 from benchmarks.physics.fitted import Fitted
 from benchmarks.physics.headset import headset
 from benchmarks.physics.jobs import FOLDER
-from solver.pipeline.scenes import (
+from solver.jobs.scenes import (
     play,
     skin_of,
 )
+from solver.kinds.scene import SimulateScene
 from solver.progress import silent
 from solver.rig.animation_picture import Filming, Shot, contact_sheet
-from solver.scene.document import check
-from solver.scene.keys import keyed
+from solver.scene.document import read_scene
+from solver.scene.keys import drives_of
 from solver.scene.places import Places
 from solver.scene.stage import Stage
 
@@ -67,12 +68,12 @@ def _end(
     person: Fitted, places: Places, title: str, scene: Mapping[str, Any], folder: Path
 ) -> Shot:
     """Play a scene and return its last frame."""
-    scene = check(scene, "simulate")
-    drives = keyed(scene, person.poses, person.model, person.S)
-    stage = Stage(scene, places, person.S, drives)
+    played = read_scene(scene, SimulateScene)
+    drives = drives_of(played, person.poses, person.model, person.S)
+    stage = Stage(played, places, person.S, drives)
     last = play(stage, folder / title, title, silent, resume=False, share=(0.0, 1.0))[-1]
     return Shot(
         title,
-        last.placed(skin_of(stage, last)),
+        last.into_world(skin_of(stage, last)),
         tuple(each.at(last.time) for each in stage.objects),
     )

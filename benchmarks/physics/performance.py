@@ -23,13 +23,14 @@ from myoface.demo.outcome import khronos_validation
 from solver.anatomy.template import ShapeBasis
 from solver.animation.recording import RecordedDrives, from_recording
 from solver.drawing.head import DrawnHead
-from solver.drawing.page import HEADER, MARGIN, Sheet
 from solver.drawing.render import fade, render
-from solver.pipeline.scenes import (
+from solver.drawing.sheet import HEADER, MARGIN, Sheet
+from solver.jobs.scenes import (
     finish,
     play,
     skin_of,
 )
+from solver.kinds.scene import SimulateScene
 from solver.progress import silent
 from solver.rig.motion import MotionFrame
 from solver.rig.pictures import face_camera
@@ -78,7 +79,7 @@ def run(
     """
     out.mkdir(parents=True, exist_ok=True)
     drives = from_recording(take, person.shapes, person.model, start, start + frames)
-    stage = Stage({}, Places(person.model, {}), person.S, drives)
+    stage = Stage(SimulateScene(), Places(person.model, {}), person.S, drives)
     done = play(stage, out, TITLE, silent, resume=False, share=(0.0, 1.0))
     skins = np.array([skin_of(stage, frame) for frame in done])
     played = Played(done, skins, _direct(person, basis, drives))

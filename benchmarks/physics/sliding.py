@@ -18,8 +18,8 @@ from solver.anatomy.bones import bone_normals
 from solver.anatomy.domain import boundary
 from solver.drawing import head as drawing_head
 from solver.drawing.head import DrawnHead
-from solver.drawing.page import HEADER, Sheet
 from solver.drawing.render import DrawnBody, Lit, fade, render
+from solver.drawing.sheet import HEADER, Sheet
 from solver.fitting.face import Face, Pose
 from solver.rig.pictures import THREE_QUARTER, WIDTH, face_camera
 from solver.surface import Floats, Surface

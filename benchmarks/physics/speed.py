@@ -21,10 +21,10 @@ from solver.animation.keys import Drives
 from solver.contact.potentials import contact_potentials
 from solver.edits.edit import DENSITY
 from solver.fitting.face import Face
+from solver.kinds.scene import STIFFNESS_PA
 from solver.mechanics.flesh import COROTATED_TRACE
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
-from solver.scene.stage import STIFFNESS_PA
 from solver.simulation.inertia import Drive
 from solver.simulation.simulator import Simulator, Stepped
 from solver.surface import Floats

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 import typer
 
@@ -14,7 +14,7 @@ from myoface.cli.captures import choose, show_captures
 from myoface.cli.console import JobView, complain, out, show_table, show_verdict, transfer_bar
 from myoface.client import DEFAULT_URL, Client
 from myoface.errors import describe
-from myoface.resources import Artifact, Job, Kind, Result
+from myoface.resources import Artifact, Job, Result
 
 subjects = typer.Typer(help="People.", no_args_is_help=True)
 templates = typer.Typer(help="Template anatomies of a service.", no_args_is_help=True)
@@ -169,7 +169,7 @@ def submit_job(
             chosen = [each for each in listed if each.role == "expression"]
         given = {} if scene is None else {"scene": read_scene(scene)}
         job = client.submit(
-            cast(Kind, kind),
+            kind,
             subject,
             captures=[each.id for each in chosen],
             rig_id=rig,

@@ -74,7 +74,7 @@ def check(
     json_file: Annotated[Path | None, typer.Option("--json", help="report; - prints it")] = None,
 ) -> None:
     """Say what is wrong with a template; exit code 1 if it cannot be used."""
-    from solver.templates.checks import report_template
+    from solver.templates.report import report_template
 
     report = report_template(_load(given))
     text = json.dumps(report.as_dict(), indent=2)
@@ -100,7 +100,7 @@ def show(
     ] = None,
 ) -> None:
     """Show what a template holds, landmarks by name; with --output also draw it, and its skin."""
-    from solver.templates.checks import template_figures
+    from solver.templates.report import template_figures
 
     loaded = _load(given)
     show_table(("what", "how much"), list(_rows(template_figures(loaded))))

@@ -18,11 +18,11 @@ from service.captures.repository import neutral_of, registered_form
 from service.errors import Problem, not_found
 from service.jobs import repository
 from service.jobs.schemas import NewJob
-from service.kinds import Kind
 from service.rigs import repository as rigs
 from service.store.models import Capture, Job, Rig
 from service.subjects import repository as subjects
 from service.templates import repository as templates
+from solver.kinds import Kind
 
 Input = dict[str, Any]
 
@@ -43,7 +43,7 @@ def resolve(session: Session, kind: Kind, new: NewJob) -> Inputs:
     if "capture" in kind.reads:
         return _about_one_capture(session, kind, new)
     if "neutral" in kind.reads:
-        return Inputs([_neutral(session, new.subject_id), *_template(session, new.subject_id)])
+        return Inputs([_neutral(session, new.subject_id), *_template(session, kind, new)])
     return _of_a_model(session, kind, new)
 
 
@@ -53,7 +53,7 @@ def _refuse_unread(kind: Kind, new: NewJob) -> None:
         ("rig_id", {"rig"}),
     ):
         if getattr(new, member) and reads.isdisjoint(kind.reads):
-            raise Problem(422, "job.unexpected", f"{kind.kind} takes no {member}", member=member)
+            raise Problem(422, "job.unexpected", f"{kind.name} takes no {member}", member=member)
 
 
 def _about_one_capture(session: Session, kind: Kind, new: NewJob) -> Inputs:
@@ -77,7 +77,7 @@ def _about_one_capture(session: Session, kind: Kind, new: NewJob) -> Inputs:
         )
     if "neutral" in kind.reads and capture.role != "neutral":
         files.append(_neutral(session, new.subject_id, of_an_expression=True))
-    return Inputs([*files, *_template(session, new.subject_id)], capture_id=capture.id)
+    return Inputs([*files, *_template(session, kind, new)], capture_id=capture.id)
 
 
 def _the_capture(session: Session, new: NewJob) -> Capture:
@@ -125,10 +125,10 @@ def _neutral(session: Session, subject_id: str, *, of_an_expression: bool = Fals
     raise _not_registered({neutral.id: _REGISTER_FIRST.format(name=neutral.name)})
 
 
-def _template(session: Session, subject_id: str) -> list[Input]:
-    """Return the subject's template; none: the solver has one of its own."""
-    template_id = subjects.get(session, subject_id).template_id
-    if template_id is None:
+def _template(session: Session, kind: Kind, new: NewJob) -> list[Input]:
+    """Return the subject's template if ``kind`` reads it; none: the solver has one of its own."""
+    template_id = subjects.get(session, new.subject_id).template_id
+    if template_id is None or "template" not in kind.reads:
         return []
     template = templates.get(session, template_id)
     return [_input_of("template", template.name, template.filename, template.sha256)]
@@ -152,7 +152,7 @@ def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
         files += _expressions(session, new, model)
     elif "assets" in kind.reads:
         files += _assets(session, new)
-        files += _template(session, new.subject_id)
+    files += _template(session, kind, new)
     if "blendshapes" in kind.reads:
         files += _blendshapes(session, rig)
     return Inputs(files, model_job_id=model.id)

@@ -14,14 +14,12 @@ from service.errors import Problem
 from service.jobs import repository
 from service.jobs.inputs import resolve
 from service.jobs.schemas import Cancel, NewJob, Retry
-from service.kinds import KINDS, Kind
 from service.queue import table
 from service.queue.states import FINAL
 from service.store.files import Files
 from service.store.models import Job, new_id
 from service.subjects import repository as subjects
-
-LEAVE_FRAMES = ("sequence", "animation")
+from solver.kinds import KINDS, Kind
 
 
 def submit(
@@ -48,7 +46,7 @@ def submit(
     job = Job(
         id=job_id or new_id(),
         subject_id=new.subject_id,
-        kind=kind.kind,
+        kind=kind.name,
         queue=kind.queue,
         request=new.model_dump(),
         inputs=inputs.files,
@@ -112,8 +110,9 @@ def check_options(name: str, options: dict[str, Any]) -> Kind:
     except ValueError as error:  # NaN, an infinity, half a surrogate pair
         raise Problem(422, "job.options", f"options are not strict JSON: {error}") from error
     if faults := kind.faults(options):
-        detail = f"{faults[0]['where']}: {faults[0]['message']}"
-        raise Problem(422, "job.options", detail, errors=faults)
+        detail = f"{faults[0].where}: {faults[0].message}"
+        errors = [fault.as_dict() for fault in faults]
+        raise Problem(422, "job.options", detail, errors=errors)
     return kind
 
 
@@ -135,12 +134,12 @@ def newest_picture(session: Session, files: Files, job_id: str) -> bytes | None:
     """Return a JPEG of the newest frame that has one, None before there is any."""
     _check_frames(session, job_id)
     for chunk in reversed(table.frames(session, job_id)):
-        if picture := json.loads(files.read(chunk.sha256)).repository.get("picture"):
+        if picture := json.loads(files.read(chunk.sha256)).get("picture"):
             return base64.b64decode(picture)
     return None
 
 
 def _check_frames(session: Session, job_id: str) -> None:
     job = repository.get(session, job_id)
-    if KINDS[job.kind].leaves not in LEAVE_FRAMES:
+    if not KINDS[job.kind].frames:
         raise Problem(409, "job.no_frames", f"a {job.kind} job has no frames", job_id=job_id)

@@ -11,11 +11,11 @@ from service.access.principal import Scope, need_scope
 from service.captures.service import FORMATS, LANDMARK_FORMATS, RAW_FORMATS
 from service.dependencies import ReadSession, SettingsDep, WholeStore, part
 from service.errors import problems
-from service.kinds import KINDS
 from service.schemas import Page
 from service.store.retention import own_days
 from service.system.schemas import KindView, Limits, Readiness, Retention, WorkerView
 from service.system.service import living_workers, readiness
+from solver.kinds import KINDS
 
 # RFC 9745: since when, in seconds of the epoch (2026-11-22)
 SOLVERS_DEPRECATED = "@1795305600"
@@ -53,7 +53,7 @@ def limits(session: ReadSession, settings: SettingsDep) -> Limits:
 )
 def kinds() -> Any:
     """List the kinds of job with their options as JSON Schema."""
-    return {"items": list(KINDS.values())}
+    return {"items": [KindView.of(kind) for kind in KINDS.values()]}
 
 
 @router.get(

@@ -8,6 +8,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, Field
 
 from service.schemas import View
+from solver.kinds import Kind
 
 
 class Retention(BaseModel):
@@ -43,6 +44,21 @@ class KindView(View):
     reads: list[str]
     leaves: str
     options: dict[str, Any]
+    frames: bool = Field(description="whether it leaves frames, which can be read while it runs")
+
+    @classmethod
+    def of(cls, kind: Kind) -> KindView:
+        """Show a kind of job."""
+        return cls(
+            kind=kind.name,
+            title=kind.title,
+            description=kind.description,
+            queue=kind.queue,
+            reads=list(kind.reads),
+            leaves=kind.leaves,
+            options=kind.schema,
+            frames=kind.frames,
+        )
 
 
 class WorkerView(View):

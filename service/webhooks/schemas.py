@@ -7,10 +7,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from service.kinds import KINDS
 from service.outbound import LONGEST_URL, Refused, parse
 from service.schemas import RequestBody, View
 from service.store.models import Delivery
+from solver.kinds import KINDS
 
 # Events that a webhook can subscribe to
 EventType = Literal[

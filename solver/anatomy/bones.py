@@ -27,18 +27,13 @@ class WrapOptions:
     """Fineness of bone wraps, and the room that they leave for flesh."""
 
     voxel_mm: float = 1.25
-    joint_gap_mm: float = 1.5
-    """Room for flesh between mandible and cranium."""
-    skin_gap_mm: float = 2.4
-    """Room for flesh between bone and skin."""
+    joint_gap_mm: float = 1.5  # room for flesh between mandible and cranium
+    skin_gap_mm: float = 2.4  # room for flesh between bone and skin
+    # Radius of the morphological closing: sutures and foramina are narrower than twice that.
     closing_mm: float = 3.8
-    """Radius of the morphological closing: sutures and foramina are narrower than twice that."""
-    faces: int = 6000
-    """Of each wrap, after decimation."""
-    smoothing_voxels: float = 1.0
-    """Deviation of the Gaussian before marching cubes."""
-    taubin_steps: int = 16
-    """Of smoothing after it."""
+    faces: int = 6000  # of each wrap, after decimation
+    smoothing_voxels: float = 1.0  # deviation of the Gaussian before marching cubes
+    taubin_steps: int = 16  # of smoothing after it
 
 
 WRAP = WrapOptions()

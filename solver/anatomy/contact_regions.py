@@ -58,14 +58,11 @@ def lip_sides(skin: Floats, faces: Ints, upper: Ints, lower: Ints) -> Ints:
 class ContactDistances:
     """Distances by which skin belongs to a contact region."""
 
-    lining_mm: float = 6.0
-    """Lips' lining lies this near to the teeth that lips cover."""
-    lid_mm: float = 4.0
-    """Lids lie this near to the eyeball."""
+    lining_mm: float = 6.0  # lips' lining lies this near to the teeth that lips cover
+    lid_mm: float = 4.0  # lids lie this near to the eyeball
+    # And no deeper in it: skin that goes on behind the lids, in the socket, is none of them.
     on_ball_mm: float = 0.2
-    """And no deeper in it: skin that goes on behind the lids, in the socket, is none of them."""
-    front_teeth: float = 0.5
-    """Part of the teeth's length, from the front, that lips cover."""
+    front_teeth: float = 0.5  # part of the teeth's length, from the front, that lips cover
 
 
 DISTANCES = ContactDistances()

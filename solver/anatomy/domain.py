@@ -37,18 +37,15 @@ HOLDING = (Label.CRANIUM, Label.MANDIBLE, Label.CUT)
 class DomainOptions:
     """Extent of the box that is meshed, and edge lengths in it."""
 
+    # Of the box around the skin, and of skin and bones that are followed behind the planes.
     margin_mm: float = 4.0
-    """Of the box around the skin, and of skin and bones that are followed behind the planes."""
-    plane_cells: int = 24
-    """A side of the triangle grids on the cut planes."""
-    grid_mm: float = 6.0
-    """Cells of the background mesh that carries the edge lengths."""
+    plane_cells: int = 24  # a side of the triangle grids on the cut planes
+    grid_mm: float = 6.0  # cells of the background mesh that carries the edge lengths
+    # Edge length far from the face (neck, scalp, throat) as a multiple of the face's.
     deep_factor: float = 2.0
-    """Edge length far from the face (neck, scalp, throat) as a multiple of the face's."""
-    growth: float = 0.4
-    """Edge length in mm gained by a mm of distance."""
+    growth: float = 0.4  # edge length in mm gained by a mm of distance
+    # Pieces of flesh with a smaller part of the tetrahedra than this are dropped.
     least_piece: float = 0.05
-    """Pieces of flesh with a smaller part of the tetrahedra than this are dropped."""
 
 
 DOMAIN = DomainOptions()

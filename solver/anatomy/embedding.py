@@ -12,13 +12,7 @@ from scipy.spatial import cKDTree
 from solver.anatomy.tetrahedra import barycentric_in_tets
 from solver.drawing.head import skin_parts
 from solver.model import SubjectModel
-from solver.surface import (
-    Floats,
-    Ints,
-    Surface,
-    adjacency,
-    vertex_areas,
-)
+from solver.surface import Floats, Ints, Surface, adjacency, vertex_areas
 
 # A vertex may lie this far outside its tetrahedron, as a part of its height: skin crosses over
 # where nostrils meet, and then lies behind the tets it covers.
@@ -76,21 +70,23 @@ def shares_in_tets(points: Floats, vertices: Floats, corners: Ints, inside: Floa
 # flesh ends. From lashes and tear film an edge goes to the skin wherever they touch it.
 
 
-FADE_MM = 60.0  # the length l: a mouth opened wide takes the neck along by centimetres
-TOUCH_MM = 1.0  # lashes hang on skin that is nearer than this
-
-
 class LooseSkin:
-    """The vertices ``ids`` (k,) of a model's skin that hang on flesh by edges, but lie on none."""
+    """The vertices ``ids`` (k,) of a model's skin that hang on flesh by edges, but lie on none.
 
-    def __init__(self, model: SubjectModel) -> None:
+    ``fade_mm`` is the length l: a mouth opened wide takes the neck along by centimetres. Lashes
+    hang on skin that is nearer than ``touch_mm``.
+    """
+
+    def __init__(
+        self, model: SubjectModel, *, fade_mm: float = 60.0, touch_mm: float = 1.0
+    ) -> None:
         skin, faces = model.skin.vertices, model.skin.faces
-        edges = _edges(model)
+        edges = _edges(model, touch_mm)
         _, part = connected_components(edges, directed=False)
         hangs = np.isin(part, part[model.embedded])
         hangs[model.embedded] = hangs[model.attached_mandible] = False
         self.ids = np.flatnonzero(hangs)
-        own = np.asarray(edges.sum(axis=1)) + vertex_areas(skin, faces) / FADE_MM**2
+        own = np.asarray(edges.sum(axis=1)) + vertex_areas(skin, faces) / fade_mm**2
         system = sp.csr_array(sp.diags_array(own) - edges)[self.ids]
         self._given = np.concatenate([model.embedded, model.attached_mandible])
         self._pull = -system[:, self._given]
@@ -106,13 +102,13 @@ class LooseSkin:
         return np.asarray(self._factor.solve(np.asarray(self._pull @ moved[self._given])))
 
 
-def _edges(model: SubjectModel) -> sp.csr_array:
+def _edges(model: SubjectModel, touch_mm: float) -> sp.csr_array:
     """Return the graph (V, V) of the skin's edges, and of those by which lashes hang on it."""
     skin, faces = model.skin.vertices, model.skin.faces
     of_lashes = skin_parts(model.skin).get("lashes", np.empty(0, np.int64))
     lashes = np.unique(faces[of_lashes])
     distance, near = cKDTree(skin[model.embedded]).query(skin[lashes])
-    touch = distance < TOUCH_MM
+    touch = distance < touch_mm
     ends = lashes[touch], model.embedded[near[touch]]
     roots = sp.csr_array((np.ones(len(ends[0])), ends), shape=(len(skin),) * 2)
     return sp.csr_array(adjacency(faces, len(skin)) + roots + roots.T)

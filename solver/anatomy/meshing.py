@@ -36,39 +36,6 @@ from solver.progress import Progress, Step, silent
 from solver.storage import cache_directory
 from solver.surface import Floats, Ints, Surface
 
-# From the parted pose, in which the flesh is meshed, back to the neutral pose.
-
-
-def close_lips(head: Template, vertices: Floats, tets: Ints, outside: Ints, held: Ints) -> Floats:
-    """Return the flesh's vertices (p, 3), meshed with parted lips, with the lips closed.
-
-    Vertices of the ``outside`` faces (f, 3) move with the skin they lie on, ``held`` ones stay
-    and the others follow harmonically; tets between the lips may come out inverted.
-    """
-    skin_side = np.setdiff1d(outside, held)
-    skin = Surface(head.parted_skin.vertices, head.skin.faces[head.flesh_faces])
-    face, shares, _ = barycentric(vertices[skin_side], skin)
-    displacement = np.einsum("nk,nkd->nd", shares, -head.parting[skin.faces[face]])
-    known = np.concatenate([skin_side, held])
-    values = np.vstack([displacement, np.zeros((len(held), 3))])
-    return vertices + harmonic_displacement(vertices, tets, known, values)
-
-
-def harmonic_displacement(vertices: Floats, tets: Ints, known: Ints, values: Floats) -> Floats:
-    """Return the displacement (p, 3) that is ``values`` (k, 3) at ``known`` (k,) and harmonic.
-
-    Linear finite elements; the vertices (p, 3) give the metric.
-    """
-    laplacian = sp.csc_array(igl.cotmatrix(vertices, tets))
-    displacement = np.zeros_like(vertices)
-    displacement[known] = values
-    free = np.setdiff1d(np.arange(len(vertices)), known)
-    inner = sp.csc_matrix(-laplacian[free][:, free])
-    right = laplacian[free][:, known] @ values
-    displacement[free] = splu(inner, permc_spec="MMD_AT_PLUS_A").solve(np.ascontiguousarray(right))
-    return displacement
-
-
 EDGE_MM = 9.0  # the usual edge length on the face
 
 
@@ -76,23 +43,21 @@ EDGE_MM = 9.0  # the usual edge length on the face
 class MeshOptions:
     """Distances that decide how flesh, skin and bones are joined."""
 
-    envelope: float = 0.08
-    """Distance between flesh surface and skin as a part of the edge length."""
+    envelope: float = 0.08  # distance between flesh surface and skin as a part of the edge length
     greatest_envelope_mm: float = 1.6
+    # Of processor time; a head at the usual edge length takes one or two minutes.
     mesher_seconds: float = 900.0
-    """Of processor time; a head at the usual edge length takes one or two minutes."""
+    # Within this distance of the mandible a cut plane is free: the jaw's angle moves with it.
     jaw_free_mm: float = 15.0
-    """Within this distance of the mandible a cut plane is free: the jaw's angle moves with it."""
+    # So is one this near to the face under the jaw: the throat is drawn along.
     face_free_mm: float = 20.0
-    """So is one this near to the face under the jaw: the throat is drawn along."""
+    # Forehead: the skull's vertices this near to the frontalis slide instead of being fixed.
     frontalis_mm: float = 6.0
-    """Forehead: the skull's vertices this near to the frontalis slide instead of being fixed."""
+    # Skin further from the flesh than this part of the edge length does not follow it.
     embedding: float = 0.25
-    """Skin further from the flesh than this part of the edge length does not follow it."""
+    # Skin beyond the flesh goes with the jaw this near to it: the mouth's lining, not the neck.
     lining_mm: float = 8.0
-    """Skin beyond the flesh goes with the jaw this near to it: the mouth's lining, not the neck."""
-    fitting_rounds: int = 3
-    """Of binding the skin to the mesh and fitting the mesh to the skin."""
+    fitting_rounds: int = 3  # of binding the skin to the mesh and fitting the mesh to the skin
     domain: DomainOptions = DOMAIN
 
 
@@ -270,6 +235,39 @@ def _drawn_along(head: Template, points: Floats, options: MeshOptions) -> np.nda
     near_face = cKDTree(face).query(points)[0] < options.face_free_mm
     near_jaw = cKDTree(head.mandible.vertices).query(points)[0] < options.jaw_free_mm
     return np.asarray(near_jaw | (throat & near_face))
+
+
+# From the parted pose, in which the flesh is meshed, back to the neutral pose.
+
+
+def close_lips(head: Template, vertices: Floats, tets: Ints, outside: Ints, held: Ints) -> Floats:
+    """Return the flesh's vertices (p, 3), meshed with parted lips, with the lips closed.
+
+    Vertices of the ``outside`` faces (f, 3) move with the skin they lie on, ``held`` ones stay
+    and the others follow harmonically; tets between the lips may come out inverted.
+    """
+    skin_side = np.setdiff1d(outside, held)
+    skin = Surface(head.parted_skin.vertices, head.skin.faces[head.flesh_faces])
+    face, shares, _ = barycentric(vertices[skin_side], skin)
+    displacement = np.einsum("nk,nkd->nd", shares, -head.parting[skin.faces[face]])
+    known = np.concatenate([skin_side, held])
+    values = np.vstack([displacement, np.zeros((len(held), 3))])
+    return vertices + harmonic_displacement(vertices, tets, known, values)
+
+
+def harmonic_displacement(vertices: Floats, tets: Ints, known: Ints, values: Floats) -> Floats:
+    """Return the displacement (p, 3) that is ``values`` (k, 3) at ``known`` (k,) and harmonic.
+
+    Linear finite elements; the vertices (p, 3) give the metric.
+    """
+    laplacian = sp.csc_array(igl.cotmatrix(vertices, tets))
+    displacement = np.zeros_like(vertices)
+    displacement[known] = values
+    free = np.setdiff1d(np.arange(len(vertices)), known)
+    inner = sp.csc_matrix(-laplacian[free][:, free])
+    right = laplacian[free][:, known] @ values
+    displacement[free] = splu(inner, permc_spec="MMD_AT_PLUS_A").solve(np.ascontiguousarray(right))
+    return displacement
 
 
 # A template's tets where its file carries none of the wanted size: made once, then kept.

@@ -22,7 +22,6 @@ from solver.anatomy.tetrahedra import volumes
 from solver.surface import Floats, Ints, Surface, area_normals, directed_edges
 
 CANDIDATE_MM = 10.0  # a muscle may act in the tets within this distance (the paper's sparsity of S)
-VOLUME_SAMPLES = 40_000  # of a box around an open surface, for its volume to about 2 %
 # Eight equal parts of a tetrahedron: each corner is half way between two of its corners.
 _OCTASECTION = (
     ((0, 0), (0, 1), (0, 2), (0, 3)),
@@ -40,14 +39,10 @@ _OCTASECTION = (
 class SamplingOptions:
     """Fineness of the sampling of tetrahedra, at the centres of 8^level parts."""
 
-    near_level: int = 1
-    """To find candidates."""
-    level: int = 2
-    """For volume fractions."""
-    fine_level: int = 3
-    """For those of small muscles, which are thin."""
-    fine_below_mm3: float = 600.0
-    """Volume of a small muscle."""
+    near_level: int = 1  # to find candidates
+    level: int = 2  # for volume fractions
+    fine_level: int = 3  # for those of small muscles, which are thin
+    fine_below_mm3: float = 600.0  # volume of a small muscle
 
 
 SAMPLING = SamplingOptions()
@@ -103,11 +98,11 @@ def muscle_volumes(vertices: Floats, tets: Ints, weights: sp.csr_array) -> Float
     return np.asarray(weights.T @ volumes(vertices, tets))[1:]
 
 
-def enclosed_volume(surface: Surface) -> float:
+def enclosed_volume(surface: Surface, samples: int = 40_000) -> float:
     """Return the volume in mm^3 of the points that a surface winds around.
 
     Where it is closed that is a sum over its triangles. Else, with gaps or pieces inside out, it is
-    counted on a grid along the surface's principal axes, to about 2 %.
+    counted on a grid of ``samples`` along the surface's principal axes, to about 2 %.
     """
     middle = surface.vertices.mean(axis=0)
     if _is_closed(surface.faces):
@@ -117,7 +112,7 @@ def enclosed_volume(surface: Surface) -> float:
     local = (surface.vertices - middle) @ axes.T
     lo, hi = local.min(axis=0), local.max(axis=0)
     box = float(np.prod(hi - lo))
-    counts = np.ceil((hi - lo) / (box / VOLUME_SAMPLES) ** (1 / 3)).astype(int)
+    counts = np.ceil((hi - lo) / (box / samples) ** (1 / 3)).astype(int)
     steps = [lo[k] + (hi - lo)[k] * (np.arange(n) + 0.5) / n for k, n in enumerate(counts)]
     grid = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
     return box * float(contains(surface, grid @ axes + middle).mean())
@@ -206,19 +201,17 @@ def _within(points: Floats, surface: Surface, reach: Floats | float) -> np.ndarr
 class FibreOptions:
     """Ends of muscles, and the flesh around them, in the potentials of fibres."""
 
+    # Part of a muscle's length at each end where the potential is given. Less takes the top of a
+    # dome, such as frontalis has, for the whole end, and fibres fan out from it.
     straight_end: float = 0.15
-    """Part of a muscle's length at each end where the potential is given. Less takes the top of a
-    dome, such as frontalis has, for the whole end, and fibres fan out from it."""
+    # The same of a bent muscle. More takes its side, such as half a ring has, for its end.
     bent_end: float = 0.05
-    """The same of a bent muscle. More takes its side, such as half a ring has, for its end."""
+    # A muscle is bent if its middle lies off its axis by more than this part of its length.
     bent: float = 0.16
-    """A muscle is bent if its middle lies off its axis by more than this part of its length."""
-    reach_mm: float = 5.0
-    """Muscle further than this from its candidates is outside the flesh."""
-    conductivity: float = 0.01
-    """Of the flesh around a muscle, for its candidates beside it."""
+    reach_mm: float = 5.0  # muscle further than this from its candidates is outside the flesh
+    conductivity: float = 0.01  # of the flesh around a muscle, for its candidates beside it
+    # Weight of the potential's first guess, for pieces of flesh that no end touches.
     pull: float = 1e-6
-    """Weight of the potential's first guess, for pieces of flesh that no end touches."""
 
 
 FIBRES = FibreOptions()
@@ -358,9 +351,6 @@ class _Field:
 # skull.
 
 
-END = 0.1  # part of a muscle's vertices that are an end
-
-
 def bodyparts3d_muscle(name: str, surface: Surface, skull: Floats) -> Muscle:
     """Return a muscle of BodyParts3D with the axis of the table.
 
@@ -397,9 +387,9 @@ def with_axis(name: str, surface: Surface, skull: Floats) -> Muscle:
     return Muscle(name, surface, fibre, origin, insertion)
 
 
-def _ends(surface: Surface, axis: Floats) -> Floats:
-    """Return the centres (2, 3) of the ends of a surface along an axis."""
+def _ends(surface: Surface, axis: Floats, part: float = 0.1) -> Floats:
+    """Return the centres (2, 3) of both ends along an axis, each ``part`` of the vertices."""
     along = surface.vertices @ axis
-    low, high = np.quantile(along, [END, 1 - END])
+    low, high = np.quantile(along, [part, 1 - part])
     ends = (surface.vertices[along <= low], surface.vertices[along >= high])
     return np.stack([end.mean(axis=0) for end in ends])

@@ -36,19 +36,14 @@ _INVERSE = np.linalg.inv(_REGULAR)
 class RelaxationOptions:
     """Weights and rounds of the relaxation."""
 
-    stiffness: float = 0.1
-    """c of a tet at first."""
+    stiffness: float = 0.1  # c of a tet at first
+    # Regularisation of chi, as a part of the volume of a tet of mean edge length, to untangle.
     untangling: float = 0.1
-    """Regularisation of chi, as a part of the volume of a tet of mean edge length, to untangle."""
-    smoothing: float = 0.01
-    """The same, for the result."""
-    wanted_deg: float = 12.0
-    """Tets with a smaller dihedral angle are stiffened and relaxed again."""
-    stiffening: float = 3.0
-    """The factor of each such round."""
+    smoothing: float = 0.01  # the same, for the result
+    wanted_deg: float = 12.0  # tets with a smaller dihedral angle are stiffened and relaxed again
+    stiffening: float = 3.0  # the factor of each such round
     rounds: int = 6
-    iterations: int = 500
-    """Of L-BFGS in the first round; later ones have a small way to go."""
+    iterations: int = 500  # of L-BFGS in the first round; later ones have a small way to go
     later_iterations: int = 120
 
 

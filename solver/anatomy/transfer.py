@@ -24,15 +24,11 @@ from solver.surface import Floats, Ints, Surface
 class TransferOptions:
     """Fineness of the warp between two skins, and the room it leaves over bones."""
 
-    correspondences: int = 900
-    """Flesh vertices spread over the skin that the warp goes through."""
-    smoothing_mm: float = 2.0
-    """Misses that it is allowed, for less bending."""
-    clearance_mm: float = 1.9
-    """Bones stay this deep under the skin where they do in the template."""
+    correspondences: int = 900  # flesh vertices spread over the skin that the warp goes through
+    smoothing_mm: float = 2.0  # misses that it is allowed, for less bending
+    clearance_mm: float = 1.9  # bones stay this deep under the skin where they do in the template
     clearance_steps: int = 8
-    least_deg: float = 5.0
-    """A mesh with a smaller dihedral angle is of no use."""
+    least_deg: float = 5.0  # a mesh with a smaller dihedral angle is of no use
 
 
 TRANSFER = TransferOptions()
@@ -164,14 +160,11 @@ class FleshMotion:
 class Pulls:
     """Weights of springs, 1/mm^2."""
 
-    face: float = 20.0
-    """Of a skin vertex on the face."""
-    skin: float = 4.0
-    """Of one elsewhere."""
-    bone: float = 10.0
-    """Of a vertex on a bone or cut plane."""
+    face: float = 20.0  # of a skin vertex on the face
+    skin: float = 4.0  # of one elsewhere
+    bone: float = 10.0  # of a vertex on a bone or cut plane
+    # Of every vertex to where it starts, so that nothing drifts that is not pulled.
     stay: float = 0.1
-    """Of every vertex to where it starts, so that nothing drifts that is not pulled."""
 
 
 PULLS = Pulls()
@@ -217,7 +210,7 @@ def guidance(
 
 # A template's tetrahedra carried into a person: the same tets, muscles and S for everybody.
 #
-# The skin's warp carries all vertices; then the mesh is relax, pulled by the person's skin
+# The skin's warp carries all vertices; then the mesh is relaxed, pulled by the person's skin
 # through its embedding and by the person's bones through the places it has on the template's.
 
 

@@ -1,1 +1,1 @@
-"""What must not go into each other: lips, teeth, lids, eyes, and objects from outside."""
+"""Contact of lips, teeth, lids, eyes, and objects from outside."""

@@ -21,21 +21,24 @@ from solver.contact.surface import ContactSurface, collision_mesh
 from solver.mechanics.potential import Boundary, BoundaryRates
 from solver.surface import Floats, Ints, Surface
 
-DISTANCE_MM = 0.08
-"""Surfaces nearer than this push each other away: few are in a neutral face."""
-STIFFNESS = 200.0
-"""The barrier's stiffness over that of the flesh: pressed lips settle where it pushes firmly, not
-at its steep end."""
-FURTHEST_MM = 30.0
-"""No step goes further: where Newton's leads metres away, all is in the way of all, and to look for
-what it meets takes seconds."""
-SLIP_MM_S = 1.0
-"""Speed below which friction holds: it then grows with the speed."""
+
+@dataclass(frozen=True)
+class BarrierOptions:
+    """Options of a barrier: its reach, and how steep it is."""
+
+    distance_mm: float = 0.08  # surfaces nearer than this push: few are in a neutral face
+    # of the barrier over the flesh's: pressed lips settle where it pushes firmly, not at its steep
+    # end
+    stiffness_ratio: float = 200.0
+    # where Newton's step leads metres away, all is in the way of all, and to look for what it meets
+    # takes seconds
+    furthest_mm: float = 30.0
+    slip_mm_s: float = 1.0  # speed below which friction holds: it then grows with the speed
 
 
 @dataclass(frozen=True)
-class _Touching:
-    """Where the surfaces are, (v, 3), and what touches there."""
+class _Contacts:
+    """Positions (v, 3) of the surfaces, and what touches there."""
 
     points: Floats
     collisions: ipctk.NormalCollisions
@@ -43,7 +46,7 @@ class _Touching:
 
 @dataclass(frozen=True)
 class _Friction:
-    """What touched at a step's start, ``points`` (v, 3) then, and the step's length in seconds."""
+    """Contacts at a step's start, ``points`` (v, 3) then, and the step's length in seconds."""
 
     points: Floats
     collisions: ipctk.TangentialCollisions
@@ -65,6 +68,8 @@ class Barrier:
         Whether skin meets skin; else only objects do.
     friction
         Coefficient of friction, of skin and of objects.
+    options
+        Where it acts, and how steeply.
     """
 
     def __init__(
@@ -75,18 +80,22 @@ class Barrier:
         objects: Sequence[Surface] = (),
         itself: bool = True,
         friction: float = 0.0,
+        options: BarrierOptions = BarrierOptions(),
     ) -> None:
         ipctk.set_logger_level(ipctk.error)
         ipctk.set_num_threads(nb.get_num_threads())
+        self._options = options
         self._surface = surface
         self._objects = [each.vertices for each in objects]
         self._rows = sp.csr_array(sp.kron(surface.rows, sp.eye_array(3), format="csr"))
-        self._barrier = ipctk.BarrierPotential(DISTANCE_MM, STIFFNESS * stiffness_pa)
-        self._sliding = ipctk.FrictionPotential(SLIP_MM_S)
+        self._barrier = ipctk.BarrierPotential(
+            options.distance_mm, options.stiffness_ratio * stiffness_pa
+        )
+        self._sliding = ipctk.FrictionPotential(options.slip_mm_s)
         self._friction = friction
         self._lagged: _Friction | None = None
-        self._last: tuple[Floats, _Touching] | None = None
-        self._mesh = _joined(surface, objects, itself=itself)
+        self._last: tuple[Floats, _Contacts] | None = None
+        self._mesh = _join(surface, objects, itself=itself)
 
     def begin(self, x: Floats, now: Boundary, seconds: float) -> None:
         """See :class:`solver.mechanics.potential.Potential`."""
@@ -110,7 +119,7 @@ class Barrier:
         touching = self._touching(x)
         value = float(self._barrier(touching.collisions, self._mesh, touching.points))
         if self._lagged is not None:
-            speed = self._speed(touching.points, self._lagged)
+            speed = self._velocity(touching.points, self._lagged)
             drag = self._sliding(self._lagged.collisions, self._mesh, speed)
             value += self._lagged.seconds * float(drag)
         return value
@@ -120,7 +129,7 @@ class Barrier:
         touching = self._touching(x)
         force = self._barrier.gradient(touching.collisions, self._mesh, touching.points)
         if self._lagged is not None:
-            speed = self._speed(touching.points, self._lagged)
+            speed = self._velocity(touching.points, self._lagged)
             force = force + self._sliding.gradient(self._lagged.collisions, self._mesh, speed)
         return self._on_flesh(force)
 
@@ -156,7 +165,7 @@ class Barrier:
         start = self._points(x, self._objects)
         motion = self._points(y, goal.objects) - start
         far = float(np.linalg.norm(motion, axis=1).max(initial=0.0))
-        part = min(FURTHEST_MM / far, 1.0) if far else 1.0
+        part = min(self._options.furthest_mm / far, 1.0) if far else 1.0
         step = ipctk.compute_collision_free_stepsize(
             self._mesh, start, start + part * motion, 0.0, None, ipctk.AdditiveCCD()
         )
@@ -170,13 +179,13 @@ class Barrier:
     def _points(self, x: Floats, objects: Sequence[Floats]) -> Floats:
         return np.asfortranarray(np.vstack([self._surface.points(x), *objects]))
 
-    def _touching(self, x: Floats) -> _Touching:
+    def _touching(self, x: Floats) -> _Contacts:
         """Find what touches at x; value, gradient and Hessian ask for the same x again."""
         if self._last is None or not np.array_equal(self._last[0], x):
             points = self._points(x, self._objects)
             collisions = ipctk.NormalCollisions()
-            collisions.build(self._mesh, points, DISTANCE_MM)
-            self._last = x.copy(), _Touching(points, collisions)
+            collisions.build(self._mesh, points, self._options.distance_mm)
+            self._last = x.copy(), _Contacts(points, collisions)
         return self._last[1]
 
     def _by_flesh(self, second: sp.csr_array) -> sp.csr_array:
@@ -193,12 +202,12 @@ class Barrier:
         touching = self._touching(x)
         matrix = self._barrier.hessian(touching.collisions, self._mesh, touching.points, project)
         if self._lagged is not None:
-            speed = self._speed(touching.points, self._lagged)
+            speed = self._velocity(touching.points, self._lagged)
             drag = self._sliding.hessian(self._lagged.collisions, self._mesh, speed, project)
             matrix = matrix + drag / self._lagged.seconds
         return sp.csr_array(matrix)
 
-    def _speed(self, points: Floats, lagged: _Friction) -> Floats:
+    def _velocity(self, points: Floats, lagged: _Friction) -> Floats:
         return np.asfortranarray((points - lagged.points) / lagged.seconds)
 
     def _on_flesh(self, force: Floats) -> Floats:
@@ -206,7 +215,7 @@ class Barrier:
         return np.asarray(self._surface.rows.T @ force[: self._skin_size].reshape(-1, 3))
 
 
-def _joined(
+def _join(
     surface: ContactSurface, objects: Sequence[Surface], *, itself: bool
 ) -> ipctk.CollisionMesh:
     """Return skin and objects as one mesh, in which no object meets another one."""

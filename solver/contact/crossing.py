@@ -1,4 +1,4 @@
-"""How deep lips and teeth lie inside each other, in a scan or in a fit."""
+"""Depths of lips and teeth inside each other, in a scan or in a fit."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
 from solver.contact.one_sided import OneSided
-from solver.contact.overlap import between_lips
+from solver.contact.overlap import INSIDE, between_lips
 from solver.contact.potentials import arches
 from solver.errors import InputError
 from solver.mechanics.jaw import move
@@ -83,12 +83,6 @@ def _in_teeth(mouth: Mouth, points: Floats, part: int, teeth: int) -> float | No
 # How deep a face in motion lies in what it touches: the figure that contact is judged by.
 
 
-BEHIND_MM = 0.2
-"""A lip's vertex this deep under the teeth's outer side is behind the teeth, or in them."""
-INSIDE = 0.5
-"""Winding number from which on a place is inside."""
-
-
 @dataclass(frozen=True)
 class Penetration:
     """Depths in mm, and how many of the lips' vertices are behind teeth.
@@ -112,10 +106,13 @@ class Gauge:
     """Measures the penetration of one model's flesh, frame by frame.
 
     ``unedited`` is the person before edits, the model itself by default: lips are behind teeth
-    where they lie deeper in them than that person's do at rest.
+    where they lie deeper in them, by ``behind_mm``, than that person's do at rest.
     """
 
-    def __init__(self, model: SubjectModel, unedited: SubjectModel | None = None) -> None:
+    def __init__(
+        self, model: SubjectModel, unedited: SubjectModel | None = None, behind_mm: float = 0.2
+    ) -> None:
+        self._behind_mm = behind_mm
         self._model = model
         self._unedited = unedited or model
         self._mouth = Mouth.of(self._unedited)
@@ -142,7 +139,7 @@ class Gauge:
         behind = 0
         for arch in self._arches:
             arch.place(placed)
-            behind += len(arch.behind(x, BEHIND_MM))
+            behind += len(arch.behind(x, self._behind_mm))
         skin = np.asarray(self._model.embedding @ x + self._model.offset)
         own = Surface(skin, self._faces)
         pairs = [pair for each in objects for pair in ((skin, each), (each.vertices, own))]

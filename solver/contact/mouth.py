@@ -72,16 +72,16 @@ def _affine(points: Floats, corners: Floats) -> tuple[Floats, Floats]:
     return points @ inverse[:, :3].T + inverse[:, 3], inverse[:, :3]
 
 
-REACH_MM = 12.0
-"""Skin takes part that is this near to the other lip in the neutral face,"""
-TEETH_REACH_MM = 6.0
-"""or to teeth,"""
-LIPS_MM = 8.0
-"""and to a region that is named a lip."""
-AROUND_MM = 20.0
-"""Skin this near to the lips says what is inside them."""
-MIDDLE = 0.2
-"""Part of a lip's half width, from its middle, that says which lip it is."""
+@dataclass(frozen=True)
+class MouthOptions:
+    """Distances in the neutral face by which skin belongs to a mouth."""
+
+    reach_mm: float = 12.0  # skin takes part that is this near to the other lip
+    teeth_reach_mm: float = 6.0  # or to teeth,
+    lips_mm: float = 8.0  # and to a region that is named a lip
+    around_mm: float = 20.0  # skin this near to the lips says what is inside them
+    middle: float = 0.2  # part of a lip's half width, from its middle, that says which lip it is
+
 
 LIPS, AROUND, UPPER_TEETH, LOWER_TEETH = range(4)
 
@@ -108,7 +108,7 @@ class Mouth:
     offset: Floats
 
     @classmethod
-    def of(cls, model: SubjectModel) -> Mouth | None:
+    def of(cls, model: SubjectModel, options: MouthOptions = MouthOptions()) -> Mouth | None:
         """Find the mouth of a model; None if its regions do not name both lips, on its flesh."""
         named = [model.regions.get(f"{lip}_lip", np.empty(0, int)) for lip in ("upper", "lower")]
         if not all(np.isin(lip, model.embedded).any() for lip in named):
@@ -116,8 +116,8 @@ class Mouth:
         vertices, faces = model.skin.vertices, model.skin.faces
         flesh = faces[np.isin(faces, model.embedded).all(axis=1)]
         teeth = [model.regions.get(f"{jaw}_teeth", np.empty(0, int)) for jaw in ("upper", "lower")]
-        lips = _lips(model, flesh, np.concatenate(teeth))
-        around = np.intersect1d(flesh, np.flatnonzero(_within(vertices, lips, AROUND_MM)))
+        lips = _lips(model, flesh, np.concatenate(teeth), options)
+        around = np.intersect1d(flesh, np.flatnonzero(_within(vertices, lips, options.around_mm)))
         label = np.full(len(vertices), -1)
         for name, ids in zip(
             (AROUND, LIPS, UPPER_TEETH, LOWER_TEETH), (around, lips, *teeth), strict=True
@@ -157,25 +157,24 @@ class Mouth:
         return np.ascontiguousarray(self.faces[np.isin(self.label[self.faces], labels).all(axis=1)])
 
 
-def _lips(model: SubjectModel, flesh: Ints, teeth: Ints) -> Ints:
+def _lips(model: SubjectModel, flesh: Ints, teeth: Ints, options: MouthOptions) -> Ints:
     """Return the skin vertices of the flesh's triangles (g, 3) that may touch a lip or teeth."""
     skin = model.skin.vertices
-    side = lip_sides(
-        skin, flesh, _middle(model, "upper_lip", 1.0), _middle(model, "lower_lip", -1.0)
-    )
-    near = _within(skin, teeth, TEETH_REACH_MM)
+    upper = _middle(model, "upper_lip", 1.0, options.middle)
+    side = lip_sides(skin, flesh, upper, _middle(model, "lower_lip", -1.0, options.middle))
+    near = _within(skin, teeth, options.teeth_reach_mm)
     for own in (UPPER, LOWER):
-        near |= (side == own) & _within(skin, np.flatnonzero(side == -own), REACH_MM)
+        near |= (side == own) & _within(skin, np.flatnonzero(side == -own), options.reach_mm)
     named = np.concatenate([model.regions["upper_lip"], model.regions["lower_lip"]])
-    return np.intersect1d(flesh, np.flatnonzero(near & _within(skin, named, LIPS_MM)))
+    return np.intersect1d(flesh, np.flatnonzero(near & _within(skin, named, options.lips_mm)))
 
 
-def _middle(model: SubjectModel, lip: str, up: float) -> Ints:
+def _middle(model: SubjectModel, lip: str, up: float, width: float) -> Ints:
     """Return vertices on the middle of a lip, on its half that is away from the other one."""
     ids: Ints = np.intersect1d(model.regions[lip], model.embedded)
     skin = model.skin.vertices[ids]
     across = np.abs(skin[:, 0] - model.jaw.origin[0])
-    inner = across <= max(MIDDLE * across.max(), across.min())
+    inner = across <= max(width * across.max(), across.min())
     height = up * skin[:, 1]
     return np.asarray(ids[inner & (height >= np.median(height[inner]))])
 

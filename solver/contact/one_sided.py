@@ -22,13 +22,16 @@ from solver.mechanics.potential import Boundary, BoundaryRates
 from solver.model import JawFrame
 from solver.surface import Floats, Ints, Surface
 
-MARGIN_MM = 0.1
-"""Skin is kept so far away, unless it is nearer at rest: then at that distance."""
-STIFFNESS = 100.0
-"""Stress that pushes a vertex out over depth and the flesh's stiffness, 1/mm."""
+
+@dataclass(frozen=True)
+class OneSidedOptions:
+    """Options of what keeps skin away: its margin, and its firmness."""
+
+    margin_mm: float = 0.1  # kept free, unless it is less at rest: then that is
+    stiffness_per_mm: float = 100.0  # stress that pushes out, over depth and the flesh's stiffness
 
 
-class Obstacle(Protocol):
+class DepthField(Protocol):
     """A rigid thing, as a field in its own frame."""
 
     def depths(self, points: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -42,7 +45,7 @@ class Obstacle(Protocol):
         """Return the second derivatives (k, 3, 3) of depths and of how much counts."""
 
 
-def free_depths(obstacle: Obstacle, rest: Floats, least: float) -> Floats:
+def free_depths(obstacle: DepthField, rest: Floats, least: float) -> Floats:
     """Return how deep (k,) in mm points may lie: as deep as they do in the neutral face.
 
     ``rest`` (k, 3) is where they are there, in the obstacle's frame. Less than ``least`` is free.
@@ -52,9 +55,9 @@ def free_depths(obstacle: Obstacle, rest: Floats, least: float) -> Floats:
 
 
 class Excess:
-    """How much deeper than they may, ``free`` (k,), points lie by an obstacle, all in its frame."""
+    """Depths of points by an obstacle beyond what is ``free`` (k,), all in its frame."""
 
-    def __init__(self, obstacle: Obstacle, free: Floats) -> None:
+    def __init__(self, obstacle: DepthField, free: Floats) -> None:
         self._obstacle = obstacle
         self._free = free
 
@@ -102,7 +105,7 @@ class OneSided:
 
     def __init__(
         self,
-        obstacle: Obstacle,
+        obstacle: DepthField,
         rows: sp.csr_array,
         offset: Floats,
         free: Floats,
@@ -245,21 +248,23 @@ def along(rows: sp.csr_array, directions: Floats) -> sp.csr_array:
 # is behind teeth, however far, is led out to the front.
 
 
-AXIS_MM = 10.0
-"""The axis stands so far before the hindmost teeth."""
-STEP_DEGREES, STEP_MM = 1.0, 0.5
-GAP_DEGREES, GAP_MM = 9.0, 1.5
-"""Gaps between teeth up to this size are closed."""
-FADE_MM = 1.0
-"""Within this from its border the field fades."""
-SAMPLE_MM = 0.25
-AROUND_MM = 2.0
-"""The field is tabulated this far beyond the teeth, where nothing of it counts."""
+@dataclass(frozen=True)
+class ArchOptions:
+    """Options of the table of a row of teeth."""
+
+    axis_mm: float = 10.0  # the axis stands so far before the hindmost teeth
+    step_degrees: float = 1.0  # of the table
+    step_mm: float = 0.5
+    gap_degrees: float = 9.0  # gaps between teeth up to this size are closed
+    gap_mm: float = 1.5
+    fade_mm: float = 1.0  # within this from its border the field fades
+    sample_mm: float = 0.25  # between points of the teeth's surface
+    around_mm: float = 2.0  # tabulated beyond the teeth, where nothing of it counts
 
 
 @dataclass(frozen=True)
 class Arch:
-    """An :class:`solver.contact.one_sided.Obstacle`: the outer side of a row of teeth.
+    """An :class:`solver.contact.one_sided.DepthField`: the outer side of a row of teeth.
 
     ``axis`` (3,) is a point on the vertical axis; ``radius`` and ``inside``, by angle in rad and
     height in mm, are R and how far a place lies inside the border of the field, both in mm.
@@ -268,43 +273,51 @@ class Arch:
     axis: Floats
     radius: RectBivariateSpline
     inside: RectBivariateSpline
+    options: ArchOptions = ArchOptions()
 
     @classmethod
-    def of(cls, teeth: Surface) -> Arch:
+    def of(cls, teeth: Surface, options: ArchOptions = ArchOptions()) -> Arch:
         """Tabulate the field of a row of teeth, whose front looks along z."""
-        points = _samples(teeth)
+        points = _samples(teeth, options.sample_mm)
         low, high = points.min(axis=0), points.max(axis=0)
         axis = (low + high) / 2
-        axis[2] = low[2] + AXIS_MM
+        axis[2] = low[2] + options.axis_mm
         angle, height, radius = _cylindrical(points - axis)
-        angles = np.arange(-180.0, 180.0, STEP_DEGREES)
-        heights = np.arange(low[1] - AROUND_MM, high[1] + AROUND_MM, STEP_MM) - axis[1]
+        angles = np.arange(-180.0, 180.0, options.step_degrees)
+        heights = (
+            np.arange(low[1] - options.around_mm, high[1] + options.around_mm, options.step_mm)
+            - axis[1]
+        )
         place = (
-            np.round((np.degrees(angle) + 180.0) / STEP_DEGREES).astype(int) % len(angles),
-            np.round((height - heights[0]) / STEP_MM).astype(int),
+            np.round((np.degrees(angle) + 180.0) / options.step_degrees).astype(int) % len(angles),
+            np.round((height - heights[0]) / options.step_mm).astype(int),
         )
         table = np.zeros((len(angles), len(heights)))
         np.maximum.at(table, place, radius)
         # the seam lies behind, where there are no teeth
-        gap = (round(GAP_DEGREES / STEP_DEGREES), round(GAP_MM / STEP_MM))
+        gap = (
+            round(options.gap_degrees / options.step_degrees),
+            round(options.gap_mm / options.step_mm),
+        )
         table = grey_closing(table, gap)
         covered = table > 0.0
         nearest = distance_transform_edt(~covered, return_distances=False, return_indices=True)
         table = gaussian_filter(table[tuple(nearest)], 1.0)
-        cell = (np.radians(STEP_DEGREES) * radius.mean(), STEP_MM)
+        cell = (np.radians(options.step_degrees) * radius.mean(), options.step_mm)
         inside = distance_transform_edt(covered, cell) - distance_transform_edt(~covered, cell)
         grid = (np.radians(angles), heights)
         return cls(
             axis,
             RectBivariateSpline(*grid, table),
             RectBivariateSpline(*grid, gaussian_filter(inside, 1.0)),
+            options,
         )
 
     def depths(self, points: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """See :class:`solver.contact.one_sided.Obstacle`."""
+        """See :class:`solver.contact.one_sided.DepthField`."""
         arm = points - self.axis
         angle, height, radius = _cylindrical(arm)
-        radius = np.maximum(radius, STEP_MM)
+        radius = np.maximum(radius, self.options.step_mm)
         around = np.stack([arm[:, 2], np.zeros(len(arm)), -arm[:, 0]], axis=1)
         around /= (radius**2)[:, None]
         up = np.array([0.0, 1.0, 0.0])
@@ -318,16 +331,16 @@ class Arch:
 
         reach, slope = field(self.radius)
         inside, border = field(self.inside)
-        part = np.clip(inside / FADE_MM, 0.0, 1.0)
+        part = np.clip(inside / self.options.fade_mm, 0.0, 1.0)
         counts = part**2 * (3.0 - 2.0 * part)
-        fades = (6.0 * part * (1.0 - part) / FADE_MM)[:, None] * border
+        fades = (6.0 * part * (1.0 - part) / self.options.fade_mm)[:, None] * border
         return reach - radius, slope - outward, counts, fades
 
     def curvatures(self, points: Floats) -> tuple[Floats, Floats]:
-        """See :class:`solver.contact.one_sided.Obstacle`."""
+        """See :class:`solver.contact.one_sided.DepthField`."""
         arm = points - self.axis
         angle, height, radius = _cylindrical(arm)
-        radius = np.maximum(radius, STEP_MM)
+        radius = np.maximum(radius, self.options.step_mm)
         across, ahead = arm[:, 0] / radius, arm[:, 2] / radius
         around = np.stack([ahead, np.zeros(len(arm)), -across], axis=1)
         up = np.array([0.0, 1.0, 0.0])
@@ -352,8 +365,11 @@ class Arch:
         _, _, by_depth = field(self.radius)
         by_depth -= around[:, :, None] * around[:, None, :] / radius[:, None, None]
         inside, border, bending = field(self.inside)
-        part = np.clip(inside / FADE_MM, 0.0, 1.0)
-        steep, bent = 6.0 * part * (1.0 - part) / FADE_MM, 6.0 * (1.0 - 2.0 * part) / FADE_MM**2
+        part = np.clip(inside / self.options.fade_mm, 0.0, 1.0)
+        steep, bent = (
+            6.0 * part * (1.0 - part) / self.options.fade_mm,
+            6.0 * (1.0 - 2.0 * part) / self.options.fade_mm**2,
+        )
         bent[(part == 0.0) | (part == 1.0)] = 0.0
         by_counts = bent[:, None, None] * border[:, :, None] * border[:, None, :]
         return by_depth, by_counts + steep[:, None, None] * bending
@@ -364,11 +380,11 @@ def _cylindrical(arm: Floats) -> tuple[Floats, Floats, Floats]:
     return np.arctan2(arm[:, 0], arm[:, 2]), arm[:, 1], np.hypot(arm[:, 0], arm[:, 2])
 
 
-def _samples(surface: Surface) -> Floats:
-    """Return points all over the triangles, no more than :data:`SAMPLE_MM` apart."""
+def _samples(surface: Surface, apart: float) -> Floats:
+    """Return points all over the triangles, no more than so many mm apart."""
     corners = surface.vertices[surface.faces]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    counts = np.maximum(np.ceil(longest / SAMPLE_MM).astype(int), 1)
+    counts = np.maximum(np.ceil(longest / apart).astype(int), 1)
     found = []
     for count in np.unique(counts):
         first, second = np.triu_indices(count + 1)
@@ -383,7 +399,7 @@ def _samples(surface: Surface) -> Floats:
 
 @dataclass(frozen=True)
 class Eyeball:
-    """An :class:`solver.contact.one_sided.Obstacle`: ``centre`` (3,) and ``radius`` in mm."""
+    """An :class:`solver.contact.one_sided.DepthField`: ``centre`` (3,) and ``radius`` in mm."""
 
     centre: Floats
     radius: float
@@ -401,14 +417,14 @@ class Eyeball:
         return cls(middle + centre, float(np.sqrt(solution[3] + centre @ centre)))
 
     def depths(self, points: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """See :class:`solver.contact.one_sided.Obstacle`: all of it counts everywhere."""
+        """See :class:`solver.contact.one_sided.DepthField`: all of it counts everywhere."""
         arm = points - self.centre
         distance = np.maximum(np.linalg.norm(arm, axis=1), 1e-9)
         everywhere, nothing = np.ones(len(points)), np.zeros_like(points)
         return self.radius - distance, -arm / distance[:, None], everywhere, nothing
 
     def curvatures(self, points: Floats) -> tuple[Floats, Floats]:
-        """See :class:`solver.contact.one_sided.Obstacle`."""
+        """See :class:`solver.contact.one_sided.DepthField`."""
         arm = points - self.centre
         distance = np.maximum(np.linalg.norm(arm, axis=1), 1e-9)
         out = arm / distance[:, None]

@@ -1,4 +1,4 @@
-"""Where lips lie in each other: vertices, and the places on what they have crossed."""
+"""Overlap of the lips: vertices, and the places on what they have crossed."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from scipy.spatial import cKDTree
 from solver.contact.mouth import LIPS, Mouth
 from solver.surface import Floats, Ints
 
-OUTSIDE_MM = 0.05
-"""A vertex is looked at this far outside its own skin."""
-INSIDE = 0.5
-"""Winding number above which that place lies in flesh, which is then that of the other lip."""
-DEEPEST_MM = 6.0
-"""Flesh of a lip is thicker than this: nothing deeper is looked for."""
-BESIDE_MM = 1.0
-"""What a vertex has crossed is inside itself, or some vertex this near to it is."""
-BACK = 0.3
-"""Least cosine between the way back out and the normals of the two skins."""
+INSIDE = 0.5  # winding number above which a place lies inside
+
+
+@dataclass(frozen=True)
+class OverlapOptions:
+    """Options by which a lip counts as in the other one."""
+
+    outside_mm: float = 0.05  # a vertex is looked at this far outside its own skin
+    deepest_mm: float = 6.0  # flesh of a lip is thicker than this: nothing deeper is looked for
+    beside_mm: float = 1.0  # what is crossed is inside itself, or some vertex this near to it is
+    back: float = 0.3  # least cosine between the way back out and the normals of the two skins
 
 
 @dataclass(frozen=True)
@@ -57,49 +58,51 @@ class Overlap:
         return Overlap(*(part[mask] for part in astuple(self)))
 
 
-def inside_lips(mouth: Mouth, points: Floats, normals: Floats) -> Ints:
+def inside_lips(mouth: Mouth, points: Floats, normals: Floats, outside_mm: float) -> Ints:
     """Return those vertices of the lips (h,) that lie in flesh not under their own skin.
 
     By the generalised winding number (Jacobson et al. 2013) of the skin around the mouth, an open
     surface: it is above one in the flesh of two lips, and well below a half outside.
     """
     lips = np.flatnonzero(mouth.label == LIPS)
-    beside = np.ascontiguousarray(points[lips] + OUTSIDE_MM * normals[lips])
+    beside = np.ascontiguousarray(points[lips] + outside_mm * normals[lips])
     winding = igl.fast_winding_number(points, mouth.flesh, beside)
     return lips[np.asarray(winding) > INSIDE]
 
 
-def between_lips(mouth: Mouth, points: Floats) -> Overlap:
+def between_lips(
+    mouth: Mouth, points: Floats, options: OverlapOptions = OverlapOptions()
+) -> Overlap:
     """Find the overlap of the lips at ``points`` (m, 3) of the mouth.
 
     Of all skin that is inside, the nearest that faces a vertex: skins in contact have opposed
     normals, which keeps a vertex's own surroundings out.
     """
     normals = mouth.normals(points)
-    inside = inside_lips(mouth, points, normals)
+    inside = inside_lips(mouth, points, normals, options.outside_mm)
     if not len(inside):
         nothing = np.empty((0, 3))
         return Overlap.at(points, inside, nothing.astype(np.int64), nothing)
     # a thin lip's own other side faces its vertices too, but nothing there is inside
-    beside, _ = cKDTree(points[inside]).query(points, distance_upper_bound=BESIDE_MM)
+    beside, _ = cKDTree(points[inside]).query(points, distance_upper_bound=options.beside_mm)
     crossed = np.flatnonzero((mouth.label == LIPS) & np.isfinite(beside))
-    partner = _facing(points, normals, inside, crossed)
+    partner = _facing(points, normals, inside, crossed, options.deepest_mm)
     ids, partner = inside[partner >= 0], partner[partner >= 0]
     found = Overlap.at(points, ids, *_nearest(points, ids, partner, mouth.flesh, *mouth.rings))
     other = np.einsum("hc,hci,hi->h", found.shares, normals[found.corners], found.out)
     own = np.einsum("hi,hi->h", normals[ids], found.out)
-    return found.where((other > BACK) & (own < -BACK))
+    return found.where((other > options.back) & (own < -options.back))
 
 
 @nb.njit(cache=True)
-def _facing(points: Floats, normals: Floats, ids: Ints, among: Ints) -> Ints:
+def _facing(points: Floats, normals: Floats, ids: Ints, among: Ints, deepest: float) -> Ints:
     """Return for each of some vertices the nearest of others that faces it; -1 where none does."""
     out = np.full(len(ids), -1)
     where, which = points[among], normals[among]
     for a in range(len(ids)):
         x, y, z = points[ids[a]]
         u, v, w = normals[ids[a]]
-        best = DEEPEST_MM**2
+        best = deepest**2
         for k in range(len(among)):
             dx, dy, dz = where[k, 0] - x, where[k, 1] - y, where[k, 2] - z
             squared = dx * dx + dy * dy + dz * dz

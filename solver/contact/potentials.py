@@ -8,7 +8,7 @@ import numpy as np
 
 from solver.contact.barrier import Barrier
 from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
-from solver.contact.one_sided import MARGIN_MM, STIFFNESS, Arch, Eyeball, OneSided, free_depths
+from solver.contact.one_sided import Arch, Eyeball, OneSided, OneSidedOptions, free_depths
 from solver.contact.surface import ContactSurface
 from solver.mechanics.potential import Potential
 from solver.model import SubjectModel
@@ -85,28 +85,37 @@ def touching(
     return on_flesh[np.isin(on_flesh, np.concatenate(near)).all(axis=1)]
 
 
-def arches(model: SubjectModel, mouth: Mouth, stiffness_pa: float) -> list[OneSided]:
+def arches(
+    model: SubjectModel,
+    mouth: Mouth,
+    stiffness_pa: float,
+    options: OneSidedOptions | None = None,
+) -> list[OneSided]:
     """Return what keeps lips in front of upper and of lower teeth, as far as there are any.
 
     ``mouth`` is that of the unedited person: lips may lie in teeth that an edit has moved as deep
     as they did where these were before.
     """
+    options = options or OneSidedOptions()
     before, now = mouth.points(model.rest), model.skin.vertices[mouth.skin]
     lips = np.flatnonzero(mouth.label == LIPS)
-    stiffness = STIFFNESS * stiffness_pa * vertex_areas(before, mouth.flesh)[lips]
+    stiffness = options.stiffness_per_mm * stiffness_pa * vertex_areas(before, mouth.flesh)[lips]
     kept = []
     for label, carried in ((UPPER_TEETH, None), (LOWER_TEETH, model.jaw)):
         faces = mouth.faces_of(label)
         if len(faces):
-            free = free_depths(Arch.of(Surface(before, faces)), before[lips], -MARGIN_MM)
+            free = free_depths(Arch.of(Surface(before, faces)), before[lips], -options.margin_mm)
             arch = Arch.of(Surface(now, faces))
             rows, offset = mouth.rows[lips], mouth.offset[lips]
             kept.append(OneSided(arch, rows, offset, free, stiffness, carried))
     return kept
 
 
-def eyeballs(model: SubjectModel, stiffness_pa: float) -> list[OneSided]:
+def eyeballs(
+    model: SubjectModel, stiffness_pa: float, options: OneSidedOptions | None = None
+) -> list[OneSided]:
     """Return what keeps lids on their eyeballs, as far as the model names them."""
+    options = options or OneSidedOptions()
     skin, faces = model.skin.vertices, model.skin.faces
     area = vertex_areas(skin, faces[np.isin(faces, model.embedded).all(axis=1)])
     kept = []
@@ -117,9 +126,9 @@ def eyeballs(model: SubjectModel, stiffness_pa: float) -> list[OneSided]:
         if len(lids) and len(ball):
             number = np.searchsorted(model.embedded, lids)
             rows, offset = model.embedding[number], model.offset[number]
-            stiffness = STIFFNESS * stiffness_pa * area[lids]
+            stiffness = options.stiffness_per_mm * stiffness_pa * area[lids]
             eyeball = Eyeball.of(skin[ball])
-            free = free_depths(eyeball, rows @ model.rest + offset, -MARGIN_MM)
+            free = free_depths(eyeball, rows @ model.rest + offset, -options.margin_mm)
             kept.append(OneSided(eyeball, rows, offset, free, stiffness))
     return kept
 

@@ -1,7 +1,7 @@
 """The skin as contact sees it: its triangles that may touch, a little inside themselves.
 
 Scans cross themselves where lips are closed, mostly by hundredths of a millimetre, and a barrier is
-infinite there. So the contact surface lies ``INSET_MM`` under the skin, with lips that cross moved
+infinite there. So the contact surface lies ``inset_mm`` under the skin, with lips that cross moved
 apart: two skins that touch may cross by twice that, or as far as in the neutral. What crosses
 itself even so, as the thin walls of nostrils or the skin behind lids do in some people, does not
 meet itself. (To go deeper there makes it worse: folds and thin walls cross all the more.)
@@ -22,43 +22,41 @@ from numpy.typing import NDArray
 from solver.anatomy.embedding import rows_of
 from solver.anatomy.tetrahedra import barycentric_in_tets
 from solver.contact.mouth import Mouth
-from solver.contact.overlap import between_lips
+from solver.contact.overlap import INSIDE, between_lips
 from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints, adjacency
 
+
+@dataclass(frozen=True)
+class SurfaceOptions:
+    """Options of the contact surface: its inset, and what may cross."""
+
+    inset_mm: float = 0.06  # under the skin
+    gap_mm: float = 0.02  # lips are moved so far beyond the place where they meet
+    rounds: int = 20  # of moving them: a few are enough, as vertices pull on one another
+    beside_mm: float = 0.02  # a vertex is looked at this far outside the contact surface
+    most_crossed: float = 0.2  # part of the triangles that may cross
+
+
 # Lips that lie in each other, moved apart: what contact of a scan with closed lips begins with.
 
 
-GAP_MM = 0.02
-"""Lips are moved so far beyond the place where they meet."""
-ROUNDS = 20
-"""A few are enough, as vertices pull on one another."""
-
-
-def parted(mouth: Mouth, points: Floats) -> Floats:
-    """Return the points (m, 3) of a mouth with both lips giving way by half of where they cross."""
+def part_lips(mouth: Mouth, points: Floats, options: SurfaceOptions = SurfaceOptions()) -> Floats:
+    """Return the points (m, 3) of a mouth, both lips giving way by half of where they cross."""
     count = len(points)
-    for _ in range(ROUNDS):
+    for _ in range(options.rounds):
         found = between_lips(mouth, points)
         if not len(found.ids):
             break
         vertex = rows_of(found.ids[:, None], np.ones((len(found.ids), 1)), count)
         nearest = rows_of(found.corners, found.shares, count)
-        half = 0.5 * (found.depth + GAP_MM)[:, None] * found.out
+        half = 0.5 * (found.depth + options.gap_mm)[:, None] * found.out
         asked = np.asarray(sp.csr_array(vertex + nearest).sum(axis=0))
         moves = (vertex - nearest).T @ half
         points = points + moves / np.maximum(asked, 1.0)[:, None]
     return points
 
-
-INSET_MM = 0.06
-BESIDE_MM = 0.02
-"""A vertex is looked at this far outside the contact surface."""
-INSIDE = 0.5
-"""Winding number above which that place lies in flesh, which is then another part's."""
-MOST_CROSSED = 0.2
-"""Part of the triangles that may cross."""
 
 log = structlog.get_logger(__name__)
 
@@ -88,7 +86,13 @@ class ContactSurface:
     crossed: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, model: SubjectModel, faces: Ints, mouth: Mouth | None = None) -> ContactSurface:
+    def of(
+        cls,
+        model: SubjectModel,
+        faces: Ints,
+        mouth: Mouth | None = None,
+        options: SurfaceOptions = SurfaceOptions(),
+    ) -> ContactSurface:
         """Return the surface of some of the skin's triangles (f, 3), all on embedded vertices.
 
         The lips of a ``mouth`` are moved apart. Raises :class:`InputError` (``contact.crossed``)
@@ -100,17 +104,17 @@ class ContactSurface:
         rows, offset = sp.csr_array(model.embedding[number]), model.offset[number]
         points = np.asarray(rows @ model.rest + offset)
         normals = _normals(points, own)
-        shift = _apart(mouth, model, skin) - INSET_MM * normals
+        shift = _apart(mouth, model, skin, options) - options.inset_mm * normals
         moved = points + shift
-        crossed = _crossed(moved, own, normals)
-        if crossed[own].any(axis=1).mean() > MOST_CROSSED:
+        crossed = _mark_crossed(moved, own, normals, options.beside_mm)
+        if crossed[own].any(axis=1).mean() > options.most_crossed:
             vertex = int(skin[crossed][0])
             message = f"the neutral skin crosses itself widely, around vertex {vertex}: mend it"
             raise InputError("contact.crossed", message, vertex=vertex)
         if crossed.any():
             log.info("skin that crosses itself does not meet itself", vertices=int(crossed.sum()))
         crossed |= adjacency(own, len(skin)) @ crossed > 0
-        rows = _shifted(model, rows, shift)
+        rows = _shift_rows(model, rows, shift)
         return cls(skin, own, rows, offset, moved, crossed)
 
     def points(self, x: Floats) -> Floats:
@@ -125,7 +129,9 @@ def collision_mesh(points: Floats, faces: Ints) -> ipctk.CollisionMesh:
     return ipctk.CollisionMesh(np.asfortranarray(points), edges, corners)
 
 
-def _crossed(points: Floats, faces: Ints, normals: Floats) -> NDArray[np.bool_]:
+def _mark_crossed(
+    points: Floats, faces: Ints, normals: Floats, beside_mm: float
+) -> NDArray[np.bool_]:
     """Mark (s,) the vertices that lie in flesh not under their own skin, or where skin crosses.
 
     The former by the generalised winding number (Jacobson et al. 2013), as the lips' overlap is
@@ -133,19 +139,19 @@ def _crossed(points: Floats, faces: Ints, normals: Floats) -> NDArray[np.bool_]:
     """
     marks = np.zeros(len(points), dtype=np.bool_)
     if ipctk.has_intersections(collision_mesh(points, faces), np.asfortranarray(points)):
-        beside = np.ascontiguousarray(points + BESIDE_MM * normals)
+        beside = np.ascontiguousarray(points + beside_mm * normals)
         winding = np.asarray(igl.fast_winding_number(points, faces, beside))
         marks = winding > INSIDE
         marks[crossing_vertices(points, faces)] = True
     return marks
 
 
-def _apart(mouth: Mouth | None, model: SubjectModel, skin: Ints) -> Floats:
+def _apart(mouth: Mouth | None, model: SubjectModel, skin: Ints, options: SurfaceOptions) -> Floats:
     """Return how far skin vertices (s,) are moved where a mouth's lips are moved apart, (s, 3)."""
     moves = np.zeros_like(model.skin.vertices)
     if mouth is not None:
         points = mouth.points(model.rest)
-        moves[mouth.skin] = parted(mouth, points) - points
+        moves[mouth.skin] = part_lips(mouth, points, options) - points
     return moves[skin]
 
 
@@ -183,14 +189,14 @@ def _crossing(
             face = faces[f]
             if apart or start in face or end in face:
                 continue
-            if _pierced(p, q, points[face[0]], points[face[1]], points[face[2]]):
+            if _pierces(p, q, points[face[0]], points[face[1]], points[face[2]]):
                 marks[start] = marks[end] = True
                 marks[face[0]] = marks[face[1]] = marks[face[2]] = True
     return marks
 
 
 @nb.njit(cache=True)
-def _pierced(p: Floats, q: Floats, a: Floats, b: Floats, c: Floats) -> bool:
+def _pierces(p: Floats, q: Floats, a: Floats, b: Floats, c: Floats) -> bool:
     """Tell whether the segment p q goes through a triangle, by five volumes' signs."""
     if _volume(a, b, c, p) * _volume(a, b, c, q) >= 0.0:
         return False
@@ -218,7 +224,7 @@ def _normals(points: Floats, faces: Ints) -> Floats:
     return np.where(np.isfinite(normals), normals, 0.0)
 
 
-def _shifted(model: SubjectModel, rows: sp.csr_array, shift: Floats) -> sp.csr_array:
+def _shift_rows(model: SubjectModel, rows: sp.csr_array, shift: Floats) -> sp.csr_array:
     """Return rows whose points lie at rest by ``shift`` (s, 3) off, and turn with their tets."""
     corners, shares = rows.indices.reshape(-1, 4), rows.data.reshape(-1, 4)
     places = model.rest[corners]

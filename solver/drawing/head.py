@@ -82,12 +82,10 @@ class PartSizes:
     """Sizes that tell the parts of a head apart."""
 
     eye_radius_mm: tuple[float, float] = (9.0, 18.0)
+    # Of an eye: deviation from the best sphere by its radius (the cornea's bulge gives 0.04).
     roundness: float = 0.07
-    """Of an eye: deviation from the best sphere by its radius (the cornea's bulge gives 0.04)."""
-    near_eye: float = 2.2
-    """Radii of an eye: lashes and tear film lie within."""
-    tooth_mm: float = 34.0
-    """Most of crown and root."""
+    near_eye: float = 2.2  # radii of an eye: lashes and tear film lie within
+    tooth_mm: float = 34.0  # most of crown and root
 
 
 PART_SIZES = PartSizes()

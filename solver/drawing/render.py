@@ -30,10 +30,8 @@ class Shadows:
 
     directions: int = 72
     map_pixels: int = 256
-    lift_mm: float = 1.5
-    """Off the surface, so that a triangle does not shade its own corners."""
-    bias_pixels: float = 1.5
-    """In depth, for the same reason."""
+    lift_mm: float = 1.5  # off the surface, so that a triangle does not shade its own corners
+    bias_pixels: float = 1.5  # in depth, for the same reason
     exposure: float = 3.6
 
 

@@ -1,4 +1,4 @@
-"""Contact sheet: columns of images under captions, in named rows, over a colour scale."""
+"""Sheets of images with titles, captions and a colour scale."""
 
 from __future__ import annotations
 
@@ -6,9 +6,86 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from solver.drawing.head import HEAT_MAX_MM
-from solver.drawing.page import GREY, HEADER, MARGIN, Sheet
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from solver.drawing.head import HEAT_MAX_MM, heat
 from solver.drawing.render import Pixels
+
+INK, GREY, PAPER = (38, 40, 46), (112, 116, 124), (249, 249, 250)  # sRGB bytes
+MARGIN, HEADER, SWATCH = 24, 84, 14  # pixels: left of text, above the first picture, of a square
+
+Colour = tuple[float, float, float]
+
+
+class Sheet:
+    """A page of a given size in pixels, on which the parts are placed by their corners."""
+
+    def __init__(self, width: int, height: int) -> None:
+        self.image = Image.new("RGB", (width, height), PAPER)
+        self.draw = ImageDraw.Draw(self.image)
+
+    def heading(self, title: str, detail: str) -> None:
+        """Write the title and a line of figures across the top."""
+        self.text((MARGIN, 16), title, 30)
+        self.text((MARGIN, 54), detail, 17, GREY)
+
+    def text(
+        self,
+        place: tuple[int, int],
+        words: str,
+        size: int,
+        ink: tuple[int, int, int] = INK,
+        anchor: str = "la",
+    ) -> None:
+        """Write one line of text."""
+        self.draw.text(place, words, fill=ink, font=ImageFont.load_default(size), anchor=anchor)
+
+    def panel(self, place: tuple[int, int], pixels: Pixels) -> None:
+        """Place an sRGB image (h, w, 3) with values in [0, 1]."""
+        self.image.paste(Image.fromarray((pixels * 255 + 0.5).astype(np.uint8)), place)
+
+    def scale(
+        self, place: tuple[int, int], width: int, most_mm: float = HEAT_MAX_MM, steps: int = 4
+    ) -> None:
+        """Draw a distance's colour scale with its millimetres."""
+        left, top = place
+        colour = heat(np.linspace(0, most_mm, width), most_mm)
+        self.panel(place, np.broadcast_to(colour, (SWATCH, width, 3)).astype(np.float32))
+        for mm in np.linspace(0, most_mm, steps + 1):
+            x = left + round((width - 1) * mm / most_mm)
+            last = mm == most_mm
+            words = f"{mm:g} mm and more" if last else f"{mm:g}"
+            self.draw.line([(x, top + SWATCH), (x, top + SWATCH + 4)], fill=GREY)
+            self.text((x, top + SWATCH + 7), words, 15, GREY, "ma")
+
+    def swatches(self, place: tuple[int, int], entries: dict[str, Colour], width: int) -> None:
+        """Draw named colours in columns that fill ``width``."""
+        columns = swatch_columns(width)
+        rows = -(-len(entries) // columns)
+        for number, (name, colour) in enumerate(entries.items()):
+            x = place[0] + number // rows * (width // columns)
+            y = place[1] + number % rows * swatch_height()
+            fill = tuple(round(255 * value) for value in colour)
+            self.draw.rectangle([x, y, x + SWATCH, y + SWATCH], fill=fill)
+            self.text((x + SWATCH + 8, y - 2), name, 15)
+
+    def save(self, path: Path) -> None:
+        """Write the page as PNG."""
+        self.image.save(path)
+
+
+def swatch_columns(width: int) -> int:
+    """Return how many columns of swatches fit into ``width``."""
+    return max(1, width // 300)
+
+
+def swatch_height() -> int:
+    """Return the height of a row of swatches."""
+    return SWATCH + 9
+
+
+# Contact sheets: columns of images under captions, in named rows, over a colour scale.
 
 CAPTION = 30  # pixels over every column
 
@@ -45,7 +122,7 @@ def draw_sheet(
     layout: SheetLayout,
     scale_mm: float | None = HEAT_MAX_MM,
 ) -> None:
-    """Draw ``columns`` of one image a row; the colours end at ``scale_mm`` (None: no scale)."""
+    """Draw ``columns``, one image a row; the scale ends at ``scale_mm`` (None: there is none)."""
     width, height = layout.cell
     across = min(layout.columns, len(columns))
     block = CAPTION + len(rows) * height

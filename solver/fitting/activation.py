@@ -9,32 +9,25 @@ model, as in a full-space (SQP) method. The last state is settled.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from solver.errors import SolveError
 from solver.fitting import gauss_newton
 from solver.fitting.face import Face, Pose, State
-from solver.fitting.gauss_newton import GaussNewton, Step
+from solver.fitting.gauss_newton import GaussNewton
+from solver.fitting.least_squares import (
+    DampingOptions,
+    Ending,
+    Listener,
+    Step,
+    StopOptions,
+    TrustOptions,
+    TrustRegion,
+    minimise,
+)
 from solver.fitting.objective import Regulariser, SkinDistance, Target, Term
 from solver.surface import Floats
-
-DAMPING_START = 0.1
-DAMPING_CHANGE = 8.0
-DAMPING_LEAST = 1e-6
-MAX_TRIALS = 6
-"""Steps tried from one state, each shorter and more damped, before the descent counts as stuck."""
-
-MOST_TRUST, LEAST_TRUST = 1.0, 2.0**-8
-"""Reach that a step is cut to. Longer steps end, now and then, in flesh that buckles: from there a
-fit takes twice as long, and one of S comes to a worse end."""
-
-WELL, BADLY = 0.75, 0.25
-"""Gains, as parts of the predicted, that make trust grow and shrink."""
-
-SETTLINGS = 3
-BUCKLED = 1.005
-"""A state whose f grows by more than this factor as it settles was not near its equilibrium."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +39,22 @@ class ActivationOptions:
 
 
 @dataclass(frozen=True)
+class DescentOptions:
+    """The way down, and from where it begins again.
+
+    Steps longer than ``trust`` allows end, now and then, in flesh that buckles: from there a fit
+    takes twice as long, and one of S comes to a worse end.
+    """
+
+    damping: DampingOptions = field(
+        default_factory=lambda: DampingOptions(0.1, least=1e-6, grow=8.0, shrink=8.0)
+    )
+    trust: TrustOptions = field(default_factory=TrustOptions)
+    settlings: int = 3  # descents, each from the settled end of the one before
+    buckled: float = 1.005  # growth of f beyond which a state that settles was not near its rest
+
+
+@dataclass(frozen=True)
 class ActivationFit:
     """A fitted state, its objective f, the iterations, and whether no step gains any more."""
 
@@ -54,9 +63,6 @@ class ActivationFit:
     iterations: int
     converged: bool
 
-
-Listener = Callable[[int, float], None]
-"""Called after each accepted step with the iteration and the objective."""
 
 # from a state to a pose nearby by the flesh's linear response: Face.newton_predict,
 # newton_continuation or predict_and_solve
@@ -77,6 +83,7 @@ def fit(
     listen: Listener | None = None,
     *,
     matrix: Floats | None = None,
+    descent: DescentOptions | None = None,
 ) -> ActivationFit:
     """Minimise f over (a, b) from ``start`` and settle the result.
 
@@ -89,12 +96,12 @@ def fit(
     on the way is settled too. A descent that gets stuck where it began has found the minimum.
     Raises :class:`SolveError` (``solve.no_convergence``) if the face can not be settled even so.
     """
-    options = options or ActivationOptions()
+    options, descent = options or ActivationOptions(), descent or DescentOptions()
     best = None
     iterations, begin, go = 0, start, Face.newton_continuation
-    for _ in range(SETTLINGS):
+    for _ in range(descent.settlings):
         try:
-            found = improve(face, data, regulariser, begin, options, listen, go, matrix)
+            found = improve(face, data, regulariser, begin, options, listen, go, matrix, descent)
         except SolveError:
             if best is None:
                 raise
@@ -110,7 +117,7 @@ def fit(
             if stuck and not gained:
                 best = replace(best, converged=True)
                 break
-            if value <= BUCKLED * found.objective and not stuck:
+            if value <= descent.buckled * found.objective and not stuck:
                 break
         matrix = None
         go = Face.predict_and_solve if state is None else Face.newton_continuation
@@ -136,73 +143,52 @@ def improve(
     listen: Listener | None = None,
     go: Mover = Face.newton_continuation,
     matrix: Floats | None = None,
+    descent: DescentOptions | None = None,
 ) -> ActivationFit:
     """Minimise f over (a, b), going from state to state by ``go``, which settles them or not.
 
     It has got stuck where it ends before ``max_iterations`` and has not converged.
     """
-    state = start
-    value = objective(data, regulariser, state)
-    matrix = gauss_newton.curvature(face, data, state) if matrix is None else matrix
-    trust = _Trust()
-    for iteration in range(1, options.max_iterations + 1):
-        model = GaussNewton(face, data, regulariser, state, matrix)
-        better = None
-        for trial in range(MAX_TRIALS):
-            step = model.step(trust.damping, trust.reach)
-            # a step that was cut says nothing of what is left
-            whole = step.reach < 0.99 * trust.reach
-            if not trial and whole and step.gain <= options.tolerance * value:
-                return ActivationFit(state, value, iteration, True)
-            better = _tried(face, state, step, go)
-            if better is None:
-                trust.shrink(step.reach)
-                continue
-            reached = objective(data, regulariser, better)
-            trust.adapt((value - reached) / step.gain, step.reach)
-            if reached < value:
-                break
-            better = None
-        if better is None:
-            return ActivationFit(state, value, iteration, False)
-        matrix = model.matrix
-        gain = value - reached
-        state, value = better, reached
-        if listen:
-            listen(iteration, value)
-        if whole and gain <= options.tolerance * value:
-            return ActivationFit(state, value, iteration, True)
-    return ActivationFit(state, value, options.max_iterations, False)
+    descent = descent or DescentOptions()
+    problem = PoseProblem(face, data, regulariser, start, go, matrix)
+    stop = StopOptions(options.max_iterations, options.tolerance, options.tolerance)
+    found = minimise(problem, start, TrustRegion(descent.damping, descent.trust), stop, listen)
+    converged = found.ending == Ending.CONVERGED
+    return ActivationFit(found.point, found.value, found.steps + found.idle, converged)
 
 
-def _tried(face: Face, state: State, step: Step, go: Mover) -> State | None:
-    """Return the state a step leads to, None where that is too far."""
-    try:
-        return go(face, state, step.response, state.pose.changed(step.change))
-    except SolveError:
-        return None
+class PoseProblem:
+    """f over (a, b) of one expression: a :class:`~solver.fitting.least_squares.Problem`."""
 
+    def __init__(
+        self,
+        face: Face,
+        data: Term,
+        regulariser: Regulariser,
+        start: State,
+        go: Mover,
+        matrix: Floats | None,
+    ) -> None:
+        self._face, self._data, self._regulariser, self._go = face, data, regulariser, go
+        self._matrix = gauss_newton.curvature(face, data, start) if matrix is None else matrix
+        self._model: GaussNewton | None = None
 
-@dataclass
-class _Trust:
-    """How far the linear model is trusted, and how much it is damped."""
+    def value(self, point: State) -> float:
+        """See :class:`Problem`."""
+        return objective(self._data, self._regulariser, point)
 
-    reach: float = MOST_TRUST
-    damping: float = DAMPING_START
+    def linearise(self, point: State) -> GaussNewton:
+        """See :class:`Problem`; it begins with the matrix that the model before has come to."""
+        matrix = self._model.matrix if self._model else self._matrix
+        self._model = GaussNewton(self._face, self._data, self._regulariser, point, matrix)
+        return self._model
 
-    def adapt(self, ratio: float, taken: float) -> None:
-        """Learn from a step of reach ``taken`` that gained ``ratio`` of what was promised."""
-        if ratio < BADLY:
-            self.shrink(taken)
-            self.damping *= DAMPING_CHANGE
-        elif ratio > WELL:
-            self.damping = max(self.damping / DAMPING_CHANGE, DAMPING_LEAST)
-            if taken > 0.9 * self.reach:
-                self.reach = min(2.0 * self.reach, MOST_TRUST)
-
-    def shrink(self, taken: float) -> None:
-        """Trust in steps half as long as the one ``taken``."""
-        self.reach = max(0.5 * min(self.reach, taken), LEAST_TRUST)
+    def move(self, point: State, step: Step) -> State | None:
+        """See :class:`Problem`."""
+        try:
+            return self._go(self._face, point, step.response, point.pose.add(step.change))
+        except SolveError:
+            return None
 
 
 # The neutral face, which every fit of an expression can begin with.

@@ -15,9 +15,10 @@ import numpy as np
 from solver.contact.mouth import Mouth
 from solver.errors import Notice, SolveError
 from solver.fitting import activation, reference
-from solver.fitting.activation import ActivationOptions, Listener, Resting
+from solver.fitting.activation import ActivationOptions, Resting
 from solver.fitting.contact import Contact, Teeth
 from solver.fitting.face import Face, State
+from solver.fitting.least_squares import Listener
 from solver.fitting.objective import (
     Regulariser,
     SkinDistance,

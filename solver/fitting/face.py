@@ -12,12 +12,13 @@ import scipy.sparse as sp
 from solver.anatomy.bones import bone_normals
 from solver.anatomy.embedding import LooseSkin
 from solver.errors import SolveError
+from solver.fitting.controls import Layout, pose_layout
 from solver.mechanics import equilibrium, jaw
 from solver.mechanics.equilibrium import Equilibrium, PredictorOptions
 from solver.mechanics.flesh import COROTATED_TRACE, IDENTITY, Flesh, Material
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import Factorization, NewtonOptions
-from solver.mechanics.sliding import Planes, no_planes, planes
+from solver.mechanics.sliding import SlidingPlanes, no_planes, planes
 from solver.model import SubjectModel
 from solver.surface import Floats
 from solver.threads import leave_threads_to_kernels
@@ -40,9 +41,19 @@ class Pose:
     a: Floats
     b: Floats
 
-    def changed(self, change: Floats) -> Pose:
+    @property
+    def layout(self) -> Layout:
+        """Return where a and b are in one vector (6 m + 5,)."""
+        return pose_layout(len(self.a))
+
+    def vector(self) -> Floats:
+        """Return (a, b) as one vector (6 m + 5,)."""
+        return self.layout.join([self.a, self.b])
+
+    def add(self, change: Floats) -> Pose:
         """Return the pose with a ``change`` of (a, b), (6 m + 5,), added to it."""
-        return Pose(self.a + change[:-5].reshape(-1, 6), self.b + change[-5:])
+        by_a, by_b = self.layout.split(change)
+        return Pose(self.a + by_a, self.b + by_b)
 
     def toward(self, other: Pose, fraction: float) -> Pose:
         """Return the pose ``fraction`` of the way to another one."""
@@ -131,9 +142,14 @@ class Face:
         other.flesh = flesh
         return other
 
+    @property
+    def layout(self) -> Layout:
+        """Return where the activations of S's muscles and the jaw are in one vector."""
+        return pose_layout(self.S.shape[1] - 1)
+
     def rest_pose(self) -> Pose:
         """Return the pose of the neutral face."""
-        return Pose(np.tile(IDENTITY, (self.model.muscle_count, 1)), np.zeros(5))
+        return Pose(*self.layout.split(self.layout.rest.copy()))
 
     def rest_state(self) -> State:
         """Return the neutral face as an equilibrium."""
@@ -319,7 +335,7 @@ class Face:
         x[self.flesh.free] += response.reshape(-1, 3)
         return x
 
-    def _sliding_planes(self, mu: Floats | float) -> Planes:
+    def _sliding_planes(self, mu: Floats | float) -> SlidingPlanes:
         """Return the planes along the skull that the model's sliding vertices stay on."""
         model = self.model
         if not len(model.sliding):

@@ -10,14 +10,14 @@ a BFGS update keeps in K what the product told, for the next direction and for t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy.linalg
 
 from solver.errors import SolveError
+from solver.fitting.controls import Layout
 from solver.fitting.face import Face, State
-from solver.fitting.objective import JAW_UNITS, Regulariser, Term
+from solver.fitting.least_squares import Step
+from solver.fitting.objective import Regulariser, Term
 from solver.fitting.sensitivity import Sensitivity
 from solver.surface import Floats
 
@@ -26,26 +26,6 @@ PRODUCTS = 16
 
 ACCURACY = 0.1
 """Length of the correction that a step is left without, as a part of it in the model's own norm."""
-
-JAW_DAMPING = 1e-3
-
-LARGEST_STEP = 0.4
-LARGEST_TURN = 0.1
-"""Change of an activation's entry and of the jaw's angles in a step of reach 1."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """A change of (a, b), (6 m + 5,), the flesh's linear response to it, (size,), and f's gain."""
-
-    change: Floats
-    response: Floats
-    gain: float
-
-    @property
-    def reach(self) -> float:
-        """Return its length in units of what a linear model is surely good for."""
-        return reach(self.change)
 
 
 class GaussNewton:
@@ -59,6 +39,7 @@ class GaussNewton:
         state: State,
         matrix: Floats,
     ) -> None:
+        self._layout = state.pose.layout
         self._sensitivity = Sensitivity(face, state)
         self._curvature = data.curvature(state.estimate)
         self._regulariser = regulariser.gauss_newton(state.pose)
@@ -71,25 +52,26 @@ class GaussNewton:
 
         Raises :class:`SolveError` (``solve.not_finite``) where there is none.
         """
-        units = damping * damping_units(len(self._gradient))
+        units = damping * self._layout.damping
         known = self._regulariser + np.diag(units)
         step, bent = np.zeros_like(self._gradient), np.zeros_like(self._gradient)
         for _ in range(PRODUCTS):
             residual = -(self._gradient + bent)
-            direction = solved(self.matrix + known, residual)
-            slope = direction @ residual
-            if slope <= ACCURACY**2 * step @ bent:
+            direction = solve_positive(self.matrix + known, residual)
+            square = direction @ residual
+            if square <= ACCURACY**2 * step @ bent:
                 break
             seen = self._product(direction)
-            self.matrix = _taught(self.matrix, direction, seen)
-            bend = seen + known @ direction
-            length = slope / (direction @ bend)
+            self.matrix = _update(self.matrix, direction, seen)
+            image = seen + known @ direction
+            length = square / (direction @ image)
             step = step + length * direction
-            bent = bent + length * bend
-        part = 1.0 / max(reach(step) / trust, 1.0)
+            bent = bent + length * image
+        part = 1.0 / max(self._layout.reach(step) / trust, 1.0)
         step, bent = part * step, part * (bent - units * step)
-        gain = -self._gradient @ step - 0.5 * step @ bent
-        return Step(step, self._sensitivity.flesh_by_pose(step), float(gain))
+        slope, bend = float(self._gradient @ step), float(step @ bent)
+        response = self._sensitivity.flesh_by_pose(step)
+        return Step(step, slope, bend, self._layout.reach(step), response)
 
     def _product(self, change: Floats) -> Floats:
         """Return J^T C J applied to a change of (a, b)."""
@@ -100,33 +82,35 @@ class GaussNewton:
 def curvature(face: Face, data: Term, state: State) -> Floats:
     """Return J^T C J at a state, (6 m + 5, 6 m + 5): f's Gauss-Newton matrix but for its priors."""
     jacobian = Sensitivity(face, state).by_pose()
-    return jacobian.contracted(data.curvature(state.estimate))
+    return jacobian.contract(data.curvature(state.estimate))
 
 
-def _taught(matrix: Floats, change: Floats, seen: Floats) -> Floats:
+def _update(matrix: Floats, change: Floats, seen: Floats) -> Floats:
     """Return ``matrix`` updated by BFGS so that its product with ``change`` is what was seen."""
     expected = matrix @ change
-    bend, true = float(change @ expected), float(change @ seen)
+    guessed, true = float(change @ expected), float(change @ seen)
     # what the data do not feel is left to the regulariser
-    if min(bend, true) <= 1e-12 * np.abs(matrix).max() * float(change @ change):
+    if min(guessed, true) <= 1e-12 * np.abs(matrix).max() * float(change @ change):
         return matrix
-    matrix = matrix - np.outer(expected, expected) / bend
+    matrix = matrix - np.outer(expected, expected) / guessed
     matrix += np.outer(seen, seen) / true
     return matrix
 
 
-def damped_step(hessian: Floats, gradient: Floats, damping: float, trust: float) -> Floats:
-    """Solve (H + damping D^2) step = -gradient, D the units of (a, b); cut to the ``trust``.
+def damped_step(
+    layout: Layout, hessian: Floats, gradient: Floats, damping: float, trust: float
+) -> Floats:
+    """Solve (H + damping D^2) step = -gradient, D the units of ``layout``; cut to the ``trust``.
 
     Raises :class:`SolveError` (``solve.not_finite``) where there is no such step.
     """
     damped = hessian.copy()
-    damped[np.diag_indices_from(damped)] += damping * damping_units(len(damped))
-    step = solved(damped, -gradient)
-    return np.asarray(step / max(reach(step) / trust, 1.0))
+    damped[np.diag_indices_from(damped)] += damping * layout.damping
+    step = solve_positive(damped, -gradient)
+    return np.asarray(step / max(layout.reach(step) / trust, 1.0))
 
 
-def solved(matrix: Floats, right: Floats) -> Floats:
+def solve_positive(matrix: Floats, right: Floats) -> Floats:
     """Return matrix^-1 right for a positive definite matrix.
 
     Raises :class:`SolveError` (``solve.not_finite``) where it is none.
@@ -135,14 +119,3 @@ def solved(matrix: Floats, right: Floats) -> Floats:
         return np.asarray(scipy.linalg.solve(matrix, right, assume_a="pos"))
     except (np.linalg.LinAlgError, ValueError) as error:
         raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
-
-
-def damping_units(size: int) -> Floats:
-    """Return the diagonal of D^2, (size,): what damping weighs each entry of (a, b) by."""
-    return np.concatenate([np.ones(size - 5), JAW_UNITS**2 * JAW_DAMPING])
-
-
-def reach(step: Floats) -> float:
-    """Return the length of a step (6 m + 5,) in units of what a linear model is surely good for."""
-    by_a, turn = np.abs(step[:-5]).max(), np.abs(step[-5:-3]).max()
-    return float(max(by_a / LARGEST_STEP, turn / LARGEST_TURN))

@@ -30,11 +30,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from solver.errors import InputError, SolveError
-from solver.fitting import (
-    activation,
-    gauss_newton,
-)
+from solver.fitting import activation
 from solver.fitting.face import Face, Pose, State
+from solver.fitting.least_squares import DampingOptions
 from solver.fitting.objective import Regulariser, Term
 from solver.fitting.sensitivity import Sensitivity
 from solver.mechanics.equilibrium import PredictorOptions
@@ -195,16 +193,14 @@ def _centres(model: SubjectModel) -> Floats:
     return np.asarray((model.rest[model.tets].mean(axis=1) - model.jaw.origin) @ model.jaw.axes.T)
 
 
-LARGEST_CHANGE = 0.3
-"""Trust in the linear model: change of an entry of S per step."""
+@dataclass(frozen=True)
+class JointOptions:
+    """Steps on S and all poses: trust in the linear model, and the damping of S and of a pose."""
 
-DAMPING_START = 1e-5
-POSE_DAMPING_START = 1e-2
-DAMPING_LEAST, POSE_DAMPING_LEAST = 1e-7, 1e-6
-HALVINGS = 3
-
-WELL, BADLY = 0.75, 0.25
-"""Gains, as parts of the predicted, from which on damping falls and below which it grows."""
+    largest_change: float = 0.3  # of an entry of S in a step
+    halvings: int = 3
+    damping: DampingOptions = field(default_factory=lambda: DampingOptions(1e-5, least=1e-7))
+    pose_damping: DampingOptions = field(default_factory=lambda: DampingOptions(1e-2, least=1e-6))
 
 
 @dataclass(frozen=True)
@@ -248,41 +244,43 @@ class Iterate:
 
     S: sp.csr_array
     states: dict[str, State]
-    damping: float = DAMPING_START
+    damping: float = JointOptions().damping.start
     pose_damping: dict[str, float] = field(default_factory=dict)
 
 
-def step(problem: GeometryProblem, now: Iterate) -> Iterate:
+def step(problem: GeometryProblem, now: Iterate, options: JointOptions | None = None) -> Iterate:
     """Return a better iterate, or the same S with the losing states settled, and more damping.
 
     The states are only approached, as in the fit of activations.
     """
+    options = options or JointOptions()
+    rule, pose_rule = options.damping, options.pose_damping
     face = problem.face.with_weights(now.S)
-    damping = {name: now.pose_damping.get(name, POSE_DAMPING_START) for name in now.states}
+    damping = {name: now.pose_damping.get(name, pose_rule.start) for name in now.states}
     models = {
         name: _Linearised(problem, face, name, state, damping[name])
         for name, state in now.states.items()
     }
-    change = _change(problem, now, list(models.values()))
+    change = _change(problem, now, list(models.values()), options.largest_change)
     before = problem.prior_value(now.S.data)
-    for halving in range(HALVINGS):
+    for halving in range(options.halvings):
         share = 0.5**halving
         S = replace_values(now.S, now.S.data + share * change)
         trials = {name: model.trial(S, share * change, share) for name, model in models.items()}
         for name, trial in trials.items():
-            damping[name] = _adapted(damping[name], trial.ratio, POSE_DAMPING_LEAST)
+            damping[name] = pose_rule.adapt(damping[name], trial.ratio)
         # the priors are quadratic: what they gain is what their model says
         nearer = before - problem.prior_value(S.data)
         gain = sum(trial.gain for trial in trials.values()) + nearer
         if gain > 0.0:
             predicted = sum(trial.predicted for trial in trials.values()) + nearer
             # a step that had to be halved says how much too far the linear model reached
-            grown = 4.0**halving * now.damping
+            grown = rule.increase(now.damping, halving)
             states = {name: trial.state for name, trial in trials.items() if trial.state}
-            return Iterate(S, states, _adapted(grown, gain / predicted, DAMPING_LEAST), damping)
+            return Iterate(S, states, rule.adapt(grown, gain / predicted), damping)
     losing = [name for name, trial in trials.items() if trial.gain < 0.0]
     states = now.states | _settled(face, {name: now.states[name] for name in losing})
-    return Iterate(now.S, states, 4.0**HALVINGS * now.damping, damping)
+    return Iterate(now.S, states, rule.increase(now.damping, options.halvings), damping)
 
 
 def _settled(face: Face, states: dict[str, State]) -> dict[str, State]:
@@ -294,14 +292,9 @@ def _settled(face: Face, states: dict[str, State]) -> dict[str, State]:
     return settled
 
 
-def _adapted(damping: float, ratio: float, least: float) -> float:
-    """Return the damping after a step that gained ``ratio`` of what its model predicted."""
-    if ratio < BADLY:
-        return 4.0 * damping
-    return max(damping / 4.0, least) if ratio > WELL else damping
-
-
-def _change(problem: GeometryProblem, now: Iterate, models: list[_Linearised]) -> Floats:
+def _change(
+    problem: GeometryProblem, now: Iterate, models: list[_Linearised], reach: float
+) -> Floats:
     """Return the change (nnz,) of S's values that minimises the damped model, poses following."""
     structure = problem.structure
     gradient = problem.prior_gradient(now.S.data)
@@ -314,7 +307,7 @@ def _change(problem: GeometryProblem, now: Iterate, models: list[_Linearised]) -
             out += model.product(direction)
         return np.asarray(out)
 
-    best = minimise(now.S.data, gradient, product, now.S.indptr, LARGEST_CHANGE)
+    best = minimise(now.S.data, gradient, product, now.S.indptr, reach)
     return np.asarray(best - now.S.data)
 
 
@@ -347,11 +340,12 @@ class _Linearised:
         self._curvature = rows[:, jacobian.free]
         self._touched = np.flatnonzero(np.diff(rows.indptr))
         self._coupling = self._curvature[self._touched] @ jacobian.flesh
-        self._coupling[:, -5:] += rows[self._touched][:, jacobian.moving] @ jacobian.jaw
-        self._by_pose = jacobian.transposed(gradient) + regulariser.gradient(state.pose)
-        self._hessian = jacobian.contracted(curvature) + regulariser.gauss_newton(state.pose)
-        units = gauss_newton.damping_units(len(self._hessian))
-        self._factor = scipy.linalg.cho_factor(self._hessian + damping * np.diag(units))
+        direct = sp.coo_array(rows[self._touched] @ jacobian.held)
+        self._coupling[direct.row, direct.col] += direct.data
+        self._by_pose = jacobian.adjoint(gradient) + regulariser.gradient(state.pose)
+        self._hessian = jacobian.contract(curvature) + regulariser.gauss_newton(state.pose)
+        units = np.diag(state.pose.layout.damping)
+        self._factor = scipy.linalg.cho_factor(self._hessian + damping * units)
 
     def gradient_by_geometry(self) -> Floats:
         """Return f's derivative (nnz,) by S, the pose following."""
@@ -371,8 +365,8 @@ class _Linearised:
         problem, state = self._problem, self._state
         flesh = self._response.flesh_by_geometry(change)
         by_pose = -self._solve(self._by_pose + self._coupled(flesh))
-        by_pose *= share / max(gauss_newton.reach(by_pose), 1.0)
-        pose = state.pose.changed(by_pose)
+        by_pose *= share / max(state.pose.layout.reach(by_pose), 1.0)
+        pose = state.pose.add(by_pose)
         predicted = self._predicted(flesh, by_pose)
         trial = self._moved(S, flesh + self._jacobian.flesh @ by_pose, pose)
         if trial is None:

@@ -19,13 +19,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.errors import InputError
+from solver.fitting.controls import JAW_UNITS
 from solver.fitting.face import Face, Pose
 from solver.fitting.stretches import matrices
 from solver.surface import Floats
-
-JAW_UNITS = np.array([100.0, 100.0, 1.0, 1.0, 1.0])
-"""The diagonal of D: a radian of jaw counts as 100 mm, its motion at the chin."""
-
 
 LEAST_STRETCH = 0.1
 """The eigenvalue e of S(a_j) that a muscle hardly goes below: contraction to a tenth."""
@@ -132,21 +129,20 @@ class Regulariser:
         lack, slopes = lacking_eigenvalues(pose.a)
         by_a -= self.w_e * np.einsum("jk,jkq->jq", lack, slopes)
         by_b = self.w_b * JAW_UNITS**2 * (pose.b - self.prior.b)
-        return np.concatenate([by_a.ravel(), by_b])
+        return pose.layout.join([by_a, by_b])
 
     def gauss_newton(self, pose: Pose) -> Floats:
         """Return the Gauss-Newton Hessian by (a, b), (6 m + 5, 6 m + 5)."""
-        muscles = len(pose.a)
+        layout = pose.layout
         slopes = determinant_gradients(pose.a)
-        out = np.zeros((6 * muscles + 5, 6 * muscles + 5))
         _, towards = lacking_eigenvalues(pose.a)
         blocks = self.w_v * slopes[:, :, None] * slopes[:, None, :]
         blocks += self.w_e * towards.transpose(0, 2, 1) @ towards
-        for j in range(muscles):
-            block = slice(6 * j, 6 * j + 6)
-            out[block, block] = blocks[j]
-        diagonal = np.concatenate([np.full(6 * muscles, self.w_a), self.w_b * JAW_UNITS**2])
-        out[np.diag_indices_from(out)] += diagonal
+        entries = layout.places("activations")
+        out = np.zeros((layout.size, layout.size))
+        out[entries[:, :, None], entries[:, None, :]] = blocks
+        diagonal = [np.full(pose.a.shape, self.w_a), self.w_b * JAW_UNITS**2]
+        out[np.diag_indices_from(out)] += layout.join(diagonal)
         return out
 
 

@@ -1,10 +1,8 @@
-"""How the equilibrium answers to activations, jaw and muscle geometry.
+"""Derivatives of an equilibrium by activations, jaw and muscle geometry.
 
-grad_x E(x; theta) = 0 makes x an implicit function of theta, and
-
-    dx/dtheta = -H^-1 d(grad E)/dtheta.
-
-One factorisation of H serves the dense Jacobian by (a, b) and the products with the Jacobian by S.
+grad_x E(x; theta) = 0 makes x an implicit function of theta. What the forces are by (a, b) and by S
+is here; :class:`~solver.mechanics.response.Response` solves for dx/dtheta, one factorisation
+serving the dense Jacobian by (a, b) and the products with the Jacobian by S.
 """
 
 from __future__ import annotations
@@ -18,177 +16,260 @@ import scipy.sparse as sp
 
 from solver.fitting.face import Face, Pose, State
 from solver.mechanics.flesh import IDENTITY
+from solver.mechanics.response import Response
 from solver.surface import Floats, Ints
 from solver.threads import in_threads
 
-BLOCK = 64
-"""Columns that a symmetric product takes at once."""
+BLOCK = 64  # columns that a symmetric product takes at once
 
 
 @dataclass(frozen=True)
-class PoseJacobian:
-    """dx/d(a, b): ``flesh`` (size, 6 m + 5) of the free coordinates, ``jaw`` (k, 5) of others.
+class Jacobian:
+    """dx/dq (3 p, k): ``flesh`` (size, k) of the free coordinates, ``held`` (3 p, k) of the others.
 
-    ``free`` and ``moving`` (k,) are the places of both among all coordinates (3 p,): what moves
-    with the mandible does so by b alone.
+    ``free`` (size,) are the places of the free coordinates among all.
     """
 
     flesh: Floats
-    jaw: Floats
+    held: sp.csr_array
     free: Ints
-    moving: Ints
 
-    def transposed(self, gradient: Floats) -> Floats:
-        """Return (dx/d(a, b))^T g for g by x, (p, 3): shape (6 m + 5,)."""
+    def adjoint(self, gradient: Floats) -> Floats:
+        """Return (dx/dq)^T g (k,) for g by x, (p, 3)."""
         flat = gradient.ravel()
-        out = self.flesh.T @ flat[self.free]
-        out[-self.jaw.shape[1] :] += self.jaw.T @ flat[self.moving]
-        return np.asarray(out)
+        return np.asarray(self.flesh.T @ flat[self.free] + self.held.T @ flat)
 
-    def contracted(self, curvature: sp.csr_array) -> Floats:
-        """Return (dx/d(a, b))^T C dx/d(a, b) for C (3 p, 3 p): shape (6 m + 5, 6 m + 5)."""
-        touched = np.flatnonzero(np.diff(curvature.indptr))
-        place = np.full(curvature.shape[0], -1)
+    def rows(self, some: Ints) -> Floats:
+        """Return the derivative of some coordinates, (len(some), k)."""
+        place = np.full(self.held.shape[0], -1)
         place[self.free] = np.arange(len(self.free))
-        free = place[touched] >= 0
-        rows = np.zeros((len(touched), self.flesh.shape[1]))
-        rows[free] = self.flesh[place[touched[free]]]
-        place[self.free] = -1
-        place[self.moving] = np.arange(len(self.moving))
-        moving = place[touched] >= 0
-        rows[moving, -self.jaw.shape[1] :] += self.jaw[place[touched[moving]]]
+        place = place[some]
+        out = np.zeros((len(some), self.flesh.shape[1]))
+        out[place >= 0] = self.flesh[place[place >= 0]]
+        direct = self.held[some].tocoo()
+        out[direct.row, direct.col] += direct.data
+        return out
+
+    def contract(self, curvature: sp.csr_array) -> Floats:
+        """Return (dx/dq)^T C dx/dq (k, k) for C (3 p, 3 p)."""
+        touched = np.flatnonzero(np.diff(curvature.indptr))
+        rows = self.rows(touched)
         inner = curvature[touched][:, touched]
         out = np.empty((rows.shape[1], rows.shape[1]))
 
-        def contract(first: int) -> None:
+        def fill(first: int) -> None:
             block = slice(first, first + BLOCK)
             out[first:, block] = rows[:, first:].T @ (inner @ rows[:, block])
             out[block, first:] = out[first:, block].T
 
-        in_threads(contract, range(0, len(out), BLOCK))
+        in_threads(fill, range(0, len(out), BLOCK))
         return out
+
+
+class _Forces:
+    """The forces' derivative by the activations A_i of a face's tets at x (p, 3), tet by tet."""
+
+    def __init__(self, face: Face, pose: Pose, x: Floats) -> None:
+        self.face, self.pose, self.x = face, pose, x
+        flesh, S = face.flesh, face.S
+        self.tet_a = face.tet_activations(pose.a)
+        self.by_tet = flesh.forces_by_activation(x, self.tet_a)  # (n, 4, 3, 6)
+        self.numbers = flesh.free_numbers[flesh.tets]
+        self.columns = np.vstack([IDENTITY, pose.a])
+        self.pattern = self.by_tet, self.numbers, S.indptr, S.indices
+
+
+class PoseRates:
+    """The derivative by (a, b), a muscle by muscle: :class:`solver.mechanics.response.Controls`."""
+
+    def __init__(self, forces: _Forces) -> None:
+        self._forces = forces
+        face, pose = forces.face, forces.pose
+        self._S, self._layout = face.S, pose.layout
+        direct = face.mandible_jacobian(pose.b)
+        # the free gradient's derivative by b (size, 5)
+        self.by_jaw = face.flesh.coupling(forces.x, forces.tet_a, direct)
+        moving = coordinates(face.model.mandible)
+        values = direct.reshape(-1, direct.shape[2])[moving]
+        columns = np.broadcast_to(np.arange(self._layout.size)[self._layout["jaw"]], values.shape)
+        rows = np.broadcast_to(moving[:, None], values.shape)
+        self.held = sp.csr_array(
+            (values.ravel(), (rows.ravel(), columns.ravel())),
+            shape=(direct.shape[0] * 3, self._layout.size),
+        )
+
+    @classmethod
+    def at(cls, face: Face, pose: Pose, x: Floats) -> PoseRates:
+        """Return the derivative at any x (p, 3)."""
+        return cls(_Forces(face, pose, x))
+
+    @property
+    def by_tet(self) -> Floats:
+        """Return the forces' derivative by the tets' activations, (n, 4, 3, 6)."""
+        return self._forces.by_tet
+
+    def columns(self) -> Floats:
+        """Return d(grad_x E)/d(a, b), (size, 6 m + 5)."""
+        out = np.zeros((len(self.by_jaw), self._layout.size), order="F")
+        _add_by_muscle(*self._forces.pattern, self._S.data, out)
+        out[:, self._layout["jaw"]] = self.by_jaw
+        return out
+
+    def product(self, change: Floats) -> Floats:
+        """Return the free gradient's change (size,) for one of (a, b)."""
+        by_a, by_b = self._layout.split(change)
+        pull = self.by_jaw @ by_b
+        columns = np.vstack([np.zeros_like(IDENTITY), by_a])
+        _forces_by_weights(*self._forces.pattern, columns, self._S.data, pull)
+        return np.asarray(pull)
+
+    def adjoint(self, motion: Floats) -> Floats:
+        """Return the transpose of :meth:`product` applied to (size,)."""
+        by_tet_a = np.empty_like(self._forces.tet_a)
+        _activations_by_forces(self.by_tet, self._forces.numbers, motion, by_tet_a)
+        return self._layout.join([(self._S.T @ by_tet_a)[1:], self.by_jaw.T @ motion])
+
+
+class PoseControls:
+    """Activations of S and the jaw: :class:`solver.fitting.controls.FitControls`."""
+
+    def __init__(self, face: Face) -> None:
+        self._face = face
+        self.layout = face.layout
+        self.flesh = face.flesh
+
+    def flesh_controls(self, q: Floats) -> Floats:
+        """See :class:`solver.fitting.controls.FitControls`."""
+        return self._face.tet_activations(self.layout.part("activations", q))
+
+    def held_positions(self, q: Floats) -> Floats:
+        """See :class:`solver.fitting.controls.FitControls`."""
+        return self._face.held_positions(self.layout.part("jaw", q))
+
+    def linearise(self, q: Floats, x: Floats) -> PoseRates:
+        """See :class:`solver.fitting.controls.FitControls`."""
+        return PoseRates.at(self._face, Pose(*self.layout.split(q)), x)
+
+
+class WeightRates:
+    """The derivative by S's values (nnz,): :class:`solver.mechanics.response.Controls`."""
+
+    def __init__(self, forces: _Forces) -> None:
+        self._forces = forces
+        self._size = forces.face.flesh.size
+        self._count = forces.face.S.nnz
+        self.held = sp.csr_array((forces.x.size, self._count))
+
+    @classmethod
+    def at(cls, face: Face, pose: Pose, x: Floats) -> WeightRates:
+        """Return the derivative at any x (p, 3)."""
+        return cls(_Forces(face, pose, x))
+
+    def matrix(self) -> sp.csc_array:
+        """Return d(grad_x E)/dS, (size, nnz).
+
+        Column s_ij holds the forces of tet i by A_i, times a_j: twelve entries, a tet's vertices.
+        """
+        by_tet, numbers, indptr, indices = self._forces.pattern
+        tets = np.repeat(np.arange(len(by_tet)), np.diff(indptr))
+        values = np.einsum("eviq,eq->evi", by_tet[tets], self._forces.columns[indices])
+        return force_columns(values, numbers[tets], self._size)
+
+    def columns(self) -> Floats:
+        """Return :meth:`matrix`, dense."""
+        return np.asarray(self.matrix().toarray(order="F"))
+
+    def product(self, change: Floats) -> Floats:
+        """Return the free gradient's change (size,) for one of S's values (nnz,)."""
+        out = np.zeros(self._size)
+        _forces_by_weights(*self._forces.pattern, self._forces.columns, change, out)
+        return out
+
+    def adjoint(self, motion: Floats) -> Floats:
+        """Return the transpose of :meth:`product` applied to (size,): shape (nnz,)."""
+        out = np.empty(self._count)
+        _weights_by_forces(*self._forces.pattern, self._forces.columns, motion, out)
+        return out
+
+
+@dataclass(frozen=True)
+class Along:
+    """Controls along the ``directions`` (k, l) of others' q (k,)."""
+
+    rates: PoseRates
+    directions: Floats
+
+    @property
+    def held(self) -> sp.csr_array:
+        """Return dx_held by them, (3 p, l)."""
+        return sp.csr_array(self.rates.held @ sp.csr_array(self.directions))
+
+    def columns(self) -> Floats:
+        """Return the free gradient's derivative (size, l)."""
+        return np.asfortranarray(self.rates.columns() @ self.directions)
+
+    def product(self, change: Floats) -> Floats:
+        """Return the free gradient's change (size,)."""
+        return self.rates.product(self.directions @ change)
+
+    def adjoint(self, motion: Floats) -> Floats:
+        """Return the transpose of :meth:`product` applied to (size,)."""
+        return np.asarray(self.directions.T @ self.rates.adjoint(motion))
 
 
 class Sensitivity:
-    """The derivatives of the vertices x at one state."""
+    """The derivatives of the vertices x at one state; one factor serves all."""
 
     def __init__(self, face: Face, state: State) -> None:
         self._face = face
-        self._S = face.S
-        self._state = state
+        self._forces = _Forces(face, state.pose, state.x)
+        self._response = Response(face.flesh, state.equilibrium.factor)
 
-    def by_pose(self) -> PoseJacobian:
+    def by_pose(self) -> Jacobian:
         """Return the derivatives by (a, b); a muscle by muscle, six entries each."""
-        face, state = self._face, self._state
-        by_tet, numbers = self._by_weight[:2]
-        response = state.equilibrium.factor.solve(
-            _pose_columns(face.flesh.size, self._S, by_tet, numbers, self._by_jaw[0])
-        )
-        # in place: on fine meshes new memory takes as long as arithmetic
-        np.negative(response, out=response)
-        direct = self._by_jaw[1]
-        return PoseJacobian(
-            response,
-            direct.reshape(-1, direct.shape[2]),
-            coordinates(face.flesh.free),
-            coordinates(face.model.mandible),
-        )
+        flesh = self._response.columns(self._pose)
+        return Jacobian(flesh, self._pose.held, self._face.flesh.free_coordinates)
+
+    def motions_by_pose(self) -> Floats:
+        """Return the derivatives by (a, b) of all vertices, (p, 3, 6 m + 5)."""
+        return self._response.motions(self._pose)
+
+    def motions_along(self, directions: Floats) -> Floats:
+        """Return the derivatives (p, 3, k) along ``directions`` of (a, b), (6 m + 5, k)."""
+        return self._response.motions(Along(self._pose, directions))
 
     def flesh_by_pose(self, change: Floats) -> Floats:
         """Return the free vertices' change (size,) for a change of (a, b), (6 m + 5,)."""
-        by_tet, numbers, indptr, indices, _ = self._by_weight
-        columns = np.vstack([np.zeros(6), change[:-5].reshape(-1, 6)])
-        pull = self._by_jaw[0] @ change[-5:]
-        _forces_by_weights(by_tet, numbers, indptr, indices, columns, self._S.data, pull)
-        return -self._state.equilibrium.factor.solve(pull)
+        return self._response.free_motion(self._pose, change)
 
     def by_pose_product(self, change: Floats) -> Floats:
         """Return dx/d(a, b) applied to a change of (a, b), (6 m + 5,): motions (p, 3)."""
-        out = np.zeros_like(self._state.x)
-        out[self._face.flesh.free] = self.flesh_by_pose(change).reshape(-1, 3)
-        out[self._face.model.mandible] = self._by_jaw[1] @ change[-5:]
-        return out
+        return self._response.product(self._pose, change)
 
     def by_pose_adjoint(self, gradient: Floats) -> Floats:
         """Return (dx/d(a, b))^T g for g by x, (p, 3), by one solve: shape (6 m + 5,)."""
-        free, mandible = self._face.flesh.free, self._face.model.mandible
-        by_tet, numbers = self._by_weight[:2]
-        by_jaw, direct = self._by_jaw
-        solved = -self._state.equilibrium.factor.solve(gradient[free].ravel())
-        by_tet_a = np.empty((len(by_tet), 6))
-        _activations_by_forces(by_tet, numbers, solved, by_tet_a)
-        by_a = (self._S.T @ by_tet_a)[1:]
-        by_b = by_jaw.T @ solved + np.tensordot(gradient[mandible], direct, 2)
-        return np.concatenate([by_a.ravel(), by_b])
+        return self._response.adjoint(self._pose, gradient)
 
     def flesh_by_geometry(self, change: Floats) -> Floats:
         """Return the free vertices' change (size,) for a change of S's values (nnz,)."""
-        forces = np.zeros(self._face.flesh.size)
-        _forces_by_weights(*self._by_weight, change, forces)
-        return -self._state.equilibrium.factor.solve(forces)
+        return self._response.free_motion(self._weights, change)
 
     def by_geometry_adjoint(self, gradient: Floats) -> Floats:
         """Return the transpose of :meth:`flesh_by_geometry` applied to (size,): shape (nnz,)."""
-        adjoint = -self._state.equilibrium.factor.solve(gradient)
-        out = np.empty(self._S.nnz)
-        _weights_by_forces(*self._by_weight, adjoint, out)
-        return out
+        return self._response.free_adjoint(self._weights, gradient)
 
     @cached_property
-    def _by_jaw(self) -> tuple[Floats, Floats]:
-        """The free gradient's derivative by b, (size, 5), and the mandible's, (k, 3, 5)."""
-        face, state = self._face, self._state
-        direct = face.mandible_jacobian(state.pose.b)
-        tet_a = face.tet_activations(state.pose.a)
-        return face.flesh.coupling(state.x, tet_a, direct), direct[face.model.mandible]
+    def _pose(self) -> PoseRates:
+        return PoseRates(self._forces)
 
     @cached_property
-    def _by_weight(self) -> tuple[Floats, Ints, Ints, Ints, Floats]:
-        """What the forces' derivative by S is made of: by tet and activation, and a_j."""
-        flesh, pose = self._face.flesh, self._state.pose
-        tet_a = self._face.tet_activations(pose.a)
-        by_tet = flesh.forces_by_activation(self._state.x, tet_a)
-        numbers = flesh.free_numbers[flesh.tets]
-        columns = np.vstack([IDENTITY, pose.a])
-        return by_tet, numbers, self._S.indptr, self._S.indices, columns
+    def _weights(self) -> WeightRates:
+        return WeightRates(self._forces)
 
 
 def coordinates(vertices: Ints) -> Ints:
     """Return where the coordinates of ``vertices`` are among all (3 p,)."""
     return np.asarray((3 * vertices[:, None] + np.arange(3)).ravel())
-
-
-def gradient_by_pose(face: Face, pose: Pose, x: Floats) -> Floats:
-    """Return d(grad_x E)/d(a, b) at any x (p, 3), shape (size, 6 m + 5)."""
-    flesh = face.flesh
-    tet_a = face.tet_activations(pose.a)
-    by_jaw = flesh.coupling(x, tet_a, face.mandible_jacobian(pose.b))
-    by_tet = flesh.forces_by_activation(x, tet_a)
-    return _pose_columns(flesh.size, face.S, by_tet, flesh.free_numbers[flesh.tets], by_jaw)
-
-
-def _pose_columns(
-    size: int, S: sp.csr_array, by_tet: Floats, numbers: Ints, by_jaw: Floats
-) -> Floats:
-    """Return d(grad_x E)/d(a, b) from the forces' derivatives by tet, and those by b."""
-    columns = 6 * (S.shape[1] - 1)
-    out = np.zeros((size, columns + by_jaw.shape[1]), order="F")
-    _add_by_muscle(by_tet, numbers, S.indptr, S.indices, S.data, out)
-    out[:, columns:] = by_jaw
-    return out
-
-
-def gradient_by_geometry(face: Face, pose: Pose, x: Floats) -> sp.csc_array:
-    """Return d(grad_x E)/dS at any x (p, 3), (size, nnz).
-
-    Column s_ij holds the forces of tet i by A_i, times a_j: twelve entries, a tet's vertices.
-    """
-    flesh = face.flesh
-    columns = np.vstack([IDENTITY, pose.a])
-    by_tet = flesh.forces_by_activation(x, face.tet_activations(pose.a))
-    tets = np.repeat(np.arange(len(flesh.tets)), np.diff(face.S.indptr))
-    values = np.einsum("eviq,eq->evi", by_tet[tets], columns[face.S.indices])
-    return force_columns(values, flesh.free_numbers[flesh.tets[tets]], flesh.size)
 
 
 def force_columns(forces: Floats, numbers: Ints, size: int) -> sp.csc_array:
@@ -261,7 +342,7 @@ def _weights_by_forces(
     out: Floats,
 ) -> None:
     """Fill ``out`` (nnz,) with the transpose of :func:`_forces_by_weights` applied to forces."""
-    by_tet_a = np.empty((len(by_tet), 6))
+    by_tet_a = np.empty((len(by_tet), columns.shape[1]))
     _activations_by_forces(by_tet, number, forces, by_tet_a)
     for tet in range(len(by_tet)):
         for entry in range(indptr[tet], indptr[tet + 1]):

@@ -10,48 +10,54 @@ that, if that is about as good as it was.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions
+from solver.fitting.controls import Layout
 from solver.fitting.face import Face, Pose, State
 from solver.fitting.gauss_newton import damped_step
+from solver.fitting.least_squares import (
+    DampingOptions,
+    Ending,
+    Halving,
+    HalvingOptions,
+    Step,
+    StopOptions,
+    minimise,
+)
 from solver.fitting.objective import (
     Regulariser,
     SkinDistance,
     Target,
     Term,
 )
-from solver.fitting.sensitivity import PoseJacobian, Sensitivity
+from solver.fitting.sensitivity import Jacobian, Sensitivity
 from solver.mechanics.equilibrium import CorrectorOptions, correct, untangle
 from solver.mechanics.newton import Factorization
 from solver.surface import Floats
 
-STEPS = 3
-"""SQP steps a frame at most; one that takes them all would like new sensitivities ..."""
 
-KEPT_FRAMES = 15
-"""... and gets them once they are this old: where flesh buckles new ones help little."""
+@dataclass(frozen=True)
+class TrackingOptions:
+    """The steps of a frame, and when what is kept is made anew."""
 
-HALVINGS = 2
-"""How often a step is cut in half before the frame's steps end."""
-
-TOLERANCE = 2e-3
-"""A step that gains less than this part of f is not worth taking."""
-
-STUCK = 1.1
-"""Growth of f up to which a frame without a way down stays where the frame before was."""
-
-DAMPING_START, DAMPING_LEAST, DAMPING_MOST = 1e-3, 1e-4, 1.0
-DAMPING_GROWTH = 4.0
-
-RESEEN = 0.1
-"""Part of the points' weight that moves elsewhere before a kept matrix is made anew."""
-
-WELL, BADLY, HARDLY = 0.7, 0.4, 0.2
-"""Gains, as parts of the predicted: damping falls, damping grows, the frame's steps end."""
+    # SQP steps at most (a frame that takes them all would like new sensitivities), and the part
+    # of f that a step has to promise
+    stop: StopOptions = field(default_factory=lambda: StopOptions(3, promised=2e-3))
+    # gains below ``least_ratio`` of the promised end the frame's steps
+    halving: HalvingOptions = field(
+        default_factory=lambda: HalvingOptions(tries=3, least_ratio=0.2)
+    )
+    damping: DampingOptions = field(
+        default_factory=lambda: DampingOptions(1e-3, least=1e-4, most=1.0, good=0.7, bad=0.4)
+    )
+    # age in frames before sensitivities are made anew: where flesh buckles new ones help little
+    kept_frames: int = 15
+    stuck: float = 1.1  # growth of f up to which a frame without a way down stays as it was
+    reseen: float = 0.1  # part of the points' weight that moves before a matrix is made anew
 
 
 @dataclass(frozen=True)
@@ -61,18 +67,18 @@ class _Kept:
     The matrix is that of points with ``weights`` (k,).
     """
 
-    jacobian: PoseJacobian
+    jacobian: Jacobian
     weights: Floats
     hessian: Floats
 
     @classmethod
-    def of(cls, jacobian: PoseJacobian, data: SkinDistance, x: Floats) -> _Kept:
+    def of(cls, jacobian: Jacobian, data: SkinDistance, x: Floats) -> _Kept:
         """Contract the curvature of a frame's ``data`` with the sensitivities."""
-        return cls(jacobian, data.target.weights, jacobian.contracted(data.curvature(x)))
+        return cls(jacobian, data.target.weights, jacobian.contract(data.curvature(x)))
 
-    def for_data(self, data: SkinDistance, x: Floats) -> _Kept:
+    def for_data(self, data: SkinDistance, x: Floats, reseen: float) -> _Kept:
         """Return what suits a frame whose points may be seen otherwise."""
-        if np.abs(data.target.weights - self.weights).sum() < RESEEN:
+        if np.abs(data.target.weights - self.weights).sum() < reseen:
             return self
         return _Kept.of(self.jacobian, data, x)
 
@@ -105,16 +111,18 @@ class Tracker:
         *,
         temporal: float = 0.0,
         max_iterations: int = 20,
+        options: TrackingOptions | None = None,
     ) -> None:
         self.face = face
         self.state = start
         self._regulariser = regulariser
         self._temporal = temporal
-        self._options = ActivationOptions(max_iterations, tolerance=1e-3)
+        self._whole_fit = ActivationOptions(max_iterations, tolerance=1e-3)
+        self._options = options or TrackingOptions()
         self._kept: _Kept | None = None
         self._age = 0
         self._value = np.inf
-        self._damping = DAMPING_START
+        self._search = Halving(self._options.damping, self._options.halving)
 
     def fit(self, target: Target, before: Pose | None = None) -> int:
         """Fit a frame and return the steps it took.
@@ -129,12 +137,12 @@ class Tracker:
         regulariser = self._regulariser.drawn_to(before or self.state.pose, self._temporal)
         found = None
         if self._kept:
-            self._kept = self._kept.for_data(data, self.state.x)
+            self._kept = self._kept.for_data(data, self.state.x, self._options.reseen)
             found = self._quick(self._kept, data, regulariser)
             if found is None and self._age:
                 found = self._quick(self._keep(data), data, regulariser)
             value = activation.objective(data, regulariser, self.state)
-            if found is None and value < STUCK * self._value:
+            if found is None and value < self._options.stuck * self._value:
                 return 0
         if found is None:
             fitted = activation.fit(
@@ -142,14 +150,14 @@ class Tracker:
                 data,
                 regulariser,
                 self.state,
-                self._options,
+                self._whole_fit,
                 matrix=None if self._kept is None else self._kept.hessian,
             )
             found = _Found(fitted.state, fitted.objective, fitted.iterations, easily=False)
-            self._age = KEPT_FRAMES
+            self._age = self._options.kept_frames
         self.state, self._value = found.state, found.value
         self._age += 1
-        if not found.easily and self._age >= KEPT_FRAMES:
+        if not found.easily and self._age >= self._options.kept_frames:
             self._keep(data)
         return found.steps
 
@@ -171,52 +179,60 @@ class Tracker:
 
     def _quick(self, kept: _Kept, data: Term, regulariser: Regulariser) -> _Found | None:
         """Fit a frame with what is kept; None if the first step leads nowhere."""
-        state = self.state
-        value = activation.objective(data, regulariser, state)
-        for taken in range(STEPS):
-            gradient = kept.jacobian.transposed(data.gradient(state.x))
-            gradient += regulariser.gradient(state.pose)
-            hessian = kept.hessian + regulariser.gauss_newton(state.pose)
-            step = damped_step(hessian, gradient, self._damping, trust=1.0)
-            slope, bend = float(gradient @ step), float(step @ hessian @ step)
-            if -slope - 0.5 * bend <= TOLERANCE * value:
-                return _Found(state, value, taken, easily=True)
-            part = 1.0
-            for _ in range(HALVINGS + 1):
-                trial = self._moved(kept, state, part * step)
-                if trial is not None:
-                    reached = activation.objective(data, regulariser, trial)
-                    if reached < value:
-                        break
-                part *= 0.5
-                self._damping = min(self._damping * DAMPING_GROWTH, DAMPING_MOST)
-            else:
-                return _Found(state, value, taken, easily=False) if taken else None
-            ratio = (value - reached) / (-part * slope - 0.5 * part**2 * bend)
-            state, value = trial, reached
-            self._adapt(ratio)
-            if ratio < HARDLY:
-                return _Found(state, value, taken + 1, easily=False)
-        return _Found(state, value, STEPS, easily=False)
+        problem = _FrameProblem(self.face, kept, data, regulariser)
+        found = minimise(problem, self.state, self._search, self._options.stop)
+        if found.ending == Ending.STUCK and not found.steps:
+            return None
+        easily = found.ending == Ending.CONVERGED
+        return _Found(found.point, found.value, found.steps, easily)
 
-    def _moved(self, kept: _Kept, state: State, step: Floats) -> State | None:
-        """Return the state a step of the pose leads to, None if it is far."""
-        pose = state.pose.changed(step)
-        x = self.face.flesh.moved(state.x, kept.jacobian.flesh @ step)
-        x[self.face.model.mandible] = self.face.mandible(pose.b)
-        flesh, a = self.face.flesh, self.face.tet_activations(pose.a)
-        guess = untangle(flesh, state.x, x)
+
+@dataclass(frozen=True)
+class _FrameModel:
+    """f's model by the sensitivities that are kept."""
+
+    layout: Layout
+    gradient: Floats
+    hessian: Floats
+
+    def step(self, damping: float, trust: float) -> Step:
+        """See :class:`~solver.fitting.least_squares.LinearModel`."""
+        step = damped_step(self.layout, self.hessian, self.gradient, damping, trust)
+        slope, bend = float(self.gradient @ step), float(step @ self.hessian @ step)
+        return Step(step, slope, bend, self.layout.reach(step))
+
+
+@dataclass(frozen=True)
+class _FrameProblem:
+    """f of a frame by what is kept: a :class:`~solver.fitting.least_squares.Problem`."""
+
+    face: Face
+    kept: _Kept
+    data: Term
+    regulariser: Regulariser
+
+    def value(self, point: State) -> float:
+        """See :class:`Problem`."""
+        return activation.objective(self.data, self.regulariser, point)
+
+    def linearise(self, point: State) -> _FrameModel:
+        """See :class:`Problem`."""
+        gradient = self.kept.jacobian.adjoint(self.data.gradient(point.x))
+        gradient += self.regulariser.gradient(point.pose)
+        hessian = self.kept.hessian + self.regulariser.gauss_newton(point.pose)
+        return _FrameModel(point.pose.layout, gradient, hessian)
+
+    def move(self, point: State, step: Step) -> State | None:
+        """See :class:`Problem`; the equilibrium is only corrected."""
+        face, flesh, pose = self.face, self.face.flesh, point.pose.add(step.change)
+        x = flesh.moved(point.x, self.kept.jacobian.flesh @ step.change)
+        x[face.model.mandible] = face.mandible(pose.b)
+        guess = untangle(flesh, point.x, x)
         if guess is None:
             return None
-        found = correct(flesh, self.face.linear, guess, a, state.equilibrium.factor)
+        a = face.tet_activations(pose.a)
+        found = correct(flesh, face.linear, guess, a, point.equilibrium.factor)
         return None if found is None else State(pose, found)
-
-    def _adapt(self, ratio: float) -> None:
-        """Take back or add damping, as a step gained ``ratio`` of what was predicted."""
-        if ratio > WELL:
-            self._damping = max(self._damping / DAMPING_GROWTH, DAMPING_LEAST)
-        elif ratio < BADLY:
-            self._damping = min(self._damping * DAMPING_GROWTH, DAMPING_MOST)
 
 
 # How still each point of the face lies on the skull, by the model's own mechanics.
@@ -236,12 +252,9 @@ def stillness(face: Face) -> Floats:
     The motion is the linear response, at rest, to usual changes of every activation and of the
     jaw, all at once and independent of each other.
     """
-    jacobian = Sensitivity(face, face.rest_state()).by_pose()
-    columns = jacobian.flesh.shape[1]
-    by_pose = np.zeros((face.model.rest.size, columns))
-    by_pose[jacobian.free] = jacobian.flesh
-    by_pose[jacobian.moving, -len(JAW_MOTION) :] = jacobian.jaw
-    usual = np.concatenate([np.full(columns - len(JAW_MOTION), EXCITED), JAW_MOTION])
-    motion = np.asarray(face.face_embedding @ (by_pose * usual).reshape(-1, 3 * columns))
+    by_pose = Sensitivity(face, face.rest_state()).motions_by_pose()
+    usual = face.layout.join([np.full_like(face.rest_pose().a, EXCITED), JAW_MOTION])
+    columns = (by_pose * usual).reshape(len(by_pose), -1)
+    motion = np.asarray(face.face_embedding @ columns)
     squares = np.sum(motion.reshape(len(motion), -1) ** 2, axis=1)
     return np.asarray(1.0 / (1.0 + squares / MOBILE_MM**2) ** 2)

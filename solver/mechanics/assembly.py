@@ -12,10 +12,9 @@ import scipy.sparse as sp
 
 from solver.surface import Floats, Ints
 
+# number of a pair of a tet's vertices among those with u <= v: 00 01 02 03 11 12 13 22 23 33
 PAIR = np.array([[0, 1, 2, 3], [1, 4, 5, 6], [2, 5, 7, 8], [3, 6, 8, 9]])
-"""Number of a pair of a tet's vertices among those with u <= v: 00 01 02 03 11 12 13 22 23 33."""
-
-PAIRS = 10
+PAIRS = 10  # their number
 
 
 class VertexSum:
@@ -26,7 +25,7 @@ class VertexSum:
 
     def __init__(self, numbers: Ints, count: int) -> None:
         self._count = count
-        self._first, self._corners = _grouped(numbers.ravel(), count)
+        self._first, self._corners = _group(numbers.ravel(), count)
 
     def __call__(self, per_tet: Floats) -> Floats:
         """Return the sums, (3 count, ...)."""
@@ -51,7 +50,7 @@ class BlockSum:
         free = np.flatnonzero(low >= 0)
         keys = low[free] * count + high[free]
         entries, entry = np.unique(keys, return_inverse=True)
-        self._first, contributions = _grouped(entry, len(entries))
+        self._first, contributions = _group(entry, len(entries))
         self._blocks = free[contributions]
         self._turned = ends[0, self._blocks] > ends[1, self._blocks]
         rows, columns = np.divmod(entries, count)
@@ -135,7 +134,7 @@ def _diagonal(pattern: sp.csr_array) -> Ints:
     return np.flatnonzero(pattern.indices == row_of)
 
 
-def _grouped(labels: Ints, count: int) -> tuple[Ints, Ints]:
+def _group(labels: Ints, count: int) -> tuple[Ints, Ints]:
     """Return where each label's members begin, (count + 1,), and the members' places.
 
     Negative labels are left out.

@@ -13,12 +13,10 @@ from solver.mechanics.materials.volumetric import BARRIER_START
 from solver.mechanics.newton import Accelerator, Energy, Factorization, NewtonOptions, Search
 from solver.surface import Floats
 
-SAME_MM = 1e-3  # motion over which a factorised Hessian counts as the one here
-
 
 @dataclass(frozen=True)
 class PredictorOptions:
-    """How near to its equilibrium :func:`newton_predict` goes."""
+    """Options of :func:`newton_predict`: how near to its equilibrium it goes."""
 
     reach_mm: float = 0.3  # a Newton step no longer than this is taken to end in the equilibrium
     corrections: int = 6  # Newton steps at most
@@ -49,7 +47,7 @@ class Equilibrium:
 
     ``estimate`` (p, 3) is that step's end: the equilibrium to second order, x itself where that is
     solved. ``factor`` is the Hessian's at x, or where it served last on the way: about
-    :attr:`PredictorOptions.reach_mm` away at most, :data:`SAME_MM` where solved (:func:`correct`
+    :attr:`PredictorOptions.reach_mm` away at most, ``same_mm`` where solved (:func:`correct`
     has its own from further away). ``residual`` is |grad E| over the nodal forces at unit strain,
     ``iterations`` counts Newton steps.
     """
@@ -86,7 +84,7 @@ def solve_equilibrium(
     energy = Energy(flesh, linear, a)
     _check_orientation(energy, x)
     search = Search(energy, x, options, near)
-    search.minimize()
+    search.minimise()
     # NaN, too, is no equilibrium
     if not search.residual <= max(tolerance, options.stalled):
         raise SolveError(
@@ -96,7 +94,7 @@ def solve_equilibrium(
             residual=search.residual,
         )
     factor = search.factorization
-    if factor is None or np.abs(factor.x - search.x).max() > SAME_MM:
+    if factor is None or np.abs(factor.x - search.x).max() > options.same_mm:
         factor = Factorization(flesh, linear, search.x, a)
     return Equilibrium(search.x, search.x, factor, search.residual, search.factorizations)
 

@@ -18,12 +18,12 @@ from solver.mechanics import elements, laws
 from solver.mechanics.assembly import BlockSum, VertexSum, couple
 from solver.mechanics.elements import Elements
 from solver.mechanics.laws import Law
-from solver.mechanics.sliding import Planes, PlanesTerm, no_planes
+from solver.mechanics.sliding import PlanesTerm, SlidingPlanes, no_planes
 from solver.mechanics.terms import Drag, ElasticTerm, EnergyTerm
 from solver.surface import Floats, Ints
 
+# the activation a_I of passive flesh: S(a_I) = I
 IDENTITY = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
-"""The activation a_I of passive flesh: S(a_I) = I."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class Flesh:
         held: Ints,
         material: Material | None = None,
         shares: Floats | None = None,
-        sliding: Planes | None = None,
+        sliding: SlidingPlanes | None = None,
         stiffness_factor: Floats | None = None,
         growth: Floats | None = None,
     ) -> None:

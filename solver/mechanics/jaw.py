@@ -1,4 +1,4 @@
-"""The mandible's rigid motion: five degrees of freedom b (SYSTEM: jaw)."""
+"""The mandible's rigid motion: five degrees of freedom b."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from solver.model import JawFrame
 from solver.surface import Floats
 
-DEGREES_OF_FREEDOM = 5
+DEGREES_OF_FREEDOM = 5  # hinge, sideways, and three of translation
 
 
 def _rotation(axis: Floats, angle: float) -> tuple[Floats, Floats]:

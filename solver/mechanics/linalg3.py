@@ -30,10 +30,6 @@ from solver.surface import Floats
 # so that U V^T is the rotation nearest to G also for inverted elements.
 
 
-SWEEPS = 12  # Jacobi converges quadratically: five are usual, twelve never reached
-PAIRS = ((0, 1), (0, 2), (1, 2))  # of columns that one sweep turns
-
-
 @nb.njit(cache=True, error_model="numpy")
 def signed_svd(G: Floats, U: Floats, s: Floats, V: Floats) -> None:
     """Decompose ``G`` (3, 3) into ``U`` (3, 3), ``s`` (3,) and ``V`` (3, 3), in place.
@@ -45,9 +41,10 @@ def signed_svd(G: Floats, U: Floats, s: Floats, V: Floats) -> None:
         for j in range(3):
             U[i, j] = G[i, j]
             V[i, j] = 1.0 if i == j else 0.0
-    for _ in range(SWEEPS):
+    # Jacobi converges quadratically: five sweeps are usual, twelve never reached
+    for _ in range(12):
         rotated = False
-        for p, q in PAIRS:
+        for p, q in ((0, 1), (0, 2), (1, 2)):
             alpha = U[0, p] * U[0, p] + U[1, p] * U[1, p] + U[2, p] * U[2, p]
             beta = U[0, q] * U[0, q] + U[1, q] * U[1, q] + U[2, q] * U[2, q]
             gamma = U[0, p] * U[0, q] + U[1, p] * U[1, q] + U[2, p] * U[2, q]
@@ -88,15 +85,14 @@ Matrix = tuple[float, float, float, float, float, float, float, float, float]
 Symmetric = tuple[float, float, float, float, float, float]
 
 SYM_ROW = (0, 0, 0, 1, 1, 2)  # Sym(3) in the order xx, xy, xz, yy, yz, zz
-SYM_COLUMN = (0, 1, 2, 1, 2, 2)
+SYM_COLUMN = (0, 1, 2, 1, 2, 2)  # of the same
 
-STEPS = 30  # of Newton for t: two to four are usual
 CONVERGED = 1e-9  # last relative step: the error left is of the order of its square
 CONDITION = 1e-2  # det Y / (t^3 / 8) below which R is off by 1e-12: singular vectors take over
 LEAST_SUM = 1e-8  # of two singular values: R turns by 1 / (s_i + s_j), no faster than this
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def cofactor(G: Matrix) -> Matrix:
     """Return d(det G)/dG."""
     a, b, c, d, e, f, g, h, i = G
@@ -113,7 +109,7 @@ def cofactor(G: Matrix) -> Matrix:
     )
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def dot(X: Matrix, Y: Matrix) -> float:
     """Return <X, Y> = tr(X^T Y)."""
     return (
@@ -123,14 +119,14 @@ def dot(X: Matrix, Y: Matrix) -> float:
     )
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def determinant(F: Matrix) -> float:
     """Return det F."""
     a, b, c, d, e, f, g, h, i = F
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def symmetric_cofactor(A: Symmetric) -> Symmetric:
     """Return d(det A)/dA as a symmetric matrix."""
     xx, xy, xz, yy, yz, zz = A
@@ -144,14 +140,14 @@ def symmetric_cofactor(A: Symmetric) -> Symmetric:
     )
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def symmetric_determinant(A: Symmetric) -> float:
     """Return det A."""
     C = symmetric_cofactor(A)
     return A[0] * C[0] + A[1] * C[1] + A[2] * C[2]
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def times(F: Matrix, A: Symmetric) -> Matrix:
     """Return F A."""
     a, b, c, d, e, f, g, h, i = F
@@ -169,7 +165,7 @@ def times(F: Matrix, A: Symmetric) -> Matrix:
     )
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def product(X: Matrix, Y: Matrix) -> Matrix:
     """Return X Y."""
     return (
@@ -185,8 +181,8 @@ def product(X: Matrix, Y: Matrix) -> Matrix:
     )
 
 
-@nb.njit(cache=True, error_model="numpy")
-def scaled(s: float, X: Matrix) -> Matrix:
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def scale(s: float, X: Matrix) -> Matrix:
     """Return s X."""
     return (
         s * X[0],
@@ -201,14 +197,14 @@ def scaled(s: float, X: Matrix) -> Matrix:
     )
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def full(A: Symmetric) -> Matrix:
     """Return A with all its nine entries."""
     return A[0], A[1], A[2], A[1], A[3], A[4], A[2], A[4], A[5]
 
 
-@nb.njit(cache=True, error_model="numpy")
-def squared(A: Symmetric) -> Symmetric:
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def square(A: Symmetric) -> Symmetric:
     """Return A A."""
     a, b, c, d, e, f = A
     return (
@@ -233,7 +229,8 @@ def multiply(X: Floats, Y: Floats, out: Floats) -> None:
 def _largest_root(square: float, cofactors: float, J: float) -> tuple[float, float]:
     """Return t and f'(t) for |G|^2, |cof G|^2 and det G; f' = 0 where it must not be trusted."""
     t = math.sqrt(3.0 * square)
-    for _ in range(STEPS):
+    # two to four steps are usual
+    for _ in range(30):
         d = t * t - square
         slope = 4.0 * t * d - 8.0 * J
         step = (d * d - 4.0 * cofactors - 8.0 * J * t) / slope

@@ -43,10 +43,6 @@ class LinearSolver(Protocol):
         """Do so with eigenvalues of any sign but zero, which raises the same."""
 
 
-BLOCK = 32
-"""Right-hand sides that rslab gets at once."""
-
-
 class Rslab:
     """Supernodal LDL^T in Rust (MIT): by far the fastest with many right-hand sides."""
 
@@ -100,6 +96,8 @@ class RslabSingle(Rslab):
 
 
 class _RslabFactor:
+    block = 32  # right-hand sides that rslab gets at once
+
     def __init__(self, factor: Any) -> None:
         self._factor = factor
 
@@ -112,18 +110,17 @@ class _RslabFactor:
         X = np.empty(B.shape, order="F")
 
         def solve(first: int) -> None:
-            block = slice(first, first + BLOCK)
+            block = slice(first, first + self.block)
             X[:, block] = self._factor.solve_many(np.asfortranarray(B[:, block]))
 
-        in_threads(solve, range(0, B.shape[1], BLOCK))
+        in_threads(solve, range(0, B.shape[1], self.block))
         return X
-
-
-PIVOT_THRESHOLD = 0.1  # SuperLU's own for symmetric patterns: smaller diagonals are not pivots
 
 
 class SuperLU:
     """SciPy's LU on a METIS order (BSD): always there, and the slowest."""
+
+    pivot_threshold = 0.1  # SuperLU's own for symmetric patterns: smaller diagonals are no pivots
 
     def __init__(self, pattern: sp.csr_array) -> None:
         self._order = nested_dissection(pattern)
@@ -147,7 +144,7 @@ class SuperLU:
 
     def factor_indefinite(self, data: Floats) -> Factor:
         """See :class:`LinearSolver`."""
-        return _Permuted(self._factor(data, PIVOT_THRESHOLD).solve, self._order)
+        return _Permuted(self._factor(data, self.pivot_threshold).solve, self._order)
 
     def _factor(self, data: Floats, threshold: float) -> Any:
         self._matrix.data = data[self._from]
@@ -237,11 +234,11 @@ def analyse(pattern: sp.csr_array, name: str | None = None) -> LinearSolver:
 
     Raises :class:`InputError` (``solver.unknown``, ``solver.missing``).
     """
-    name = name or next(each for each in DOUBLE if _installed(SOLVERS[each][0]))
+    name = name or next(each for each in DOUBLE if _is_installed(SOLVERS[each][0]))
     if name not in SOLVERS:
         raise InputError("solver.unknown", f"no linear solver {name!r}: one of {list(SOLVERS)}")
     package, solver = SOLVERS[name]
-    if not _installed(package):
+    if not _is_installed(package):
         raise InputError("solver.missing", f"linear solver {name!r} needs the package {package}")
     return solver(pattern)
 
@@ -252,7 +249,7 @@ def fastest() -> str:
     Equilibria and the activations of one expression do not. S does, and so does the per-tet model.
     """
     fast = ("rslab-single", *DOUBLE)
-    return next(name for name in fast if _installed(SOLVERS[name][0]))
+    return next(name for name in fast if _is_installed(SOLVERS[name][0]))
 
 
 def nested_dissection(pattern: sp.csr_array, block: int = 3) -> Ints:
@@ -276,7 +273,7 @@ def _upper(pattern: sp.csr_array) -> tuple[Ints, Ints, Ints]:
     return keep, pattern.indices[keep], indptr
 
 
-def _installed(package: str) -> bool:
+def _is_installed(package: str) -> bool:
     return importlib.util.find_spec(package) is not None
 
 
@@ -287,18 +284,18 @@ def _installed(package: str) -> bool:
 # costs as much as a factorisation.
 
 
-LARGEST = 1.5
-"""The pattern over that of the flesh, in entries, from which on it forgets all but the newest."""
-
-
 class GrowingSolver:
     """Factorises the sum of a matrix of fixed ``pattern`` (sorted CSR) and one of any other.
 
     ``name`` is the linear solver (:func:`~solver.mechanics.linear.analyse`), ``analyses`` counts
-    how often a pattern was analysed.
+    how often a pattern was analysed. With more than ``largest`` times the entries of the fixed
+    pattern it forgets all but the newest.
     """
 
-    def __init__(self, pattern: sp.csr_array, name: str | None = None) -> None:
+    def __init__(
+        self, pattern: sp.csr_array, name: str | None = None, largest: float = 1.5
+    ) -> None:
+        self._largest = largest
         self._name = name
         self._size = pattern.shape[0]
         self._fixed = _keys(pattern)
@@ -325,9 +322,9 @@ class GrowingSolver:
         keys = _keys(extra)
         places = self._places(keys)
         if places is None:
-            whole = _joined(self._known, keys)
-            if len(whole) > LARGEST * len(self._fixed):
-                whole = _joined(self._fixed, keys)
+            whole = _merge(self._known, keys)
+            if len(whole) > self._largest * len(self._fixed):
+                whole = _merge(self._fixed, keys)
             self._analyse(whole)
             places = np.searchsorted(self._known, keys)
         values = np.zeros(len(self._known))
@@ -376,7 +373,7 @@ def _look_up(known: Ints, keys: Ints) -> tuple[Ints, NDArray[np.bool_]]:
     return places, known[np.minimum(places, len(known) - 1)] == keys
 
 
-def _joined(known: Ints, keys: Ints) -> Ints:
+def _merge(known: Ints, keys: Ints) -> Ints:
     """Return sorted keys with others put in: nearly all are there, and sorting them is dear."""
     new = np.sort(keys[~_look_up(known, keys)[1]])
     return np.insert(known, np.searchsorted(known, new), new)

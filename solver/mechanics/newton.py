@@ -28,7 +28,7 @@ from solver.surface import Floats
 
 @dataclass(frozen=True)
 class NewtonOptions:
-    """How a search goes on, and when it ends. Residuals are |grad E| over forces at unit strain."""
+    """Options of a :class:`Search`. Residuals are |grad E| over the nodal forces at unit strain."""
 
     tolerance: float = 1e-7  # residual that ends a search
     stalled: float = 1e-5  # residual at which one that gets no further still counts
@@ -39,12 +39,17 @@ class NewtonOptions:
     settled_steps: int = 2
     quiet: float = 3e-4
 
+    same_mm: float = 1e-3  # motion over which a factorised Hessian counts as the one at the end
+
     armijo: float = 1e-4  # part of the predicted decrease that a step has to make
     shortest_step: float = 2.0**-30  # step length below which a line search gives up
     growth: float = 4.0  # a step of a projected Hessian, too stiff where flesh buckles, may grow so
     min_jacobian_ratio: float = 0.1  # of a step: a collapsed tet opens slowly
     margin: float = 0.9  # part of the way to the next collision that a step goes
 
+    # of the Hessian, in turn until it is positive definite
+    projections: tuple[float, ...] = (0.0, 0.05, 0.15, 0.4, 1.0)
+    collapsed: float = 1e-3  # det F below which a tet is too stiff for its neighbours
     quadratic: float = 1e-7  # residual below which the Hessian is tried as it is
     far: float = 0.3  # residual above which a search begins with the whole projection
 
@@ -55,26 +60,22 @@ class NewtonOptions:
     reuse_contraction: float = math.inf
 
 
-PROJECTIONS = (0.0, 0.05, 0.15, 0.4, 1.0)  # of the Hessian, in turn until it is positive definite
-COLLAPSED = 1e-3  # det F below which a tet is too stiff for its neighbours to be solved for
-ANDERSON_DEPTH = 8  # corrections that the acceleration looks back on
-
-
 class Accelerator:
     """Anderson's acceleration of corrections with an old Hessian (Walker and Ni 2011).
 
     Takes points (size,) with the corrections (size,) there, which tell in which few modes the
-    Hessian is wrong, and makes better corrections.
+    Hessian is wrong, and makes better corrections; it looks back on ``depth`` of them.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, depth: int = 8) -> None:
+        self._depth = depth
         self._points: list[Floats] = []
         self._corrections: list[Floats] = []
 
     def step(self, point: Floats, correction: Floats) -> Floats:
         """Return the step from ``point``, the ``correction`` there itself if it is the first."""
-        self._points = [*self._points[-ANDERSON_DEPTH:], point]
-        self._corrections = [*self._corrections[-ANDERSON_DEPTH:], correction]
+        self._points = [*self._points[-self._depth :], point]
+        self._corrections = [*self._corrections[-self._depth :], correction]
         if len(self._points) < 2:
             return correction
         changes = np.diff(self._corrections, axis=0).T
@@ -89,53 +90,66 @@ class Accelerator:
 class Factorization:
     """The Hessian at x (p, 3) with controls ``a``, factorised when first asked for.
 
-    ``first`` is the number of the first of the :data:`PROJECTIONS` to be tried.
+    ``first`` is the number of the first of the options' ``projections`` to be tried.
     """
 
     def __init__(
-        self, flesh: Flesh, linear: LinearSolver, x: Floats, a: Floats, first: int = 0
+        self,
+        flesh: Flesh,
+        linear: LinearSolver,
+        x: Floats,
+        a: Floats,
+        first: int = 0,
+        options: NewtonOptions = NewtonOptions(),
     ) -> None:
         self.x = x
-        self._problem = flesh, linear, x, a, first
+        self._problem = flesh, linear, x, a, first, options
 
     def solve(self, B: Floats) -> Floats:
         """See :class:`~solver.mechanics.linear.Factor`."""
-        return self._factorized[0].solve(B)
+        return self._factor_and_projection[0].solve(B)
 
     @property
     def projection(self) -> int:
         """Return the number of the projection that it took; 0 is the Hessian itself."""
-        return self._factorized[1]
+        return self._factor_and_projection[1]
 
     @cached_property
-    def _factorized(self) -> tuple[Factor, int]:
+    def _factor_and_projection(self) -> tuple[Factor, int]:
         return factorize(*self._problem)
 
 
 def factorize(
-    flesh: Flesh, linear: LinearSolver, x: Floats, a: Floats, first: int = 0
+    flesh: Flesh,
+    linear: LinearSolver,
+    x: Floats,
+    a: Floats,
+    first: int = 0,
+    options: NewtonOptions = NewtonOptions(),
 ) -> tuple[Factor, int]:
     """Factorise the Hessian at x, projected as far as need be; return the projection's number too.
 
-    The first of :data:`PROJECTIONS` to be tried is number ``first``; 0 is the Hessian itself. Near
+    The first of the ``projections`` to be tried is number ``first``; 0 is the Hessian itself. Near
     buckling a small one is often enough, and keeps more of Newton's speed than all of it.
 
     Raises :class:`SolveError`: ``solve.crushed`` where a tet has next to no volume left, else
     ``solve.singular``.
     """
-    for number in range(first, len(PROJECTIONS)):
-        matrix = flesh.hessian(x, a, project=PROJECTIONS[number])
+    for number in range(first, len(options.projections)):
+        matrix = flesh.hessian(x, a, project=options.projections[number])
         if number:
             # a projected element may be semi-definite: a trace of it all keeps the sum definite
             diagonal = flesh.diagonal
-            matrix.data[diagonal] += 1e-6 * PROJECTIONS[number] * matrix.data[diagonal].mean()
+            matrix.data[diagonal] += (
+                1e-6 * options.projections[number] * matrix.data[diagonal].mean()
+            )
         try:
             return linear.factor(matrix.data), number
         except NotPositiveDefiniteError:
             pass
     jacobians = flesh.jacobians(x)
     smallest = int(jacobians.argmin())
-    if jacobians[smallest] < COLLAPSED:
+    if jacobians[smallest] < options.collapsed:
         place = np.round(flesh.rest[flesh.tets[smallest]].mean(axis=0))
         raise SolveError(
             "solve.crushed",
@@ -150,7 +164,7 @@ def factorize(
 
 
 class Energy:
-    """What a search minimises: the energy of a flesh with controls ``a``, and of ``potentials``.
+    """Energy of a flesh with controls ``a``, and of ``potentials``, for a search to minimise.
 
     ``linear`` solves for the flesh's pattern; with potentials it has to be a
     :class:`~solver.mechanics.linear.GrowingSolver`. Rigid parts stay where potentials have them,
@@ -215,8 +229,8 @@ class Energy:
 
 
 @dataclass(frozen=True)
-class Step:
-    """Where a step ends, x (p, 3), the gradient (size,) there, and the part of it that it is."""
+class _Step:
+    """End of a step: x (p, 3), the gradient (size,) there, and the part of it that was taken."""
 
     x: Floats
     gradient: Floats
@@ -252,7 +266,7 @@ class Search:
         """Return the residual."""
         return self._energy.residual(self.gradient)
 
-    def minimize(self) -> None:
+    def minimise(self) -> None:
         """Go on until the search ends: at its tolerance, settled, or where no step leads down.
 
         An equilibrium that is unstable but perfectly symmetric is one to chord steps, too: the
@@ -319,7 +333,7 @@ class Search:
             found, length = longer, options.growth * length
         return found[0], length
 
-    def _chord(self) -> Step | None:
+    def _chord(self) -> _Step | None:
         """Return an accelerated step with the last Hessian, None if it is of no use."""
         if self.factorization is None:
             return None
@@ -331,9 +345,9 @@ class Search:
             return None
         after = energy.gradient(y)
         # NaN is no progress either
-        return Step(y, after, 1.0) if self._gains(after, self._options.chord_contraction) else None
+        return _Step(y, after, 1.0) if self._gains(after, self._options.chord_contraction) else None
 
-    def _newton(self) -> Step | None:
+    def _newton(self) -> _Step | None:
         """Return the end of a Newton step, None if the energy does not fall along it."""
         self._accelerator = Accelerator()
         found = self.line_search(self.direction())
@@ -345,7 +359,7 @@ class Search:
         serves = self.projection == 0 and part == 1.0
         if not (serves and self._gains(after, self._options.reuse_contraction)):
             self.factorization = None
-        return Step(y, after, part)
+        return _Step(y, after, part)
 
     def _gains(self, after: Floats, contraction: float) -> bool:
         before = float(np.linalg.norm(self.gradient))
@@ -355,5 +369,5 @@ class Search:
         if self.residual <= self._options.quadratic:
             return 0
         if self.projection < 0:
-            return len(PROJECTIONS) - 1 if self.residual > self._options.far else 0
+            return len(self._options.projections) - 1 if self.residual > self._options.far else 0
         return max(self.projection - 1, 0)

@@ -1,4 +1,4 @@
-"""What the incremental potential has beside flesh and inertia: contact, above all."""
+"""Potentials beside the flesh's own energy, contact above all, and the boundary they follow."""
 
 from __future__ import annotations
 

@@ -150,14 +150,22 @@ class Response:
     def product(self, controls: Controls, change: Floats) -> Floats:
         """Return dx/dq dq: the motion (p, 3) of all vertices for a change (k,) of the controls."""
         out = np.asarray(controls.held @ change)
-        out[self._flesh.free_coordinates] = -self._factor.solve(controls.product(change))
+        out[self._flesh.free_coordinates] = self.free_motion(controls, change)
         return out.reshape(-1, 3)
+
+    def free_motion(self, controls: Controls, change: Floats) -> Floats:
+        """Return dx_free/dq dq (size,) for a change (k,) of the controls."""
+        return -self._factor.solve(controls.product(change))
+
+    def free_adjoint(self, controls: Controls, gradient: Floats) -> Floats:
+        """Return (dx_free/dq)^T g (k,) for g by the free coordinates (size,)."""
+        return controls.adjoint(-self._factor.solve(gradient))
 
     def adjoint(self, controls: Controls, gradient: Floats) -> Floats:
         """Return (dx/dq)^T g (k,) for g by the vertices (p, 3), by one solve."""
         flat = gradient.ravel()
-        solved = -self._factor.solve(flat[self._flesh.free_coordinates])
-        return np.asarray(controls.adjoint(solved) + controls.held.T @ flat)
+        free = self.free_adjoint(controls, flat[self._flesh.free_coordinates])
+        return np.asarray(free + controls.held.T @ flat)
 
 
 def curvature(potentials: Sequence[Potential], x: Floats) -> sp.csr_array:

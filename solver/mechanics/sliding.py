@@ -13,13 +13,9 @@ import numpy as np
 
 from solver.surface import Floats, Ints
 
-STIFFNESS = 1000.0
-"""Stiffness along the normal over that of flesh: a stress of mu lifts a vertex off the bone by a
-thousandth of its tets' size."""
-
 
 @dataclass(frozen=True)
-class Planes:
+class SlidingPlanes:
     """Planes that vertices slide on: ``vertices`` (k,), ``points`` and unit ``normals`` (k, 3).
 
     ``stiffness`` (k,) is in stress units times mm.
@@ -38,7 +34,7 @@ class Planes:
 class PlanesTerm:
     """The energy of flesh on ``planes``, an :class:`~solver.mechanics.terms.EnergyTerm`."""
 
-    def __init__(self, planes: Planes) -> None:
+    def __init__(self, planes: SlidingPlanes) -> None:
         self._planes = planes
         outer = planes.normals[:, :, None] * planes.normals[:, None, :]
         self._blocks = (planes.stiffness[:, None, None] * outer)[:, None]
@@ -72,18 +68,28 @@ class PlanesTerm:
         """See :class:`~solver.mechanics.terms.EnergyTerm`: none."""
 
 
-def planes(rest: Floats, tets: Ints, vertices: Ints, normals: Floats, mu: Floats | float) -> Planes:
+def planes(
+    rest: Floats,
+    tets: Ints,
+    vertices: Ints,
+    normals: Floats,
+    mu: Floats | float,
+    ratio: float = 1000.0,
+) -> SlidingPlanes:
     """Return the planes through the rest positions of ``vertices`` (k,), with their stiffness.
 
     ``rest`` (p, 3) and ``tets`` (n, 4) are the flesh's, ``normals`` (k, 3) of unit length, ``mu``
-    is that of all tets or of each (n,).
+    is that of all tets or of each (n,). ``ratio`` is the stiffness along the normal over that of
+    flesh: a stress of mu lifts a vertex off the bone by a thousandth of its tets' size.
     """
     volume = np.abs(np.linalg.det(rest[tets[:, 1:]] - rest[tets[:, :1]])) / 6.0
     # mu times the size of what is around a vertex, cubed
     cubes = np.bincount(tets.ravel(), np.repeat(mu**3 * volume / 4.0, 4), len(rest))
-    return Planes(vertices, rest[vertices], normals, STIFFNESS * np.cbrt(cubes[vertices]))
+    return SlidingPlanes(vertices, rest[vertices], normals, ratio * np.cbrt(cubes[vertices]))
 
 
-def no_planes() -> Planes:
+def no_planes() -> SlidingPlanes:
     """Return the planes of flesh that slides nowhere."""
-    return Planes(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+    return SlidingPlanes(
+        np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
+    )

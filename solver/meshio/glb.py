@@ -8,18 +8,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from solver.errors import InputError
-from solver.meshio.faults import (
-    empty_error,
-    truncated_error,
-    unreadable_error,
-    unsupported_error,
-)
+from solver.meshio.faults import empty_error, truncated_error, unreadable_error, unsupported_error
 from solver.meshio.mesh import NO_FACES, Mesh, join_meshes
 from solver.surface import Floats, Ints
 
@@ -29,11 +25,19 @@ MM_PER_METRE = 1000.0  # glTF's unit is the metre
 FLOAT = 5126
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", FLOAT: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-POINTS, TRIANGLES, STRIP, FAN = 0, 4, 5, 6  # modes
 JSON_CHUNK, BINARY_CHUNK = b"JSON", b"BIN\0"
 
 MAX_DEPTH = 64  # of nodes in nodes: no exporter comes near, and recursion stays within Python's
 NOT_VALID = (KeyError, IndexError, TypeError, AttributeError, OverflowError)  # by broken rules
+
+
+class Mode(IntEnum):
+    """Meanings of a primitive's corners that are no lines."""
+
+    POINTS = 0
+    TRIANGLES = 4
+    STRIP = 5
+    FAN = 6
 
 
 def read_glb(file: str, content: bytes, *, strict: bool = False) -> Mesh:
@@ -208,7 +212,7 @@ def _part(
 ) -> Mesh:
     attributes = primitive["attributes"]
     vertices = read_positions(file, document, binary, attributes["POSITION"])
-    mode = primitive.get("mode", TRIANGLES)
+    mode = primitive.get("mode", Mode.TRIANGLES)
     if "indices" in primitive:
         indices = read_accessor(file, document, binary, primitive["indices"])
         corners: Ints = indices.ravel().astype(np.int64)
@@ -233,7 +237,7 @@ def _part(
             raise unreadable_error(file, f"{attribute} of {name} does not fit its positions")
         return values
 
-    is_empty = len(faces) == 0 and mode != POINTS
+    is_empty = len(faces) == 0 and mode != Mode.POINTS
     return Mesh(
         vertices,
         faces,
@@ -244,17 +248,17 @@ def _part(
 
 
 def _triangles(file: str, corners: Ints, mode: int) -> Ints:
-    if mode == POINTS:
+    if mode == Mode.POINTS:
         return NO_FACES
-    if mode == TRIANGLES:
+    if mode == Mode.TRIANGLES:
         if len(corners) % 3:
             raise unreadable_error(file, f"{len(corners)} corners do not make whole triangles")
         return corners.reshape(-1, 3)
-    if mode == STRIP:
+    if mode == Mode.STRIP:
         faces = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
         faces[1::2] = faces[1::2, [1, 0, 2]]
         return faces
-    if mode == FAN:
+    if mode == Mode.FAN:
         first = np.full(max(len(corners) - 2, 0), corners[0])
         return np.stack([first, corners[1:-1], corners[2:]], axis=1)
     raise unsupported_error(file, "lines are no surface: export triangles")

@@ -31,7 +31,7 @@ FORMATS = {  # suffix -> format
     **{f".{name}": name for name in READERS},
     **{f".{suffix}": "xyz" for suffix in POINT_SUFFIXES},
 }
-MAX_BYTES = 512 * 2**20  # promised in docs/scans.md
+MAX_BYTES = 512 * 2**20  # promised in docs/guide/scans.md
 MAX_VERTICES = 8_000_000  # likewise
 
 

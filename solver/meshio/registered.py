@@ -34,18 +34,18 @@ UNITS = {"metres": 1000.0, "centimetres": 10.0, "inches": 25.4}  # name -> mm
 
 @dataclass(frozen=True)
 class PlausibleScan:
-    """What a registered scan of a head has to keep to, here for any head that was ever scanned."""
+    """Bounds that a registered scan of any head keeps to."""
 
+    # Largest extent: from a bare face to a head with neck and shoulders.
     head_mm: tuple[float, float] = (100.0, 700.0)
-    """Largest extent: from a bare face to a head with neck and shoulders."""
+    # Most of the median edge by the largest extent; shuffled vertices give about 0.4.
     edge_ratio: float = 0.2
-    """Most of the median edge by the largest extent; shuffled vertices give about 0.4."""
+    # Off the neutral: a wide open jaw moves half of a bare face by about 10 mm.
     median_motion_mm: float = 25.0
-    """Off the neutral: a wide open jaw moves half of a bare face by about 10 mm."""
+    # Part of a rotation's squared distances that a mirror image leaves if it is the better one.
     mirrored: float = 0.25
-    """Part of a rotation's squared distances that a mirror image leaves if it is the better one."""
+    # Corners of an STL that are one vertex of the template lie no further apart.
     same_place_mm: float = 0.01
-    """Corners of an STL that are one vertex of the template lie no further apart."""
 
 
 PLAUSIBLE = PlausibleScan()

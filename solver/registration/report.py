@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from solver.drawing.head import DrawnHead
-from solver.drawing.page import HEADER, Sheet
 from solver.drawing.render import Camera, DrawnBody, Lit, render
+from solver.drawing.sheet import HEADER, Sheet
 from solver.registration.register import Registration
 from solver.registration.scan_surface import ScanSurface
 from solver.registration.topology import Topology

@@ -162,7 +162,7 @@ def write_animation(
 
 
 def _shot(frame: MotionFrame, skin: Singles, objects: Sequence[SceneObject]) -> Shot:
-    placed = frame.placed(skin.astype(np.float64))
+    placed = frame.into_world(skin.astype(np.float64))
     return Shot(f"{frame.time:.2f} s", placed, tuple(each.at(frame.time) for each in objects))
 
 

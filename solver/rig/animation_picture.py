@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from solver.drawing.head import DrawnHead
-from solver.drawing.page import MARGIN
 from solver.drawing.render import DrawnBody, Lit, Pixels, fade, render
-from solver.drawing.sheet import Column, SheetLayout, draw_sheet
+from solver.drawing.sheet import MARGIN, Column, SheetLayout, draw_sheet
 from solver.model import SubjectModel
 from solver.rig.edit_report import EditedPerson
 from solver.rig.motion import SequenceFrame

@@ -106,7 +106,7 @@ def write_edit(person: EditedPerson, report: dict[str, Any], out: Path) -> list[
             skin=np.array([pose.skin for pose in poses], dtype=np.float32),
             x=np.array([pose.x for pose in poses]),
             growth=edited.growth,
-            stiffness_factor=edited.stiffness_factor,
+            stiffness=edited.stiffness_factor,
             density=edited.density,
             bones=edited.bones,
             **csr_arrays("S", edited.S),
@@ -136,8 +136,11 @@ def _flesh(edited: Edited, unedited: SubjectModel) -> dict[str, Any]:
 
     ranges = {
         name: [float(values.min()), float(values.max())]
-        for name in ("growth", "stiffness", "density")
-        for values in [getattr(edited, name)]
+        for name, values in (
+            ("growth", edited.growth),
+            ("stiffness", edited.stiffness_factor),
+            ("density", edited.density),
+        )
     }
     bones = float(np.linalg.norm(edited.bones, axis=1).max())
     return {**ranges, "bones_mm": bones, "muscle_ml": muscle_ml(edited.S)}

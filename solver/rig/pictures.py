@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 
 from solver.anatomy.template import Template
 from solver.drawing.head import COLOURS, DrawnHead, both_sides, linear, muscle_colours
-from solver.drawing.page import HEADER, INK, MARGIN, Colour, Sheet, swatch_columns, swatch_height
 from solver.drawing.render import GAMMA, Camera, DrawnBody, Lit, fade, render
+from solver.drawing.sheet import HEADER, INK, MARGIN, Colour, Sheet, swatch_columns, swatch_height
 from solver.model import SubjectModel
 from solver.rig.result import ROLES, ExpressionFit
 from solver.surface import Floats, Ints, Surface, vertex_normals

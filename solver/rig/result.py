@@ -24,6 +24,7 @@ from solver.surface import Floats, Ints
 
 FORMAT = 1  # of activations.npz and muscle_weights.npz
 ENTRIES = ("xx", "xy", "xz", "yy", "yz", "zz")  # of an activation, in the order of its columns
+PARTS = {"activations": "activations.npz", "weights": "muscle_weights.npz"}  # a folder's files
 ROLES = {"train": "training", "test": "unseen"}  # of an expression's scan, in words
 
 
@@ -231,7 +232,10 @@ def _solve(data: dict[str, np.ndarray], k: int) -> dict[str, Any]:
 
 
 def _read_part(path: Path, name: str) -> Arrays:
-    """Return the arrays of a file, or those under ``name`` of a ``rig.npz``."""
+    """Return the arrays of a file, or those under ``name`` of a ``rig.npz`` or a rig's folder."""
+    if path.is_dir():
+        whole = path / "rig.npz"
+        path = whole if whole.exists() else path / PARTS[name]
     data = read_arrays(path)
     if "header" in data:
         data = with_prefix(data, f"{name}_")

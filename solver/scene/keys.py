@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -15,13 +14,10 @@ from solver.fitting.stretches import (
     fibre_tensors,
     shortened,
 )
+from solver.kinds.scene import Jaw, MotionKey, SimulateScene
 from solver.mechanics.flesh import shape_gradients
 from solver.model import SubjectModel
 from solver.surface import Floats
-
-Entry = Mapping[str, Any]
-
-DEFAULT_FPS = 30.0  # of a scene that does not say
 
 # as far as a jaw gets, and a little more, as fits bite some degrees deep: beyond it flesh tears
 JAW_LIMITS = {
@@ -29,64 +25,57 @@ JAW_LIMITS = {
     "left_deg": (-15.0, 15.0),
     "move_mm": (-20.0, 20.0),
 }
-NO_MOVE = (0.0, 0.0, 0.0)  # of a key that does not say
 
 
-def keyed(
-    document: Mapping[str, Any],
+def drives_of(
+    scene: SimulateScene,
     poses: Mapping[str, Pose],
     model: SubjectModel,
     S: sp.csr_array,
 ) -> KeyedDrives:
-    """Return what the keys of a scene, that its schema has found good, make a face do.
+    """Return what the keys of a scene make a face do.
 
     ``poses`` are the rig's expressions. Frames come ``fps`` a second, from 0 on. Raises
     :class:`InputError`: as :func:`~solver.animation.keys.from_keys`, and ``scene.jaw`` where the
     jaw would be where no jaw can be.
     """
-    entries = document.get("keys", [])
     muscles = _Muscles(model, S)
     keys = [
         PoseKey(
-            entry["time"],
-            entry.get("expressions", {}),
-            {name: muscles.activation(name, how) for name, how in entry.get("muscles", {}).items()},
-            jaw_of(entry.get("jaw", {})),
+            entry.time,
+            entry.expressions,
+            {name: muscles.activation(name, how) for name, how in entry.muscles.items()},
+            jaw_of(entry.jaw),
         )
-        for entry in entries
+        for entry in scene.keys
     ]
     last = max((key.time for key in keys), default=0.0)
-    seconds, fps = document.get("duration", last), document.get("fps", DEFAULT_FPS)
+    seconds, fps = last if scene.duration is None else scene.duration, scene.fps
     times = np.arange(int(seconds * fps + 1e-6) + 1) / fps
     drives = from_keys(
         keys,
         poses,
         model,
         times,
-        head=head_of(document.get("head", [])),
-        interpolation=document.get("interpolation", "smooth"),
+        head=head_of(scene.head),
+        interpolation=scene.interpolation,
     )
     for number, key in enumerate(keys):
         check_jaw(drives(key.time).jaw, f"keys[{number}]")
     return drives
 
 
-def head_of(entries: Sequence[Entry]) -> list[HeadKey]:
+def head_of(entries: Sequence[MotionKey]) -> list[HeadKey]:
     """Return where a scene's ``head`` is."""
     return [
-        HeadKey(
-            entry["time"],
-            np.radians(entry.get("rotation_deg", NO_MOVE)),
-            np.array(entry.get("move_mm", NO_MOVE), np.float64),
-        )
+        HeadKey(entry.time, np.radians(entry.rotation_deg), np.array(entry.move_mm, np.float64))
         for entry in entries
     ]
 
 
-def jaw_of(entry: Entry) -> Floats:
+def jaw_of(jaw: Jaw) -> Floats:
     """Return b (5,), in rad and mm, of a key's ``jaw``."""
-    turns = np.radians([entry.get("open_deg", 0.0), entry.get("left_deg", 0.0)])
-    return np.concatenate([turns, entry.get("move_mm", NO_MOVE)])
+    return np.concatenate([np.radians([jaw.open_deg, jaw.left_deg]), jaw.move_mm])
 
 
 def check_jaw(b: Floats, where: str) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import ipctk
 import numpy as np
@@ -24,6 +23,7 @@ from solver.contact.potentials import touching
 from solver.contact.surface import ContactSurface, collision_mesh
 from solver.drawing.head import skin_parts
 from solver.errors import InputError
+from solver.kinds.scene import AssetMesh, Ball, Box, Object
 from solver.meshio.raw import read_raw
 from solver.model import SubjectModel
 from solver.scene.places import Places
@@ -51,47 +51,40 @@ class SceneObject:
 
 
 def objects_of(
-    entries: Sequence[Mapping[str, Any]], places: Places, interpolation: Interpolation = "smooth"
+    entries: Sequence[Object], places: Places, interpolation: Interpolation = "smooth"
 ) -> list[SceneObject]:
-    """Return the objects of entries that their schema has found good.
+    """Return the objects that a scene describes.
 
     Raises :class:`InputError`: ``scene.object_name`` for two of one name, ``scene.times`` for keys
     that are not one after the other, ``scene.object_large`` for one with too many vertices, as
     :class:`Places`, and as :func:`~solver.meshio.raw.read_raw` for its file.
     """
-    names = [entry["name"] for entry in entries]
+    names = [entry.name for entry in entries]
     for number, name in enumerate(names):
         if name in names[:number]:
             raise InputError("scene.object_name", f"two objects are named {name!r}", found=name)
     return [_object(entry, places, interpolation) for entry in entries]
 
 
-def _object(entry: Mapping[str, Any], places: Places, interpolation: Interpolation) -> SceneObject:
-    name, origin = entry["name"], places.point(entry.get("at", (0.0, 0.0, 0.0)))
-    shape = _shape(name, entry["mesh"], places)
-    path = entry.get("path", [])
+def _object(entry: Object, places: Places, interpolation: Interpolation) -> SceneObject:
+    name, origin, path = entry.name, places.point(entry.at), entry.path
+    shape = _shape(name, entry.mesh, places)
     values = np.array(
-        [
-            [
-                *np.radians(key.get("rotation_deg", (0, 0, 0))),
-                *origin + key.get("move_mm", (0, 0, 0)),
-            ]
-            for key in path
-        ]
+        [[*np.radians(key.rotation_deg), *origin + key.move_mm] for key in path]
     ).reshape(len(path), 6)
     if not path:
         still = np.concatenate([np.zeros(3), origin])
         return SceneObject(name, shape, lambda _time: still)
-    moved = track([key["time"] for key in path], values, f"{name}'s path", interpolation)
+    moved = track([key.time for key in path], values, f"{name}'s path", interpolation)
     return SceneObject(name, shape, moved)
 
 
-def _shape(name: str, mesh: Mapping[str, Any], places: Places) -> Surface:
-    if "box_mm" in mesh:
-        return _surface(trimesh.creation.box(mesh["box_mm"]))
-    if "ball_mm" in mesh:
-        return _surface(trimesh.creation.icosphere(BALL_SUBDIVISIONS, mesh["ball_mm"]))
-    return _read(name, places.asset(mesh["asset"]))
+def _shape(name: str, mesh: AssetMesh | Box | Ball, places: Places) -> Surface:
+    if isinstance(mesh, Box):
+        return _surface(trimesh.creation.box(mesh.box_mm))
+    if isinstance(mesh, Ball):
+        return _surface(trimesh.creation.icosphere(BALL_SUBDIVISIONS, mesh.ball_mm))
+    return _read(name, places.asset(mesh.asset))
 
 
 def _read(name: str, path: Path) -> Surface:

@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from solver.anatomy.template import Template
 from solver.edits import maps
 from solver.errors import InputError
+from solver.kinds.edits import AssetMap, RegionMap, SkinMap
 from solver.model import SubjectModel
 from solver.registration.landmarks import landmark_vertices
 from solver.storage import map_array
@@ -103,19 +103,19 @@ class Places:
             )
         return self.assets[name]
 
-    def painted(self, given: Mapping[str, Any] | None) -> Floats | None:
+    def map_of(self, given: SkinMap | None) -> Floats | None:
         """Return a map (V,) on the skin: of an asset, of ``regions``, or of ``spots``.
 
         None is no map. Raises ``scene.region``, ``scene.map`` and as :meth:`vertex`.
         """
         if given is None:
             return None
-        if "asset" in given:
-            return self._file(self.asset(given["asset"]))
-        if "regions" in given:
-            return self._regions(given["regions"])
-        centres = np.array([self.point(place) for place in given["spots"]])
-        return maps.spots(self.model, centres.reshape(-1, 3), given["radius_mm"])
+        if isinstance(given, AssetMap):
+            return self._file(self.asset(given.asset))
+        if isinstance(given, RegionMap):
+            return self._regions(given.regions)
+        centres = np.array([self.point(place) for place in given.spots])
+        return maps.spots(self.model, centres.reshape(-1, 3), given.radius_mm)
 
     def _file(self, path: Path) -> Floats:
         try:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -31,6 +30,8 @@ from solver.edits.fat import (
 from solver.edits.paralysis import Paralysis
 from solver.errors import InputError
 from solver.fitting.face import Face
+from solver.kinds import edits as described
+from solver.kinds import scene as scenes
 from solver.mechanics.flesh import (
     COROTATED_DET,
     COROTATED_TRACE,
@@ -43,96 +44,58 @@ from solver.mechanics.potential import Potential
 from solver.scene.objects import check_objects, objects_of
 from solver.scene.places import Places
 from solver.simulation.fibres import fibre_activations, nearest_fibre
-from solver.simulation.forces import GRAVITY, Force, Gravity, Pull, Wind
+from solver.simulation.forces import Force, Gravity, Pull, Wind
 from solver.simulation.inertia import Drive, lumped_masses
 from solver.simulation.simulator import Simulator
 from solver.surface import Floats, Surface
 
-# A scene's ``edits``: from JSON, as ``edit.schema.json`` describes it, to what they do.
+# A scene's ``edits``, ``forces``, ``material``, ``contact``, ``sliding`` and ``activation_model``.
 
 
-Entry = Mapping[str, Any]
-
-
-def edits_of(entries: Sequence[Entry], places: Places) -> list[Edit]:
-    """Return the edits of entries that their schema has found good.
+def edits_of(entries: Sequence[described.Edit], places: Places) -> list[Edit]:
+    """Return the edits that a scene describes.
 
     Raises :class:`~solver.errors.InputError` as :class:`~solver.scene.places.Places` for places,
     regions and maps that the person does not have.
     """
-    return [KINDS[entry["kind"]](entry, places) for entry in entries]
+    return [_edit(entry, places) for entry in entries]
 
 
-def _fat(entry: Entry, places: Places) -> Edit:
-    softening = entry.get("softening", Fat.softening)
-    return Fat(entry["f_min"], entry["f_max"], places.painted(entry.get("map")), softening)
-
-
-def _filler(entry: Entry, places: Places) -> Edit:
-    points = np.array([places.point(stop["at"]) for stop in entry["path"]])
-    depths = np.array([stop.get("depth_mm", 0.0) for stop in entry["path"]])
-    path = under_skin(places.model, points, depths)
-    return Filler(path, entry["ml"], entry.get("radius_mm", Filler.radius_mm))
-
-
-def _bone(entry: Entry, places: Places) -> Edit:
-    at, move = places.point(entry["at"]), np.array(entry["move_mm"], np.float64)
-    return Bone(entry["bone"], at, entry["radius_mm"], move)
-
-
-def _stiffness(entry: Entry, places: Places) -> Edit:
-    return Stiffening(entry["factor"], places.painted(entry.get("map")))
-
-
-def _density(entry: Entry, places: Places) -> Edit:
-    return Density(entry["factor"], places.painted(entry.get("map")))
-
-
-def _paralysis(entry: Entry, _places: Places) -> Edit:
-    muscles = entry.get("muscles")
-    return Paralysis(
-        None if muscles is None else tuple(muscles), entry.get("side"), entry.get("strength", 0.0)
-    )
-
-
-KINDS: Mapping[str, Callable[[Entry, Places], Edit]] = {
-    "fat": _fat,
-    "filler": _filler,
-    "bone": _bone,
-    "stiffness": _stiffness,
-    "density": _density,
-    "paralysis": _paralysis,
-}
-
-
-# A scene's ``forces``.
+def _edit(entry: described.Edit, places: Places) -> Edit:
+    if isinstance(entry, described.Fat):
+        return Fat(entry.f_min, entry.f_max, places.map_of(entry.map), entry.softening)
+    if isinstance(entry, described.Filler):
+        points = np.array([places.point(stop.at) for stop in entry.path])
+        depths = np.array([stop.depth_mm for stop in entry.path])
+        return Filler(under_skin(places.model, points, depths), entry.ml, entry.radius_mm)
+    if isinstance(entry, described.Bone):
+        at, move = places.point(entry.at), np.array(entry.move_mm, np.float64)
+        return Bone(entry.bone, at, entry.radius_mm, move)
+    if isinstance(entry, described.Stiffness):
+        return Stiffening(entry.factor, places.map_of(entry.map))
+    if isinstance(entry, described.Density):
+        return Density(entry.factor, places.map_of(entry.map))
+    muscles = None if entry.muscles is None else tuple(entry.muscles)
+    return Paralysis(muscles, entry.side, entry.strength)
 
 
 def forces_of(
-    entries: Sequence[Mapping[str, Any]], face: Face, masses: Floats, places: Places
+    entries: Sequence[scenes.Force], face: Face, masses: Floats, places: Places
 ) -> list[Force]:
-    """Return the forces of entries that their schema has found good; ``masses`` (p,) are in g.
+    """Return the forces that a scene describes; ``masses`` (p,) are in g.
 
     Raises :class:`~solver.errors.InputError` as :meth:`Places.vertex`, and ``force.point``.
     """
     return [_force(entry, face, masses, places) for entry in entries]
 
 
-def _force(entry: Mapping[str, Any], face: Face, masses: Floats, places: Places) -> Force:
-    if entry["kind"] == "gravity":
-        return Gravity(masses, entry.get("mm_s2", GRAVITY))
-    if entry["kind"] == "wind":
-        return Wind(face, entry["m_s"], entry.get("gusts", 0.0), entry.get("seed", 0))
-    return Pull(
-        face.model,
-        places.vertex(entry["at"]),
-        entry["mn"],
-        radius_mm=entry.get("radius_mm", 5.0),
-        ramp=entry.get("ramp", 0.0),
-    )
-
-
-# A scene's ``material``, ``contact``, ``sliding`` and ``activation_model``: what flesh is.
+def _force(entry: scenes.Force, face: Face, masses: Floats, places: Places) -> Force:
+    if isinstance(entry, scenes.Gravity):
+        return Gravity(masses, entry.mm_s2)
+    if isinstance(entry, scenes.Wind):
+        return Wind(face, entry.m_s, entry.gusts, entry.seed)
+    at, radius = places.vertex(entry.at), entry.radius_mm
+    return Pull(face.model, at, entry.mn, radius_mm=radius, ramp=entry.ramp)
 
 
 LAWS: Mapping[str, Material] = {
@@ -140,9 +103,6 @@ LAWS: Mapping[str, Material] = {
     "corotated_det": COROTATED_DET,
     "neo_hookean": NEO_HOOKEAN,
 }
-FITTED_LAW = "corotated_trace"  # rigs are fitted with it: their activations lead to their poses
-# mu of facial soft tissue: a Young's modulus of 7.5 kPa, and of 8.6 by the other two laws
-STIFFNESS_PA = 3000.0
 
 
 @dataclass(frozen=True)
@@ -199,29 +159,27 @@ class Physics:
         return np.ascontiguousarray(S @ np.vstack([IDENTITY, a]))
 
 
-def physics_of(document: Mapping[str, Any]) -> Physics:
-    """Return the physics of a scene that its schema has found good."""
-    material, contact = document.get("material", {}), document.get("contact", {})
-    law = LAWS[material.get("law", FITTED_LAW)]
+def physics_of(scene: scenes.Flesh) -> Physics:
+    """Return the physics of a scene."""
+    contact = scene.contact
     return Physics(
-        material=law.in_pascal(material.get("stiffness_pa", STIFFNESS_PA)),
-        sliding=document.get("sliding", True),
-        lips=contact.get("lips", True),
-        teeth=contact.get("teeth", True),
-        eyes=contact.get("eyes", True),
-        friction=contact.get("friction", 0.0),
-        fibre_muscles=document.get("activation_model", "blended") == "fibre",
+        material=LAWS[scene.material.law].in_pascal(scene.material.stiffness_pa),
+        sliding=scene.sliding,
+        lips=contact.lips,
+        teeth=contact.teeth,
+        eyes=contact.eyes,
+        friction=contact.friction,
+        fibre_muscles=scene.activation_model == "fibre",
     )
 
 
 # of a scene: ten minutes at 30 a second, and a few gigabytes while its files are written
 MOST_FRAMES = 20_000
-DAMPING = 0.5  # of a dynamic face whose scene does not say
 STEPS = 4  # of a dynamic face in a frame: flesh swings some 15 times a second, long steps damp
 
 
 class Stage:
-    """A person with the S (n, m + 1) in a scene that its schema has found good.
+    """A person with the S (n, m + 1) in a scene.
 
     ``drives`` say what the face does; ``linear`` names the linear solver; ``objects`` are what the
     face meets. Raises
@@ -231,7 +189,7 @@ class Stage:
 
     def __init__(
         self,
-        document: Mapping[str, Any],
+        scene: scenes.PlayedScene,
         places: Places,
         S: sp.csr_array,
         drives: Drives,
@@ -239,28 +197,30 @@ class Stage:
     ) -> None:
         _check_length(drives)
         self.drives = drives
-        self._physics = physics_of(document)
-        self._edited = apply(edits_of(document.get("edits", []), places), places.model, S)
+        self._physics = physics_of(scene)
+        self._edited = apply(edits_of(scene.edits, places), places.model, S)
         self.model = self._edited.model
         self._face = self._physics.face(self._edited)
-        interpolation = document.get("interpolation", "smooth")
-        self.objects = objects_of(document.get("objects", []), places, interpolation)
+        if isinstance(scene, scenes.SimulateScene):
+            self.objects = objects_of(scene.objects, places, scene.interpolation)
+        else:
+            self.objects = objects_of(scene.objects, places)
         begin = self.drive(float(drives.times[0]), drives(float(drives.times[0])))
         objects = self._seen(begin)
         check_objects(
             self.model,
             {each.name: shape for each, shape in zip(self.objects, objects, strict=True)},
         )
-        dynamic = document.get("mode", "quasi_static") == "dynamic"
-        self.steps_per_frame: int = document.get("steps_per_frame", STEPS if dynamic else 1)
+        dynamic = scene.mode == "dynamic"
+        self.steps_per_frame = scene.steps_per_frame or (STEPS if dynamic else 1)
         masses = lumped_masses(self._face.flesh, self._edited.density)
         self.simulator = Simulator(
             self._face,
             self._physics.contacts(self._edited, objects),
-            forces_of(document.get("forces", []), self._face, masses, places),
+            forces_of(scene.forces, self._face, masses, places),
             dynamic=dynamic,
             density=self._edited.density,
-            damping=document.get("damping", DAMPING),
+            damping=scene.damping,
             linear=linear,
         )
         self._gaze = Gaze(self.model)

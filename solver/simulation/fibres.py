@@ -10,28 +10,31 @@ which keeps its volume; A_i = s_i0 I + sum_j s_ij S_j.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.optimize import lsq_linear
 
 from solver.anatomy.tetrahedra import volumes
-from solver.errors import InputError, SolveError
+from solver.errors import InputError
+from solver.fitting.controls import Block, Layout, jaw_block
 from solver.fitting.face import Face
+from solver.fitting.skin_fit import SkinFit
 from solver.fitting.stretches import COLUMN, FROBENIUS, ROW
-from solver.mechanics import equilibrium
-from solver.mechanics.equilibrium import Equilibrium
 from solver.mechanics.flesh import IDENTITY, Flesh
 from solver.mechanics.potential import BoundaryRates
-from solver.mechanics.response import Response, SparseControls
+from solver.mechanics.response import SparseControls
 from solver.mechanics.terms import ElasticTerm
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
 
-LEAST, MOST = 0.3, 1.5
-"""Limits of gamma: a muscle shortens to a third and gives way to half as much again."""
+
+@dataclass(frozen=True)
+class ContractionLimits:
+    """Limits of contractions."""
+
+    least: float = 0.3  # gamma of a muscle that has shortened to a third
+    most: float = 1.5  # of one that gives way to half as much again
 
 
 def fibre_activations(model: SubjectModel, S: sp.csr_array, gamma: Floats) -> Floats:
@@ -109,10 +112,15 @@ def driven_by_fibres(face: Face) -> Flesh:
     return face.flesh.driven_by(term, np.ones(face.model.muscle_count))
 
 
-def nearest_fibre(model: SubjectModel, S: sp.csr_array, a: Floats) -> Floats:
+def nearest_fibre(
+    model: SubjectModel,
+    S: sp.csr_array,
+    a: Floats,
+    options: ContractionLimits = ContractionLimits(),
+) -> Floats:
     """Return the contractions (m,) along the fibres that activations ``a`` (m, 6) come to.
 
-    They are f^T S(a_j) f, its mean over the muscle's volume, within [:data:`LEAST`, :data:`MOST`].
+    They are f^T S(a_j) f, its mean over the muscle's volume, within the ``options``' limits.
     Raises as :func:`fibre_activations`.
     """
     rows, columns = _entries(S)
@@ -123,7 +131,7 @@ def nearest_fibre(model: SubjectModel, S: sp.csr_array, a: Floats) -> Floats:
     whole = np.bincount(columns, weight, minlength=count)
     sums = np.bincount(columns, weight * stretch, minlength=count)
     found = np.where(whole > 0.0, sums / np.where(whole > 0.0, whole, 1.0), 1.0)
-    return np.asarray(np.clip(found, LEAST, MOST)[1:])
+    return np.asarray(np.clip(found, options.least, options.most)[1:])
 
 
 def _entries(S: sp.csr_array) -> tuple[Ints, Ints]:
@@ -141,20 +149,6 @@ def _along(model: SubjectModel, S: sp.csr_array) -> Floats:
 
 
 # Fitting fibre muscles to a target skin: one contraction a muscle, and the jaw.
-#
-# Gauss-Newton on the mean square distance of the face's vertices, the equilibrium x(gamma, b) being
-# differentiated as everywhere: dx/dtheta = -H^-1 d(grad E)/dtheta.
-
-
-MOST_STEPS = 12
-SHORTEST = 2.0**-4
-"""Part of a step below which it is given up."""
-GAIN = 1e-3
-"""Part of the distance that a step gains at least, or it is the last."""
-REST = 1e-2
-"""Weight of relaxed muscles and a closed jaw, in mm^2 by rad^2 or mm^2 or contraction^2."""
-ROUNDING = 1e-9
-"""A limit that is reached leaves this much room."""
 
 
 @dataclass(frozen=True)
@@ -166,84 +160,42 @@ class FibreFit:
     x: Floats
 
 
-def fit_fibres(face: Face, target: Floats) -> FibreFit:
+class FibreControls:
+    """Contractions along fibres and the jaw: :class:`solver.fitting.controls.FitControls`."""
+
+    def __init__(self, face: Face, options: ContractionLimits = ContractionLimits()) -> None:
+        self._face = face
+        self.flesh = driven_by_fibres(face)
+        relaxed = np.ones(face.model.muscle_count)
+        contractions = Block("contractions", relaxed, lower=options.least, upper=options.most)
+        self.layout = Layout((contractions, jaw_block()))
+
+    def flesh_controls(self, q: Floats) -> Floats:
+        """See :class:`solver.fitting.controls.FitControls`."""
+        return self.layout.part("contractions", q)
+
+    def held_positions(self, q: Floats) -> Floats:
+        """See :class:`solver.fitting.controls.FitControls`."""
+        return self._face.held_positions(self.layout.part("jaw", q))
+
+    def linearise(self, q: Floats, x: Floats) -> SparseControls:
+        """See :class:`solver.fitting.controls.FitControls`."""
+        gamma, b = self.layout.split(q)
+        by_jaw = np.eye(self.layout.size)[self.layout["jaw"]]
+        direct = self._face.mandible_jacobian(b)[self.flesh.held]
+        rates = sp.eye_array(len(gamma), self.layout.size, format="csr")
+        boundary = BoundaryRates(direct @ by_jaw, by_jaw)
+        return SparseControls.of(self.flesh, x, gamma, rates, boundary)
+
+
+def fit_fibres(
+    face: Face, target: Floats, options: ContractionLimits = ContractionLimits()
+) -> FibreFit:
     """Fit the face's points (k, 3) to ``target`` (k, 3) from rest, in mm.
 
     Raises :class:`~solver.errors.InputError` (``model.fibres``) for a model without fibres.
     """
-    return _Fit(face, target).solve()
-
-
-class _Fit:
-    """Unknowns theta (m + 5,) are contractions and jaw."""
-
-    def __init__(self, face: Face, target: Floats) -> None:
-        self._face = face
-        self._flesh = driven_by_fibres(face)
-        self._target = target
-        muscles = face.model.muscle_count
-        self._relaxed = np.concatenate([np.ones(muscles), np.zeros(5)])
-        self._low = np.concatenate([np.full(muscles, LEAST), np.full(5, -np.inf)])
-        self._high = np.concatenate([np.full(muscles, MOST), np.full(5, np.inf)])
-
-    def solve(self) -> FibreFit:
-        theta = self._relaxed
-        state = self.settle(theta, self._face.model.rest)
-        for _ in range(MOST_STEPS):
-            before = self._value(theta, state)
-            found = self._searched(theta, self._step(theta, state), state, before)
-            if found is None:
-                break
-            theta, state = found
-            if self._value(theta, state) > (1.0 - GAIN) * before:
-                break
-        return FibreFit(theta[:-5], theta[-5:], state.x)
-
-    def settle(self, theta: Floats, x: Floats) -> Equilibrium:
-        """Return the equilibrium of theta, found from x (p, 3)."""
-        face = self._face
-        x = x.copy()
-        x[face.flesh.held] = face.held_positions(theta[-5:])
-        return equilibrium.solve_equilibrium(
-            self._flesh, face.linear, x, theta[:-5], tolerance=face.tolerance
-        )
-
-    def jacobian(self, theta: Floats, state: Equilibrium) -> Floats:
-        """Return the derivative (3 k, m + 5) of the face's points by theta."""
-        face, flesh = self._face, self._flesh
-        gamma, by_jaw = theta[:-5], np.eye(5, len(theta), len(theta) - 5)
-        boundary = BoundaryRates(face.mandible_jacobian(theta[-5:])[flesh.held] @ by_jaw, by_jaw)
-        rates = sp.eye_array(len(gamma), len(theta), format="csr")
-        controls = SparseControls.of(flesh, state.x, gamma, rates, boundary)
-        motion = Response(flesh, state.factor).motions(controls)
-        points = face.face_embedding @ motion.reshape(len(flesh.rest), -1)
-        return np.asarray(points.reshape(-1, len(theta)))
-
-    def _step(self, theta: Floats, state: Equilibrium) -> Floats:
-        """Return the step of Gauss-Newton within the limits."""
-        scale, pull = np.sqrt(len(self._target)), np.sqrt(REST)
-        system = [self.jacobian(theta, state) / scale, pull * np.eye(len(theta))]
-        right = [-self._off(state).ravel() / scale, pull * (self._relaxed - theta)]
-        room = self._low - theta - ROUNDING, self._high - theta + ROUNDING
-        return np.asarray(lsq_linear(np.vstack(system), np.concatenate(right), room).x)
-
-    def _searched(
-        self, theta: Floats, step: Floats, state: Equilibrium, before: float
-    ) -> tuple[Floats, Equilibrium] | None:
-        """Return where the first part of a step that gains leads to, None if none does."""
-        part = 1.0
-        while part >= SHORTEST:
-            tried = theta + part * step
-            with suppress(SolveError):  # too far: half of it may not be
-                reached = self.settle(tried, state.x)
-                if self._value(tried, reached) < before:
-                    return tried, reached
-            part *= 0.5
-        return None
-
-    def _value(self, theta: Floats, state: Equilibrium) -> float:
-        distance = (self._off(state) ** 2).sum() / len(self._target)
-        return float(distance + REST * ((theta - self._relaxed) ** 2).sum())
-
-    def _off(self, state: Equilibrium) -> Floats:
-        return self._face.face_points(state.x) - self._target
+    controls = FibreControls(face, options)
+    found = SkinFit(face, controls, target).solve().point
+    gamma, jaw = controls.layout.split(found.q)
+    return FibreFit(gamma, jaw, found.equilibrium.x)

@@ -19,22 +19,11 @@ from solver.surface import Floats, area_normals
 
 Vector = Floats | Sequence[float]
 
-GRAVITY = (0.0, -9810.0, 0.0)
-"""On earth, with y up: mm/s^2."""
-
-AIR = 1.2e-6
-"""Density of air in g/mm^3."""
-
-DRAG = 1.2
-"""Drag coefficient of a plate across the wind (Hoerner 1965: 1.17)."""
-
-SMALLEST_MM2 = 1e-12
-"""A triangle that is smaller, as two vertices at one place leave, has no normal and no wind."""
-
-GUST_HZ = (0.4, 3.0)
-"""The three sines of a gust lie between these frequencies."""
-
-MILLINEWTON = 1e3
+GRAVITY = (0.0, -9810.0, 0.0)  # on earth, with y up: mm/s^2
+AIR = 1.2e-6  # density of air in g/mm^3
+DRAG = 1.2  # coefficient of a plate across the wind (Hoerner 1965: 1.17)
+SMALLEST_MM2 = 1e-12  # a smaller triangle, of vertices at one place, has no normal and no wind
+MILLINEWTON = 1e3  # in g mm/s^2
 
 
 class Force(Protocol):
@@ -66,10 +55,17 @@ class Wind:
 
     w_n is the part along n of the wind relative to the skin, so that it presses on the side it
     comes from and sucks on the other. ``m_s`` (3,) is its velocity in the world; ``gusts`` is the
-    part of it that comes and goes, by three sines that ``seed`` chooses.
+    part of it that comes and goes, by three sines that ``seed`` chooses between two ``gust_hz``.
     """
 
-    def __init__(self, face: Face, m_s: Vector, gusts: float = 0.0, seed: int = 0) -> None:
+    def __init__(
+        self,
+        face: Face,
+        m_s: Vector,
+        gusts: float = 0.0,
+        seed: int = 0,
+        gust_hz: tuple[float, float] = (0.4, 3.0),
+    ) -> None:
         model = face.model
         number = np.full(len(model.skin.vertices), -1)
         number[model.face] = np.arange(len(model.face))
@@ -79,7 +75,7 @@ class Wind:
         self._mm_s = 1e3 * np.asarray(m_s, float)
         self._gusts = gusts
         random = np.random.default_rng(seed)
-        self._hertz = random.uniform(*GUST_HZ, 3)
+        self._hertz = random.uniform(*gust_hz, 3)
         self._phases = random.uniform(0.0, 2.0 * np.pi, 3)
 
     def velocity(self, time: float) -> Floats:
@@ -123,7 +119,7 @@ class Pull:
         skin = model.skin.vertices
         if vertex not in model.embedded:
             raise InputError(
-                "force.point", f"skin vertex {vertex} is on no flesh: it can not be pulled"
+                "force.point", f"skin vertex {vertex} is on no flesh: it cannot be pulled"
             )
         distance = np.linalg.norm(skin[model.embedded] - skin[vertex], axis=1)
         weights = np.maximum(1.0 - (distance / radius_mm) ** 2, 0.0) ** 2

@@ -75,7 +75,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Drive:
-    """What a moment asks for: ``A`` (n, 6) per tet, ``jaw`` (5,), ``head`` into the world.
+    """Input of a moment: ``A`` (n, 6) per tet, ``jaw`` (5,), ``head`` into the world.
 
     ``time`` is in seconds, ``objects`` are vertices (o, 3) in the world, mm.
     """

@@ -35,7 +35,7 @@ MOMENT = NewtonOptions(
 
 @dataclass(frozen=True)
 class AdvanceOptions:
-    """How the boundary goes to its goal."""
+    """Options of the boundary's way to its goal."""
 
     steps: int = 40  # at most
     same: float = 1e-9  # difference of two places, in mm, that is rounding
@@ -98,7 +98,7 @@ class Newton:
         options = replace(self._options, factorizations=factorizations)
         search = Search(energy, x, options, self._factor, self._projection)
         try:
-            search.minimize()
+            search.minimise()
         finally:
             self._factor, self._projection = search.factorization, search.projection
         # NaN, too, is no minimum
@@ -124,7 +124,7 @@ class Newton:
         held = self._flesh.held
         old, steps, jams = self._factor is not None, 0, 0
         while not _same(now, goal, options.same):
-            factor = self._factor or self._factorized(energy, x)
+            factor = self._factor or self._factorize(energy, x)
             motion = np.zeros_like(x)
             motion[held] = goal.held - x[held]
             force = energy.gradient(x) + self._pull(energy, x, motion, goal)
@@ -145,7 +145,7 @@ class Newton:
                 self._factor = None
         return x, steps
 
-    def _factorized(self, energy: Energy, x: Floats) -> Factorization:
+    def _factorize(self, energy: Energy, x: Floats) -> Factorization:
         """Factorise the Hessian at x, projected as far as need be."""
         self._factor = energy.factorization(x, max(self._projection - 1, 0))
         self._projection = self._factor.projection

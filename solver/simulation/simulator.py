@@ -27,14 +27,16 @@ from solver.simulation.inertia import (
 from solver.simulation.newton import MOMENT, Minimum, Newton
 from solver.surface import Floats
 
-SMALLEST_PART = 2.0**-6
-"""Part of a step below which it is not cut further."""
 
-RISE_SECONDS, RISE_PART = 1.0, 0.25
-"""Time that the way to a first pose counts as, for friction, and the part of it that is a step: in
-one go flesh buckles."""
-RISE_FACTORISATIONS = 150
-"""Of a part of that way: growth and forces are there at once, whatever the part."""
+@dataclass(frozen=True)
+class SimulationOptions:
+    """Options of a simulation: how a step is cut, and how the first pose is reached."""
+
+    smallest_part: float = 2.0**-6  # of a step: it is not cut further
+    rise_seconds: float = 1.0  # that the way to a first pose counts as, for friction
+    rise_part: float = 0.25  # of that way that is a step: in one go flesh buckles
+    # of such a part: growth and forces are there at once, whatever the part
+    rise_factorizations: int = 150
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,8 @@ class Simulator:
     tolerance, settled_mm
         A step ends at this residual, relative to nodal forces at unit strain, or when corrections
         stay shorter than this, root mean square over the vertices.
+    options
+        How a step is cut where it finds no end.
     """
 
     def __init__(
@@ -91,7 +95,9 @@ class Simulator:
         linear: str | None = None,
         tolerance: float = MOMENT.tolerance,
         settled_mm: float = MOMENT.settled_mm,
+        options: SimulationOptions = SimulationOptions(),
     ) -> None:
+        self._options = options
         self._face = face
         self._potentials = potentials
         self._forces = forces
@@ -112,9 +118,10 @@ class Simulator:
 
         Raises :class:`SolveError` as :meth:`step`, with the drive's own ``time``.
         """
+        options = self._options
         start = replace(
             drive,
-            time=drive.time - RISE_SECONDS,
+            time=drive.time - options.rise_seconds,
             A=self._flesh.passive(),
             jaw=np.zeros_like(drive.jaw),
         )
@@ -122,7 +129,7 @@ class Simulator:
         motion = Motion(drive.head(rest), np.zeros_like(rest), drive.head)
         try:
             return self._go(
-                motion, start, drive, RISE_PART, RISE_FACTORISATIONS, dynamic=False
+                motion, start, drive, options.rise_part, options.rise_factorizations, dynamic=False
             ).motion
         except SolveError as error:
             # the way to the first pose is before all time
@@ -164,7 +171,7 @@ class Simulator:
             try:
                 now, minimum = self._once(now, drive, target, factorisations, dynamic=dynamic)
             except SolveError as error:
-                if part == SMALLEST_PART:
+                if part == self._options.smallest_part:
                     error.context["time"] = target.time
                     raise
                 self._newton.forget()

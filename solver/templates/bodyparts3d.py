@@ -1,4 +1,4 @@
-"""Reading BodyParts3D (DBCLS, CC BY 4.0): its release 3.0, or ``index.csv`` and one PLY a part.
+"""Read BodyParts3D (DBCLS, CC BY 4.0): its release 3.0, or ``index.csv`` and one PLY a part.
 
 BodyParts3D is in mm with x to the subject's left, -y forward and z up; everything here is returned
 with y up and z forward.
@@ -17,13 +17,9 @@ import trimesh
 from solver.anatomy.domain import join_surfaces
 from solver.errors import InputError
 from solver.surface import Floats, Surface
-from solver.templates.downloads import (
-    PublicFile,
-    obj_mesh,
-    public_files,
-)
+from solver.templates.downloads import PublicFile, obj_mesh, public_files
 
-# BodyParts3D as DBCLS publishes it: release 3.0, one OBJ an organ, named by its FMA id.
+# The download as DBCLS publishes it: release 3.0, one OBJ an organ, named by its FMA id.
 #
 # ``data/bodyparts3d_parts.csv`` says which of its organs the face needs and what they are. Release
 # 4.0 (``FJ1234.obj`` with element lists) has no muscles of facial expression or mastication, and
@@ -76,8 +72,10 @@ def _surface(files: dict[str, PublicFile], fma_id: str, name: str, folder: Path)
     return Surface(vertices, polygons[:, :3])
 
 
-MIDDLE_X = -0.65
-"""The plane of symmetry is x = -0.65 mm."""
+# Parts by name, from the download or from an index.
+
+MIDDLE_X = -0.65  # mm, the plane of symmetry
+RINGS = ("orbital", "palpebral")  # parts of orbicularis oculi, the larger first
 _COLUMNS = {"fma_id", "category", "name"}
 # Chewing muscles of the face's outer layer; the pterygoids lie inside the jaw and the occipital
 # belly and temporoparietalis behind the flesh.
@@ -91,10 +89,6 @@ class Part:
 
     category: str
     surface: Surface
-
-
-RINGS = ("orbital", "palpebral")
-"""The two parts of orbicularis oculi, the larger first."""
 
 
 def to_subject_axes(points: Floats) -> Floats:

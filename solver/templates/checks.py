@@ -1,47 +1,55 @@
-"""Checks of a template's skin, bones, landmarks, depths and tetrahedra."""
+"""Checks of a template's skin, bones, landmarks, depths, tetrahedra and muscles."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import igl
 import numpy as np
 
-from solver.anatomy.depth_warp import (
-    SkinDepth,
-    boundary_edges,
-)
+from solver.anatomy.depth_warp import SkinDepth, boundary_edges
 from solver.anatomy.muscle_weights import contains, enclosed_volume, muscle_volumes
 from solver.anatomy.template import Muscle, Template
 from solver.anatomy.tetrahedra import dihedral_angles, volumes
-from solver.errors import (
-    Finding,
-    error,
-    warning,
-)
-from solver.registration.landmarks import (
-    IBUG_68,
-    SYNONYMS,
-)
+from solver.errors import Finding, error, warning
+from solver.registration.landmarks import IBUG_68, SYNONYMS
 from solver.surface import Floats, Surface, directed_edges
 
-FACE_MM = (90.0, 320.0)
-"""Least and greatest height of the part of a head that is fitted."""
-TOUCHING_MM = 0.3
-"""Bone may lie this far outside the skin, or in another bone, by rounding alone."""
-CONDYLE_MM = 8.0
-"""A condyle's centre is at most this far from the mandible's surface."""
-DEPTH_MM = (1.0, 45.0)
-"""Soft tissue is never thinner or thicker on a face."""
-DEPTH_SD, DEPTH_SLACK_MM = 3.0, 4.0
-"""The template's depth may differ by so many deviations, and by so much where none is known."""
-LEAST_DIHEDRAL_DEG = 5.0
-VOLUME_KEPT = 0.85
-"""Part of a muscle's volume that its tetrahedra should have."""
 SIDES = (("_l", "_r", 1.0), ("_r", "_l", -1.0))
+
+
+@dataclass(frozen=True)
+class AnatomyBounds:
+    """Sizes and distances that a sound template keeps to."""
+
+    # Least and greatest height of the part of a head that is fitted.
+    face_mm: tuple[float, float] = (90.0, 320.0)
+    # Bone may lie this far outside the skin, or in another bone, by rounding alone.
+    touching_mm: float = 0.3
+    condyle_mm: float = 8.0  # a condyle's centre is at most this far from the mandible's surface
+    depth_mm: tuple[float, float] = (1.0, 45.0)  # soft tissue is never thinner or thicker on a face
+    depth_sd: float = 3.0  # the bone's depth may differ from the table's by so many deviations ...
+    # ... and by so much where none is known.
+    depth_slack_mm: float = 4.0
+    dihedral_deg: float = 5.0  # least angle of a tetrahedron
+    volume_kept: float = 0.85  # part of a muscle's volume that its tetrahedra should have
+    muscle_mm3: float = 15.0  # no muscle of the face is smaller
+    open_edges: int = 12  # smaller gaps do not matter: the inside is found by winding numbers
+    # Vertices of a muscle further outside the flesh, or deeper in a bone, are counted.
+    out_mm: float = 0.5
+    few: float = 0.05  # part of a muscle's vertices that is worth a look ...
+    # ... and that makes it useless.
+    most: float = 0.5
+    # Most from the middle of an origin to bone: it is the middle of a broad one.
+    origin_mm: float = 15.0
+    insertion_mm: float = 20.0  # most from the middle of an insertion to skin or bone
+    partner_mm: float = 8.0  # most between a muscle's middle and the mirror image of its partner's
+    partner_volume: float = 1.5  # greatest ratio of two partners' volumes
+
+
+BOUNDS = AnatomyBounds()
 
 
 def flesh_surface(template: Template) -> Surface:
@@ -63,7 +71,7 @@ def check_skin(template: Template) -> Iterator[Finding]:
     """Check size, orientation and topology of the skin, and the sets of its vertices."""
     skin, flesh = template.skin, flesh_surface(template)
     height = float(np.ptp(skin.vertices[template.face_vertices, 1]))
-    if not FACE_MM[0] <= height <= FACE_MM[1]:
+    if not BOUNDS.face_mm[0] <= height <= BOUNDS.face_mm[1]:
         yield error(
             "skin.size",
             "skin",
@@ -116,7 +124,7 @@ def check_bones(template: Template) -> Iterator[Finding]:
     shared = bones["mandible"].vertices[contains(bones["cranium"], bones["mandible"].vertices)]
     if len(shared):
         deep = distance_to(bones["cranium"], shared).max()
-        if deep > TOUCHING_MM:
+        if deep > BOUNDS.touching_mm:
             yield error("bone.overlap", "mandible", f"it is up to {deep:.1f} mm inside the cranium")
     gap = distance_to(template.mandible, template.condyles)
     for side, sign, condyle, far in zip(
@@ -124,7 +132,7 @@ def check_bones(template: Template) -> Iterator[Finding]:
     ):
         if condyle[0] * sign <= 0:
             yield error("condyle.side", f"{side} condyle", "it is on the other side")
-        if far > CONDYLE_MM:
+        if far > BOUNDS.condyle_mm:
             yield error("condyle.place", f"{side} condyle", f"it is {far:.1f} mm from the mandible")
 
 
@@ -169,7 +177,7 @@ def check_depths(template: Template) -> Iterator[Finding]:
                 "depths.landmark", row.landmark, "the table names it, but it is no landmark"
             )
             continue
-        if not DEPTH_MM[0] <= row.mean <= DEPTH_MM[1]:
+        if not BOUNDS.depth_mm[0] <= row.mean <= BOUNDS.depth_mm[1]:
             yield error("depths.range", row.landmark, f"a depth of {row.mean:g} mm cannot be")
         if row.deviation is not None and not 0 < row.deviation < row.mean:
             yield error(
@@ -178,7 +186,7 @@ def check_depths(template: Template) -> Iterator[Finding]:
         vertex = template.landmarks[row.landmark]
         bone = template.cranium if row.bone == "cranium" else template.mandible
         near, across = _depths_of(bone, template.skin.vertices[vertex], normals[vertex])
-        allowed = max(DEPTH_SLACK_MM, DEPTH_SD * (row.deviation or 0.0))
+        allowed = max(BOUNDS.depth_slack_mm, BOUNDS.depth_sd * (row.deviation or 0.0))
         if not near - allowed <= row.mean <= across + allowed:
             found = near if row.mean < near else across
             yield warning(
@@ -200,7 +208,7 @@ def check_mesh(template: Template) -> Iterator[Finding]:
     if inverted:
         yield error("mesh.inverted", "mesh", f"{inverted} tetrahedra are inside out")
     angle = float(dihedral_angles(mesh.vertices, mesh.tets).min())
-    if angle < LEAST_DIHEDRAL_DEG:
+    if angle < BOUNDS.dihedral_deg:
         yield warning("mesh.flat", "mesh", f"the smallest dihedral angle is {angle:.1f} degrees")
     lost = np.setdiff1d(template.face_vertices, mesh.embedded)
     if len(lost):
@@ -214,7 +222,7 @@ def check_mesh(template: Template) -> Iterator[Finding]:
         if not in_front(template, muscle.surface.vertices).all():
             continue
         kept = volume / max(enclosed_volume(muscle.surface), 1e-9)
-        if kept < VOLUME_KEPT:
+        if kept < BOUNDS.volume_kept:
             yield warning("mesh.volume", muscle.name, f"{kept:.0%} of its volume is in tetrahedra")
 
 
@@ -240,7 +248,7 @@ def _through_face(template: Template, depth: SkinDepth, bone: Surface) -> Floats
     flesh = flesh_surface(template)
     nearest = igl.point_mesh_squared_distance(ahead, flesh.vertices, flesh.faces)[1]
     by_face = np.isin(flesh.faces[nearest], template.face_vertices).all(axis=1)
-    return np.asarray(out[by_face & (out > TOUCHING_MM)])
+    return np.asarray(out[by_face & (out > BOUNDS.touching_mm)])
 
 
 def _depths_of(bone: Surface, point: Floats, normal: Floats) -> tuple[float, float]:
@@ -273,21 +281,7 @@ def _edges_of_many_faces(surface: Surface) -> int:
     return int(np.sum(counts > 2))
 
 
-# Checks of a template's muscles: where they lie, what they are attached to, their partners.
-
-
-LEAST_MM3 = 15.0
-"""No muscle of the face is smaller."""
-OPEN_EDGES = 12
-"""Smaller gaps do not matter: the inside is found by winding numbers."""
-OUT_MM = 0.5
-"""Vertices further outside the flesh, or deeper in a bone, are counted."""
-FEW, MOST = 0.05, 0.5
-"""Parts of a muscle's vertices that are worth a look, and that make it useless."""
-ORIGIN_MM, INSERTION_MM = 15.0, 20.0
-"""How far the middle of an attachment may be from bone or skin: it is the middle of a broad one."""
-PARTNER_MM, PARTNER_VOLUME = 8.0, 1.5
-"""How far two partners' middles may be from mirror images, and the greatest ratio of volumes."""
+# Muscles: where they lie, what they are attached to, their partners.
 
 
 def check_muscles(template: Template) -> Iterator[Finding]:
@@ -307,10 +301,10 @@ def check_muscles(template: Template) -> Iterator[Finding]:
 
 def _check_shape(muscle: Muscle) -> Iterator[Finding]:
     volume = enclosed_volume(muscle.surface)
-    if volume < LEAST_MM3:
+    if volume < BOUNDS.muscle_mm3:
         yield error("muscle.volume", muscle.name, f"it encloses {volume:.1f} mm3, which is nothing")
     open_edges = len(boundary_edges(muscle.surface.faces)[0])
-    if open_edges > OPEN_EDGES:
+    if open_edges > BOUNDS.open_edges:
         yield warning("muscle.open", muscle.name, f"its surface has {open_edges} open edges")
     if not np.isclose(np.linalg.norm(muscle.fibre), 1.0, atol=1e-3):
         yield error("muscle.fibre", muscle.name, "its fibre axis is not of length 1")
@@ -324,19 +318,21 @@ def _check_place(template: Template, muscle: Muscle, depth: SkinDepth) -> Iterat
         return
     points = np.ascontiguousarray(points[ahead])
     out = -depth(points)[0]
-    yield from _share(muscle, "muscle.outside", "outside the flesh", out)
+    yield from _check_part(muscle, "muscle.outside", "outside the flesh", out)
     for name, bone in (("cranium", template.cranium), ("mandible", template.mandible)):
         within = contains(bone, points)
         deep = np.where(within, distance_to(bone, points), 0.0)
-        yield from _share(muscle, "muscle.in_bone", f"inside the {name}", deep)
+        yield from _check_part(muscle, "muscle.in_bone", f"inside the {name}", deep)
 
 
-def _share(muscle: Muscle, code: str, where: str, millimetres: np.ndarray) -> Iterator[Finding]:
-    share = float(np.mean(millimetres > OUT_MM))
-    if share > FEW:
-        kind = error if share > MOST else warning
+def _check_part(
+    muscle: Muscle, code: str, where: str, millimetres: np.ndarray
+) -> Iterator[Finding]:
+    part = float(np.mean(millimetres > BOUNDS.out_mm))
+    if part > BOUNDS.few:
+        kind = error if part > BOUNDS.most else warning
         yield kind(
-            code, muscle.name, f"{share:.0%} of it is {where}, up to {millimetres.max():.1f} mm"
+            code, muscle.name, f"{part:.0%} of it is {where}, up to {millimetres.max():.1f} mm"
         )
 
 
@@ -346,13 +342,13 @@ def _check_attachments(template: Template, muscle: Muscle) -> Iterator[Finding]:
     bones = [
         distance_to(bone, muscle.origin[None])[0] for bone in (template.cranium, template.mandible)
     ]
-    if min(bones) > ORIGIN_MM and in_front(template, muscle.origin[None]).all():
+    if min(bones) > BOUNDS.origin_mm and in_front(template, muscle.origin[None]).all():
         yield warning(
             "muscle.origin", muscle.name, f"its origin is {min(bones):.0f} mm from any bone"
         )
     ends = [flesh_surface(template), template.cranium, template.mandible]
     far = min(distance_to(end, muscle.insertion[None])[0] for end in ends)
-    if far > INSERTION_MM:
+    if far > BOUNDS.insertion_mm:
         yield warning(
             "muscle.insertion", muscle.name, f"its insertion is {far:.0f} mm from the skin"
         )
@@ -378,10 +374,10 @@ def _check_pair(name: str, left: Surface, right: Surface) -> Iterator[Finding]:
         yield error("muscle.side", name, "left and right are swapped: left is +x")
         return
     apart = float(np.linalg.norm(middles[0] * [-1, 1, 1] - middles[1]))
-    if apart > PARTNER_MM:
+    if apart > BOUNDS.partner_mm:
         yield warning("muscle.pair", name, f"its partner is {apart:.0f} mm from its mirror image")
     ratio = enclosed_volume(left) / max(enclosed_volume(right), 1e-9)
-    if not 1 / PARTNER_VOLUME < ratio < PARTNER_VOLUME:
+    if not 1 / BOUNDS.partner_volume < ratio < BOUNDS.partner_volume:
         yield warning("muscle.pair", name, f"it has {ratio:.2f} times its partner's volume")
 
 
@@ -396,90 +392,3 @@ def _partner(name: str) -> str | None:
 
 def _is_left(name: str) -> bool:
     return name.endswith("_l") or re.search(r"\bleft\b", name) is not None
-
-
-# Whether a template is sound as anatomy: findings in plain words, and the figures behind them.
-
-
-@dataclass(frozen=True)
-class TemplateReport:
-    """What was found, the worst first, and ``figures`` (JSON values) about the template."""
-
-    findings: tuple[Finding, ...]
-    figures: dict[str, Any]
-
-    @property
-    def good(self) -> bool:
-        """Whether the template can be used: there is no error."""
-        return not any(finding.severity == "error" for finding in self.findings)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the report as JSON values."""
-        return {
-            "good": self.good,
-            "findings": [asdict(finding) for finding in self.findings],
-            "figures": self.figures,
-        }
-
-
-def report_template(template: Template) -> TemplateReport:
-    """Return what is wrong with, or worth a look at, a template whose arrays fit together."""
-    checks = (
-        check_description,
-        check_skin,
-        check_bones,
-        check_muscles,
-        check_landmarks,
-        check_depths,
-        check_mesh,
-    )
-    findings = [finding for check in checks for finding in check(template)]
-    findings.sort(key=lambda finding: finding.severity != "error")
-    return TemplateReport(tuple(findings), template_figures(template))
-
-
-def template_figures(template: Template) -> dict[str, Any]:
-    """Return counts and sizes of a template as JSON values."""
-    low, high = _bounds(template.skin.vertices[template.face_vertices])
-    figures: dict[str, Any] = {
-        "name": template.name,
-        "version": template.version,
-        "content_sha256": template.sha256,
-        "source": template.source,
-        "licence": template.licence,
-        "skin_vertices": len(template.skin.vertices),
-        "skin_triangles": len(template.skin.faces),
-        "face_vertices": len(template.face_vertices),
-        "face_size_mm": [round(float(size), 1) for size in high - low],
-        "cranium_cm3": round(enclosed_volume(template.cranium) / 1000.0, 1),
-        "mandible_cm3": round(enclosed_volume(template.mandible) / 1000.0, 1),
-        "muscles": len(template.muscles),
-        "muscle_cm3": {
-            muscle.name: round(enclosed_volume(muscle.surface) / 1000.0, 3)
-            for muscle in template.muscles
-        },
-        "landmarks": len(template.landmarks),
-        "regions": {name: len(ids) for name, ids in template.regions.items()},
-        "depths": len(template.depths),
-        "identities": 0 if template.shapes is None else len(template.shapes.identity),
-        "expressions": 0 if template.shapes is None else len(template.shapes.expressions),
-    }
-    if template.mesh is not None:
-        mesh = template.mesh
-        sizes = volumes(mesh.vertices, mesh.tets)
-        figures["mesh"] = {
-            "edge_mm": mesh.edge_mm,
-            "vertices": len(mesh.vertices),
-            "tets": len(mesh.tets),
-            "volume_cm3": round(float(sizes.sum()) / 1000.0, 1),
-            "inverted": int(np.sum(sizes <= 0)),
-            "smallest_dihedral_deg": round(
-                float(dihedral_angles(mesh.vertices, mesh.tets).min()), 2
-            ),
-            "candidates_per_tet": round(mesh.weights.nnz / len(mesh.tets) - 1.0, 2),
-        }
-    return figures
-
-
-def _bounds(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return points.min(axis=0), points.max(axis=0)

@@ -28,7 +28,7 @@ class PublicFile:
 
     @property
     def folder(self) -> tuple[Path, PurePosixPath]:
-        """Where the file lies: equal for files of one folder."""
+        """The place of the file: equal for files of one folder."""
         if self.member is None:
             return self.path.parent, PurePosixPath()
         return self.path, PurePosixPath(self.member).parent

@@ -17,11 +17,8 @@ from solver.errors import InputError
 from solver.meshio.obj import write_obj
 from solver.meshio.ply import write_ply
 from solver.surface import Floats, Ints, Surface
-from solver.templates.folder import (
-    DESCRIPTION,
-    FORMAT,
-    vertex_ranges,
-)
+from solver.templates.folder import DESCRIPTION, FORMAT
+from solver.templates.tables import vertex_ranges
 
 
 @dataclass(frozen=True)

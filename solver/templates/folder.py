@@ -1,13 +1,13 @@
-"""Tables and lists of a template folder, read so that every fault names its file and line."""
+"""Read a template from a folder of meshes and tables that a studio can write.
+
+``template.toml`` says what it is and in which unit and axes; ``skin``, ``parted``, ``cranium``,
+``mandible`` and ``muscles/*`` are meshes (OBJ or PLY); the rest are tables. A ZIP of the folder
+will do as well. See docs/guide/templates.md.
+"""
 
 from __future__ import annotations
 
-import csv
-import json
-import re
 import tempfile
-import tomllib
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any
@@ -20,178 +20,16 @@ from solver.anatomy.muscle_weights import with_axis
 from solver.anatomy.template import Depth, Muscle, ShapeBasis, Template, check_arrays
 from solver.errors import InputError
 from solver.meshio.raw import read_raw
-from solver.registration.pose import (
-    AXES,
-    UNITS,
-)
-from solver.storage import (
-    NOT_READABLE,
-    check_directory,
-)
-from solver.surface import Floats, Ints, Surface
+from solver.registration.pose import AXES, UNITS
+from solver.storage import NOT_READABLE, check_directory
+from solver.surface import Floats, Surface
+from solver.templates.tables import Row, read_table, read_toml, read_vertex_sets, vertex_fault
 
-_RANGE = re.compile(r"(\d+)-(\d+)")
-
-
-class Row:
-    """One line of a CSV table: its cells by column, and where it stands."""
-
-    def __init__(self, file: str, line: int, cells: dict[str, str]) -> None:
-        self.file, self.line = file, line
-        self._cells = cells
-
-    def text(self, column: str, default: str = "") -> str:
-        """Return a cell; ``default`` where it is empty."""
-        return self._cells.get(column) or default
-
-    def cell(self, column: str) -> str:
-        """Return a cell that must not be empty."""
-        text = self.text(column)
-        if not text:
-            raise self.fault(f"{column} is empty")
-        return text
-
-    def number(self, column: str) -> float:
-        """Return a cell as a finite number."""
-        try:
-            value = float(self.cell(column))
-        except ValueError:
-            raise self.fault(f"{column} is no number: {self.text(column)!r}") from None
-        if not np.isfinite(value):
-            raise self.fault(f"{column} is not finite")
-        return value
-
-    def point(self, name: str) -> Floats | None:
-        """Return the point (3,) in columns name_x, name_y, name_z; None if all are empty."""
-        columns = [f"{name}_{axis}" for axis in "xyz"]
-        if not any(self.text(column) for column in columns):
-            return None
-        return np.array([self.number(column) for column in columns])
-
-    def flag(self, column: str) -> bool:
-        """Return a cell of yes or no; empty is no."""
-        text = self.text(column, "no").lower()
-        if text not in ("yes", "no"):
-            raise self.fault(f"{column} is neither yes nor no: {text!r}")
-        return text == "yes"
-
-    def fault(self, reason: str) -> InputError:
-        """Return an error about this line."""
-        return InputError(
-            "template.table",
-            f"{self.file}, line {self.line}: {reason}",
-            file=self.file,
-            line=self.line,
-        )
-
-
-def read_table(path: Path, columns: Iterable[str]) -> list[Row]:
-    """Return the rows of a CSV file that has at least ``columns``.
-
-    Raises :class:`InputError`: ``template.missing`` if there is no such file, ``template.table``
-    for one that is no such table.
-    """
-    text = _read_text(path)
-    reader = csv.DictReader(text.splitlines())
-    missing = set(columns) - set(reader.fieldnames or ())
-    if missing:
-        raise InputError(
-            "template.table",
-            f"{path.name}, line 1: lacks the columns {', '.join(sorted(missing))}",
-            file=path.name,
-            line=1,
-        )
-    rows = []
-    for cells in reader:
-        row = Row(path.name, reader.line_num, {k: (v or "").strip() for k, v in cells.items() if k})
-        if None in cells:
-            raise row.fault("has more cells than the first line")
-        rows.append(row)
-    return rows
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """Return a TOML file; raises ``template.missing`` or ``template.unreadable``."""
-    try:
-        return tomllib.loads(_read_text(path))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError("template.unreadable", f"{path.name}: {error}", file=path.name) from error
-
-
-def read_vertex_sets(path: Path, count: int) -> dict[str, Ints]:
-    """Return name -> vertex numbers of a JSON object of lists of numbers and ranges "from-to".
-
-    Raises :class:`InputError`: ``template.missing``, ``template.unreadable``, or
-    ``template.vertex`` for what is no vertex of the ``count``.
-    """
-    text = _read_text(path)
-    try:
-        sets = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError("template.unreadable", f"{path.name}: {error}", file=path.name) from error
-    if not isinstance(sets, dict) or not all(isinstance(value, list) for value in sets.values()):
-        raise InputError(
-            "template.unreadable", f"{path.name} is no object of lists", file=path.name
-        )
-    return {name: _vertices(path.name, name, value, count) for name, value in sets.items()}
-
-
-def vertex_ranges(vertices: Ints) -> list[int | str]:
-    """Return ascending vertex numbers as a list that :func:`read_vertex_sets` reads."""
-    starts = np.flatnonzero(np.diff(vertices, prepend=-2) != 1)
-    ends = np.flatnonzero(np.diff(vertices, append=-2) != 1)
-    return [
-        int(vertices[start]) if start == end else f"{vertices[start]}-{vertices[end]}"
-        for start, end in zip(starts, ends, strict=True)
-    ]
-
-
-def _vertices(file: str, name: str, items: list[Any], count: int) -> Ints:
-    numbers: list[int] = []
-    for item in items:
-        found = _RANGE.fullmatch(item) if isinstance(item, str) else None
-        if found:
-            # the first that is too large is enough to tell, and a range may be very long
-            numbers.extend(range(int(found[1]), min(int(found[2]), count) + 1))
-        elif isinstance(item, int) and not isinstance(item, bool):
-            numbers.append(item)
-        else:
-            raise vertex_fault(file, name, f"{item!r} is neither a vertex nor a range like '10-20'")
-    bad = [number for number in numbers if not 0 <= number < count]
-    if bad:
-        raise vertex_fault(file, name, f"vertex {bad[0]} is none of the skin's {count}", bad[0])
-    return np.unique(np.array(numbers, dtype=np.int64))
-
-
-def vertex_fault(file: str, name: str, reason: str, vertex: int | None = None) -> InputError:
-    """Return an error about a vertex number of an entry ``name``."""
-    return InputError("template.vertex", f"{file}, {name}: {reason}", file=file, vertex=vertex)
-
-
-def _read_text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig")  # spreadsheets begin CSV files with a mark
-    except FileNotFoundError:
-        raise InputError(
-            "template.missing", f"{path.parent.name} has no {path.name}", file=path.name
-        ) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError("template.unreadable", f"{path.name}: {error}", file=path.name) from error
-
-
-# A template as a folder of meshes and tables that a studio can write; see docs/guide/templates.md.
-#
-# ``template.toml`` says what it is and in which unit and axes; ``skin``, ``parted``, ``cranium``,
-# ``mandible`` and ``muscles/*`` are meshes (OBJ or PLY); the rest are tables. A ZIP of the folder
-# will do as well.
-
-
-FORMAT = 1
+FORMAT = 1  # of template.toml
 DESCRIPTION = "template.toml"
-MAX_UNPACKED_BYTES = 2 * 2**30
+MAX_UNPACKED_BYTES = 2 * 2**30  # of a ZIP: no real template comes near
 SUFFIXES = (".ply", ".obj")
-PARTS = ("flesh", "face", "with_cranium", "with_mandible")
-"""Sets of skin vertices in ``parts.json``."""
+PARTS = ("flesh", "face", "with_cranium", "with_mandible")  # sets of skin vertices in parts.json
 BONES = ("cranium", "mandible")
 
 

@@ -1,7 +1,8 @@
-"""Registered scans of ICT-FaceKit subjects: the standard experiments' training and unseen sets.
+"""ICT-FaceKit (USC Institute for Creative Technologies, MIT): its files, and captures made of it.
 
 ``capture_sets.json`` names subjects by the seed of their identity and expressions by weights of
-the model's expression shapes: a scan is neutral + sum(identity_i I_i) + sum(weight_e E_e).
+the model's expression shapes: a scan is neutral + sum(identity_i I_i) + sum(weight_e E_e). These
+are the standard experiments' training and unseen sets; a recording gives whole performances.
 """
 
 from __future__ import annotations
@@ -21,15 +22,10 @@ from solver.model import SubjectModel
 from solver.scans.live_link import ARKIT_NAMES, LiveLinkTake, read_live_link
 from solver.storage import read_arrays
 from solver.surface import Floats, Ints, Surface
-from solver.templates.downloads import (
-    PublicFile,
-    obj_mesh,
-    obj_vertices,
-    public_files,
-)
+from solver.templates.downloads import PublicFile, obj_mesh, obj_vertices, public_files
 from solver.templates.export import CaptureSet
 
-# ICT-FaceKit as USC ICT publishes it: the folder ``FaceXModel`` of OBJ meshes, in cm.
+# The model as USC ICT publishes it: the folder ``FaceXModel`` of OBJ meshes, in cm.
 #
 # ``generic_neutral_mesh.obj`` is the average head; ``identity000.obj`` ... are whole heads one
 # standard deviation of a component away from it, and every other OBJ is one expression at its full
@@ -94,15 +90,13 @@ def _shapes(files: list[PublicFile], neutral: Floats) -> np.ndarray:
     return shapes
 
 
-# Reading ICT-FaceKit (USC Institute for Creative Technologies, MIT): a head that varies.
-#
-# It comes as it is published, or as one file: ``ict_facekit.npz`` holds ``V`` (26719, 3) neutral in
-# cm, ``quads`` with -1 in the fourth column of a triangle, ``E`` and ``ex`` expression
-# displacements and their names, ``I`` and ``idn`` identities.
+# The head and its variation, from the published files or from one: ``ict_facekit.npz`` holds ``V``
+# (26719, 3) neutral in cm, ``quads`` with -1 in the fourth column of a triangle, ``E`` and ``ex``
+# expression displacements and their names, ``I`` and ``idn`` identities.
 
 
-VERTEX_COUNT = 26719
-MM_PER_UNIT = 10.0
+VERTEX_COUNT = 26719  # of the published topology
+MM_PER_UNIT = 10.0  # published in cm
 
 # Ranges of vertex numbers, as published with the model.
 NARROW_FACE = range(0, 6706)
@@ -210,6 +204,8 @@ def shape_basis(kit: FaceKit) -> ShapeBasis:
         expression_names=tuple(arkit_name(name) for name in kit.deltas),
     )
 
+
+# Captures of the subjects of a capture-sets file.
 
 Weights = dict[str, float]
 

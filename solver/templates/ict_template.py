@@ -1,273 +1,25 @@
-"""The skull and muscles of BodyParts3D in the ICT-FaceKit head.
+"""The template of the ICT-FaceKit topology with the anatomy of BodyParts3D: landmarks and regions.
 
-The head is symmetric, and so is what is put into it: the left half of BodyParts3D and its mirror
-image. A similarity from teeth and eyes, then the least bending warp that keeps landmarks and
-soft-tissue depths, carries it there.
+The anatomy itself is carried into the head by :mod:`solver.templates.ict_anatomy`.
 """
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
-import trimesh
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
-from scipy.spatial.distance import cdist
 
-from solver.anatomy.bones import VoxelGrid, wrap_bones
-from solver.anatomy.contact_regions import (
-    LOWER,
-    UPPER,
-    contact_regions,
-    lips_apart,
-)
-from solver.anatomy.depth_warp import DepthLimits, PointPairs, SkinDepth, depth_warp
+from solver.anatomy.contact_regions import LOWER, UPPER, contact_regions, lips_apart
 from solver.anatomy.muscle_weights import bodyparts3d_muscle
 from solver.anatomy.template import Depth, Template
-from solver.anatomy.warp import similarity, spread
-from solver.surface import Floats, Ints, Surface, adjacency
-from solver.templates import (
-    bodyparts3d,
-    ict_facekit,
-)
-from solver.templates.bodyparts3d import Part
+from solver.anatomy.warp import similarity
+from solver.surface import Floats, Ints, Surface
+from solver.templates import bodyparts3d, ict_facekit
+from solver.templates.ict_anatomy import carry_anatomy
 from solver.templates.ict_facekit import FaceKit
-
-# Corresponding points of BodyParts3D and the ICT-FaceKit head, and the soft-tissue depths.
-
-
-CROWN_MM = 8.0
-"""Height of the part of a tooth whose middle is the landmark."""
-RANGE_SD = 2.0
-"""Depths may differ from the mean by this many standard deviations."""
-DEPTH_SPREAD_MM = 18.0
-"""How far around a depth landmark its depth is wanted."""
-
-
-@dataclass(frozen=True)
-class DepthTable:
-    """Soft-tissue depths at points (k, 3) of the skull, mean and standard deviation in mm."""
-
-    points: Floats
-    mean: Floats
-    deviation: Floats
-
-    def bounds(self, points: Floats, least_mm: float) -> tuple[Floats, Floats]:
-        """Return least and greatest depths (n,); no greatest one far from every landmark."""
-        weights = np.exp(-((cdist(points, self.points) / DEPTH_SPREAD_MM) ** 2) / 2)
-        total = weights.sum(axis=1) + 1e-12
-        mean = weights @ self.mean / total
-        deviation = weights @ self.deviation / total
-        near = total > np.exp(-2.0)
-        least = np.where(near, mean - RANGE_SD * deviation, 0.0)
-        greatest = np.where(near, mean + RANGE_SD * deviation, np.inf)
-        return np.maximum(least, least_mm), greatest
-
-
-def teeth_and_eyes(parts: dict[str, Part], kit: FaceKit) -> PointPairs:
-    """Return the middles of 28 tooth crowns and the centres of the eyeballs in both models."""
-    source, target = [], []
-    skin = kit.skin
-    for jaw, numbers in (("upper", ict_facekit.UPPER_TEETH), ("lower", ict_facekit.LOWER_TEETH)):
-        # 16 teeth a jaw from left to right; BodyParts3D has no wisdom teeth.
-        teeth = _components(skin.faces, numbers)[1:-1]
-        for tooth, name in zip(teeth, ict_facekit.TEETH_NAMES, strict=True):
-            crown = bodyparts3d.part_surface(parts, name.format(jaw=jaw)).vertices
-            source.append(_crown(crown, jaw))
-            target.append(_crown(skin.vertices[tooth], jaw))
-    eyes = bodyparts3d.part_surface(parts, "eyeball").vertices
-    balls = skin.vertices[ict_facekit.EYEBALLS.start : ict_facekit.EYEBALLS.stop]
-    for side in (1, -1):
-        source.append(_sphere_centre(eyes[eyes[:, 0] * side > 0]))
-        target.append(_sphere_centre(balls[balls[:, 0] * side > 0]))
-    return PointPairs(np.array(source), np.array(target))
-
-
-def _components(faces: Ints, numbers: range) -> list[Ints]:
-    own = faces[ict_facekit.faces_within(faces, numbers)] - numbers.start
-    count, labels = connected_components(adjacency(own, len(numbers)), directed=False)
-    parts = [np.flatnonzero(labels == number) + numbers.start for number in range(count)]
-    return sorted(parts, key=lambda part: int(part[0]))
-
-
-def _crown(tooth: Floats, jaw: str) -> Floats:
-    height = tooth[:, 1] if jaw == "upper" else -tooth[:, 1]
-    crown = tooth[height < height.min() + CROWN_MM]
-    return np.asarray((crown.min(axis=0) + crown.max(axis=0)) / 2)
-
-
-def _sphere_centre(points: Floats) -> Floats:
-    # |p|^2 = 2 p.c + (r^2 - |c|^2), linear in the centre c and the bracket.
-    system = np.column_stack([2 * points, np.ones(len(points))])
-    return np.asarray(np.linalg.lstsq(system, np.sum(points**2, axis=1), rcond=None)[0][:3])
-
-
-def depth_landmarks(skin: Surface) -> tuple[PointPairs, PointPairs, DepthTable]:
-    """Return skull anchors, muscle anchors and depths from ``bodyparts3d_landmarks.csv``.
-
-    Rows of kind ``anchor`` fix a point of the skull at its mean depth under a skin vertex, those of
-    kind ``muscle`` a point of a muscle; those of kind ``depth`` only say how deep the bone lies.
-    """
-    normals = trimesh.Trimesh(skin.vertices, skin.faces, process=False).vertex_normals
-    anchors: dict[str, list[tuple[Floats, Floats]]] = {"anchor": [], "muscle": [], "depth": []}
-    depths = []
-    path = resources.files("solver.anatomy.data").joinpath("bodyparts3d_landmarks.csv")
-    with path.open() as stream:
-        for row in csv.DictReader(stream):
-            point = np.array([float(row[axis]) for axis in "xyz"])
-            vertex, depth = int(row["skin_vertex"]), float(row["depth_mm"])
-            under = skin.vertices[vertex] - depth * normals[vertex]
-            pairs = [(point, under)]
-            if row["side"] == "both":
-                pairs.append((bodyparts3d.reflect(point), under * [-1, 1, 1]))
-            anchors[row["kind"]] += pairs
-            if row["kind"] != "muscle":
-                depths += [(*source, depth, float(row["sd_mm"])) for source, _ in pairs]
-    table = np.array(depths)
-    bone, muscle = (
-        PointPairs(*np.array(anchors[kind]).transpose(1, 0, 2)) for kind in ("anchor", "muscle")
-    )
-    return bone, muscle, DepthTable(table[:, :3], table[:, 3], table[:, 4])
-
-
-MUSCLE_DEPTH_MM = 1.8
-"""Least depth of muscles and bones under the skin (dermis)."""
-LOWEST_Y = -105.0
-"""Anatomy below this height of the head takes no part in the fit."""
-BONE_SAMPLES = 900
-"""Points of one half of the bones whose depth is kept."""
-MUSCLE_SAMPLES = 120
-"""Points of each muscle that are kept inside the flesh."""
-BED_SAMPLES = 200
-"""Points of the bones that muscles stay attached to in the second warp."""
-WRAP_LO = np.array([-100.0, -110.0, 12.0])
-WRAP_HI = np.array([100.0, 155.0, 125.0])
-BURIED_MM = 4.0
-"""Around muscles inside wrapped bone, bones do not hold the second warp."""
-ON_MIDDLE_MM = 0.5
-LINING_DEPTH_MM = 0.3
-"""Least depth of muscles under the lining of mouth and eyelids."""
-BONE_GAP_MM = 0.2
-"""Least distance between muscles and wrapped bones."""
-
-Align = Callable[[Floats], Floats]
-
-
-@dataclass(frozen=True)
-class Anatomy:
-    """Bones and muscles of BodyParts3D inside the head; ``jaw`` is the mandible before wrapping."""
-
-    cranium: Surface
-    mandible: Surface
-    jaw: Surface
-    muscles: dict[str, Surface]
-
-
-def carry_anatomy(parts: dict[str, Part], kit: FaceKit) -> Anatomy:
-    """Return bone wraps and face muscles inside the head.
-
-    A first warp carries bones and muscles by teeth, eyes and soft-tissue depths. A second one
-    moves muscles only: it closes the lips' muscle around the mouth, which is open in BodyParts3D,
-    and takes muscles out of the wrapped bones and of the hollows of mouth and eyelids.
-
-    Raises :class:`InputError` (``anatomy.part``) for a part that is not there.
-    """
-    parts = bodyparts3d.symmetric(parts)
-    teeth = teeth_and_eyes(parts, kit)
-    anchors, muscle_anchors, depths = depth_landmarks(kit.skin)
-    scale, rotation, shift = similarity(teeth.source, teeth.target)
-
-    def align(points: Floats) -> Floats:
-        return scale * points @ rotation.T + shift
-
-    head, flesh = (
-        Surface(kit.skin.vertices, kit.skin.faces[ict_facekit.faces_within(kit.skin.faces, part)])
-        for part in (ict_facekit.HEAD, ict_facekit.FLESH)
-    )
-    outer = SkinDepth(head)
-    muscles = {
-        name: parts[name].surface.moved(align(parts[name].surface.vertices))
-        for name in bodyparts3d.muscle_names(parts)
-    }
-    sample = np.vstack([_sample(surface.vertices) for surface in muscles.values()])
-    sample = sample[(sample[:, 1] > LOWEST_Y) & (sample[:, 0] >= 0)]
-    bone_limits = _bone_limits(
-        bodyparts3d.merge_parts(parts, "cranium", "mandible"), align, depths, outer
-    )
-    landmarks = _left(
-        align(np.vstack([teeth.source, anchors.source])),
-        np.vstack([teeth.target, anchors.target]),
-    )
-    first = depth_warp(
-        landmarks,
-        [bone_limits, DepthLimits(sample, MUSCLE_DEPTH_MM, np.inf, outer)],
-        centres=300,
-        stiffness=0.5,
-    )
-    skull, jaw = (
-        surface.moved(first(align(surface.vertices)))
-        for surface in (
-            bodyparts3d.merge_parts(parts, "cranium"),
-            bodyparts3d.part_surface(parts, "mandible"),
-        )
-    )
-    cranium, mandible = wrap_bones(skull, jaw, head, VoxelGrid(WRAP_LO, WRAP_HI))
-    sample = first(sample)
-    wraps = [SkinDepth(cranium), SkinDepth(mandible)]
-    bed = first(bone_limits.points)
-    bed = bed[spread(bed, BED_SAMPLES)]
-    # What a wrap has swallowed has to come out: the bone beside it cannot be held there.
-    buried = sample[np.any([wrap.inside(sample) for wrap in wraps], axis=0)]
-    bed = bed[cKDTree(buried).query(bed)[0] > BURIED_MM]
-    landmarks = _left(
-        np.vstack([bed, first(align(muscle_anchors.source))]),
-        np.vstack([bed, muscle_anchors.target]),
-    )
-    second = depth_warp(
-        landmarks,
-        [
-            DepthLimits(sample, MUSCLE_DEPTH_MM, np.inf, outer),
-            DepthLimits(sample, LINING_DEPTH_MM, np.inf, SkinDepth(flesh)),
-            *[DepthLimits(sample, -np.inf, -BONE_GAP_MM, wrap) for wrap in wraps],
-        ],
-        centres=400,
-        stiffness=0.1,
-    )
-    muscles = {name: s.moved(second(first(s.vertices))) for name, s in muscles.items()}
-    return Anatomy(cranium, mandible, jaw, muscles)
-
-
-def _left(source: Floats, target: Floats) -> PointPairs:
-    left = source[:, 0] > -ON_MIDDLE_MM
-    return PointPairs(source[left], target[left])
-
-
-def _sample(vertices: Floats) -> Floats:
-    return vertices[spread(vertices, min(MUSCLE_SAMPLES, len(vertices) // 4))]
-
-
-def _bone_limits(bones: Surface, align: Align, table: DepthTable, depth: SkinDepth) -> DepthLimits:
-    aligned = align(bones.vertices)
-    near = np.flatnonzero(
-        (aligned[:, 1] > LOWEST_Y) & (bones.vertices[:, 0] > bodyparts3d.MIDDLE_X)
-    )
-    chosen = near[spread(aligned[near], BONE_SAMPLES)]
-    least, greatest = table.bounds(bones.vertices[chosen], MUSCLE_DEPTH_MM)
-    points = aligned[chosen]
-    mesh = trimesh.Trimesh(aligned, bones.faces, process=False)
-    _, deeper = depth(points)
-    # Only the outermost bone has a greatest depth: not the back of the orbit, not the inner table.
-    hidden = mesh.ray.intersects_any(  # type: ignore[no-untyped-call]
-        points - 0.5 * deeper, -deeper
-    )
-    greatest[hidden] = np.inf
-    return DepthLimits(points, least, greatest, depth)
-
 
 # Landmarks on both sides of the ICT-FaceKit face, and the soft-tissue depths at them.
 
@@ -304,8 +56,7 @@ def depth_table(skin: Floats) -> tuple[dict[str, int], tuple[Depth, ...]]:
     return both_sides(landmarks, skin), tuple(depths)
 
 
-# Landmarks and named regions of the ICT-FaceKit face.
-
+# Regions of the ICT-FaceKit face.
 
 # Vertices of the published 68 facial landmarks that bound the regions.
 LANDMARKS = {
@@ -366,16 +117,9 @@ def named_regions(skin: Floats, sides: Ints) -> dict[str, Ints]:
 # The template of the ICT-FaceKit topology with the anatomy of BodyParts3D.
 
 
-BACK_Z = 24.0
-BOTTOM_Y = -95.5
-PARTING = 0.4
-PARTING_EXPRESSIONS = (
-    "mouthLowerDown_L",
-    "mouthLowerDown_R",
-    "mouthUpperUp_L",
-    "mouthUpperUp_R",
-)
-CONDYLE_MM = 10.0
+BACK_Z, BOTTOM_Y = 24.0, -95.5  # cut planes, mm
+PARTING = 0.4  # weight of each expression that parts the lips
+PARTING_EXPRESSIONS = ("mouthLowerDown_L", "mouthLowerDown_R", "mouthUpperUp_L", "mouthUpperUp_R")
 
 
 def build_ict_template(anatomy_dir: Path, faces_dir: Path) -> Template:
@@ -455,13 +199,13 @@ def _moving_with_jaw(kit: FaceKit) -> Ints:
     return np.asarray(inner[with_jaw[inner] < with_head[inner]])
 
 
-def _condyles(mandible: Surface) -> Floats:
+def _condyles(mandible: Surface, size_mm: float = 10.0) -> Floats:
     """Return the centres (2, 3) of the left and right condyle: the highest point's surroundings."""
     centres = []
     for side in (1, -1):
         half = mandible.vertices[mandible.vertices[:, 0] * side > 0]
         back = half[half[:, 2] < np.quantile(half[:, 2], 0.3)]
         top = back[np.argmax(back[:, 1])]
-        near = back[np.linalg.norm(back - top, axis=1) < CONDYLE_MM]
+        near = back[np.linalg.norm(back - top, axis=1) < size_mm]
         centres.append((near.min(axis=0) + near.max(axis=0)) / 2)
     return np.array(centres)

@@ -1,4 +1,4 @@
-"""A stack with a stand-in pipeline, and a browser in front of it."""
+"""A stack with stand-in jobs, and a browser in front of it."""
 
 import os
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ import pytest
 from myoface.stack import Stack
 from service.settings import Settings
 from tests.servers import unavailable
-from tests.service_client import QUICK, Studio
+from tests.service_client import QUICK, STANDIN, Studio
 
 ROOT = Path(__file__).parents[2]
 CHROMIUM = Path("/usr/bin/chromium")
@@ -28,10 +28,9 @@ FLAGS = [
 
 @contextmanager
 def on_stage(data_dir: Path, **settings: Any) -> Iterator[tuple[Stack, Studio]]:
-    """Run a stack whose solver processes find the pipeline in ``standin``."""
-    path = os.pathsep.join([str(Path(__file__).parent / "standin"), str(ROOT)])
-    with mock.patch.dict(os.environ, PYTHONPATH=path):
-        stack = Stack(Settings(data_dir=data_dir, **{**QUICK, **settings}))
+    """Run a stack whose solver processes do stand-in jobs that take a while and leave pictures."""
+    with mock.patch.dict(os.environ, PYTHONPATH=str(ROOT), STANDIN_SHOW="1"):
+        stack = Stack(Settings(data_dir=data_dir, **{**QUICK, **STANDIN, **settings}))
     with stack, httpx.Client(base_url=stack.url, timeout=30) as http:
         yield stack, Studio(http, stack.key)
 

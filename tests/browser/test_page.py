@@ -296,7 +296,7 @@ def test_a_failure_is_told_in_words_and_lists_are_filtered(show: Show, studio: S
     page.reload()  # the address says what is shown
     page.locator(f'tr[data-job="{failed}"] a').first.click()
     notice = page.locator(".notice.bad")
-    notice.get_by_text("has a value that is not a number in line 3").wait_for()
+    notice.get_by_text("has a NaN in line 3").wait_for()
     assert "scan.nan" in notice.inner_text()
 
 

@@ -22,7 +22,7 @@ def test_a_scene_is_played_and_its_newest_frame_is_seen(show: Show, studio: Stud
     box.fill('{"fps": "fast"}')
     dialog.get_by_role("button", name="Submit").click()
     dialog.get_by_text("options.scene.fps").wait_for()
-    scene = {"duration": 12, "keys": [{"time": 0}]}
+    scene = {"duration": 12, "fps": 10, "damping": 0.2, "keys": [{"time": 0}]}
     box.fill(json.dumps(scene))
     dialog.get_by_role("button", name="Submit").click()
 

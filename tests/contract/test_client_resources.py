@@ -9,7 +9,6 @@ import pytest
 from myoface import resources
 from service.access.principal import Scope
 from service.app import create_app
-from service.kinds import KINDS
 from service.queue.states import FINAL, State
 from service.settings import Settings
 
@@ -52,8 +51,7 @@ def test_every_field_is_shown(resource: type[resources.Resource], schemas: dict[
     assert set(resource.model_fields) <= set(schemas[SHAPES[resource]]["properties"])
 
 
-def test_kinds_and_states_are_the_service_s() -> None:
+def test_scopes_and_states_are_the_service_s() -> None:
     assert set(get_args(resources.Scope)) == {str(scope) for scope in Scope}
-    assert set(get_args(resources.Kind)) == set(KINDS)
     assert set(get_args(resources.State)) == {str(state) for state in State}
     assert {str(state) for state in FINAL} == resources.FINAL_STATES

@@ -1,89 +1,123 @@
-"""The kinds of job say the same to the API and to the solver."""
+"""The contracts of kinds of job: what the declarations cannot say themselves."""
 
 from __future__ import annotations
 
-import dataclasses
-import importlib.util
-import inspect
-from collections.abc import Callable
+import subprocess
+import sys
+from importlib import import_module
 from pathlib import Path
 
+import jsonschema
 import pytest
 from typer.main import get_command
 
 from myoface.cli.offline import solve
 from service.captures import service as captures
-from service.kinds import KINDS
 from service.queue.wakeups import QUEUES
-from solver import pipeline
-from solver.errors import InputError
+from solver.kinds import KINDS, OptionsError
 from solver.mechanics.linear import DOUBLE, SOLVERS
 from solver.meshio import raw, registered
-from solver.rig import (
-    frames,
-)
+from solver.rig import frames
 from solver.scans import performance
-from solver.scene import document
 from worker import attempt
 
-ROOT = Path(__file__).parents[2]
-FILES = {"fit_activations": 2, "fit_sequence": 3, "build_preview": 3}
-"""How many files a kind of job reads, besides captures."""
+STANDINS = Path(__file__).parents[1] / "standin" / "jobs"
+HEAVY = ("numpy", "scipy", "numba", "jsonschema", "sqlalchemy")
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_options_are_those_of_the_pipeline(kind: str, tmp_path: Path) -> None:
-    files = FILES.get(kind, 1) * [tmp_path / "x"]
-    scans = [{"smile": tmp_path / "smile.obj"}] if "captures" in KINDS[kind].reads else []
-    with pytest.raises(InputError) as caught:
-        getattr(pipeline, kind)(*files, *scans, tmp_path, options={"no such option": 1})
-    assert caught.value.code == "options.unknown"
-    known_to_the_worker = ["role"] if kind == "check_scan" else []
-    options = [*KINDS[kind].options["properties"], *known_to_the_worker]
-    assert caught.value.context["expected"] == sorted(options)
+def test_every_kind_has_a_job_and_a_queue(kind: str) -> None:
+    assert callable(import_module(f"solver.jobs.{kind}").run)
     assert KINDS[kind].queue in QUEUES
+
+
+def test_stand_ins_are_for_kinds_that_there_are() -> None:
+    assert {path.stem for path in STANDINS.glob("[a-z]*.py")} <= set(KINDS)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_option_is_explained_and_has_a_default_but_a_document(kind: str) -> None:
+    schema = KINDS[kind].schema
+    jsonschema.Draft202012Validator.check_schema(schema)
+    for rules in schema["properties"].values():
+        assert rules["description"]
+        assert "default" in rules or "$ref" in rules
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_command_line_has_the_options_and_their_defaults(kind: str) -> None:
     command = get_command(solve).commands[kind.removeprefix("fit_").replace("_", "-")]
     given = {param.name: param for param in command.params}
-    for option, schema in KINDS[kind].options["properties"].items():
+    for option, schema in KINDS[kind].schema["properties"].items():
         assert given[option].default in (schema.get("default"), None)
 
 
-@pytest.mark.parametrize("folder", ["tests/standin", "tests/browser/standin"])
-def test_stand_ins_are_called_as_the_pipeline_is(folder: str) -> None:
-    made = importlib.util.spec_from_file_location("standin", ROOT / folder / "solver/pipeline.py")
-    assert made is not None
-    assert made.loader is not None
-    standin = importlib.util.module_from_spec(made)
-    made.loader.exec_module(standin)
-    for kind in KINDS.keys() & vars(standin).keys():
-        real, played = (_arguments(getattr(each, kind)) for each in (pipeline, standin))
-        assert played[0] == real[0], kind
-        assert played[1] <= real[1], kind
-    files = {each.name for each in dataclasses.fields(pipeline.PersonFiles)}
-    assert set(standin.PersonFiles._fields) == files
+def test_contracts_load_no_numerics() -> None:
+    words = f"import sys, solver.kinds; print([m for m in {HEAVY!r} if m in sys.modules])"
+    found = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True)
+    assert found.stdout.strip() == "[]"
 
 
-def _arguments(call: Callable[..., object]) -> tuple[list[str], set[str]]:
-    """Return the names of what is given by its place, and by its name only."""
-    known = inspect.signature(call).parameters.values()
-    named = {each.name for each in known if each.kind is each.KEYWORD_ONLY}
-    return [each.name for each in known if each.name not in named], named
+@pytest.mark.parametrize(
+    ("kind", "options", "where", "message"),
+    [
+        (
+            "simulate",
+            {"scene": {"keys": [{"time": 0}], "forces": [{"kind": "wind", "m_s": [1, 2]}]}},
+            "options.scene.forces[0].m_s",
+            "[1, 2] is too short",
+        ),
+        (
+            "build_model",
+            {"edge_mm": 1},
+            "options.edge_mm",
+            "1 is less than the minimum of 3",
+        ),
+        (
+            "build_model",
+            {"edge": 9},
+            "options.edge",
+            "build_model has no such option; it has edge_mm",
+        ),
+        (
+            "fit_geometry",
+            {"linear_solver": "rslab-single"},
+            "options.linear_solver",
+            "'rslab-single' is not one of 'rslab', 'cholmod', 'superlu' or None",
+        ),
+        ("fit_sequence", {"fps": 0}, "options.fps", "0 is less than or equal to the minimum of 0"),
+        ("fit_sequence", {"start": 1.5}, "options.start", "1.5 is not of type 'integer'"),
+        ("edit", {}, "options", "'scene' is a required property"),
+        (
+            "edit",
+            {"scene": {"edits": [{"kind": "bone", "at": None}]}},
+            "options.scene.edits[0]",
+            "'bone' is a required property",
+        ),
+        (
+            "edit",
+            {"scene": {"edits": [{"kind": "wings"}]}},
+            "options.scene.edits[0].kind",
+            "'wings' is not one of ['fat', 'filler', 'bone', 'stiffness', 'density', 'paralysis']",
+        ),
+        (
+            "simulate",
+            {"scene": {"keys": [{"time": 0, "muscles": {"a b": 9}}]}},
+            "options.scene.keys[0].muscles['a b']",
+            "9 is greater than the maximum of 1.5",
+        ),
+    ],
+)
+def test_a_fault_names_the_place_the_value_and_its_bounds(
+    kind: str, options: dict[str, object], where: str, message: str
+) -> None:
+    with pytest.raises(OptionsError) as caught:
+        KINDS[kind].read(options)
+    assert caught.value.faults[0].as_dict() == {"where": where, "message": message}
 
 
-def test_scenes_are_those_of_the_solver() -> None:
-    for kind in ("simulate", "animate", "edit"):
-        assert KINDS[kind].options["$defs"] == document.DEFINITIONS
-        assert f"{kind}_scene" in document.DEFINITIONS
-
-
-def test_a_fault_in_a_scene_is_named_where_it_is() -> None:
-    scene = {"keys": [{"time": 0}], "forces": [{"kind": "wind", "m_s": [1, 2]}]}
-    [fault] = KINDS["simulate"].faults({"scene": scene})
-    assert fault == {"where": "options.scene.forces[0].m_s", "message": "[1, 2] is too short"}
+def test_whole_numbers_may_be_written_with_a_point() -> None:
+    assert KINDS["fit_geometry"].read({"rounds": 5.0}).model_dump()["rounds"] == 5
 
 
 def test_scans_may_be_what_the_solver_reads() -> None:
@@ -97,13 +131,9 @@ def test_frames_are_where_the_worker_looks() -> None:
     assert attempt.FRAMES == frames.FRAMES
 
 
-def test_linear_solvers_are_those_of_the_solver() -> None:
-    for kind, names in (
-        ("fit_geometry", DOUBLE),
-        ("fit_activations", SOLVERS),
-        ("fit_sequence", SOLVERS),
-        ("simulate", SOLVERS),
-        ("animate", SOLVERS),
-    ):
-        offered = KINDS[kind].options["properties"]["linear_solver"]["enum"]
-        assert offered == [*names, None]
+@pytest.mark.parametrize("kind", KINDS)
+def test_linear_solvers_are_those_of_the_solver(kind: str) -> None:
+    rules = KINDS[kind].schema["properties"].get("linear_solver")
+    if rules is not None:
+        names = DOUBLE if kind == "fit_geometry" else SOLVERS
+        assert rules["enum"] == [*names, None]

@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from solver.pipeline.fits import fit_geometry
-from solver.pipeline.models import build_model
+from solver.jobs import run_job
 from solver.templates.builtin.build import builtin_capture_set
 
 ROOT = Path(__file__).parents[2]
@@ -25,8 +24,9 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder like that of `make demo`: a coarse rig of the built-in face."""
     folder = tmp_path_factory.mktemp("rig")
     scans = builtin_capture_set().first(2, 0).write(folder / "scans")
-    build_model(scans.pop("neutral"), folder, options={"edge_mm": 16.0})
-    fit_geometry(folder / "model.npz", scans, folder, options={"rounds": 2})
+    neutral, model = scans.pop("neutral"), folder / "model.npz"
+    run_job("build_model", folder, options={"edge_mm": 16.0}, neutral=neutral)
+    run_job("fit_geometry", folder, options={"rounds": 2}, captures=scans, model=model)
     return folder
 
 

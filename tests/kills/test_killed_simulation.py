@@ -16,15 +16,15 @@ import pytest
 from myoface.stack import Stack
 from service.settings import Settings
 from solver.anatomy.template import ShapeBasis
+from solver.jobs import run_job
+from solver.jobs.animate import SAVED_EVERY
 from solver.model import SubjectModel
-from solver.pipeline import PersonFiles, simulate
-from solver.pipeline.scenes import SAVED_EVERY
 from solver.rig.result import ExpressionFit, save_activations, save_weights
 from solver.scans.live_link import ARKIT_NAMES
 from tests.service_client import QUICK, ROOT, Studio, eventually, served
 from tests.solver.ball import ball_template
 from tests.solver.block import head_block
-from tests.solver.pipeline.test_scenes import recording
+from tests.solver.jobs.test_scenes import recording
 
 SWAY = {
     "mode": "dynamic",
@@ -73,9 +73,9 @@ def test_killed_processes_cost_no_frame_and_the_animation_ends_once(
         content = http.get(f"/v1/artifacts/{arrays['id']}").content
     with np.load(io.BytesIO(content)) as data:
         pieced = data["skin"]
-    options = {"scene": SWAY}
-    person = PersonFiles(tmp_path / "model.npz", tmp_path / "muscle_weights.npz", tmp_path)
-    simulate(person, tmp_path / "whole", options=options)
+    files = {"model": "model.npz", "weights": "muscle_weights.npz", "rig": "activations.npz"}
+    given = {name: tmp_path / file for name, file in files.items()}
+    run_job("simulate", tmp_path / "whole", options={"scene": SWAY}, **given)
     with np.load(tmp_path / "whole" / "animation.npz") as data:
         assert np.abs(data["skin"][40] - data["skin"][0]).max() > 2.0
         np.testing.assert_allclose(pieced, data["skin"], atol=0.05)

@@ -25,7 +25,6 @@ from service.store.models import DEFAULT_TENANT, Job, LogLine, Subject
 from worker import solve
 from worker.abilities import abilities
 from worker.attempt import FRAMES, KEPT, AttemptFolder
-from worker.kinds import Call
 from worker.supervise import Supervisor
 
 
@@ -182,9 +181,10 @@ def test_a_solver_without_room_puts_its_job_off(
     folder.stage(store.files)
     reading, writing = os.pipe()
     process = {"parent": os.getppid(), "memory_bytes": 1 << 40, "progress_fd": writing}
+    process["jobs"] = "solver.jobs"
     (folder.path / "process.json").write_text(json.dumps(process))
 
-    def full(_task: object) -> None:
+    def full(*_: object, **__: object) -> None:
         try:
             raise OSError(errno.ENOSPC, "No space left on device")
         except OSError as error:
@@ -192,7 +192,7 @@ def test_a_solver_without_room_puts_its_job_off(
 
     monkeypatch.setattr(solve, "die_with_parent", lambda *_: None)
     monkeypatch.setattr(solve.resource, "setrlimit", lambda *_: None)
-    monkeypatch.setitem(solve.CALLS, "build_model", Call(full, "model.json"))
+    monkeypatch.setattr(solve, "run_job", full)
     code = solve.main(folder.path)
     os.close(reading)
     supervisor = Supervisor(store, settings, abilities(settings), threading.Event())

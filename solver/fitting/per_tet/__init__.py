@@ -13,6 +13,5 @@ a and b are solved for together (global). From the neutral face a fit goes in vi
 
 from solver.fitting.per_tet.fit import PerTetFit, fit
 from solver.fitting.per_tet.objective import Objective, PerTetOptions
-from solver.fitting.per_tet.tissue import rest_state
 
-__all__ = ["Objective", "PerTetFit", "PerTetOptions", "fit", "rest_state"]
+__all__ = ["Objective", "PerTetFit", "PerTetOptions", "fit"]

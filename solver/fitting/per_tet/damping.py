@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from solver.fitting import stretches
-from solver.fitting.objective import JAW_UNITS
+from solver.fitting.controls import JAW_UNITS
+from solver.fitting.least_squares import DampingOptions
 from solver.surface import Floats
 
-LARGEST_STEP = 0.5
-LARGEST_JAW_STEP = 2.0
-"""How far the linear model is trusted: a tet's change |dS(a_i)|, relative, and the jaw's in mm."""
 
-DAMPING_START = 1.0
-JAW_DAMPING_START = 1e-2
-DAMPING_LEAST = 1e-7
-DAMPING_FALL = 0.25
-DAMPING_GROWTH = 8.0
-"""By what a damping falls and grows at most from step to step."""
+@dataclass(frozen=True)
+class PerTetDamping:
+    """Trust in the linear model, and the rules of the tets' dampings and of the jaw's."""
 
-DAMPING_REFUSED = 16.0
-"""By what all dampings grow when a step and its half are refused."""
+    largest_step: float = 0.5  # a tet's change |dS(a_i)|, relative
+    largest_jaw_step: float = 2.0  # mm
+    tets: DampingOptions = field(default_factory=lambda: DampingOptions(1.0, least=1e-7, grow=8.0))
+    jaw: DampingOptions = field(default_factory=lambda: DampingOptions(1e-2, least=1e-7, grow=8.0))
+    refused: float = 16.0  # factor for all when a step and its half are refused
+
+    @property
+    def fall(self) -> float:
+        """Return what a damping falls to at most, as a part of itself."""
+        return 1.0 / self.tets.shrink
+
+
+OPTIONS = PerTetDamping()  # today's
 
 
 @dataclass(frozen=True)
@@ -36,21 +42,22 @@ class Damping:
 
     tets: Floats
     jaw: float
-    fall: float = DAMPING_FALL
+    fall: float = OPTIONS.fall
 
     @classmethod
     def start(cls, count: int) -> Damping:
         """Return the damping of the first step."""
-        return cls(np.full(count, DAMPING_START), JAW_DAMPING_START)
+        return cls(np.full(count, OPTIONS.tets.start), OPTIONS.jaw.start)
 
     def limited(self, at: Floats, a: Floats, b: Floats) -> tuple[Floats, Floats, Damping]:
         """Cut a step (a, b) from activations ``at`` tet by tet; return it and the next damping."""
-        length = np.sqrt(np.einsum("ei,eij,ej->e", a, stretches.metric(at), a)) / LARGEST_STEP
-        jaw = float(np.abs(JAW_UNITS * b).max()) / LARGEST_JAW_STEP
-        tets = self.tets * np.clip(length, self.fall, DAMPING_GROWTH)
+        length = (
+            np.sqrt(np.einsum("ei,eij,ej->e", a, stretches.metric(at), a)) / OPTIONS.largest_step
+        )
+        jaw = float(np.abs(JAW_UNITS * b).max()) / OPTIONS.largest_jaw_step
         damping = Damping(
-            np.maximum(tets, DAMPING_LEAST),
-            max(self.jaw * min(max(jaw, self.fall), DAMPING_GROWTH), DAMPING_LEAST),
+            OPTIONS.tets.scale(self.tets, length, self.fall),
+            float(OPTIONS.jaw.scale(np.array(self.jaw), np.array(jaw), self.fall)),
             self.fall,
         )
         return a / np.maximum(length, 1.0)[:, None], b / max(jaw, 1.0), damping
@@ -62,7 +69,7 @@ class Damping:
     @property
     def hindered(self) -> bool:
         """Tell whether small gains may be the damping's doing."""
-        return self.fall > DAMPING_FALL
+        return self.fall > OPTIONS.fall
 
     def afresh(self) -> Damping:
         """Return this damping without the memory of refused steps."""
@@ -70,5 +77,5 @@ class Damping:
 
     def after_refusal(self) -> Damping:
         """Return the damping to try again with."""
-        raised = self.raised(DAMPING_REFUSED)
+        raised = self.raised(OPTIONS.refused)
         return Damping(raised.tets, raised.jaw, float(np.sqrt(self.fall)))

@@ -51,7 +51,8 @@ class Step:
     ) -> Step:
         """Minimise the damped Gauss-Newton model at a state."""
         model = objective.quadratic(state, damping)
-        return cls(state, value, model, *damping.limited(state.pose.a, *solver.step(model, state)))
+        a, b = state.pose.layout.split(solver.step(model, state))
+        return cls(state, value, model, *damping.limited(state.pose.a, a, b))
 
     def pose(self, part: float = 1.0) -> Pose:
         """Return the pose that a part of the step leads to."""
@@ -79,8 +80,8 @@ class Step:
         rest of the way, and the derivatives would be those of another equilibrium.
         """
         before = self.state.pose
-        motion = self.model.response.motion(pose.a - before.a, pose.b - before.b)
-        free = motion[self.model.response.free]
+        motion = self.model.response.motion(pose.vector() - before.vector())
+        free = motion.ravel()[self.model.response.free]
         near = tissue.face.newton_predict(self.state, free, pose)
         return tissue.face.solve_equilibrium(pose, near.x, max_iterations=CORRECTIONS)
 

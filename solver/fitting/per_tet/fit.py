@@ -60,8 +60,8 @@ def fit(
     """
     options = options or PerTetOptions()
     tissue = tissues.of_face(face)
-    state = start or tissues.rest_state(tissue)
-    if state.pose.a.shape != (len(tissue.active), 6):
+    state = start or tissue.face.rest_state()
+    if state.pose.layout is not tissue.face.layout:
         raise InputError("start.activations", "the start has not six activations per active tet")
     objective = Objective(tissue, data, options, state.pose.b)
     taken, value = 0, objective.value(state)

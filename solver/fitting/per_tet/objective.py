@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from solver.fitting import stretches
+from solver.fitting.controls import JAW_UNITS
 from solver.fitting.face import Pose, State
-from solver.fitting.objective import JAW_UNITS, Term, determinant_gradients, determinants
+from solver.fitting.objective import Term, determinant_gradients, determinants
 from solver.fitting.per_tet.damping import Damping
-from solver.fitting.per_tet.saddle import Quadratic, Response
+from solver.fitting.per_tet.saddle import Linearisation, Quadratic
 from solver.fitting.per_tet.tissue import Tissue
 from solver.fitting.stretches import FROBENIUS
 from solver.mechanics.flesh import IDENTITY
@@ -174,14 +175,14 @@ class Objective:
             + 0.5 * options.w_b * jaw @ jaw
         )
 
-    def prior_gradient(self, pose: Pose) -> tuple[Floats, Floats]:
-        """Return the derivatives of :meth:`prior_value` by a, (n_active, 6), and by b, (5,)."""
+    def prior_gradient(self, pose: Pose) -> Floats:
+        """Return the derivative of :meth:`prior_value` by (a, b)."""
         options, a = self._options, pose.a
         by_a = options.w_act * self._contraction.gradient(a, self.contractions(a))
         by_a = by_a + options.w_sparse * self._sparsity.gradient(a)
         stretch = 2.0 * options.w_volume * self._volumes * (determinants(a) - 1.0)
         by_a = by_a + stretch[:, None] * determinant_gradients(a)
-        return by_a, options.w_b * JAW_UNITS**2 * (pose.b - self._b)
+        return pose.layout.join([by_a, options.w_b * JAW_UNITS**2 * (pose.b - self._b)])
 
     def prior_blocks(self, a: Floats) -> Floats:
         """Return the Gauss-Newton Hessian of :meth:`prior_value` by each tet's a, (n_active, 6, 6).
@@ -199,14 +200,13 @@ class Objective:
     def quadratic(self, state: State, damping: Damping) -> Quadratic:
         """Return the Gauss-Newton model of f at a state, damped."""
         options, a = self._options, state.pose.a
-        response = Response(self.tissue, state)
-        by_a, by_b = response.transposed(self._data.gradient(state.estimate).ravel())
-        prior_by_a, prior_by_b = self.prior_gradient(state.pose)
+        response = Linearisation(self.tissue, state)
+        gradient = response.adjoint(self._data.gradient(state.estimate))
         blocks = self.prior_blocks(a)
         blocks += 2.0 * (damping.tets * self._volumes)[:, None, None] * stretches.metric(a)
         return Quadratic(
             response,
-            (by_a + prior_by_a, by_b + prior_by_b),
+            gradient + self.prior_gradient(state.pose),
             self._data.curvature(state.estimate),
             blocks,
             (options.w_b + damping.jaw) * JAW_UNITS**2,

@@ -26,8 +26,8 @@ import scipy.sparse as sp
 from solver.errors import SolveError
 from solver.fitting.face import State
 from solver.fitting.per_tet.tissue import Tissue
-from solver.fitting.sensitivity import coordinates, force_columns
-from solver.mechanics import jaw
+from solver.fitting.sensitivity import PoseRates
+from solver.mechanics.response import Response
 from solver.surface import Floats, Ints
 
 SHIFTS = (1e-7, 1e-5, 1e-3)
@@ -37,43 +37,24 @@ LEAST_SCALE = 1e-3
 """What counts as the data's curvature, in balanced units, where damping dwarfs it."""
 
 
-class Response:
-    """The derivatives dx/d(a, b) of a tissue's equilibrium at one state, as products."""
+class Linearisation:
+    """A tissue's equilibrium at one state: J z and J^T g, and what the forces are by (a, b)."""
 
     def __init__(self, tissue: Tissue, state: State) -> None:
-        face, flesh = tissue.face, tissue.face.flesh
-        a = face.tet_activations(state.pose.a)
-        self.forces = flesh.forces_by_activation(state.x, a)[tissue.active]
-        direct = face.mandible_jacobian(state.pose.b)
-        self.by_jaw = flesh.coupling(state.x, a, direct)
-        self.jaw = direct[face.model.mandible].reshape(-1, jaw.DEGREES_OF_FREEDOM)
-        self.free = coordinates(flesh.free)
-        self.moving = coordinates(face.model.mandible)
-        self.factor = state.equilibrium.factor
-        columns = self.forces.transpose(0, 3, 1, 2).reshape(-1, 4, 3)
-        numbers = np.repeat(flesh.free_numbers[flesh.tets[tissue.active]], 6, axis=0)
-        self._G = force_columns(columns, numbers, flesh.size)
-        self._coordinates = 3 * len(flesh.rest)
+        flesh = tissue.face.flesh
+        self.layout = state.pose.layout
+        self.rates = PoseRates.at(tissue.face, state.pose, state.x)
+        self.forces = self.rates.by_tet[tissue.active]
+        self.free = flesh.free_coordinates
+        self._response = Response(flesh, state.equilibrium.factor)
 
-    def pull(self, a: Floats, b: Floats) -> Floats:
-        """Return G a + B b, the free gradient's change (size,) by a (n_active, 6) and b (5,)."""
-        return np.asarray(self._G @ a.ravel() + self.by_jaw @ b)
+    def motion(self, change: Floats) -> Floats:
+        """Return J z: the vertices' motion (p, 3)."""
+        return self._response.product(self.rates, change)
 
-    def pulled(self, flesh: Floats) -> tuple[Floats, Floats]:
-        """Return the transpose of :meth:`pull` applied to (size,): (n_active, 6) and (5,)."""
-        return np.asarray(self._G.T @ flesh).reshape(-1, 6), self.by_jaw.T @ flesh
-
-    def motion(self, a: Floats, b: Floats) -> Floats:
-        """Return J z: the change of the vertices' coordinates (3 p,)."""
-        out = np.zeros(self._coordinates)
-        out[self.free] = -self.factor.solve(self.pull(a, b))
-        out[self.moving] = self.jaw @ b
-        return out
-
-    def transposed(self, gradient: Floats) -> tuple[Floats, Floats]:
-        """Return J^T g for g by the coordinates (3 p,): (n_active, 6) and (5,)."""
-        by_a, by_b = self.pulled(-self.factor.solve(gradient[self.free]))
-        return by_a, by_b + self.jaw.T @ gradient[self.moving]
+    def adjoint(self, gradient: Floats) -> Floats:
+        """Return J^T g for g by the vertices, (p, 3)."""
+        return self._response.adjoint(self.rates, gradient)
 
 
 @dataclass(frozen=True)
@@ -83,16 +64,18 @@ class Quadratic:
     ``data`` (3 p, 3 p) is C; ``a`` (n_active, 6, 6) and ``b`` (5,) are R's blocks and diagonal.
     """
 
-    response: Response
-    gradient: tuple[Floats, Floats]
+    response: Linearisation
+    gradient: Floats
     data: sp.csr_array
     a: Floats
     b: Floats
 
-    def product(self, a: Floats, b: Floats) -> tuple[Floats, Floats]:
+    def product(self, z: Floats) -> Floats:
         """Return (R + J^T C J) z for z = (a, b)."""
-        by_a, by_b = self.response.transposed(self.data @ self.response.motion(a, b))
-        return by_a + np.einsum("eij,ej->ei", self.a, a), by_b + self.b * b
+        pull = (self.data @ self.response.motion(z).ravel()).reshape(-1, 3)
+        a, b = self.response.layout.split(z)
+        prior = self.response.layout.join([np.einsum("eij,ej->ei", self.a, a), self.b * b])
+        return self.response.adjoint(pull) + prior
 
 
 class SaddleSolver:
@@ -105,28 +88,27 @@ class SaddleSolver:
         self._analysis: Any = None
         self._pattern: tuple[Ints, Ints] | None = None
 
-    def step(self, model: Quadratic, state: State) -> tuple[Floats, Floats]:
-        """Return the step (a, b) that minimises the ``model``, made at ``state``."""
+    def step(self, model: Quadratic, state: State) -> Floats:
+        """Return the step (6 n_active + 5,) that minimises the ``model``, made at ``state``."""
         precondition = self._preconditioner(model, state)
-        a, b = np.zeros_like(model.gradient[0]), np.zeros_like(model.gradient[1])
-        residual = (-model.gradient[0], -model.gradient[1])
-        direction = precondition(*residual)
-        square = first = _dot(residual, direction)
+        found = np.zeros_like(model.gradient)
+        residual = -model.gradient
+        direction = precondition(residual)
+        square = first = float(residual @ direction)
         for _ in range(self._iterations):
-            image = model.product(*direction)
-            length = square / _dot(direction, image)
-            a, b = a + length * direction[0], b + length * direction[1]
-            residual = residual[0] - length * image[0], residual[1] - length * image[1]
-            nearer = precondition(*residual)
-            previous, square = square, _dot(residual, nearer)
+            image = model.product(direction)
+            length = square / float(direction @ image)
+            found = found + length * direction
+            residual = residual - length * image
+            nearer = precondition(residual)
+            previous, square = square, float(residual @ nearer)
             if square <= self._tolerance**2 * first:
                 break
-            ratio = square / previous
-            direction = nearer[0] + ratio * direction[0], nearer[1] + ratio * direction[1]
-        return a, b
+            direction = nearer + square / previous * direction
+        return found
 
     def _preconditioner(self, model: Quadratic, state: State) -> Any:
-        """Return the map (a, b) -> approximately (R + J^T C J)^-1 (a, b)."""
+        """Return the map z -> approximately (R + J^T C J)^-1 z."""
         flesh, response = self._tissue.face.flesh, model.response
         inverse = np.linalg.inv(model.a)
         weighted = np.einsum("euiq,eqr->euir", response.forces, inverse)
@@ -136,10 +118,10 @@ class SaddleSolver:
         activation = self._tissue.face.tet_activations(state.pose.a)
         H = flesh.hessian(state.x, activation, project=not state.equilibrium.minimum)
         C = model.data[response.free][:, response.free]
-        E = model.data[response.free][:, response.moving] @ response.jaw
-        Cb = response.jaw.T @ (
-            model.data[response.moving][:, response.moving] @ response.jaw
-        ) + np.diag(model.b)
+        layout, rates = response.layout, response.rates
+        jaw = rates.held[:, layout["jaw"]]
+        E = (model.data[response.free] @ jaw).toarray()
+        Cb = (jaw.T @ (model.data @ jaw)).toarray() + np.diag(model.b)
 
         # balanced units: x counts p, lambda counts q
         stiffness = H.diagonal().mean()
@@ -152,19 +134,21 @@ class SaddleSolver:
             p * q * H,
             q * q * K,
             p * E * s,
-            q * response.by_jaw * s,
+            q * rates.by_jaw * s,
             s[:, None] * Cb * s,
         )
         size = flesh.size
 
-        def precondition(a: Floats, b: Floats) -> tuple[Floats, Floats]:
+        def precondition(z: Floats) -> Floats:
+            a, b = layout.split(z)
             weighted = np.einsum("eij,ej->ei", inverse, a)
             right = np.zeros(2 * size + len(b))
-            right[size : 2 * size] = -q * response.pull(weighted, np.zeros_like(b))
+            right[size : 2 * size] = -q * rates.product(layout.join([weighted, np.zeros_like(b)]))
             right[2 * size :] = s * b
             solution = solve(right)
-            by_a, _ = response.pulled(q * solution[size : 2 * size])
-            return weighted - np.einsum("eij,ej->ei", inverse, by_a), s * solution[2 * size :]
+            by_a, _ = layout.split(rates.adjoint(q * solution[size : 2 * size]))
+            a = weighted - np.einsum("eij,ej->ei", inverse, by_a)
+            return layout.join([a, s * solution[2 * size :]])
 
         return precondition
 
@@ -202,7 +186,3 @@ class SaddleSolver:
             self._pattern = lower.indptr, lower.indices
             self._analysis = rslab.analyze(lower, path="ldlt", ordering="metis", threads=1)
         return self._analysis
-
-
-def _dot(left: tuple[Floats, Floats], right: tuple[Floats, Floats]) -> float:
-    return float(np.vdot(left[0], right[0]) + left[1] @ right[1])

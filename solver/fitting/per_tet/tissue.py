@@ -15,8 +15,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.errors import InputError
-from solver.fitting.face import Face, Pose, State
-from solver.mechanics.flesh import IDENTITY, Flesh
+from solver.fitting.face import Face
+from solver.mechanics.flesh import Flesh
 from solver.surface import Floats, Ints
 
 LEAST_SHARE = 0.05
@@ -99,9 +99,3 @@ def of_face(face: Face) -> Tissue:
     return Tissue(
         face.with_flesh(flesh).with_weights(selection), active, shares, model.fibres[kept]
     )
-
-
-def rest_state(tissue: Tissue) -> State:
-    """Return the neutral face with passive flesh."""
-    pose = Pose(np.tile(IDENTITY, (len(tissue.active), 1)), np.zeros(5))
-    return tissue.face.solve_equilibrium(pose, tissue.face.model.rest)

@@ -14,7 +14,6 @@ from solver.errors import SolveError
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Term
 from solver.fitting.sensitivity import coordinates
-from solver.mechanics.jaw import DEGREES_OF_FREEDOM
 from solver.surface import Floats, Ints
 
 SUCCESS = (0, 1)
@@ -140,13 +139,13 @@ def finite(value: float) -> float:
 
 
 class Data:
-    """A term's derivatives by (x of the free vertices, b), b from variable ``jaw`` on.
+    """A term's derivatives by (x of the free vertices, b), b being the variables ``jaw``.
 
     The pattern of the term's curvature is that at rest: what is curved elsewhere only, as contact
     is, has its gradient alone, which slows IPOPT but moves no minimum.
     """
 
-    def __init__(self, face: Face, term: Term, jaw: int) -> None:
+    def __init__(self, face: Face, term: Term, jaw: Ints) -> None:
         self._face = face
         self._term = term
         self._free = coordinates(face.flesh.free)
@@ -157,13 +156,10 @@ class Data:
         self._rows, self._columns = by_free.row[lower], by_free.col[lower]
         touched = curvature[self._riding][:, self._free].tocoo().col
         self._crossed = np.unique(touched)
-        b = np.arange(DEGREES_OF_FREEDOM)
-        self._square = np.tril_indices(DEGREES_OF_FREEDOM)
+        self._square = np.tril_indices(len(jaw))
         self.structure = (
-            np.concatenate(
-                [self._rows, np.repeat(jaw + b, len(self._crossed)), jaw + self._square[0]]
-            ),
-            np.concatenate([self._columns, np.tile(self._crossed, len(b)), jaw + self._square[1]]),
+            np.concatenate([self._rows, np.repeat(jaw, len(self._crossed)), jaw[self._square[0]]]),
+            np.concatenate([self._columns, np.tile(self._crossed, len(jaw)), jaw[self._square[1]]]),
         )
 
     def gradient(self, x: Floats, b: Floats) -> tuple[Floats, Floats]:
@@ -190,4 +186,4 @@ class Data:
     def _turned(self, b: Floats) -> Floats:
         """Return the mandible's coordinates by b, (k, 5)."""
         direct = self._face.mandible_jacobian(b)[self._face.model.mandible]
-        return direct.reshape(-1, DEGREES_OF_FREEDOM)
+        return direct.reshape(-1, direct.shape[2])

@@ -12,12 +12,13 @@ from typing import Protocol
 import numpy as np
 import scipy.sparse as sp
 
+from solver.fitting.controls import JAW_UNITS, pose_layout
 from solver.fitting.face import Face, Pose
-from solver.fitting.objective import JAW_UNITS, Regulariser, Term
-from solver.fitting.per_tet import Objective, PerTetOptions, rest_state
+from solver.fitting.objective import Regulariser, Term
+from solver.fitting.per_tet import Objective, PerTetOptions
 from solver.fitting.per_tet import tissue as tissues
 from solver.fitting.reference.common import Data, Listener, Problem, Reference, finite, solve
-from solver.fitting.sensitivity import gradient_by_pose
+from solver.fitting.sensitivity import PoseRates
 from solver.surface import Floats, Ints
 
 
@@ -43,10 +44,11 @@ class Expression:
     def __init__(self, face: Face, candidates: sp.csr_array, data: Term, priors: Priors) -> None:
         self.face = face
         self.flesh = face.flesh
-        self._muscles = candidates.shape[1] - 1
-        self.count = self.flesh.size + 6 * self._muscles + 5
+        self._layout = layout = pose_layout(candidates.shape[1] - 1)
+        self.count = self.flesh.size + layout.size
+        muscles, jaw = (self.flesh.size + layout.places(b.name) for b in layout.blocks)
         self._data = data
-        self._by_data = Data(face, data, self.count - 5)
+        self._by_data = Data(face, data, jaw)
         self._priors = priors
         self._pose_entries = np.nonzero(self._touched(candidates))
         pattern = self.flesh.hessian(self.flesh.rest, self.flesh.passive())
@@ -55,26 +57,25 @@ class Expression:
             np.concatenate([rows, self._pose_entries[0]]),
             np.concatenate([pattern.indices, self.flesh.size + self._pose_entries[1]]),
         )
-        self._block = np.tril_indices(6)
-        first = self.flesh.size + 6 * np.arange(self._muscles)[:, None]
-        by_data, jaw = self._by_data.structure, np.arange(self.count - 5, self.count)
+        self._block = np.tril_indices(muscles.shape[1])
+        by_data = self._by_data.structure
         self.hessian_structure: tuple[Ints, Ints] = (
-            np.concatenate([by_data[0], (first + self._block[0]).ravel(), jaw]),
-            np.concatenate([by_data[1], (first + self._block[1]).ravel(), jaw]),
+            np.concatenate([by_data[0], muscles[:, self._block[0]].ravel(), jaw]),
+            np.concatenate([by_data[1], muscles[:, self._block[1]].ravel(), jaw]),
         )
 
     def start(self, pose: Pose, x: Floats) -> Floats:
         """Return z of a pose and x (p, 3)."""
-        return np.concatenate([x[self.flesh.free].ravel(), pose.a.ravel(), pose.b])
+        return np.concatenate([x[self.flesh.free].ravel(), pose.vector()])
 
     def pose(self, z: Floats) -> Pose:
         """Return a and b."""
-        return Pose(z[self.flesh.size : -5].reshape(-1, 6), z[-5:])
+        return Pose(*self._layout.split(z[self.flesh.size :]))
 
     def place(self, z: Floats) -> Floats:
         """Return x (p, 3), the mandible being where b puts it."""
         x = self.face.model.rest.copy()
-        x[self.face.model.mandible] = self.face.mandible(z[-5:])
+        x[self.face.model.mandible] = self.face.mandible(self.pose(z).b)
         x[self.flesh.free] = z[: self.flesh.size].reshape(-1, 3)
         return x
 
@@ -84,15 +85,17 @@ class Expression:
 
     def gradient(self, z: Floats) -> Floats:
         """Return f's derivative, (count,)."""
-        by_free, by_jaw = self._by_data.gradient(self.place(z), z[-5:])
-        by_pose = self._priors.gradient(self.pose(z))
-        by_pose[-5:] += by_jaw
+        pose = self.pose(z)
+        by_free, by_jaw = self._by_data.gradient(self.place(z), pose.b)
+        by_pose = self._priors.gradient(pose)
+        by_pose[self._layout["jaw"]] += by_jaw
         return np.concatenate([by_free, by_pose])
 
     def hessian(self, z: Floats) -> Floats:
         """Return the entries of f's Gauss-Newton Hessian, lower triangle."""
-        blocks, jaw = self._priors.curvature(self.pose(z))
-        by_data = self._by_data.hessian(self.place(z), z[-5:])
+        pose = self.pose(z)
+        blocks, jaw = self._priors.curvature(pose)
+        by_data = self._by_data.hessian(self.place(z), pose.b)
         lower = blocks[:, self._block[0], self._block[1]]
         return np.concatenate([by_data, lower.ravel(), jaw])
 
@@ -106,14 +109,14 @@ class Expression:
         """Return the entries of the constraints' derivative."""
         x, pose, face = self.place(z), self.pose(z), self.face.with_weights(S)
         by_x = self.flesh.hessian(x, face.tet_activations(pose.a)).data
-        by_pose = gradient_by_pose(face, pose, x)
+        by_pose = PoseRates.at(face, pose, x).columns()
         return np.concatenate([by_x, by_pose[self._pose_entries]])
 
     def _touched(self, candidates: sp.csr_array) -> Floats:
         """Tell which forces (size,) each entry of (a, b) can change, (size, 6 m + 5)."""
         flesh = self.flesh
         tet, muscle = candidates[:, 1:].nonzero()
-        near = np.zeros((len(flesh.free), self._muscles), dtype=bool)
+        near = np.zeros((len(flesh.free), candidates.shape[1] - 1), dtype=bool)
         jaw = np.zeros(len(flesh.free), dtype=bool)
         rides = np.zeros(len(flesh.rest), dtype=bool)
         rides[self.face.model.mandible] = True
@@ -123,7 +126,9 @@ class Expression:
             jaw[number[moved & (number >= 0)]] = True
             free = number[tet] >= 0
             near[number[tet][free], muscle[free]] = True
-        return np.repeat(np.hstack([np.repeat(near, 6, axis=1), np.tile(jaw[:, None], 5)]), 3, 0)
+        by_a, by_b = (block.rest for block in self._layout.blocks)
+        whole = [np.repeat(near, by_a.shape[1], axis=1), np.tile(jaw[:, None], len(by_b))]
+        return np.repeat(np.hstack(whole), 3, axis=0)
 
 
 # A single expression as IPOPT's problem: what (A) and (P) are.
@@ -225,8 +230,8 @@ class MusclePriors:
     def curvature(self, pose: Pose) -> tuple[Floats, Floats]:
         """See :class:`Priors`."""
         whole = self.regulariser.gauss_newton(pose)
-        entries = np.arange(pose.a.size).reshape(-1, 6)
-        return whole[entries[:, :, None], entries[:, None, :]], np.diag(whole)[-5:]
+        muscles, jaw = pose.layout.places("activations"), pose.layout["jaw"]
+        return whole[muscles[:, :, None], muscles[:, None, :]], np.diag(whole)[jaw]
 
 
 # The forward problem: minimise E(x; a, b) over the free vertices.
@@ -304,7 +309,7 @@ def per_tet(
     """
     options = options or PerTetOptions()
     tissue = tissues.of_face(face)
-    rest = rest_state(tissue)
+    rest = tissue.face.rest_state()
     priors = TetPriors(Objective(tissue, data, options, rest.pose.b), options.w_b)
     expression = Expression(tissue.face, tissue.face.S, data, priors)
     return minimise(expression, rest.pose, rest.x, tolerance, max_iterations, listen)
@@ -323,8 +328,7 @@ class TetPriors:
 
     def gradient(self, pose: Pose) -> Floats:
         """See :class:`Priors`."""
-        by_a, by_b = self.objective.prior_gradient(pose)
-        return np.concatenate([by_a.ravel(), by_b])
+        return self.objective.prior_gradient(pose)
 
     def curvature(self, pose: Pose) -> tuple[Floats, Floats]:
         """See :class:`Priors`."""

@@ -18,7 +18,7 @@ from solver.fitting.face import Pose, State
 from solver.fitting.joint import GeometryProblem, replace_values
 from solver.fitting.reference.common import UNBOUNDED, Listener, Problem, solve
 from solver.fitting.reference.expression import Expression, MusclePriors
-from solver.fitting.sensitivity import gradient_by_geometry
+from solver.fitting.sensitivity import WeightRates
 from solver.surface import Floats, Ints
 
 
@@ -164,4 +164,4 @@ class FullGeometry(Problem):
         return factor * np.concatenate([*parts, self._by_weights.data])
 
     def _pull(self, S: sp.csr_array, pose: Pose, x: Floats) -> sp.csc_array:
-        return gradient_by_geometry(self._face.with_weights(S), pose, x)
+        return WeightRates.at(self._face.with_weights(S), pose, x).matrix()

@@ -3,7 +3,7 @@
     psi(F, A) = mu |F - R A|^2 + lambda/2 tr(P - I)^2 + kappa (det F - det A)^2 + beta(det F)
 
 with R the rotation nearest to F A, F = Q P the polar decomposition, A the symmetric activation of
-the tet (muscle geometry paper, eq. of the active corotated energy; SYSTEM: "S, energy") and beta a
+the tet (muscle geometry paper, eq. of the active corotated energy) and beta a
 barrier that is zero while det F > J0 and infinite at det F <= 0, so that no element inverts. The
 muscle geometry paper has kappa = 0, Phace lambda = 0 and kappa = 3 mu.
 
@@ -31,7 +31,7 @@ from solver.mechanics.linalg3 import (
     dot,
     multiply,
     polar,
-    scaled,
+    scale,
     signed_svd,
     stretch,
     symmetric_cofactor,
@@ -97,7 +97,7 @@ def hessian_modes(
     keep = 1.0 - project
     _, R, Y = polar(times(F, A))
     if project > 0.0:
-        M = _clamped(Y, A, work)
+        M = _clamp(Y, A, work)
         Y = (
             keep * Y[0] + project * M[0],
             keep * Y[1] + project * M[1],
@@ -123,7 +123,7 @@ def hessian_modes(
         _single(cofactor(F), second, left, right, count)
         count += 1
     g, metric = keep * first, (2.0 * mu, 0.0, 0.0, 2.0 * mu, 0.0, 2.0 * mu)
-    return count, metric, scaled(g, F)
+    return count, metric, scale(g, F)
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -162,7 +162,7 @@ def _twists(
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _clamped(Y: Symmetric, A: Symmetric, work: Floats) -> Symmetric:
+def _clamp(Y: Symmetric, A: Symmetric, work: Floats) -> Symmetric:
     """Return M <= Y^-1 such that I - sum_ij M_ij W_i W_j^T has no negative eigenvalue.
 
     With Y^-1 = L L^T those of the sum are the eigenvalues of L^T G L, where the Gram matrix of the

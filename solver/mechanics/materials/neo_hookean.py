@@ -24,8 +24,8 @@ from solver.mechanics.linalg3 import (
     dot,
     full,
     product,
-    scaled,
-    squared,
+    scale,
+    square,
     symmetric_cofactor,
     symmetric_determinant,
     times,
@@ -39,7 +39,7 @@ def from_lame(mu: Floats, lam: Floats) -> tuple[Floats, Floats]:
     return 4.0 / 3.0 * mu, lam + 5.0 / 6.0 * mu
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def density(F: Matrix, A: Symmetric, moduli: Moduli) -> float:
     """Return psi(F, A); infinite where det F <= 0 or det A <= 0."""
     mu, lam, kappa, barrier = moduli
@@ -91,9 +91,9 @@ def hessian_modes(
         right[1, entry] = C[entry]
         left[1, entry] = volume * second * C[entry]
     m, g = volume * mu * (1.0 - shrunk), (1.0 - project) * first
-    B = squared(inverse)
+    B = square(inverse)
     metric = (m * B[0], m * B[1], m * B[2], m * B[3], m * B[4], m * B[5])
-    return 2, metric, scaled(g, F)
+    return 2, metric, scale(g, F)
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
@@ -178,13 +178,13 @@ def _elastic_stress(G: Matrix, moduli: Moduli) -> tuple[Matrix, float, float]:
     return P, first, second + lam
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _elastic(F: Matrix, A: Symmetric, volume: float) -> Matrix:
     """Return G = F A^-1."""
     return times(F, _inverse(A, volume))
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _inverse(A: Symmetric, volume: float) -> Symmetric:
     """Return A^-1; ``volume`` is det A."""
     C = symmetric_cofactor(A)
@@ -192,7 +192,7 @@ def _inverse(A: Symmetric, volume: float) -> Symmetric:
     return v * C[0], v * C[1], v * C[2], v * C[3], v * C[4], v * C[5]
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _sum(X: Matrix, Y: Matrix) -> Matrix:
     return (
         X[0] + Y[0],

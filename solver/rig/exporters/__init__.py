@@ -79,11 +79,11 @@ def export(
 
 def write_all(rig: Rig, folder: Path) -> list[Path]:
     """Write what belongs to every rig into its folder, and return the files."""
-    chosen = [(name, module) for name in EXPORTERS if (module := _offered(name))]
+    chosen = [(name, module) for name in EXPORTERS if (module := _find_offer(name))]
     return [export(rig, name, folder / module.FILE) for name, module in chosen]
 
 
-def _offered(name: str) -> Exporter | None:
+def _find_offer(name: str) -> Exporter | None:
     """Return an exporter if each fit writes it; one whose extra is not there is left out."""
     try:
         module = exporter(name)

@@ -17,8 +17,8 @@ import scipy.linalg
 import scipy.optimize
 
 from solver.fitting.activation import Resting
+from solver.fitting.controls import JAW_UNITS
 from solver.fitting.face import Face, Pose
-from solver.fitting.objective import JAW_UNITS
 from solver.fitting.stretches import (
     FROBENIUS,
     fibre_tensors,
@@ -105,11 +105,12 @@ class Control:
 class Sliders:
     """The k sliders.
 
-    ``directions`` (6 m + 5, k) is the change of (a, b) from rest that each makes at 1, ``presets``
-    the values (k,) of every fitted expression.
+    ``directions`` (6 m + 5, k) is the change of (a, b) from ``rest`` that each makes at 1,
+    ``presets`` the values (k,) of every fitted expression.
     """
 
     each: tuple[Control, ...]
+    rest: Pose
     directions: Floats
     presets: dict[str, Floats]
 
@@ -119,8 +120,7 @@ class Sliders:
 
     def pose(self, values: Floats) -> Pose:
         """Return the pose of slider ``values`` (k,)."""
-        change = self.directions @ values
-        return Pose(IDENTITY + change[:-5].reshape(-1, 6), change[-5:])
+        return self.rest.add(self.directions @ values)
 
     def of_kind(self, kind: Kind) -> list[int]:
         """Return the numbers of the controls of a kind."""
@@ -134,14 +134,16 @@ def controls_of(
     options: SliderOptions = SliderOptions(),
 ) -> Sliders:
     """Return the controls of a face with one fitted expression or more."""
-    fitted = np.array([[*(fit.activations - IDENTITY).ravel(), *fit.jaw] for fit in fits])
+    layout = face.layout
+    in_a, in_b = layout["activations"], layout["jaw"]
+    fitted = np.array([Pose(fit.activations, fit.jaw).vector() for fit in fits]) - layout.rest
     muscles, changes = _muscles(face, options.full_stretch)
     # rest.matrix is the curvature of a mean square: twice J^T J
-    contracted = nearest_amounts(fitted[:, :-5], changes, 0.5 * rest.matrix[:-5, :-5], options)
-    jaw, ways, opened = _jaw(fitted[:, -5:], options)
-    directions = np.zeros((len(changes) + 5, len(muscles) + len(jaw)))
-    directions[:-5, : len(muscles)] = changes
-    directions[-5:, len(muscles) :] = ways
+    contracted = nearest_amounts(fitted[:, in_a], changes, 0.5 * rest.matrix[in_a, in_a], options)
+    jaw, ways, opened = _jaw(fitted[:, in_b], options)
+    directions = np.zeros((layout.size, len(muscles) + len(jaw)))
+    directions[in_a, : len(muscles)] = changes
+    directions[in_b, len(muscles) :] = ways
     values = np.hstack([contracted, opened])
     left = fitted - values @ directions.T
     others = tuple(
@@ -150,6 +152,7 @@ def controls_of(
     whole = np.hstack([values, np.eye(len(fits))])
     return Sliders(
         (*muscles, *jaw, *others),
+        face.rest_pose(),
         np.hstack([directions, left.T]),
         {fit.name: row for fit, row in zip(fits, whole, strict=True)},
     )

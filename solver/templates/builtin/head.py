@@ -22,13 +22,13 @@ from solver.errors import InputError
 from solver.surface import Floats, Ints, Surface
 from solver.templates.builtin.source import SourceFiles
 
+# Decimetres to mm, times 1.06: the average MakeHuman head is small, and with this factor it has an
+# adult's measures (menton to vertex 227 mm, bizygomatic breadth 137 mm).
 MM_PER_UNIT = 106.0
-"""Decimetres to mm, times 1.06: the average MakeHuman head is small, and with this factor it has
-an adult's measures (menton to vertex 227 mm, bizygomatic breadth 137 mm)."""
+NECK_CUT_Y = -130.0  # mm
+LEAST_WING_MM = 0.05  # a vertex that moves more when ears stand out is one of an ear
 
-NECK_CUT_Y = -130.0
-LEAST_WING_MM = 0.05
-
+# Shape targets and weights of the head that the anatomy is built in.
 AVERAGE_ADULT = {
     f"macrodetails/{origin}-{sex}-young": 1 / 6
     for origin in ("african", "asian", "caucasian")
@@ -37,8 +37,8 @@ AVERAGE_ADULT = {
     f"macrodetails/universal-{sex}-young-averagemuscle-averageweight": 1 / 2
     for sex in ("female", "male")
 }
-"""Shape targets and weights of the head that the anatomy is built in."""
 
+# The parts that a scan of this topology keeps, with their groups in the base mesh.
 PARTS = {
     "skin": "body",
     "tongue": "helper-tongue",
@@ -47,7 +47,6 @@ PARTS = {
     "left_eye": "helper-l-eye",
     "right_eye": "helper-r-eye",
 }
-"""The parts that a scan of this topology keeps, with their groups in the base mesh."""
 
 MIRRORED_PART = {"left_eye": "right_eye", "right_eye": "left_eye"}
 
@@ -179,12 +178,11 @@ class Head:
         return found
 
 
-# How the built-in head varies: MakeHuman's face shapes as identities, ARKit's expressions.
+# Variation of the built-in head: MakeHuman's face shapes as identities, ARKit's expressions.
 #
 # The shapes come without statistics. Sex and origin are those of a population with equal shares;
 # the standard deviations of all others are set by eye, so that two of them still make a common
 # face.
-
 
 ORIGINS = ("african", "asian", "caucasian")
 SEXES = ("female", "male")
@@ -208,10 +206,9 @@ OPPOSITES = (
     ("concave", "convex"),
     ("compress", "uncompress"),
 )
-PAIR_SD = 0.3
-"""Strength of one of two opposite shapes in somebody one standard deviation from the average."""
-AGE_SD, BUILD_SD = 0.3, 0.5
-"""Parts of the way from 25 to 90 years, and from average to the greatest weight or muscle."""
+# Strength of one of two opposite shapes in somebody one standard deviation from the average; parts
+# of the way from 25 to 90 years, and from average to the greatest weight or muscle.
+PAIR_SD, AGE_SD, BUILD_SD = 0.3, 0.3, 0.5
 
 
 def shape_basis(head: Head) -> ShapeBasis:

@@ -23,12 +23,20 @@ from solver.surface import Floats, Ints, Surface
 from solver.templates.builtin.head import Head
 from solver.templates.builtin.skull import OuterSkin
 
-STEP_MM = 2.5
-SKIN_LAYER_MM = 1.0
-"""Least thickness of skin over a muscle, where there is room."""
-BED_GAP_MM = 0.3
-DEEPEST_MM = 40.0
-NORMAL_SMOOTHING = 6
+
+@dataclass(frozen=True)
+class SweepOptions:
+    """Fineness of the ribbons, and the layers over and under them."""
+
+    step_mm: float = 2.5
+    skin_layer_mm: float = 1.0  # least thickness of skin over a muscle, where there is room
+    bed_gap_mm: float = 0.3  # between a muscle and the bed it lies on
+    deepest_mm: float = 40.0  # room for a muscle where no bed is under it
+    # Rounds of averaging the skin's normals, along which muscles are sunk.
+    normal_smoothing: int = 6
+
+
+SWEEP = SweepOptions()
 
 
 @dataclass(frozen=True)
@@ -68,12 +76,14 @@ def _row(line: dict[str, str]) -> MuscleRow:
     )
 
 
-def build_muscles(head: Head, skin: OuterSkin, bed: Surface) -> tuple[Muscle, ...]:
+def build_muscles(
+    head: Head, skin: OuterSkin, bed: Surface, options: SweepOptions = SWEEP
+) -> tuple[Muscle, ...]:
     """Sweep every muscle of the table; ``bed`` is all that muscles can lie on: bones and linings.
 
     Paired muscles get the suffixes ``_l`` and ``_r``, the right one being the mirror image.
     """
-    sweep = _Sweep(head, skin.stretched_over(head.ears), bed)
+    sweep = _Sweep(head, skin.stretched_over(head.ears), bed, options)
     muscles = []
     for row in read_muscles():
         left = sweep.muscle(row)
@@ -91,18 +101,18 @@ def _mirror(left: Muscle) -> Muscle:
 class _Sweep:
     """Lays ribbons into the soft tissue of one head."""
 
-    def __init__(self, head: Head, skin: OuterSkin, bed: Surface) -> None:
-        self._head = head
+    def __init__(self, head: Head, skin: OuterSkin, bed: Surface, options: SweepOptions) -> None:
+        self._head, self._options = head, options
         self._skin = skin
         self._bed = trimesh.Trimesh(bed.vertices, bed.faces, process=False)
-        self._normals = _smooth_normals(skin)
+        self._normals = _smooth_normals(skin, options.normal_smoothing)
 
     def muscle(self, row: MuscleRow) -> Muscle:
         """Return the left (or the mid-line) muscle of a row."""
         anchors = self._anchors(row)
         length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(anchors, axis=0), axis=1))]
-        rows = max(5, round(length[-1] / STEP_MM))
-        columns = max(5, round(row.width.max() / STEP_MM))
+        rows = max(5, round(length[-1] / self._options.step_mm))
+        columns = max(5, round(row.width.max() / self._options.step_mm))
         along = np.linspace(0, length[-1], rows)
         across = np.linspace(-1, 1, columns)
         curve = CubicSpline(length, anchors)
@@ -120,7 +130,7 @@ class _Sweep:
         bottom = depth[:, None] + half_thickness
         if row.layer == "bed":
             room = self._room(above, normals).reshape(top.shape)
-            top, bottom = _fit_between(top, bottom, room)
+            top, bottom = _fit_between(top, bottom, room, self._options)
         upper, lower = (above - sheet.reshape(-1, 1) * normals for sheet in (top, bottom))
         surface = _closed_sheet(np.concatenate([upper, lower]), rows, columns)
         middle = ((upper + lower) / 2).reshape(rows, columns, 3).mean(axis=1)
@@ -144,7 +154,7 @@ class _Sweep:
 
     def _room(self, above: Floats, normals: Floats) -> Floats:
         """Return the soft-tissue thickness (k,) from the skin inwards to the bed, in mm."""
-        room = np.full(len(above), DEEPEST_MM)
+        room = np.full(len(above), self._options.deepest_mm)
         hits, ray, _ = self._bed.ray.intersects_location(
             above - 0.2 * normals, -normals, multiple_hits=False
         )
@@ -159,10 +169,12 @@ def _profile(along: Floats, across: Floats) -> Floats:
     return np.outer(end, side)
 
 
-def _fit_between(top: Floats, bottom: Floats, room: Floats) -> tuple[Floats, Floats]:
+def _fit_between(
+    top: Floats, bottom: Floats, room: Floats, options: SweepOptions
+) -> tuple[Floats, Floats]:
     """Move and, where there is no room, thin a ribbon so that it lies between skin and bed."""
-    lowest = room - BED_GAP_MM
-    cover = np.minimum(SKIN_LAYER_MM, 0.35 * room)
+    lowest = room - options.bed_gap_mm
+    cover = np.minimum(options.skin_layer_mm, 0.35 * room)
     down = (cover - top).clip(0)
     top, bottom = top + down, bottom + down
     up = (bottom - lowest).clip(0)
@@ -196,13 +208,13 @@ def _outward(vertices: Floats, quads: Ints) -> Ints:
     return faces if volume > 0 else faces[:, ::-1].copy()
 
 
-def _smooth_normals(skin: OuterSkin) -> Floats:
+def _smooth_normals(skin: OuterSkin, rounds: int) -> Floats:
     """Vertex normals averaged over neighbours, so that folds of lips and lids do not tear."""
     adjacency = igl.adjacency_matrix(skin.faces).astype(float)
     missing = len(skin.vertices) - adjacency.shape[0]
     normals = skin.normals[: len(skin.vertices) - missing].copy()
     degree = np.asarray(adjacency.sum(axis=1)).reshape(-1, 1)
-    for _ in range(NORMAL_SMOOTHING):
+    for _ in range(rounds):
         normals = np.where(degree > 0, normals + adjacency @ normals / degree.clip(1), normals)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-9)
     return np.concatenate([normals, np.zeros((missing, 3))])

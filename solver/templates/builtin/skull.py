@@ -1,4 +1,4 @@
-"""Soft-tissue depths: how far the bone lies under the skin, from published means by landmark."""
+"""The built-in skull under the outer skin, by published soft-tissue depths at landmarks."""
 
 from __future__ import annotations
 
@@ -28,15 +28,22 @@ from solver.anatomy.template import Depth
 from solver.surface import Floats, Ints, Surface
 from solver.templates.builtin.head import Head
 
-HIDDEN_PART_OF_LINING = 0.97
-"""Skin that sees less than 3 % of its hemisphere is lining: mouth, eye sockets, nostrils."""
-
-NO_BONE = "aperture"
-"""Source of rows where there is no bone, which only say that it is not near."""
-
-DIRECTIONS = 400
+NO_BONE = "aperture"  # source of rows where there is no bone, which only say that it is not near
 UNCHECKED = " Not yet compared with the printed table."
-OFF_SKIN_MM = 0.05
+
+
+@dataclass(frozen=True)
+class VisibilityOptions:
+    """Rays that tell the skin seen from outside from its linings."""
+
+    # Skin that sees less than 3 % of its hemisphere is lining: mouth, eye sockets, nostrils.
+    hidden: float = 0.97
+    directions: int = 400  # of rays from every vertex, over the whole sphere
+    # Rays start above the skin, so that they do not meet the vertex's own triangles.
+    off_skin_mm: float = 0.05
+
+
+VISIBILITY = VisibilityOptions()
 
 
 class OuterSkin:
@@ -47,15 +54,15 @@ class OuterSkin:
     cavity counts as inside.
     """
 
-    def __init__(self, head: Head) -> None:
+    def __init__(self, head: Head, options: VisibilityOptions = VISIBILITY) -> None:
         self.vertices = head.neutral
         skin = head.faces[head.part_faces["skin"]]
         normals = igl.per_vertex_normals(self.vertices, skin)
         normals = np.nan_to_num(normals)
-        hidden = _hidden_part(head, normals)
+        hidden = _hidden_part(head, normals, options)
         hidden = np.minimum(hidden, hidden[head.mirror])
         self.visible_vertices: Ints = np.intersect1d(
-            np.flatnonzero(hidden < HIDDEN_PART_OF_LINING), head.part_vertices["skin"]
+            np.flatnonzero(hidden < options.hidden), head.part_vertices["skin"]
         )
         visible = np.zeros(len(self.vertices), dtype=bool)
         visible[self.visible_vertices] = True
@@ -105,19 +112,19 @@ class OuterSkin:
         return np.where(inside, distance, -distance), face, closest
 
 
-def _hidden_part(head: Head, normals: Floats) -> Floats:
+def _hidden_part(head: Head, normals: Floats, options: VisibilityOptions) -> Floats:
     """Return for each vertex the part (n,) of directions above the skin that meet the head.
 
     Eyes, teeth and tongue hide the linings behind them.
     """
-    number = np.arange(DIRECTIONS)
-    height = 1 - (2 * number + 1) / DIRECTIONS
+    number = np.arange(options.directions)
+    height = 1 - (2 * number + 1) / options.directions
     turn = np.pi * (3 - np.sqrt(5)) * number
     around = np.sqrt(1 - height**2)
     sphere = np.stack([around * np.cos(turn), height, around * np.sin(turn)], -1)
     vertex, direction = np.nonzero(normals @ sphere.T > 0)
     rays = trimesh.Trimesh(head.neutral, head.faces, process=False).ray
-    origins = head.neutral[vertex] + OFF_SKIN_MM * normals[vertex]
+    origins = head.neutral[vertex] + options.off_skin_mm * normals[vertex]
     meets = rays.intersects_any(origins, sphere[direction])  # type: ignore[no-untyped-call]
     counts = np.bincount(vertex, minlength=len(normals)).clip(1)
     return np.asarray(np.bincount(vertex, meets, minlength=len(normals)) / counts)
@@ -179,13 +186,22 @@ def sides(head: Head, landmark: str) -> list[str]:
 # dental arches and the mandible's shape come from ``data/skull.json``. One half is computed and
 # mirrored.
 
+LOWEST, HIGHEST = np.array([-81.0, -76.0, -100.0]), np.array([81.0, 154.5, 117.0])  # the grid, mm
 
-GRID_MM = 1.5
-LOWEST, HIGHEST = np.array([-81.0, -76.0, -100.0]), np.array([81.0, 154.5, 117.0])
-SMOOTHING_VOXELS = 0.8
-LEAST_CLEARANCE_MM = 2.4
-CRANIUM_FACES, MANDIBLE_FACES = 11000, 5000
-RELAXATIONS = 8
+
+@dataclass(frozen=True)
+class SkullOptions:
+    """Fineness of the bones, and the room over them."""
+
+    grid_mm: float = 1.5
+    smoothing_voxels: float = 0.8  # deviation of the Gaussian before marching cubes
+    clearance_mm: float = 2.4  # least soft tissue on a bone
+    cranium_faces: int = 11000
+    mandible_faces: int = 5000
+    relaxations: int = 8  # steps that even the vertices out after decimation
+
+
+SKULL = SkullOptions()
 
 
 @dataclass(frozen=True)
@@ -197,16 +213,16 @@ class Skull:
     condyles: Floats
 
 
-def build_skull(head: Head, skin: OuterSkin) -> Skull:
+def build_skull(head: Head, skin: OuterSkin, options: SkullOptions = SKULL) -> Skull:
     """Build cranium and mandible for the head at rest."""
     shape = json.loads(resources.files("solver.anatomy.data").joinpath("skull.json").read_text())
-    grid = _HalfGrid()
+    grid = _HalfGrid(options)
     # The bone behind the ear does not follow its relief.
     smooth = skin.stretched_over(head.ears)
     depth, face, _ = smooth.depth(grid.points)
     fields = depth_fields(head)
     at_vertices = {
-        bone: field(smooth.vertices).clip(LEAST_CLEARANCE_MM) for bone, field in fields.items()
+        bone: field(smooth.vertices).clip(options.clearance_mm) for bone, field in fields.items()
     }
     under = {
         bone: depth - values[skin.faces[face]].mean(axis=1) for bone, values in at_vertices.items()
@@ -218,13 +234,13 @@ def build_skull(head: Head, skin: OuterSkin) -> Skull:
     }
     for bone, jaw in (("mandible", "lower"), ("cranium", "upper")):
         with_teeth = np.maximum(bones[bone], _teeth(grid.points, shape, jaw))
-        bones[bone] = np.minimum(with_teeth, depth - LEAST_CLEARANCE_MM)
+        bones[bone] = np.minimum(with_teeth, depth - options.clearance_mm)
     mandible = bones["mandible"]
     cranium = np.minimum(bones["cranium"], -shape["joint_gap_mm"] - mandible)
     centre = np.array(shape["mandible"]["condyle"]["centre"])
     return Skull(
-        cranium=grid.surface(cranium, CRANIUM_FACES),
-        mandible=grid.surface(mandible, MANDIBLE_FACES),
+        cranium=grid.surface(cranium, options.cranium_faces),
+        mandible=grid.surface(mandible, options.mandible_faces),
         condyles=np.stack([centre, centre * [-1, 1, 1]]),
     )
 
@@ -232,34 +248,35 @@ def build_skull(head: Head, skin: OuterSkin) -> Skull:
 class _HalfGrid:
     """Grid points of the left half (x >= 0), and surfaces of fields over both halves."""
 
-    def __init__(self) -> None:
+    def __init__(self, options: SkullOptions) -> None:
+        self._options, side = options, options.grid_mm
         self.axes = [
-            np.arange(low, high + GRID_MM / 2, GRID_MM)
-            for low, high in zip(LOWEST, HIGHEST, strict=True)
+            np.arange(low, high + side / 2, side) for low, high in zip(LOWEST, HIGHEST, strict=True)
         ]
-        left = self.axes[0][self.axes[0] >= -GRID_MM / 4]
+        left = self.axes[0][self.axes[0] >= -side / 4]
         self.shape = (len(left), len(self.axes[1]), len(self.axes[2]))
         self.points = np.stack(np.meshgrid(left, *self.axes[1:], indexing="ij"), -1).reshape(-1, 3)
 
     def surface(self, field: Floats, faces: int) -> Surface:
         """Return the zero surface of the mirrored field's largest solid, decimated."""
+        side = self._options.grid_mm
         half = field.reshape(self.shape)
-        whole = np.concatenate([half[:0:-1], half]).clip(-4 * GRID_MM, 4 * GRID_MM)
-        whole = gaussian_filter(whole, SMOOTHING_VOXELS)
-        whole = np.pad(whole[1:-1, 1:-1, 1:-1], 1, constant_values=-GRID_MM)
+        whole = np.concatenate([half[:0:-1], half]).clip(-4 * side, 4 * side)
+        whole = gaussian_filter(whole, self._options.smoothing_voxels)
+        whole = np.pad(whole[1:-1, 1:-1, 1:-1], 1, constant_values=-side)
         solids, _ = label(whole > 0)
         largest = np.bincount(solids.ravel())[1:].argmax() + 1
-        whole[(solids > 0) & (solids != largest)] = -GRID_MM / 2
+        whole[(solids > 0) & (solids != largest)] = -side / 2
         # igl numbers grid points with the first axis fastest.
         points = np.stack(np.meshgrid(*self.axes, indexing="ij"), -1)
         points = points.transpose(2, 1, 0, 3).reshape(-1, 3)
         vertices, triangles, _ = igl.marching_cubes(
             whole.transpose(2, 1, 0).ravel(), points, *whole.shape, 0.0
         )
-        return _decimate(vertices, triangles[:, ::-1], faces)
+        return _decimate(vertices, triangles[:, ::-1], faces, self._options.relaxations)
 
 
-def _decimate(vertices: Floats, triangles: Ints, faces: int) -> Surface:
+def _decimate(vertices: Floats, triangles: Ints, faces: int, relaxations: int) -> Surface:
     """Smooth away the grid's steps and keep about ``faces`` triangles, most where it curves."""
     mesh = trimesh.Trimesh(vertices, triangles, process=False)
     trimesh.smoothing.filter_taubin(mesh, iterations=6)  # type: ignore[no-untyped-call]
@@ -270,7 +287,7 @@ def _decimate(vertices: Floats, triangles: Ints, faces: int) -> Surface:
     # vertices out on the surface.
     neighbours = igl.adjacency_matrix(kept).astype(float)
     count = np.asarray(neighbours.sum(axis=1)).reshape(-1, 1)
-    for _ in range(RELAXATIONS):
+    for _ in range(relaxations):
         even = (coarse + neighbours @ coarse / count) / 2
         _, _, coarse = igl.point_mesh_squared_distance(even, fine, fine_faces)
     return Surface(np.ascontiguousarray(coarse), kept)

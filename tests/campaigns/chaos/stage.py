@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import random
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import httpx
 from sqlalchemy import select
@@ -21,16 +21,16 @@ from tests.campaigns.chaos.crew import Crew
 from tests.campaigns.chaos.disk import Disk
 from tests.service_client import ROOT, Studio, running
 
-SETTINGS = {
+SETTINGS: dict[str, Any] = {
     "lease": 2.0,
     "beat": 0.2,
     "sweep": 0.5,
     "resend_after": 1.0,
     "max_attempts": 3,
     "garbage_age": 30.0,
+    "jobs": "tests.standin.jobs",
 }
 OTHER_HOST = ("long", "short")
-PYTHON_PATH = os.pathsep.join([str(ROOT / "tests" / "standin"), str(ROOT)])
 
 
 @dataclass
@@ -126,6 +126,6 @@ def stage(folder: Path, dice: random.Random, disk: Disk | None) -> Iterator[Stag
         studio.http.timeout = httpx.Timeout(30)
         settings = stack.settings
         store = Store(settings.database, settings.files, settings.broker)
-        with Crew(settings, PYTHON_PATH, OTHER_HOST):
+        with Crew(settings, str(ROOT), OTHER_HOST):
             yield Stage(stack, studio, store, dice, disk)
         store.close()

@@ -33,13 +33,17 @@ class Selection:
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault: pairs of (what stands there, what is planted), of which one has to fit."""
+    """One fault: pairs of (what stands there, what is planted), of which one has to fit.
+
+    ``twins`` says that it may stand in a file and in the one that is generated from it.
+    """
 
     name: str
     room: str
     wrong: str
     changes: tuple[tuple[str, str], ...]
     selections: tuple[Selection, ...]
+    twins: bool = False
 
 
 def load(only: list[str]) -> list[Fault]:
@@ -52,6 +56,7 @@ def load(only: list[str]) -> list[Fault]:
             row["wrong"],
             tuple((old, new) for old, new in row["change"]),
             tuple(map(Selection.parse, row["suites"])),
+            row.get("twins", False),
         )
         for row in rows
     ]

@@ -15,7 +15,7 @@ from tests.campaigns.faults.catalogue import Selection
 
 Outcome = Literal["passed", "failed", "skipped", "empty"]
 
-# A suite's tests lie where the first of these is that there is.
+# A suite's tests lie in the first of these folders that has any.
 FOLDERS = {
     "unit solver": ("tests/unit/solver", "tests/solver"),
     "unit service": ("tests/unit/service", "tests/service"),
@@ -107,7 +107,8 @@ def _pytest(tree: Path, words: list[str], kernels: Path) -> tuple[int, str] | No
 
 def _paths(tree: Path, selection: Selection) -> list[str]:
     """Return the folders and modules of a selection that there are, else its whole suite."""
-    folders = [folder for folder in FOLDERS[selection.suite] if (tree / folder).is_dir()]
+    candidates = FOLDERS[selection.suite]
+    folders = [folder for folder in candidates if any((tree / folder).rglob("test_*.py"))]
     if not folders:
         raise FileNotFoundError(f"the suite {selection.suite!r} is nowhere: mend suites.py")
     folder = folders[0]

@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.campaigns.faults.catalogue import Fault
+
 ROOMS = ("solver", "service", "worker", "myoface")
 SUFFIXES = {".py", ".js"}
 LEFT_OUT = (".git", ".venv", "__pycache__", ".*_cache", "node_modules", "*.egg-info")
@@ -55,26 +57,28 @@ class Tree:
             if path.suffix in SUFFIXES and "vendor" not in path.parts
         }
 
-    def find(self, changes: tuple[tuple[str, str], ...]) -> Place:
-        """Return the only place where one of ``changes`` fits, the first that does."""
+    def find(self, fault: Fault) -> list[Place]:
+        """Return the only place of a fault, two of twins, by the first change that fits."""
         counts = []
-        for old, new in changes:
+        for old, new in fault.changes:
             places = [place for path in self._texts for place in self._fitting(path, old, new)]
-            if len(places) == 1:
-                return places[0]
+            if len(places) == 1 or (fault.twins and len({place.path for place in places}) == 2):
+                return places
             counts.append(len(places))
         raise NotPlantedError(f"found {' and '.join(map(str, counts))} times, not once")
 
     @contextmanager
-    def planted(self, place: Place) -> Iterator[None]:
+    def planted(self, places: list[Place]) -> Iterator[None]:
         """Have a fault in the tree for as long as the context lasts."""
-        times = place.path.stat()
-        place.path.write_text(place.faulty)
+        times = [place.path.stat() for place in places]
+        for place in places:
+            place.path.write_text(place.faulty)
         try:
             yield
         finally:
-            place.path.write_text(place.text)
-            os.utime(place.path, ns=(times.st_atime_ns, times.st_mtime_ns))
+            for place, time in zip(places, times, strict=True):
+                place.path.write_text(place.text)
+                os.utime(place.path, ns=(time.st_atime_ns, time.st_mtime_ns))
 
     def _fitting(self, path: Path, old: str, new: str) -> Iterator[Place]:
         text = self._texts[path]

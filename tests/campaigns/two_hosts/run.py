@@ -30,7 +30,6 @@ from tests.servers.s3 import s3
 from tests.service_client import Studio
 
 ROOT = Path(__file__).parents[3]
-STANDIN = os.pathsep.join([str(ROOT / "tests" / "standin"), str(ROOT)])
 SWIFT = {"MYOFACE_BEAT": "0.5", "MYOFACE_SWEEP": "1", "MYOFACE_RESEND_AFTER": "1"}
 QUEUES = ("short", "long")
 FIT_S = 20
@@ -92,7 +91,8 @@ def _stores(folder: Path) -> Iterator[tuple[dict[str, str], Studio]]:
             "MYOFACE_DATABASE_URL": database,
             "MYOFACE_BROKER_URL": f"{broker}/0",
             "MYOFACE_FILES_URL": files,
-            "PYTHONPATH": STANDIN,
+            "PYTHONPATH": str(ROOT),
+            "MYOFACE_JOBS": "tests.standin.jobs",
         }
         port = free_port("127.0.0.1")
         own = {"MYOFACE_DATA_DIR": str(folder / "api"), "MYOFACE_PORT": str(port)}

@@ -4,22 +4,13 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from solver.anatomy.contact_regions import (
-    LOWER,
-    UPPER,
-    contact_regions,
-    lips_apart,
-)
+from solver.anatomy.contact_regions import LOWER, UPPER, contact_regions, lips_apart
 from solver.errors import InputError
 from solver.surface import Surface, vertex_normals
 from solver.templates import ict_facekit
 from solver.templates.builtin.build import Regions, builtin_head
 from solver.templates.builtin.skull import OuterSkin
-from solver.templates.ict_template import (
-    LANDMARKS,
-    both_sides,
-    named_regions,
-)
+from solver.templates.ict_template import LANDMARKS, both_sides, named_regions
 from tests.fixtures import data_folder
 
 

@@ -3,10 +3,7 @@
 import numpy as np
 import pytest
 
-from solver.anatomy.bones import (
-    jaw_frame,
-    jaw_residual,
-)
+from solver.anatomy.bones import jaw_frame, jaw_residual
 from solver.mechanics import jaw
 from solver.templates import ict_facekit
 from tests.fixtures import data_folder

@@ -4,14 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from solver.anatomy.embedding import (
-    FADE_MM,
-    LooseSkin,
-)
+from solver.anatomy.embedding import LooseSkin
 from solver.surface import Surface
 from tests.solver.block import head_block
 
 NECK_MM, STEP_MM = 240.0, 5.0
+FADE_MM = 60.0
 
 
 def with_a_neck(model):

@@ -1,4 +1,4 @@
-"""The barrier: derivatives, no tunnelling, friction, and objects that a face can not start with."""
+"""The barrier: derivatives, no tunnelling, friction, and objects that a face cannot start with."""
 
 from dataclasses import replace
 
@@ -8,24 +8,24 @@ import pytest
 import scipy.sparse as sp
 import trimesh
 
-from solver.contact.barrier import DISTANCE_MM, FURTHEST_MM, Barrier
+from solver.contact.barrier import Barrier, BarrierOptions
 from solver.contact.crossing import crossing
 from solver.contact.mouth import LIPS, Mouth
 from solver.contact.surface import (
-    INSET_MM,
     ContactSurface,
+    SurfaceOptions,
     collision_mesh,
     crossing_vertices,
-    parted,
+    part_lips,
 )
 from solver.errors import InputError
 from solver.mechanics.potential import Boundary, BoundaryRates
 from solver.scene.objects import check_objects
 from solver.surface import Surface
-from tests.fixtures import fixture_model
+from tests.fixtures import small_model
 from tests.solver.ball import ball
 
-GAP = 0.4 * DISTANCE_MM
+GAP = 0.4 * BarrierOptions.distance_mm
 STIFFNESS_PA = 3000.0
 
 
@@ -81,7 +81,7 @@ def test_derivatives_match_differences():
     touched = np.flatnonzero(abs(hessian).sum(axis=0))
     assert np.linalg.eigvalsh(hessian[touched][:, touched].toarray()).min() > -1e-6
     far = surface.rest.copy()
-    far[:upper, 1] += DISTANCE_MM
+    far[:upper, 1] += BarrierOptions.distance_mm
     assert barrier.value(far) == 0.0
 
 
@@ -143,7 +143,9 @@ def test_no_step_goes_metres():
     away = surface.rest.copy()
     away[:upper, 1] += 3000.0
     held = Boundary(np.empty((0, 3)), np.zeros(5))
-    assert barrier.longest(surface.rest, away, held) == pytest.approx(FURTHEST_MM / 3000.0)
+    assert barrier.longest(surface.rest, away, held) == pytest.approx(
+        BarrierOptions.furthest_mm / 3000.0
+    )
     away[:upper, 1] -= 6000.0
     part = barrier.longest(surface.rest, away, held)
     assert 0.0 < part * 3000.0 < 2.0 * GAP
@@ -183,13 +185,13 @@ def test_crossing_triangles_are_found():
 
 
 def test_the_contact_surface_lies_under_the_skin_and_turns_with_it():
-    model = fixture_model("neutral_coarse")
+    model = small_model()
     faces = model.skin.faces[np.isin(model.skin.faces, model.embedded).all(axis=1)]
     surface = ContactSurface.of(model, faces)
     number = np.searchsorted(model.embedded, surface.skin)
     skin = (model.embedding @ model.rest + model.offset)[number]
     depth = np.linalg.norm(surface.rest - skin, axis=1)
-    assert depth.min() == pytest.approx(INSET_MM, abs=1e-6)
+    assert depth.min() == pytest.approx(SurfaceOptions.inset_mm, abs=1e-6)
     np.testing.assert_allclose(surface.points(model.rest), surface.rest, atol=1e-9)
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     turned = surface.points(model.rest @ turn.T) - surface.offset
@@ -198,7 +200,7 @@ def test_the_contact_surface_lies_under_the_skin_and_turns_with_it():
 
 def crumpled(count):
     """Return a face of which some skin vertices are thrown about, and its skin's triangles."""
-    model = fixture_model("neutral_coarse")
+    model = small_model()
     offset = model.offset.copy()
     offset[:count] += np.random.default_rng(0).normal(scale=2.0, size=(count, 3))
     faces = model.skin.faces[np.isin(model.skin.faces, model.embedded).all(axis=1)]
@@ -235,7 +237,7 @@ def test_lips_that_cross_are_moved_apart_and_meet():
     own = sp.eye_array(count, format="csr")
     mouth = Mouth(both.skin, np.full(count, LIPS), both.faces, own, np.zeros((count, 3)))
     assert crossing(mouth, both.rest).lips == pytest.approx(deep, abs=0.05)
-    apart = parted(mouth, both.rest)
+    apart = part_lips(mouth, both.rest)
     assert crossing(mouth, apart).lips == 0.0
     mesh = collision_mesh(apart, both.faces)
     assert not ipctk.has_intersections(mesh, mesh.rest_positions)
@@ -253,7 +255,7 @@ def test_a_neutral_that_crosses_itself_widely_is_refused():
 
 
 def test_objects_that_contact_can_not_begin_with_are_refused():
-    model = fixture_model("neutral_coarse")
+    model = small_model()
     front = model.skin.vertices[model.face, 2].max()
     box = trimesh.creation.box([40.0, 40.0, 2.0])
 
@@ -272,7 +274,7 @@ def test_objects_that_contact_can_not_begin_with_are_refused():
 
 
 def test_parts_of_an_object_may_cross_each_other():
-    model = fixture_model("neutral_coarse")
+    model = small_model()
     skin = model.skin.vertices[model.face]
     tip = skin[skin[:, 2].argmax()]
     parts = [ball(tip + np.array([shift, 0.0, 15.0]), 8.0) for shift in (0.0, 6.0)]

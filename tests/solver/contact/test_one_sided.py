@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from solver.contact.one_sided import MARGIN_MM, Arch, Eyeball, OneSided, free_depths
+from solver.contact.one_sided import Arch, Eyeball, OneSided, OneSidedOptions, free_depths
 from solver.mechanics import jaw
 from solver.mechanics.potential import Boundary, BoundaryRates
 from solver.model import JawFrame
@@ -17,7 +17,7 @@ JAW = JawFrame(np.array([0.0, 30.0, -60.0]), np.eye(3))
 def kept(obstacle, points, carried=None):
     count = len(points)
     rows = sp.eye_array(count, format="csr")
-    free = np.full(count, -MARGIN_MM)
+    free = np.full(count, -OneSidedOptions.margin_mm)
     return OneSided(obstacle, rows, np.zeros((count, 3)), free, np.full(count, 7.0), carried)
 
 
@@ -112,9 +112,11 @@ def check_derivatives(potential, x, b):
 
 def test_the_neutral_is_pushed_by_nothing():
     arch = Arch.of(row_of_teeth())
-    rest = np.vstack([fan(RADIUS - 1.0), fan(RADIUS + MARGIN_MM / 2), fan(RADIUS + 1.0)])
+    rest = np.vstack(
+        [fan(RADIUS - 1.0), fan(RADIUS + OneSidedOptions.margin_mm / 2), fan(RADIUS + 1.0)]
+    )
     rows = sp.eye_array(len(rest), format="csr")
-    free = free_depths(arch, rest, -MARGIN_MM)
+    free = free_depths(arch, rest, -OneSidedOptions.margin_mm)
     potential = OneSided(arch, rows, np.zeros_like(rest), free, np.ones(len(rest)))
     assert potential.value(rest) == 0.0
     assert not len(potential.behind(rest, 0.2))

@@ -1,4 +1,4 @@
-"""Contact in equilibrium: a ball pressed into a real face, and the neutral left alone."""
+"""Contact in equilibrium: a ball pressed into a whole face, and the neutral left alone."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from solver.mechanics.flesh import COROTATED_TRACE
 from solver.similarity import IDENTITY
 from solver.simulation.inertia import Drive
 from solver.simulation.simulator import Simulator
-from tests.fixtures import fixture_model
+from tests.fixtures import small_model
 from tests.solver.ball import ball
 
 STIFFNESS_PA = 3000.0
@@ -22,7 +22,7 @@ RADIUS, PRESSED, STEPS = 8.0, 3.0, 3
 @pytest.fixture(scope="module")
 def nose():
     """A face, and a ball that begins half a millimetre in front of its nose."""
-    model = fixture_model("neutral_coarse")
+    model = small_model()
     face = Face(model, material=COROTATED_TRACE.in_pascal(STIFFNESS_PA))
     skin = model.skin.vertices[model.face]
     front = skin[skin[:, 2].argmax()]

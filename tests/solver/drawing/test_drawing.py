@@ -5,16 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from solver.drawing.head import (
-    both_sides,
-    heat,
-    muscle_colours,
-)
-from solver.drawing.render import (
-    Camera,
-    irradiance,
-    look,
-)
+from solver.drawing.head import both_sides, heat, muscle_colours
+from solver.drawing.render import Camera, irradiance, look
 from solver.surface import Surface
 
 

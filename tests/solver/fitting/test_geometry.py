@@ -78,7 +78,7 @@ def test_step_solves_the_dense_system():
         )
         own = slice(S.nnz + number * count, S.nnz + (number + 1) * count)
         by_all[jacobian.free, own] = jacobian.flesh
-        by_all[jacobian.moving, own.stop - 5 : own.stop] += jacobian.jaw
+        by_all[:, own] += jacobian.held.toarray()
         matrix += by_all.T @ (term.curvature(x) @ by_all)
         gradient += by_all.T @ term.gradient(x).ravel()
         matrix[own, own] += regulariser.gauss_newton(states[name].pose) + 1e-2 * np.diag(units)

@@ -46,19 +46,17 @@ def test_by_pose(posed):
     np.testing.assert_allclose(jacobian.flesh, numeric[jacobian.free], atol=1e-6 * scale)
     gradient = rng.standard_normal(state.x.shape)
     np.testing.assert_allclose(
-        jacobian.transposed(gradient), numeric.T @ gradient.ravel(), rtol=1e-5, atol=1e-5 * scale
+        jacobian.adjoint(gradient), numeric.T @ gradient.ravel(), rtol=1e-5, atol=1e-5 * scale
     )
     products = Sensitivity(face, state)
     adjoint = products.by_pose_adjoint(gradient)
-    np.testing.assert_allclose(adjoint, jacobian.transposed(gradient), rtol=1e-9)
+    np.testing.assert_allclose(adjoint, jacobian.adjoint(gradient), rtol=1e-9)
     change = rng.standard_normal(17)
     np.testing.assert_allclose(products.flesh_by_pose(change), jacobian.flesh @ change, rtol=1e-9)
     points = rng.standard_normal((len(face.model.face), 3)) + face.face_points(state.x)
     curvature = SkinDistance(face, Target.from_points(points)).curvature(state.x)
     exact = numeric.T @ (curvature @ numeric)
-    np.testing.assert_allclose(
-        jacobian.contracted(curvature), exact, atol=1e-5 * np.abs(exact).max()
-    )
+    np.testing.assert_allclose(jacobian.contract(curvature), exact, atol=1e-5 * np.abs(exact).max())
 
 
 def test_by_geometry_and_its_adjoint(posed):

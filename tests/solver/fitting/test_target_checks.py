@@ -146,5 +146,5 @@ def test_muscles_that_move_nothing_are_named():
     dense[:, 2] = 0.0
     (notice,) = idle_muscles(face.with_weights(replace_values(S, dense.ravel())))
     assert (notice.code, notice.context["muscle"]) == ("muscle.no_share", "right")
-    (notice,) = idle_muscles(face, sp.csr_array(dense))
+    (notice,) = idle_muscles(face.with_weights(sp.csr_array(dense)))
     assert notice.code == "muscle.no_candidates"

@@ -16,7 +16,7 @@ from solver.errors import InputError
 from solver.meshio.obj import write_obj
 from solver.meshio.registered import REGISTERED_FORMATS, read_registered, write_registered
 from solver.surface import Surface
-from tests.fixtures import ict_capture
+from tests.fixtures import small_capture
 
 BALL = trimesh.creation.icosphere(subdivisions=2, radius=90.0)
 HEAD = Surface(np.asarray(BALL.vertices, np.float64), np.asarray(BALL.faces, np.int64))
@@ -67,8 +67,8 @@ def test_blank_lines_after_an_ascii_stl_are_no_cut(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", REGISTERED_FORMATS)
-def test_a_real_head_survives_every_format(suffix: str, tmp_path: Path) -> None:
-    neutral, smile = ict_capture("neutral"), ict_capture("smile")
+def test_a_whole_head_survives_every_format(suffix: str, tmp_path: Path) -> None:
+    neutral, smile = small_capture("neutral"), small_capture("smile")
     path = write(tmp_path / f"smile{suffix}", smile)
     vertices = read_registered(
         path, smile.faces, len(smile.vertices), neutral=neutral.vertices

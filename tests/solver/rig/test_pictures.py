@@ -9,28 +9,38 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from solver.drawing.page import HEADER
+from solver.drawing.sheet import HEADER
 from solver.model import SubjectModel
 from solver.rig.pictures import anatomy_picture, fit_picture, tets_picture
 from solver.rig.result import ExpressionFit
-from tests.fixtures import fixture_model, ict_capture
+from tests.fixtures import small_capture, small_model
 
 CELL = (1600 // 3, 520)
 
 
 @pytest.fixture(scope="module")
 def model() -> SubjectModel:
-    return replace(fixture_model("neutral_coarse"), skin=ict_capture("neutral"))
+    return small_model()
 
 
 def test_fit_picture_shows_scan_fit_and_where_they_differ(
     model: SubjectModel, tmp_path: Path
 ) -> None:
-    scan = ict_capture("smile").vertices
+    scan = small_capture("smile").vertices
     error = np.full(len(scan), np.nan)
     error[model.face] = 0.0
     exact = ExpressionFit(
-        "smile", "train", np.zeros((43, 6)), np.zeros(5), scan, scan, error, 0, 1, 0.1, 0.0
+        "smile",
+        "train",
+        np.zeros((model.muscle_count, 6)),
+        np.zeros(5),
+        scan,
+        scan,
+        error,
+        0,
+        1,
+        0.1,
+        0.0,
     )
     chin = model.skin.vertices[model.face, 1] < np.quantile(model.skin.vertices[model.face, 1], 0.2)
     wrong = error.copy()

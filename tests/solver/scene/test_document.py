@@ -4,7 +4,9 @@ import jsonschema
 import pytest
 
 from solver.errors import InputError
-from solver.scene.document import DEFINITIONS, check
+from solver.kinds.scene import AnimateScene, EditScene, SimulateScene
+from solver.kinds.schema import json_schema
+from solver.scene.document import document_of, read_scene
 
 EVERYTHING = {
     "fps": 24,
@@ -37,13 +39,13 @@ EVERYTHING = {
 
 
 def test_the_schema_is_one_and_defaults_are_allowed():
-    for name in ("simulate", "animate", "edit"):
-        schema = {"$ref": f"#/$defs/{name}_scene", "$defs": DEFINITIONS}
-        jsonschema.Draft202012Validator.check_schema(schema)
-    assert check(EVERYTHING, "simulate") == EVERYTHING
-    check({}, "simulate")
-    check({"recording": {"asset": "take", "start": 3}}, "animate")
-    check({"edits": []}, "edit")
+    for kind in (SimulateScene, AnimateScene, EditScene):
+        jsonschema.Draft202012Validator.check_schema(json_schema(kind))
+    jsonschema.validate(EVERYTHING, json_schema(SimulateScene))
+    assert document_of(read_scene(EVERYTHING, SimulateScene)) == EVERYTHING
+    read_scene({}, SimulateScene)
+    read_scene({"recording": {"asset": "take", "start": 3}}, AnimateScene)
+    read_scene({"edits": []}, EditScene)
 
 
 @pytest.mark.parametrize(
@@ -82,7 +84,7 @@ def test_the_schema_is_one_and_defaults_are_allowed():
 )
 def test_the_first_fault_is_named(scene, where, words):
     with pytest.raises(InputError, match=words) as raised:
-        check(scene, "simulate")
+        read_scene(scene, SimulateScene)
     assert raised.value.code == "scene.schema"
     assert raised.value.context["where"] == where
 
@@ -92,7 +94,7 @@ def test_whole_numbers_are_integers_however_they_are_written():
         "steps_per_frame": 2.0,
         "forces": [{"kind": "point", "at": 5.0, "mn": [0.5, 1.0, 0]}],
     }
-    found = check(scene, "simulate")
+    found = document_of(read_scene(scene, SimulateScene))
     numbers = [found["steps_per_frame"], found["forces"][0]["at"], *found["forces"][0]["mn"]]
     assert numbers == [2, 5, 0.5, 1, 0]
     assert [type(each) for each in numbers] == [int, int, float, int, int]
@@ -100,4 +102,4 @@ def test_whole_numbers_are_integers_however_they_are_written():
 
 def test_an_animation_needs_its_recording():
     with pytest.raises(InputError, match="recording"):
-        check({}, "animate")
+        read_scene({}, AnimateScene)

@@ -1,8 +1,5 @@
 """From a scene's JSON to edits: places, maps, and what a person does not have."""
 
-import json
-from importlib import resources
-
 import jsonschema
 import numpy as np
 import pytest
@@ -16,9 +13,12 @@ from solver.edits.fat import (
 )
 from solver.edits.paralysis import Paralysis
 from solver.errors import InputError
+from solver.kinds.edits import EDITS
+from solver.kinds.scene import EditScene
+from solver.kinds.schema import json_schema
+from solver.scene.document import read_scene
 from solver.scene.places import Places
 from solver.scene.stage import (
-    KINDS,
     edits_of,
 )
 from tests.solver.block import head_block
@@ -33,11 +33,6 @@ EVERY_KIND = [
 ]
 
 
-@pytest.fixture(scope="module")
-def schema():
-    return json.loads(resources.files("solver.scene").joinpath("edit.schema.json").read_text())
-
-
 @pytest.fixture
 def places(tmp_path):
     model = head_block()
@@ -47,14 +42,16 @@ def places(tmp_path):
     return Places(model, {"lip": 5}, assets)
 
 
-def test_every_kind_is_described_and_becomes_an_edit(schema, places):
-    jsonschema.Draft202012Validator.check_schema(schema)
-    jsonschema.validate(EVERY_KIND, schema)
-    edit = schema["$defs"]["edit"]
-    described = [each["if"]["properties"]["kind"]["const"] for each in edit["allOf"]]
-    assert described == edit["properties"]["kind"]["enum"]
-    assert described == list(KINDS) == [each["kind"] for each in EVERY_KIND]
-    made = edits_of(EVERY_KIND, places)
+def described(entries):
+    return read_scene({"edits": entries}, EditScene).edits
+
+
+def test_every_kind_is_described_and_becomes_an_edit(places):
+    jsonschema.validate({"edits": EVERY_KIND}, json_schema(EditScene))
+    assert [each["kind"] for each in EVERY_KIND] == [
+        kind.model_fields["kind"].annotation.__args__[0] for kind in EDITS
+    ]
+    made = edits_of(described(EVERY_KIND), places)
     assert [type(each) for each in made] == [Fat, Filler, Bone, Stiffening, Density, Paralysis]
     skin = places.model.skin.vertices
     np.testing.assert_array_equal(np.flatnonzero(made[0].painted), places.model.regions["left"])
@@ -79,8 +76,11 @@ def test_every_kind_is_described_and_becomes_an_edit(schema, places):
         {"side": "left"},
     ],
 )
-def test_the_schema_refuses(schema, entry):
-    assert not jsonschema.Draft202012Validator(schema).is_valid([entry])
+def test_the_schema_refuses(entry):
+    assert not jsonschema.Draft202012Validator(json_schema(EditScene)).is_valid({"edits": [entry]})
+    with pytest.raises(InputError) as raised:
+        described([entry])
+    assert raised.value.code == "scene.schema"
 
 
 @pytest.mark.parametrize(
@@ -94,6 +94,7 @@ def test_the_schema_refuses(schema, entry):
     ],
 )
 def test_what_the_person_does_not_have_is_named(places, painted, code, words):
+    entries = described([{"kind": "stiffness", "factor": 2, "map": painted}])
     with pytest.raises(InputError, match=words) as raised:
-        edits_of([{"kind": "stiffness", "factor": 2, "map": painted}], places)
+        edits_of(entries, places)
     assert raised.value.code == code

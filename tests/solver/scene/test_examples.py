@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from solver.kinds.scene import EditScene, SimulateScene
 from solver.registration.landmarks import landmark_vertices
-from solver.scene.document import check
+from solver.scene.document import document_of, read_scene
 from solver.templates.builtin.build import builtin_template
 
 ROOT = Path(__file__).parents[3]
@@ -31,7 +32,7 @@ def named(value, key):
 @pytest.mark.parametrize("name", SCENES)
 def test_an_example_is_a_scene_of_the_built_in_person(name):
     scene = json.loads((FOLDER / name).read_text())
-    check(scene, "simulate" if {"keys", "head"} & set(scene) else "edit")
+    read_scene(scene, SimulateScene if {"keys", "head"} & set(scene) else EditScene)
     template = builtin_template()
     assert {*named(scene, "at"), *named(scene, "spots")} <= set(landmark_vertices(template))
     assert set(named(scene, "regions")) <= set(template.regions)
@@ -40,7 +41,7 @@ def test_an_example_is_a_scene_of_the_built_in_person(name):
 def test_the_scene_of_the_documentation_is_one():
     text = (ROOT / "docs" / "guide" / "simulation.md").read_text()
     [document] = re.findall(r"```json\n(.*?)```", text, re.DOTALL)
-    scene = check(json.loads(document), "simulate")
+    scene = document_of(read_scene(json.loads(document), SimulateScene))
     muscles = [name for key in scene["keys"] for name in key.get("muscles", {})]
     assert muscles
     assert set(muscles) <= {muscle.name for muscle in builtin_template().muscles}

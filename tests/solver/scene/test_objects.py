@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from solver.kinds.scene import Object
 from solver.scene.objects import objects_of
 from solver.scene.places import Places
 from tests.solver.block import head_block
@@ -27,7 +28,8 @@ def places(tmp_path):
 
 
 def test_a_path_turns_and_moves_an_object_from_its_place(places):
-    entry = {"name": "glass", "mesh": {"box_mm": [4, 2, 2]}, "at": "lip", "path": PATH}
+    given = {"name": "glass", "mesh": {"box_mm": [4, 2, 2]}, "at": "lip", "path": PATH}
+    entry = Object.model_validate(given)
     [glass] = objects_of([entry], places)
     lip = places.model.skin.vertices[5]
     for time, moved in ((-1.0, 0.0), (0.0, 0.0), (1.0, 10.0), (9.0, 10.0)):
@@ -44,7 +46,8 @@ def test_a_path_turns_and_moves_an_object_from_its_place(places):
 
 @pytest.mark.parametrize("asset", ["inward", "metres"])
 def test_a_file_is_read_in_its_unit_and_turned_outward(places, asset):
-    [box] = objects_of([{"name": "box", "mesh": {"asset": asset}}], places)
+    entry = Object.model_validate({"name": "box", "mesh": {"asset": asset}})
+    [box] = objects_of([entry], places)
     assert box.shape.vertices.shape == (8, 3)
     np.testing.assert_allclose(np.ptp(box.shape.vertices, axis=0), [80, 60, 20], atol=1e-3)
     whole = trimesh.Trimesh(box.shape.vertices, box.shape.faces, process=False)

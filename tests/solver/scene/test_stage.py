@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError
+from solver.kinds.scene import SimulateScene
 from solver.model import SubjectModel
-from solver.scene.document import check
-from solver.scene.keys import keyed
+from solver.scene.document import read_scene
+from solver.scene.keys import drives_of
 from solver.scene.places import Places
 from solver.scene.stage import Stage
 from solver.surface import Floats
@@ -23,9 +24,9 @@ BALL = {"name": "ball", "mesh": {"ball_mm": 5}}
 
 
 def staged(scene: dict[str, Any], model: SubjectModel = MODEL) -> Stage:
-    document = check(scene, "simulate")
-    drives = keyed(document, {}, model, model.weights)
-    return Stage(document, Places(model, {}), model.weights, drives)
+    played = read_scene(scene, SimulateScene)
+    drives = drives_of(played, {}, model, model.weights)
+    return Stage(played, Places(model, {}), model.weights, drives)
 
 
 def pulled(**scene: Any) -> Floats:

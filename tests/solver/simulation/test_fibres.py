@@ -7,7 +7,7 @@ import pytest
 
 from solver.errors import InputError
 from solver.mechanics.flesh import IDENTITY
-from solver.simulation.fibres import LEAST, fibre_activations, nearest_fibre
+from solver.simulation.fibres import ContractionLimits, fibre_activations, nearest_fibre
 from tests.solver.block import block_model
 
 
@@ -58,7 +58,7 @@ def test_contractions_are_found_again(model):
     a[1] = 0.8 * IDENTITY
     np.testing.assert_allclose(nearest_fibre(model, model.weights, a), [0.7, 0.8])
     a[0, 0] = 0.1
-    assert nearest_fibre(model, model.weights, a)[0] == LEAST
+    assert nearest_fibre(model, model.weights, a)[0] == ContractionLimits.least
 
 
 def test_a_muscle_without_flesh_stays_relaxed(model):

@@ -6,10 +6,7 @@ import pytest
 
 from solver.errors import InputError
 from solver.templates.builtin import source as builtin_source
-from solver.templates.builtin.source import (
-    SourceFiles,
-    fetch_wheel,
-)
+from solver.templates.builtin.source import SourceFiles, fetch_wheel
 
 
 def test_changed_file_in_the_cache_is_refused(monkeypatch, tmp_path):

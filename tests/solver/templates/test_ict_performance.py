@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 
 from solver.scans.live_link import ARKIT_NAMES, read_live_link
-from solver.templates.ict_facekit import (
-    arkit_source,
-    performance_frames,
-)
+from solver.templates.ict_facekit import arkit_source, performance_frames
 from tests.fixtures import data_folder
 
 

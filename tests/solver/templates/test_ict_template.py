@@ -12,10 +12,7 @@ from solver.anatomy.depth_warp import SkinDepth
 from solver.anatomy.muscle_weights import enclosed_volume
 from solver.errors import InputError
 from solver.surface import Surface
-from solver.templates import (
-    bodyparts3d,
-    ict_facekit,
-)
+from solver.templates import bodyparts3d, ict_facekit
 from solver.templates.bodyparts3d import Part
 from solver.templates.ict_template import build_ict_template
 

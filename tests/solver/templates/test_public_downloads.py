@@ -12,10 +12,7 @@ import trimesh
 
 from solver.errors import InputError
 from solver.surface import Floats, Ints
-from solver.templates import (
-    bodyparts3d,
-    ict_facekit,
-)
+from solver.templates import bodyparts3d, ict_facekit
 from solver.templates.bodyparts3d import public_parts
 from solver.templates.ict_facekit import NEUTRAL
 from tests.fixtures import data_folder

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from solver.anatomy.template import Depth, Template
 from solver.surface import Surface
-from solver.templates.checks import report_template
+from solver.templates.report import report_template
 from tests.ball_head import ball, ball_head
 
 Change = Callable[[Template], Template]

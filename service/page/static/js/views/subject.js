@@ -3,7 +3,7 @@
 import { all, get, remove } from "../api.js";
 import { h, setText, show } from "../dom.js";
 import { keyed } from "../keyed.js";
-import { changed } from "../library.js";
+import { changed, kindsByName } from "../library.js";
 import { askToDeleteSubject } from "../parts/delete_subject.js";
 import { ask } from "../parts/dialog.js";
 import { panel, table } from "../parts/frame.js";
@@ -22,18 +22,17 @@ const EVERY_MS = 5_000;
 /** What the state of the newest build says of the model. */
 const MODEL = { succeeded: "Built", queued: "Waits to be built", running: "Being built", failed: "Not built" };
 
-/** What can be played by a rig's flesh. */
-const PLAYS = [
-  ["simulate", "Simulate"],
-  ["animate", "Animate"],
-  ["edit", "Edit"],
-];
+/** Return the kinds of job that need nothing but a rig and, maybe, assets. */
+function kindsOfRigs(kinds) {
+  const needless = ({ reads }) => !reads.includes("captures") && !reads.includes("performance");
+  return [...kinds.values()].filter((kind) => kind.reads.includes("rig") && needless(kind));
+}
 
 export async function mount(root, { id }) {
   const ending = new AbortController();
-  const subject = await get(`/v1/subjects/${id}`, {}, ending.signal);
+  const [subject, kinds] = await Promise.all([get(`/v1/subjects/${id}`, {}, ending.signal), kindsByName()]);
   nameWindow(subject.name);
-  const view = new SubjectView(subject, ending.signal);
+  const view = new SubjectView(subject, kindsOfRigs(kinds), ending.signal);
   root.append(...view.elements);
   await repeat(
     () => view.refresh(),
@@ -45,8 +44,9 @@ export async function mount(root, { id }) {
 }
 
 class SubjectView {
-  constructor(subject, signal) {
+  constructor(subject, kindsOfRigs, signal) {
     this.subject = subject;
+    this.kindsOfRigs = kindsOfRigs;
     this.signal = signal;
     this.chosen = new Set();
     this.captureBody = h("tbody");
@@ -210,8 +210,10 @@ class SubjectView {
               null,
               { "data-more": true },
             ),
-            PLAYS.map(([kind, words]) =>
-              button(words, () => this.order(kind, { rig_id: rig.id, captures: this.assets })),
+            this.kindsOfRigs.map(({ kind, reads }) =>
+              button(plain(kind), () =>
+                this.order(kind, { rig_id: rig.id, captures: reads.includes("assets") ? this.assets : [] }),
+              ),
             ),
           ),
         ),

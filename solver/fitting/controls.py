@@ -1,0 +1,160 @@
+"""Controls of a fit: one vector q of named blocks, with rest, bounds and units.
+
+Activations of S and the jaw, contractions of fibres, weights of shapes, the head: a fit varies them
+all as one vector and finds its parts by name. Controls say where they put the flesh, and give the
+derivative of that (:class:`solver.mechanics.response.Controls`), which is all that a fit needs to
+know of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+from typing import Protocol
+
+import numpy as np
+
+from solver.mechanics import response
+from solver.mechanics.flesh import IDENTITY, Flesh
+from solver.mechanics.jaw import DEGREES_OF_FREEDOM
+from solver.surface import Floats, Ints
+
+# D: a radian of jaw counts as 100 mm, its motion at the chin
+JAW_UNITS = np.array([100.0, 100.0, 1.0, 1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class StepLimits:
+    """Changes of (a, b) that count as a step of reach 1, and the jaw's part of the damping."""
+
+    activation: float = 0.4  # of an entry
+    turn: float = 0.1  # of the jaw's angles, rad
+    jaw_damping: float = 1e-3  # weight of D^2
+
+
+@dataclass(frozen=True)
+class Block:
+    """A named part of q; ``rest`` has its shape, everything else broadcasts to it.
+
+    ``damping`` is what Levenberg-Marquardt weighs a squared change by, ``reach`` the change up to
+    which a linear model is surely good.
+    """
+
+    name: str
+    rest: Floats
+    damping: Floats | float = 1.0
+    reach: Floats | float = np.inf
+    lower: Floats | float = -np.inf
+    upper: Floats | float = np.inf
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The blocks of q in turn: ``layout["jaw"]`` is the slice of q (size,) that is the jaw."""
+
+    blocks: tuple[Block, ...]
+    _places: dict[str, slice] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Place the blocks one after the other."""
+        ends = np.cumsum([0, *(block.rest.size for block in self.blocks)]).tolist()
+        pairs = zip(self.blocks, ends[:-1], ends[1:], strict=True)
+        object.__setattr__(self, "_places", {b.name: slice(i, j) for b, i, j in pairs})
+
+    def __getitem__(self, name: str) -> slice:
+        """Return where a block is in q."""
+        return self._places[name]
+
+    @property
+    def size(self) -> int:
+        """Return the number of entries of q."""
+        return sum(block.rest.size for block in self.blocks)
+
+    @cached_property
+    def rest(self) -> Floats:
+        """Return q (size,) of the neutral face."""
+        return self.join([block.rest for block in self.blocks])
+
+    @cached_property
+    def lower(self) -> Floats:
+        """Return the lower bounds (size,)."""
+        return self._spread([block.lower for block in self.blocks])
+
+    @cached_property
+    def upper(self) -> Floats:
+        """Return the upper bounds (size,)."""
+        return self._spread([block.upper for block in self.blocks])
+
+    @cached_property
+    def damping(self) -> Floats:
+        """Return the diagonal of D^2 (size,): what damping weighs each entry of q by."""
+        return self._spread([block.damping for block in self.blocks])
+
+    @cached_property
+    def limits(self) -> Floats:
+        """Return the change (size,) of each entry in a step of reach 1."""
+        return self._spread([block.reach for block in self.blocks])
+
+    def reach(self, step: Floats) -> float:
+        """Return the length of a ``step`` (size,): 1 is what a linear model is surely good for."""
+        return float((np.abs(step) / self.limits).max())
+
+    def part(self, name: str, q: Floats) -> Floats:
+        """Return a view of a block in q (size,), in its shape."""
+        shape = next(block.rest.shape for block in self.blocks if block.name == name)
+        return q[self[name]].reshape(shape)
+
+    def places(self, name: str) -> Ints:
+        """Return where a block's entries are in q, in its shape."""
+        block = next(block for block in self.blocks if block.name == name)
+        return np.arange(self[name].start, self[name].stop).reshape(block.rest.shape)
+
+    def split(self, q: Floats) -> list[Floats]:
+        """Return views of q (size,) in the shapes of the blocks."""
+        return [self.part(block.name, q) for block in self.blocks]
+
+    def join(self, values: Sequence[Floats]) -> Floats:
+        """Return q (size,) of the blocks' ``values``."""
+        return np.concatenate([value.ravel() for value in values])
+
+    def _spread(self, values: Sequence[Floats | float]) -> Floats:
+        pairs = zip(values, self.blocks, strict=True)
+        return self.join([np.broadcast_to(value, block.rest.shape) for value, block in pairs])
+
+
+class FitControls(Protocol):
+    """What a fit varies: q (size,) in ``layout``, and what it makes of the flesh."""
+
+    @property
+    def layout(self) -> Layout:
+        """Return the blocks of q."""
+
+    @property
+    def flesh(self) -> Flesh:
+        """Return the flesh, which takes :meth:`flesh_controls`."""
+
+    def flesh_controls(self, q: Floats) -> Floats:
+        """Return what drives the flesh: activations (n, 6) of its tets, or its term's own."""
+
+    def held_positions(self, q: Floats) -> Floats:
+        """Return where the held vertices are, (h, 3) in the order of ``flesh.held``."""
+
+    def linearise(self, q: Floats, x: Floats) -> response.Controls:
+        """Return the derivative by q, at vertices x (p, 3)."""
+
+
+def jaw_block(limits: StepLimits | None = None) -> Block:
+    """Return the block of the jaw b (5,): two angles, rad, and a translation, mm."""
+    limits = limits or StepLimits()
+    reach = np.full(DEGREES_OF_FREEDOM, np.inf)
+    reach[:2] = limits.turn
+    rest = np.zeros(DEGREES_OF_FREEDOM)
+    return Block("jaw", rest, JAW_UNITS**2 * limits.jaw_damping, reach)
+
+
+@cache
+def pose_layout(muscles: int) -> Layout:
+    """Return the layout of (a, b): ``activations`` (m, 6) and ``jaw`` (5,)."""
+    rest = np.tile(IDENTITY, (muscles, 1))
+    return Layout((Block("activations", rest, reach=StepLimits().activation), jaw_block()))

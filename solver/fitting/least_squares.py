@@ -1,0 +1,268 @@
+"""Damped Gauss-Newton: one loop for all fits, with searches and a damping rule as its parts.
+
+    f(q + s) ~ f + g . s + 1/2 s . (B + damping D^2) s
+
+A problem linearises f at a state and goes along steps; a search takes the linear model's steps
+until one lowers f. The damping (Levenberg 1944, Marquardt 1963) follows the ratio of what a step
+gained to what its model promised, the reach of a step may do so as well (trust region: More and
+Sorensen 1983).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+
+from solver.surface import Floats
+
+Point = TypeVar("Point")  # where a fit is: its variables and what follows from them
+
+# called after each accepted step with the iteration and the objective
+Listener = Callable[[int, float], None]
+
+
+@dataclass(frozen=True)
+class DampingOptions:
+    """The damping rule; ``good`` and ``bad`` are gains, as parts of the promised."""
+
+    start: float
+    least: float
+    most: float = np.inf
+    grow: float = 4.0  # factor after a bad step
+    shrink: float = 4.0  # divisor after a good one
+    good: float = 0.75
+    bad: float = 0.25
+
+    def adapt(self, damping: float, ratio: float) -> float:
+        """Return the damping after a step that gained ``ratio`` of what its model promised."""
+        if ratio < self.bad:
+            return self.increase(damping)
+        return max(damping / self.shrink, self.least) if ratio > self.good else damping
+
+    def increase(self, damping: float, times: int = 1) -> float:
+        """Return the damping after so many bad steps."""
+        return min(damping * self.grow**times, self.most)
+
+    def scale(self, damping: Floats, factor: Floats, fall: float) -> Floats:
+        """Return dampings (k,) times their ``factor`` (k,), as far as the rule lets them change.
+
+        None falls below ``fall`` times itself.
+        """
+        return np.maximum(damping * np.clip(factor, fall, self.grow), self.least)
+
+
+@dataclass(frozen=True)
+class Step:
+    """A ``change`` of the variables (k,), with its linear model.
+
+    ``slope`` is g . s and ``bend`` s . B s, ``reach`` its length, 1 being what a linear model is
+    surely good for; ``response`` is whatever else is linear in it, as the flesh's motion (size,).
+    """
+
+    change: Floats
+    slope: float
+    bend: float
+    reach: float = 0.0
+    response: Floats = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def gain(self) -> float:
+        """Return what the model promises f to fall by."""
+        return -self.slope - 0.5 * self.bend
+
+    def cut(self, part: float) -> Step:
+        """Return a part of the step."""
+        slope, bend = part * self.slope, part**2 * self.bend
+        return Step(part * self.change, slope, bend, part * self.reach, part * self.response)
+
+
+class LinearModel(Protocol):
+    """f around a point."""
+
+    def step(self, damping: float, trust: float) -> Step:
+        """Return the step that minimises the damped model, cut to a reach of ``trust``."""
+
+
+class Problem(Protocol[Point]):
+    """f, its linear models, and the way along their steps."""
+
+    def value(self, point: Point) -> float:
+        """Return f."""
+
+    def linearise(self, point: Point) -> LinearModel:
+        """Return f's model around a point."""
+
+    def move(self, point: Point, step: Step) -> Point | None:
+        """Return the point a step leads to, None where that is too far."""
+
+
+class Ending(StrEnum):
+    """Why a search leads no further."""
+
+    CONVERGED = "converged"
+    STUCK = "stuck"
+    UNRELIABLE = "unreliable"
+    ITERATIONS = "iterations"
+
+
+@dataclass(frozen=True)
+class Trial(Generic[Point]):
+    """A search's result: a better point with its f, None if there is none; and the end, if it is.
+
+    ``ending`` is None where the fit goes on from here.
+    """
+
+    point: Point | None
+    value: float
+    ending: Ending | None
+
+
+@dataclass(frozen=True)
+class Minimum(Generic[Point]):
+    """Where a descent ended: f there, the steps taken to it, and why.
+
+    ``idle`` says that one more search was begun and led nowhere.
+    """
+
+    point: Point
+    value: float
+    steps: int
+    ending: Ending
+    idle: bool = False
+
+
+class Search(Protocol):
+    """Finds a step that lowers f; it may keep what it learns for the next one."""
+
+    def descend(
+        self, problem: Problem[Point], point: Point, value: float, stop: StopOptions
+    ) -> Trial[Point]:
+        """Take the model's steps at a point where f is ``value``."""
+
+
+@dataclass(frozen=True)
+class StopOptions:
+    """The end: after so many ``iterations``, or of gains below these parts of f."""
+
+    iterations: int
+    promised: float = 0.0  # by a step, before it is taken
+    gained: float = 0.0  # by the step that was taken
+
+
+def minimise(
+    problem: Problem[Point],
+    start: Point,
+    search: Search,
+    stop: StopOptions,
+    listen: Listener | None = None,
+) -> Minimum[Point]:
+    """Lower f step by step from ``start``."""
+    point, value = start, problem.value(start)
+    for number in range(stop.iterations):
+        found = search.descend(problem, point, value, stop)
+        if found.point is None:
+            return Minimum(point, value, number, found.ending or Ending.STUCK, idle=True)
+        point, value = found.point, found.value
+        if listen:
+            listen(number + 1, value)
+        if found.ending:
+            return Minimum(point, value, number + 1, found.ending)
+    return Minimum(point, value, stop.iterations, Ending.ITERATIONS)
+
+
+@dataclass(frozen=True)
+class TrustOptions:
+    """The reach of steps, and how many are tried from one point before that counts as stuck."""
+
+    most: float = 1.0
+    least: float = 2.0**-8
+    tries: int = 6
+
+
+class TrustRegion:
+    """A search by ever shorter and more damped steps, each solved for anew."""
+
+    def __init__(self, damping: DampingOptions, trust: TrustOptions | None = None) -> None:
+        self._rule, self._trust = damping, trust or TrustOptions()
+        self.damping, self.reach = damping.start, self._trust.most
+
+    def descend(
+        self, problem: Problem[Point], point: Point, value: float, stop: StopOptions
+    ) -> Trial[Point]:
+        """See :class:`Search`."""
+        model = problem.linearise(point)
+        for trial in range(self._trust.tries):
+            step = model.step(self.damping, self.reach)
+            # a step that was cut says nothing of what is left
+            whole = step.reach < 0.99 * self.reach
+            if not trial and whole and step.gain <= stop.promised * value:
+                return Trial(None, value, Ending.CONVERGED)
+            moved = problem.move(point, step)
+            if moved is None:
+                self._shorten(step.reach)
+                continue
+            reached = problem.value(moved)
+            self._adapt((value - reached) / step.gain, step.reach)
+            if reached < value:
+                done = whole and value - reached <= stop.gained * reached
+                return Trial(moved, reached, Ending.CONVERGED if done else None)
+        return Trial(None, value, Ending.STUCK)
+
+    def _adapt(self, ratio: float, taken: float) -> None:
+        """Learn from a step of reach ``taken`` that gained ``ratio`` of what was promised."""
+        self.damping = self._rule.adapt(self.damping, ratio)
+        if ratio < self._rule.bad:
+            self._shorten(taken)
+        elif ratio > self._rule.good and taken > 0.9 * self.reach:
+            self.reach = min(2.0 * self.reach, self._trust.most)
+
+    def _shorten(self, taken: float) -> None:
+        """Trust in steps half as long as the one ``taken``."""
+        self.reach = max(0.5 * min(self.reach, taken), self._trust.least)
+
+
+@dataclass(frozen=True)
+class HalvingOptions:
+    """How often a step is halved, and the ratio of its gain below which the descent ends."""
+
+    tries: int = 3
+    least_ratio: float = -np.inf
+
+
+class Halving:
+    """A search along one step, cut in half and in half again; ``damping`` is of the next one."""
+
+    def __init__(self, damping: DampingOptions, options: HalvingOptions) -> None:
+        self._rule, self._options = damping, options
+        self.damping = damping.start
+
+    def descend(
+        self, problem: Problem[Point], point: Point, value: float, stop: StopOptions
+    ) -> Trial[Point]:
+        """See :class:`Search`."""
+        step = problem.linearise(point).step(self.damping, 1.0)
+        if step.gain <= stop.promised * value:
+            return Trial(None, value, Ending.CONVERGED)
+        for _ in range(self._options.tries):
+            moved = problem.move(point, step)
+            if moved is not None:
+                reached = problem.value(moved)
+                if reached < value:
+                    return self._accept(moved, value, reached, step, stop)
+            step = step.cut(0.5)
+            self.damping = self._rule.increase(self.damping)
+        return Trial(None, value, Ending.STUCK)
+
+    def _accept(
+        self, moved: Point, value: float, reached: float, step: Step, stop: StopOptions
+    ) -> Trial[Point]:
+        ratio = (value - reached) / step.gain
+        self.damping = self._rule.adapt(self.damping, ratio)
+        if ratio < self._options.least_ratio:
+            return Trial(moved, reached, Ending.UNRELIABLE)
+        done = value - reached <= stop.gained * reached
+        return Trial(moved, reached, Ending.CONVERGED if done else None)

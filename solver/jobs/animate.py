@@ -1,0 +1,108 @@
+"""The job that plays a recording of Live Link Face."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from solver.anatomy.template import Template
+from solver.animation.blendshapes import (
+    Blendshapes,
+    Solved,
+    expression_targets,
+    solve_blendshapes,
+)
+from solver.animation.recording import from_recording
+from solver.fitting.face import Face
+from solver.fitting.target_checks import check_held
+from solver.jobs.scenes import (
+    EXPORT,
+    READ,
+    Person,
+    fingerprint,
+    finish,
+    play,
+    read_person,
+)
+from solver.jobs.task import Task
+from solver.kinds.animate import Animate
+from solver.mechanics.linear import fastest
+from solver.progress import Step
+from solver.rig.animation import check_video
+from solver.scans.live_link import read_live_link
+from solver.scene.keys import head_of
+from solver.scene.stage import Stage
+from solver.templates.builtin.build import builtin_template
+
+SOLVED = 0.3
+"""Part of a job after which its blendshapes are solved."""
+SAVED_EVERY = 5
+"""Blendshapes that are solved between two writings of their file."""
+
+
+def run(task: Task[Animate]) -> list[Path]:
+    """Play a recording of Live Link Face on a fitted face.
+
+    Activations and jaw of every expression of the template are solved first, once for a rig: the
+    ``blendshapes.npz`` that this leaves is taken as it is if it is given. All else is as in
+    :func:`solver.jobs.simulate.run`. Raises, besides, ``blendshapes.*`` and ``live_link.*``.
+    """
+    given, out, progress = task.options, task.out, task.progress
+    if given.video:
+        check_video()
+    scene = given.scene
+    person = read_person(task)
+    recording = scene.recording
+    recorded = read_live_link(person.places.asset(recording.asset))
+
+    def stage_of(shapes: Blendshapes) -> Stage:
+        head = head_of(scene.head)
+        start, end = recording.start, recording.end
+        drives = from_recording(recorded, shapes, person.model, start, end, head=head)
+        return Stage(scene, person.places, person.S, drives, given.linear_solver)
+
+    kept = out / "blendshapes.npz"
+    if "blendshapes" in task.inputs:
+        shapes = Blendshapes.load(task.inputs["blendshapes"], person.model, person.S)
+    else:
+        # the shapes take minutes: what is wrong with the scene is told before
+        stage_of(Blendshapes(person.model.muscle_names, {}))
+        shapes = _solve_shapes(person, kept, task)
+    shapes.save(kept, person.model, person.S)
+    stage, share = stage_of(shapes), (SOLVED, EXPORT)
+    frames = play(stage, out, fingerprint(task), progress, resume=task.resume, share=share)
+    solved = shapes.shapes
+    more = {
+        "blendshapes": len(solved),
+        "blendshapes_mean_mm": float(np.mean([shape.mean_mm for shape in solved.values()])),
+        "not_settled": [name for name, shape in solved.items() if not shape.settled],
+    }
+    written = finish(stage, frames, out, progress, title="Animation", video=given.video, more=more)
+    return [*written, kept]
+
+
+def _solve_shapes(person: Person, kept: Path, task: Task[Animate]) -> Blendshapes:
+    """Solve the person's blendshapes; they are ``kept`` in a file as they come.
+
+    With ``resume`` those in the file are taken as they are.
+    """
+    model, template = person.model, task.inputs.get("template")
+    anatomy = builtin_template() if template is None else Template.load(template)
+    targets = expression_targets(model, anatomy.shapes)
+    done: dict[str, Solved] = {}
+    if task.resume and kept.is_file():
+        done.update(Blendshapes.load(kept, model, person.S).shapes)
+
+    def report(name: str, solved: Solved) -> None:
+        done[name] = solved
+        if len(done) % SAVED_EVERY == 0:
+            Blendshapes(model.muscle_names, done).save(kept, model, person.S)
+        fraction = READ + (SOLVED - READ) * len(done) / len(targets)
+        words = f"{name}, {len(done)} of {len(targets)}"
+        error = solved.mean_mm
+        task.progress(Step("blendshapes", fraction, len(done), mean_error_mm=error, message=words))
+
+    face = Face(model, person.S, linear=fastest())
+    check_held(face)
+    return solve_blendshapes(face, targets, dict(done), report)

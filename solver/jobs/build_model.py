@@ -1,0 +1,49 @@
+"""The job that builds a subject's model."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from solver.anatomy.build import build_subject_model, model_summary
+from solver.anatomy.meshing import find_or_make_mesh
+from solver.anatomy.template import Template
+from solver.jobs.common import within
+from solver.jobs.task import Task
+from solver.kinds.build_model import BuildModel
+from solver.meshio.registered import read_registered
+from solver.progress import Step
+from solver.rig.pictures import anatomy_picture, fibres_picture, tets_picture
+from solver.templates.builtin.build import builtin_template
+
+
+def run(task: Task[BuildModel]) -> list[Path]:
+    """Build a subject's model from a registered neutral scan.
+
+    A template without tets of the wanted edge length gets them first, in minutes, and they are kept
+    in the cache folder for everybody. Writes ``model.npz``, ``model.json``, ``anatomy.png``,
+    ``tets.png`` and ``fibres.png``. Raises :class:`solver.errors.InputError` for a scan or template
+    that cannot be used, :class:`solver.errors.SolveError` if no mesh can be made.
+    """
+    neutral, template = task.inputs["neutral"], task.inputs.get("template")
+    edge_mm, progress = task.options.edge_mm, task.progress
+    progress(Step("read", 0.0, message=neutral.name))
+    anatomy = builtin_template() if template is None else Template.load(template)
+    vertices = read_registered(neutral, anatomy.skin.faces, len(anatomy.skin.vertices)).vertices
+    anatomy = find_or_make_mesh(anatomy, edge_mm, lambda step: progress(within(step, 0.02, 0.7)))
+    model = build_subject_model(
+        anatomy,
+        vertices,
+        edge_mm=edge_mm,
+        progress=lambda step: progress(within(step, 0.7, 0.93)),
+    )
+    names = ("model.npz", "model.json", "anatomy.png", "tets.png", "fibres.png")
+    files = [task.out / name for name in names]
+    model.save(files[0])
+    files[1].write_text(json.dumps(model_summary(model), indent=2), encoding="utf-8")
+    progress(Step("pictures", 0.94))
+    anatomy_picture(model, files[2])
+    tets_picture(model, files[3])
+    fibres_picture(model, files[4])
+    progress(Step("done", 1.0))
+    return files

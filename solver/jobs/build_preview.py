@@ -1,0 +1,54 @@
+"""The job that makes the sliders of a rig's page."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+from solver.fitting.face import Face
+from solver.fitting.target_checks import check_held
+from solver.jobs.task import Task
+from solver.kinds.build_preview import BuildPreview
+from solver.mechanics.linear import fastest
+from solver.model import SubjectModel
+from solver.progress import Step
+from solver.rig.preview.make import make_preview, preview_picture, write_preview
+from solver.rig.result import load_activations, load_weights
+
+TOLERANCE = 1e-5
+"""Residual of an equilibrium: within a thousandth of a millimetre, and far below the error."""
+
+
+def run(task: Task[BuildPreview]) -> list[Path]:
+    """Make the sliders of a rig: muscles and jaw, and the skin's motion they stand for.
+
+    Poses of the sliders are simulated; a reduced skin is fitted to some and measured on others.
+    Writes ``preview.bin``, ``preview.json`` (the error, and what could not be simulated) and
+    ``preview.png``. Raises :class:`solver.errors.InputError` for files that do not belong together
+    and for a rig without a fitted expression, :class:`solver.errors.SolveError` if too little can
+    be simulated.
+    """
+    rig, out, progress = task.inputs["rig"], task.out, task.progress
+    progress(Step("read", 0.0, message=rig.name))
+    begin = time.perf_counter()
+    subject = SubjectModel.load(task.inputs["model"])
+    S = load_weights(task.inputs["weights"], subject)
+    fits = [fit for fit in load_activations(rig, subject) if fit.status != "failed"]
+    face = Face(subject, S, linear=fastest(), tolerance=TOLERANCE)
+    check_held(face)
+    preview = make_preview(
+        face,
+        fits,
+        seed=task.options.seed,
+        seconds=task.options.max_seconds,
+        listen=lambda phase, done: progress(Step(phase, 0.02 + 0.93 * done)),
+    )
+    files = [out / "preview.bin", out / "preview.json", out / "preview.png"]
+    write_preview(files[0], preview)
+    progress(Step("pictures", 0.96))
+    preview_picture(subject, preview, files[2])
+    figures = {**preview.figures(), "seconds": round(time.perf_counter() - begin, 1)}
+    files[1].write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    progress(Step("done", 1.0))
+    return files

@@ -1,0 +1,56 @@
+"""The job that checks a raw scan while the person is still in the chair."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+from solver.anatomy.template import Template
+from solver.errors import InputError
+from solver.jobs.task import Task
+from solver.kinds.check_scan import CheckScan
+from solver.progress import Step
+from solver.scans.check import check
+from solver.scans.check_picture import check_picture
+from solver.scans.findings import verdict
+from solver.templates.builtin.build import builtin_template
+
+ROLES = ("unknown", "neutral", "expression")
+
+
+def run(task: Task[CheckScan]) -> list[Path]:
+    """Check a raw scan: whether it can be used, and what to do about it now.
+
+    Writes ``check.json`` (``verdict`` good, usable or bad; ``findings``, each with ``code``,
+    ``severity``, ``message`` and ``advice``; ``figures``) and ``check.png``. A bad scan, also one
+    that cannot be read, is a verdict and no exception. ``landmarks`` is a file of
+    :func:`solver.registration.landmarks.read_landmarks`. In a scan of the role ``neutral`` an open
+    mouth and closed eyes are errors, in an ``expression`` they are none; ``unknown`` only mentions
+    them. Raises :class:`solver.errors.InputError` for options and templates that cannot be used.
+    """
+    if task.role not in ROLES:
+        known = ", ".join(ROLES)
+        raise InputError(
+            "options.role", f"role is {task.role!r}, not one of {known}", expected=list(ROLES)
+        )
+    scan, template, progress = task.inputs["scan"], task.inputs.get("template"), task.progress
+    progress(Step("read", 0.0, message=scan.name))
+    start = time.perf_counter()
+    anatomy = builtin_template() if template is None else Template.load(template)
+    progress(Step("check", 0.1))
+    frame = task.options.model_dump()
+    found = check(scan, anatomy, frame, task.role, task.inputs.get("landmarks"))
+    judged = verdict(found.findings)
+    progress(Step("pictures", 0.8))
+    files = [task.out / "check.json", task.out / "check.png"]
+    check_picture(found, f"{scan.name}: {judged}", files[1])
+    report = {
+        "file": scan.name,
+        "verdict": judged,
+        "findings": [finding.as_dict() for finding in found.findings],
+        "figures": found.figures | {"seconds": round(time.perf_counter() - start, 2)},
+    }
+    files[0].write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    progress(Step("done", 1.0, message=judged))
+    return files

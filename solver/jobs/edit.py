@@ -1,0 +1,100 @@
+"""The job that edits a person: fatter, older, operated on, paralysed; and all expressions again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from solver.edits.edit import (
+    Edited,
+    Replay,
+    Replayed,
+    apply,
+)
+from solver.errors import SolveError
+from solver.fitting.target_checks import check_held
+from solver.jobs.scenes import read_person
+from solver.jobs.task import Task
+from solver.kinds import edits as described
+from solver.kinds.edit import Edit
+from solver.progress import Progress, Step
+from solver.rig.animation_picture import edit_picture
+from solver.rig.edit_report import Compared, EditedPerson, edit_report, write_edit
+from solver.rig.result import ExpressionFit, load_activations
+from solver.scene.stage import (
+    Physics,
+    edits_of,
+    physics_of,
+)
+
+
+def run(task: Task[Edit]) -> list[Path]:
+    """Edit a person, and replay the rig's expressions before and after.
+
+    Writes ``edit.json`` (volumes, and how far every expression's motion drifts), ``edit.npz``,
+    ``edit.glb`` and ``edit.png``. Raises :class:`InputError` (``scene.*``) for a scene that does
+    not fit the person, :class:`SolveError` where the edited person finds no rest. An expression
+    that finds none is told, and left out.
+    """
+    scene = task.options.scene
+    out, progress = task.out, task.progress
+    known = read_person(task)
+    fits = load_activations(task.inputs["rig"], known.model)
+    physics = physics_of(scene)
+    entries = scene.edits
+    unedited = Edited.nothing(known.model, known.S)
+    edited = apply(edits_of(entries, known.places), known.model, known.S)
+    before, all_before = _replayed(unedited, physics, fits, "before the edits", 0.05, progress)
+    after, all_after = _replayed(edited, physics, fits, "after the edits", 0.45, progress)
+    compared = [
+        Compared(fit.name, one, other, fit.skin)
+        for fit, one, other in zip(fits, all_before, all_after, strict=True)
+    ]
+    whole = EditedPerson(edited, before, after, compared)
+    progress(Step("export", 0.86))
+    report = edit_report(whole)
+    files = [*write_edit(whole, report, out), out / "edit.png"]
+    edit_picture(whole, _title(entries), _detail(report), files[-1])
+    progress(Step("done", 1.0))
+    return files
+
+
+def _replayed(
+    person: Edited,
+    physics: Physics,
+    fits: Sequence[ExpressionFit],
+    words: str,
+    begin: float,
+    progress: Progress,
+) -> tuple[Replayed, list[Replayed | None]]:
+    """Return a person at rest and in every expression, None for one that finds no rest."""
+    progress(Step("rest", begin, message=words))
+    face = physics.face(person)
+    check_held(face)
+    replay = Replay(person, face, physics.contacts(person))
+    found: list[Replayed | None] = []
+    for number, fit in enumerate(fits, start=1):
+        done = begin + 0.4 * number / len(fits)
+        try:
+            found.append(replay.pose(physics.activations(person, fit.activations), fit.jaw))
+        except SolveError as error:
+            found.append(None)
+            told = f"{fit.name}, {words}: {error.message}"
+            progress(Step("warning", done, message=told))
+        progress(Step("expressions", done, number, message=f"{fit.name}, {words}"))
+    return replay.neutral, found
+
+
+def _title(entries: Sequence[described.Edit]) -> str:
+    kinds = dict.fromkeys(entry.kind for entry in entries)
+    return "Edited: " + ", ".join(kinds)
+
+
+def _detail(report: Mapping[str, Any]) -> str:
+    volume, drift = report["volume"], report["drift_mm"]
+    words = (
+        f"volume {volume['change_ml']:+.1f} ml ({volume['change_percent']:+.1f} %), the face at "
+        f"rest moves {report['neutral']['moved_mm']:.2f} mm on average"
+    )
+    return words if drift is None else f"{words}, expressions drift {drift:.2f} mm"

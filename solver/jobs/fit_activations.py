@@ -1,0 +1,95 @@
+"""The job that fits activations of new expressions."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+
+from solver.errors import Notice
+from solver.fitting import chosen, target_checks
+from solver.fitting.activation import Resting
+from solver.jobs.common import Telling
+from solver.jobs.fits import (
+    describe_fit,
+    export_rig,
+    find_oddities,
+    read_scans,
+    refuse_failures,
+    rest_of,
+    targets_of,
+)
+from solver.jobs.task import Task
+from solver.kinds.fit_activations import FitActivations
+from solver.mechanics.linear import fastest
+from solver.meshio.registered import RegisteredScan
+from solver.model import SubjectModel
+from solver.progress import Step
+from solver.rig.result import ExpressionFit, load_activations, load_weights
+from solver.rig.rig import Rig
+
+
+def run(task: Task[FitActivations]) -> list[Path]:
+    """Fit activations and jaw of new expressions with the S of ``weights``; write the rig's files.
+
+    The expressions of ``rig``, if it is given, are carried over; a new capture of the same name
+    replaces the old. An expression that the reduced solver cannot fit is given to IPOPT; one that
+    neither can fit stays at rest, unless all do.
+    """
+    given, inputs, progress = task.options, task.inputs, task.progress
+    face, scans = read_scans(
+        inputs["model"], task.captures, given.linear_solver or fastest(), progress
+    )
+    subject = face.model
+    face = face.with_weights(load_weights(inputs["weights"], subject))
+    carried = load_activations(inputs["rig"], subject) if "rig" in inputs else ()
+    told = Telling(subject, progress)
+    told.tell(0.02, find_oddities(face, scans))
+    told.tell(0.02, _replaced(subject, carried, scans))
+    if given.solver == "ipopt":
+        told.tell(0.02, chosen.slowness(face))
+    rest = Resting(face)
+    regulariser = chosen.unseen_regulariser(face)
+    stop = replace(chosen.UNSEEN_STOP, max_iterations=given.max_iterations)
+    targets = targets_of(subject, scans, given.distance)
+    data = chosen.terms(face, targets)
+    fitted = []
+    begin = time.perf_counter()
+    for number, (name, scan) in enumerate(scans.items()):
+
+        def listen(iteration: int, value: float, number: int = number, name: str = name) -> None:
+            part = (number + min(iteration / stop.max_iterations, 1.0)) / len(scans)
+            progress(Step("activations", 0.02 + 0.48 * part, iteration, value, message=name))
+
+        start = time.perf_counter()
+        found = chosen.fit(face, data[name], regulariser, rest, stop, given.solver, listen)
+        spent = time.perf_counter() - start
+        expression = describe_fit(face, name, "test", scan, targets[name], found, spent)
+        done = 0.02 + 0.48 * (number + 1) / len(scans)
+        fitted.append(told.about(expression, done, found.notices))
+    refuse_failures(fitted)
+    kept = [fit for fit in carried if fit.name not in scans]
+    chosen_options = given.model_dump(include={"distance", "solver"})
+    settings = {**chosen.UNSEEN, **asdict(stop), **chosen_options}
+    seconds = {**_geometry_seconds(carried), "activations": time.perf_counter() - begin}
+    whole = Rig(subject, face.S, (*kept, *fitted), seconds, told.general)
+    return export_rig(face, whole, settings, task.out, rest_of(progress, 0.5))
+
+
+def _geometry_seconds(carried: Sequence[ExpressionFit]) -> dict[str, float]:
+    """Return what the fit of S took: its expressions, solved together, share it."""
+    together = [fit.seconds for fit in carried if fit.role == "train"]
+    return {"geometry": sum(together)} if together else {}
+
+
+def _replaced(
+    model: SubjectModel, carried: Sequence[ExpressionFit], scans: Mapping[str, RegisteredScan]
+) -> list[Notice]:
+    """Return which expressions of the parent rig are replaced by another face."""
+    return [
+        notice
+        for fit in carried
+        if fit.name in scans
+        for notice in target_checks.replaced(model, fit.name, fit.target, scans[fit.name])
+    ]

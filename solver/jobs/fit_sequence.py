@@ -1,0 +1,343 @@
+"""The job that fits a performance: activations, jaw and head motion, frame after frame."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from solver.errors import InputError, SolveError
+from solver.fitting import chosen
+from solver.fitting.face import Face, Pose
+from solver.fitting.objective import Target
+from solver.fitting.sequence import Tracker, stillness
+from solver.fitting.target_checks import check_held
+from solver.jobs.common import Targets
+from solver.jobs.task import Task
+from solver.kinds.fit_sequence import FitSequence
+from solver.mechanics.linear import fastest
+from solver.meshio.registered import PLAUSIBLE, RegisteredScan
+from solver.model import SubjectModel
+from solver.progress import Progress, Step
+from solver.registration.confidence import head_motion
+from solver.rig.animation_gltf import AnimatedSkin
+from solver.rig.animation_picture import (
+    SequenceShot,
+    sequence_picture,
+)
+from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter
+from solver.rig.motion import (
+    SequenceFrame,
+    Status,
+    read_frames,
+    sequence_report,
+    write_sequence,
+)
+from solver.rig.result import load_weights
+from solver.scans.performance import Performance, open_performance
+from solver.similarity import IDENTITY, Similarity, weighted_motion
+from solver.surface import Floats
+
+# From one frame of a performance to the next: the head is placed, the face fitted.
+
+
+LEAST_COVERAGE = 0.1
+"""Share of the face's points below which a frame says nothing."""
+LEAST_STILL = 10
+"""Still points that must be seen to tell the head's motion from the face's."""
+STILL = 0.05
+"""Stillness, times confidence, from which a point has a say in the head's motion."""
+RESTLESS_MM = 0.03
+"""A head that moves by more as the face is fitted is placed, and the face fitted, again."""
+PLACINGS = 3
+DECIMALS = 9
+"""Frames are stored as text: digits beyond say nothing."""
+
+
+class Follower:
+    """Fits a performance's frames in their order; one that can not be keeps the last pose.
+
+    ``still`` (k,) says how still each point of the face lies on the skull and asks for the head's
+    rigid motion: it takes the still points from where the fitted face has them to where they were
+    seen, so face and head are fitted in turns. ``last`` is the frame to go on from. Raises
+    :class:`InputError` (``sequence.no_still_points``) if nothing of the face lies still.
+    """
+
+    def __init__(
+        self,
+        tracker: Tracker,
+        targets: Targets,
+        last: SequenceFrame | None = None,
+        still: Floats | None = None,
+    ) -> None:
+        self._tracker = tracker
+        self._face = tracker.face
+        self._targets = targets
+        self._still = still
+        if still is not None and np.sum(still > STILL) < LEAST_STILL:
+            raise InputError(
+                "sequence.no_still_points",
+                "the head's motion can not be told from the face's: muscles or the jaw move every "
+                "point of the model's face",
+            )
+        self._head = IDENTITY if last is None else _motion(last.head)
+        self._target: Target | None = None
+
+    def fit(self, number: int, scan: RegisteredScan) -> SequenceFrame:
+        """Fit the frame ``number``, face points (k, 3) with their confidence."""
+        start = time.perf_counter()
+        state, head = self._tracker.state, self._head
+        seen = np.mean(scan.confidence > 0)
+        status: Status = "unseen"
+        iterations = 0
+        if seen >= LEAST_COVERAGE and self._sees_the_head(scan):
+            try:
+                iterations = self._place_and_fit(scan)
+                status = "fitted"
+            except SolveError:
+                status = "kept"
+                self._tracker.state, self._head = state, head
+        return self._frame(number, status, float(seen), iterations, time.perf_counter() - start)
+
+    def skin(self) -> Floats:
+        """Return the whole skin (v, 3) as it is now, without the head's motion."""
+        state = self._tracker.state
+        return self._face.whole_skin(state.x, state.pose.b)
+
+    def shot(self, frame: SequenceFrame) -> SequenceShot:
+        """Return the frame that was fitted last, to be drawn."""
+        assert self._target is not None, "a frame was fitted"
+        skin, vertices = self.skin(), self._face.model.face
+        seen, error = skin.copy(), np.full(len(skin), np.nan)
+        error[vertices] = self._target.distances(skin[vertices])
+        visible = np.isfinite(error[vertices])
+        seen[vertices[visible]] = self._target.points[visible]
+        return SequenceShot(frame, seen, skin, error)
+
+    def _sees_the_head(self, scan: RegisteredScan) -> bool:
+        if self._still is None:
+            return True
+        return bool(np.sum(self._still * scan.confidence > STILL) >= LEAST_STILL)
+
+    def _place_and_fit(self, scan: RegisteredScan) -> int:
+        """Fit the face with the head where it is; again if that moves the head."""
+        if self._still is None:
+            return self._fit(scan.vertices, scan.confidence)
+        pose = self._tracker.state.pose
+        iterations, before = 0, np.full_like(scan.vertices, np.inf)
+        for _ in range(PLACINGS):
+            self._head = self._placed(scan, self._still)
+            points = self._head.inverse()(scan.vertices)
+            if np.nanmax(np.abs(points - before)) < RESTLESS_MM:
+                break
+            iterations += self._fit(points, scan.confidence, pose)
+            before = points
+        return iterations
+
+    def _placed(self, scan: RegisteredScan, still: Floats) -> Similarity:
+        """Return the motion of the fitted face's still points to where they were seen."""
+        weights = still * scan.confidence
+        used = weights > STILL
+        fitted = self._face.face_points(self._tracker.state.x)[used]
+        seen, weights = scan.vertices[used], weights[used]
+        roughly = weighted_motion(fitted, seen, weights)
+        return roughly.then(head_motion(roughly(fitted), seen, weights))
+
+    def _fit(self, points: Floats, confidence: Floats, before: Pose | None = None) -> int:
+        self._target = self._targets.of_points(points, confidence)
+        return self._tracker.fit(self._target, before)
+
+    def _frame(
+        self, number: int, status: Status, seen: float, iterations: int, seconds: float
+    ) -> SequenceFrame:
+        state = self._tracker.state
+        mean = p95 = greatest = None
+        if status == "fitted" and self._target is not None:
+            error = self._target.distances(self._face.face_points(state.x))
+            error = error[np.isfinite(error)]
+            mean, p95 = round(float(error.mean()), 4), round(float(np.percentile(error, 95)), 4)
+            greatest = round(float(error.max()), 4)
+        return SequenceFrame(
+            frame=number,
+            status=status,
+            activations=state.pose.a.round(DECIMALS),
+            jaw=state.pose.b.round(DECIMALS),
+            head=_six(self._head).round(DECIMALS),
+            mean_mm=mean,
+            p95_mm=p95,
+            max_mm=greatest,
+            coverage=round(seen, 4),
+            inverted=self._face.flesh.inverted(state.x),
+            iterations=iterations,
+            seconds=round(seconds, 4),
+        )
+
+
+def _motion(six: Floats) -> Similarity:
+    return Similarity(1.0, Rotation.from_rotvec(six[:3]).as_matrix(), six[3:])
+
+
+def _six(motion: Similarity) -> Floats:
+    return np.concatenate([Rotation.from_matrix(motion.rotation).as_rotvec(), motion.shift])
+
+
+CHUNKS = ChunkOptions(frames=30)
+UNLIKE_MM = 5.0
+"""Mean distance that says that a performance is not this person's: a fit leaves less than 2."""
+MOST_SHOTS = 6
+"""Frames in the picture."""
+
+
+def run(task: Task[FitSequence]) -> list[Path]:
+    """Fit the frames of a performance with the S of ``weights``, each from the one before.
+
+    ``performance`` is read as :func:`~solver.scans.performance.open_performance` says. Frames that
+    are ready are in ``out/frames``, 30 a file; with ``resume`` those that are there already are
+    kept and the fit goes on after them. A frame that cannot be fitted keeps the pose before it.
+
+    Writes ``sequence.npz``, ``activations.csv``, ``sequence.json``, ``sequence.glb`` and
+    ``sequence.png``. Raises :class:`InputError` for what cannot be used, ``sequence.nothing`` if
+    no frame could be fitted.
+    """
+    given, out, progress = task.options, task.out, task.progress
+    performance = task.inputs["performance"]
+    progress(Step("read", 0.0, message=performance.name))
+    subject = SubjectModel.load(task.inputs["model"])
+    S = load_weights(task.inputs["weights"], subject)
+    source = open_performance(performance, subject.skin, subject.face)
+    numbers = _chosen(source, given)
+    if not given.head_motion:
+        _check_place(source, numbers[0], subject)
+    face = Face(subject, S, linear=given.linear_solver or fastest())
+    check_held(face)
+    if not task.resume:
+        shutil.rmtree(out / FRAMES, ignore_errors=True)
+    done = read_frames(out / FRAMES, subject.muscle_count)
+    _check_same(done, numbers)
+    progress(Step("read", 0.01, message=f"{len(numbers)} frames of {len(source)}"))
+    follower = _follower(face, given, done[-1] if done else None)
+    shown = set(np.linspace(0, len(numbers) - 1, MOST_SHOTS).round().astype(int).tolist())
+    shots: list[SequenceShot] = []
+    animated = AnimatedSkin(subject.skin)
+    chunks = ChunkWriter[SequenceFrame](out / FRAMES, len(done), CHUNKS)
+    try:
+        for position in range(len(done), len(numbers)):
+            frame = follower.fit(numbers[position], source.frame(numbers[position]))
+            if not done:
+                _check_likeness(source, frame)
+            chunks.add(frame)
+            done.append(frame)
+            animated.add(frame, follower.skin())
+            if position in shown and frame.status == "fitted":
+                shots.append(follower.shot(frame))
+            _tell(progress, frame, position + 1, len(numbers))
+    finally:
+        chunks.flush()
+    if all(frame.status != "fitted" for frame in done):
+        raise InputError(
+            "sequence.nothing",
+            f"none of the {len(done)} frames of {source.name} could be fitted",
+            file=source.name,
+        )
+    progress(Step("export", 0.96))
+    report = sequence_report(done, given.fps, source.name)
+    files = write_sequence(out, done, subject.muscle_names, given.fps, report)
+    files.append(out / "sequence.glb")
+    animated.write(files[-1], given.fps)
+    if shots:
+        files.append(out / "sequence.png")
+        detail = "{fitted} of {frames} frames fitted, {mean_mm:.2f} mm off on average".format(
+            **report
+        )
+        sequence_picture(subject, shots, source.name, detail, files[-1])
+    progress(Step("done", 1.0))
+    return files
+
+
+def _follower(face: Face, given: FitSequence, last: SequenceFrame | None) -> Follower:
+    """Return what fits the frames, from rest or from the ``last`` that is ready."""
+    state = face.rest_state()
+    if last is not None:
+        with suppress(SolveError):  # out of reach from rest: the next frame begins there
+            state = face.continuation(state, Pose(last.activations, last.jaw))
+    regulariser = chosen.unseen_regulariser(face)
+    tracker = Tracker(
+        face,
+        regulariser,
+        state,
+        temporal=given.temporal,
+        max_iterations=given.max_iterations,
+    )
+    targets = Targets(face.model, given.distance)
+    return Follower(tracker, targets, last, stillness(face) if given.head_motion else None)
+
+
+def _chosen(source: Performance, given: FitSequence) -> range:
+    """Return the numbers of the frames to fit."""
+    end = len(source) if given.end is None else given.end
+    numbers = range(given.start, end, given.step)
+    if end > len(source) or not numbers:
+        raise InputError(
+            "options.frames",
+            f"{source.name} has the frames 0 to {len(source) - 1}: start {given.start} and end "
+            f"{end} are not within it",
+            expected=len(source),
+            start=given.start,
+            end=end,
+        )
+    return numbers
+
+
+def _check_place(source: Performance, number: int, model: SubjectModel) -> None:
+    """Raise ``performance.misaligned`` if the head is elsewhere than in the neutral."""
+    scan = source.frame(number)
+    away = np.linalg.norm(scan.vertices - model.skin.vertices[model.face], axis=1)
+    away = away[scan.confidence > 0]
+    if len(away) and np.median(away) > PLAUSIBLE.median_motion_mm:
+        raise InputError(
+            "performance.misaligned",
+            f"{source.name}, frame {number}: the points lie {np.median(away):.0f} mm off the "
+            "neutral (median); solve the head_motion, or bring the skull where the neutral has it",
+            file=source.name,
+            frame=number,
+            found=float(np.median(away)),
+        )
+
+
+def _check_same(done: list[SequenceFrame], numbers: range) -> None:
+    if [frame.frame for frame in done] != list(numbers[: len(done)]):
+        raise InputError(
+            "sequence.resume",
+            f"the {len(done)} frames that are ready were chosen with another start, end or step",
+        )
+
+
+def _check_likeness(source: Performance, frame: SequenceFrame) -> None:
+    """Raise ``performance.unlike`` if a fitted face is nowhere near what was seen."""
+    if frame.mean_mm is not None and frame.mean_mm > UNLIKE_MM:
+        raise InputError(
+            "performance.unlike",
+            f"the fitted face is {frame.mean_mm:.0f} mm off frame {frame.frame} of {source.name}: "
+            "it is mirrored, another person's, or has its vertices in another order",
+            file=source.name,
+            frame=frame.frame,
+            found_mm=frame.mean_mm,
+            expected_mm=UNLIKE_MM,
+        )
+
+
+def _tell(progress: Progress, frame: SequenceFrame, count: int, total: int) -> None:
+    done = 0.01 + 0.95 * count / total
+    if frame.status != "fitted":
+        why = "hardly any of the face is seen" if frame.status == "unseen" else "it does not settle"
+        words = f"frame {frame.frame} keeps the pose of the frame before: {why}"
+        progress(Step("warning", done, message=words))
+    elif frame.mean_mm is not None and frame.mean_mm > UNLIKE_MM:
+        words = f"the fitted face is {frame.mean_mm:.0f} mm off frame {frame.frame}"
+        progress(Step("warning", done, message=words))
+    words = f"frame {count} of {total}"
+    progress(Step("frames", done, mean_error_mm=frame.mean_mm, message=words))

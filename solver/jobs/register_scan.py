@@ -1,0 +1,68 @@
+"""The job that brings a raw scan into a template's topology."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+from solver.anatomy.template import Template
+from solver.jobs.task import Task
+from solver.kinds.register_scan import RegisterScan
+from solver.meshio.raw import read_raw
+from solver.meshio.registered import read_registered, write_registered
+from solver.progress import Step
+from solver.registration.landmarks import (
+    match,
+    read_landmarks,
+)
+from solver.registration.mend import mend
+from solver.registration.register import register
+from solver.registration.report import distance_picture, report
+from solver.registration.topology import topology
+from solver.templates.builtin.build import builtin_template
+
+LANDMARKER_VARIABLE = "MYOFACE_FACE_LANDMARKER"
+"""Environment variable with the path of MediaPipe's face landmarker; without it none is used."""
+
+
+def run(task: Task[RegisterScan]) -> list[Path]:
+    """Register a raw scan: a neutral, or an expression if the person's ``neutral`` is given.
+
+    ``neutral`` is the person's registered neutral, ``landmarks`` an optional file of
+    :func:`solver.registration.landmarks.read_landmarks`, in the scan's own unit and axes. Writes
+    ``registered.ply`` (the template's vertices in mm with the property ``confidence``),
+    ``registration.json`` and ``distance.png``. Raises :class:`solver.errors.InputError` for files
+    that cannot be used and for a scan without a face (``scan.not_a_face``).
+    """
+    scan, template, progress = task.inputs["scan"], task.inputs.get("template"), task.progress
+    neutral, landmarks = task.inputs.get("neutral"), task.inputs.get("landmarks")
+    progress(Step("read", 0.0, message=scan.name))
+    anatomy = builtin_template() if template is None else Template.load(template)
+    skin = anatomy.skin
+    rest = None
+    if neutral is not None:
+        rest = read_registered(neutral, skin.faces, len(skin.vertices)).vertices
+    marks = None
+    if landmarks is not None:
+        marks = match(landmarks.name, read_landmarks(landmarks), anatomy)
+    raw, _ = mend(read_raw(scan))
+    known = topology(anatomy)
+    model = os.environ.get(LANDMARKER_VARIABLE)
+    registered = register(
+        raw,
+        known,
+        rest,
+        frame=task.options.model_dump(),
+        landmarks=marks,
+        landmarker=Path(model) if model else None,
+        progress=progress,
+    )
+    progress(Step("pictures", 0.85))
+    files = [task.out / name for name in ("registered.ply", "registration.json", "distance.png")]
+    write_registered(files[0], registered.skin, registered.trust.confidence)
+    figures = report(registered, known)
+    files[1].write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    distance_picture(registered, known, files[2])
+    progress(Step("done", 1.0))
+    return files

@@ -1,0 +1,262 @@
+"""What jobs with a scene share: the person that it is about, and the playing of its frames."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import json
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from solver.animation.keys import PosedFrame
+from solver.errors import SolveError
+from solver.jobs.task import Task
+from solver.model import SubjectModel
+from solver.progress import Progress, Step
+from solver.rig.animation import write_animation
+from solver.rig.animation_picture import Filming
+from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter
+from solver.rig.motion import MotionFrame, motion_report, motion_values, read_motion
+from solver.rig.result import load_weights
+from solver.scene.document import document_of
+from solver.scene.places import Places
+from solver.scene.stage import Stage
+from solver.similarity import Similarity
+from solver.simulation.inertia import (
+    Drive,
+    Motion,
+)
+from solver.simulation.simulator import Stepped
+from solver.surface import Floats
+
+# Whom a scene is about: the files of a fitted person, and what is in them.
+
+
+@dataclass(frozen=True)
+class Person:
+    """A fitted face with its S (n, m + 1), and the places on it."""
+
+    model: SubjectModel
+    S: sp.csr_array
+    places: Places
+
+
+def read_person(task: Task[Any]) -> Person:
+    """Return the person of a scene; raises as its files' readers, and ``scene.template``."""
+    inputs = task.inputs
+    task.progress(Step("read", 0.0, message=inputs["model"].name))
+    model = SubjectModel.load(inputs["model"])
+    S = load_weights(inputs["weights"], model)
+    return Person(model, S, Places.of(model, inputs.get("template"), task.captures))
+
+
+def fingerprint(task: Task[Any]) -> str:
+    """Return the hash of a task's scene and of all files that it is played with."""
+    files = {
+        **task.inputs,
+        **{f"asset {name}": path for name, path in task.captures.items()},
+    }
+    hashes = {name: _hash(path) for name, path in files.items()}
+    content = [document_of(task.options.scene), hashes]
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _hash(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+# A scene's frames, one after the other: what simulations and animations share.
+
+
+CHUNKS = ChunkOptions(frames=10)
+EXPORT = 0.9
+"""Part of a job after which its files are written."""
+READ = 0.02
+"""Part of a job after which its files are read."""
+PICTURE_SIZE, PICTURE_QUALITY = (240, 300), 85
+PICTURE_SECONDS = 10.0
+"""A file of frames has a picture if none had for so long."""
+
+
+def play(
+    stage: Stage,
+    out: Path,
+    scene: str,
+    progress: Progress,
+    *,
+    resume: bool,
+    share: tuple[float, float],
+) -> list[MotionFrame]:
+    """Simulate all frames of a stage and return them; they are in ``out/frames`` as they come.
+
+    With ``resume`` the frames that are there are kept, and the simulation goes on after them.
+    ``scene`` is the hash of what is simulated, ``share`` where in the whole job's progress this
+    begins and ends. Raises :class:`~solver.errors.SolveError` (``simulate.*``)
+    with the ``frame`` that could not be reached; those before it stay.
+    """
+    if not resume:
+        shutil.rmtree(out / FRAMES, ignore_errors=True)
+    ready = read_motion(out / FRAMES, scene, stage.model.rest)
+    done, motion = ready.frames, ready.motion
+    times = stage.drives.times
+    beside = _Beside(scene, stage, motion)
+    chunks = ChunkWriter(out / FRAMES, len(done), CHUNKS, beside)
+    drive: Drive | None = None
+    if done:
+        before = float(times[len(done) - 1])
+        drive = stage.drive(before, stage.drives(before))
+    try:
+        for number in range(len(done), len(times)):
+            moment = float(times[number])
+            pose = stage.drives(moment)
+            goal = stage.drive(moment, pose)
+            try:
+                stepped = _reach(stage, motion, drive, goal)
+            except SolveError as error:
+                error.context["frame"] = number
+                raise
+            frame = _frame(stage, number, pose, goal, stepped)
+            motion = beside.motion = stepped.motion
+            drive = goal
+            chunks.add(frame)
+            done.append(frame)
+            part = (number + 1) / len(times)
+            words = f"frame {number + 1} of {len(times)}"
+            fraction = share[0] + part * (share[1] - share[0])
+            progress(Step("simulate", fraction, number + 1, stepped.residual, message=words))
+    finally:
+        chunks.flush()
+    return done
+
+
+def skin_of(stage: Stage, frame: MotionFrame) -> Floats:
+    """Return the whole skin (V, 3) of a frame, in the head's frame."""
+    return stage.skin(stage.model.rest + frame.moved, frame.jaw, frame.eyes)
+
+
+def finish(
+    stage: Stage,
+    frames: Sequence[MotionFrame],
+    out: Path,
+    progress: Progress,
+    *,
+    title: str,
+    video: bool,
+    more: Mapping[str, Any],
+) -> list[Path]:
+    """Write what a scene leaves; ``more`` figures are for ``animation.json``."""
+    progress(Step("export", EXPORT))
+    model = stage.model
+    neutral_mm = round(stage.gauge.neutral().most, 4)
+    with tempfile.TemporaryFile() as stream:
+        shape = (len(frames), *model.skin.vertices.shape)
+        skins = np.memmap(stream, np.float32, "w+", shape=shape)
+        for number, frame in enumerate(frames):
+            skins[number] = skin_of(stage, frame)
+        files = write_animation(
+            out,
+            model,
+            frames,
+            skins,
+            title=title,
+            report={**motion_report(frames, model), "penetration_neutral_mm": neutral_mm, **more},
+            vertices=model.face,
+            objects=stage.objects,
+            video=video,
+        )
+    progress(Step("done", 1.0))
+    return files
+
+
+def _reach(stage: Stage, motion: Motion, drive: Drive | None, goal: Drive) -> Stepped:
+    """Go to ``goal`` from where the frame before ended; the first frame is at rest there."""
+    begun = time.perf_counter()
+    if drive is None:
+        at_rest = stage.simulator.rest(goal)
+        spent = time.perf_counter() - begun
+        return Stepped(at_rest, at_rest.y, 0, 0, 0.0, spent, stage.inverted(at_rest.y))
+    iterations = halvings = 0
+    for target in _between(stage, drive, goal):
+        stepped = stage.simulator.step(motion, drive, target)
+        motion, drive = stepped.motion, target
+        iterations += stepped.iterations
+        halvings += stepped.halvings
+    spent = time.perf_counter() - begun
+    return replace(stepped, iterations=iterations, halvings=halvings, seconds=spent)
+
+
+def _between(stage: Stage, drive: Drive, goal: Drive) -> Iterator[Drive]:
+    """Return what the flesh is asked for in the steps of one frame, ``goal`` at last."""
+    for moment in np.linspace(drive.time, goal.time, stage.steps_per_frame + 1)[1:-1]:
+        yield stage.drive(float(moment), stage.drives(float(moment)))
+    yield goal
+
+
+def _frame(
+    stage: Stage, number: int, pose: PosedFrame, goal: Drive, stepped: Stepped
+) -> MotionFrame:
+    found = stage.penetration(stepped.y, goal)
+    return MotionFrame(
+        frame=number,
+        time=goal.time,
+        activations=pose.a,
+        jaw=pose.jaw,
+        head=_place(goal.head),
+        eyes=pose.eyes,
+        moved=stepped.y - stage.model.rest,
+        penetration_mm=round(found.most, 4),
+        behind_teeth=found.behind_teeth,
+        inverted=stepped.inverted,
+        iterations=stepped.iterations,
+        halvings=stepped.halvings,
+        residual=stepped.residual,
+        seconds=round(stepped.seconds, 4),
+    )
+
+
+def _place(head: Similarity) -> Floats:
+    """Return rotation vector and shift (6,) of a motion."""
+    turn = Rotation.from_matrix(head.rotation).as_rotvec()
+    return np.concatenate([turn, head.shift])
+
+
+class _Beside:
+    """Values beside the frames of a file: the motion to go on from, and at times a picture."""
+
+    def __init__(self, scene: str, stage: Stage, motion: Motion) -> None:
+        self._scene, self._stage = scene, stage
+        self._pictured = -np.inf
+        self._filming = Filming(stage.model)
+        self.motion = motion
+
+    def __call__(self, last: MotionFrame) -> dict[str, Any]:
+        """Return them for a file with this ``last`` frame, which ended in ``motion``."""
+        picture = self._draw(last)
+        encoded = None if picture is None else base64.b64encode(picture).decode()
+        return motion_values(self._scene, self.motion, encoded)
+
+    def _draw(self, frame: MotionFrame) -> bytes | None:
+        """Return a JPEG of a frame, if there has been none for a while."""
+        if time.monotonic() - self._pictured < PICTURE_SECONDS:
+            return None
+        skin = frame.into_world(skin_of(self._stage, frame))
+        objects = [each.at(frame.time) for each in self._stage.objects]
+        light = self._filming.light(skin)
+        pixels = self._filming.picture(skin, light, PICTURE_SIZE, objects=objects)
+        content = io.BytesIO()
+        image = Image.fromarray((pixels * 255 + 0.5).astype(np.uint8))
+        image.save(content, "JPEG", quality=PICTURE_QUALITY)
+        self._pictured = time.monotonic()
+        return content.getvalue()

@@ -1,0 +1,45 @@
+"""The job that plays keys of expressions, muscles and jaw."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from solver.fitting.face import Pose
+from solver.jobs.scenes import (
+    EXPORT,
+    READ,
+    fingerprint,
+    finish,
+    play,
+    read_person,
+)
+from solver.jobs.task import Task
+from solver.kinds.simulate import Simulate
+from solver.rig.animation import check_video
+from solver.rig.result import load_activations
+from solver.scene.keys import drives_of
+from solver.scene.stage import Stage
+
+
+def run(task: Task[Simulate]) -> list[Path]:
+    """Play keys of a rig's expressions, of muscles and of the jaw on a fitted face.
+
+    Frames that are ready are in ``out/frames``; with ``resume`` those that are there are kept and
+    the simulation goes on after them.
+
+    Writes ``animation.glb``, ``animation.npz``, ``animation.png`` and ``animation.json``. Raises
+    :class:`InputError` (``scene.*``) for a scene that does not fit the person, ``options.video``
+    where there is no codec, and :class:`~solver.errors.SolveError` (``simulate.*``) where the flesh
+    finds no way on; the frames before stay in ``out/frames``.
+    """
+    given, out, progress = task.options, task.out, task.progress
+    if given.video:
+        check_video()
+    person = read_person(task)
+    fits = load_activations(task.inputs["rig"], person.model)
+    poses = {fit.name: Pose(fit.activations, fit.jaw) for fit in fits}
+    drives = drives_of(given.scene, poses, person.model, person.S)
+    stage = Stage(given.scene, person.places, person.S, drives, given.linear_solver)
+    share = (READ, EXPORT)
+    frames = play(stage, out, fingerprint(task), progress, resume=task.resume, share=share)
+    return finish(stage, frames, out, progress, title="Simulation", video=given.video, more={})

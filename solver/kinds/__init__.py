@@ -1,0 +1,28 @@
+"""The contracts of all kinds of job, by name: a module of this package with a ``KIND`` is one.
+
+They know no numerics, so that the API reads them as well as worker, command line and solver.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from importlib import import_module
+from pkgutil import iter_modules
+
+from solver.kinds.faults import Fault
+from solver.kinds.kind import Kind, Options, OptionsError
+
+__all__ = ["KINDS", "Fault", "Kind", "Options", "OptionsError"]
+
+
+def _find() -> dict[str, Kind]:
+    found = {}
+    for name in sorted(module.name for module in iter_modules(__path__)):
+        kind = getattr(import_module(f"{__name__}.{name}"), "KIND", None)
+        if isinstance(kind, Kind):
+            found[name] = replace(kind, name=name)
+    return found
+
+
+KINDS: Mapping[str, Kind] = _find()

@@ -1,0 +1,30 @@
+"""Play a recording of Live Link Face by a rig's flesh."""
+
+from pydantic import Field
+
+from solver.kinds.kind import Kind, Options
+from solver.kinds.options import LinearSolver, Video
+from solver.kinds.scene import AnimateScene
+
+
+class Animate(Options):
+    """Options of an animation."""
+
+    scene: AnimateScene = Field(description="what is animated, see docs/guide/simulation.md")
+    video: Video = False
+    linear_solver: LinearSolver = None
+
+
+KIND = Kind(
+    title="Animate by a recording",
+    description="Plays a recording of Live Link Face by the rig's flesh, with contact, forces, "
+    "objects and edits; frames can be read while the job runs.",
+    queue="long",
+    reads=("rig", "template", "assets", "blendshapes"),
+    leaves="animation",
+    report="animation.json",
+    result="animation.glb",
+    folder="animation",
+    options=Animate,
+    frames=True,
+)

@@ -1,0 +1,25 @@
+"""Build a subject's model inside its neutral scan."""
+
+from pydantic import Field
+
+from solver.kinds.kind import Kind, Options
+
+
+class BuildModel(Options):
+    """Options of a model."""
+
+    edge_mm: float = Field(default=9.0, ge=3, le=30, description="edge length of the tetrahedra")
+
+
+KIND = Kind(
+    title="Build a subject's model",
+    description="Flesh, bones and muscles inside the subject's neutral scan, from its template "
+    "anatomy.",
+    queue="short",
+    reads=("neutral", "template"),
+    leaves="model",
+    report="model.json",
+    result="model.npz",
+    folder="model",
+    options=BuildModel,
+)

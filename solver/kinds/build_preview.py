@@ -1,0 +1,38 @@
+"""Make the sliders of a rig's page."""
+
+from pydantic import Field
+
+from solver.kinds.kind import Kind, Options
+from solver.kinds.values import Whole
+
+
+class BuildPreview(Options):
+    """Options of a rig's sliders."""
+
+    seed: Whole = Field(
+        default=0,
+        ge=0,
+        le=2**32 - 1,
+        description="of the poses: the same seed gives the same sliders",
+    )
+    max_seconds: float = Field(
+        default=600.0,
+        ge=10,
+        le=7200,
+        description="after about so long it is made of the poses that are ready",
+    )
+
+
+KIND = Kind(
+    title="Make a rig's sliders",
+    description="What the page's sliders of a rig move: poses of its muscles and jaw are "
+    "simulated, a reduced skin is fitted to them, and its error measured on others. The rig's "
+    "files have its preview.bin once it is done.",
+    queue="short",
+    reads=("rig",),
+    leaves="preview",
+    report="preview.json",
+    result="preview.bin",
+    folder="preview",
+    options=BuildPreview,
+)

@@ -1,0 +1,23 @@
+"""Check a raw scan while the person is still in the chair."""
+
+from solver.kinds.kind import Kind
+from solver.kinds.options import FrameOptions
+
+
+class CheckScan(FrameOptions):
+    """Options of a check."""
+
+
+KIND = Kind(
+    title="Check a scan",
+    description="Whether a scan can be used, while the person is still in the chair: verdict, "
+    "findings with advice, and a picture.",
+    queue="ingest",
+    reads=("capture", "template"),
+    asks=("role",),
+    leaves="check",
+    report="check.json",
+    result="check.png",
+    folder="check",
+    options=CheckScan,
+)

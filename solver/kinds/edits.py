@@ -1,0 +1,136 @@
+"""A scene's ``edits`` of the anatomy, made one after the other."""
+
+from typing import Annotated, Literal
+
+from pydantic import Discriminator, Field, Tag
+
+from solver.kinds.values import Document, Place, Vector, find_kind, form_by_member
+
+# --- maps on the skin -----------------------------------------------------------------------------
+
+
+class AssetMap(Document):
+    """A map in a file."""
+
+    asset: str = Field(description="an NPY file with a number for every skin vertex")
+
+
+class RegionMap(Document):
+    """A map of whole regions."""
+
+    regions: list[str] = Field(
+        min_length=1, max_length=64, description="regions of the template, such as cheeks"
+    )
+
+
+class SpotMap(Document):
+    """A map of soft round spots."""
+
+    spots: list[Place] = Field(min_length=1, max_length=64, description="their centres")
+    radius_mm: float = Field(gt=0, le=200)
+
+
+SkinMap = Annotated[
+    Annotated[AssetMap, Tag("<asset>")]
+    | Annotated[RegionMap, Tag("<regions>")]
+    | Annotated[SpotMap, Tag("<spots>")],
+    Discriminator(
+        form_by_member("asset", "regions", "spots"),
+        custom_error_type="no_such_form",
+        custom_error_message="is not null or an object with asset, regions or spots",
+    ),
+]
+Everywhere = Field(
+    default=None,
+    description="where on the skin, from 0 (not at all) to 1 (wholly); null is everywhere",
+)
+
+# --- edits ----------------------------------------------------------------------------------------
+
+Factor = Annotated[
+    float, Field(ge=0.01, le=100, description="of the flesh's own, where the map is 1")
+]
+
+
+class Fat(Document):
+    """Fatter or slimmer."""
+
+    kind: Literal["fat"]
+    f_min: float = Field(ge=0.6, le=1.5, description="by which muscle grows in length")
+    f_max: float = Field(ge=0.6, le=1.5, description="by which passive flesh grows in length")
+    softening: float = Field(
+        default=3.0, ge=0, le=10, description="flesh that grows by f gets softer by f to this power"
+    )
+    map: SkinMap | None = Everywhere
+
+
+class Stop(Document):
+    """A point of a needle's path."""
+
+    at: Place
+    depth_mm: float = Field(default=0.0, ge=0, le=50, description="under the skin")
+
+
+class Filler(Document):
+    """Filler along the path of a needle."""
+
+    kind: Literal["filler"]
+    path: list[Stop] = Field(min_length=1, max_length=64)
+    ml: float = Field(gt=0, le=100)
+    radius_mm: float = Field(
+        default=2.5, gt=0, le=50, description="how far it spreads from the path"
+    )
+
+
+class Bone(Document):
+    """A part of a bone, moved."""
+
+    kind: Literal["bone"]
+    bone: Literal["cranium", "mandible"]
+    at: Place
+    radius_mm: float = Field(gt=0, le=200)
+    move_mm: Vector
+
+
+class Stiffness(Document):
+    """Stiffer or softer."""
+
+    kind: Literal["stiffness"]
+    factor: Factor
+    map: SkinMap | None = Everywhere
+
+
+class Density(Document):
+    """Heavier or lighter."""
+
+    kind: Literal["density"]
+    factor: Factor
+    map: SkinMap | None = Everywhere
+
+
+class Paralysis(Document):
+    """Muscles, or a side, that contract less."""
+
+    kind: Literal["paralysis"]
+    muscles: Annotated[list[str], Field(min_length=1, max_length=256)] | None = Field(
+        default=None, description="their names; null: all of them"
+    )
+    side: Literal["left", "right", None] = Field(
+        default=None, description="the subject's own; null: both"
+    )
+    strength: float = Field(default=0.0, ge=0, le=1, description="what is left of the muscles")
+
+
+EDITS = (Fat, Filler, Bone, Stiffness, Density, Paralysis)
+Edit = Annotated[
+    Annotated[Fat, Tag("<fat>")]
+    | Annotated[Filler, Tag("<filler>")]
+    | Annotated[Bone, Tag("<bone>")]
+    | Annotated[Stiffness, Tag("<stiffness>")]
+    | Annotated[Density, Tag("<density>")]
+    | Annotated[Paralysis, Tag("<paralysis>")],
+    Discriminator(find_kind),
+]
+Edits = Annotated[
+    list[Edit], Field(max_length=32, description="of the anatomy, made one after the other")
+]

@@ -1,0 +1,49 @@
+"""Fit the muscle geometry of a subject to several expressions at once."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from solver.kinds.kind import Kind, Options
+from solver.kinds.options import Distance, DoubleSolver
+from solver.kinds.values import Whole
+
+
+class FitGeometry(Options):
+    """Options of a fit of S, activations and jaw."""
+
+    rounds: Whole = Field(
+        default=12,
+        ge=1,
+        le=50,
+        description="at most so many rounds of Gauss-Newton on S and all poses",
+    )
+    symmetry: float = Field(
+        default=0.0,
+        ge=0,
+        allow_inf_nan=False,
+        description="weight of the mirror prior on the changes of S, which makes left and right "
+        "alike; 0: none, 1e-3: much",
+    )
+    distance: Distance = "point"
+    solver: Literal["reduced", "ipopt"] = Field(
+        default="reduced",
+        description="reduced: positions are eliminated; ipopt: the full-space reference, for small "
+        "meshes only (tetrahedra times expressions at most 2000)",
+    )
+    linear_solver: DoubleSolver = None
+
+
+KIND = Kind(
+    title="Fit the muscle geometry",
+    description="Muscle weights S, activations and jaw of several expressions at once; the result "
+    "is a rig.",
+    queue="long",
+    reads=("model", "captures"),
+    asks=("start",),
+    leaves="rig",
+    report="report.json",
+    result="rig.glb",
+    folder="rig",
+    options=FitGeometry,
+)

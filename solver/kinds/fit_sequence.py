@@ -1,0 +1,52 @@
+"""Fit a performance with a rig's muscle weights, frame after frame."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from solver.kinds.kind import Kind, Options
+from solver.kinds.options import Distance, LinearSolver
+from solver.kinds.values import Integral, Whole
+
+
+class FitSequence(Options):
+    """Options of a fit of frames."""
+
+    fps: float = Field(
+        default=30.0, gt=0, le=1000, description="frames of the performance per second"
+    )
+    start: Whole = Field(default=0, ge=0, description="first frame to fit")
+    end: Annotated[int, Field(ge=1), Integral] | None = Field(
+        default=None, description="the frame after the last to fit; null: all to the end"
+    )
+    step: Whole = Field(default=1, ge=1, description="fit every frame, every second ...")
+    temporal: float = Field(
+        default=0.0,
+        ge=0,
+        le=1000,
+        description="weight of the activations' change from frame to frame, beside 0.001 for "
+        "their size; 0: none",
+    )
+    distance: Distance = "point"
+    head_motion: bool = Field(
+        default=False, description="solve the rigid motion of the head and take it out"
+    )
+    max_iterations: Whole = Field(
+        default=12, ge=1, le=500, description="Gauss-Newton iterations per frame at most"
+    )
+    linear_solver: LinearSolver = None
+
+
+KIND = Kind(
+    title="Fit a performance",
+    description="Activations and jaw of every frame of a performance with the rig's muscle "
+    "weights, each frame from the one before; frames can be read while the job runs.",
+    queue="long",
+    reads=("rig", "performance"),
+    leaves="sequence",
+    report="sequence.json",
+    result="sequence.npz",
+    folder="sequence",
+    options=FitSequence,
+    frames=True,
+)

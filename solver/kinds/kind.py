@@ -1,0 +1,116 @@
+"""The contract of a kind of job: what it may be told, what it reads and what it leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from pydantic import ValidationError
+
+from solver.kinds.faults import Fault, find_faults
+from solver.kinds.schema import json_schema
+from solver.kinds.values import Document
+
+Queue = Literal["ingest", "short", "long"]
+Input = Literal[
+    "capture",
+    "neutral",
+    "captures",
+    "performance",
+    "template",
+    "model",
+    "rig",
+    "assets",
+    "blendshapes",
+    "role",
+    "start",
+]
+
+
+class Options(Document):
+    """Base of a kind's options: a field each, with default, bounds and a description."""
+
+
+class OptionsError(ValueError):
+    """Options that a kind of job does not take."""
+
+    def __init__(self, faults: list[Fault]) -> None:
+        super().__init__(f"{faults[0].where}: {faults[0].message}")
+        self.faults = faults
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of job, declared once: ``KIND`` of the module that it is named after.
+
+    queue
+        The workers that do it: ``ingest`` while a person waits, ``short`` minutes, ``long`` hours.
+    reads
+        Its inputs. A service looks them up at submission: ``capture`` is one scan as it was
+        uploaded, with its landmarks; ``neutral`` and ``captures`` are registered scans, the
+        subject's neutral and chosen expressions; ``performance`` is one capture of that role,
+        ``assets`` any number of theirs; ``template`` is the subject's, ``model`` its newest or the
+        rig's, ``blendshapes`` are those that an earlier job of the rig solved.
+    asks
+        What only a command line asks for: the ``role`` of a capture, which a service knows, and
+        the ``start`` of a fit.
+    leaves
+        What it makes, in a word: jobs with the same word leave the same files.
+    report
+        The JSON file of its verdict or figures, which the job's result shows.
+    result
+        The file that a person opens first.
+    folder
+        The folder that a command line fills by default.
+    frames
+        Whether it leaves frames, which can be read while it runs and are gone on with after a stop.
+    """
+
+    title: str
+    description: str
+    queue: Queue
+    reads: tuple[Input, ...]
+    leaves: str
+    report: str
+    result: str
+    options: type[Options] = Options
+    asks: tuple[Input, ...] = ()
+    folder: str = "result"
+    frames: bool = False
+    name: str = ""
+
+    @property
+    def schema(self) -> dict[str, Any]:
+        """The JSON Schema of its options."""
+        return json_schema(self.options)
+
+    def read(self, given: Mapping[str, Any]) -> Options:
+        """Return options with their defaults; raises :class:`OptionsError` with all faults."""
+        try:
+            return self.options.model_validate(given)
+        except ValidationError as error:
+            raise OptionsError(self._in_order(find_faults(error, given, "options"))) from error
+
+    def faults(self, given: Mapping[str, Any]) -> list[Fault]:
+        """Return what is wrong with options."""
+        try:
+            self.read(given)
+        except OptionsError as error:
+            return error.faults
+        return []
+
+    def _in_order(self, faults: list[Fault]) -> list[Fault]:
+        """Return faults by their places, first unknown options in words that name the known."""
+        known = ", ".join(self.options.model_fields) or "none"
+        message = f"{self.name} has no such option; it has {known}"
+        strangers, others = [], []
+        for fault in faults:
+            if fault.unknown and len(fault.path) == 1:
+                strangers.append(Fault(f"options.{fault.path[0]}", message, fault.path, True))
+            else:
+                others.append(fault)
+        return [
+            *sorted(strangers, key=lambda fault: fault.where),
+            *sorted(others, key=lambda fault: fault.where),
+        ]

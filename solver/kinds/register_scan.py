@@ -1,0 +1,22 @@
+"""Register a raw scan: the template's vertices on it."""
+
+from solver.kinds.kind import Kind
+from solver.kinds.options import FrameOptions
+
+
+class RegisterScan(FrameOptions):
+    """Options of a registration."""
+
+
+KIND = Kind(
+    title="Register a raw scan",
+    description="The template's vertices on a raw scan, with a confidence each; an expression is "
+    "registered from the subject's registered neutral.",
+    queue="short",
+    reads=("capture", "template", "neutral"),
+    leaves="registration",
+    report="registration.json",
+    result="registered.ply",
+    folder="registered",
+    options=RegisterScan,
+)

@@ -1,0 +1,293 @@
+"""Scenes: what is simulated, animated or edited of a person, as JSON documents.
+
+Lengths are in mm, times in s, stress in Pa; x is to the subject's left, y up, z forward.
+"""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Discriminator, Field, Tag
+
+from solver.kinds.edits import Edits
+from solver.kinds.values import (
+    Document,
+    Integral,
+    Name,
+    Place,
+    Vector,
+    Whole,
+    find_kind,
+    form_by_member,
+)
+
+MOST_KEYS = 10000
+STIFFNESS_PA = 3000.0  # mu of facial soft tissue: a Young's modulus of 7.5 kPa, 8.6 by other laws
+
+Time = Annotated[float, Field(ge=0, le=600, description="in seconds")]
+Turn = Annotated[
+    list[Annotated[float, Field(ge=-3600, le=3600)]],
+    Field(
+        min_length=3,
+        max_length=3,
+        description="a rotation vector in degrees: its length is the angle, about its direction",
+    ),
+]
+
+
+# --- flesh ----------------------------------------------------------------------------------------
+
+
+class Material(Document):
+    """What flesh is made of."""
+
+    law: Literal["corotated_trace", "corotated_det", "neo_hookean"] = Field(
+        default="corotated_trace", description="corotated_trace is what rigs are fitted with"
+    )
+    stiffness_pa: float = Field(
+        default=STIFFNESS_PA,
+        ge=10,
+        le=10_000_000,
+        description="shear modulus mu; a third of Young's modulus, about",
+    )
+
+
+class Contact(Document):
+    """What skin meets."""
+
+    lips: bool = Field(default=True, description="lips with lips")
+    teeth: bool = Field(default=True, description="lips with teeth")
+    eyes: bool = Field(default=True, description="lids with eyeballs")
+    friction: float = Field(
+        default=0.0, ge=0, le=5, description="coefficient, of skin on skin and on objects"
+    )
+
+
+class Flesh(Document):
+    """What every scene says of the flesh."""
+
+    material: Material = Field(default_factory=Material)
+    activation_model: Literal["blended", "fibre"] = Field(
+        default="blended",
+        description="blended: six numbers a muscle, as fitted; fibre: contraction along fibres "
+        "only",
+    )
+    sliding: bool = Field(
+        default=True, description="whether skin slides on the skull, or is pinned to it"
+    )
+    contact: Contact = Field(default_factory=Contact)
+
+
+# --- keys -----------------------------------------------------------------------------------------
+
+
+class Jaw(Document):
+    """The jaw's pose, on top of the expressions'."""
+
+    open_deg: float = Field(default=0.0, ge=-360, le=360)
+    left_deg: float = Field(default=0.0, ge=-360, le=360, description="to the subject's left")
+    move_mm: Vector = Field(
+        default=[0.0, 0.0, 0.0], description="to the subject's left, up, and forward"
+    )
+
+
+def _form_of_muscle(value: Any) -> str | None:
+    if isinstance(value, bool):
+        return None
+    forms = {int: "<stretch>", float: "<stretch>", list: "<activation>"}
+    return forms.get(type(value))
+
+
+Muscle = Annotated[
+    Annotated[float, Field(ge=0.3, le=1.5), Tag("<stretch>")]
+    | Annotated[
+        list[Annotated[float, Field(ge=-10, le=10)]],
+        Field(min_length=6, max_length=6),
+        Tag("<activation>"),
+    ],
+    Discriminator(
+        _form_of_muscle,
+        custom_error_type="no_such_form",
+        custom_error_message="is not a number or a list of six",
+    ),
+]
+
+
+class Key(Document):
+    """The face at one time."""
+
+    time: Time
+    expressions: dict[str, Annotated[float, Field(ge=0, le=1)]] = Field(
+        default={}, description="weights of the rig's expressions by name"
+    )
+    muscles: dict[str, Muscle] = Field(
+        default={},
+        description="by name, on top of the expressions: the length of the fibres over that at "
+        "rest, or the six numbers xx, xy, xz, yy, yz, zz of an activation",
+    )
+    jaw: Jaw = Field(default_factory=Jaw)
+
+
+class MotionKey(Document):
+    """A turn and a move at one time."""
+
+    time: Time
+    rotation_deg: Turn = Field(default=[0.0, 0.0, 0.0])
+    move_mm: Vector = Field(default=[0.0, 0.0, 0.0])
+
+
+class Recording(Document):
+    """Frames of a recording."""
+
+    asset: str = Field(description="a CSV file of Live Link Face")
+    start: Whole = Field(default=0, ge=0, description="first frame")
+    end: Annotated[int, Field(ge=1), Integral] | None = Field(
+        default=None, description="the frame after the last; null: to the end"
+    )
+
+
+# --- forces ---------------------------------------------------------------------------------------
+
+
+class Gravity(Document):
+    """Weight, less that under which the neutral was scanned."""
+
+    kind: Literal["gravity"]
+    mm_s2: Vector = Field(default=[0.0, -9810.0, 0.0])
+
+
+class Wind(Document):
+    """Wind on the skin."""
+
+    kind: Literal["wind"]
+    m_s: list[Annotated[float, Field(ge=-200, le=200)]] = Field(min_length=3, max_length=3)
+    gusts: float = Field(default=0.0, ge=0, le=1, description="the part of it that comes and goes")
+    seed: Whole = Field(default=0, ge=0, description="of the gusts")
+
+
+class Pull(Document):
+    """A pull at a point of the skin."""
+
+    kind: Literal["point"]
+    at: Place
+    mn: Vector = Field(description="millinewtons, in the head's frame")
+    radius_mm: float = Field(default=5.0, gt=0, le=100)
+    ramp: float = Field(
+        default=0.0, ge=0, le=600, description="seconds from 0 on in which it grows"
+    )
+
+
+Force = Annotated[
+    Annotated[Gravity, Tag("<gravity>")]
+    | Annotated[Wind, Tag("<wind>")]
+    | Annotated[Pull, Tag("<point>")],
+    Discriminator(find_kind),
+]
+
+# --- objects --------------------------------------------------------------------------------------
+
+
+class AssetMesh(Document):
+    """A mesh of a file."""
+
+    asset: str = Field(
+        description="OBJ, PLY or STL in mm, or GLB in metres, in the subject's frame"
+    )
+
+
+class Box(Document):
+    """A box."""
+
+    box_mm: list[Annotated[float, Field(gt=0, le=1000)]] = Field(min_length=3, max_length=3)
+
+
+class Ball(Document):
+    """A ball."""
+
+    ball_mm: float = Field(gt=0, le=500, description="its radius")
+
+
+class Object(Document):
+    """A closed mesh that meets the face."""
+
+    name: Name
+    mesh: Annotated[
+        Annotated[AssetMesh, Tag("<asset>")]
+        | Annotated[Box, Tag("<box_mm>")]
+        | Annotated[Ball, Tag("<ball_mm>")],
+        Discriminator(
+            form_by_member("asset", "box_mm", "ball_mm"),
+            custom_error_type="no_such_form",
+            custom_error_message="is not an object with asset, box_mm or ball_mm",
+        ),
+    ]
+    at: Place = Field(
+        default=[0.0, 0.0, 0.0], description="where the mesh's origin is put, in the world"
+    )
+    path: list[MotionKey] = Field(
+        default=[],
+        max_length=MOST_KEYS,
+        description="turns about its origin, and moves from where it was put",
+    )
+
+
+# --- scenes ---------------------------------------------------------------------------------------
+
+
+class PlayedScene(Flesh):
+    """What simulations and animations share."""
+
+    mode: Literal["quasi_static", "dynamic"] = Field(
+        default="quasi_static",
+        description="dynamic: the flesh has inertia; quasi_static: every frame is an equilibrium",
+    )
+    steps_per_frame: Annotated[int, Field(ge=1, le=64), Integral] | None = Field(
+        default=None,
+        description="null: 4 if dynamic, else 1; long steps damp what swings",
+    )
+    damping: float = Field(
+        default=0.5,
+        ge=0,
+        le=1000,
+        description="of a dynamic face's motion in its head, per mass, in 1/s",
+    )
+    head: list[MotionKey] = Field(
+        default=[],
+        max_length=MOST_KEYS,
+        description="where the head is; it turns about the neck",
+    )
+    forces: list[Force] = Field(default=[], max_length=32)
+    objects: list[Object] = Field(
+        default=[],
+        max_length=16,
+        description="closed meshes that meet the face, moving on given paths",
+    )
+    edits: Edits = Field(default=[])
+
+
+class SimulateScene(PlayedScene):
+    """Keys of expressions, muscles and jaw, played by the flesh."""
+
+    fps: float = Field(default=30.0, ge=1, le=240, description="frames per second")
+    duration: Annotated[float, Field(ge=0, le=600)] | None = Field(
+        default=None, description="in seconds, from 0; null: as long as the keys"
+    )
+    interpolation: Literal["smooth", "linear"] = Field(
+        default="smooth",
+        description="between keys, those of head and objects too; smooth never goes beyond them",
+    )
+    keys: list[Key] = Field(
+        default=[],
+        max_length=MOST_KEYS,
+        description="what the face does; what a key does not name is at rest there",
+    )
+
+
+class AnimateScene(PlayedScene):
+    """A recording of Live Link Face, played by the flesh."""
+
+    recording: Recording
+
+
+class EditScene(Flesh):
+    """Edits of a person's anatomy."""
+
+    edits: Edits

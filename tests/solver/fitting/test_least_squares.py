@@ -1,0 +1,136 @@
+"""The damped descent on Rosenbrock's valley, the damping rules, and a fit of any controls."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from solver.fitting.activation import DescentOptions
+from solver.fitting.face import Face
+from solver.fitting.joint import JointOptions
+from solver.fitting.least_squares import (
+    DampingOptions,
+    Ending,
+    Halving,
+    HalvingOptions,
+    Step,
+    StopOptions,
+    TrustRegion,
+    minimise,
+)
+from solver.fitting.per_tet.damping import Damping
+from solver.fitting.sensitivity import PoseControls
+from solver.fitting.sequence import TrackingOptions
+from solver.fitting.skin_fit import SkinFit
+from tests.solver.block import block_model, poses
+
+START = np.array([-1.2, 1.0])
+
+
+@dataclass
+class Valley:
+    """f = (1 - u)^2 + 100 (v - u^2)^2; no step may be longer than ``far``."""
+
+    far: float = np.inf
+
+    def residual(self, q):
+        return np.array([1.0 - q[0], 10.0 * (q[1] - q[0] ** 2)])
+
+    def value(self, q):
+        return float(self.residual(q) @ self.residual(q))
+
+    def move(self, q, step):
+        return None if np.abs(step.change).max() > self.far else q + step.change
+
+    def linearise(self, q):
+        jacobian = np.array([[-1.0, 0.0], [-20.0 * q[0], 10.0]])
+        return Linearised(2.0 * jacobian.T @ self.residual(q), 2.0 * jacobian.T @ jacobian)
+
+
+@dataclass
+class Linearised:
+    gradient: np.ndarray
+    hessian: np.ndarray
+
+    def step(self, damping, trust):
+        step = np.linalg.solve(self.hessian + damping * np.eye(2), -self.gradient)
+        step /= max(np.abs(step).max() / trust, 1.0)
+        bend = step @ self.hessian @ step
+        return Step(step, self.gradient @ step, bend, np.abs(step).max())
+
+
+SEARCHES = [
+    lambda: TrustRegion(DescentOptions().damping, DescentOptions().trust),
+    lambda: Halving(DampingOptions(0.0, least=0.0), HalvingOptions(tries=12)),
+]
+
+
+@pytest.mark.parametrize("search", SEARCHES)
+@pytest.mark.parametrize("far", [np.inf, 0.3])
+def test_the_valley_is_descended(search, far):
+    heard = []
+    stop = StopOptions(200, promised=1e-14, gained=1e-14)
+    found = minimise(Valley(far), START, search(), stop, lambda *told: heard.append(told))
+    np.testing.assert_allclose(found.point, 1.0, atol=1e-5)
+    assert found.value == Valley().value(found.point)
+    assert [number for number, _ in heard] == list(range(1, found.steps + 1))
+    assert np.all(np.diff([value for _, value in heard]) < 0.0)
+
+
+def test_the_end_is_told():
+    search = SEARCHES[0]()
+    found = minimise(Valley(), START, search, StopOptions(2))
+    assert (found.ending, found.steps, found.idle) == (Ending.ITERATIONS, 2, False)
+    found = minimise(Valley(far=0.0), START, search, StopOptions(9))
+    assert (found.ending, found.steps, found.idle) == (Ending.STUCK, 0, True)
+    found = minimise(Valley(), np.ones(2), search, StopOptions(9))
+    assert (found.ending, found.steps, found.idle) == (Ending.CONVERGED, 0, True)
+    wary = Halving(DampingOptions(0.0, least=0.0), HalvingOptions(least_ratio=2.0))
+    found = minimise(Valley(), START, wary, StopOptions(9))
+    assert (found.ending, found.steps) == (Ending.UNRELIABLE, 1)
+
+
+# the rules as each fit had them for itself: (start, [(ratio, damping after it from 1e-2)])
+RULES = {
+    "activations": (DescentOptions().damping, 0.1, 8e-2, 1e-2 / 8.0, 1e-6),
+    "S": (JointOptions().damping, 1e-5, 4e-2, 2.5e-3, 1e-7),
+    "poses of S": (JointOptions().pose_damping, 1e-2, 4e-2, 2.5e-3, 1e-6),
+    "frames": (TrackingOptions().damping, 1e-3, 4e-2, 2.5e-3, 1e-4),
+}
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_damping_follows_the_ratio(name):
+    rule, start, grown, fallen, least = RULES[name]
+    good, bad = (0.7, 0.4) if name == "frames" else (0.75, 0.25)
+    assert rule.start == start
+    assert rule.adapt(1e-2, bad - 0.01) == rule.increase(1e-2) == grown
+    assert rule.adapt(1e-2, good + 0.01) == fallen
+    assert rule.adapt(1e-2, bad) == rule.adapt(1e-2, good) == 1e-2
+    assert rule.adapt(1.1 * least, 1.0) == least
+    assert rule.adapt(0.9, -np.inf) == (1.0 if name == "frames" else grown * 90.0)
+
+
+def test_damping_of_every_tet_follows_its_step():
+    at = np.tile([1.0, 0.0, 0.0, 1.0, 0.0, 1.0], (3, 1))
+    step = np.zeros((3, 6))
+    step[:, 0] = [0.01, 0.5, 100.0]
+    cut, jaw, damping = Damping.start(3).limited(at, step, np.array([0.04, 0, 0, 0, 0]))
+    np.testing.assert_allclose(cut[:, 0], [0.01, 0.5, 0.5])
+    np.testing.assert_allclose(damping.tets, [0.25, 1.0, 8.0])
+    assert jaw[0] == pytest.approx(0.02)
+    assert damping.jaw == pytest.approx(2e-2)
+    refused = damping.after_refusal()
+    np.testing.assert_allclose(refused.tets, 16.0 * damping.tets)
+    assert (refused.fall, refused.hindered, damping.hindered) == (0.5, True, False)
+
+
+def test_any_controls_are_fitted_to_a_skin():
+    """Activations of S and the jaw by the path that fibres take."""
+    face = Face(block_model())
+    target = face.face_points(face.continuation(face.rest_state(), poses(1)[0]).x)
+    fit = SkinFit(face, PoseControls(face), target)
+    before = fit.value(fit.settle(face.layout.rest, face.model.rest))
+    found = fit.solve()
+    assert found.value < 0.2 * before
+    assert face.flesh.inverted(found.point.equilibrium.x) == 0

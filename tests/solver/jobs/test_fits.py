@@ -1,0 +1,173 @@
+"""The jobs that fit: their solvers, and that bad input is told and loses nothing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from solver.errors import InputError, SolveError
+from solver.fitting import (
+    chosen,
+    geometry,
+)
+from solver.fitting.face import Face, Pose
+from solver.fitting.reference import NotConvergedError, Reference
+from solver.jobs import run_job
+from solver.meshio.obj import write_obj
+from solver.meshio.registered import read_registered
+from solver.progress import Step
+from solver.rig.result import load_activations, save_weights
+from solver.surface import Floats, Surface
+from tests.solver.block import head_block
+
+MODEL = head_block((7, 5, 1))
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model, its S, two simulated expressions, and one of them with a bump on the skin."""
+    folder = tmp_path_factory.mktemp("subject")
+    MODEL.save(folder / "model.npz")
+    save_weights(folder / "weights.npz", MODEL.weights, MODEL)
+    face = Face(MODEL)
+    rest = face.rest_state()
+    for name, stretch, hinge in (("wide", (0.8, 0.95), 0.06), ("narrow", (0.95, 0.8), 0.02)):
+        a = np.array([[s, 0.02, 0.0, 1 / np.sqrt(s), 0.0, 1 / np.sqrt(s)] for s in stretch])
+        state = face.continuation(rest, Pose(a, np.array([hinge, 0.0, 0.0, 0.0, 0.0])))
+        write(folder / f"{name}.obj", face.face_points(state.x))
+        if name == "wide":
+            bump = face.face_points(state.x)
+            bump[[26, 27, 32, 33], 2] += [12.0, 9.0, 9.0, 7.0]
+            write(folder / "bump.obj", bump)
+    return folder
+
+
+def write(path: Path, vertices: Floats) -> Path:
+    write_obj(path, Surface(vertices, MODEL.skin.faces))
+    return path
+
+
+def activations(
+    files: Path, out: Path, *names: str, **more: Any
+) -> tuple[dict[str, Any], list[Step]]:
+    """Fit the expressions; return the report and the steps that were told."""
+    steps: list[Step] = []
+    scans = {name: files / f"{name}.obj" for name in names}
+    given = {"model": files / "model.npz", "weights": files / "weights.npz", **more}
+    run_job("fit_activations", out, captures=scans, progress=steps.append, **given)
+    return json.loads((out / "report.json").read_text()), steps
+
+
+def warnings(steps: list[Step]) -> list[str | None]:
+    return [step.message for step in steps if step.phase == "warning"]
+
+
+def test_an_artifact_is_named_with_region_and_vertex(files: Path, tmp_path: Path) -> None:
+    report, steps = activations(files, tmp_path, "bump", "narrow")
+    (warning,) = report["expressions"]["bump"]["warnings"]
+    assert warning["code"] == "fit.unreached"
+    assert (warning["vertex"], warning["region"]) == (26, "left")
+    assert 4.0 < warning["mm"] < 12.0
+    assert warnings(steps) == [warning["message"]]
+    assert report["expressions"]["narrow"]["warnings"] == []
+    assert report["expressions"]["narrow"]["status"] == "converged"
+    # a rig that carries the expression over still says so
+    again, _ = activations(files, tmp_path / "next", "wide", rig=tmp_path)
+    assert again["expressions"]["bump"]["warnings"] == [warning]
+
+
+def fail(*_args: object, **_more: object) -> None:
+    raise SolveError("solve.no_convergence", "the fitted face does not come to rest")
+
+
+def test_what_neither_solver_can_fit_costs_only_itself(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """IPOPT ends with numbers that are none; the other expression is kept."""
+    real = chosen.reference.activations
+    calls = []
+
+    def broken(face: Face, *args: Any, **more: Any) -> Reference:
+        calls.append(face)
+        if len(calls) <= len(chosen.HEAVIER):
+            x = np.full_like(MODEL.rest, np.nan)
+            last = Reference(face.rest_pose(), x, np.nan, 3, np.nan)
+            raise NotConvergedError("Invalid number detected", 3, last)
+        return real(face, *args, **more)
+
+    monkeypatch.setattr(chosen.activation, "fit", fail)
+    monkeypatch.setattr(chosen.reference, "activations", broken)
+    report, steps = activations(files, tmp_path / "both", "wide", "narrow")
+    lost, kept = report["expressions"]["wide"], report["expressions"]["narrow"]
+    assert (lost["solver"], lost["status"]) == ("ipopt", "failed")
+    assert [each["code"] for each in lost["warnings"]][:2] == ["solve.fallback", "ipopt.failed"]
+    assert (kept["solver"], kept["status"]) == ("ipopt", "converged")
+    assert [each["code"] for each in kept["warnings"]] == ["solve.fallback"]
+    assert "does not come to rest" in kept["warnings"][0]["message"]
+    told = [each["message"] for each in (*lost["warnings"], *kept["warnings"])]
+    assert warnings(steps) == told
+    calls.clear()
+    with pytest.raises(SolveError, match=r"wide: .*Invalid number") as caught:
+        activations(files, tmp_path / "none", "wide")
+    assert caught.value.code == "fit.failed"
+
+
+def test_geometry_by_ipopt_from_one_target(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scans = {"wide": files / "wide.obj"}
+    options = {"solver": "ipopt", "rounds": 2}
+    model = files / "model.npz"
+    run_job("fit_geometry", tmp_path / "rig", options=options, captures=scans, model=model)
+    report = json.loads((tmp_path / "rig" / "report.json").read_text())
+    assert report["settings"]["solver"] == "ipopt"
+    assert [warning["code"] for warning in report["warnings"]] == ["fit.one_target"]
+    assert report["expressions"]["wide"]["mean_mm"] < 0.1
+    assert report["inverted"] == 0
+    before = tmp_path / "rig" / "activations.npz"
+    after, _ = activations(files, tmp_path / "next", "narrow", rig=before)
+    assert after["seconds"]["geometry"] == pytest.approx(report["seconds"]["geometry"], abs=2e-3)
+    monkeypatch.setattr(geometry, "MOST_TETS", 400)
+    scans["narrow"] = files / "narrow.obj"
+    with pytest.raises(InputError, match="use solver reduced") as caught:
+        run_job("fit_geometry", tmp_path / "no", options=options, captures=scans, model=model)
+    assert caught.value.code == "options.too_large"
+
+
+def test_a_flipped_scan_is_called_so(files: Path, tmp_path: Path) -> None:
+    turned = np.array([-1.0, 1.0, 1.0]) * MODEL.skin.vertices
+    scans = {"flipped": write(tmp_path / "flipped.obj", turned), "wide": files / "wide.obj"}
+    given = {"model": files / "model.npz", "weights": files / "weights.npz"}
+    with pytest.raises(InputError, match=r"flipped.obj .* 180 degrees") as caught:
+        run_job("fit_activations", tmp_path / "rig", captures=scans, **given)
+    assert caught.value.code == "scan.misaligned"
+
+
+def test_a_fit_to_planes_is_not_misled_by_vertices_that_slid(files: Path, tmp_path: Path) -> None:
+    faces, count = MODEL.skin.faces, len(MODEL.skin.vertices)
+    true = read_registered(files / "narrow.obj", faces, count).vertices
+    scans = {"slid": write(tmp_path / "slid.obj", true + np.array([4.0, 0.0, 0.0]))}
+    given = {"model": files / "model.npz", "weights": files / "weights.npz"}
+    away = {}
+    for distance in ("point", "plane"):
+        out = tmp_path / distance
+        options = {"distance": distance}
+        run_job("fit_activations", out, options=options, captures=scans, **given)
+        report = json.loads((out / "report.json").read_text())
+        assert (report["settings"]["distance"], report["inverted"]) == (distance, 0)
+        skin = load_activations(out / "activations.npz", MODEL)[0].skin
+        away[distance] = np.linalg.norm(skin - true, axis=1).mean()
+    assert away["plane"] < 1.0 < 3.0 < away["point"]
+
+
+@pytest.mark.parametrize(
+    ("option", "known"), [("solver", "'reduced' or 'ipopt'"), ("distance", "'point' or 'plane'")]
+)
+def test_an_unknown_choice_is_refused(files: Path, tmp_path: Path, option: str, known: str) -> None:
+    with pytest.raises(InputError, match=f"not one of {known}") as caught:
+        activations(files, tmp_path, "wide", options={option: "fast"})
+    assert caught.value.code == f"options.{option}"

@@ -1,0 +1,113 @@
+"""The job that makes sliders: what is in the file is what a page evaluates."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from solver.errors import InputError
+from solver.fitting.face import Face, Pose
+from solver.jobs import run_job
+from solver.mechanics.flesh import IDENTITY
+from solver.progress import Step
+from solver.rig.result import ExpressionFit, load_activations, save_activations, save_weights
+from solver.rig.view.format import read_container
+from tests.solver.block import head_block
+
+MODEL = head_block((7, 5, 1))
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model, its S and two simulated expressions."""
+    folder = tmp_path_factory.mktemp("rig")
+    MODEL.save(folder / "model.npz")
+    save_weights(folder / "weights.npz", MODEL.weights, MODEL)
+    face = Face(MODEL)
+    rest = face.rest_state()
+    fits = []
+    for name, stretch, hinge in (("wide", (0.8, 0.95), 0.06), ("narrow", (0.95, 0.8), 0.02)):
+        a = np.array([[s, 0.02, 0.0, 1 / np.sqrt(s), 0.0, 1 / np.sqrt(s)] for s in stretch])
+        b = np.array([hinge, 0.0, 0.0, 0.0, 0.0])
+        state = face.continuation(rest, Pose(a, b))
+        skin = face.whole_skin(state.x, b)
+        error = np.zeros(len(skin))
+        fits.append(ExpressionFit(name, "train", a, b, skin, skin, error, 0, 1, 0.0, 0.0, state.x))
+    save_activations(folder / "activations.npz", tuple(fits), MODEL)
+    return folder
+
+
+def build(files: Path, out: Path, rig: str = "activations.npz", **more: object) -> list[Path]:
+    given = {"model": files / "model.npz", "weights": files / "weights.npz", "rig": files / rig}
+    return run_job("build_preview", out, **given, **more)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def built(files: Path) -> tuple[Path, list[Step]]:
+    steps: list[Step] = []
+    build(files, files / "out", progress=steps.append)
+    return files / "out", steps
+
+
+def test_a_page_that_evaluates_the_file_shows_the_fits(
+    files: Path, built: tuple[Path, list[Step]]
+) -> None:
+    out, steps = built
+    held = read_container(out / "preview.bin")
+    controls, arrays = held.header["controls"], held.arrays
+    first, second = np.triu_indices(len(controls))
+    fits = {fit.name: fit for fit in load_activations(files / "activations.npz", MODEL)}
+    for preset in held.header["presets"]:
+        c = np.array(preset["values"])
+        q = arrays["linear"] @ c + arrays["quadratic"] @ (c[first] * c[second])
+        skin = MODEL.skin.vertices + np.tensordot(q, arrays["basis"], 1)
+        fit = fits[preset["name"]]
+        off = np.linalg.norm(skin - fit.skin, axis=1)[MODEL.face].mean()
+        moved = np.linalg.norm(fit.skin - MODEL.skin.vertices, axis=1)[MODEL.face].mean()
+        assert off < 0.05 * moved
+        assert preset["mean_mm"] == pytest.approx(off, abs=1e-3)
+    figures = json.loads((out / "preview.json").read_text())
+    error = held.header["error_mm"]
+    assert {key: error[key] for key in figures["error_mm"]} == figures["error_mm"]
+    assert error["mean"] < 0.05 * error["moved"]
+    assert len(error["per_control"]) == len(controls)
+    assert figures["poses"]["dropped"] == 0
+    fractions = [step.fraction for step in steps]
+    assert fractions == sorted(fractions)
+    assert (out / "preview.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_same_seed_gives_the_same_file(
+    files: Path, built: tuple[Path, list[Step]], tmp_path: Path
+) -> None:
+    build(files, tmp_path, options={"seed": 0})
+    same, other = ((folder / "preview.bin").read_bytes() for folder in (built[0], tmp_path))
+    assert same == other
+
+
+def test_out_of_time_it_is_made_of_what_is_ready_and_says_so(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ticks = itertools.count()
+    monkeypatch.setattr(time, "monotonic", lambda: float(next(ticks)))
+    build(files, tmp_path, options={"max_seconds": 60})
+    poses = json.loads((tmp_path / "preview.json").read_text())["poses"]
+    assert 0 < poses["learned"] < poses["planned"]
+    assert poses["dropped"] > 0
+
+
+def test_a_rig_without_a_fit_is_refused(files: Path, tmp_path: Path) -> None:
+    a, b = np.tile(IDENTITY, (MODEL.muscle_count, 1)), np.zeros(5)
+    skin = MODEL.skin.vertices
+    failed = ExpressionFit(
+        "wide", "test", a, b, skin, skin, np.zeros(len(skin)), 0, 0, 0.0, 0.0, status="failed"
+    )
+    save_activations(tmp_path / "failed.npz", (failed,), MODEL)
+    with pytest.raises(InputError) as caught:
+        build(files, tmp_path / "out", rig=str(tmp_path / "failed.npz"))
+    assert caught.value.code == "preview.nothing"
