@@ -18,7 +18,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from solver.rig.animation_gltf import (
-    SEQUENCE_BASIS,
     AnimatedSkin,
     AnimationOptions,
     write_animation_glb,
@@ -28,6 +27,7 @@ from solver.rig.gltf import Solid
 from solver.rig.motion import SequenceFrame
 from solver.rig.result import ExpressionFit
 from solver.rig.rig import Rig
+from solver.rig.skin_basis import SEQUENCE_BASIS
 from solver.surface import Floats, Surface, vertex_normals
 from solver.templates.builtin.build import builtin_expression
 from tests.solver.block import block_model
