@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -33,30 +34,44 @@ class SolveError(_PlainError, RuntimeError):
     """A solve could not be finished (singular system, no descent, a mesher that died)."""
 
 
-# One thing that a check of a template found.
+Severity = Literal["info", "warning", "error"]
+Verdict = Literal["good", "usable", "bad"]
 
 
 @dataclass(frozen=True)
 class Finding:
-    """``code`` is stable; ``about`` is the part it is about, such as a muscle's name.
+    """One thing that a check found: in a scan, in a template, in a result.
 
-    An ``error`` makes the template of no use, a ``warning`` is worth a look.
+    ``code`` is stable, ``message`` is one plain sentence and ``advice`` says what to do about it.
+    With an ``error`` what was checked is of no use, a ``warning`` is worth a look, an ``info`` only
+    tells. ``context`` says where and how much, as plain JSON values.
     """
 
-    severity: Literal["error", "warning"]
     code: str
-    about: str
+    severity: Severity
     message: str
+    advice: str = ""
+    context: dict[str, Any] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the finding as plain JSON values."""
+        named = {"code": self.code, "severity": self.severity, "message": self.message}
+        return {**named, "advice": self.advice, **self.context}
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> Finding:
+        """Return the finding that :meth:`to_dict` wrote."""
+        context = dict(values)
+        code, severity, message = (context.pop(key) for key in ("code", "severity", "message"))
+        return cls(code, severity, message, context.pop("advice", ""), context)
 
 
-def error(code: str, about: str, message: str) -> Finding:
-    """Return a finding that makes the template of no use."""
-    return Finding("error", code, about, message)
-
-
-def warning(code: str, about: str, message: str) -> Finding:
-    """Return a finding that is worth a look."""
-    return Finding("warning", code, about, message)
+def judge_findings(findings: Iterable[Finding]) -> Verdict:
+    """Return ``bad`` with any error, ``usable`` with any warning, else ``good``."""
+    severities = {finding.severity for finding in findings}
+    if "error" in severities:
+        return "bad"
+    return "usable" if "warning" in severities else "good"
 
 
 # What a fit has to tell besides its result: things that are wrong but did not stop it.

@@ -53,6 +53,17 @@ def small_motion(twist: Floats, growth: float = 0.0) -> Similarity:
     return Similarity(1.0 + growth, Rotation.from_rotvec(twist[:3]).as_matrix(), twist[3:6])
 
 
+def fit_similarity(source: Floats, target: Floats) -> Similarity:
+    """Return the best motion of ``source`` (n, 3) onto ``target`` (n, 3) (Umeyama 1991)."""
+    source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
+    a, b = source - source_mean, target - target_mean
+    u, sigma, vt = np.linalg.svd(b.T @ a)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    rotation = (u * signs) @ vt
+    scale = float(np.sum(sigma * signs) / np.sum(a**2))
+    return Similarity(scale, rotation, target_mean - scale * rotation @ source_mean)
+
+
 def weighted_motion(source: Floats, target: Floats, weights: Floats) -> Similarity:
     """Return the rigid motion (scale 1) of ``source`` (n, 3) onto ``target``, least squares.
 

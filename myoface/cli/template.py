@@ -84,7 +84,8 @@ def check(
         if json_file is not None:
             json_file.write_text(text + "\n", encoding="utf-8")
         for finding in report.findings:
-            out.print(f"{MARKS[finding.severity]} {escape(f'{finding.about}: {finding.message}')}")
+            line = f"{finding.context['about']}: {finding.message}"
+            out.print(f"{MARKS[finding.severity]} {escape(line)}")
         worth = "can be used" if report.good else "cannot be used"
         name = f"{report.figures['name']} {report.figures['version']}"
         out.print(f"{name}: {worth}, {len(report.findings)} findings", markup=False)

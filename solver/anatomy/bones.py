@@ -14,9 +14,9 @@ import trimesh
 from scipy import ndimage
 from scipy.optimize import least_squares
 
-from solver.anatomy.warp import similarity
 from solver.mechanics import jaw
 from solver.model import JawFrame
+from solver.similarity import fit_similarity
 from solver.surface import Floats, Surface, vertex_normals
 
 Volume = np.ndarray
@@ -185,7 +185,7 @@ class JawResidual:
 
 def jaw_residual(frame: JawFrame, rest: Floats, moved: Floats) -> JawResidual:
     """Fit the jaw to points ``rest`` (k, 3) that moved to ``moved`` (k, 3), in mm."""
-    rotation = similarity(rest, moved)[1]
+    rotation = fit_similarity(rest, moved).rotation
     rigid = (rest - rest.mean(axis=0)) @ rotation.T + moved.mean(axis=0)
     freedom = jaw.DEGREES_OF_FREEDOM
     fit = least_squares(

@@ -53,20 +53,6 @@ def interpolate(source: Floats, target: Floats, smoothing: float = 0.0) -> Warp:
     return Warp(source, solve(matrix, right, assume_a="sym"))
 
 
-def similarity(source: Floats, target: Floats) -> tuple[float, Floats, Floats]:
-    """Return scale, rotation (3, 3) and translation (3,) with target ~ scale * source R^T + t.
-
-    Least squares over corresponding points (Umeyama 1991).
-    """
-    source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
-    a, b = source - source_mean, target - target_mean
-    u, sigma, vt = np.linalg.svd(b.T @ a)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    rotation = (u * signs) @ vt
-    scale = float(np.sum(sigma * signs) / np.sum(a**2))
-    return scale, rotation, target_mean - scale * rotation @ source_mean
-
-
 def spread(points: Floats, count: int) -> Ints:
     """Return the numbers of ``count`` points far from each other (farthest-point sampling)."""
     chosen = np.zeros(min(count, len(points)), dtype=np.int64)

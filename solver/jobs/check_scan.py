@@ -7,13 +7,12 @@ import time
 from pathlib import Path
 
 from solver.anatomy.template import Template
-from solver.errors import InputError
+from solver.errors import InputError, judge_findings
 from solver.jobs.task import Task
 from solver.kinds.check_scan import CheckScan
 from solver.progress import Step
 from solver.scans.check import check
 from solver.scans.check_picture import check_picture
-from solver.scans.findings import verdict
 from solver.templates.builtin.build import builtin_template
 
 ROLES = ("unknown", "neutral", "expression")
@@ -41,14 +40,14 @@ def run(task: Task[CheckScan]) -> list[Path]:
     progress(Step("check", 0.1))
     frame = task.options.model_dump()
     found = check(scan, anatomy, frame, task.role, task.inputs.get("landmarks"))
-    judged = verdict(found.findings)
+    judged = judge_findings(found.findings)
     progress(Step("pictures", 0.8))
     files = [task.out / "check.json", task.out / "check.png"]
     check_picture(found, f"{scan.name}: {judged}", files[1])
     report = {
         "file": scan.name,
         "verdict": judged,
-        "findings": [finding.as_dict() for finding in found.findings],
+        "findings": [finding.to_dict() for finding in found.findings],
         "figures": found.figures | {"seconds": round(time.perf_counter() - start, 2)},
     }
     files[0].write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""How much a registered vertex can be trusted, and how far the scan lies from it."""
+"""Confidence in registered vertices, and their distances to the scan."""
 
 from __future__ import annotations
 
@@ -11,10 +11,17 @@ from solver.registration.scan_surface import ScanSurface
 from solver.similarity import IDENTITY, Similarity, weighted_motion
 from solver.surface import Floats, Ints, Surface, adjacency, vertex_normals
 
-COVERED_MM = 10.0
-COVERED_COSINE = 0.5
-TRUSTED_MM = 2.0
-"""Distance at which confidence has fallen to 1/e."""
+
+@dataclass(frozen=True)
+class TrustOptions:
+    """Limits of what a scan says of a registered vertex."""
+
+    covered_mm: float = 10.0  # farther there is no data
+    covered_cosine: float = 0.5  # of the normals, at least
+    trusted_mm: float = 2.0  # distance at which confidence has fallen to 1/e
+
+
+TRUST = TrustOptions()
 
 
 @dataclass(frozen=True)
@@ -42,12 +49,12 @@ def trust(scan: ScanSurface, motion: Similarity, skin: Surface, outer: Ints) -> 
     found = scan.closest(motion.inverse()(skin.vertices[outer]))
     distance = found.distance * motion.scale
     cosine = np.einsum("nd,nd->n", normals, motion.turn(found.normals))
-    seen = ~found.at_edge & (distance < COVERED_MM) & (cosine > COVERED_COSINE)
+    seen = ~found.at_edge & (distance < TRUST.covered_mm) & (cosine > TRUST.covered_cosine)
     covered = np.zeros(count, dtype=bool)
     covered[outer] = seen
     near = np.zeros(count)
-    near[outer] = np.exp(-((distance / TRUSTED_MM) ** 2)) * np.clip(
-        (cosine - COVERED_COSINE) / (0.9 - COVERED_COSINE), 0.0, 1.0
+    near[outer] = np.exp(-((distance / TRUST.trusted_mm) ** 2)) * np.clip(
+        (cosine - TRUST.covered_cosine) / (0.9 - TRUST.covered_cosine), 0.0, 1.0
     )
     apart = np.full(count, np.nan)
     apart[outer[seen]] = distance[seen]
@@ -73,8 +80,8 @@ def _share_of_neighbours(faces: Ints, covered: NDArray[np.bool_], outer: Ints) -
 # motion.
 
 
-STEPS = 6
-SLACK_MM = 0.5
+STEPS = 6  # of reweighting
+SLACK_MM = 0.5  # a vertex that moves by more on its own loses its say
 
 
 def head_motion(registered: Floats, expected: Floats, weights: Floats) -> Similarity:

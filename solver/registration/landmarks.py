@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from solver.anatomy.template import Template
-from solver.anatomy.warp import similarity
 from solver.drawing.render import (
     Camera,
     DrawnBody,
@@ -27,6 +26,7 @@ from solver.drawing.render import (
     render,
 )
 from solver.errors import InputError
+from solver.similarity import fit_similarity
 from solver.surface import Floats, Ints, Surface
 
 # Landmarks of a raw scan from a file: JSON, CSV or the 68 points of an ``ljson``.
@@ -36,6 +36,7 @@ from solver.surface import Floats, Ints, Surface
 # tables.
 
 
+# Point of the 68-point scheme, from 0 -> name.
 IBUG_68 = {
     8: "menton",
     17: "brow_lateral_r",
@@ -58,7 +59,7 @@ IBUG_68 = {
     62: "stomion_superius",
     66: "stomion_inferius",
 }
-"""Point of the 68-point scheme, from 0 -> name."""
+# Vertex of MediaPipe's face mesh -> name.
 MEDIAPIPE = {
     4: "nose_tip",
     2: "subnasale",
@@ -74,9 +75,8 @@ MEDIAPIPE = {
     14: "stomion_inferius",
     168: "sellion",
 }
-"""Vertex of MediaPipe's face mesh -> name."""
+# Names of one place in different templates.
 SYNONYMS = {"pronasale": "nose_tip", "nasion": "sellion"}
-"""Names of one place in different templates."""
 LABELS_68 = (  # in the scheme's order; the first brow and eye are the subject's right
     (("jaw", "chin"), 17),
     (("left_eyebrow", "leyebrow"), 5),
@@ -86,9 +86,9 @@ LABELS_68 = (  # in the scheme's order; the first brow and eye are the subject's
     (("right_eye", "reye"), 6),
     (("mouth",), 20),
 )
-MIRRORED_MM = 4.0
-LEAST_LANDMARKS = 4
-MISPLACED_MM = 20.0
+MIRRORED_MM = 4.0  # of a left landmark's mirror image to its twin
+LEAST_LANDMARKS = 4  # that give a pose
+MISPLACED_MM = 20.0  # off where a face has it
 
 Points = dict[str, Floats]
 
@@ -193,8 +193,8 @@ def match(file: str, points: Points, template: Template) -> tuple[Floats, Ints]:
 
 
 def _misfit(points: Floats, rest: Floats) -> Floats:
-    scale, rotation, shift = similarity(points, rest)
-    return np.asarray(np.linalg.norm(scale * points @ rotation.T + shift - rest, axis=1))
+    motion = fit_similarity(points, rest)
+    return np.asarray(np.linalg.norm(motion(points) - rest, axis=1))
 
 
 def _other_side(name: str) -> str:
@@ -250,11 +250,11 @@ def _unreadable(path: Path, reason: str, **where: Any) -> InputError:
     )
 
 
-PIXELS = 512
-YAWS = np.radians([0.0, -25.0, 25.0])
-GREY = (0.5, 0.5, 0.5)
+PIXELS = 512  # of a picture's side
+YAWS = np.radians([0.0, -25.0, 25.0])  # of the pictures
+GREY = (0.5, 0.5, 0.5)  # of the skin
+# A landmark counts if two views have it this close together.
 AGREE_MM = 6.0
-"""A landmark counts if two views have it this close together."""
 
 
 def find_landmarks(scan: Surface, face: Floats, model: Path) -> Points:
@@ -288,7 +288,7 @@ def find_landmarks(scan: Surface, face: Floats, model: Path) -> Points:
             if point is not None:
                 seen.setdefault(name, []).append(point)
     landmarker.close()
-    found = {name: _agreed(np.array(points)) for name, points in seen.items()}
+    found = {name: _mean_of_views(np.array(points)) for name, points in seen.items()}
     return {name: point for name, point in found.items() if point is not None}
 
 
@@ -339,7 +339,7 @@ def _on_surface(scan: Surface, visible: Visible, column: float, row: float) -> F
     return np.asarray(visible.weights[y, x].astype(float) @ corners)
 
 
-def _agreed(points: Floats) -> Floats | None:
+def _mean_of_views(points: Floats) -> Floats | None:
     middle = np.median(points, axis=0)
     close = np.linalg.norm(points - middle, axis=1) < AGREE_MM
     return None if close.sum() < 2 else np.asarray(points[close].mean(axis=0))

@@ -1,4 +1,4 @@
-"""What can be mended in a raw scan without asking: it is mended, counted and reported."""
+"""Mend in a raw scan what has one remedy, and count it."""
 
 from __future__ import annotations
 
@@ -11,19 +11,20 @@ from scipy.spatial import KDTree
 
 from solver.meshio.mesh import alike, weld
 from solver.meshio.raw import RawScan
+from solver.similarity import Similarity
 from solver.surface import Floats, Ints, area_normals
 
+# A triangle is flat if twice its area is less than this share of its longest edge squared.
 FLAT = 1e-7
-"""A triangle is flat if twice its area is less than this share of its longest edge squared."""
+# A coordinate beyond this counts as infinite: distances from it cannot be measured.
 ENDLESS = 1e100
-"""A coordinate beyond this counts as infinite: distances from it can not be measured."""
+# Fewer vertices in the place of another are separate parts that touch, and stay.
 WELDED_SHARE = 0.02
-"""Fewer vertices in the place of another are separate parts that touch, and stay."""
 
 
 @dataclass(frozen=True)
 class Mending:
-    """How many of each fault a raw scan had.
+    """Counts of each fault of a raw scan.
 
     ``not_finite`` vertices, the first of them ``first_not_finite`` (-1 for none); ``duplicate``
     vertices (in the place of another); ``flat`` triangles (no area); ``repeated`` triangles (the
@@ -61,7 +62,7 @@ def mend(scan: RawScan) -> tuple[RawScan, Mending]:
     kept = numbers[first]
     counts = Mending(len(lost), int(lost[0]) if len(lost) else -1, duplicate)
     if len(scan.faces) == 0:
-        return _picked(scan, kept, scan.faces), counts
+        return _pick(scan, kept, scan.faces), counts
     flat = _is_flat(scan.vertices[kept], faces)
     faces = faces[~flat]
     single, _ = alike(np.sort(faces, axis=1).astype(np.uint64))
@@ -77,7 +78,7 @@ def mend(scan: RawScan) -> tuple[RawScan, Mending]:
         non_manifold=int((edge_counts(faces)[1] > 2).sum()),
         flipped=flipped,
     )
-    return _picked(scan, kept[used], (np.cumsum(used) - 1)[faces]), counts
+    return _pick(scan, kept[used], (np.cumsum(used) - 1)[faces]), counts
 
 
 def edge_counts(faces: Ints) -> tuple[Ints, Ints]:
@@ -90,7 +91,7 @@ def edge_counts(faces: Ints) -> tuple[Ints, Ints]:
     return np.stack([keys[first] // size, keys[first] % size], axis=1), counts
 
 
-def _picked(scan: RawScan, vertices: Ints, faces: Ints) -> RawScan:
+def _pick(scan: RawScan, vertices: Ints, faces: Ints) -> RawScan:
     def rows(values: Floats | None) -> Floats | None:
         return None if values is None else values[vertices]
 
@@ -127,7 +128,7 @@ def _wound_alike(faces: Ints) -> tuple[Ints, int]:
 # Points spread evenly over a scan, with normals: what poses and fits are found from.
 
 
-NEIGHBOURS = 12
+NEIGHBOURS = 12  # of a point of a cloud, on a plane
 
 
 @dataclass(frozen=True)
@@ -138,10 +139,9 @@ class Samples:
     normals: Floats
     oriented: bool
 
-    def moved(self, scale: float, rotation: Floats, translation: Floats) -> Samples:
-        """Return the samples in another frame: x -> scale * rotation x + translation."""
-        points = scale * self.points @ rotation.T + translation
-        return Samples(points, self.normals @ rotation.T, self.oriented)
+    def transform(self, motion: Similarity) -> Samples:
+        """Return the samples in another frame."""
+        return Samples(motion(self.points), motion.turn(self.normals), self.oriented)
 
 
 def sample(

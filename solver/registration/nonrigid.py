@@ -37,15 +37,19 @@ from solver.surface import (
     vertex_normals,
 )
 
-MEMBRANE = 0.02
-"""m: keeps what the scan does not show from swinging out."""
-COTANGENT = (0.05, 4.0)
-TOUCH_FADES_MM = 1.5
-"""How far lips may be apart in the start and still be closed."""
-LIP_STRENGTH = 5.0
-"""k of a touching pair, by the weight of a vertex that the scan shows."""
-PIN_MM2 = 20.0
-"""Area of skin that a landmark speaks for."""
+
+@dataclass(frozen=True)
+class FreeFormOptions:
+    """Weights of the free form."""
+
+    membrane: float = 0.02  # m: keeps what the scan does not show from swinging out
+    cotangent: tuple[float, float] = (0.05, 4.0)  # bounds of the Laplacian's weights
+    touch_fades_mm: float = 1.5  # lips may be apart in the start and still be closed
+    lip_strength: float = 5.0  # k of a touching pair, by the weight of a vertex in the scan
+    pin_mm2: float = 20.0  # area of skin that a landmark speaks for
+
+
+FREE_FORM = FreeFormOptions()
 
 
 @dataclass(frozen=True)
@@ -66,17 +70,17 @@ def _rounds(alike: bool, *groups: tuple[float, float, int]) -> tuple[Round, ...]
     return tuple(Round(length, reach, alike) for length, reach, n in groups for _ in range(n))
 
 
+# From a start that a shape model has brought close.
 REFINE = (
     *_rounds(True, (30, 8, 4), (20, 6, 4), (12, 5, 6)),
     *_rounds(False, (12, 5, 1), (10, 5, 1), (8, 4, 1), (6, 4, 1), (5, 3, 1), (4, 3, 2)),
     *_rounds(False, (3.5, 2.5, 3)),
 )
-"""From a start that a shape model has brought close."""
+# From another person's shape, or another expression.
 FROM_AFAR = (
     *_rounds(True, (50, 12, 6), (30, 10, 6), (20, 8, 6), (12, 6, 6)),
     *_rounds(False, (9, 5, 2), (7, 5, 1), (7, 4, 1), (6, 4, 2), (5, 3, 2), (4, 3, 3)),
 )
-"""From another person's shape, or another expression."""
 
 
 class Skin:
@@ -101,7 +105,11 @@ class Skin:
     def smooth(self, goals: Floats, weights: Floats, length: float) -> Floats:
         """Return the displacements (k, 3) that meet ``goals`` (k, 3) as ``weights`` (k,) say."""
         data = weights * self.area
-        stiffness = length**4 * self._bending + MEMBRANE * length**2 * self._membrane + self._touch
+        stiffness = (
+            length**4 * self._bending
+            + FREE_FORM.membrane * length**2 * self._membrane
+            + self._touch
+        )
         # adding 0 x pattern keeps the entries of all parts
         matrix = sp.csr_array(stiffness + 0 * self._pattern)
         matrix.sort_indices()
@@ -114,8 +122,8 @@ class Skin:
         rest = topology.template.skin.vertices[self.vertices]
         one, other = np.searchsorted(self.vertices, topology.touching).T
         closing = rest[one] - rest[other] - (self.start[one] - self.start[other])
-        strength = np.exp(-np.sum((closing / TOUCH_FADES_MM) ** 2, axis=1))
-        strength *= LIP_STRENGTH * np.minimum(self.area[one], self.area[other])
+        strength = np.exp(-np.sum((closing / FREE_FORM.touch_fades_mm) ** 2, axis=1))
+        strength *= FREE_FORM.lip_strength * np.minimum(self.area[one], self.area[other])
         rows = np.tile(np.arange(len(one)), 2)
         ends = (rows, np.concatenate([one, other]))
         signs = np.repeat([1.0, -1.0], len(one))
@@ -159,7 +167,7 @@ def free_form(
         if pins is not None and stage.alike:
             numbers = np.searchsorted(skin.vertices, pins.vertices)
             goals[numbers] = motion(pins.points) - skin.start[numbers]
-            weights[numbers] = PIN_MM2 / skin.area[numbers]
+            weights[numbers] = FREE_FORM.pin_mm2 / skin.area[numbers]
         moved = skin.smooth(goals, weights, stage.length)
     result = start.copy()
     result[skin.vertices] += moved
@@ -184,7 +192,7 @@ def _laplacian(surface: Surface) -> tuple[sp.csr_array, Floats]:
         shape=(count, count),
     )
     weights = sp.csr_array(half + half.T)
-    weights.data = np.clip(weights.data, *COTANGENT)
+    weights.data = np.clip(weights.data, *FREE_FORM.cotangent)
     laplacian = sp.csr_array(sp.diags_array(weights.sum(axis=1)) - weights)
     area = vertex_areas(surface.vertices, surface.faces)
     return laplacian, np.maximum(area, 0.02 * np.median(area))
@@ -193,8 +201,8 @@ def _laplacian(surface: Surface) -> tuple[sp.csr_array, Floats]:
 # Triangles that registration has turned over, and laying them flat again.
 
 
-WIDENINGS = 10
-SHORTEST_MM = 0.05
+WIDENINGS = 10  # rings that a patch about a fold grows by at most
+SHORTEST_MM = 0.05  # edge that counts
 
 
 def folded_triangles(before: Floats, after: Floats, faces: Ints) -> Ints:
@@ -206,7 +214,7 @@ def folded_triangles(before: Floats, after: Floats, faces: Ints) -> Ints:
     return np.flatnonzero((_agreement(after, faces) < 0) & (_agreement(before, faces) >= 0))
 
 
-def unfolded(before: Floats, after: Floats, faces: Ints) -> Floats:
+def unfold(before: Floats, after: Floats, faces: Ints) -> Floats:
     """Return ``after`` (n, 3) without its triangles turned over against ``before`` (n, 3).
 
     Around every fold the displacement from ``before`` is laid anew, with the least bending that

@@ -10,42 +10,33 @@ from typing import Any
 import numpy as np
 
 from solver.anatomy.template import Template
-from solver.anatomy.warp import similarity
 from solver.errors import InputError
-from solver.meshio.faults import empty_error
 from solver.meshio.raw import RawScan
 from solver.progress import Progress, Step, silent
 from solver.registration.confidence import Trust, head_motion, trust
 from solver.registration.landmarks import find_landmarks, landmark_vertices
+from solver.registration.locate import (
+    face_points,
+    face_surface,
+    locate_face,
+    location_findings,
+    scan_samples,
+)
 from solver.registration.nonrigid import (
     FROM_AFAR,
     REFINE,
     folded_triangles,
     free_form,
-    unfolded,
+    unfold,
 )
-from solver.registration.pose import (
-    AXES,
-    EXTENT_MM,
-    FRAME,
-    UNITS,
-    FacePatch,
-    find_face,
-    unit_of,
-)
-from solver.registration.scan_surface import ScanSurface, scan_surface
+from solver.registration.scan_surface import ScanSurface, check_size, scan_surface
 from solver.registration.shape_fit import Pins, align, expressions, fit_shapes, persons
 from solver.registration.topology import Topology, carry_hidden
+from solver.registration.units import FRAME
 from solver.similarity import IDENTITY, Similarity
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
-# Where a raw scan's face is and in what unit it was written, from landmarks or by its shape.
-
-
-CLOSE_MM, FAR_MM = 5.7, 6.5
-"""A face that fits better than the first on average is found; one worse than the second is none."""
-HEAD_MM = (170.0, 230.0, 310.0, 420.0, 570.0)
-"""Extents to try for a scan in which no face of a person's size was found."""
+Marks = tuple[Floats, Ints]  # points (k, 3) in the scan's own frame, vertices (k,)
 
 
 @dataclass(frozen=True)
@@ -63,95 +54,28 @@ class Start:
     size_known: bool
 
 
-def start_by_shape(raw: RawScan, patch: FacePatch, frame: Mapping[str, Any]) -> Start:
-    """Find the face of a mended scan by its shape alone.
+def find_start(
+    raw: RawScan, template: Template, frame: Mapping[str, Any], landmarks: Marks | None
+) -> Start:
+    """Find the face of a mended scan, by its shape or by ``landmarks``.
 
-    ``frame`` holds the options ``unit``, ``up`` and ``forward``. Raises :class:`InputError`:
-    ``options.unit``, ``options.axes``, ``scan.not_a_face``, ``scan.empty``.
+    Raises :class:`InputError`: ``options.unit``, ``options.axes``, ``scan.empty``, and what
+    :func:`~solver.registration.locate.location_findings` counts as an error.
     """
-    upright = (_axis(frame, "up"), _axis(frame, "forward"))
-    if not len(raw.vertices):
-        raise empty_error(raw.file)
-    best: tuple[float, float, ScanSurface, Similarity] | None = None
-    likely, others = _factors(raw, str(frame["unit"]))
-    for factors in (likely, others):
-        for factor in factors:
-            scan = scan_surface(raw, factor)
-            motion, misfit = find_face(patch, scan, upright)
-            if best is None or misfit < best[0]:
-                best = misfit, factor, scan, motion
-        if best is not None and best[0] < CLOSE_MM:
-            break
-    assert best is not None
-    misfit, factor, scan, motion = best
-    if misfit > FAR_MM:
-        unit = f", read in {frame['unit']}," if frame["unit"] in UNITS else ""
-        raise not_a_face(raw.file, f"the best place for one{unit} is {misfit:.1f} mm off")
-    motion = align(scan, motion, patch.points, patch.normals, sizes=True)
-    fitted = motion.scale * factor
-    total, name = _unit(raw, fitted, frame)
-    scan = scan if total == factor else scan_surface(raw, total)
-    resized = _resized(motion, total / factor, patch.points.mean(axis=0))
-    return Start(scan, resized, total, name, size_known=total != fitted)
+    check_size(len(raw.vertices), raw.file)
+    marks = landmarks and (landmarks[0], template.skin.vertices[landmarks[1]])
+    face = face_points(face_surface(template))
+    place = locate_face(raw, scan_samples(raw), face, frame, marks)
+    for finding in location_findings(raw, place, frame):
+        if finding.severity == "error":
+            raise InputError(finding.code, finding.message, file=raw.file, **finding.context)
+    scan = scan_surface(raw, place.mm_per_unit)
+    return Start(scan, place.motion, place.mm_per_unit, place.unit, place.size_known)
 
 
-def start_by_landmarks(raw: RawScan, pins: Pins, model: Floats, frame: Mapping[str, Any]) -> Start:
-    """Place a mended scan by landmarks on the ``model`` (n, 3); the points are as in the file."""
-    motion = Similarity(*similarity(pins.points, model[pins.vertices]))
-    mm_per_unit, name = _unit(raw, motion.scale, frame)
-    resized = _resized(motion, mm_per_unit, model[pins.vertices].mean(axis=0))
-    known = mm_per_unit != motion.scale
-    return Start(scan_surface(raw, mm_per_unit), resized, mm_per_unit, name, size_known=known)
-
-
-def _unit(raw: RawScan, scale: float, frame: Mapping[str, Any]) -> tuple[float, str | None]:
-    return unit_of(scale, str(frame["unit"]), raw.mm_per_unit)
-
-
-def _resized(motion: Similarity, factor: float, centre: Floats) -> Similarity:
-    """Return the motion of a scan ``factor`` times as large, without scale, about ``centre``."""
-    there = factor * motion.inverse()(centre[None])[0]
-    return Similarity(1.0, motion.rotation, centre - motion.rotation @ there)
-
-
-def _factors(raw: RawScan, unit: str) -> tuple[list[float], list[float]]:
-    """Return the mm per unit to try first, and those to try if none fits well."""
-    if unit in UNITS:
-        return [UNITS[unit]], []
-    if unit != "auto":
-        raise InputError(
-            "options.unit",
-            f"unit is {unit!r}, not one of auto, {', '.join(UNITS)}",
-            expected=["auto", *UNITS],
-        )
-    low, high = np.quantile(raw.vertices, [0.005, 0.995], axis=0)
-    extent = max(float((high - low).max()), 1e-30)
-    declared = [] if raw.mm_per_unit is None else [raw.mm_per_unit]
-    likely = [f for f in declared or UNITS.values() if EXTENT_MM[0] <= f * extent <= EXTENT_MM[1]]
-    return likely, [mm / extent for mm in HEAD_MM]
-
-
-def not_a_face(file: str, reason: str) -> InputError:
-    """Return the error for a scan in which no face was found."""
-    return InputError("scan.not_a_face", f"{file} shows no whole face: {reason}", file=file)
-
-
-def _axis(frame: Mapping[str, Any], name: str) -> Floats | None:
-    given = str(frame[name])
-    if given == "auto":
-        return None
-    if given not in AXES:
-        raise InputError(
-            "options.axes",
-            f"{name} is {given!r}, not one of auto, {', '.join(AXES)}",
-            expected=["auto", *AXES],
-        )
-    return np.array(AXES[given])
-
-
+# A face that free form covers less, or leaves farther off on average, is none.
 LEAST_COVER, FARTHEST_MM = 0.15, 1.0
-STILL = 0.1
-"""Least weight of the vertices on which an expression's head is aligned."""
+STILL = 0.1  # least weight of the vertices on which an expression's head is aligned
 
 
 @dataclass(frozen=True)
@@ -187,7 +111,7 @@ def register(
     neutral: Floats | None = None,
     *,
     frame: Mapping[str, Any] = FRAME,
-    landmarks: tuple[Floats, Ints] | None = None,
+    landmarks: Marks | None = None,
     landmarker: Path | None = None,
     progress: Progress = silent,
 ) -> Registration:
@@ -207,20 +131,16 @@ def register(
     Raises
     ------
     InputError
-        ``scan.not_a_face``, ``scan.empty``, ``options.unit``, ``options.axes``,
-        ``landmarks.extra``, ``landmarks.model``.
+        ``scan.not_a_face``, ``scan.scale``, ``scan.unit_unknown``, ``scan.empty``,
+        ``options.unit``, ``options.axes``, ``landmarks.extra``, ``landmarks.model``.
     """
     progress(Step("pose", 0.1))
-    skin = topology.template.skin
-    model = skin if neutral is None else skin.moved(neutral)
-    if landmarks is None:
-        looked_for = topology.face if neutral is None else topology.firm
-        patch = _face_patch(model, looked_for, topology.template)
-        start = start_by_shape(raw, patch, frame)
-        pins = None if landmarker is None else _found(start, patch, topology.template, landmarker)
-    else:
-        start = start_by_landmarks(raw, Pins(*landmarks), model.vertices, frame)
+    start = find_start(raw, topology.template, frame, landmarks)
+    pins = None
+    if landmarks is not None:
         pins = Pins(start.mm_per_unit * landmarks[0], landmarks[1])
+    elif landmarker is not None:
+        pins = _find_pins(start, topology, landmarker)
     if neutral is None:
         found = _register_neutral(start, topology, pins, progress)
     else:
@@ -229,12 +149,13 @@ def register(
     return found
 
 
-def _found(start: Start, patch: FacePatch, template: Template, model: Path) -> Pins | None:
+def _find_pins(start: Start, topology: Topology, model: Path) -> Pins | None:
     """Return the landmarks that show in pictures of the placed scan; None for a point cloud."""
     if not len(start.scan.faces):
         return None
     placed = Surface(start.motion(start.scan.vertices), start.scan.faces)
-    known, found = landmark_vertices(template), find_landmarks(placed, patch.points, model)
+    face = topology.template.skin.vertices[topology.face]
+    known, found = landmark_vertices(topology.template), find_landmarks(placed, face, model)
     names = sorted(known.keys() & found.keys())
     if not names:
         return None
@@ -257,7 +178,7 @@ def _register_neutral(
         weights, schedule = np.zeros(0), FROM_AFAR
     progress(Step("free form", 0.6))
     fitted = free_form(scan, motion, shape, topology, schedule, pins)
-    fitted = unfolded(rest.vertices, fitted, topology.flesh)
+    fitted = unfold(rest.vertices, fitted, topology.flesh)
     skin = rest.moved(carry_hidden(topology.groups, shape, shape, fitted, topology.outer))
     seen = trust(scan, motion, skin, topology.outer)
     folds = folded_triangles(rest.vertices, skin.vertices, topology.flesh)
@@ -281,7 +202,7 @@ def _register_expression(
         shape, motion, weights, schedule = fit.vertices, fit.motion, fit.weights, REFINE
     progress(Step("free form", 0.6))
     fitted = free_form(scan, motion, shape, topology, schedule, pins)
-    fitted = unfolded(neutral, fitted, topology.flesh)
+    fitted = unfold(neutral, fitted, topology.flesh)
     skin = rest.moved(carry_hidden(topology.groups, neutral, shape, fitted, topology.outer))
     seen = trust(scan, motion, skin, topology.outer)
     back = head_motion(skin.vertices, shape, topology.stable * seen.confidence)
@@ -295,18 +216,14 @@ def _check(file: str, found: Registration, topology: Topology) -> None:
     seen = topology.face[found.trust.covered[topology.face]]
     share = len(seen) / len(topology.face)
     if share < LEAST_COVER:
-        raise not_a_face(file, f"only {share:.0%} of a face could be laid on it")
+        raise _no_face(file, f"only {share:.0%} of a face could be laid on it")
     distance = float(found.trust.distance_mm[seen].mean())
     if distance > FARTHEST_MM:
-        raise not_a_face(file, f"a face laid on it stays {distance:.1f} mm off on average")
+        raise _no_face(file, f"a face laid on it stays {distance:.1f} mm off on average")
 
 
-def _face_patch(model: Surface, vertices: Ints, template: Template) -> FacePatch:
-    """Return the face of a neutral, with the nose's tip: a landmark, or what stands out most."""
-    points = model.vertices[vertices]
-    tip = template.landmarks.get("nose_tip", template.landmarks.get("pronasale"))
-    place = points[np.argmax(points[:, 2])] if tip is None else model.vertices[tip]
-    return FacePatch(points, vertex_normals(model)[vertices], place)
+def _no_face(file: str, reason: str) -> InputError:
+    return InputError("scan.not_a_face", f"{file} shows no whole face: {reason}", file=file)
 
 
 def _own_size(

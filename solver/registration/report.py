@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,19 @@ from solver.registration.scan_surface import ScanSurface
 from solver.registration.topology import Topology
 from solver.surface import Floats, Ints, Surface
 
-GOOD_MEAN_MM, GOOD_P95_MM = 0.5, 1.5
-LITTLE_COVER, MUCH_COVER = 0.5, 0.9
-UNUSUAL_SHAPE = 2.0
-"""Times the expected length of the identity weights."""
+
+@dataclass(frozen=True)
+class ReportLimits:
+    """Beyond these a registration has a finding."""
+
+    mean_mm: float = 0.5  # distance to the scan
+    p95_mm: float = 1.5  # distance of 95 %
+    little_cover: float = 0.5  # share of the face, or of a region
+    much_cover: float = 0.9  # share without a finding
+    unusual_shape: float = 2.0  # times the expected length of the identity weights
+
+
+LIMITS = ReportLimits()
 
 
 def report(registered: Registration, topology: Topology) -> dict[str, Any]:
@@ -32,11 +42,11 @@ def report(registered: Registration, topology: Topology) -> dict[str, Any]:
     seen = face[trust.covered[face]]
     distance = trust.distance_mm[seen]
     figures = {
-        "mean_mm": _rounded(distance.mean()) if len(seen) else None,
-        "p95_mm": _rounded(np.percentile(distance, 95)) if len(seen) else None,
-        "max_mm": _rounded(distance.max()) if len(seen) else None,
-        "coverage": _rounded(len(seen) / len(face)),
-        "mean_confidence": _rounded(trust.confidence[face].mean()),
+        "mean_mm": _round(distance.mean()) if len(seen) else None,
+        "p95_mm": _round(np.percentile(distance, 95)) if len(seen) else None,
+        "max_mm": _round(distance.max()) if len(seen) else None,
+        "coverage": _round(len(seen) / len(face)),
+        "mean_confidence": _round(trust.confidence[face].mean()),
         "folded": len(registered.folded),
         "vertices": len(registered.skin.vertices),
         "scan_vertices": len(start.scan.vertices),
@@ -49,7 +59,7 @@ def report(registered: Registration, topology: Topology) -> dict[str, Any]:
         "motion": {
             "scale": start.mm_per_unit * motion.scale,
             "rotation": np.round(motion.rotation, 9).tolist(),
-            "rotation_degrees": _rounded(motion.degrees),
+            "rotation_degrees": _round(motion.degrees),
             "translation": np.round(motion.shift, 6).tolist(),
         },
         "shape_weights": np.round(registered.shape_weights, 4).tolist(),
@@ -66,15 +76,17 @@ def findings(registered: Registration, topology: Topology, seen: Ints) -> list[d
 
     coverage = len(seen) / len(topology.face)
     distance = registered.trust.distance_mm[seen]
-    if coverage < MUCH_COVER:
+    if coverage < LIMITS.much_cover:
         note(
             "registration.holes",
-            "warning" if coverage < LITTLE_COVER else "info",
+            "warning" if coverage < LIMITS.little_cover else "info",
             f"The scan shows {coverage:.0%} of the face; the rest is filled in smoothly and does "
             "not count in the fits.",
             "Fill large holes by another take, if they lie where the face moves.",
         )
-    if len(seen) and (distance.mean() > GOOD_MEAN_MM or np.percentile(distance, 95) > GOOD_P95_MM):
+    if len(seen) and (
+        distance.mean() > LIMITS.mean_mm or np.percentile(distance, 95) > LIMITS.p95_mm
+    ):
         note(
             "registration.far",
             "warning",
@@ -90,7 +102,9 @@ def findings(registered: Registration, topology: Topology, seen: Ints) -> list[d
             "State the unit, so that the subject gets the true size.",
         )
     regions = _regions(registered, topology)
-    unseen = sorted(name for name, figures in regions.items() if figures["coverage"] < LITTLE_COVER)
+    unseen = sorted(
+        name for name, figures in regions.items() if figures["coverage"] < LIMITS.little_cover
+    )
     if unseen:
         note(
             "registration.unseen_regions",
@@ -102,7 +116,7 @@ def findings(registered: Registration, topology: Topology, seen: Ints) -> list[d
     weights = registered.shape_weights
     if shapes is not None and len(weights) == len(shapes.identity):
         length = float(np.linalg.norm(weights) / np.sqrt(max(len(weights), 1)))
-        if length > UNUSUAL_SHAPE:
+        if length > LIMITS.unusual_shape:
             note(
                 "registration.unusual_shape",
                 "info",
@@ -127,24 +141,24 @@ def _regions(registered: Registration, topology: Topology) -> dict[str, dict[str
         if len(outer):
             seen = outer[trust.covered[outer]]
             figures[name] = {
-                "coverage": _rounded(len(seen) / len(outer)),
-                "mean_mm": _rounded(trust.distance_mm[seen].mean()) if len(seen) else None,
+                "coverage": _round(len(seen) / len(outer)),
+                "mean_mm": _round(trust.distance_mm[seen].mean()) if len(seen) else None,
             }
     return figures
 
 
-def _rounded(value: float | np.floating) -> float:
+def _round(value: float | np.floating) -> float:
     return round(float(value), 4)
 
 
 # ``distance.png``: the raw scan, the registered face and the distance between them.
 
 
-CELL = (500, 440)
-TITLE = 34
-VIEWS = np.radians([0.0, 50.0, -50.0])
-GREY = (0.42, 0.42, 0.43)
-DOT_MM = 1.2
+CELL = (500, 440)  # pixels of a view
+TITLE = 34  # height of a column's title in pixels
+VIEWS = np.radians([0.0, 50.0, -50.0])  # yaws
+GREY = (0.42, 0.42, 0.43)  # of a raw scan
+DOT_MM = 1.2  # radius of a point of a cloud
 
 
 def distance_picture(registered: Registration, topology: Topology, path: Path) -> None:

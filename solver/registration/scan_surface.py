@@ -22,16 +22,23 @@ from solver.surface import (
     area_normals,
 )
 
-MAX_VERTICES = 120_000
-"""More than this is thinned: a 1.5 mm grid on a head, well below a template's edges."""
-LEAST_VERTICES = 100
-NORMAL_RADIUS_MM = 2.5
-"""Normals are averaged over about this radius, as noise turns those of small triangles."""
-SMALL_PIECE = 0.01
-"""Share of the area (or points) under which a separate piece counts as debris."""
-CLOUD_NEIGHBOURS = 12
-TURN_MM, ALIKE_NEIGHBOURS = 20.0, 3
-"""A turn by a radian counts as this distance."""
+
+@dataclass(frozen=True)
+class SurfaceOptions:
+    """Preparing a scan for closest points; lengths in mm."""
+
+    max_vertices: int = (
+        120_000  # more is thinned: a 1.5 mm grid on a head, below a template's edges
+    )
+    least_vertices: int = 100  # of a scan
+    normal_radius: float = 2.5  # of the mean, as noise turns small triangles
+    small_piece: float = 0.01  # share of the area under which a piece is debris
+    cloud_neighbours: int = 12  # of a point, on a plane
+    turn: float = 20.0  # a turn by a radian counts as this distance
+    alike_neighbours: int = 3  # that are averaged
+
+
+SURFACE = SurfaceOptions()
 
 
 @dataclass(frozen=True)
@@ -69,11 +76,11 @@ def scan_surface(scan: RawScan, mm_per_unit: float) -> ScanSurface:
     """
     vertices = mm_per_unit * scan.vertices
     if len(scan.faces):
-        surface = _without_debris(_thinned(Surface(vertices, scan.faces)))
-        _check(len(surface.vertices), scan.file)
-        return MeshScan(_outward(surface))
-    points = _thinned_points(vertices)
-    _check(len(points), scan.file)
+        surface = _drop_debris(_thin(Surface(vertices, scan.faces)))
+        check_size(len(surface.vertices), scan.file)
+        return MeshScan(_turn_outward(surface))
+    points = _thin_points(vertices)
+    check_size(len(points), scan.file)
     return CloudScan(points)
 
 
@@ -111,7 +118,7 @@ class CloudScan:
     def __init__(self, points: Floats) -> None:
         self.vertices, self.faces = points, np.zeros((0, 3), np.int64)
         self._tree = cKDTree(points)
-        distance, near = self._tree.query(points, CLOUD_NEIGHBOURS)
+        distance, near = self._tree.query(points, SURFACE.cloud_neighbours)
         self._spacing = float(np.median(distance[:, -1]))
         centred = points[near] - points[near].mean(axis=1, keepdims=True)
         normals = np.linalg.svd(centred, full_matrices=False)[2][:, 2]
@@ -126,7 +133,7 @@ class CloudScan:
 
     def closest(self, points: Floats) -> Matches:
         """See :class:`ScanSurface`; the points lie on planes through neighbours."""
-        distance, near = self._tree.query(points, CLOUD_NEIGHBOURS)
+        distance, near = self._tree.query(points, SURFACE.cloud_neighbours)
         weights = 1 / (distance**2 + (0.3 * self._spacing) ** 2)
         weights /= weights.sum(axis=1, keepdims=True)
         centre = np.einsum("nk,nkd->nd", weights, self.vertices[near])
@@ -149,11 +156,13 @@ class Alike:
 
     def __init__(self, vertices: Floats, normals: Floats) -> None:
         self._vertices, self._normals = vertices, normals
-        self._tree = cKDTree(np.hstack([vertices, TURN_MM * normals]))
+        self._tree = cKDTree(np.hstack([vertices, SURFACE.turn * normals]))
 
     def __call__(self, points: Floats, normals: Floats) -> tuple[Matches, Ints]:
         """Return means of the most alike vertices, none at an edge, and their numbers (n, k)."""
-        apart, near = self._tree.query(np.hstack([points, TURN_MM * normals]), ALIKE_NEIGHBOURS)
+        apart, near = self._tree.query(
+            np.hstack([points, SURFACE.turn * normals]), SURFACE.alike_neighbours
+        )
         weights = 1 / (apart + 0.5) ** 2
         weights /= weights.sum(axis=1, keepdims=True)
         place = np.einsum("nk,nkd->nd", weights, self._vertices[near])
@@ -163,8 +172,9 @@ class Alike:
         return Matches(place, direction, distance, np.zeros(len(points), dtype=bool)), near
 
 
-def _check(count: int, file: str) -> None:
-    if count < LEAST_VERTICES:
+def check_size(count: int, file: str) -> None:
+    """Raise :class:`InputError` (``scan.empty``) for a scan of next to nothing."""
+    if count < SURFACE.least_vertices:
         raise InputError(
             "scan.empty",
             f"{file} holds only {count} usable points; a face needs thousands",
@@ -173,24 +183,24 @@ def _check(count: int, file: str) -> None:
         )
 
 
-def _thinned(surface: Surface) -> Surface:
-    """Cluster vertices on a grid, as fine as :data:`MAX_VERTICES` allows (Rossignac 1993)."""
-    if len(surface.vertices) <= MAX_VERTICES:
+def _thin(surface: Surface) -> Surface:
+    """Cluster vertices on a grid, as fine as ``max_vertices`` allows (Rossignac 1993)."""
+    if len(surface.vertices) <= SURFACE.max_vertices:
         return surface
     area = float(igl.doublearea(surface.vertices, surface.faces).sum()) / 2
-    cell = 1.2 * np.sqrt(area / MAX_VERTICES)
-    points, number = _clustered(surface.vertices, cell)
+    cell = 1.2 * np.sqrt(area / SURFACE.max_vertices)
+    points, number = _cluster(surface.vertices, cell)
     return _compact(points, number[surface.faces])
 
 
-def _thinned_points(points: Floats) -> Floats:
-    cell = float(np.ptp(points, axis=0).max()) / 400 if len(points) > MAX_VERTICES else 0.0
-    while len(points) > MAX_VERTICES:
-        points, cell = _clustered(points, cell)[0], 1.2 * cell
+def _thin_points(points: Floats) -> Floats:
+    cell = float(np.ptp(points, axis=0).max()) / 400 if len(points) > SURFACE.max_vertices else 0.0
+    while len(points) > SURFACE.max_vertices:
+        points, cell = _cluster(points, cell)[0], 1.2 * cell
     return points
 
 
-def _clustered(points: Floats, cell: float) -> tuple[Floats, Ints]:
+def _cluster(points: Floats, cell: float) -> tuple[Floats, Ints]:
     """Return the means of the points in each cell, and the cell of every point."""
     keys = np.floor((points - points.min(axis=0)) / cell).astype(np.int64)
     _, number, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
@@ -208,16 +218,16 @@ def _compact(vertices: Floats, faces: Ints) -> Surface:
     return Surface(vertices[used], numbers.reshape(-1, 3).astype(np.int64))
 
 
-def _without_debris(surface: Surface) -> Surface:
+def _drop_debris(surface: Surface) -> Surface:
     count = len(surface.vertices)
     label = connected_components(adjacency(surface.faces, count), directed=False)[1]
     area = np.nan_to_num(igl.doublearea(surface.vertices, surface.faces))
     owner = label[surface.faces[:, 0]]
     share = np.bincount(owner, area) / max(float(area.sum()), 1e-12)
-    return _compact(surface.vertices, surface.faces[share[owner] >= SMALL_PIECE])
+    return _compact(surface.vertices, surface.faces[share[owner] >= SURFACE.small_piece])
 
 
-def _outward(surface: Surface) -> Surface:
+def _turn_outward(surface: Surface) -> Surface:
     """Return the scan, its faces wound the other way if most of them look inward."""
     normal = area_normals(surface.vertices, surface.faces)
     away = surface.vertices[surface.faces].mean(axis=1) - np.median(surface.vertices, axis=0)
@@ -234,7 +244,7 @@ def _smooth_normals(surface: Surface) -> Floats:
     for corner in range(3):
         np.add.at(sums, surface.faces[:, corner], normal)
     edge = float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)))
-    steps = int(np.clip((NORMAL_RADIUS_MM / edge) ** 2, 0, 30))
+    steps = int(np.clip((SURFACE.normal_radius / edge) ** 2, 0, 30))
     mean = adjacency(surface.faces, count) + sp.eye_array(count, format="csr")
     for _ in range(steps):
         sums = mean @ sums

@@ -21,7 +21,6 @@ from scipy.spatial.transform import Rotation
 
 from solver.anatomy.template import ShapeBasis, Template
 from solver.registration.mend import Samples
-from solver.registration.pose import Pose
 from solver.registration.scan_surface import ScanSurface
 from solver.registration.topology import Topology
 from solver.similarity import Similarity, small_motion
@@ -30,13 +29,13 @@ from solver.surface import Floats, Ints, Surface, vertex_areas, vertex_normals
 # Pairs of model points and scan points, with the weight each pair deserves.
 
 
+# Normals further apart than 60 degrees are not of the same place.
 MIN_COSINE = 0.5
-"""Normals further apart than 60 degrees are not of the same place."""
 
 
 @dataclass(frozen=True)
 class Pairs:
-    """What the scan says about each model point, in the template's frame.
+    """Scan points for the model's points, in the template's frame.
 
     ``points`` and ``normals`` (n, 3) of the scan; ``offset`` (n,) how far the scan lies along its
     normal, in mm; ``weights`` (n,) in [0, 1], zero where there is nothing to follow.
@@ -83,7 +82,7 @@ def pair(
     return Pairs(targets, directions, offset, weights)
 
 
-def pinned(pairs: Pairs, points: Floats, targets: Floats, weight: float) -> Pairs:
+def add_pins(pairs: Pairs, points: Floats, targets: Floats, weight: float) -> Pairs:
     """Add landmarks: model ``points`` (k, 3) held at ``targets`` (k, 3) along all three axes."""
     axes = np.tile(np.eye(3), (len(points), 1))
     places, goals = np.repeat(points, 3, axis=0), np.repeat(targets, 3, axis=0)
@@ -104,16 +103,16 @@ def motion_columns(pairs: Pairs, *, sizes: bool) -> Floats:
 
 
 REACHES_MM = (12.0, 12.0, 10.0, 10.0, 8.0, 8.0, 6.0, 6.0, *(4.0,) * 6, *(3.0,) * 8, *(2.0,) * 6)
+# Standard deviation s of the offsets, as a share of the reach.
 NOISE_SHARE = 0.2
-"""Standard deviation s of the offsets, as a share of the reach."""
+# Neighbouring offsets go together: so many of them count as one observation.
 INDEPENDENT = 0.02
-"""Neighbouring offsets go together: so many of them count as one observation."""
+# Landmarks count while the reach is at least the first; their standard deviation.
 PINNED_REACH_MM, PIN_MM = 6.0, 3.0
-"""Landmarks count while the reach is at least the first; their standard deviation."""
-STRONGEST = 1.2
-EXPRESSION_PRIOR = 0.5
+STRONGEST = 1.2  # weight of an expression
+EXPRESSION_PRIOR = 0.5  # on the squares of their weights
+# Standard deviation of the gap between closed lips.
 CLOSED_MM = 0.15
-"""Standard deviation of the gap between closed lips."""
 
 
 @dataclass(frozen=True)
@@ -180,7 +179,7 @@ def fit_shapes(
         pairs, rows = replace(pairs, weights=trust), outer
         if pins is not None and reach >= PINNED_REACH_MM:
             places, goals = model[pins.vertices], motion(pins.points)
-            pairs = pinned(pairs, places, goals, 1 / PIN_MM**2)
+            pairs = add_pins(pairs, places, goals, 1 / PIN_MM**2)
             rows = np.concatenate([outer, np.repeat(pins.vertices, 3)])
         basis = np.einsum("knd,nd->nk", shapes.displacements[:, rows], pairs.normals)
         # offset = n . (q - x): the model moves by its weights, the scan by its motion
@@ -209,7 +208,7 @@ def _solve(normal: Floats, right: Floats, bounded: int) -> Floats:
 # Rigid motion, and uniform scale where asked for, of a scan onto a model of fixed shape.
 
 
-RIGID_REACHES_MM = (12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 4.0, 3.0, 3.0, 3.0, 3.0, 3.0)
+RIGID_REACHES_MM = (12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 4.0, 3.0, 3.0, 3.0, 3.0, 3.0)  # of the rounds
 
 
 def align(
@@ -252,25 +251,25 @@ def align(
 # free form. Persons and expressions are fitted together, as nothing is known of the scan.
 
 
-IDENTITIES = 30
-EXPRESSION_SD = 0.35
+IDENTITIES = 30  # shapes of persons that a rough fit uses
+EXPRESSION_SD = 0.35  # standard deviation of a weight
 LIKENESS_REACHES_MM = (10.0, 8.0, 6.0, 5.0, *(4.0,) * 5, *(3.0,) * 5)
-LIKENESS_NOISE_SHARE = 0.25
+LIKENESS_NOISE_SHARE = 0.25  # standard deviation of the distances, by the reach
+# Neighbouring distances go together: so many of them count as one observation.
 LIKENESS_INDEPENDENT = 0.05
-"""Neighbouring distances go together: so many of them count as one observation."""
-FACING = 0.6
-IGNORED = ("eyeLook", "Pupil", "tongue")
+FACING = 0.6  # least cosine of the normals, of either sign
+IGNORED = ("eyeLook", "Pupil", "tongue")  # expressions that no scan shows
 
 
 @dataclass(frozen=True)
 class Likeness:
-    """The fitted template: its whole ``skin`` (n, 3) in mm in its own frame, the scan's pose."""
+    """The fitted template: its whole ``skin`` (n, 3) in mm in its own frame, the scan's motion."""
 
     skin: Floats
-    pose: Pose
+    motion: Similarity
 
 
-def fit_likeness(scan: Samples, pose: Pose, template: Template, face: Surface) -> Likeness:
+def fit_likeness(scan: Samples, pose: Similarity, template: Template, face: Surface) -> Likeness:
     """Fit the template's shapes to a scan from a good ``pose``.
 
     ``face`` is the part of the skin that is fitted, in the template's numbers. A template without
@@ -296,13 +295,13 @@ def fit_likeness(scan: Samples, pose: Pose, template: Template, face: Surface) -
 
 def _fit(
     scan: Samples,
-    pose: Pose,
+    pose: Similarity,
     rest: Floats,
     faces: Ints,
     basis: NDArray[np.float32],
     precision: Floats,
     people: int,
-) -> tuple[Floats, Pose]:
+) -> tuple[Floats, Similarity]:
     """Return the weights (k,) of ``basis`` (k, n, 3) and the pose, fitted together.
 
     The weights behind the first ``people`` are expressions, kept within [0, STRONGEST].
@@ -311,7 +310,7 @@ def _fit(
     weights = np.zeros(count)
     tree = KDTree(scan.points)
     area = vertex_areas(rest, faces)
-    scale, rotation, translation = pose.scale, pose.rotation, pose.translation
+    scale, rotation, translation = pose.scale, pose.rotation, pose.shift
     for reach in LIKENESS_REACHES_MM:
         model = rest + np.tensordot(weights, basis, 1)
         normals = vertex_normals(Surface(model, faces))
@@ -335,4 +334,4 @@ def _fit(
         growth = float(np.clip(1 + step[-1], 0.95, 1.05))
         translation = growth * turn @ (translation - centre) + centre + step[count + 3 : -1]
         rotation, scale = turn @ rotation, growth * scale
-    return weights, Pose(scale, rotation, translation, pose.residual_mm, pose.coverage)
+    return weights, Similarity(scale, rotation, translation)

@@ -1,4 +1,4 @@
-"""What registration needs to know of a template beside its vertices, found once per template."""
+"""Properties of a template that registration needs, found once per template."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from solver.surface import Floats, Ints
 # Parts that no scan shows: eyeballs, teeth, gums and tongue go where the skin takes them.
 
 
-GUIDES = 500
-SMOOTHING_MM = 5.0
+GUIDES = 500  # points of the outer skin that carry what is hidden
+SMOOTHING_MM = 5.0  # of the warp between them
 
 
 def rigid_groups(template: Template) -> list[Ints]:
@@ -63,9 +63,16 @@ def carry_hidden(
 # Which skin a scanner can see: not the linings of mouth, nose and lids.
 
 
-PIXELS = 640
-YAWS = np.radians([0, 30, 60, 90, 130, 180, 230, 270, 300, 330])
-PITCHES = np.radians([-35, 0, 35])
+@dataclass(frozen=True)
+class ViewOptions:
+    """Views of a head that see all its outer skin."""
+
+    pixels: int = 640  # of a side
+    yaws: tuple[int, ...] = (0, 30, 60, 90, 130, 180, 230, 270, 300, 330)  # degrees
+    pitches: tuple[int, ...] = (-35, 0, 35)  # degrees
+
+
+VIEWS = ViewOptions()
 
 
 def outer_skin(template: Template) -> NDArray[np.bool_]:
@@ -74,9 +81,11 @@ def outer_skin(template: Template) -> NDArray[np.bool_]:
     centre = (skin.vertices.min(axis=0) + skin.vertices.max(axis=0)) / 2
     span = 1.2 * float(np.ptp(skin.vertices, axis=0).max())
     seen = np.zeros(len(skin.faces), dtype=bool)
-    for yaw in YAWS:
-        for pitch in PITCHES:
-            triangle = look(Camera(centre, span, yaw, pitch), skin, PIXELS, PIXELS).triangle
+    for yaw in np.radians(VIEWS.yaws):
+        for pitch in np.radians(VIEWS.pitches):
+            triangle = look(
+                Camera(centre, span, yaw, pitch), skin, VIEWS.pixels, VIEWS.pixels
+            ).triangle
             seen[np.unique(triangle[triangle >= 0])] = True
     flesh = np.zeros(len(skin.faces), dtype=bool)
     flesh[template.flesh_faces] = True
@@ -85,13 +94,18 @@ def outer_skin(template: Template) -> NDArray[np.bool_]:
     return outer
 
 
-TOUCHING_MM = 2.1
-FAR_MM = 8.0
-BELOW_TIP_MM = 8.0
-PARTED_SHARE = 0.3
-"""Share of the widest parting by which lips that touch come apart."""
-MOBILE_MM = 0.4
-"""Root mean square displacement over the expressions that halves a vertex's stability."""
+@dataclass(frozen=True)
+class RestOptions:
+    """Lips and still skin of a template at rest; lengths in mm."""
+
+    touching: float = 2.1  # between vertices of closed lips
+    far: float = 8.0  # moves of an expression on skin that is not firm
+    below_tip: float = 8.0  # of the nose, skin is not firm
+    parted_share: float = 0.3  # of the widest parting by which lips come apart
+    mobile: float = 0.4  # root mean square move that halves a vertex's stability
+
+
+REST = RestOptions()
 
 
 @dataclass(frozen=True)
@@ -148,13 +162,13 @@ def _touching(template: Template, vertices: Ints) -> Ints:
     """Pair every lip vertex with the closest one that parting takes away from it, each once."""
     rest = template.skin.vertices
     parted = rest + template.parting
-    pairs = vertices[cKDTree(rest[vertices]).query_pairs(TOUCHING_MM, output_type="ndarray")]
+    pairs = vertices[cKDTree(rest[vertices]).query_pairs(REST.touching, output_type="ndarray")]
     gap, opened = (
         np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
         for points in (rest, parted)
     )
     opened -= gap
-    apart = np.flatnonzero(opened > PARTED_SHARE * opened.max(initial=0.0))
+    apart = np.flatnonzero(opened > REST.parted_share * opened.max(initial=0.0))
     chosen: list[Ints] = []
     taken: set[int] = set()
     for pair in pairs[apart[np.argsort(gap[apart], kind="stable")]]:
@@ -165,13 +179,13 @@ def _touching(template: Template, vertices: Ints) -> Ints:
 
 
 def _firm(template: Template, face: Ints) -> Ints:
-    """Leave out what moves farther than :data:`FAR_MM`; without shapes, what is below the nose."""
+    """Leave out what moves farther than ``far``; without shapes, what is below the nose."""
     if template.shapes is not None and len(template.shapes.expressions):
         moves = np.linalg.norm(template.shapes.expressions[:, face], axis=2).max(axis=0)
-        return np.asarray(face[moves < FAR_MM])
+        return np.asarray(face[moves < REST.far])
     points = template.skin.vertices[face]
     tip = points[np.argmax(points[:, 2])]
-    return np.asarray(face[points[:, 1] > tip[1] - BELOW_TIP_MM])
+    return np.asarray(face[points[:, 1] > tip[1] - REST.below_tip])
 
 
 def _stable(template: Template, outer: Ints, firm: Ints) -> Floats:
@@ -179,7 +193,7 @@ def _stable(template: Template, outer: Ints, firm: Ints) -> Floats:
     weights = np.zeros(len(template.skin.vertices))
     if template.shapes is not None and len(template.shapes.expressions):
         squares = np.sum(template.shapes.expressions[:, outer].astype(float) ** 2, axis=2)
-        weights[outer] = 1 / (1 + squares.mean(axis=0) / MOBILE_MM**2) ** 2
+        weights[outer] = 1 / (1 + squares.mean(axis=0) / REST.mobile**2) ** 2
     else:
         weights[firm] = 1.0
     return weights

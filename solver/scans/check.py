@@ -15,19 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solver.anatomy.template import Template
-from solver.errors import InputError
+from solver.errors import Finding, InputError
 from solver.meshio.raw import RawScan, read_raw
-from solver.registration.mend import Samples, mend
-from solver.registration.pose import (
-    FacePoints,
-    Placement,
-    face_of,
-    is_face,
-    known_scales,
-    place_samples,
-    samples_of,
+from solver.registration.locate import (
+    Location,
+    face_points,
+    face_surface,
+    likely_scales,
+    locate_face,
+    location_findings,
+    scan_samples,
 )
+from solver.registration.mend import Samples, mend
 from solver.registration.shape_fit import fit_likeness
+from solver.registration.units import check_frame
 from solver.scans.cover import (
     Cover,
     cover,
@@ -36,16 +37,16 @@ from solver.scans.cover import (
 )
 from solver.scans.findings import (
     Features,
-    Finding,
     axis_findings,
     cover_findings,
+    error_finding,
     feature_findings,
     file_findings,
     landmark_findings,
-    of_error,
+    make_finding,
     roughness_findings,
-    unit_findings,
     winding_findings,
+    with_advice,
 )
 from solver.scans.mouth import (
     closed_eyes,
@@ -55,19 +56,16 @@ from solver.scans.mouth import (
 )
 from solver.surface import Floats, Surface
 
-AROUND_FACE_MM = 25.0
+AROUND_FACE_MM = 25.0  # margin of the part that is looked at closely
+# Below and above the face along x, y, z: the head without neck and shoulders.
 AROUND_HEAD_MM = np.array([[40.0, 10.0, 60.0], [40.0, 70.0, 40.0]])
-"""Below and above the face along x, y, z: the head without neck and shoulders."""
-FACE_SAMPLES = 60_000
-EXTENTS = (1e-9, 1e9)
-"""Least and greatest extent of a scan in its own unit, whatever that is."""
 
 
 @dataclass
-class Check:
-    """What a check has found: findings, figures, and what the picture shows.
+class ScanCheck:
+    """The findings of a check, its figures, and what its picture shows.
 
-    ``scan`` is the mended scan and ``placement`` its place, both None if it can not be read;
+    ``scan`` is the mended scan and ``location`` its face, both None if it cannot be read;
     ``cover`` what is missing of its face, None if there is no face; ``marked`` (n,) the vertices of
     the scan with a fault.
     """
@@ -75,50 +73,61 @@ class Check:
     findings: list[Finding] = field(default_factory=list)
     figures: dict[str, Any] = field(default_factory=dict)
     scan: RawScan | None = None
-    placement: Placement | None = None
+    location: Location | None = None
     cover: Cover | None = None
     marked: NDArray[np.bool_] | None = None
 
 
 def check(
     path: Path, template: Template, frame: Mapping[str, Any], role: str, landmarks: Path | None
-) -> Check:
-    """Check the raw scan at ``path``; ``frame`` as :func:`place_samples` takes it.
+) -> ScanCheck:
+    """Check the raw scan at ``path``; ``frame`` as :func:`locate_face` takes it.
 
     ``role`` is ``neutral``, ``expression`` or ``unknown``: an open mouth or closed eyes are only
     wrong in a neutral. Raises :class:`InputError` only for options that do not exist.
     """
-    result = Check()
+    check_frame(frame)
+    result = ScanCheck()
     try:
-        raw = read_raw(path)
+        _check(result, path, template, frame, role, landmarks)
     except InputError as error:
-        result.findings.append(of_error(error))
-        return result
+        result.findings.append(error_finding(error))
+    return result
+
+
+def _check(
+    result: ScanCheck,
+    path: Path,
+    template: Template,
+    frame: Mapping[str, Any],
+    role: str,
+    landmarks: Path | None,
+) -> None:
+    """Fill ``result``; raises :class:`InputError` for a scan that cannot be looked at."""
+    raw = read_raw(path)
     scan, mending = mend(raw)
     result.findings += file_findings(raw, mending)
     result.figures |= {"vertices": len(raw.vertices), "triangles": len(raw.faces)}
     if len(scan.vertices) < 100 or (len(raw.faces) and not len(scan.faces)):
-        empty = InputError("scan.empty", f"{raw.file} holds no surface", file=raw.file)
-        result.findings.append(of_error(empty))
-        return result
-    low, high = np.quantile(scan.vertices, [0.005, 0.995], axis=0)
-    if not EXTENTS[0] < float((high - low).max()) < EXTENTS[1]:
-        message = f"No unit makes what is in {raw.file} as large as a face."
-        result.findings.append(Finding("scan.unit_unknown", "error", message))
-        return result
+        raise InputError("scan.empty", f"{raw.file} holds no surface", file=raw.file)
+    samples, surface = scan_samples(scan), face_surface(template)
+    face = face_points(surface)
+    marking: list[Finding] = []
+    marks = None
+    if landmarks is not None:
+        unit = str(frame["unit"])
+        marking, marks = landmark_findings(landmarks, template, scan, samples, unit)
+    place = locate_face(scan, samples, face, frame, marks)
     result.scan = scan
-    samples = samples_of(scan)
-    surface = face_of(template)
-    face = FacePoints(surface)
-    place = place_samples(samples, face, frame, scan.mm_per_unit)
     result.figures |= {
         "coverage": round(place.pose.coverage, 3),
         "likeness_mm": round(place.pose.residual_mm, 2),
     }
-    if not is_face(place.pose):
-        result.findings.append(_no_face(scan, samples, surface, place, frame))
-        return result
-    result.placement = place
+    result.findings += [with_advice(found) for found in location_findings(scan, place, frame)]
+    if not place.is_face:
+        _name_part(result, visible_part(samples, surface, likely_scales(scan, samples, frame)))
+        return
+    result.location = place
     result.figures |= {
         "unit": place.unit,
         "mm_per_unit": place.mm_per_unit,
@@ -126,82 +135,55 @@ def check(
         "forward": place.forward,
         "size": round(place.size, 3),
     }
-    result.findings += unit_findings(scan, place, frame)
     result.findings += axis_findings(place, frame)
     if has_second_face(samples, face, place.pose):
         message = f"{scan.file} shows two heads."
-        result.findings.append(Finding("scan.two_heads", "error", message))
+        result.findings.append(make_finding("scan.two_heads", "error", message))
     winding = winding_findings(scan, samples, face, place)
-    if landmarks is not None:
-        winding = _with_landmarks(result, landmarks, template, samples, place, winding)
-    result.findings += winding
-    _look_closer(result, scan, place, template, surface, role)
-    return result
+    result.findings += _judge_winding(winding, marking, known=landmarks is not None)
+    _look_closer(result, scan, samples, place, template, surface, role)
 
 
-def _no_face(
-    scan: RawScan, samples: Samples, face: Surface, place: Placement, frame: Mapping[str, Any]
-) -> Finding:
-    """Return whether a scan without a whole face shows half a face or none."""
-    extent = float(np.ptp(np.quantile(samples.points, [0.005, 0.995], axis=0), axis=0).max())
-    scales = known_scales(extent, str(frame["unit"]), scan.mm_per_unit)
-    part = visible_part(samples, face, scales)
-    if part is not None:
-        message = f"{scan.file} shows only the {part} half of a face."
-        return Finding("scan.half_face", "error", message, {"part": part})
-    return Finding(
-        "scan.not_a_face",
-        "error",
-        f"{scan.file} shows no face: the best fit covers {place.pose.coverage:.0%} of a face and "
-        f"is {place.pose.residual_mm:.1f} mm off.",
-    )
+def _name_part(result: ScanCheck, part: str | None) -> None:
+    """Say in place of "no face" which ``part`` of one a scan shows."""
+    if part is None or result.scan is None:
+        return
+    message = f"{result.scan.file} shows only the {part} half of a face."
+    kept = [finding for finding in result.findings if finding.code != "scan.not_a_face"]
+    result.findings = [*kept, make_finding("scan.half_face", "error", message, part=part)]
 
 
-def _with_landmarks(
-    result: Check,
-    landmarks: Path,
-    template: Template,
-    samples: Samples,
-    place: Placement,
-    winding: list[Finding],
-) -> list[Finding]:
-    """Add what is wrong with the landmarks; return the winding's findings in their light.
+def _judge_winding(winding: list[Finding], marking: list[Finding], *, known: bool) -> list[Finding]:
+    """Return the findings of winding and landmarks; ``known`` says whether there are landmarks.
 
     Landmarks are set on the scan as it is seen. If their sides are exchanged and the triangles
     face inwards too, it is the scan that is mirrored; if only the triangles do, it is not.
     """
-    found = landmark_findings(landmarks, template, samples, place)
-    swapped = any(finding.code == "landmarks.swapped" for finding in found)
-    if not any(finding.code == "scan.mirrored" for finding in winding):
-        result.findings += found
-        return winding
-    if swapped:
+    if not known or not any(finding.code == "scan.mirrored" for finding in winding):
+        return marking + winding
+    if any(finding.code == "landmarks.swapped" for finding in marking):
         message = "The scan is mirrored: its triangles face inwards, left and right are exchanged."
-        return [Finding("scan.mirrored", "error", message)]
-    result.findings += found
-    return [finding for finding in winding if finding.code != "scan.mirrored"]
+        return [make_finding("scan.mirrored", "error", message)]
+    return marking + [finding for finding in winding if finding.code != "scan.mirrored"]
 
 
 def _look_closer(
-    result: Check,
+    result: ScanCheck,
     scan: RawScan,
-    place: Placement,
+    samples: Samples,
+    place: Location,
     template: Template,
     face: Surface,
     role: str,
 ) -> None:
     """Add what the face lacks, its noise and spikes, its mouth and eyes."""
-    points = samples_of(scan, FACE_SAMPLES)
-    there = place.pose.apply(points.points)
-    around = _around(there, face, AROUND_FACE_MM)
-    near = Samples(points.points[around], points.normals[around], points.oriented)
-    fitted = fit_likeness(near, place.pose, template, face)
-    pose = fitted.pose
-    size = place.mm_per_unit / pose.scale
-    seen = cover(
-        near.moved(pose.scale, pose.rotation, pose.translation), fitted.skin, template, face
-    )
-    vertices = pose.apply(scan.vertices)
+    around = _around(place.pose.motion(samples.points), face, AROUND_FACE_MM)
+    near = Samples(samples.points[around], samples.normals[around], samples.oriented)
+    fitted = fit_likeness(near, place.pose.motion, template, face)
+    motion = fitted.motion
+    size = place.mm_per_unit / motion.scale
+    seen = cover(near.transform(motion), fitted.skin, template, face)
+    vertices = motion(scan.vertices)
     rough = roughness(vertices * size, seen.points[seen.covered] * size)
     marked = np.zeros(len(vertices), bool)
     if len(scan.faces):

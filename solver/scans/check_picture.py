@@ -13,28 +13,28 @@ from solver.drawing.render import (
     look,
 )
 from solver.registration.mend import estimated_normals
-from solver.scans.check import Check
+from solver.scans.check import ScanCheck
 from solver.scans.cover import FAR_MM
 from solver.surface import Floats, Ints, Surface, area_normals
 
-WIDTH, HEIGHT = 420, 520
-SUPERSAMPLING = 2
-YAWS = (0.0, np.radians(42), np.radians(-42))
-SPAN_MM = 330.0
-LIGHT = np.array([0.35, 0.45, 0.82])
-GREY = np.array([0.80, 0.78, 0.76])
-INWARD = np.array([0.45, 0.52, 0.66])
-FAULT = np.array([0.93, 0.55, 0.10])
-MISSING = np.array([0.86, 0.10, 0.12])
-BACKGROUND = np.array([0.975, 0.975, 0.98])
-MOST_POINTS = 100_000
-LARGEST_DISC, MISSING_PIXELS = 8, 8
+WIDTH, HEIGHT = 420, 520  # pixels of a view
+SUPERSAMPLING = 2  # pixels drawn for one that is kept, along each axis
+YAWS = (0.0, np.radians(42), np.radians(-42))  # of the views
+SPAN_MM = 330.0  # height of a view
+LIGHT = np.array([0.35, 0.45, 0.82])  # where it comes from
+GREY = np.array([0.80, 0.78, 0.76])  # skin
+INWARD = np.array([0.45, 0.52, 0.66])  # triangles that face inwards
+FAULT = np.array([0.93, 0.55, 0.10])  # spikes
+MISSING = np.array([0.86, 0.10, 0.12])  # of the face
+BACKGROUND = np.array([0.975, 0.975, 0.98])  # of the sheet
+MOST_POINTS = 100_000  # of a cloud that are drawn
+LARGEST_DISC, MISSING_PIXELS = 8, 8  # radii in pixels
+# What is missing is drawn where the fitted face has it, even if the scan lies before it.
 BEHIND_MM = 25.0
-"""What is missing is drawn where the fitted face has it, even if the scan lies before it."""
-BACK_MM = 45.0
+BACK_MM = 45.0  # of the view's middle behind the face
 
 
-def check_picture(check: Check, title: str, path: Path) -> None:
+def check_picture(check: ScanCheck, title: str, path: Path) -> None:
     """Write the picture of a check as PNG: three views, what is missing of the face in red.
 
     Orange vertices are spikes; triangles that face inwards are blue. Without a scan the picture
@@ -53,8 +53,8 @@ def _rgb(colour: Floats) -> tuple[int, int, int]:
     return red, green, blue
 
 
-def _view(check: Check, yaw: float) -> np.ndarray:
-    surface, centre, span = _placed(check)
+def _view(check: ScanCheck, yaw: float) -> np.ndarray:
+    surface, centre, span = _place(check)
     camera = Camera(centre, span, yaw, distance=FAR_MM)
     wide, high = WIDTH * SUPERSAMPLING, HEIGHT * SUPERSAMPLING
     image = np.broadcast_to(BACKGROUND, (high, wide, 3)).copy()
@@ -72,12 +72,12 @@ def _view(check: Check, yaw: float) -> np.ndarray:
     return np.asarray(np.clip(image * 255, 0, 255), np.uint8)
 
 
-def _placed(check: Check) -> tuple[Surface, Floats, float]:
+def _place(check: ScanCheck) -> tuple[Surface, Floats, float]:
     """Return the scan as it is to be seen, the middle of the view and its height."""
     scan = check.scan
     assert scan is not None
-    if check.placement is not None and check.cover is not None:
-        vertices = check.placement.pose.apply(scan.vertices)
+    if check.location is not None and check.cover is not None:
+        vertices = check.location.pose.motion(scan.vertices)
         if any(finding.code == "scan.two_heads" for finding in check.findings):
             low, high = np.quantile(vertices, [0.002, 0.998], axis=0)
             return Surface(vertices, scan.faces), (low + high) / 2, 1.6 * float((high - low).max())
@@ -89,7 +89,7 @@ def _placed(check: Check) -> tuple[Surface, Floats, float]:
 
 
 def _draw_mesh(
-    image: Floats, depth: Floats, camera: Camera, surface: Surface, check: Check
+    image: Floats, depth: Floats, camera: Camera, surface: Surface, check: ScanCheck
 ) -> None:
     seen = look(camera, surface, image.shape[1], image.shape[0])
     mask = np.asarray(seen.mask)

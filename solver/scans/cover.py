@@ -1,4 +1,4 @@
-"""How much of the face a scan covers: what is missing, where, and how large the holes are."""
+"""The part of a face that a scan covers: what is missing, where, and how large holes are."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from solver.drawing.render import (
     Camera,
     look,
 )
+from solver.registration.locate import (
+    FacePoints,
+    FacePose,
+    face_points,
+    find_pose,
+    orient_outward,
+)
 from solver.registration.mend import (
     Samples,
     sample,
-)
-from solver.registration.pose import (
-    FacePoints,
-    Pose,
-    axis_directions,
-    find_pose,
-    is_face,
 )
 from solver.surface import Floats, Ints, Surface
 
@@ -69,20 +69,30 @@ def relief(surface: Surface, centre: Floats, size: tuple[float, float], step: fl
     return Relief(height, x, y)
 
 
-POINTS = 5000
-BORDER_MM = 12.0
-"""So near the rim of the template's face, scans may end."""
-OPENING_MM = 4.0
-"""So near the template's own openings (lids, lips, nostrils), scans may be torn."""
-HIDDEN_MM = 2.0
-LEAST_GAP_MM = 3.5
-SIDE_MM = 8.0
-RIM_MM = 5.0
-MISFIT_MM = 15.0
-SLIDES = 4
-NEARBY_MM = (-6.0, -3.0, 3.0, 6.0)
-MOUTH_MM = 32.0
-BEHIND_MM = (8.0, 14.0, 20.0, 26.0, 32.0)
+@dataclass(frozen=True)
+class CoverOptions:
+    """The part of a face that a scan should show; lengths in mm."""
+
+    points: int = 5000  # of the face that are looked for
+    border: float = 12.0  # so near the rim of the template's face, scans may end
+    opening: float = 4.0  # so near lids, lips and nostrils, scans may be torn
+    hidden: float = 2.0  # behind what is seen from the front
+    least_gap: float = 3.5  # to the scan from a point in a hole, or four spacings
+    side: float = 8.0  # from the middle begins a side
+    rim: float = 5.0  # a hole this near the border is the scan's end
+    misfit: float = 15.0  # of a fitted face along its normals
+    slides: int = 4  # along the normal to the height of the scan
+    nearby: tuple[float, ...] = (
+        -6.0,
+        -3.0,
+        3.0,
+        6.0,
+    )  # heights where a slide may swing between layers
+    mouth: float = 32.0  # radius of the mouth
+    behind: tuple[float, ...] = (8.0, 14.0, 20.0, 26.0, 32.0)  # depths of teeth and tongue
+
+
+COVER = CoverOptions()
 
 
 @dataclass(frozen=True)
@@ -114,8 +124,8 @@ class Cover:
         middle = np.median(self.points[:, 1])
         chosen = {
             "all": np.ones(len(self.points), bool),
-            "left": self.points[:, 0] > SIDE_MM,
-            "right": self.points[:, 0] < -SIDE_MM,
+            "left": self.points[:, 0] > COVER.side,
+            "right": self.points[:, 0] < -COVER.side,
             "upper": self.points[:, 1] > middle,
             "lower": self.points[:, 1] <= middle,
         }[side]
@@ -128,20 +138,20 @@ def cover(scan: Samples, skin: Floats, template: Template, face: Surface) -> Cov
     ``face`` is the part of the template's skin that is fitted, in its numbers.
     """
     fitted = Surface(skin, face.faces)
-    samples = sample(skin, face.faces, None, POINTS)
+    samples = sample(skin, face.faces, None, COVER.points)
     seen = _seen_from_front(fitted, samples)
     inner = ~_near_rims(samples.points, fitted)
     points = samples.points[seen & inner]
-    area = _area(fitted) / POINTS
+    area = _area(fitted) / COVER.points
     tree = KDTree(scan.points)
     spacing = float(np.median(tree.query(scan.points[::7], k=2)[0][:, 1]))
     gap = _sideways_gap(
         points, samples.normals[seen & inner], _at_mouth(points, skin, template), tree
     )
-    limit = max(LEAST_GAP_MM, 4 * spacing)
+    limit = max(COVER.least_gap, 4 * spacing)
     covered = np.asarray(gap < limit)
     missing = points[~covered]
-    at_rim = _rim_gap(missing, fitted) < BORDER_MM + RIM_MM
+    at_rim = _rim_gap(missing, fitted) < COVER.border + COVER.rim
     return Cover(points, covered, _holes(missing, at_rim, (area, limit), skin, template))
 
 
@@ -151,7 +161,7 @@ def _at_mouth(points: Floats, skin: Floats, template: Template) -> NDArray[np.bo
     if not known:
         return np.zeros(len(points), bool)
     away = np.linalg.norm(points - skin[known].mean(axis=0), axis=1)
-    return np.asarray(away < MOUTH_MM)
+    return np.asarray(away < COVER.mouth)
 
 
 def _sideways_gap(
@@ -160,18 +170,20 @@ def _sideways_gap(
     """Return how far (n,) the scan is beside each point's normal: in a hole, not where it misfits.
 
     Each point slides along its normal to the height of its closest scan point, and again from
-    there, up to MISFIT_MM. At the ``mouth`` what lies straight behind counts too: teeth and tongue
+    there, up to a misfit. At the ``mouth`` what lies straight behind counts too: teeth and tongue
     between open lips.
     """
     height = np.zeros(len(points))
     gap = np.full(len(points), np.inf)
-    for _ in range(SLIDES):
+    for _ in range(COVER.slides):
         beside, near = tree.query(points + height[:, None] * normals)
         gap = np.minimum(gap, beside)
-        height = ((tree.data[near] - points) * normals).sum(axis=1).clip(-MISFIT_MM, MISFIT_MM)
-    for depth in NEARBY_MM:  # where a slide swings between two layers, as lashes and brow
+        height = (
+            ((tree.data[near] - points) * normals).sum(axis=1).clip(-COVER.misfit, COVER.misfit)
+        )
+    for depth in COVER.nearby:  # where a slide swings between two layers, as lashes and brow
         gap = np.minimum(gap, tree.query(points - depth * normals)[0])
-    for depth in BEHIND_MM:
+    for depth in COVER.behind:
         gap[mouth] = np.minimum(gap[mouth], tree.query((points - depth * normals)[mouth])[0])
     return np.asarray(gap)
 
@@ -189,14 +201,14 @@ def _seen_from_front(fitted: Surface, samples: Samples) -> NDArray[np.bool_]:
     column = np.clip(np.rint(samples.points[:, 0] - front.x[0]), 0, len(front.x) - 1)
     row = np.clip(np.rint(front.y[0] - samples.points[:, 1]), 0, len(front.y) - 1)
     height = front.height[row.astype(int), column.astype(int)]
-    return np.asarray(samples.points[:, 2] > np.nan_to_num(height, nan=-1e9) - HIDDEN_MM)
+    return np.asarray(samples.points[:, 2] > np.nan_to_num(height, nan=-1e9) - COVER.hidden)
 
 
 def _near_rims(points: Floats, fitted: Surface) -> NDArray[np.bool_]:
     """Return which points lie near the outer rim of the face or near one of its openings."""
-    near = _rim_gap(points, fitted) < BORDER_MM
+    near = _rim_gap(points, fitted) < COVER.border
     for opening in _loops(fitted)[1:]:
-        near |= KDTree(fitted.vertices[opening]).query(points)[0] < OPENING_MM
+        near |= KDTree(fitted.vertices[opening]).query(points)[0] < COVER.opening
     return near
 
 
@@ -250,20 +262,33 @@ def _region(place: Floats, skin: Floats, template: Template) -> str:
     if not nearest:
         return "face"
     name = min(nearest, key=lambda region: nearest[region]).replace("_", " ")
-    side = "left " if place[0] > SIDE_MM else "right " if place[0] < -SIDE_MM else ""
+    side = "left " if place[0] > COVER.side else "right " if place[0] < -COVER.side else ""
     return side + name
 
 
 # More or less than one face in a scan: a second head, or only a part of a face.
 
 
-PART_SHARE, PART_COST = 0.8, 2.35
-"""Halves of other persons' faces cost up to 2.2; skulls and balls 2.5 and more where one is."""
-NOTHING_MM = 18.0
-OPPOSITE = {"left": "right", "right": "left", "upper": "lower", "lower": "upper"}
-OTHER_SHARE = 0.08
+# The box about a face's middle that its own head fills.
 HEAD_MM = np.array([[-95.0, -210.0, -220.0], [95.0, 190.0, 120.0]])
-"""The box about a face's middle that its own head fills."""
+# The half that is missing where the other is seen.
+OPPOSITE = {"left": "right", "right": "left", "upper": "lower", "lower": "upper"}
+
+
+@dataclass(frozen=True)
+class PartOptions:
+    """Limits of half a face and of a second one.
+
+    Halves of other persons' faces cost up to 1.5, balls and skulls 2.2 and more where one is.
+    """
+
+    share: float = 0.8  # of a half that is covered at least
+    cost: float = 1.9  # of a half at most, in mm
+    nothing: float = 18.0  # mm about the other half without a scan
+    other_share: float = 0.08  # of the scan outside the head that may hold another
+
+
+PARTS = PartOptions()
 
 
 def parts_of(face: Surface) -> dict[str, FacePoints]:
@@ -277,35 +302,35 @@ def parts_of(face: Surface) -> dict[str, FacePoints]:
         "lower": centre[:, 1] < middle,
     }
     return {
-        name: FacePoints(Surface(face.vertices, face.faces[kept])) for name, kept in halves.items()
+        name: face_points(Surface(face.vertices, face.faces[kept])) for name, kept in halves.items()
     }
 
 
 def visible_part(scan: Samples, face: Surface, scales: list[float]) -> str | None:
     """Return which half of a face a scan shows that shows no whole one; else None."""
-    parts = parts_of(face)
-    best: tuple[str, Pose] | None = None
+    parts, scan = parts_of(face), orient_outward(scan)
+    best: tuple[str, FacePose] | None = None
     for name, part in parts.items():
-        pose = find_pose(part, scan, scales, axis_directions())
-        is_part = pose.coverage > PART_SHARE and pose.cost < PART_COST
+        pose = find_pose(part, scan, scales)
+        is_part = pose.coverage > PARTS.share and pose.cost < PARTS.cost
         is_better = best is None or pose.cost < best[1].cost
         if is_part and is_better and _is_absent(parts[OPPOSITE[name]], scan, pose):
             best = name, pose
     return None if best is None else best[0]
 
 
-def _is_absent(part: FacePoints, scan: Samples, pose: Pose) -> bool:
+def _is_absent(part: FacePoints, scan: Samples, pose: FacePose) -> bool:
     """Return whether most of a part of the face has nothing of the scan about it."""
-    gap, _ = KDTree(pose.apply(scan.points)).query(part.points)
-    return bool((gap > NOTHING_MM).mean() > 0.5)
+    gap, _ = KDTree(pose.motion(scan.points)).query(part.points)
+    return bool((gap > PARTS.nothing).mean() > 0.5)
 
 
-def has_second_face(scan: Samples, face: FacePoints, pose: Pose) -> bool:
+def has_second_face(scan: Samples, face: FacePoints, pose: FacePose) -> bool:
     """Return whether there is another face in the scan than the one at ``pose``."""
-    there = pose.apply(scan.points) - face.points.mean(axis=0)
+    scan = orient_outward(scan)
+    there = pose.motion(scan.points) - face.points.mean(axis=0)
     outside = ((there < HEAD_MM[0]) | (there > HEAD_MM[1])).any(axis=1)
-    if outside.sum() < OTHER_SHARE * len(outside):
+    if outside.sum() < PARTS.other_share * len(outside):
         return False
     rest = Samples(scan.points[outside], scan.normals[outside], scan.oriented)
-    directions = np.concatenate([pose.rotation[None], axis_directions() @ pose.rotation])
-    return is_face(find_pose(face, rest, [pose.scale], directions))
+    return find_pose(face, rest, [pose.motion.scale]).is_face()

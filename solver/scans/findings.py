@@ -1,4 +1,4 @@
-"""What a check of a scan says: findings with a stable code, a plain sentence and advice.
+"""Findings of a scan's check, each with a stable code, a plain sentence and advice.
 
 Every code has one advice, here, so that the whole of what operators are told can be read in one
 place; ``docs/guide/scans.md`` lists the same.
@@ -7,36 +7,31 @@ place; ``docs/guide/scans.md`` lists the same.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from solver.anatomy.template import Template
-from solver.errors import InputError
+from solver.errors import Finding, InputError, Severity
 from solver.meshio.raw import RawScan
 from solver.registration.landmarks import (
     match,
     read_landmarks,
 )
+from solver.registration.locate import JUDGE, FacePoints, Location
 from solver.registration.mend import (
     WELDED_SHARE,
     Mending,
     Samples,
 )
-from solver.registration.pose import (
-    CLOSE_MM,
-    UNITS,
-    FacePoints,
-    Placement,
-)
+from solver.registration.units import choose_unit
 from solver.scans.cover import Cover
 from solver.scans.mouth import Roughness
-
-Severity = Literal["info", "warning", "error"]
-Verdict = Literal["good", "usable", "bad"]
+from solver.similarity import fit_similarity
+from solver.surface import Floats
 
 EXPORT_AGAIN = "Export the scan again from the scanner's software and send the new file."
 ADVICE = {
@@ -87,53 +82,41 @@ ADVICE = {
 }
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One thing about a scan that the operator should know.
-
-    ``figures`` are numbers or names, as plain JSON values, that say where and how much.
-    """
-
-    code: str
-    severity: Severity
-    message: str
-    figures: dict[str, Any] = field(default_factory=dict)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the finding as plain JSON values."""
-        return {
-            "code": self.code,
-            "severity": self.severity,
-            "message": self.message,
-            "advice": ADVICE.get(self.code, EXPORT_AGAIN),
-            **self.figures,
-        }
+def make_finding(code: str, severity: Severity, message: str, **figures: Any) -> Finding:
+    """Return a finding about a scan with the advice that belongs to its code."""
+    return with_advice(Finding(code, severity, message, context=figures))
 
 
-def of_error(error: InputError) -> Finding:
+def with_advice(finding: Finding) -> Finding:
+    """Return the finding with the advice that belongs to its code."""
+    return replace(finding, advice=ADVICE.get(finding.code, EXPORT_AGAIN))
+
+
+def error_finding(error: InputError) -> Finding:
     """Return the finding of what made a scan unreadable."""
-    return Finding(error.code, "error", error.message, error.context)
-
-
-def verdict(findings: list[Finding]) -> Verdict:
-    """Return ``bad`` with any error, ``usable`` with any warning, else ``good``."""
-    severities = {finding.severity for finding in findings}
-    if "error" in severities:
-        return "bad"
-    return "usable" if "warning" in severities else "good"
+    return with_advice(Finding(error.code, "error", error.message, context=error.context))
 
 
 # Findings about the face itself: what is missing, how rough it is, its mouth and its eyes.
 
 
-HOLE_MM2, CUT_OFF_MM2 = 180.0, 500.0
-LEAST_COVER, LEAST_SIDE = 0.7, 0.6
-NOISE_MM, MUCH_NOISE_MM = 0.5, 1.5
-COARSE_MM = 6.0
-COARSE_NOISE = 0.2
-"""A coarse scan is that much rougher, by its spacing: the quadratic misses folds of the skin."""
-MANY_SPIKES = 4
-LIPS_APART_MM = 3.0
+@dataclass(frozen=True)
+class FaceLimits:
+    """Beyond these a scan's face has a finding."""
+
+    hole_mm2: float = 180.0  # area of a hole
+    cut_off_mm2: float = 500.0  # area missing at the rim
+    least_cover: float = 0.7  # share of the face
+    least_side: float = 0.6  # share of a side
+    noise_mm: float = 0.5  # a warning
+    much_noise_mm: float = 1.5  # more is an error
+    coarse_mm: float = 6.0  # between vertices
+    coarse_noise: float = 0.2  # more noise a mm of spacing: the quadratic misses folds
+    spikes: int = 4  # vertices
+    lips_apart_mm: float = 3.0  # an open mouth
+
+
+FACE = FaceLimits()
 
 
 @dataclass(frozen=True)
@@ -150,19 +133,21 @@ def cover_findings(cover: Cover, features: Features) -> list[Finding]:
     shares = {side: cover.share(side) for side in ("left", "right", "upper", "lower")}
     worst = min(shares, key=lambda side: shares[side])
     whole = cover.share()
-    if whole < LEAST_COVER or shares[worst] < LEAST_SIDE:
+    if whole < FACE.least_cover or shares[worst] < FACE.least_side:
         message = f"{1 - whole:.0%} of the face is missing, most of it on the {worst} side."
         if worst in ("upper", "lower"):
             message = f"{1 - whole:.0%} of the face is missing, most of it in the {worst} half."
-        found.append(Finding("scan.coverage", "error", message, {"covered": round(whole, 3)}))
-    cut = [hole for hole in cover.holes if hole.at_rim and hole.area_mm2 > CUT_OFF_MM2]
+        found.append(make_finding("scan.coverage", "error", message, covered=round(whole, 3)))
+    cut = [hole for hole in cover.holes if hole.at_rim and hole.area_mm2 > FACE.cut_off_mm2]
     if cut and not found:
         area = sum(hole.area_mm2 for hole in cut)
         regions = ", ".join(dict.fromkeys(hole.region for hole in cut))
         message = f"The scan ends before the face does: {area / 100:.0f} cm2 miss at the {regions}."
-        found.append(Finding("scan.cut_off", "warning", message, {"area_mm2": round(area)}))
-    holes = [hole for hole in cover.holes if not hole.at_rim and hole.area_mm2 > HOLE_MM2]
-    if features.lip_gap_mm >= LIPS_APART_MM:  # a rough fit may have the chin where the mouth is
+        found.append(make_finding("scan.cut_off", "warning", message, area_mm2=round(area)))
+    holes = [hole for hole in cover.holes if not hole.at_rim and hole.area_mm2 > FACE.hole_mm2]
+    if (
+        features.lip_gap_mm >= FACE.lips_apart_mm
+    ):  # a rough fit may have the chin where the mouth is
         holes = [hole for hole in holes if not hole.region.endswith(("lip", "chin"))]
     if holes:
         largest = holes[0]
@@ -172,26 +157,26 @@ def cover_findings(cover: Cover, features: Features) -> list[Finding]:
             f"{largest.region}."
         )
         places = [{"region": h.region, "area_mm2": round(h.area_mm2)} for h in holes[:10]]
-        found.append(Finding("scan.holes", "warning", message, {"holes": places}))
+        found.append(make_finding("scan.holes", "warning", message, holes=places))
     return found
 
 
 def roughness_findings(rough: Roughness, spikes: int) -> list[Finding]:
     """Return whether a face is noisy, spiky or coarse."""
     found = []
-    limit = NOISE_MM + COARSE_NOISE * max(rough.spacing_mm - 3.0, 0.0)
+    limit = FACE.noise_mm + FACE.coarse_noise * max(rough.spacing_mm - 3.0, 0.0)
     if rough.noise_mm > limit:
-        severity: Severity = "error" if rough.noise_mm > limit + MUCH_NOISE_MM else "warning"
+        severity: Severity = "error" if rough.noise_mm > limit + FACE.much_noise_mm else "warning"
         message = f"The surface is noisy: {rough.noise_mm:.1f} mm; a good scan has below 0.3 mm."
-        figures = {"found": round(rough.noise_mm, 2), "expected": NOISE_MM}
-        found.append(Finding("scan.noise", severity, message, figures))
-    if rough.spacing_mm > COARSE_MM:
+        figures = {"found": round(rough.noise_mm, 2), "expected": FACE.noise_mm}
+        found.append(make_finding("scan.noise", severity, message, **figures))
+    if rough.spacing_mm > FACE.coarse_mm:
         message = f"The scan is coarse: a vertex every {rough.spacing_mm:.0f} mm on the face."
-        figures = {"found": round(rough.spacing_mm, 1), "expected": COARSE_MM}
-        found.append(Finding("scan.coarse", "warning", message, figures))
-    if spikes >= MANY_SPIKES:
+        figures = {"found": round(rough.spacing_mm, 1), "expected": FACE.coarse_mm}
+        found.append(make_finding("scan.coarse", "warning", message, **figures))
+    if spikes >= FACE.spikes:
         message = f"{spikes} spikes stick out on or around the face."
-        found.append(Finding("scan.spikes", "warning", message, {"found": spikes}))
+        found.append(make_finding("scan.spikes", "warning", message, found=spikes))
     return found
 
 
@@ -204,28 +189,34 @@ def feature_findings(features: Features, role: str) -> list[Finding]:
         return []
     severity: Severity = "error" if role == "neutral" else "info"
     found = []
-    if features.lip_gap_mm >= LIPS_APART_MM:
+    if features.lip_gap_mm >= FACE.lips_apart_mm:
         message = f"The mouth is open: the lips are {features.lip_gap_mm:.0f} mm apart."
-        figures = {"found": features.lip_gap_mm}
-        found.append(Finding("scan.mouth_open", severity, message, figures))
+        gap = features.lip_gap_mm
+        found.append(make_finding("scan.mouth_open", severity, message, found=gap))
     closed = [side for side, is_closed in features.closed.items() if is_closed]
     if closed:
         both = len(closed) == 2
         message = "Both eyes are closed." if both else f"The {closed[0]} eye is closed."
-        found.append(Finding("scan.eyes_closed", severity, message, {"eyes": closed}))
+        found.append(make_finding("scan.eyes_closed", severity, message, eyes=closed))
     return found
 
 
 # Findings about the file and its mesh, before anything is known of a face.
 
 
-MANY_NOT_FINITE = 0.2
-FEW_FLAT = 0.0005
-FEW_FLIPPED = 0.005
-MANY_UNUSED = 0.2
-TOUCHING_EDGES = 0.005
-"""Where corners are joined by place, parts that touch give so many edges of three triangles."""
-DENSE = 400_000
+@dataclass(frozen=True)
+class FileLimits:
+    """Shares of vertices or triangles beyond which a fault is worth a look."""
+
+    not_finite: float = 0.2  # vertices: an error
+    flat: float = 0.0005  # triangles
+    flipped: float = 0.005  # triangles
+    unused: float = 0.2  # vertices
+    touching: float = 0.005  # edges of three triangles where touching parts are joined
+    dense: int = 400_000  # vertices, not a share
+
+
+FILE = FileLimits()
 
 
 def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
@@ -234,7 +225,7 @@ def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
     found: list[Finding] = []
 
     def add(code: str, severity: Severity, message: str, **figures: object) -> None:
-        found.append(Finding(code, severity, message, figures))
+        found.append(make_finding(code, severity, message, **figures))
 
     if raw.format != raw.suffix_format:
         add(
@@ -249,7 +240,7 @@ def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
         share = mending.not_finite / vertices
         add(
             "scan.nan",
-            "error" if share > MANY_NOT_FINITE else "warning",
+            "error" if share > FILE.not_finite else "warning",
             f"{_count(mending.not_finite, 'vertex', 'vertices')} of {vertices} "
             f"{'is' if mending.not_finite == 1 else 'are'} not a number; the first is vertex "
             f"{mending.first_not_finite} (counted from 0).",
@@ -258,7 +249,7 @@ def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
         )
     if mending.duplicate:
         welded = mending.duplicate > WELDED_SHARE * vertices
-        usual = raw.format in ("glb", "stl")  # which can not share vertices across a seam
+        usual = raw.format in ("glb", "stl")  # which cannot share vertices across a seam
         add(
             "scan.duplicate_vertices",
             "warning" if welded and not usual else "info",
@@ -269,27 +260,27 @@ def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
     if mending.flat:
         add(
             "scan.zero_area_faces",
-            "warning" if mending.flat > FEW_FLAT * triangles else "info",
+            "warning" if mending.flat > FILE.flat * triangles else "info",
             f"{_count(mending.flat, 'triangle has', 'triangles have')} no area.",
             found=mending.flat,
         )
     if mending.repeated:
         add(
             "scan.repeated_faces",
-            "warning" if mending.repeated > FEW_FLAT * triangles else "info",
+            "warning" if mending.repeated > FILE.flat * triangles else "info",
             f"{_count(mending.repeated, 'triangle is', 'triangles are')} there twice.",
             found=mending.repeated,
         )
     if mending.unused:
         add(
             "scan.unused_vertices",
-            "warning" if mending.unused > MANY_UNUSED * vertices else "info",
+            "warning" if mending.unused > FILE.unused * vertices else "info",
             f"{_count(mending.unused, 'vertex is', 'vertices are')} in no triangle.",
             found=mending.unused,
         )
     if mending.non_manifold:
         usual = raw.format == "stl" or mending.duplicate > WELDED_SHARE * vertices
-        few = usual and mending.non_manifold < TOUCHING_EDGES * 1.5 * triangles
+        few = usual and mending.non_manifold < FILE.touching * 1.5 * triangles
         add(
             "scan.non_manifold",
             "info" if few else "warning",
@@ -299,7 +290,7 @@ def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
     if mending.flipped:
         add(
             "scan.inconsistent_normals",
-            "warning" if mending.flipped > FEW_FLIPPED * triangles else "info",
+            "warning" if mending.flipped > FILE.flipped * triangles else "info",
             f"{_count(mending.flipped, 'triangle faces', 'triangles face')} the other way than "
             "the surface around.",
             found=mending.flipped,
@@ -318,13 +309,13 @@ def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
             "warning",
             f"{raw.file} is a point cloud without normals; they are found from neighbours.",
         )
-    if vertices > DENSE:
+    if vertices > FILE.dense:
         add(
             "scan.dense",
             "warning",
             f"{vertices:,} vertices are more than a registration can use.",
             found=vertices,
-            expected=DENSE,
+            expected=FILE.dense,
         )
     return found
 
@@ -336,90 +327,60 @@ def _count(number: int, one: str, many: str) -> str:
 # Findings about landmarks that came with a scan: whether they belong to it.
 
 
-OFF_SURFACE_MM = 6.0
+OFF_SURFACE_MM = 6.0  # farther landmarks are of another scan, or in another unit
 
 
 def landmark_findings(
-    path: Path, template: Template, scan: Samples, place: Placement
-) -> list[Finding]:
-    """Return what is wrong with the landmarks in ``path``; ``scan`` is in the file's own frame."""
+    path: Path, template: Template, scan: RawScan, samples: Samples, unit: str
+) -> tuple[list[Finding], tuple[Floats, Floats] | None]:
+    """Return what is wrong with the landmarks in ``path``; else their points and the template's.
+
+    ``samples`` of the scan and the points (k, 3) are in the file's own frame.
+    """
     try:
         points = read_landmarks(path)
-        match(path.name, points, template)
+        places, vertices = match(path.name, points, template)
     except InputError as error:
-        return [of_error(error)]
-    gap = KDTree(scan.points).query(np.array(list(points.values())))[0] * place.mm_per_unit
+        return [error_finding(error)], None
+    rest = template.skin.vertices[vertices]
+    mm_per_unit, _ = choose_unit(fit_similarity(places, rest).scale, unit, scan.mm_per_unit)
+    gap = KDTree(samples.points).query(np.array(list(points.values())))[0] * mm_per_unit
     worst = int(np.argmax(gap))
     if gap[worst] <= OFF_SURFACE_MM:
-        return []
+        return [], (places, rest)
     name = list(points)[worst]
-    return [
-        Finding(
-            "landmarks.off_surface",
-            "error",
-            f"{path.name}: {name} lies {gap[worst]:.0f} mm off the scan.",
-            {"landmark": name, "found": float(gap[worst]), "expected": OFF_SURFACE_MM},
-        )
-    ]
-
-
-# Findings about what is in a scan and how it lies: a face at all, its unit, axes and winding.
-
-
-MOST_INWARD, SOME_INWARD = 0.8, 0.1
-
-
-def unit_findings(scan: RawScan, place: Placement, frame: Mapping[str, Any]) -> list[Finding]:
-    """Return what the face's size says about the unit that was given, declared or assumed."""
-    given = str(frame["unit"])
-    expected = UNITS.get(given, scan.mm_per_unit or 1.0)
-    figures = {"expected": expected, "found": place.mm_per_unit, "unit": place.unit}
-    if place.mm_per_unit == expected:
-        return []
-    if place.unit is None and _is_slip(place.mm_per_unit / expected) is None:
-        return [
-            Finding(
-                "scan.unit_unknown",
-                "error",
-                f"No unit makes the face in {scan.file} as large as a face.",
-                figures,
-            )
-        ]
-    ratio = expected / place.mm_per_unit
-    size = f"{ratio:g} times too large" if ratio > 1 else f"{1 / ratio:g} times too small"
-    source = (
-        "as given" if given != "auto" else "as the format says" if scan.mm_per_unit else "in mm"
+    finding = make_finding(
+        "landmarks.off_surface",
+        "error",
+        f"{path.name}: {name} lies {gap[worst]:.0f} mm off the scan.",
+        landmark=name,
+        found=float(gap[worst]),
+        expected=OFF_SURFACE_MM,
     )
-    as_what = f"in {place.unit}" if place.unit else f"at {place.mm_per_unit:g} mm a unit"
-    return [
-        Finding(
-            "scan.scale",
-            "error" if given != "auto" else "warning",
-            f"Read {source}, the face would be {size}; it fits {as_what}.",
-            figures,
-        )
-    ]
+    return [finding], None
 
 
-def _is_slip(ratio: float) -> float | None:
-    return next((slip for slip in (1e-3, 0.1, 10.0, 1e3) if np.isclose(ratio, slip)), None)
+# Findings about how a scan lies: its axes and winding.
 
 
-def axis_findings(place: Placement, frame: Mapping[str, Any]) -> list[Finding]:
+MOST_INWARD, SOME_INWARD = 0.8, 0.1  # shares of a face whose triangles face inwards
+
+
+def axis_findings(place: Location, frame: Mapping[str, Any]) -> list[Finding]:
     """Return how the scan is turned against y up and z forward."""
     figures = {"up": place.up, "forward": place.forward}
-    upright = float(place.rotation[1] @ (0.0, 1.0, 0.0))
+    upright = float(place.motion.rotation[1, 1])
     if frame["up"] != "auto" or (place.up, place.forward) == ("y", "z"):
         return []
     if place.up.startswith("-") and place.up != "-x":
         message = f"The head stands upside down: {place.up} of the file points to its top."
-        return [Finding("scan.upside_down", "warning", message, figures | {"upright": upright})]
+        return [make_finding("scan.upside_down", "warning", message, **figures, upright=upright)]
     message = f"{place.up} of the file points to the top of the head, {place.forward} forward."
-    return [Finding("scan.axes", "info", message, figures)]
+    return [make_finding("scan.axes", "info", message, **figures)]
 
 
 def winding_findings(
-    scan: RawScan, samples: Samples, face: FacePoints, place: Placement
+    scan: RawScan, samples: Samples, face: FacePoints, place: Location
 ) -> list[Finding]:
     """Return whether the triangles face inwards, which flipped normals and mirroring both do.
 
@@ -434,35 +395,34 @@ def winding_findings(
     figures = {"share": round(inward, 3)}
     if inward < MOST_INWARD:
         message = f"{inward:.0%} of the face's surface is inside out."
-        return [Finding("scan.inverted_normals", "warning", message, figures)]
+        return [make_finding("scan.inverted_normals", "warning", message, **figures)]
     stored = None
     if scan.normals is not None and len(scan.faces):
-        stored = _share_inward(_stored(scan), face, place)
-    inverted = Finding(
-        "scan.inverted_normals", "warning", "The whole surface is inside out.", figures
-    )
+        stored = _share_inward(_read_stored(scan), face, place)
+    message = "The whole surface is inside out."
+    inverted = make_finding("scan.inverted_normals", "warning", message, **figures)
     if stored is not None and stored < 0.5:
         message = "The scan is mirrored: its triangles face inwards, its normals outwards."
-        return [Finding("scan.mirrored", "error", message, figures)]
+        return [make_finding("scan.mirrored", "error", message, **figures)]
     if stored is not None or not len(scan.faces):
         return [inverted]
     message = (
         "The scan may be mirrored: its triangles face inwards, as mirroring makes them. "
         "Compare a mole or the parting with the person."
     )
-    return [inverted, Finding("scan.mirrored", "warning", message, figures)]
+    return [inverted, make_finding("scan.mirrored", "warning", message, **figures)]
 
 
-def _stored(scan: RawScan) -> Samples:
+def _read_stored(scan: RawScan) -> Samples:
     assert scan.normals is not None
     chosen = np.random.default_rng(0).permutation(len(scan.vertices))[:20000]
     return Samples(scan.vertices[chosen], np.nan_to_num(scan.normals[chosen]), True)
 
 
-def _share_inward(samples: Samples, face: FacePoints, place: Placement) -> float:
+def _share_inward(samples: Samples, face: FacePoints, place: Location) -> float:
     """Return the share of the face's points whose closest sample faces the other way."""
-    there = samples.moved(place.pose.scale, place.pose.rotation, place.pose.translation)
+    there = samples.transform(place.pose.motion)
     gap, near = KDTree(there.points).query(face.points)
-    facing = (there.normals[near] * face.normals).sum(axis=1)[gap < CLOSE_MM]
+    facing = (there.normals[near] * face.normals).sum(axis=1)[gap < JUDGE.close]
     clear = facing[np.abs(facing) > 0.5]
     return float((clear < 0).mean()) if len(clear) else 0.0

@@ -34,23 +34,23 @@ UNSIDED = (
     *("mouthRight", "mouthLeft", "mouthRollLower", "mouthRollUpper", "mouthShrugLower"),
     *("mouthShrugUpper", "browInnerUp", "cheekPuff", "tongueOut"),
 )
+# ARKit's blend shapes; left is the subject's left.
 ARKIT_NAMES = (*(name + side for name in SIDED for side in ("Left", "Right")), *UNSIDED)
-"""ARKit's blend shapes; left is the subject's left."""
 
+# Columns of angles, which older recordings do not have.
 ANGLES = {
     bone: tuple(f"{bone}{angle}" for angle in ("Yaw", "Pitch", "Roll"))
     for bone in ("head", "leftEye", "rightEye")
 }
-"""Columns of angles, which older recordings do not have."""
 
+# Beyond it an angle is in degrees, or nothing.
 MOST_TURN = 2.0 * np.pi
-"""Beyond it an angle is in degrees, or nothing."""
 
+# The last part of a timecode counts sixtieths of a second, whatever the frame rate is.
 TICKS = 60
-"""The last part of a timecode counts sixtieths of a second, whatever the frame rate is."""
-DAY = 86400.0
+DAY = 86400.0  # s
+# What a weight may be: a solver goes a little beyond 0 and 1, percents do not fit in.
 WEIGHTS = (-0.5, 1.5)
-"""What a weight may be: a solver goes a little beyond 0 and 1, percents do not fit in."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def read_live_link(path: Path) -> LiveLinkTake:
                     angles.append(_angles(path, rows.line_num, row, angled))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(
-            "live_link.unreadable", f"{path.name} can not be read: {error}", file=path.name
+            "live_link.unreadable", f"{path.name} cannot be read: {error}", file=path.name
         ) from error
     if not times:
         raise InputError("live_link.unreadable", f"{path.name} has no frames", file=path.name)

@@ -1,4 +1,4 @@
-"""Whether the lips are apart, by the profile of the scan itself."""
+"""Open lips, closed eyes and roughness, by the surface of the scan itself."""
 
 from __future__ import annotations
 
@@ -14,30 +14,38 @@ from solver.registration.landmarks import landmark_vertices
 from solver.scans.cover import relief
 from solver.surface import Floats, Ints, Surface
 
-STEP_MM = 0.5
-STRIP_MM = 9.0
-ABOVE_MM, BELOW_MM = 14.0, 50.0
-WIDEST_MM = 60.0
-DEEP_MM = 6.0
-STEEP_MM = 3.0
-NEAR_MM = 11.0
-"""How far from the template's lips the deepest place of a gap may be."""
+
+@dataclass(frozen=True)
+class LipOptions:
+    """The profile down the middle of the mouth; lengths in mm."""
+
+    step: float = 0.5  # of rows and columns
+    strip: float = 9.0  # width of the profile
+    above: float = 14.0  # the lips' middle
+    below: float = 50.0  # the lips' middle
+    widest: float = 60.0  # gap
+    deep: float = 6.0  # fall of a gap behind the lips
+    steep: float = 3.0  # fall of its edge within a millimetre
+    near: float = 11.0  # of the deepest place to the template's lips
+
+
+LIPS = LipOptions()
 
 
 def lip_gap(scan: Surface, template: Template) -> float:
     """Return the height in mm of the gap between the lips, 0 if they are closed.
 
     ``scan`` lies in the template's frame. Down the middle of the mouth, a gap is where the profile
-    falls DEEP_MM or more behind lips on both sides of it, over a steep edge. Without the landmarks
-    of the lips nothing is known, and 0 is returned.
+    falls deep behind lips on both sides of it, over a steep edge. Without the landmarks of the lips
+    nothing is known, and 0 is returned.
     """
     upper, lower = (template.landmarks.get(f"stomion_{lip}us") for lip in ("superi", "inferi"))
     if upper is None or lower is None:
         return 0.0
     centre = (template.skin.vertices[upper] + template.skin.vertices[lower]) / 2
-    top, bottom = centre[1] + ABOVE_MM, centre[1] - BELOW_MM
+    top, bottom = centre[1] + LIPS.above, centre[1] - LIPS.below
     middle = np.array([centre[0], (top + bottom) / 2, centre[2]])
-    front = relief(scan, middle, (STRIP_MM, top - bottom), STEP_MM)
+    front = relief(scan, middle, (LIPS.strip, top - bottom), LIPS.step)
     known = np.isfinite(front.height).sum(axis=1) * 2 > len(front.x)
     if known.sum() < len(known) / 2:
         return 0.0
@@ -50,10 +58,10 @@ def lip_gap(scan: Surface, template: Template) -> float:
 
 def _gap(height: Floats, profile: Floats) -> float:
     """Return the height in mm of the gap in a profile (n,) of rows from top to bottom."""
-    rows = round(WIDEST_MM / STEP_MM)
+    rows = round(LIPS.widest / LIPS.step)
     depth = grey_closing(profile, rows, mode="nearest") - profile
-    deep = (depth > DEEP_MM) & (np.abs(height) < ABOVE_MM + WIDEST_MM)
-    near = deep & (np.abs(height) < NEAR_MM)
+    deep = (depth > LIPS.deep) & (np.abs(height) < LIPS.above + LIPS.widest)
+    near = deep & (np.abs(height) < LIPS.near)
     if not near.any():
         return 0.0
     start = end = int(np.argmax(np.where(near, depth, 0)))
@@ -63,7 +71,7 @@ def _gap(height: Floats, profile: Floats) -> float:
         end += 1
     edge = slice(max(start - 4, 0), end + 5)
     falls = np.abs(profile[edge][2:] - profile[edge][:-2])
-    return float((end - start + 1) * STEP_MM) if falls.max(initial=0) > STEEP_MM else 0.0
+    return float((end - start + 1) * LIPS.step) if falls.max(initial=0) > LIPS.steep else 0.0
 
 
 # Whether the eyes are closed, by where the lids' edge lies in the scan itself.
@@ -73,15 +81,28 @@ def _gap(height: Floats, profile: Floats) -> float:
 # the lower lid, and above it the lid is smooth.
 
 
-EYE_ABOVE_MM, EYE_BELOW_MM = 15.0, 22.0
-MIDDLE = 0.5  # of the eye's width
-SMOOTH_MM, WIDE_MM, ARCH_MM = 0.6, 3.5, 3.5
-STEEPEST = 2.0
-UPPER_MM = (-2.0, 11.0)
-LOWER_MM = (-13.0, -4.0)
-"""Heights over the line between the corners where the edge of an open and of a closed lid lies."""
-SHARP, AHEAD, THIN_MM = 0.6, 1.6, 7.5
-EYE_NEAR_MM, COARSE_MM, FEWEST = 16.0, 2.2, 60
+@dataclass(frozen=True)
+class LidOptions:
+    """The edge of an upper lid; lengths in mm."""
+
+    above: float = 15.0  # the eye's corners
+    below: float = 22.0  # the eye's corners
+    middle: float = 0.5  # share of the eye's width that is looked at
+    smooth: float = 0.6  # width of what is noise
+    wide: float = 3.5  # width of brow and cheek's slopes
+    arch: float = 3.5  # by which an edge bows
+    steepest: float = 2.0  # slope that counts
+    upper: tuple[float, float] = (-2.0, 11.0)  # heights over the corners of an open lid's edge
+    lower: tuple[float, float] = (-13.0, -4.0)  # heights of a closed lid's edge
+    sharp: float = 0.6  # least slope of a closed lid's edge
+    ahead: float = 1.6  # times the slope above it
+    thin: float = 7.5  # height of one edge
+    near: float = 16.0  # radius of an eye
+    coarse: float = 2.2  # spacing that hides an edge
+    fewest: int = 60  # vertices about an eye
+
+
+LIDS = LidOptions()
 
 
 def closed_eyes(scan: Surface, skin: Floats, template: Template) -> dict[str, bool]:
@@ -102,18 +123,18 @@ def closed_eyes(scan: Surface, skin: Floats, template: Template) -> dict[str, bo
 
 def _is_closed(scan: Surface, corners: Floats) -> bool:
     middle = corners.mean(axis=0)
-    if _spacing(scan.vertices, middle) > COARSE_MM:
+    if _spacing(scan.vertices, middle) > LIDS.coarse:
         return False
-    width = MIDDLE * abs(float(corners[0, 0] - corners[1, 0]))
-    centre = middle + np.array([0.0, (EYE_ABOVE_MM - EYE_BELOW_MM) / 2, 0.0])
-    front = relief(scan, centre, (width, EYE_ABOVE_MM + EYE_BELOW_MM), STEP_MM)
+    width = LIDS.middle * abs(float(corners[0, 0] - corners[1, 0]))
+    centre = middle + np.array([0.0, (LIDS.above - LIDS.below) / 2, 0.0])
+    front = relief(scan, centre, (width, LIDS.above + LIDS.below), LIPS.step)
     if np.isfinite(front.height).mean() < 0.5:
         return False
     fall, height = _falls(front.height), front.y - middle[1]
-    upper = _within(fall, height, UPPER_MM)
-    lower = _within(fall, height, LOWER_MM)
+    upper = _within(fall, height, LIDS.upper)
+    lower = _within(fall, height, LIDS.lower)
     sharp = height[fall > 0.5 * fall.max()]
-    return bool(lower > max(SHARP, AHEAD * upper) and np.ptp(sharp) < THIN_MM)
+    return bool(lower > max(LIDS.sharp, LIDS.ahead * upper) and np.ptp(sharp) < LIDS.thin)
 
 
 def _falls(height: Floats) -> Floats:
@@ -124,10 +145,10 @@ def _falls(height: Floats) -> Floats:
         known = np.isfinite(values)
         if known.any():
             filled[:, column] = np.interp(rows, rows[known], values[known])
-    smooth = gaussian_filter(filled, SMOOTH_MM / STEP_MM)
-    sharp = smooth - gaussian_filter(smooth, (WIDE_MM / STEP_MM, 0.0))
-    fall = -np.gradient(sharp, STEP_MM, axis=0)
-    arched = maximum_filter1d(fall.clip(0, STEEPEST), round(ARCH_MM / STEP_MM), axis=0)
+    smooth = gaussian_filter(filled, LIDS.smooth / LIPS.step)
+    sharp = smooth - gaussian_filter(smooth, (LIDS.wide / LIPS.step, 0.0))
+    fall = -np.gradient(sharp, LIPS.step, axis=0)
+    arched = maximum_filter1d(fall.clip(0, LIDS.steepest), round(LIDS.arch / LIPS.step), axis=0)
     return np.asarray(np.median(arched, axis=1))
 
 
@@ -137,8 +158,8 @@ def _within(fall: Floats, height: Floats, band: tuple[float, float]) -> float:
 
 def _spacing(vertices: Floats, centre: Floats) -> float:
     """Return the median distance of neighbouring vertices about an eye."""
-    near = vertices[np.linalg.norm(vertices - centre, axis=1) < EYE_NEAR_MM]
-    if len(near) < FEWEST:
+    near = vertices[np.linalg.norm(vertices - centre, axis=1) < LIDS.near]
+    if len(near) < LIDS.fewest:
         return float("inf")
     return float(np.median(KDTree(near).query(near, k=2)[0][:, 1]))
 
@@ -146,11 +167,20 @@ def _spacing(vertices: Floats, centre: Floats) -> float:
 # How rough a scan is: noise against a smooth surface, and spikes.
 
 
-PROBES = 800
-NEIGHBOURS = 24
-RADIUS_MM = 3.0
-SPIKE_EDGES, SPIKE_MM, SPIKE_ANGLE = 3.0, 6.0, np.radians(200.0)
-UNKNOWNS = 6  # of a quadratic height field
+@dataclass(frozen=True)
+class RoughOptions:
+    """Noise and spikes; lengths in mm."""
+
+    probes: int = 800  # places where noise is measured
+    neighbours: int = 24  # of a place
+    radius: float = 3.0  # within which skin is a quadratic
+    spike_edges: float = 3.0  # height of a spike by the scan's edges
+    spike: float = 6.0  # least height of a spike
+    spike_angle: float = np.radians(200.0)  # sum of the angles at its tip
+    unknowns: int = 6  # of a quadratic height field
+
+
+ROUGH = RoughOptions()
 
 
 @dataclass(frozen=True)
@@ -167,16 +197,16 @@ class Roughness:
 def roughness(points: Floats, places: Floats, seed: int = 0) -> Roughness:
     """Return the roughness of the vertices (n, 3) of a scan at ``places`` (k, 3) of a face, in mm.
 
-    At some of the places a quadratic height field is fitted to the neighbours within RADIUS_MM (in
-    a coarse scan farther); what it leaves is noise, as skin is smooth at that size.
+    At some of the places a quadratic height field is fitted to the neighbours in a radius (larger
+    in a coarse scan); what it leaves is noise, as skin is smooth at that size.
     """
-    chosen = np.random.default_rng(seed).permutation(len(places))[:PROBES]
+    chosen = np.random.default_rng(seed).permutation(len(places))[: ROUGH.probes]
     tree = KDTree(points)
     centres = points[tree.query(places[chosen])[1]]
-    distance, near = tree.query(centres, k=min(NEIGHBOURS, len(points)))
+    distance, near = tree.query(centres, k=min(ROUGH.neighbours, len(points)))
     spacing = float(np.median(distance[:, 1]))
-    radius = max(RADIUS_MM, 2.5 * spacing)
-    dense = (distance < radius).sum(axis=1) >= 2 * UNKNOWNS
+    radius = max(ROUGH.radius, 2.5 * spacing)
+    dense = (distance < radius).sum(axis=1) >= 2 * ROUGH.unknowns
     if dense.sum() < len(chosen) / 8:
         return Roughness(float("nan"), spacing)
     rms = [_misfit(points[near[k][distance[k] < radius]]) for k in np.flatnonzero(dense).tolist()]
@@ -190,14 +220,14 @@ def _misfit(points: Floats) -> float:
     u, v, height = (offsets @ axes.T).T
     columns = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
     fitted = columns @ np.linalg.lstsq(columns, height, rcond=None)[0]
-    return float(np.sqrt(((height - fitted) ** 2).sum() / max(len(u) - UNKNOWNS, 1)))
+    return float(np.sqrt(((height - fitted) ** 2).sum() / max(len(u) - ROUGH.unknowns, 1)))
 
 
 def spikes(vertices: Floats, faces: Ints) -> NDArray[np.bool_]:
     """Return which vertices (n,) in mm stick out as spikes.
 
-    A spike stands far from the middle of its neighbours, by SPIKE_MM and by SPIKE_EDGES times the
-    scan's edges, and its triangles leave it within a narrow cone.
+    A spike stands far from the middle of its neighbours, also by the scan's edges,
+    and its triangles leave it within a narrow cone.
     """
     ends = vertices[np.roll(faces, -1, axis=1)] - vertices[faces]
     lengths = np.linalg.norm(ends, axis=2)
@@ -210,5 +240,5 @@ def spikes(vertices: Floats, faces: Ints) -> NDArray[np.bool_]:
     for axis in range(3):
         away[:, axis] = np.bincount(corners, ends[:, :, axis].ravel(), minlength=count) / degree
     height = np.linalg.norm(away, axis=1)
-    limit = max(SPIKE_EDGES * float(np.median(lengths)), SPIKE_MM)
-    return np.asarray((height > limit) & (angle < SPIKE_ANGLE) & (angle > 0))
+    limit = max(ROUGH.spike_edges * float(np.median(lengths)), ROUGH.spike)
+    return np.asarray((height > limit) & (angle < ROUGH.spike_angle) & (angle > 0))

@@ -20,10 +20,10 @@ from solver.storage import map_array
 from solver.surface import Floats, Ints, Surface
 
 FORMATS = (".npy",)
+# A coordinate beyond it is no place in a studio.
 FARTHEST_MM = 1e4
-"""A coordinate beyond it is no place in a studio."""
+# How large a face may be beside the neutral; a wrong unit is farther off.
 SIZES = (0.5, 2.0)
-"""How large a face may be beside the neutral; a wrong unit is farther off."""
 
 
 class Performance(Protocol):

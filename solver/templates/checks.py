@@ -13,7 +13,7 @@ from solver.anatomy.depth_warp import SkinDepth, boundary_edges
 from solver.anatomy.muscle_weights import contains, enclosed_volume, muscle_volumes
 from solver.anatomy.template import Muscle, Template
 from solver.anatomy.tetrahedra import dihedral_angles, volumes
-from solver.errors import Finding, error, warning
+from solver.errors import Finding
 from solver.registration.landmarks import IBUG_68, SYNONYMS
 from solver.surface import Floats, Surface, directed_edges
 
@@ -50,6 +50,16 @@ class AnatomyBounds:
 
 
 BOUNDS = AnatomyBounds()
+
+
+def error(code: str, about: str, message: str) -> Finding:
+    """Return a finding about a part, such as a muscle, that makes the template of no use."""
+    return Finding(code, "error", message, context={"about": about})
+
+
+def warning(code: str, about: str, message: str) -> Finding:
+    """Return a finding about a part that is worth a look."""
+    return Finding(code, "warning", message, context={"about": about})
 
 
 def flesh_surface(template: Template) -> Surface:

@@ -20,7 +20,8 @@ from scipy.spatial.distance import cdist
 
 from solver.anatomy.bones import VoxelGrid, wrap_bones
 from solver.anatomy.depth_warp import DepthLimits, PointPairs, SkinDepth, depth_warp
-from solver.anatomy.warp import similarity, spread
+from solver.anatomy.warp import spread
+from solver.similarity import fit_similarity
 from solver.surface import Floats, Ints, Surface, adjacency
 from solver.templates import bodyparts3d, ict_facekit
 from solver.templates.bodyparts3d import Part
@@ -170,11 +171,7 @@ def carry_anatomy(parts: dict[str, Part], kit: FaceKit, options: CarryOptions = 
     parts = bodyparts3d.symmetric(parts)
     teeth = teeth_and_eyes(parts, kit)
     anchors, muscle_anchors, depths = depth_landmarks(kit.skin)
-    scale, rotation, shift = similarity(teeth.source, teeth.target)
-
-    def align(points: Floats) -> Floats:
-        return scale * points @ rotation.T + shift
-
+    align = fit_similarity(teeth.source, teeth.target)
     head, flesh = (
         Surface(kit.skin.vertices, kit.skin.faces[ict_facekit.faces_within(kit.skin.faces, part)])
         for part in (ict_facekit.HEAD, ict_facekit.FLESH)

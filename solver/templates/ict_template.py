@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from solver.anatomy.contact_regions import LOWER, UPPER, contact_regions, lips_apart
 from solver.anatomy.muscle_weights import bodyparts3d_muscle
 from solver.anatomy.template import Depth, Template
-from solver.anatomy.warp import similarity
+from solver.similarity import fit_similarity
 from solver.surface import Floats, Ints, Surface
 from solver.templates import bodyparts3d, ict_facekit
 from solver.templates.ict_anatomy import carry_anatomy
@@ -192,8 +192,8 @@ def _moving_with_jaw(kit: FaceKit) -> Ints:
     """Return the vertices of teeth, gums and tongue that follow the lower teeth in ``jawOpen``."""
     rest, moved = kit.skin.vertices, kit.skin.vertices + kit.deltas["jawOpen"]
     teeth = slice(ict_facekit.LOWER_TEETH.start, ict_facekit.LOWER_TEETH.stop)
-    scale, rotation, shift = similarity(rest[teeth], moved[teeth])
-    with_jaw = np.linalg.norm(moved - (scale * rest @ rotation.T + shift), axis=1)
+    motion = fit_similarity(rest[teeth], moved[teeth])
+    with_jaw = np.linalg.norm(moved - motion(rest), axis=1)
     with_head = np.linalg.norm(moved - rest, axis=1)
     inner = np.arange(ict_facekit.GUMS_AND_TONGUE.start, ict_facekit.EYEBALLS.start)
     return np.asarray(inner[with_jaw[inner] < with_head[inner]])

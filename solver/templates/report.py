@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -38,7 +38,15 @@ class TemplateReport:
         """Return the report as JSON values."""
         return {
             "good": self.good,
-            "findings": [asdict(finding) for finding in self.findings],
+            "findings": [
+                {
+                    "severity": finding.severity,
+                    "code": finding.code,
+                    **finding.context,
+                    "message": finding.message,
+                }
+                for finding in self.findings
+            ],
             "figures": self.figures,
         }
 

@@ -44,14 +44,14 @@ class Campaign:
         if fault.name in self.faults:
             return
         try:
-            place = self._tree.find(fault.changes)
+            places = self._tree.find(fault)
         except NotPlantedError as error:
             self.wrong[fault.name] = str(error)
             return
-        kernels = self._fresh if place.is_compiled else self._kernels
+        kernels = self._fresh if any(place.is_compiled for place in places) else self._kernels
         shutil.rmtree(self._fresh, ignore_errors=True)
         row: dict[str, Any] = {"suite": MISSED, "test": "", "seconds": 0.0, "skipped": []}
-        with self._tree.planted(place):
+        with self._tree.planted(places):
             for selection in fault.selections:
                 found = suites.run(self._tree.path, selection, kernels)
                 row["seconds"] = round(row["seconds"] + found.seconds, 1)
@@ -63,7 +63,7 @@ class Campaign:
         if row["test"] and not suites.passes(self._tree.path, row["test"], self._kernels):
             self.wrong[fault.name] = f"{row['test']} fails without it, too"
             return
-        row["file"] = str(place.path.relative_to(self._tree.path))
+        row["file"] = str(places[0].path.relative_to(self._tree.path))
         self.faults[fault.name] = row
         self._keep()
         console.print(f"{fault.name}: {row['suite']} {row['test']} ({row['seconds']} s)")
@@ -120,9 +120,7 @@ def main() -> None:
     if given.find:
         for fault in faults:
             try:
-                console.print(
-                    f"{fault.name}: {tree.find(fault.changes).path.relative_to(tree.path)}"
-                )
+                console.print(f"{fault.name}: {tree.find(fault)[0].path.relative_to(tree.path)}")
             except NotPlantedError as error:
                 campaign.wrong[fault.name] = str(error)
     else:

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from solver.anatomy.warp import PlaneConstraints, interpolate, least_bending, similarity, spread
+from solver.anatomy.warp import PlaneConstraints, interpolate, least_bending, spread
+from solver.similarity import fit_similarity
 
 
 @pytest.fixture
@@ -14,10 +15,10 @@ def test_similarity_is_recovered(points):
     rotation = np.array(
         [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
     )
-    scale, found, shift = similarity(points, 1.1 * points @ rotation.T + [1, 2, 3])
-    assert scale == pytest.approx(1.1)
-    assert np.allclose(found, rotation)
-    assert np.allclose(shift, [1, 2, 3])
+    found = fit_similarity(points, 1.1 * points @ rotation.T + [1, 2, 3])
+    assert found.scale == pytest.approx(1.1)
+    assert np.allclose(found.rotation, rotation)
+    assert np.allclose(found.shift, [1, 2, 3])
 
 
 def test_warp_goes_through_its_points_and_keeps_affine_maps(points):

@@ -4,7 +4,7 @@ import numpy as np
 
 from solver.registration.nonrigid import (
     folded_triangles,
-    unfolded,
+    unfold,
 )
 
 
@@ -23,7 +23,7 @@ def test_a_vertex_pushed_over_its_neighbour_comes_back():
     pushed = moved.copy()
     pushed[4 * side + 4, :2] += (1.6, 0.3)
     assert len(folded_triangles(flat, pushed, faces)) > 0
-    mended = unfolded(flat, pushed, faces)
+    mended = unfold(flat, pushed, faces)
     assert len(folded_triangles(flat, mended, faces)) == 0
     far = np.linalg.norm(flat[:, :2] - 4, axis=1) > 3.5
     np.testing.assert_array_equal(mended[far], pushed[far])

@@ -8,10 +8,10 @@ import pytest
 from benchmarks.corruption import Corruption, corrupted
 from solver.errors import InputError
 from solver.registration.mend import mend
-from solver.registration.pose import FRAME
 from solver.registration.register import register
 from solver.registration.report import report
 from solver.registration.topology import topology
+from solver.registration.units import FRAME
 from solver.templates.builtin.build import builtin_template
 
 SMILE = {"mouthSmileLeft": 0.9, "mouthSmileRight": 0.9, "jawOpen": 0.4, "browInnerUp": 0.6}

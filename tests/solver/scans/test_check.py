@@ -11,10 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.bad_scans import BAD_SCANS, Subject
 from benchmarks.ingest import builtin_subject
+from solver.errors import judge_findings
 from solver.meshio.obj import write_obj
-from solver.registration.pose import FRAME
-from solver.scans.check import Check, check
-from solver.scans.findings import ADVICE, verdict
+from solver.registration.units import FRAME
+from solver.scans.check import ScanCheck, check
+from solver.scans.findings import ADVICE
 from solver.surface import Surface
 from solver.templates.builtin.build import builtin_capture_set
 from tests.fixtures import data_folder, ict_capture
@@ -34,11 +35,11 @@ def subject() -> Subject:
     return builtin_subject()
 
 
-def checked(path: Path, role: str, landmarks: Path | None = None) -> Check:
+def checked(path: Path, role: str, landmarks: Path | None = None) -> ScanCheck:
     return check(path, subject().template, FRAME, role, landmarks)
 
 
-def alarms(found: Check) -> list[str]:
+def alarms(found: ScanCheck) -> list[str]:
     return [finding.message for finding in found.findings if finding.severity != "info"]
 
 
@@ -50,7 +51,7 @@ def test_every_fault_is_named(fault: str, tmp_path: Path) -> None:
     found = checked(bad.path, "neutral", bad.landmarks)
     named = {finding.code: finding for finding in found.findings}
     assert bad.code in named, alarms(found)
-    assert verdict(found.findings) == bad.verdict, alarms(found)
+    assert judge_findings(found.findings) == bad.verdict, alarms(found)
     assert all(code in ADVICE for code in named)
 
 
@@ -85,7 +86,7 @@ def test_a_given_unit_that_can_not_be_is_an_error(tmp_path: Path) -> None:
     path = written(tmp_path, subject().head)
     found = check(path, subject().template, {**FRAME, "unit": "cm"}, "unknown", None)
     assert "scan.scale" in [finding.code for finding in found.findings]
-    assert verdict(found.findings) == "bad"
+    assert judge_findings(found.findings) == "bad"
 
 
 def test_a_hole_is_found_where_it_is(tmp_path: Path) -> None:
@@ -96,7 +97,7 @@ def test_a_hole_is_found_where_it_is(tmp_path: Path) -> None:
     found = checked(written(tmp_path, Surface(head.vertices, head.faces[whole])), "neutral")
     holes = next(finding for finding in found.findings if finding.code == "scan.holes")
     assert holes.severity == "warning"
-    (hole,) = holes.figures["holes"]
+    (hole,) = holes.context["holes"]
     assert hole["region"].startswith("left ")
     assert 150 < hole["area_mm2"] < 350
 
@@ -119,7 +120,7 @@ def test_unit_and_axes_are_found_in_any_pose(tmp_path: Path) -> None:
     head = subject().head
     turn = Rotation.random(rng=np.random.default_rng(2)).as_matrix()
     path = written(tmp_path, head.moved(head.vertices @ turn.T / 25.4 + 7.0))
-    place = checked(path, "neutral").placement
+    place = checked(path, "neutral").location
     assert place is not None
     assert place.unit == "inch"
     back = place.apply(head.vertices @ turn.T / 25.4 + 7.0)
