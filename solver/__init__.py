@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from solver.jobs import run_job as run_job
     from solver.meshio.registered import write_registered as write_registered
     from solver.model import SubjectModel as SubjectModel
-    from solver.rig.result import Rig as Rig
     from solver.rig.result import load_activations as load_activations
     from solver.rig.result import load_weights as load_weights
     from solver.rig.result import save_weights as save_weights
+    from solver.rig.rig import Rig as Rig
 
 # Read when the first kernel starts its threads. Else these wait busily for the next kernel, which
 # takes a tenth of the speed from what runs meanwhile and half of the processor from other workers.
@@ -58,7 +58,7 @@ _PLACES = {
     "Face": "solver.fitting.face:Face",
     "Pose": "solver.fitting.face:Pose",
     "Resting": "solver.fitting.activation:Resting",
-    "Rig": "solver.rig.result:Rig",
+    "Rig": "solver.rig.rig:Rig",
     "SubjectModel": "solver.model:SubjectModel",
     "Target": "solver.fitting.objective:Target",
     "Template": "solver.anatomy.template:Template",

@@ -114,27 +114,28 @@ class SubjectModel:
     @property
     def sha256(self) -> str:
         """Return the hash of all that the model holds."""
-        return self._archive().sha256
+        return self.archive().sha256
 
     def save(self, path: Path) -> None:
         """Write the model as NPZ, without pickles."""
-        self._archive().write(path)
+        self.archive().write(path)
 
     @classmethod
     def load(cls, path: Path) -> SubjectModel:
-        """Read a model written by :meth:`save`.
+        """Read a model written by :meth:`save`, or that of a ``rig.npz``.
 
         Raises :class:`InputError` (``model.unreadable``, ``model.format``) if the file is not one.
         """
         archive = Archive.read(path, "model", "a subject model", FORMAT)
         try:
-            return cls._from_archive(archive)
+            return cls.from_archive(archive.part("model") if "model" in archive.header else archive)
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
                 "model.unreadable", f"{path.name} is not a subject model: {error}", file=path.name
             ) from error
 
-    def _archive(self) -> Archive:
+    def archive(self) -> Archive:
+        """Return all that the model holds, to be stored."""
         arrays: Arrays = {
             "rest": self.rest,
             "tets": self.tets,
@@ -172,7 +173,8 @@ class SubjectModel:
         return Archive(header, arrays)
 
     @classmethod
-    def _from_archive(cls, archive: Archive) -> SubjectModel:
+    def from_archive(cls, archive: Archive) -> SubjectModel:
+        """Return the model that :meth:`archive` stored."""
         header, data = archive.header, archive.arrays
 
         def surfaces(kind: str) -> dict[str, Surface]:

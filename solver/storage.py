@@ -167,6 +167,10 @@ class Archive:
             digest.update(values.data)
         return digest.hexdigest()
 
+    def part(self, name: str) -> Archive:
+        """Return an archive that was put into this one: its header and arrays under ``name``."""
+        return Archive(self.header[name], with_prefix(self.arrays, f"{name}_"))
+
     def write(self, path: Path) -> None:
         """Write the file, replacing it whole: no reader ever sees half of it."""
         header = np.frombuffer(json.dumps(self.header).encode(), dtype=np.uint8)

@@ -19,6 +19,7 @@ MEDIA_TYPES = {
     ".png": "image/png",
     ".ply": "model/ply",
     ".csv": "text/csv",
+    ".usdc": "model/vnd.usd",
     ".html": "text/html",
     ".mp4": "video/mp4",
 }

@@ -21,7 +21,7 @@ from solver.kinds.scene import SimulateScene
 from solver.progress import silent
 from solver.rig.animation_picture import Filming, Shot, contact_sheet
 from solver.scene.document import read_scene
-from solver.scene.keys import keyed
+from solver.scene.keys import drives_of
 from solver.scene.places import Places
 from solver.scene.stage import Stage
 
@@ -69,11 +69,11 @@ def _end(
 ) -> Shot:
     """Play a scene and return its last frame."""
     played = read_scene(scene, SimulateScene)
-    drives = keyed(played, person.poses, person.model, person.S)
+    drives = drives_of(played, person.poses, person.model, person.S)
     stage = Stage(played, places, person.S, drives)
     last = play(stage, folder / title, title, silent, resume=False, share=(0.0, 1.0))[-1]
     return Shot(
         title,
-        last.placed(skin_of(stage, last)),
+        last.into_world(skin_of(stage, last)),
         tuple(each.at(last.time) for each in stage.objects),
     )

@@ -40,7 +40,7 @@ ARGUMENTS: Mapping[str, Mapping[str, Any]] = {
     "rig": {
         "model": Model,
         "rig": Annotated[
-            Path, typer.Argument(exists=True, file_okay=False, help="a fitted rig's folder")
+            Path, typer.Argument(exists=True, help="rig.npz, or a fitted rig's folder")
         ],
     },
     "captures": {
@@ -198,7 +198,8 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
     }
     inputs["blendshapes"] = given.get("blendshapes")
     if (rig := given.get("rig")) is not None:
-        inputs["weights"], inputs["rig"] = rig / "muscle_weights.npz", rig / "activations.npz"
+        inputs["weights"] = rig if rig.is_file() else rig / "muscle_weights.npz"
+        inputs["rig"] = rig if rig.is_file() else rig / "activations.npz"
     if given.get("first") is not None:
         inputs["start_weights"], inputs["start_model"] = given["first"]
     with JobView(_name(kind)) as view, _made(folder):

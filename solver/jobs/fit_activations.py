@@ -26,7 +26,8 @@ from solver.mechanics.linear import fastest
 from solver.meshio.registered import RegisteredScan
 from solver.model import SubjectModel
 from solver.progress import Step
-from solver.rig.result import ExpressionFit, Rig, load_activations, load_weights
+from solver.rig.result import ExpressionFit, load_activations, load_weights
+from solver.rig.rig import Rig
 
 
 def run(task: Task[FitActivations]) -> list[Path]:

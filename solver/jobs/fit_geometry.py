@@ -31,7 +31,8 @@ from solver.kinds.fit_geometry import FitGeometry
 from solver.meshio.registered import RegisteredScan
 from solver.model import SubjectModel
 from solver.progress import Progress, Step
-from solver.rig.result import Rig, load_weights
+from solver.rig.result import load_weights
+from solver.rig.rig import Rig
 
 
 def run(task: Task[FitGeometry]) -> list[Path]:

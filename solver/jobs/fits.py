@@ -24,7 +24,8 @@ from solver.model import SubjectModel
 from solver.progress import Progress, Step
 from solver.rig.certificate import certify, with_round_trips
 from solver.rig.export import write_rig
-from solver.rig.result import ExpressionFit, Rig
+from solver.rig.result import ExpressionFit
+from solver.rig.rig import Rig
 
 
 def read_scans(

@@ -251,7 +251,7 @@ class _Beside:
         """Return a JPEG of a frame, if there has been none for a while."""
         if time.monotonic() - self._pictured < PICTURE_SECONDS:
             return None
-        skin = frame.placed(skin_of(self._stage, frame))
+        skin = frame.into_world(skin_of(self._stage, frame))
         objects = [each.at(frame.time) for each in self._stage.objects]
         light = self._filming.light(skin)
         pixels = self._filming.picture(skin, light, PICTURE_SIZE, objects=objects)

@@ -17,7 +17,7 @@ from solver.jobs.task import Task
 from solver.kinds.simulate import Simulate
 from solver.rig.animation import check_video
 from solver.rig.result import load_activations
-from solver.scene.keys import keyed
+from solver.scene.keys import drives_of
 from solver.scene.stage import Stage
 
 
@@ -38,7 +38,7 @@ def run(task: Task[Simulate]) -> list[Path]:
     person = read_person(task)
     fits = load_activations(task.inputs["rig"], person.model)
     poses = {fit.name: Pose(fit.activations, fit.jaw) for fit in fits}
-    drives = keyed(given.scene, poses, person.model, person.S)
+    drives = drives_of(given.scene, poses, person.model, person.S)
     stage = Stage(given.scene, person.places, person.S, drives, given.linear_solver)
     share = (READ, EXPORT)
     frames = play(stage, out, fingerprint(task), progress, resume=task.resume, share=share)

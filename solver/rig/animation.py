@@ -19,10 +19,11 @@ import numpy as np
 from solver.drawing.render import Pixels
 from solver.errors import InputError
 from solver.model import SubjectModel
-from solver.rig.animation_gltf import Singles, write_animation_glb
+from solver.rig.animation_gltf import write_animation_glb
 from solver.rig.animation_picture import Filming, Shot, contact_sheet
 from solver.rig.gltf import Solid
 from solver.rig.motion import MotionFrame
+from solver.rig.skin_basis import Singles
 from solver.scene.objects import SceneObject
 from solver.similarity import small_motion
 from solver.surface import Floats, Ints
@@ -162,7 +163,7 @@ def write_animation(
 
 
 def _shot(frame: MotionFrame, skin: Singles, objects: Sequence[SceneObject]) -> Shot:
-    placed = frame.placed(skin.astype(np.float64))
+    placed = frame.into_world(skin.astype(np.float64))
     return Shot(f"{frame.time:.2f} s", placed, tuple(each.at(frame.time) for each in objects))
 
 

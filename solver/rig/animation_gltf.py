@@ -1,6 +1,6 @@
 """``animation.glb``: a simulated face as an animated skin, small enough to be handed on.
 
-Skins are a few shapes (:mod:`solver.rig.animation_gltf`), stored as whole numbers
+Skins are a few shapes (:mod:`solver.rig.skin_basis`), stored as whole numbers
 (KHR_mesh_quantization) of the vertices that move. Keys are the frames that are needed; between
 them weights lie on straight lines, and the head turns steadily. Weights lie between 0 and 1, where
 animation tools hold them; so the first shape, ``start``, has the weight 1 throughout. What the face
@@ -9,13 +9,12 @@ meets are nodes of their own.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import pygltflib as gl
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from solver.rig.gltf import (
@@ -29,162 +28,17 @@ from solver.rig.gltf import (
     write_morphed,
 )
 from solver.rig.motion import SequenceFrame
-from solver.surface import Floats, Ints, Surface, vertex_normals
-
-# Few shapes that span many skins, so that a frame of an animation is a few weights.
-#
-# A truncated singular value decomposition has the least mean error; what shows is the greatest. So
-# vertices that are furthest off are weighed up until the greatest error is small enough
-# (iteratively reweighted least squares), and where that does not help a few shapes more are taken.
-
-
-Singles = NDArray[np.float32]
-
-BLOCK = 64  # frames that are looked at together
-
-
-@dataclass(frozen=True)
-class BasisOptions:
-    """Number and accuracy of the shapes that span many skins."""
-
-    within_mm: float = 0.1  # a vertex may be so far off
-    most_shapes: int = 64  # with so many it may be further off
-    first_shapes: int = 6  # tried first
-    more_shapes: float = 1.4  # so many times as many are tried next
-    reweightings: int = 2  # before there are more shapes
-    last_reweightings: int = 8  # where there may be no more shapes
-    least_importance: float = 1e-3  # of a coordinate, by the mean: all of them count
-    most_samples: int = 400  # frames that shapes are made of, evenly taken; they make all frames
-    still_mm: float = 1e-3  # what moves less is left out, a vertex or a shape
-    smallest_shape: float = 1e-9  # square of a shape, by the greatest, that counts as none
-    ridge: float = 1e-6  # of the weights' greatest variance: keeps normals small where shapes hide
-
-
-@dataclass(frozen=True)
-class Basis:
-    """Skins are about neutral + weights @ shapes at the vertices ``moving`` (k,); others are still.
-
-    ``shapes`` (s, k, 3) are in mm, ``weights`` (f, s) lie between 0 and 1 and reach both, but for
-    the first one's, which is 1 throughout: that shape is what all others count from.
-    """
-
-    moving: Ints
-    shapes: Singles
-    weights: Floats
-
-
-def span_skins(neutral: Surface, skins: Singles, options: BasisOptions = BasisOptions()) -> Basis:
-    """Return a basis of ``skins`` (f, v, 3), mm, with no vertex further off than the options say.
-
-    Unless there are ``most_shapes``, or frames that were not sampled ask for more.
-    """
-    moving = _moving(neutral, skins, options.still_mm)
-    chosen = _samples(len(skins), options)
-    samples = _motion(neutral, skins[chosen], moving)
-    directions, importance = _directions(samples, options)
-    towards = (directions * importance).astype(np.float64)
-    # skins of fewer dimensions leave shapes of nothing
-    solve = np.linalg.pinv(towards @ directions.T, rcond=options.smallest_shape, hermitian=True)
-    amounts = np.vstack(
-        [_motion(neutral, block, moving) @ towards.T @ solve for block in _blocks(skins)]
-    )
-    least, most = amounts.min(axis=0), amounts.max(axis=0)
-    longest = np.linalg.norm(directions.reshape(len(directions), -1, 3), axis=2).max(axis=1)
-    used = (most - least) * longest > options.still_mm
-    span = (most - least)[used]
-    start = least @ directions
-    shapes = np.vstack([start[None], span[:, None] * directions[used]])
-    weights = np.hstack([np.ones((len(amounts), 1)), (amounts - least)[:, used] / span])
-    return Basis(moving, shapes.reshape(-1, len(moving), 3).astype(np.float32), weights)
-
-
-def normal_shapes(
-    neutral: Surface, skins: Singles, basis: Basis, options: BasisOptions = BasisOptions()
-) -> Singles:
-    """Return changes of the moving vertices' normals (s, k, 3), whose blend is the skins' normals.
-
-    They are the least squares over frames of the animation: normals are not linear in the motion.
-    """
-    chosen = _samples(len(skins), options)
-    at_rest = vertex_normals(neutral)[basis.moving]
-    weights = basis.weights[chosen]
-    right = np.zeros((weights.shape[1], at_rest.size))
-    for row, frame in zip(weights, chosen, strict=True):
-        surface = neutral.moved(skins[frame].astype(np.float64))
-        right += row[:, None] * (vertex_normals(surface)[basis.moving] - at_rest).ravel()
-    gram = weights.T @ weights
-    gram[np.diag_indices_from(gram)] += options.ridge * gram.max()
-    changes = np.linalg.solve(gram, right)
-    return changes.reshape(-1, *at_rest.shape).astype(np.float32)
-
-
-def greatest_error(neutral: Surface, skins: Singles, basis: Basis) -> float:
-    """Return how far a vertex of ``skins`` (f, v, 3) is off what the basis makes of them, mm."""
-    still = np.setdiff1d(np.arange(skins.shape[1]), basis.moving)
-    shapes = basis.shapes.reshape(len(basis.shapes), -1)
-    worst = 0.0
-    for number, block in enumerate(_blocks(skins)):
-        rows = basis.weights[number * BLOCK : number * BLOCK + len(block)].astype(np.float32)
-        off = _motion(neutral, block, basis.moving) - rows @ shapes
-        others = _motion(neutral, block, still)
-        worst = max(worst, *(_longest(each) for each in (off, others)))
-    return worst
-
-
-def _directions(samples: Singles, options: BasisOptions) -> tuple[Singles, Singles]:
-    """Return shapes (s, 3 k) that make all ``samples`` (f, 3 k), and how much coordinates count.
-
-    The importance (3 k,) is what the shapes are the best by.
-    """
-    importance = np.ones(samples.shape[1], np.float32)
-    most = min(options.most_shapes, len(samples))
-    least = np.float32(options.least_importance)
-    count, tries = min(options.first_shapes, most), 0
-    while True:
-        gram = ((samples * importance) @ samples.T).astype(np.float64)
-        along = np.linalg.eigh(gram)[1][:, -count:].astype(np.float32)
-        directions = along.T @ samples
-        off = (samples - along @ directions).reshape(len(samples), -1, 3)
-        errors = np.linalg.norm(off, axis=2).max(axis=0)
-        tries += 1
-        if errors.max() <= options.within_mm or (
-            count == most and tries == options.last_reweightings
-        ):
-            return directions, importance
-        if tries >= options.reweightings and count < most:
-            count, tries = min(int(options.more_shapes * count), most), 0
-        importance = importance * np.repeat(errors / errors.mean(), 3)
-        importance = np.maximum(importance / importance.mean(), least)
-
-
-def _samples(frames: int, options: BasisOptions) -> Ints:
-    """Return the numbers of the frames that stand for all."""
-    return np.unique(np.linspace(0, frames - 1, options.most_samples).round().astype(int))
-
-
-def _moving(neutral: Surface, skins: Singles, still_mm: float) -> Ints:
-    """Return the vertices that leave their place; one, if all are still."""
-    vertices = neutral.vertices.astype(np.float32)
-    most = np.zeros(len(vertices), np.float32)
-    for block in _blocks(skins):
-        most = np.maximum(most, np.abs(block - vertices).max(axis=(0, 2)))
-    moving = np.flatnonzero(most > still_mm)
-    return moving if len(moving) else np.zeros(1, np.int64)
-
-
-def _motion(neutral: Surface, skins: Singles, vertices: Ints) -> Singles:
-    """Return how far ``vertices`` (k,) are from the neutral in each skin, (f, 3 k)."""
-    at_rest = neutral.vertices[vertices].astype(np.float32)
-    return np.asarray((skins[:, vertices] - at_rest).reshape(len(skins), -1))
-
-
-def _blocks(skins: Singles) -> Iterator[Singles]:
-    return (skins[first : first + BLOCK] for first in range(0, len(skins), BLOCK))
-
-
-def _longest(motion: Singles) -> float:
-    return float(np.linalg.norm(motion.reshape(len(motion), -1, 3), axis=2).max(initial=0.0))
-
+from solver.rig.skin_basis import (
+    SEQUENCE_BASIS,
+    Basis,
+    BasisOptions,
+    GrowingBasis,
+    Singles,
+    greatest_error,
+    normal_shapes,
+    span_skins,
+)
+from solver.surface import Floats, Ints, Surface
 
 # Fewer keys: frames that lie between others, as near as can be seen, are left out.
 
@@ -220,7 +74,7 @@ SHORT = 2**15 - 1  # the greatest of 16 bits
 class AnimationOptions:
     """Limits of what an animation's file leaves out."""
 
-    basis: BasisOptions = BasisOptions()
+    basis: BasisOptions = field(default_factory=BasisOptions)
     keys_mm: float = 0.05  # a vertex may be so far off for the keys that are left out
     # small shapes are stored so many times as large at most, and their weights as much smaller:
     # whole numbers are as far apart in small shapes as in large ones
@@ -345,31 +199,17 @@ def _between(values: Floats, keys: Floats, times: Floats) -> Floats:
 # for the end of the sequence.
 
 
-# a sequence's shapes are fewer and coarser than a simulation's: fits are some 0.5 mm off
-SEQUENCE_BASIS = BasisOptions(within_mm=0.2, most_shapes=48)
-
-
 class AnimatedSkin:
     """Takes the skins (v, 3), mm, of a sequence's frames."""
 
     def __init__(self, neutral: Surface, options: BasisOptions = SEQUENCE_BASIS) -> None:
         self._neutral = neutral
-        self._options = options
-        self._shapes = np.zeros((0, neutral.vertices.size), np.float32)
-        self._weights: list[Floats] = []
+        self._basis = GrowingBasis(neutral, options)
         self._frames: list[SequenceFrame] = []
 
     def add(self, frame: SequenceFrame, skin: Floats) -> None:
         """Take a frame, fitted or not."""
-        motion = (skin - self._neutral.vertices).astype(np.float32).ravel()
-        weights = self._shapes @ motion
-        rest = motion - weights @ self._shapes
-        off = np.linalg.norm(rest.reshape(-1, 3), axis=1).max()
-        if len(weights) < self._options.most_shapes and off > self._options.within_mm:
-            length = np.linalg.norm(rest)
-            self._shapes = np.vstack([self._shapes, rest / length])
-            weights = np.append(weights, length)
-        self._weights.append(weights.astype(np.float64))
+        self._basis.add(skin)
         self._frames.append(frame)
 
     def write(self, path: Path, fps: float) -> None:
@@ -379,11 +219,9 @@ class AnimatedSkin:
         0 and 1.
         Without a frame, or if neither face nor head moves, it is the neutral.
         """
-        weights = np.zeros((len(self._weights), len(self._shapes)))
-        for row, values in zip(weights, self._weights, strict=True):
-            row[: len(values)] = values
+        weights = self._basis.weights
         shapes, tracks = {}, [np.zeros((len(weights), 0))]
-        for number, (track, shape) in enumerate(zip(weights.T, self._shapes, strict=True)):
+        for number, (track, shape) in enumerate(zip(weights.T, self._basis.shapes, strict=True)):
             for name, way in ((f"shape_{number}", 1.0), (f"shape_{number}_back", -1.0)):
                 one_way = np.maximum(way * track, 0.0)
                 if (most := one_way.max()) > 0.0:

@@ -19,7 +19,8 @@ from solver.mechanics import jaw
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import factorize
 from solver.model import SubjectModel
-from solver.rig.result import ExpressionFit, Rig
+from solver.rig.result import ExpressionFit
+from solver.rig.rig import Rig
 from solver.rig.round_trip import round_trip
 from solver.surface import Floats, Ints
 

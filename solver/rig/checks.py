@@ -16,7 +16,8 @@ from solver.errors import Notice
 from solver.mechanics.newton import NewtonOptions
 from solver.model import SubjectModel
 from solver.rig.certificate import Certificate, ExpressionCheck
-from solver.rig.result import ExpressionFit, Rig
+from solver.rig.result import ExpressionFit
+from solver.rig.rig import Rig
 
 Verdict = Literal["good", "usable", "bad"]
 ORDER: tuple[Verdict, ...] = ("good", "usable", "bad")

@@ -2,38 +2,37 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from solver.rig.certificate import Certificate
-from solver.rig.gltf import write_glb
+from solver.rig.exporters import write_all
 from solver.rig.pictures import fit_picture
-from solver.rig.report import report, write_activations_csv, write_report
-from solver.rig.result import Rig, save_activations, save_weights
-from solver.rig.view.write import write_inside, write_view
+from solver.rig.report import report, write_report
+from solver.rig.result import save_activations, save_weights
+from solver.rig.rig import Rig
 from solver.rig.web_page import write_page
 
 
 def write_rig(rig: Rig, certificate: Certificate, out: Path) -> list[Path]:
     """Write the rig into the folder ``out`` and return the paths of its files.
 
-    These are ``rig.glb``, ``activations.npz``, ``activations.csv``, ``muscle_weights.npz``,
-    ``view.bin``, ``inside.bin``, ``report.json``, ``report.html`` and ``fit_<expression>.png``.
+    These are those of all exporters that belong to every rig (``rig.npz``, ``rig.glb`` ...), the
+    parts ``activations.npz`` and ``muscle_weights.npz`` of ``rig.npz`` for programs that read them,
+    ``report.json``, ``report.html`` and ``fit_<expression>.png``.
     """
     out.mkdir(parents=True, exist_ok=True)
-    glb, activations, table = out / "rig.glb", out / "activations.npz", out / "activations.csv"
-    weights, view, inside = out / "muscle_weights.npz", out / "view.bin", out / "inside.bin"
-    figures_file, page = out / "report.json", out / "report.html"
-    write_glb(glb, rig)
+    rig = replace(rig, figures=report(rig, certificate))
+    assert rig.figures is not None
+    activations, weights = out / "activations.npz", out / "muscle_weights.npz"
     save_activations(activations, rig.expressions, rig.model)
     save_weights(weights, rig.weights, rig.model)
-    figures = report(rig, certificate)
-    write_report(figures_file, figures)
-    write_activations_csv(table, rig, figures)
-    write_view(view, rig, figures)
-    write_inside(inside, rig)
+    figures_file, page = out / "report.json", out / "report.html"
+    write_report(figures_file, rig.figures)
+    exported = write_all(rig, out)
     pictures = []
     for fit in rig.expressions:
         pictures.append(out / f"fit_{fit.name}.png")
         fit_picture(rig.model, fit, pictures[-1])
-    write_page(page, figures)
-    return [glb, activations, table, weights, view, inside, figures_file, page, *pictures]
+    write_page(page, rig.figures)
+    return [*exported, activations, weights, figures_file, page, *pictures]

@@ -1,10 +1,9 @@
-"""``rig.glb``: the skin with one morph target per expression, after the glTF 2.0 specification."""
+"""Skins with morph targets and animations in one binary file, after glTF 2.0."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
@@ -14,7 +13,7 @@ import pygltflib as gl
 from scipy.spatial.transform import Rotation
 
 from solver.drawing.head import skin_parts
-from solver.rig.result import ExpressionFit, Rig
+from solver.rig.result import ExpressionFit
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
 METRES = 1e-3  # a mm, glTF's unit is the metre
@@ -62,18 +61,6 @@ class Solid:
     name: str
     shape: Surface
     places: Floats
-
-
-def write_glb(path: Path, rig: Rig, options: ShapeOptions = DEFAULTS) -> None:
-    """Write the neutral skin (v, 3), its expressions as morph targets and an animation, in metres.
-
-    ``_ERROR_MM`` is the greatest distance to the scans over all expressions, mm, 0 where nothing
-    was measured.
-    """
-    shapes = {fit.name: fit.skin for fit in rig.expressions}
-    worst = worst_error(rig.expressions, len(rig.model.skin.vertices))
-    animate = partial(in_turn, options=options)
-    write_face(path, rig.model.skin, shapes, animate, {ERROR_ATTRIBUTE: worst}, options)
 
 
 def write_face(

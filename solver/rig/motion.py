@@ -56,7 +56,7 @@ class MotionFrame(FrameRecord):
     PACKED: ClassVar[Mapping[str, str]] = {"moved": "x"}
 
     @property
-    def placed(self) -> Similarity:
+    def into_world(self) -> Similarity:
         """Return the head's motion into the world."""
         return small_motion(self.head)
 
@@ -89,7 +89,7 @@ def read_motion(folder: Path, scene: str, rest: Floats) -> Ready:
 
     def take(values: Mapping[str, Any], frames: Sequence[MotionFrame]) -> None:
         state = [unpack(values["state"][name], "<f8") for name in ("x", "v")]
-        motions.append(Motion(state[0], state[1], frames[-1].placed))
+        motions.append(Motion(state[0], state[1], frames[-1].into_world))
         if values["scene"] != scene:
             raise InputError(
                 "simulate.other_scene",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 import math
@@ -24,7 +23,8 @@ from solver.rig.checks import (
     overall,
     use,
 )
-from solver.rig.result import ENTRIES, ExpressionFit, Rig
+from solver.rig.result import ExpressionFit
+from solver.rig.rig import Rig
 from solver.surface import Floats
 
 PACKAGES = ("myoface", "numpy", "scipy", "numba")
@@ -208,26 +208,3 @@ def _version(package: str) -> str | None:
         return version(package)
     except PackageNotFoundError:
         return None
-
-
-# ``activations.csv``: what every muscle does in every expression, for spreadsheets and scripts.
-
-
-JAW = ("jaw.1", "jaw.2", "jaw.3", "jaw.4", "jaw.5")
-
-
-def write_activations_csv(path: Path, rig: Rig, figures: dict[str, Any]) -> None:
-    """Write a row for every expression and muscle, as docs/reference/rig-format.md describes.
-
-    ``figures`` are :func:`solver.rig.report.report` of the rig.
-    """
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        rows = csv.writer(stream)
-        rows.writerow(["expression", "role", "muscle", "fibres", *ENTRIES, *JAW])
-        for fit in rig.expressions:
-            muscles = figures["expressions"][fit.name]["muscles"]
-            jaw = [f"{value:.6f}" for value in fit.jaw]
-            for muscle, activation in zip(rig.model.muscle_names, fit.activations, strict=True):
-                values = [f"{value:.6f}" for value in activation]
-                fibres = muscles[muscle]["fibres"]  # None is an empty cell
-                rows.writerow([fit.name, fit.role, muscle, fibres, *values, *jaw])

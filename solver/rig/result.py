@@ -19,11 +19,12 @@ import scipy.sparse as sp
 from solver.errors import InputError, Notice
 from solver.model import SubjectModel
 from solver.rig.round_trip import RoundTrip
-from solver.storage import read_arrays
+from solver.storage import Arrays, read_arrays, with_prefix
 from solver.surface import Floats, Ints
 
 FORMAT = 1  # of activations.npz and muscle_weights.npz
 ENTRIES = ("xx", "xy", "xz", "yy", "yz", "zz")  # of an activation, in the order of its columns
+PARTS = {"activations": "activations.npz", "weights": "muscle_weights.npz"}  # a folder's files
 ROLES = {"train": "training", "test": "unseen"}  # of an expression's scan, in words
 
 
@@ -84,25 +85,16 @@ class ExpressionFit:
         return error[np.isfinite(error)]
 
 
-@dataclass(frozen=True)
-class Rig:
-    """Everything a fit hands over.
-
-    ``weights`` (n, m + 1) is the final S, ``seconds`` the time of each phase of the job,
-    ``notices`` what was odd about the model or the job as a whole.
-    """
-
-    model: SubjectModel
-    weights: sp.csr_array
-    expressions: tuple[ExpressionFit, ...]
-    seconds: dict[str, float]
-    notices: tuple[Notice, ...] = ()
-
-
 def save_activations(
     path: Path, expressions: tuple[ExpressionFit, ...], model: SubjectModel
 ) -> None:
     """Write ``activations.npz``; lengths in mm, surfaces and errors in single precision."""
+    with path.open("wb") as stream:
+        np.savez_compressed(stream, allow_pickle=False, **activation_arrays(expressions, model))
+
+
+def activation_arrays(expressions: tuple[ExpressionFit, ...], model: SubjectModel) -> Arrays:
+    """Return what :func:`load_activations` reads."""
     muscles, vertices = model.muscle_count, len(model.skin.vertices)
 
     def column(field: str, shape: tuple[int, ...], dtype: type = np.float64) -> np.ndarray:
@@ -117,40 +109,36 @@ def save_activations(
         if fit.round_trip is not None:
             trips[k] = astuple(fit.round_trip)
 
-    with path.open("wb") as stream:
-        np.savez_compressed(
-            stream,
-            allow_pickle=False,
-            format=np.array(FORMAT),
-            muscles=np.array(model.muscle_names, dtype=np.str_),
-            names=np.array([fit.name for fit in expressions], dtype=np.str_),
-            roles=np.array([fit.role for fit in expressions], dtype=np.str_),
-            activations=column("activations", (muscles, 6)),
-            jaw=column("jaw", (5,)),
-            skin=column("skin", (vertices, 3), np.float32),
-            target=column("target", (vertices, 3), np.float32),
-            error_mm=column("error_mm", (vertices,), np.float32),
-            inverted=column("inverted", (), np.int64),
-            iterations=column("iterations", (), np.int64),
-            seconds=column("seconds", ()),
-            objective=column("objective", ()),
-            x=x,
-            round_trip=trips,
-            solver=np.array([fit.solver for fit in expressions], dtype=np.str_),
-            status=np.array([fit.status for fit in expressions], dtype=np.str_),
-            notices=np.array([_notices_text(fit.notices) for fit in expressions], dtype=np.str_),
-        )
+    return {
+        "format": np.array(FORMAT),
+        "muscles": np.array(model.muscle_names, dtype=np.str_),
+        "names": np.array([fit.name for fit in expressions], dtype=np.str_),
+        "roles": np.array([fit.role for fit in expressions], dtype=np.str_),
+        "activations": column("activations", (muscles, 6)),
+        "jaw": column("jaw", (5,)),
+        "skin": column("skin", (vertices, 3), np.float32),
+        "target": column("target", (vertices, 3), np.float32),
+        "error_mm": column("error_mm", (vertices,), np.float32),
+        "inverted": column("inverted", (), np.int64),
+        "iterations": column("iterations", (), np.int64),
+        "seconds": column("seconds", ()),
+        "objective": column("objective", ()),
+        "x": x,
+        "round_trip": trips,
+        "solver": np.array([fit.solver for fit in expressions], dtype=np.str_),
+        "status": np.array([fit.status for fit in expressions], dtype=np.str_),
+        "notices": np.array([_notices_text(fit.notices) for fit in expressions], dtype=np.str_),
+    }
 
 
 def load_activations(path: Path, model: SubjectModel) -> tuple[ExpressionFit, ...]:
-    """Read ``activations.npz`` of a rig of ``model``.
+    """Read ``activations.npz`` of a rig of ``model``, or those of a ``rig.npz``.
 
     Raises :class:`InputError`: ``rig.unreadable``, ``rig.format``, or ``rig.model`` if it belongs
     to a model with other muscles or another skin.
     """
     with _reading(path):
-        data = read_arrays(path)
-        _check_format(path, data)
+        data = _read_part(path, "activations")
         if (
             tuple(data["muscles"].tolist()) != model.muscle_names
             or data["skin"].shape[1:] != model.skin.vertices.shape
@@ -182,28 +170,30 @@ def load_activations(path: Path, model: SubjectModel) -> tuple[ExpressionFit, ..
 def save_weights(path: Path, weights: sp.csr_array, model: SubjectModel) -> None:
     """Write ``muscle_weights.npz``: S (n, m + 1) as CSR, explicit zeros kept."""
     with path.open("wb") as stream:
-        np.savez_compressed(
-            stream,
-            allow_pickle=False,
-            format=np.array(FORMAT),
-            muscles=np.array(model.muscle_names, dtype=np.str_),
-            model=np.array(model_hash(model)),
-            data=weights.data,
-            indices=weights.indices,
-            indptr=weights.indptr,
-            shape=np.array(weights.shape),
-        )
+        np.savez_compressed(stream, allow_pickle=False, **weight_arrays(weights, model))
+
+
+def weight_arrays(weights: sp.csr_array, model: SubjectModel) -> Arrays:
+    """Return what :func:`load_weights` reads."""
+    return {
+        "format": np.array(FORMAT),
+        "muscles": np.array(model.muscle_names, dtype=np.str_),
+        "model": np.array(model_hash(model)),
+        "data": weights.data,
+        "indices": weights.indices,
+        "indptr": weights.indptr,
+        "shape": np.array(weights.shape),
+    }
 
 
 def load_weights(path: Path, model: SubjectModel) -> sp.csr_array:
-    """Read ``muscle_weights.npz`` (n, m + 1) for ``model``.
+    """Read ``muscle_weights.npz`` (n, m + 1) for ``model``, or that of a ``rig.npz``.
 
     Raises :class:`InputError`: ``rig.unreadable``, ``rig.format``, or ``rig.model`` if S was fitted
     on another model.
     """
     with _reading(path):
-        data = read_arrays(path)
-        _check_format(path, data)
+        data = _read_part(path, "weights")
         if str(data["model"]) != model_hash(model):
             raise _other_model(path)
         parts = (data["data"], data["indices"], data["indptr"])
@@ -239,6 +229,18 @@ def _solve(data: dict[str, np.ndarray], k: int) -> dict[str, Any]:
         "status": str(data["status"][k]),
         "notices": notices,
     }
+
+
+def _read_part(path: Path, name: str) -> Arrays:
+    """Return the arrays of a file, or those under ``name`` of a ``rig.npz`` or a rig's folder."""
+    if path.is_dir():
+        whole = path / "rig.npz"
+        path = whole if whole.exists() else path / PARTS[name]
+    data = read_arrays(path)
+    if "header" in data:
+        data = with_prefix(data, f"{name}_")
+    _check_format(path, data)
+    return data
 
 
 @contextmanager

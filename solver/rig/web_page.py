@@ -243,6 +243,7 @@ def _faults(muscles: dict[str, Any]) -> str:
 
 MEANS = {"train_mean_mm": "mean of training scans", "test_mean_mm": "mean of unseen scans"}
 FILES = {
+    "rig.npz": "the rig in one file: model, matrix S and expressions",
     "rig.glb": "the skin with one named morph target per expression",
     "activations.npz": "muscle activations, jaw and flesh of every expression",
     "activations.csv": "the same activations as a table",

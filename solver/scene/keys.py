@@ -27,7 +27,7 @@ JAW_LIMITS = {
 }
 
 
-def keyed(
+def drives_of(
     scene: SimulateScene,
     poses: Mapping[str, Pose],
     model: SubjectModel,

@@ -103,7 +103,7 @@ class Places:
             )
         return self.assets[name]
 
-    def painted(self, given: SkinMap | None) -> Floats | None:
+    def map_of(self, given: SkinMap | None) -> Floats | None:
         """Return a map (V,) on the skin: of an asset, of ``regions``, or of ``spots``.
 
         None is no map. Raises ``scene.region``, ``scene.map`` and as :meth:`vertex`.

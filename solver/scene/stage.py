@@ -63,7 +63,7 @@ def edits_of(entries: Sequence[described.Edit], places: Places) -> list[Edit]:
 
 def _edit(entry: described.Edit, places: Places) -> Edit:
     if isinstance(entry, described.Fat):
-        return Fat(entry.f_min, entry.f_max, places.painted(entry.map), entry.softening)
+        return Fat(entry.f_min, entry.f_max, places.map_of(entry.map), entry.softening)
     if isinstance(entry, described.Filler):
         points = np.array([places.point(stop.at) for stop in entry.path])
         depths = np.array([stop.depth_mm for stop in entry.path])
@@ -72,9 +72,9 @@ def _edit(entry: described.Edit, places: Places) -> Edit:
         at, move = places.point(entry.at), np.array(entry.move_mm, np.float64)
         return Bone(entry.bone, at, entry.radius_mm, move)
     if isinstance(entry, described.Stiffness):
-        return Stiffening(entry.factor, places.painted(entry.map))
+        return Stiffening(entry.factor, places.map_of(entry.map))
     if isinstance(entry, described.Density):
-        return Density(entry.factor, places.painted(entry.map))
+        return Density(entry.factor, places.map_of(entry.map))
     muscles = None if entry.muscles is None else tuple(entry.muscles)
     return Paralysis(muscles, entry.side, entry.strength)
 

@@ -11,8 +11,10 @@ import trimesh
 
 from myoface.demo.outcome import khronos_validation
 from solver.rig.animation_gltf import write_animation_glb
-from solver.rig.gltf import Solid, write_glb
-from solver.rig.result import ExpressionFit, Rig
+from solver.rig.exporters import glb
+from solver.rig.gltf import Solid
+from solver.rig.result import ExpressionFit
+from solver.rig.rig import Rig
 from solver.storage import cache_directory
 from solver.surface import Surface
 from tests.fixtures import fixture_model, ict_capture
@@ -32,7 +34,7 @@ def test_no_errors_and_no_warnings(names: list[str], tmp_path: Path) -> None:
         fit = ExpressionFit(name, "train", still, np.zeros(5), skin, skin, error, 0, 1, 0.1, 0.0)
         fits.append(fit)
     path = tmp_path / "rig.glb"
-    write_glb(path, Rig(model, model.weights, tuple(fits), {}))
+    glb.write(Rig(model, model.weights, tuple(fits), {}), path)
     check(path)
 
 

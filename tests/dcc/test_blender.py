@@ -18,14 +18,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from solver.rig.animation_gltf import (
-    SEQUENCE_BASIS,
     AnimatedSkin,
     AnimationOptions,
     write_animation_glb,
 )
-from solver.rig.gltf import Solid, write_glb
+from solver.rig.exporters import glb
+from solver.rig.gltf import Solid
 from solver.rig.motion import SequenceFrame
-from solver.rig.result import ExpressionFit, Rig
+from solver.rig.result import ExpressionFit
+from solver.rig.rig import Rig
+from solver.rig.skin_basis import SEQUENCE_BASIS
 from solver.surface import Floats, Surface, vertex_normals
 from solver.templates.builtin.build import builtin_expression
 from tests.solver.block import block_model
@@ -97,7 +99,7 @@ def rig() -> Rig:
 @pytest.fixture(scope="module")
 def scene(blender: Path, rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Scene:
     path = tmp_path_factory.mktemp("blender") / "rig.glb"
-    write_glb(path, rig)
+    glb.write(rig, path)
     held, half_way = 1.6 * FPS + 0.8 * FPS, 0.3 * FPS
     return imported(blender, path, [0.0, half_way, held])
 

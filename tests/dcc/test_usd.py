@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from solver.mechanics import jaw
-from solver.rig.result import ExpressionFit, Rig, save_activations
+from solver.rig.result import ExpressionFit, save_activations, save_weights
+from solver.rig.rig import Rig
 from solver.surface import Floats, Surface, vertex_normals
 from solver.templates.builtin.build import builtin_expression
 from tests.solver.block import block_model
@@ -19,7 +20,7 @@ from tests.solver.block import block_model
 pxr = pytest.importorskip("pxr", reason="USD is not installed: pip install 'myoface[usd]'")
 from pxr import Gf, Usd, UsdGeom, UsdSkel, UsdValidation  # noqa: E402
 
-from solver.rig.usd import write_usd  # noqa: E402
+from solver.rig.exporters.usd import write  # noqa: E402
 
 ROOT = Path(__file__).parents[2]
 EXPRESSIONS = {
@@ -58,7 +59,7 @@ def rig() -> Rig:
 @pytest.fixture(scope="module")
 def path(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("usd") / "rig.usdc"
-    write_usd(path, rig.model, rig.expressions)
+    write(rig, path)
     return path
 
 
@@ -146,10 +147,13 @@ def test_shapes_turn_the_normals_too(rig: Rig, path: Path) -> None:
 def test_the_command_converts_a_rig_s_folder(rig: Rig, tmp_path: Path) -> None:
     rig.model.save(tmp_path / "model.npz")
     save_activations(tmp_path / "activations.npz", rig.expressions, rig.model)
-    command = [sys.executable, "-m", "solver.rig.usd", str(tmp_path), str(tmp_path / "rig.usda")]
+    save_weights(tmp_path / "muscle_weights.npz", rig.weights, rig.model)
+    run = "from myoface.cli import main; main()"
+    command = [sys.executable, "-c", run, "solve", "export", str(tmp_path), "usd"]
+    command += ["-o", str(tmp_path / "rig.usda")]
     subprocess.run(command, cwd=ROOT, check=True, timeout=60)
     assert faults(Usd.Stage.Open(str(tmp_path / "rig.usda"))) == []
     command[-1] = str(tmp_path / "rig.fbx")
     child = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
-    assert child.returncode == 2
+    assert child.returncode == 1
     assert "rig.fbx does not end in .usdc, .usda, .usd" in child.stderr

@@ -10,11 +10,11 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from solver.rig.animation_gltf import (
-    SEQUENCE_BASIS,
     AnimatedSkin,
 )
 from solver.rig.gltf_check import validate_glb
 from solver.rig.motion import SequenceFrame
+from solver.rig.skin_basis import SEQUENCE_BASIS
 from solver.surface import Floats, Surface
 
 BALL = trimesh.creation.icosphere(subdivisions=2, radius=90.0)

@@ -15,7 +15,8 @@ from solver.errors import Notice
 from solver.fitting.face import Face
 from solver.rig.certificate import certify
 from solver.rig.report import report
-from solver.rig.result import ExpressionFit, Rig
+from solver.rig.result import ExpressionFit
+from solver.rig.rig import Rig
 from solver.rig.web_page import write_page
 from tests.solver.block import block_model
 

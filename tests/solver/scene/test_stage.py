@@ -12,7 +12,7 @@ from solver.errors import InputError
 from solver.kinds.scene import SimulateScene
 from solver.model import SubjectModel
 from solver.scene.document import read_scene
-from solver.scene.keys import keyed
+from solver.scene.keys import drives_of
 from solver.scene.places import Places
 from solver.scene.stage import Stage
 from solver.surface import Floats
@@ -25,7 +25,7 @@ BALL = {"name": "ball", "mesh": {"ball_mm": 5}}
 
 def staged(scene: dict[str, Any], model: SubjectModel = MODEL) -> Stage:
     played = read_scene(scene, SimulateScene)
-    drives = keyed(played, {}, model, model.weights)
+    drives = drives_of(played, {}, model, model.weights)
     return Stage(played, Places(model, {}), model.weights, drives)
 
 

@@ -1,8 +1,6 @@
 """A rig as USD: a skeleton of head and jaw, and a blend shape for every expression.
 
-Needs the extra ``usd``. From a rig's files, ``model.npz`` among them:
-
-    python -m solver.rig.usd RIG_FOLDER rig.usdc
+Needs the extra ``usd``.
 
 Lengths are mm (``metersPerUnit`` 0.001), y up. ``/Face`` is a SkelRoot with
 
@@ -16,7 +14,6 @@ Lengths are mm (``metersPerUnit`` 0.001), y up. ``/Face`` is a SkelRoot with
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -33,10 +30,15 @@ from solver.drawing.head import skin_parts
 from solver.errors import InputError
 from solver.mechanics import jaw
 from solver.model import SubjectModel
-from solver.rig.gltf import DEFAULTS, MATERIALS, ShapeOptions, worst_error
-from solver.rig.result import ExpressionFit, load_activations
+from solver.rig.gltf import DEFAULTS, MATERIALS, worst_error
+from solver.rig.gltf import ShapeOptions as Options
+from solver.rig.result import ExpressionFit
+from solver.rig.rig import Rig
 from solver.surface import Floats, Surface, vertex_normals
 
+FILE = "rig.usdc"
+MEDIA_TYPE = "model/vnd.usd"
+WITH_EVERY_RIG = False  # a tool that reads it asks for it
 FORMATS = [".usdc", ".usda", ".usd"]
 FRAMES_PER_SECOND = 30.0  # of the time codes, as animation tools expect
 ROOT = Sdf.Path("/Face")
@@ -44,12 +46,7 @@ HEAD, JAW = "head", "head/jaw"
 JOINTS = [HEAD, JAW]
 
 
-def write_usd(
-    path: Path,
-    model: SubjectModel,
-    expressions: Sequence[ExpressionFit],
-    options: ShapeOptions = DEFAULTS,
-) -> None:
+def write(rig: Rig, path: Path, options: Options = DEFAULTS) -> None:
     """Write a rig as ``.usdc``, ``.usda`` or ``.usd``; a file that is there is replaced.
 
     Raises :class:`InputError` (``usd.format``) for another ending.
@@ -61,6 +58,7 @@ def write_usd(
             file=path.name,
             expected=FORMATS,
         )
+    model, expressions = rig.model, rig.expressions
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, UsdGeom.LinearUnits.millimeters)
@@ -172,7 +170,7 @@ def _animation(
     model: SubjectModel,
     names: list[str],
     jaws: Floats,
-    options: ShapeOptions,
+    options: Options,
 ) -> None:
     """Move shapes and jaw: from neutral to an expression, hold it, and back, one after the other.
 
@@ -225,21 +223,3 @@ def _numbers(values: np.ndarray) -> Any:
 
 def _extent(points: Floats) -> Any:
     return _vectors(np.stack([points.min(axis=0), points.max(axis=0)]))
-
-
-def main() -> None:
-    """Convert a rig's files, given on the command line."""
-    parser = argparse.ArgumentParser(prog="python -m solver.rig.usd", description="A rig as USD.")
-    parser.add_argument("rig", type=Path, help="folder with a rig's activations.npz")
-    parser.add_argument("out", type=Path, help="file to write: .usdc, .usda or .usd")
-    parser.add_argument("--model", type=Path, help="the subject model; model.npz in that folder")
-    given = parser.parse_args()
-    try:
-        model = SubjectModel.load(given.model or given.rig / "model.npz")
-        write_usd(given.out, model, load_activations(given.rig / "activations.npz", model))
-    except InputError as error:
-        parser.error(error.message)
-
-
-if __name__ == "__main__":
-    main()

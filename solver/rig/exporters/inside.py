@@ -1,13 +1,13 @@
-"""``view.bin`` and ``inside.bin``: a rig for a page that shows it.
+"""``inside.bin``: the flesh, bones and muscles of a rig for a page that shows them.
 
-docs/reference/rig-format.md describes them. Displacements are in half precision, at most 0.004 mm
-off up to 16 mm and 0.016 mm up to 64 mm.
+docs/reference/rig-format.md describes it. Displacements are in half precision, at most 0.004 mm off
+up to 16 mm and 0.016 mm up to 64 mm.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import igl
 import numpy as np
@@ -17,11 +17,21 @@ from solver.anatomy.embedding import barycentric
 from solver.anatomy.tetrahedra import barycentric_in_tets
 from solver.mechanics import jaw
 from solver.model import JawFrame, SubjectModel
-from solver.rig.result import Rig
-from solver.rig.view.format import write_container
+from solver.rig.rig import Rig
+from solver.rig.view.format import half_precision, write_container
 from solver.surface import Floats, Ints, Surface
 
-# How any points in and about the flesh follow its tets.
+FILE = "inside.bin"
+MEDIA_TYPE = "application/octet-stream"
+WITH_EVERY_RIG = True
+
+
+@dataclass(frozen=True)
+class Options:
+    """There is nothing to choose."""
+
+
+# Points in and about the flesh follow its tets.
 
 
 # the face of a tet opposite each of its corners
@@ -63,35 +73,7 @@ NO_SURFACE = Surface(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
 Arrays = dict[str, np.ndarray]
 
 
-def write_view(path: Path, rig: Rig, figures: dict[str, Any]) -> None:
-    """Write the skin in every expression, the scans and the distances between them.
-
-    ``figures`` are :func:`solver.rig.report.report` of the rig.
-    """
-    neutral = rig.model.skin.vertices
-    told = [figures["expressions"][fit.name] for fit in rig.expressions]
-    names = rig.model.muscle_names
-    header = {
-        "expressions": [
-            {"name": fit.name, **{key: each[key] for key in ("mean_mm", "p95_mm", "max_mm")}}
-            for fit, each in zip(rig.expressions, told, strict=True)
-        ],
-        "muscles": list(names),
-    }
-    stretches = [[each["muscles"][name]["fibres"] for name in names] for each in told]
-    arrays: Arrays = {
-        "neutral": neutral.astype(np.float32),
-        "faces": rig.model.skin.faces.astype(np.uint32),
-        "activation": np.array(stretches, np.float32).reshape(len(told), len(names)),
-    }
-    for k, fit in enumerate(rig.expressions):
-        arrays[f"skin/{k}"] = _half(fit.skin - neutral)
-        arrays[f"scan/{k}"] = _half(fit.target - neutral)
-        arrays[f"error/{k}"] = _half(fit.error_mm)
-    write_container(path, header, arrays)
-
-
-def write_inside(path: Path, rig: Rig) -> None:
+def write(rig: Rig, path: Path, _options: Options = Options()) -> None:
     """Write the tets in every expression, and the bones and muscles that move with them.
 
     ``at/k`` is left out for an expression whose tets the rig does not hold. Muscles are numbered as
@@ -113,15 +95,11 @@ def write_inside(path: Path, rig: Rig) -> None:
     }
     for k, fit in enumerate(rig.expressions):
         if fit.x is not None:
-            arrays[f"at/{k}"] = _half(fit.x - model.rest)
+            arrays[f"at/{k}"] = half_precision(fit.x - model.rest)
     for i, bone in enumerate(model.bones.values()):
         arrays |= _surface(f"bone/{i}", bone)
     arrays |= _muscles(model)
     write_container(path, header, arrays)
-
-
-def _half(values: Floats) -> np.ndarray:
-    return values.astype(np.float16)
 
 
 def _surface(name: str, surface: Surface) -> Arrays:

@@ -13,10 +13,13 @@ import pytest
 from solver.fitting.face import Face, Pose
 from solver.mechanics import jaw
 from solver.rig.certificate import certify
+from solver.rig.exporters import inside as inside_exporter
+from solver.rig.exporters import view as view_exporter
+from solver.rig.exporters.inside import NO_MUSCLE, bind
 from solver.rig.report import report
-from solver.rig.result import ExpressionFit, Rig
+from solver.rig.result import ExpressionFit
+from solver.rig.rig import Rig
 from solver.rig.view.format import Container, read_container
-from solver.rig.view.write import NO_MUSCLE, bind, write_inside, write_view
 from solver.surface import Surface
 from tests.fixtures import fixture_model
 from tests.solver.block import block_model, grid
@@ -54,14 +57,15 @@ def rig() -> Rig:
 @pytest.fixture(scope="module")
 def view(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Container:
     path = tmp_path_factory.mktemp("view") / "view.bin"
-    write_view(path, rig, report(rig, certify(Face(rig.model), rig, {})))
+    figures = report(rig, certify(Face(rig.model), rig, {}))
+    view_exporter.write(replace(rig, figures=figures), path)
     return read_container(path)
 
 
 @pytest.fixture(scope="module")
 def inside(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Container:
     path = tmp_path_factory.mktemp("inside") / "inside.bin"
-    write_inside(path, rig)
+    inside_exporter.write(rig, path)
     return read_container(path)
 
 
@@ -126,8 +130,8 @@ def test_points_outside_follow_the_nearest_point_of_the_flesh() -> None:
 
 def test_the_same_rig_gives_the_same_bytes(rig: Rig, tmp_path: Path) -> None:
     one, two = tmp_path / "one.bin", tmp_path / "two.bin"
-    write_inside(one, rig)
-    write_inside(two, rig)
+    inside_exporter.write(rig, one)
+    inside_exporter.write(rig, two)
     assert one.read_bytes() == two.read_bytes()
 
 
@@ -148,8 +152,8 @@ def test_a_whole_face_takes_little_time_and_space(rig: Rig, tmp_path: Path) -> N
     muscles = {name: {"fibres": None} for name in model.muscle_names}
     told = {"expressions": {fit.name: {**figures, "muscles": muscles} for fit in fits}}
     start = time.process_time()
-    write_view(tmp_path / "view.bin", whole, told)
-    write_inside(tmp_path / "inside.bin", whole)
+    view_exporter.write(replace(whole, figures=told), tmp_path / "view.bin")
+    inside_exporter.write(whole, tmp_path / "inside.bin")
     assert time.process_time() - start < 2.0
     view, inside = ((tmp_path / name).stat().st_size for name in ("view.bin", "inside.bin"))
     triangles = 12 * len(model.skin.faces)

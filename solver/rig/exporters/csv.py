@@ -1,0 +1,38 @@
+"""``activations.csv``: every muscle's activation in every expression, for spreadsheets."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+from solver.rig.result import ENTRIES
+from solver.rig.rig import Rig
+
+FILE = "activations.csv"
+MEDIA_TYPE = "text/csv"
+WITH_EVERY_RIG = True
+JAW = ("jaw.1", "jaw.2", "jaw.3", "jaw.4", "jaw.5")
+
+
+@dataclass(frozen=True)
+class Options:
+    """Format of the numbers."""
+
+    decimals: int = 6
+
+
+def write(rig: Rig, path: Path, options: Options = Options()) -> None:
+    """Write a row for every expression and muscle, as docs/reference/rig-format.md describes."""
+    figures = rig.known_figures()
+    decimals = options.decimals
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        rows = csv.writer(stream)
+        rows.writerow(["expression", "role", "muscle", "fibres", *ENTRIES, *JAW])
+        for fit in rig.expressions:
+            muscles = figures["expressions"][fit.name]["muscles"]
+            jaw = [f"{value:.{decimals}f}" for value in fit.jaw]
+            for muscle, activation in zip(rig.model.muscle_names, fit.activations, strict=True):
+                values = [f"{value:.{decimals}f}" for value in activation]
+                fibres = muscles[muscle]["fibres"]  # None is an empty cell
+                rows.writerow([fit.name, fit.role, muscle, fibres, *values, *jaw])

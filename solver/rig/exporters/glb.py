@@ -1,0 +1,26 @@
+"""``rig.glb``: the skin with one morph target per expression, after the glTF 2.0 specification."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from solver.rig.gltf import DEFAULTS, ERROR_ATTRIBUTE, in_turn, worst_error, write_face
+from solver.rig.gltf import ShapeOptions as Options
+from solver.rig.rig import Rig
+
+FILE = "rig.glb"
+MEDIA_TYPE = "model/gltf-binary"
+WITH_EVERY_RIG = True
+
+
+def write(rig: Rig, path: Path, options: Options = DEFAULTS) -> None:
+    """Write the neutral skin (v, 3), its expressions as morph targets and an animation, in metres.
+
+    ``_ERROR_MM`` is the greatest distance to the scans over all expressions, mm, 0 where nothing
+    was measured.
+    """
+    shapes = {fit.name: fit.skin for fit in rig.expressions}
+    worst = worst_error(rig.expressions, len(rig.model.skin.vertices))
+    animate = partial(in_turn, options=options)
+    write_face(path, rig.model.skin, shapes, animate, {ERROR_ATTRIBUTE: worst}, options)

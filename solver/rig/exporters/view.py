@@ -1,0 +1,50 @@
+"""``view.bin``: the skin of a rig for a page that shows it.
+
+docs/reference/rig-format.md describes it. Displacements are in half precision, as in
+``inside.bin``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from solver.rig.rig import Rig
+from solver.rig.view.format import half_precision, write_container
+
+FILE = "view.bin"
+MEDIA_TYPE = "application/octet-stream"
+WITH_EVERY_RIG = True
+
+
+@dataclass(frozen=True)
+class Options:
+    """There is nothing to choose."""
+
+
+def write(rig: Rig, path: Path, _options: Options = Options()) -> None:
+    """Write the skin in every expression, the scans and the distances between them."""
+    figures = rig.known_figures()
+    neutral = rig.model.skin.vertices
+    told = [figures["expressions"][fit.name] for fit in rig.expressions]
+    names = rig.model.muscle_names
+    header = {
+        "expressions": [
+            {"name": fit.name, **{key: each[key] for key in ("mean_mm", "p95_mm", "max_mm")}}
+            for fit, each in zip(rig.expressions, told, strict=True)
+        ],
+        "muscles": list(names),
+    }
+    stretches = [[each["muscles"][name]["fibres"] for name in names] for each in told]
+    arrays: dict[str, np.ndarray] = {
+        "neutral": neutral.astype(np.float32),
+        "faces": rig.model.skin.faces.astype(np.uint32),
+        "activation": np.array(stretches, np.float32).reshape(len(told), len(names)),
+    }
+    for k, fit in enumerate(rig.expressions):
+        arrays[f"skin/{k}"] = half_precision(fit.skin - neutral)
+        arrays[f"scan/{k}"] = half_precision(fit.target - neutral)
+        arrays[f"error/{k}"] = half_precision(fit.error_mm)
+    write_container(path, header, arrays)

@@ -1,0 +1,199 @@
+"""Few shapes that span many skins, so that a frame of an animation is a few weights.
+
+Where all skins are there (:func:`span_skins`), a truncated singular value decomposition has the
+least mean error; what shows is the greatest. So vertices that are furthest off are weighed up until
+the greatest error is small enough (iteratively reweighted least squares), and where that does not
+help a few shapes more are taken. Where skins come one by one (:class:`GrowingBasis`), one that the
+shapes so far do not reach adds what is left of it, and nothing waits for the last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solver.surface import Floats, Ints, Surface, vertex_normals
+
+Singles = NDArray[np.float32]
+
+BLOCK = 64  # frames that are looked at together
+
+
+@dataclass(frozen=True)
+class BasisOptions:
+    """Number and accuracy of the shapes that span many skins."""
+
+    within_mm: float = 0.1  # a vertex may be so far off
+    most_shapes: int = 64  # with so many it may be further off
+    first_shapes: int = 6  # tried first
+    more_shapes: float = 1.4  # so many times as many are tried next
+    reweightings: int = 2  # before there are more shapes
+    last_reweightings: int = 8  # where there may be no more shapes
+    least_importance: float = 1e-3  # of a coordinate, by the mean: all of them count
+    most_samples: int = 400  # frames that shapes are made of, evenly taken; they make all frames
+    still_mm: float = 1e-3  # what moves less is left out, a vertex or a shape
+    smallest_shape: float = 1e-9  # square of a shape, by the greatest, that counts as none
+    ridge: float = 1e-6  # of the weights' greatest variance: keeps normals small where shapes hide
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Skins are about neutral + weights @ shapes at the vertices ``moving`` (k,); others are still.
+
+    ``shapes`` (s, k, 3) are in mm, ``weights`` (f, s) lie between 0 and 1 and reach both, but for
+    the first one's, which is 1 throughout: that shape is what all others count from.
+    """
+
+    moving: Ints
+    shapes: Singles
+    weights: Floats
+
+
+def span_skins(neutral: Surface, skins: Singles, options: BasisOptions = BasisOptions()) -> Basis:
+    """Return a basis of ``skins`` (f, v, 3), mm, with no vertex further off than the options say.
+
+    Unless there are ``most_shapes``, or frames that were not sampled ask for more.
+    """
+    moving = _moving(neutral, skins, options.still_mm)
+    chosen = _samples(len(skins), options)
+    samples = _motion(neutral, skins[chosen], moving)
+    directions, importance = _directions(samples, options)
+    towards = (directions * importance).astype(np.float64)
+    # skins of fewer dimensions leave shapes of nothing
+    solve = np.linalg.pinv(towards @ directions.T, rcond=options.smallest_shape, hermitian=True)
+    amounts = np.vstack(
+        [_motion(neutral, block, moving) @ towards.T @ solve for block in _blocks(skins)]
+    )
+    least, most = amounts.min(axis=0), amounts.max(axis=0)
+    longest = np.linalg.norm(directions.reshape(len(directions), -1, 3), axis=2).max(axis=1)
+    used = (most - least) * longest > options.still_mm
+    span = (most - least)[used]
+    start = least @ directions
+    shapes = np.vstack([start[None], span[:, None] * directions[used]])
+    weights = np.hstack([np.ones((len(amounts), 1)), (amounts - least)[:, used] / span])
+    return Basis(moving, shapes.reshape(-1, len(moving), 3).astype(np.float32), weights)
+
+
+def normal_shapes(
+    neutral: Surface, skins: Singles, basis: Basis, options: BasisOptions = BasisOptions()
+) -> Singles:
+    """Return changes of the moving vertices' normals (s, k, 3), whose blend is the skins' normals.
+
+    They are the least squares over frames of the animation: normals are not linear in the motion.
+    """
+    chosen = _samples(len(skins), options)
+    at_rest = vertex_normals(neutral)[basis.moving]
+    weights = basis.weights[chosen]
+    right = np.zeros((weights.shape[1], at_rest.size))
+    for row, frame in zip(weights, chosen, strict=True):
+        surface = neutral.moved(skins[frame].astype(np.float64))
+        right += row[:, None] * (vertex_normals(surface)[basis.moving] - at_rest).ravel()
+    gram = weights.T @ weights
+    gram[np.diag_indices_from(gram)] += options.ridge * gram.max()
+    changes = np.linalg.solve(gram, right)
+    return changes.reshape(-1, *at_rest.shape).astype(np.float32)
+
+
+def greatest_error(neutral: Surface, skins: Singles, basis: Basis) -> float:
+    """Return how far a vertex of ``skins`` (f, v, 3) is off what the basis makes of them, mm."""
+    still = np.setdiff1d(np.arange(skins.shape[1]), basis.moving)
+    shapes = basis.shapes.reshape(len(basis.shapes), -1)
+    worst = 0.0
+    for number, block in enumerate(_blocks(skins)):
+        rows = basis.weights[number * BLOCK : number * BLOCK + len(block)].astype(np.float32)
+        off = _motion(neutral, block, basis.moving) - rows @ shapes
+        others = _motion(neutral, block, still)
+        worst = max(worst, *(_longest(each) for each in (off, others)))
+    return worst
+
+
+def _directions(samples: Singles, options: BasisOptions) -> tuple[Singles, Singles]:
+    """Return shapes (s, 3 k) that make all ``samples`` (f, 3 k), and how much coordinates count.
+
+    The importance (3 k,) is what the shapes are the best by.
+    """
+    importance = np.ones(samples.shape[1], np.float32)
+    most = min(options.most_shapes, len(samples))
+    least = np.float32(options.least_importance)
+    count, tries = min(options.first_shapes, most), 0
+    while True:
+        gram = ((samples * importance) @ samples.T).astype(np.float64)
+        along = np.linalg.eigh(gram)[1][:, -count:].astype(np.float32)
+        directions = along.T @ samples
+        off = (samples - along @ directions).reshape(len(samples), -1, 3)
+        errors = np.linalg.norm(off, axis=2).max(axis=0)
+        tries += 1
+        if errors.max() <= options.within_mm or (
+            count == most and tries == options.last_reweightings
+        ):
+            return directions, importance
+        if tries >= options.reweightings and count < most:
+            count, tries = min(int(options.more_shapes * count), most), 0
+        importance = importance * np.repeat(errors / errors.mean(), 3)
+        importance = np.maximum(importance / importance.mean(), least)
+
+
+def _samples(frames: int, options: BasisOptions) -> Ints:
+    """Return the numbers of the frames that stand for all."""
+    return np.unique(np.linspace(0, frames - 1, options.most_samples).round().astype(int))
+
+
+def _moving(neutral: Surface, skins: Singles, still_mm: float) -> Ints:
+    """Return the vertices that leave their place; one, if all are still."""
+    vertices = neutral.vertices.astype(np.float32)
+    most = np.zeros(len(vertices), np.float32)
+    for block in _blocks(skins):
+        most = np.maximum(most, np.abs(block - vertices).max(axis=(0, 2)))
+    moving = np.flatnonzero(most > still_mm)
+    return moving if len(moving) else np.zeros(1, np.int64)
+
+
+def _motion(neutral: Surface, skins: Singles, vertices: Ints) -> Singles:
+    """Return how far ``vertices`` (k,) are from the neutral in each skin, (f, 3 k)."""
+    at_rest = neutral.vertices[vertices].astype(np.float32)
+    return np.asarray((skins[:, vertices] - at_rest).reshape(len(skins), -1))
+
+
+def _blocks(skins: Singles) -> Iterator[Singles]:
+    return (skins[first : first + BLOCK] for first in range(0, len(skins), BLOCK))
+
+
+def _longest(motion: Singles) -> float:
+    return float(np.linalg.norm(motion.reshape(len(motion), -1, 3), axis=2).max(initial=0.0))
+
+
+# a sequence's shapes are fewer and coarser than a simulation's: fits are some 0.5 mm off
+SEQUENCE_BASIS = BasisOptions(within_mm=0.2, most_shapes=48)
+
+
+class GrowingBasis:
+    """Orthonormal ``shapes`` (s, 3 v) of skins that come one by one, and their weights."""
+
+    def __init__(self, neutral: Surface, options: BasisOptions) -> None:
+        self._neutral = neutral.vertices
+        self._options = options
+        self._weights: list[Floats] = []
+        self.shapes: Singles = np.zeros((0, neutral.vertices.size), np.float32)
+
+    @property
+    def weights(self) -> Floats:
+        """Return the weights (f, s) of all skins."""
+        table = np.zeros((len(self._weights), len(self.shapes)))
+        for row, values in zip(table, self._weights, strict=True):
+            row[: len(values)] = values
+        return table
+
+    def add(self, skin: Floats) -> None:
+        """Take a skin (v, 3), mm; a shape more if those so far do not reach it."""
+        motion = (skin - self._neutral).astype(np.float32).ravel()
+        weights = self.shapes @ motion
+        rest = motion - weights @ self.shapes
+        off = np.linalg.norm(rest.reshape(-1, 3), axis=1).max()
+        if len(weights) < self._options.most_shapes and off > self._options.within_mm:
+            length = np.linalg.norm(rest)
+            self.shapes = np.vstack([self.shapes, rest / length])
+            weights = np.append(weights, length)
+        self._weights.append(weights.astype(np.float64))

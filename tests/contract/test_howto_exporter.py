@@ -1,0 +1,100 @@
+"""The how-to for a new exporter, followed to the letter in a copy of the tree.
+
+Its two files are written out of its code blocks; then a rig is written by the command line, and by
+what each fit calls.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from solver.mechanics.flesh import IDENTITY
+from solver.rig.result import ExpressionFit
+from solver.rig.rig import Rig
+from tests.solver.block import block_model
+
+ROOT = Path(__file__).parents[2]
+HOWTO = ROOT / "docs" / "develop" / "add-an-exporter.md"
+ROOMS = ("solver", "service", "worker", "myoface", "tests/solver")
+FILE = re.compile(r"`([\w/.]+)`:\n\n```python\n(.*?)```", re.DOTALL)
+COMMAND = "from myoface.cli import main; main()"
+AFTER_A_FIT = """
+from pathlib import Path
+from solver.rig.exporters import write_all
+from solver.rig.rig import Rig
+print(*(path.name for path in write_all(Rig.load(Path("rig.npz")), Path("made"))))
+"""
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a copy of the tree with the how-to's files and a rig."""
+    folder = tmp_path_factory.mktemp("tree")
+    for room in ROOMS:
+        shutil.copytree(ROOT / room, folder / room)
+    for file in ("pyproject.toml", "tests/__init__.py"):
+        if (ROOT / file).exists():
+            shutil.copy2(ROOT / file, folder / file)
+    written = FILE.findall(HOWTO.read_text(encoding="utf-8"))
+    assert len(written) == 2
+    for path, content in written:
+        assert not (folder / path).exists()
+        (folder / path).write_text(content, encoding="utf-8")
+    _rig().save(folder / "rig.npz")
+    return folder
+
+
+def test_the_files_of_the_how_to_are_in_style(copy: Path) -> None:
+    files = [path for path, _ in FILE.findall(HOWTO.read_text(encoding="utf-8"))]
+    for command in (["check", "-q"], ["format", "--check", "-q"]):
+        _run(copy, "-m", "ruff", *command, *files)
+
+
+def test_its_test_passes(copy: Path) -> None:
+    _run(copy, "-m", "pytest", "-q", "tests/solver/rig/exporters/test_pc2.py")
+
+
+def test_the_command_line_and_each_fit_write_the_file(copy: Path) -> None:
+    [line] = [
+        line.strip()
+        for line in HOWTO.read_text(encoding="utf-8").splitlines()
+        if line.startswith("    myoface solve export")
+    ]
+    arguments = [part.strip("'") for part in re.findall(r"'[^']*'|\S+", line)[1:]]
+    _run(copy, "-c", COMMAND, *arguments)
+    made = (copy / "smile.pc2").read_bytes()
+    assert made.startswith(b"POINTCACHE2\0")
+    listed = _run(copy, "-c", AFTER_A_FIT).split()
+    assert {"rig.pc2", "rig.glb", "rig.npz"} <= set(listed)
+    assert len((copy / "made" / "rig.pc2").read_bytes()) == len(made)
+
+
+def _run(copy: Path, *arguments: str) -> str:
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        cwd=copy,
+        env={**os.environ, "PYTHONPATH": str(copy)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def _rig() -> Rig:
+    model = block_model()
+    skin, count = model.skin.vertices + 2.0, len(model.skin.vertices)
+    a, none = np.tile(IDENTITY, (model.muscle_count, 1)), np.zeros(count)
+    fit = ExpressionFit("smile", "train", a, np.zeros(5), skin, skin, none, 0, 1, 0.0, 0.0)
+    stretch = {name: {"fibres": 1.0} for name in model.muscle_names}
+    smile = {"mean_mm": 0.0, "p95_mm": 0.0, "max_mm": 0.0, "muscles": stretch}
+    figures = {"expressions": {"smile": smile}}
+    return Rig(model, model.weights, (fit,), figures=figures)
