@@ -16,7 +16,7 @@ INSTALL_LIMIT_S = 900.0
 
 
 class UnavailableError(Exception):
-    """The environment can not be made; the message is the reason."""
+    """The environment cannot be made; the message is the reason."""
 
 
 def environment(name: str, requirements: Sequence[str], python: str | None = None) -> Path:

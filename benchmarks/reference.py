@@ -3,7 +3,7 @@
 On a coarse model, forward problem (equilibrium) and activation problem (A) are solved by both, one
 after the other in one process, from the same start: the neutral face. ``objective_ratio`` is the
 reduced objective over IPOPT's, the one furthest from 1 at top level; ``speedup`` IPOPT's time over
-the reduced solver's, the least at top level. An expression that one of them can not solve has the
+the reduced solver's, the least at top level. An expression that one of them cannot solve has the
 reason as ``failed`` and no figures.
 
 The prior is heavier than in a fit: at w_a <= 0.2 the coarse face buckles in a broad smile, where

@@ -36,10 +36,10 @@ REPEATS = 3
 def against_ipopt(face: Face, targets: Mapping[str, Target]) -> list[Figures]:
     """Solve (A) by the reduced solver and by IPOPT, both from the resting face.
 
-    Ours has what is :func:`prepared` once for all expressions, which IPOPT can not make use of, and
+    Ours has what is :func:`prepared` once for all expressions, which IPOPT cannot make use of, and
     the median of some repeats counts.
 
-    An expression that one of them can not solve has the reason as ``failed``, and where that is
+    An expression that one of them cannot solve has the reason as ``failed``, and where that is
     IPOPT the time it took and the objective of its last iterate. ``same`` tells whether both found
     the same objective. ``ratio`` is of the times that each takes by its own tolerance, 1e-4 and
     IPOPT's 1e-7; ``ratio_same`` of the times after which f is within 0.1 % of its end for good.

@@ -59,7 +59,7 @@ DECIMALS = 9
 
 
 class Follower:
-    """Fits a performance's frames in their order; one that can not be keeps the last pose.
+    """Fits a performance's frames in their order; one that cannot be keeps the last pose.
 
     ``still`` (k,) says how still each point of the face lies on the skull and asks for the head's
     rigid motion: it takes the still points from where the fitted face has them to where they were
@@ -81,7 +81,7 @@ class Follower:
         if still is not None and np.sum(still > STILL) < LEAST_STILL:
             raise InputError(
                 "sequence.no_still_points",
-                "the head's motion can not be told from the face's: muscles or the jaw move every "
+                "the head's motion cannot be told from the face's: muscles or the jaw move every "
                 "point of the model's face",
             )
         self._head = IDENTITY if last is None else _motion(last.head)

@@ -1,4 +1,4 @@
-"""What the fits of expressions share: reading scans, describing fits, writing the rig."""
+"""Shared by the fits of expressions: reading scans, describing fits, writing the rig."""
 
 from __future__ import annotations
 

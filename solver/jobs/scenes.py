@@ -1,4 +1,4 @@
-"""What jobs with a scene share: the person that it is about, and the playing of its frames."""
+"""Shared by jobs with a scene: the person that it is about, and the playing of its frames."""
 
 from __future__ import annotations
 

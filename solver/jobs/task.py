@@ -17,7 +17,7 @@ Given = TypeVar("Given", bound=Options)
 
 @dataclass(frozen=True)
 class Task(Generic[Given]):
-    """What to do, for the ``run`` of a kind's module.
+    """The order of a job, for the ``run`` of its kind's module.
 
     out
         The folder for what it leaves.

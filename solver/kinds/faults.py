@@ -19,7 +19,7 @@ Place = Sequence[str | int]
 
 @dataclass(frozen=True)
 class Fault:
-    """What is wrong at one place of a document.
+    """A fault at one place of a document.
 
     where
         A JSON path, such as ``options.scene.keys[1].time``.

@@ -37,7 +37,7 @@ Turn = Annotated[
 
 
 class Material(Document):
-    """What flesh is made of."""
+    """Material of the flesh."""
 
     law: Literal["corotated_trace", "corotated_det", "neo_hookean"] = Field(
         default="corotated_trace", description="corotated_trace is what rigs are fitted with"
@@ -51,7 +51,7 @@ class Material(Document):
 
 
 class Contact(Document):
-    """What skin meets."""
+    """Contacts of the skin."""
 
     lips: bool = Field(default=True, description="lips with lips")
     teeth: bool = Field(default=True, description="lips with teeth")
@@ -62,7 +62,7 @@ class Contact(Document):
 
 
 class Flesh(Document):
-    """What every scene says of the flesh."""
+    """Flesh and contact, in every scene."""
 
     material: Material = Field(default_factory=Material)
     activation_model: Literal["blended", "fibre"] = Field(
@@ -233,7 +233,7 @@ class Object(Document):
 
 
 class PlayedScene(Flesh):
-    """What simulations and animations share."""
+    """A scene with frames: of a simulation or an animation."""
 
     mode: Literal["quasi_static", "dynamic"] = Field(
         default="quasi_static",

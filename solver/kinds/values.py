@@ -1,4 +1,4 @@
-"""What documents are made of: strict objects, numbers, vectors and places."""
+"""Parts of documents: strict objects, numbers, vectors and places."""
 
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any

@@ -18,7 +18,7 @@ import pytest
 from myoface.stack import free_port
 
 REQUIRED = "MYOFACE_REQUIRE_SERVERS"
-"""Set it where a server that can not be started is a failure, not a reason to skip."""
+"""Set it where a server that cannot be started is a failure, not a reason to skip."""
 
 START_TIMEOUT = 20.0
 
@@ -28,7 +28,7 @@ DYING_WITH_US = ["setpriv", "--pdeathsig", "TERM", "--"] if shutil.which("setpri
 
 
 class UnavailableError(RuntimeError):
-    """This machine can not run the server; the message says what is missing."""
+    """This machine cannot run the server; the message says what is missing."""
 
 
 @contextmanager

@@ -18,7 +18,7 @@ def template():
         return build.builtin_template()
     except InputError as error:
         if error.code == "builtin.fetch":
-            pytest.skip(f"the package index can not be reached: {error.message}")
+            pytest.skip(f"the package index cannot be reached: {error.message}")
         raise
 
 

@@ -1,6 +1,6 @@
 """Tenants and their keys; whatever is there belongs to the default tenant.
 
-A worker of an earlier release can not commit results to these tables: its job is done again by one
+A worker of an earlier release cannot commit results to these tables: its job is done again by one
 of this release.
 """
 
