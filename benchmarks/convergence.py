@@ -27,7 +27,7 @@ from benchmarks.subjects import COARSE_EDGE_MM
 from solver.errors import SolveError
 from solver.fitting import (
     activation,
-    chosen,
+    defaults,
     geometry,
     per_tet,
     reference,
@@ -137,8 +137,8 @@ def _rounds(
             distance = targets[name].distances(face.face_points(state.estimate))
             errors[name].append(float(np.nanmean(distance)))
 
-    data, easy = chosen.terms(face, targets), chosen.distances(face, targets)
-    fitted = geometry.fit(face, data, options, easy=easy, listen=listen)
+    data, first_terms = defaults.terms(face, targets), defaults.distances(face, targets)
+    fitted = geometry.fit(face, data, options, first_terms=first_terms, listen=listen)
     listen(options.rounds, fitted.states)
     return errors
 

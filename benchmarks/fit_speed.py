@@ -35,7 +35,7 @@ from benchmarks.speed.clock import Stopwatch, peak_gib
 from benchmarks.speed.frames import frames
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.fitting import (
-    chosen,
+    defaults,
     geometry,
 )
 from solver.fitting.face import Face
@@ -96,7 +96,7 @@ def run(options: argparse.Namespace) -> Figures:
     log.info("geometry")
     with Stopwatch() as watch:
         fitted = geometry.fit(
-            precise, chosen.terms(face, train), easy=chosen.distances(face, train)
+            precise, defaults.terms(face, train), first_terms=defaults.distances(face, train)
         )
     memory = peak_gib()
     log.info("geometry: %.1f s, %.2f GiB", watch.seconds, memory)

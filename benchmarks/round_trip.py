@@ -19,7 +19,7 @@ from solver.fitting.activation import Resting
 from solver.fitting.face import Face, Pose
 from solver.fitting.stretches import (
     fibre_tensors,
-    shortened,
+    shorten,
 )
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.round_trip import round_trip
@@ -101,7 +101,7 @@ def plausible_pose(face: Face, rng: np.random.Generator) -> Pose:
     for muscle, name in enumerate(model.muscle_names):
         if (kind := both_sides(name)) in depth:
             side = depth[kind] + rng.uniform(-ASYMMETRY, ASYMMETRY)
-            a[muscle] = shortened(tensors[muscle], side)
+            a[muscle] = shorten(tensors[muscle], side)
     opening = rng.uniform(*OPENING)
     return Pose(a, np.array([opening, 0.0, 0.0, 0.0, FORWARD_MM * opening]))
 

@@ -15,7 +15,8 @@ from solver.contact.crossing import crossing
 from solver.contact.mouth import Mouth
 from solver.errors import SolveError
 from solver.fitting import (
-    chosen,
+    defaults,
+    fallback,
     geometry,
     per_tet,
 )
@@ -88,23 +89,23 @@ def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> tuple[sp
         log.info("round %d: %.3f mm", number, geometry.mean_error(face, targets, states))
 
     start = time.perf_counter()
-    data, easy = chosen.terms(face, targets), chosen.distances(face, targets)
-    fitted = geometry.fit(face, data, schedule, easy=easy, listen=listen)
+    data, first_terms = defaults.terms(face, targets), defaults.distances(face, targets)
+    fitted = geometry.fit(face, data, schedule, first_terms=first_terms, listen=listen)
     seconds = time.perf_counter() - start
     return fitted.S, Fits(face, dict(scans), fitted.states, seconds, {})
 
 
 def by_activations(face: Face, scans: Scans) -> Fits:
     """Fit activations and jaw to every scan, S being known."""
-    regulariser, rest = chosen.unseen_regulariser(face), Resting(face)
+    regulariser, rest = defaults.unseen_regulariser(face), Resting(face)
 
     def fit(data: Term) -> State:
-        found = chosen.fit(face, data, regulariser, rest, chosen.UNSEEN_STOP)
+        found = fallback.fit(face, data, regulariser, rest, defaults.UNSEEN_STOP)
         if found.status == "failed":
             raise SolveError("fit.failed", "; ".join(notice.message for notice in found.notices))
         return found.state
 
-    return _each(face, scans, chosen.terms(face, _targets(face, scans)), fit)
+    return _each(face, scans, defaults.terms(face, _targets(face, scans)), fit)
 
 
 def by_tets(face: Face, scans: Scans, options: PerTetOptions) -> Fits:
@@ -113,7 +114,7 @@ def by_tets(face: Face, scans: Scans, options: PerTetOptions) -> Fits:
     def fit(data: Term) -> State:
         return per_tet.fit(face, data, options=options).state
 
-    return _each(face, scans, chosen.terms(face, _targets(face, scans)), fit)
+    return _each(face, scans, defaults.terms(face, _targets(face, scans)), fit)
 
 
 def _each(face: Face, scans: Scans, data: Mapping[str, Term], fit: Callable[[Term], State]) -> Fits:

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from solver.anatomy.template import Template as Template
     from solver.fitting.activation import ActivationOptions as ActivationOptions
     from solver.fitting.activation import Resting as Resting
-    from solver.fitting.chosen import fit as fit_expression
-    from solver.fitting.chosen import terms as expression_terms
-    from solver.fitting.chosen import unseen_regulariser as unseen_regulariser
+    from solver.fitting.defaults import terms as expression_terms
+    from solver.fitting.defaults import unseen_regulariser as unseen_regulariser
     from solver.fitting.face import Face as Face
     from solver.fitting.face import Pose as Pose
+    from solver.fitting.fallback import fit as fit_expression
     from solver.fitting.objective import Target as Target
     from solver.jobs import run_job as run_job
     from solver.meshio.registered import write_registered as write_registered
@@ -62,13 +62,13 @@ _PLACES = {
     "SubjectModel": "solver.model:SubjectModel",
     "Target": "solver.fitting.objective:Target",
     "Template": "solver.anatomy.template:Template",
-    "expression_terms": "solver.fitting.chosen:terms",
-    "fit_expression": "solver.fitting.chosen:fit",
+    "expression_terms": "solver.fitting.defaults:terms",
+    "fit_expression": "solver.fitting.fallback:fit",
     "load_activations": "solver.rig.result:load_activations",
     "load_weights": "solver.rig.result:load_weights",
     "run_job": "solver.jobs:run_job",
     "save_weights": "solver.rig.result:save_weights",
-    "unseen_regulariser": "solver.fitting.chosen:unseen_regulariser",
+    "unseen_regulariser": "solver.fitting.defaults:unseen_regulariser",
     "write_registered": "solver.meshio.registered:write_registered",
 }
 

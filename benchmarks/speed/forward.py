@@ -12,7 +12,7 @@ from benchmarks.speed.clock import Stopwatch
 from benchmarks.speed.solvers import CONVERGED, IPOPT_W_A, prepared
 from solver.fitting import (
     activation,
-    chosen,
+    defaults,
 )
 from solver.fitting.face import Face, Pose, State
 from solver.fitting.objective import SkinDistance, Target
@@ -75,7 +75,7 @@ def scaling(
     for edge in sorted(models, key=lambda edge: edge != common):
         model = models[edge]
         face = Face(model, linear=fastest())
-        regulariser = replace(chosen.unseen_regulariser(face), w_a=IPOPT_W_A)
+        regulariser = replace(defaults.unseen_regulariser(face), w_a=IPOPT_W_A)
         rest, preparing = prepared(face)
         fits, iterations = [], []
         for name in names:

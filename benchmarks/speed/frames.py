@@ -9,7 +9,7 @@ from benchmarks.speed.clock import Stopwatch
 from solver.errors import SolveError
 from solver.fitting import (
     activation,
-    chosen,
+    defaults,
 )
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face
@@ -27,7 +27,7 @@ def frames(face: Face, performance: IctPerformance, numbers: range, compared: in
     objective of the compared frames over the mean of their cold fits, less one. A frame that can
     not be fitted stays as the one before, and is in ``failed``.
     """
-    regulariser, rest = chosen.unseen_regulariser(face), face.rest_state()
+    regulariser, rest = defaults.unseen_regulariser(face), face.rest_state()
     tracker = Tracker(face, regulariser, rest)
     alone = set(numbers[:: max(len(numbers) // compared, 1)])
     milliseconds, errors, inverted, pairs, failed = [], [], 0, [], []

@@ -13,7 +13,7 @@ from benchmarks.speed.solvers import CONVERGED, IPOPT_W_A, prepared
 from solver.errors import SolveError
 from solver.fitting import (
     activation,
-    chosen,
+    defaults,
     reference,
 )
 from solver.fitting.activation import Resting
@@ -45,7 +45,7 @@ def against_ipopt(face: Face, targets: Mapping[str, Target]) -> list[Figures]:
     IPOPT's 1e-7; ``ratio_same`` of the times after which f is within 0.1 % of its end for good.
     """
     rest, _ = prepared(face)
-    regulariser = replace(chosen.unseen_regulariser(face), w_a=IPOPT_W_A)
+    regulariser = replace(defaults.unseen_regulariser(face), w_a=IPOPT_W_A)
     found = []
     for name, target in targets.items():
         data = SkinDistance(face, target)

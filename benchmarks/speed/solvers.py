@@ -12,7 +12,7 @@ from benchmarks.speed.clock import Stopwatch
 from solver.errors import SolveError
 from solver.fitting import (
     activation,
-    chosen,
+    defaults,
     per_tet,
 )
 from solver.fitting.activation import ActivationFit, ActivationOptions, Resting
@@ -34,7 +34,7 @@ expression. With 0.02 it fails for most of them. The scaling has it on all meshe
 
 def activations(face: Face, rest: Resting, targets: Mapping[str, Target]) -> list[Figures]:
     """Fit every target by A, cold: from the resting face ``rest``, which is :func:`prepared`."""
-    regulariser = chosen.unseen_regulariser(face)
+    regulariser = defaults.unseen_regulariser(face)
     found = []
     for name, target in targets.items():
         data = SkinDistance(face, target)
@@ -86,7 +86,7 @@ def compile_kernels(face: Face, phace: Face | None, target: Target) -> None:
     """Run every solver for a moment, so that no compilation is timed."""
     rest = face.rest_state()
     data = SkinDistance(face, target)
-    regulariser = chosen.unseen_regulariser(face)
+    regulariser = defaults.unseen_regulariser(face)
     activation.fit(face, data, regulariser, rest, ActivationOptions(1))
     if phace is not None:
         with contextlib.suppress(SolveError):

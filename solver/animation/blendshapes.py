@@ -22,7 +22,7 @@ from solver.anatomy.template import ShapeBasis
 from solver.errors import InputError, SolveError
 from solver.fitting import (
     activation,
-    chosen,
+    defaults,
 )
 from solver.fitting.activation import Resting
 from solver.fitting.face import Face, Pose
@@ -227,7 +227,7 @@ def solve_blendshapes(
     found = dict(done)
     if missing:
         rest = Resting(face)
-        data, regulariser = chosen.terms(face, missing), chosen.unseen_regulariser(face)
+        data, regulariser = defaults.terms(face, missing), defaults.unseen_regulariser(face)
         for name, target in missing.items():
             try:
                 fit = activation.fit(
@@ -235,7 +235,7 @@ def solve_blendshapes(
                     data[name],
                     regulariser,
                     rest.state,
-                    chosen.UNSEEN_STOP,
+                    defaults.UNSEEN_STOP,
                     matrix=rest.matrix,
                 )
                 state, settled = fit.state, True

@@ -94,7 +94,7 @@ def fit(
     Where the descent gets stuck, or the flesh buckles as it settles or does not settle at all, the
     fit goes on from the best that did settle, else from the rest pose; in the last case every state
     on the way is settled too. A descent that gets stuck where it began has found the minimum.
-    Raises :class:`SolveError` (``solve.no_convergence``) if the face can not be settled even so.
+    Raises :class:`SolveError` (``solve.no_convergence``) if the face cannot be settled even so.
     """
     options, descent = options or ActivationOptions(), descent or DescentOptions()
     best = None
@@ -108,7 +108,7 @@ def fit(
             break
         iterations += found.iterations
         stuck = not found.converged and found.iterations < options.max_iterations
-        state = _settled(face, found.state)
+        state = _settle(face, found.state)
         if state is not None:
             value = objective(data, regulariser, state)
             gained = best is None or value < (1.0 - options.tolerance) * best.objective
@@ -127,7 +127,7 @@ def fit(
     return best
 
 
-def _settled(face: Face, state: State) -> State | None:
+def _settle(face: Face, state: State) -> State | None:
     try:
         return face.solve_equilibrium(state.pose, state.x, state.equilibrium.factor)
     except SolveError:
@@ -195,7 +195,7 @@ class PoseProblem:
 
 
 class Resting:
-    """What all expressions of a face share: ``state``, the neutral face as an equilibrium.
+    """Neutral face, common to all expressions: ``state`` is its equilibrium.
 
     Raises :class:`SolveError` if there is none.
     """

@@ -25,14 +25,21 @@ from solver.errors import SolveError
 from solver.model import SubjectModel
 from solver.surface import Floats, Surface
 
-LIPS_WEIGHT, TEETH_WEIGHT = 600.0, 150.0
-"""A lip's vertex in contact counts like so many vertices of the face skin: its depth beyond the
-slack has to be small even where a scan, by interpolation or registration, crosses itself. Teeth
-count less, as such scans have lips some millimetres deep in them."""
-LIPS_SLACK_MM = 0.2
-TEETH_SLACK_MM = 1.0
-"""Free, as is what is deeper in the neutral. With 0.3 a fit of S came 6 % less near to scans that
-lie 2.4 mm deep."""
+
+@dataclass(frozen=True)
+class LipContactOptions:
+    """Weights of a lip's vertex in contact, in vertices of the face skin, and what is free.
+
+    The weights make depths beyond the slack small even where a scan, by interpolation or
+    registration, crosses itself. Teeth count less: such scans have lips some millimetres in them.
+    """
+
+    lips_weight: float = 600.0  # w_d k
+    teeth_weight: float = 150.0  # w_h k
+    lips_slack_mm: float = 0.2
+    # free, as is what is deeper in the neutral: with 0.3 a fit of S came 6 % less near to scans
+    # that lie 2.4 mm deep
+    teeth_slack_mm: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -47,7 +54,7 @@ class _Touching:
     weight: Floats
 
     @classmethod
-    def together(cls, parts: list[_Touching]) -> _Touching:
+    def join(cls, parts: list[_Touching]) -> _Touching:
         """Return the vertices of all parts."""
         return cls(
             np.concatenate([part.depth for part in parts]),
@@ -59,7 +66,10 @@ class _Touching:
 class Teeth:
     """Upper and lower teeth, as far as a model has them, and how far behind them its lips are."""
 
-    def __init__(self, model: SubjectModel, mouth: Mouth) -> None:
+    def __init__(
+        self, model: SubjectModel, mouth: Mouth, options: LipContactOptions = LipContactOptions()
+    ) -> None:
+        self._weight = options.teeth_weight
         lips = np.flatnonzero(mouth.label == LIPS)
         self._rows = sp.csr_array(mouth.rows[lips])
         self._offset = mouth.offset[lips]
@@ -71,7 +81,7 @@ class Teeth:
             if not len(faces):
                 return None
             arch = Arch.of(Surface(rest, faces))
-            return Excess(arch, free_depths(arch, rest[lips], TEETH_SLACK_MM))
+            return Excess(arch, free_depths(arch, rest[lips], options.teeth_slack_mm))
 
         self._upper, self._lower = row(UPPER_TEETH), row(LOWER_TEETH)
 
@@ -90,44 +100,50 @@ class Teeth:
             found.append(self._deep(depth, slope @ turn, apart))
         return found
 
-    @staticmethod
-    def _deep(depth: Floats, slope: Floats, rows: sp.csr_array) -> _Touching:
+    def _deep(self, depth: Floats, slope: Floats, rows: sp.csr_array) -> _Touching:
         """Return what is deep among points that move with ``rows @ x``."""
         deep = np.flatnonzero(depth)
         by_x = along(sp.csr_array(rows[deep]), slope[deep])
-        return _Touching(depth[deep], by_x, np.full(len(deep), TEETH_WEIGHT))
+        return _Touching(depth[deep], by_x, np.full(len(deep), self._weight))
 
 
 class Contact:
     """The term c, a :class:`solver.fitting.objective.Term`.
 
-    w_d and w_h are :data:`LIPS_WEIGHT` and :data:`TEETH_WEIGHT` over k, for k face vertices. Fits
+    w_d and w_h are the weights of :class:`LipContactOptions` over k, for k face vertices. Fits
     of several expressions share the ``teeth``. Its methods raise :class:`SolveError`
     (``solve.not_finite``) where x is not finite.
     """
 
-    def __init__(self, model: SubjectModel, mouth: Mouth, teeth: Teeth) -> None:
+    def __init__(
+        self,
+        model: SubjectModel,
+        mouth: Mouth,
+        teeth: Teeth,
+        options: LipContactOptions = LipContactOptions(),
+    ) -> None:
+        self._options = options
         self._mouth = mouth
         self._teeth = teeth
         # the data's weights sum to one over the face
-        self._share = 1.0 / len(model.face)
+        self._scale = 1.0 / len(model.face)
         self._last: tuple[Floats, _Touching] | None = None
 
     def value(self, x: Floats) -> float:
         """See :class:`solver.fitting.objective.Term`."""
         touching = self._touching(x)
-        return 0.5 * self._share * float(touching.weight @ touching.depth**2)
+        return 0.5 * self._scale * float(touching.weight @ touching.depth**2)
 
     def gradient(self, x: Floats) -> Floats:
         """See :class:`solver.fitting.objective.Term`."""
         touching = self._touching(x)
-        push = self._share * touching.weight * touching.depth
+        push = self._scale * touching.weight * touching.depth
         return np.asarray(touching.slope.T @ push).reshape(x.shape)
 
     def curvature(self, x: Floats) -> sp.csr_array:
         """See :class:`solver.fitting.objective.Term`."""
         touching = self._touching(x)
-        weights = sp.diags_array(self._share * touching.weight)
+        weights = sp.diags_array(self._scale * touching.weight)
         return sp.csr_array(touching.slope.T @ (weights @ touching.slope))
 
     def _touching(self, x: Floats) -> _Touching:
@@ -135,22 +151,22 @@ class Contact:
         if not np.isfinite(x).all():
             raise SolveError("solve.not_finite", "the flesh has run away: x is not finite")
         if self._last is None or not np.array_equal(self._last[0], x):
-            found = [_lips(self._mouth, x), *self._teeth.touching(x)]
-            self._last = x.copy(), _Touching.together(found)
+            found = [_lips(self._mouth, x, self._options), *self._teeth.touching(x)]
+            self._last = x.copy(), _Touching.join(found)
         return self._last[1]
 
 
-def _lips(mouth: Mouth, x: Floats) -> _Touching:
+def _lips(mouth: Mouth, x: Floats, options: LipContactOptions) -> _Touching:
     """Find the lips' vertices in the other lip.
 
     The nearest point's place in its triangle is at a minimum, so that its change does not count:
     the depth grows as that point moves out, or the vertex in.
     """
     found = between_lips(mouth, mouth.points(x))
-    deep = found.where(found.depth > LIPS_SLACK_MM)
+    deep = found.where(found.depth > options.lips_slack_mm)
     count = len(mouth.label)
     nearest = rows_of(deep.corners, deep.shares, count)
     vertex = rows_of(deep.ids[:, None], np.ones((len(deep.ids), 1)), count)
     apart = sp.csr_array((nearest - vertex) @ mouth.rows)
-    weight = np.full(len(deep.ids), LIPS_WEIGHT)
-    return _Touching(deep.depth - LIPS_SLACK_MM, along(apart, deep.out), weight)
+    weight = np.full(len(deep.ids), options.lips_weight)
+    return _Touching(deep.depth - options.lips_slack_mm, along(apart, deep.out), weight)

@@ -124,7 +124,7 @@ class Layout:
 
 
 class FitControls(Protocol):
-    """What a fit varies: q (size,) in ``layout``, and what it makes of the flesh."""
+    """Variables of a fit: q (size,) in ``layout``, and what they make of the flesh."""
 
     @property
     def layout(self) -> Layout:

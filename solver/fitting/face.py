@@ -23,20 +23,21 @@ from solver.model import SubjectModel
 from solver.surface import Floats
 from solver.threads import leave_threads_to_kernels
 
-GUESSES = (1.0, 0.7, 0.4, 0.0)
-"""Parts of a predicted motion that are tried as a start."""
 
-MIN_GUESS_RATIO = 0.3
-"""How far a predicted motion may narrow a tet."""
+@dataclass(frozen=True)
+class ContinuationOptions:
+    """The way from pose to pose."""
 
-SMALLEST_FRACTION, TRAVELLED_FRACTION = 2.0**-6, 2.0**-3
-"""How far the way to a new pose is cut before it counts as out of reach, and as too far for a fit's
-step."""
+    guesses: tuple[float, ...] = (1.0, 0.7, 0.4, 0.0)  # parts of a predicted motion to start from
+    min_ratio: float = 0.3  # by which a predicted motion may narrow a tet
+    # smallest step, as a fraction of the way, before a pose is out of reach, or a fit's step
+    smallest: float = 2.0**-6
+    smallest_in_fit: float = 2.0**-3
 
 
 @dataclass(frozen=True)
 class Pose:
-    """What drives the face: muscle activations ``a`` (m, 6) and the jaw ``b`` (5,)."""
+    """Muscle activations ``a`` (m, 6) and the jaw ``b`` (5,), which drive the face."""
 
     a: Floats
     b: Floats
@@ -103,9 +104,11 @@ class Face:
         stiffness_factor: Floats | None = None,
         growth: Floats | None = None,
         bones: Floats | None = None,
+        options: ContinuationOptions = ContinuationOptions(),
     ) -> None:
         leave_threads_to_kernels()
         self.model = model
+        self.options = options
         self.S: sp.csr_array = model.weights if S is None else S
         material = material or COROTATED_TRACE
         self._held_rest = model.rest if bones is None else model.rest + bones
@@ -219,9 +222,9 @@ class Face:
         base = state.x.copy()
         base[self.model.mandible] = self.mandible(pose.b)
         best, least = base, np.inf
-        for part in GUESSES:
+        for fraction in self.options.guesses:
             x = base.copy()
-            x[self.flesh.free] += part * motion
+            x[self.flesh.free] += fraction * motion
             energy = self.flesh.energy(x, a)
             if energy > least:
                 break
@@ -231,12 +234,12 @@ class Face:
     def continuation(self, start: State, pose: Pose) -> State:
         """Go from a settled state to another pose along the straight line between them.
 
-        Raises the last :class:`SolveError` if the pose can not be reached.
+        Raises the last :class:`SolveError` if the pose cannot be reached.
         """
-        return self._along(start, pose, SMALLEST_FRACTION, settled=True)
+        return self._along(start, pose, self.options.smallest, settled=True)
 
     def newton_continuation(self, state: State, response: Floats, pose: Pose) -> State:
-        """Do as :meth:`newton_predict`, but in parts of the way where the flesh would invert.
+        """Do as :meth:`newton_predict`, but step by step where the flesh would invert.
 
         Where it buckles instead, steps are dear and lead no further.
         """
@@ -245,7 +248,7 @@ class Face:
         except SolveError as error:
             if error.code != "solve.inverted":
                 raise
-            return self._along(state, pose, TRAVELLED_FRACTION, settled=False)
+            return self._along(state, pose, self.options.smallest_in_fit, settled=False)
 
     def _along(self, start: State, pose: Pose, smallest: float, *, settled: bool) -> State:
         """Go to a pose along the straight line, in steps of at least the ``smallest`` fraction.
@@ -261,7 +264,7 @@ class Face:
             x = self.predict(state, target)
             ratio = self.flesh.min_jacobian_ratio(state.x, x)
             least = fraction <= smallest
-            if ratio >= MIN_GUESS_RATIO or least:
+            if ratio >= self.options.min_ratio or least:
                 try:
                     state = self._reach(state, target, x, settled=settled and goal == 1.0)
                     done = goal
@@ -270,7 +273,7 @@ class Face:
                         raise
                     ratio = -np.inf
             # as a tet narrows about linearly, this is the longest step that flattens none
-            fit = 0.9 * (1.0 - MIN_GUESS_RATIO) / max(1.0 - ratio, 0.1)
+            fit = 0.9 * (1.0 - self.options.min_ratio) / max(1.0 - ratio, 0.1)
             fraction = max(fraction * min(max(fit, 0.25), 2.0), smallest)
         return state
 

@@ -21,11 +21,9 @@ from solver.fitting.objective import Regulariser, Term
 from solver.fitting.sensitivity import Sensitivity
 from solver.surface import Floats
 
-PRODUCTS = 16
-"""Products with J^T C J for a step at most."""
-
+PRODUCTS = 16  # with J^T C J for a step, at most
+# length of the correction that a step is left without, relative to it in the model's own norm
 ACCURACY = 0.1
-"""Length of the correction that a step is left without, as a part of it in the model's own norm."""
 
 
 class GaussNewton:
@@ -54,22 +52,22 @@ class GaussNewton:
         """
         units = damping * self._layout.damping
         known = self._regulariser + np.diag(units)
-        step, bent = np.zeros_like(self._gradient), np.zeros_like(self._gradient)
+        step, curved = np.zeros_like(self._gradient), np.zeros_like(self._gradient)
         for _ in range(PRODUCTS):
-            residual = -(self._gradient + bent)
+            residual = -(self._gradient + curved)
             direction = solve_positive(self.matrix + known, residual)
             square = direction @ residual
-            if square <= ACCURACY**2 * step @ bent:
+            if square <= ACCURACY**2 * step @ curved:
                 break
             seen = self._product(direction)
             self.matrix = _update(self.matrix, direction, seen)
             image = seen + known @ direction
             length = square / (direction @ image)
             step = step + length * direction
-            bent = bent + length * image
-        part = 1.0 / max(self._layout.reach(step) / trust, 1.0)
-        step, bent = part * step, part * (bent - units * step)
-        slope, bend = float(self._gradient @ step), float(step @ bent)
+            curved = curved + length * image
+        fraction = 1.0 / max(self._layout.reach(step) / trust, 1.0)
+        step, curved = fraction * step, fraction * (curved - units * step)
+        slope, bend = float(self._gradient @ step), float(step @ curved)
         response = self._sensitivity.flesh_by_pose(step)
         return Step(step, slope, bend, self._layout.reach(step), response)
 

@@ -16,23 +16,22 @@ import scipy.sparse as sp
 from solver.errors import InputError, Notice, SolveError
 from solver.fitting import (
     activation,
-    chosen,
+    fallback,
     joint,
     reference,
+    simplex,
 )
 from solver.fitting.activation import ActivationOptions, Resting
-from solver.fitting.chosen import ChosenFit
 from solver.fitting.face import Face, State
-from solver.fitting.joint import GeometryProblem, Iterate, replace_values
+from solver.fitting.fallback import FallbackFit
+from solver.fitting.joint import GeometryProblem, Iterate
 from solver.fitting.objective import Regulariser, Target, Term
 from solver.fitting.reference import NotConvergedError
 from solver.fitting.reference.common import Listener as IpoptListener
+from solver.fitting.simplex import replace_values
 
-WHOLE_ROUNDS = 5
-"""Rounds at the end that see all terms."""
-
-LAST = ActivationOptions(20, tolerance=1e-3)
-"""Of the activations, once S is found."""
+WHOLE_ROUNDS = 5  # at the end, which see all terms
+LAST = ActivationOptions(20, tolerance=1e-3)  # of the activations, once S is found
 
 
 @dataclass(frozen=True)
@@ -67,11 +66,11 @@ class GeometryFit:
     S: sp.csr_array
     states: dict[str, State]
     iterations: dict[str, int]
-    endings: dict[str, ChosenFit]
+    endings: dict[str, FallbackFit]
 
 
+# called as a round (from 0) begins, with the states so far
 Listener = Callable[[int, Mapping[str, State]], None]
-"""Called as a round (from 0) begins, with the states so far."""
 
 
 def fit(
@@ -79,22 +78,22 @@ def fit(
     data: Mapping[str, Term],
     options: GeometryOptions | None = None,
     *,
-    easy: Mapping[str, Term] | None = None,
+    first_terms: Mapping[str, Term] | None = None,
     start: sp.csr_array | None = None,
     structure: sp.csr_array | None = None,
     listen: Listener | None = None,
 ) -> GeometryFit:
     """Fit S, activations and jaws to all data, from S ``start`` and the rest pose.
 
-    ``easy`` takes the place of ``data`` in all but the last rounds (:data:`WHOLE_ROUNDS`): the
-    distance without contact, which many small steps would otherwise be needed for.
+    ``first_terms`` takes the place of ``data`` in all but the last rounds (:data:`WHOLE_ROUNDS`):
+    the distance without contact, which many small steps would otherwise be needed for.
     Without ``start`` it is the model's geometric S; it has to have that one's pattern.
     ``structure`` L (k, nnz) adds 1/2 |L (S - start)|^2 (:mod:`solver.fitting.joint`). An
-    expression that can not be settled at the end is the best that was found of it, and its ending
+    expression that cannot be settled at the end is the best that was found of it, and its ending
     says so.
     """
     options = options or GeometryOptions()
-    easy = data if easy is None else easy
+    first_terms = data if first_terms is None else first_terms
     S = face.model.weights if start is None else start
     structure = sp.csr_array((0, S.nnz)) if structure is None else structure
     face = face.with_weights(S)
@@ -110,7 +109,7 @@ def fit(
         name: activation.improve(
             face, term, begin, rest.state, first, go=Face.newton_predict, matrix=rest.matrix
         ).state
-        for name, term in easy.items()
+        for name, term in first_terms.items()
     }
     now = Iterate(S, states)
     prior = S.data
@@ -120,7 +119,7 @@ def fit(
         if listen:
             listen(number, now.states)
         w_a, w_s = options.weights(number)
-        terms = data if number >= whole else easy
+        terms = data if number >= whole else first_terms
         problem = GeometryProblem(face, terms, regulariser(w_a), w_s, prior, structure)
         before = problem.value(now.S, now.states)
         now = joint.step(problem, now)
@@ -132,10 +131,10 @@ def fit(
             # what is left of this stage gains nothing: on to the whole rounds, or to the end
             number, idle = (whole, 0) if number < whole else (options.rounds, 0)
     face = face.with_weights(now.S)
-    return ended(face, data, regulariser(options.w_a[1]), now.states, steps)
+    return finish(face, data, regulariser(options.w_a[1]), now.states, steps)
 
 
-def ended(
+def finish(
     face: Face,
     data: Mapping[str, Term],
     regulariser: Regulariser,
@@ -145,7 +144,7 @@ def ended(
     """Settle states that were only approached, together with a last fit of the activations."""
     rest = Resting(face)
     endings = {
-        name: chosen.fit(face, term, regulariser, rest, LAST, start=states[name])
+        name: fallback.fit(face, term, regulariser, rest, LAST, start=states[name])
         for name, term in data.items()
     }
     return GeometryFit(
@@ -168,11 +167,9 @@ def mean_error(face: Face, targets: Mapping[str, Target], states: Mapping[str, S
 # The multi-target problem by IPOPT, for jobs: small meshes only.
 
 
-MOST_TETS = 2000
-"""Tets times expressions beyond which a solve takes hours and gigabytes."""
-
-TOLERANCE = 1e-4
-ITERATIONS_A_ROUND = 50
+MOST_TETS = 2000  # times expressions: beyond, a solve takes hours and gigabytes
+TOLERANCE = 1e-4  # IPOPT's
+ITERATIONS_A_ROUND = 50  # of IPOPT, for one of the rounds that are asked for
 
 
 def most_iterations(options: GeometryOptions) -> int:
@@ -230,10 +227,10 @@ def fit_by_ipopt(
         message = f"{error.message}; the best result so far is kept"
         notices = (Notice(error.code, message, error.context),)
     # IPOPT keeps the simplex to its tolerance only
-    face = face.with_weights(replace_values(S, joint.project(found.S.data, S.indptr)))
+    face = face.with_weights(replace_values(S, simplex.project(found.S.data, S.indptr)))
     states = {name: _near(face, found, name, rest) for name in data}
     steps = dict.fromkeys(data, found.iterations)
-    return ended(face, data, regulariser, states, steps), notices
+    return finish(face, data, regulariser, states, steps), notices
 
 
 def _near(face: Face, found: reference.GeometryReference, name: str, rest: State) -> State:

@@ -123,7 +123,7 @@ class Trial(Generic[Point]):
 
 @dataclass(frozen=True)
 class Minimum(Generic[Point]):
-    """Where a descent ended: f there, the steps taken to it, and why.
+    """End of a descent: f there, the steps taken to it, and why.
 
     ``idle`` says that one more search was begun and led nowhere.
     """
@@ -227,7 +227,7 @@ class TrustRegion:
 
 @dataclass(frozen=True)
 class HalvingOptions:
-    """How often a step is halved, and the ratio of its gain below which the descent ends."""
+    """Tries of a step and its halves, and the ratio of its gain below which the descent ends."""
 
     tries: int = 3
     least_ratio: float = -np.inf

@@ -1,4 +1,4 @@
-"""What a fit minimises: the distance to the target, and the regularisers on the activations.
+"""The objective of fits: the distance to the target, and the regularisers on the activations.
 
     f(a, b) = sum_v w_v |(M x)_v - t_v|^2 + w_a/2 |a - a_prior|^2 + w_v/2 sum_j (det S(a_j) - 1)^2
               + w_b/2 |D (b - b_prior)|^2 + w_e/2 sum_jk max(0, e - lambda_k(S(a_j)))^2
@@ -24,13 +24,13 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.stretches import matrices
 from solver.surface import Floats
 
+# the eigenvalue e of S(a_j) that a muscle hardly goes below: contraction to a tenth
 LEAST_STRETCH = 0.1
-"""The eigenvalue e of S(a_j) that a muscle hardly goes below: contraction to a tenth."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """Where the face skin should be: ``points`` (k, 3) in mm and ``weights`` (k,) that sum to 1.
+    """Goal of the face skin: ``points`` (k, 3) in mm and ``weights`` (k,) that sum to 1.
 
     With unit ``normals`` (k, 3) only the distance along them counts (point to plane).
     """
@@ -65,19 +65,19 @@ class Target:
 
     def value(self, points: Floats) -> float:
         """Return sum_v w_v |p_v - t_v|^2, or of the distances along the normals, in mm^2."""
-        return float(self.weights @ np.sum(self._measured(points) ** 2, axis=1))
+        return float(self.weights @ np.sum(self._offset(points) ** 2, axis=1))
 
     def gradient(self, points: Floats) -> Floats:
         """Return the derivative of :meth:`value` by the points, (k, 3)."""
-        return np.asarray(2.0 * self.weights[:, None] * self._measured(points))
+        return np.asarray(2.0 * self.weights[:, None] * self._offset(points))
 
     def distances(self, points: Floats) -> Floats:
         """Return |p_v - t_v|, or that along the normals, (k,) mm; NaN where it has no point."""
-        distance = np.linalg.norm(self._measured(points), axis=1)
+        distance = np.linalg.norm(self._offset(points), axis=1)
         return np.where(self.weights > 0.0, distance, np.nan)
 
-    def _measured(self, points: Floats) -> Floats:
-        """Return the part (k, 3) of p_v - t_v that counts."""
+    def _offset(self, points: Floats) -> Floats:
+        """Return p_v - t_v (k, 3), along the normals where there are any."""
         offset = points - self.points
         if self.normals is None:
             return offset
@@ -126,17 +126,17 @@ class Regulariser:
         det = determinants(pose.a) - 1.0
         by_a = self.w_a * (pose.a - self.prior.a)
         by_a = by_a + self.w_v * det[:, None] * determinant_gradients(pose.a)
-        lack, slopes = lacking_eigenvalues(pose.a)
-        by_a -= self.w_e * np.einsum("jk,jkq->jq", lack, slopes)
+        lack, gradients = lacking_eigenvalues(pose.a)
+        by_a -= self.w_e * np.einsum("jk,jkq->jq", lack, gradients)
         by_b = self.w_b * JAW_UNITS**2 * (pose.b - self.prior.b)
         return pose.layout.join([by_a, by_b])
 
     def gauss_newton(self, pose: Pose) -> Floats:
         """Return the Gauss-Newton Hessian by (a, b), (6 m + 5, 6 m + 5)."""
         layout = pose.layout
-        slopes = determinant_gradients(pose.a)
+        gradients = determinant_gradients(pose.a)
         _, towards = lacking_eigenvalues(pose.a)
-        blocks = self.w_v * slopes[:, :, None] * slopes[:, None, :]
+        blocks = self.w_v * gradients[:, :, None] * gradients[:, None, :]
         blocks += self.w_e * towards.transpose(0, 2, 1) @ towards
         entries = layout.places("activations")
         out = np.zeros((layout.size, layout.size))
@@ -175,8 +175,8 @@ def lacking_eigenvalues(a: Floats) -> tuple[Floats, Floats]:
     values, vectors = np.linalg.eigh(matrices(a))
     lack = np.maximum(LEAST_STRETCH - values, 0.0)
     x, y, z = vectors.transpose(1, 0, 2)
-    slopes = np.stack([x * x, 2 * x * y, 2 * x * z, y * y, 2 * y * z, z * z], axis=2)
-    return lack, slopes * (lack > 0.0)[:, :, None]
+    gradients = np.stack([x * x, 2 * x * y, 2 * x * z, y * y, 2 * y * z, z * z], axis=2)
+    return lack, gradients * (lack > 0.0)[:, :, None]
 
 
 # Parts of a fit's objective that depend on the tets' vertices x alone.
@@ -242,7 +242,7 @@ class SkinDistance:
 
 
 @dataclass(frozen=True)
-class Together:
+class SumTerm:
     """The sum of terms."""
 
     terms: tuple[Term, ...]

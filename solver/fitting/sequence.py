@@ -85,12 +85,12 @@ class _Kept:
 
 @dataclass(frozen=True)
 class _Found:
-    """A frame's state with its f, the steps to it, and whether what is kept led there easily."""
+    """A frame's state with its f, the steps to it, and whether what is kept led to convergence."""
 
     state: State
     value: float
     steps: int
-    easily: bool
+    converged: bool
 
 
 class Tracker:
@@ -130,7 +130,7 @@ class Tracker:
         ``before`` is the frame before's pose, where the state is this frame's already: fitted to
         another placing of the head.
 
-        Raises :class:`SolveError` if it can not be fitted; the state stays that of the frame
+        Raises :class:`SolveError` if it cannot be fitted; the state stays that of the frame
         before.
         """
         data = SkinDistance(self.face, target)
@@ -153,11 +153,11 @@ class Tracker:
                 self._whole_fit,
                 matrix=None if self._kept is None else self._kept.hessian,
             )
-            found = _Found(fitted.state, fitted.objective, fitted.iterations, easily=False)
+            found = _Found(fitted.state, fitted.objective, fitted.iterations, converged=False)
             self._age = self._options.kept_frames
         self.state, self._value = found.state, found.value
         self._age += 1
-        if not found.easily and self._age >= self._options.kept_frames:
+        if not found.converged and self._age >= self._options.kept_frames:
             self._keep(data)
         return found.steps
 
@@ -183,8 +183,8 @@ class Tracker:
         found = minimise(problem, self.state, self._search, self._options.stop)
         if found.ending == Ending.STUCK and not found.steps:
             return None
-        easily = found.ending == Ending.CONVERGED
-        return _Found(found.point, found.value, found.steps, easily)
+        converged = found.ending == Ending.CONVERGED
+        return _Found(found.point, found.value, found.steps, converged)
 
 
 @dataclass(frozen=True)
@@ -238,23 +238,25 @@ class _FrameProblem:
 # How still each point of the face lies on the skull, by the model's own mechanics.
 
 
-EXCITED = 0.2
-"""Change of an activation's entry that counts as usual."""
-JAW_MOTION = np.array([0.2, 0.1, 3.0, 3.0, 3.0])
-"""Usual motion of the jaw, rad and mm."""
-MOBILE_MM = 0.4
-"""Motion that halves a point's stillness."""
+@dataclass(frozen=True)
+class UsualMotion:
+    """Changes of the pose that count as usual, and a motion that makes a point mobile."""
+
+    activation: float = 0.2  # of an entry
+    jaw: tuple[float, ...] = (0.2, 0.1, 3.0, 3.0, 3.0)  # rad and mm
+    mobile_mm: float = 0.4  # of a point that is half as still as the skull
 
 
-def stillness(face: Face) -> Floats:
+def stillness(face: Face, usual: UsualMotion = UsualMotion()) -> Floats:
     """Return weights (k,) in (0, 1] of the face's points: 1 where no muscle nor the jaw moves it.
 
     The motion is the linear response, at rest, to usual changes of every activation and of the
     jaw, all at once and independent of each other.
     """
     by_pose = Sensitivity(face, face.rest_state()).motions_by_pose()
-    usual = face.layout.join([np.full_like(face.rest_pose().a, EXCITED), JAW_MOTION])
-    columns = (by_pose * usual).reshape(len(by_pose), -1)
+    by_a = np.full_like(face.rest_pose().a, usual.activation)
+    change = face.layout.join([by_a, np.array(usual.jaw)])
+    columns = (by_pose * change).reshape(len(by_pose), -1)
     motion = np.asarray(face.face_embedding @ columns)
     squares = np.sum(motion.reshape(len(motion), -1) ** 2, axis=1)
-    return np.asarray(1.0 / (1.0 + squares / MOBILE_MM**2) ** 2)
+    return np.asarray(1.0 / (1.0 + squares / usual.mobile_mm**2) ** 2)

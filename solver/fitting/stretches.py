@@ -15,15 +15,11 @@ import scipy.sparse as sp
 from solver.model import SubjectModel
 from solver.surface import Floats
 
+# |S(a)|^2 = sum of these times a^2: an off-diagonal entry stands for two of the matrix
 FROBENIUS = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])
-"""|S(a)|^2 = sum of these times a^2: an off-diagonal entry stands for two of the matrix."""
-
-PLACES = [0, 1, 2, 1, 3, 4, 2, 4, 5]
-"""Where the nine entries of S(a) stand in a."""
-
-ROW, COLUMN = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]
-UNITS = np.eye(6)[:, PLACES].reshape(6, 3, 3)
-"""The matrices dS/da_q."""
+PLACES = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # in a, of the nine entries of S(a)
+ROW, COLUMN = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]  # in S(a), of the six entries of a
+UNITS = np.eye(6)[:, PLACES].reshape(6, 3, 3)  # the matrices dS/da_q
 
 
 def matrices(a: Floats) -> Floats:
@@ -37,7 +33,7 @@ def metric(a: Floats) -> Floats:
     return np.asarray(np.einsum("nqij,nrji->nqr", by_entry, by_entry))
 
 
-def moved(a: Floats, step: Floats) -> Floats:
+def move(a: Floats, step: Floats) -> Floats:
     """Return the activations (n, 6) that a ``step`` (n, 6) leads to."""
     stretch, frame = np.linalg.eigh(matrices(a))
     root = np.einsum("nik,nk,njk->nij", frame, np.sqrt(stretch), frame)
@@ -47,7 +43,7 @@ def moved(a: Floats, step: Floats) -> Floats:
     return np.asarray((half @ half.transpose(0, 2, 1))[:, ROW, COLUMN])
 
 
-# What it is for a muscle to shorten along its fibres: one activation from one stretch.
+# Volume-preserving activation for a given fibre stretch.
 
 
 def fibre_tensors(model: SubjectModel, volumes: Floats, S: sp.csr_array) -> Floats:
@@ -57,14 +53,14 @@ def fibre_tensors(model: SubjectModel, volumes: Floats, S: sp.csr_array) -> Floa
     """
     out = np.zeros((model.muscle_count + 1, 3, 3))
     if model.fibres is not None:
-        share = S.data * np.repeat(volumes, np.diff(S.indptr))
-        outer = share[:, None, None] * model.fibres[:, :, None] * model.fibres[:, None, :]
+        volume = S.data * np.repeat(volumes, np.diff(S.indptr))
+        outer = volume[:, None, None] * model.fibres[:, :, None] * model.fibres[:, None, :]
         np.add.at(out, S.indices, outer)
     size = np.trace(out[1:], axis1=1, axis2=2)[:, None, None]
     return np.asarray(np.divide(out[1:], size, out=np.full_like(out[1:], np.nan), where=size > 0.0))
 
 
-def shortened(tensor: Floats, stretch: float) -> Floats:
+def shorten(tensor: Floats, stretch: float) -> Floats:
     """Return the activation (6,) that brings fibres to ``stretch`` and keeps the muscle's volume.
 
     ``tensor`` (3, 3) is the mean of d d^T. Its deviator is the logarithmic strain: parallel fibres

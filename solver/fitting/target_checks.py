@@ -1,4 +1,4 @@
-"""Targets that a face can not reach: found before the fit where possible, else by what it leaves.
+"""Targets that a face cannot reach: found before the fit where possible, else by what it leaves.
 
 The limits are the project's own. Captured expressions stay well within them; what they are for are
 mistakes (a scan that was turned, named twice or replaced) and artifacts of scanners.
@@ -7,6 +7,7 @@ mistakes (a scan that was turned, named twice or replaced) and artifacts of scan
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -24,49 +25,54 @@ from solver.surface import (
     vertex_areas,
 )
 
-SAME_MM = 0.01
-"""Scans nearer than this everywhere are one scan; a repeated capture differs by its noise."""
 
-TURNED_DEGREES = 4.0
-SHIFTED_MM = 5.0
-"""Motion of the whole head that stabilised scans do not have."""
+@dataclass(frozen=True)
+class TargetLimits:
+    """Limits beyond which a target is odd, or what a fit leaves of it."""
 
-STILL_MM = 2.0
-STILL_STEPS = 10
-"""Skin further than this from the head's motion moves by itself and loses its say."""
-
-STRETCH = 3.0
-STRETCHED_MM = 5.0
-"""An edge of the skin longer than so many times its length, and by so much, is no skin."""
-
-LEAST_COVERAGE = 0.4
-
-RESIDUAL_MM = 2.0
-STANDS_OUT = 5.0
-PATCH_MM = 5.0
-"""Distance left by a fit that is worth a look, also as a multiple of the expression's median, and
-the diameter of a disc as large as the patch where it is."""
-
-MOST_PATCHES = 3
+    same_mm: float = 0.01  # scans nearer everywhere are one; a repeated capture differs by noise
+    # motion of the whole head, which stabilised scans do not have
+    turned_degrees: float = 4.0
+    shifted_mm: float = 5.0
+    # an edge stretched by this ratio and by more than this length is a registration error
+    stretch_ratio: float = 3.0
+    stretch_mm: float = 5.0
+    coverage: float = 0.4  # of the face, at least
+    # distance left by a fit that is worth a look, also as a multiple of the expression's median,
+    # and the diameter of a disc as large as the patch where it is
+    residual_mm: float = 2.0
+    residual_ratio: float = 5.0
+    patch_mm: float = 5.0
+    patches: int = 3  # that are named, at most
 
 
-def before_fit(model: SubjectModel, scans: Mapping[str, RegisteredScan]) -> list[Notice]:
+def before_fit(
+    model: SubjectModel,
+    scans: Mapping[str, RegisteredScan],
+    limits: TargetLimits = TargetLimits(),
+) -> list[Notice]:
     """Return what is odd about scans by name, each a registered scan of ``model``'s topology."""
-    found = [*_repeated(model, scans), *_same_name(model, scans)]
+    found = [*_find_repeated(model, scans, limits), *_find_same_name(model, scans, limits)]
     for name, scan in scans.items():
         found += [
-            *_uncovered(model, name, scan),
-            *_turned(model, name, scan),
-            *_stretched(model, name, scan),
+            *_check_coverage(model, name, scan, limits),
+            *_check_head(model, name, scan, limits),
+            *_check_edges(model, name, scan, limits),
         ]
     return found
 
 
-def replaced(model: SubjectModel, name: str, before: Floats, scan: RegisteredScan) -> list[Notice]:
+def check_replaced(
+    model: SubjectModel,
+    name: str,
+    before: Floats,
+    scan: RegisteredScan,
+    limits: TargetLimits = TargetLimits(),
+) -> list[Notice]:
     """Return whether ``scan`` is another one than ``before`` (V, 3), whose name it takes."""
     face = _seen(model, scan)
     away = np.linalg.norm(scan.vertices[face] - before[face], axis=1)
-    if away.max(initial=0.0) <= RESIDUAL_MM:
+    if away.max(initial=0.0) <= limits.residual_mm:
         return []
     vertex = int(face[away.argmax()])
     where = _where(model, vertex)
@@ -77,7 +83,9 @@ def replaced(model: SubjectModel, name: str, before: Floats, scan: RegisteredSca
     return [_notice("target.replaced", message, name, model, vertex, away.max())]
 
 
-def after_fit(model: SubjectModel, name: str, error_mm: Floats) -> list[Notice]:
+def after_fit(
+    model: SubjectModel, name: str, error_mm: Floats, limits: TargetLimits = TargetLimits()
+) -> list[Notice]:
     """Return where an expression stays away from its scan; ``error_mm`` (V,), NaN where unseen.
 
     One notice for each of the worst connected patches of the face whose error stands out.
@@ -87,7 +95,7 @@ def after_fit(model: SubjectModel, name: str, error_mm: Floats) -> list[Notice]:
     seen = error_mm[model.face][np.isfinite(error_mm[model.face])]
     if not len(seen):
         return []
-    high = error > max(RESIDUAL_MM, STANDS_OUT * float(np.median(seen)))
+    high = error > max(limits.residual_mm, limits.residual_ratio * float(np.median(seen)))
     edges = _edges(model)
     joined = edges[high[edges].all(axis=1)]
     graph = sp.coo_array((np.ones(len(joined)), joined.T), shape=(len(error),) * 2)
@@ -96,7 +104,7 @@ def after_fit(model: SubjectModel, name: str, error_mm: Floats) -> list[Notice]:
     found = []
     for number in np.unique(patch[high]):
         size = 2.0 * float(np.sqrt(area[number] / np.pi))
-        if size < PATCH_MM:
+        if size < limits.patch_mm:
             continue
         vertices = np.flatnonzero((patch == number) & high)
         worst = int(vertices[error[vertices].argmax()])
@@ -108,17 +116,19 @@ def after_fit(model: SubjectModel, name: str, error_mm: Floats) -> list[Notice]:
         notice = _notice("fit.unreached", message, name, model, worst, error[worst])
         notice.context["size_mm"] = round(size, 1)
         found.append(notice)
-    return sorted(found, key=lambda notice: -notice.context["mm"])[:MOST_PATCHES]
+    return sorted(found, key=lambda notice: -notice.context["mm"])[: limits.patches]
 
 
-def _repeated(model: SubjectModel, scans: Mapping[str, RegisteredScan]) -> list[Notice]:
+def _find_repeated(
+    model: SubjectModel, scans: Mapping[str, RegisteredScan], limits: TargetLimits
+) -> list[Notice]:
     """Find scans that are the neutral, or each other."""
     known = {"the neutral": model.skin.vertices}
     found = []
     for name, scan in scans.items():
         face = _seen(model, scan)
         for other, vertices in known.items():
-            if np.abs(scan.vertices[face] - vertices[face]).max(initial=0.0) > SAME_MM:
+            if np.abs(scan.vertices[face] - vertices[face]).max(initial=0.0) > limits.same_mm:
                 continue
             message = f"{name} and {other} are the same scan: one of them was sent for another"
             found.append(Notice("target.repeated", message, {"expression": name, "other": other}))
@@ -127,7 +137,9 @@ def _repeated(model: SubjectModel, scans: Mapping[str, RegisteredScan]) -> list[
     return found
 
 
-def _same_name(model: SubjectModel, scans: Mapping[str, RegisteredScan]) -> list[Notice]:
+def _find_same_name(
+    model: SubjectModel, scans: Mapping[str, RegisteredScan], limits: TargetLimits
+) -> list[Notice]:
     """Find names that differ only in case or spaces though the scans are of different faces."""
     first: dict[str, str] = {}
     found = []
@@ -138,7 +150,7 @@ def _same_name(model: SubjectModel, scans: Mapping[str, RegisteredScan]) -> list
             continue
         both = np.intersect1d(_seen(model, scan), _seen(model, scans[other]))
         away = np.linalg.norm(scan.vertices[both] - scans[other].vertices[both], axis=1)
-        if away.max(initial=0.0) > RESIDUAL_MM:
+        if away.max(initial=0.0) > limits.residual_mm:
             vertex = int(both[away.argmax()])
             message = (
                 f"{name} and {other} have one name but lie {away.max():.1f} mm apart at vertex "
@@ -150,21 +162,27 @@ def _same_name(model: SubjectModel, scans: Mapping[str, RegisteredScan]) -> list
     return found
 
 
-def _uncovered(model: SubjectModel, name: str, scan: RegisteredScan) -> list[Notice]:
-    share = len(_seen(model, scan)) / len(model.face)
-    if share >= LEAST_COVERAGE:
+def _check_coverage(
+    model: SubjectModel, name: str, scan: RegisteredScan, limits: TargetLimits
+) -> list[Notice]:
+    coverage = len(_seen(model, scan)) / len(model.face)
+    if coverage >= limits.coverage:
         return []
-    message = f"{name} shows only {100 * share:.0f} % of the face; the rest of the fit is a guess"
-    return [Notice("target.coverage", message, {"expression": name, "found": round(share, 3)})]
+    message = (
+        f"{name} shows only {100 * coverage:.0f} % of the face; the rest of the fit is a guess"
+    )
+    return [Notice("target.coverage", message, {"expression": name, "found": round(coverage, 3)})]
 
 
-def _turned(model: SubjectModel, name: str, scan: RegisteredScan) -> list[Notice]:
+def _check_head(
+    model: SubjectModel, name: str, scan: RegisteredScan, limits: TargetLimits
+) -> list[Notice]:
     """Find motion of the whole head, which a fit would take for expression."""
     motion = head_motion(model, scan)
     shift = float(
         np.linalg.norm(motion(model.skin.vertices.mean(0)[None]) - model.skin.vertices.mean(0))
     )
-    if motion.degrees <= TURNED_DEGREES and shift <= SHIFTED_MM:
+    if motion.degrees <= limits.turned_degrees and shift <= limits.shifted_mm:
         return []
     message = (
         f"{name}: the whole head is turned by {motion.degrees:.0f} degrees and moved by "
@@ -174,23 +192,28 @@ def _turned(model: SubjectModel, name: str, scan: RegisteredScan) -> list[Notice
     return [Notice("target.turned", message, context)]
 
 
-def head_motion(model: SubjectModel, scan: RegisteredScan) -> Similarity:
+def head_motion(
+    model: SubjectModel, scan: RegisteredScan, still_mm: float = 2.0, rounds: int = 10
+) -> Similarity:
     """Return the rigid motion from the neutral to the scan that most of the skin agrees on.
 
-    Robust (Geman-McClure weights): what moves by itself loses its say.
+    Robust (Geman-McClure weights): skin further than ``still_mm`` from the head's motion
+    moves by itself and loses its say, round by round.
     """
     weights = scan.confidence.copy()
     weights[model.attached_mandible] = 0.0
     used = np.flatnonzero(weights > 0.0)
     neutral, goal, trust = model.skin.vertices[used], scan.vertices[used], weights[used]
     motion = weighted_motion(neutral, goal, trust)
-    for _ in range(STILL_STEPS):
+    for _ in range(rounds):
         away = np.linalg.norm(motion(neutral) - goal, axis=1)
-        motion = weighted_motion(neutral, goal, trust / (1.0 + (away / STILL_MM) ** 2) ** 2)
+        motion = weighted_motion(neutral, goal, trust / (1.0 + (away / still_mm) ** 2) ** 2)
     return motion
 
 
-def _stretched(model: SubjectModel, name: str, scan: RegisteredScan) -> list[Notice]:
+def _check_edges(
+    model: SubjectModel, name: str, scan: RegisteredScan, limits: TargetLimits
+) -> list[Notice]:
     seen = np.zeros(len(scan.vertices), dtype=bool)
     seen[_seen(model, scan)] = True
     edges = _edges(model)
@@ -199,7 +222,7 @@ def _stretched(model: SubjectModel, name: str, scan: RegisteredScan) -> list[Not
         np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
         for points in (model.skin.vertices, scan.vertices)
     )
-    torn = (now > STRETCH * before) & (now - before > STRETCHED_MM)
+    torn = (now > limits.stretch_ratio * before) & (now - before > limits.stretch_mm)
     if not torn.any():
         return []
     worst = int(np.argmax(np.where(torn, now - before, 0.0)))
@@ -240,7 +263,7 @@ def _notice(
     return Notice(code, message, context)
 
 
-# Models that a fit can not use, or not wholly: flesh that is held by nothing, idle muscles.
+# Models that a fit cannot use, or not wholly: flesh that is held by nothing, idle muscles.
 
 
 def check_held(face: Face) -> None:

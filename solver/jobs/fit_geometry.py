@@ -11,11 +11,11 @@ from typing import Any
 import scipy.sparse as sp
 
 from solver.errors import Notice
-from solver.fitting import chosen, geometry
+from solver.fitting import defaults, geometry
 from solver.fitting.face import Face, State
 from solver.fitting.geometry import GeometryFit, GeometryOptions
-from solver.fitting.joint import mirror_structure, transferred
 from solver.fitting.objective import Target
+from solver.fitting.simplex import mirror_structure, transfer
 from solver.jobs.common import Telling
 from solver.jobs.fits import (
     describe_fit,
@@ -82,8 +82,8 @@ def _geometry(
         error = geometry.mean_error(face, targets, states)
         progress(Step("geometry", done, number + 1, mean_error_mm=error))
 
-    data, easy = chosen.terms(face, targets), chosen.distances(face, targets)
-    return geometry.fit(face, data, schedule, easy=easy, listen=listen, **priors)
+    data, first_terms = defaults.terms(face, targets), defaults.distances(face, targets)
+    return geometry.fit(face, data, schedule, first_terms=first_terms, listen=listen, **priors)
 
 
 def _geometry_by_ipopt(
@@ -98,7 +98,7 @@ def _geometry_by_ipopt(
         part = min(iteration / geometry.most_iterations(schedule), 1.0)
         progress(Step("geometry", 0.02 + 0.78 * part, iteration, value))
 
-    data = chosen.terms(face, targets)
+    data = defaults.terms(face, targets)
     fitted, notices = geometry.fit_by_ipopt(face, data, schedule, listen, **priors)
     told.tell(0.8, notices)
     return fitted
@@ -109,7 +109,7 @@ def _start(subject: SubjectModel, task: Task[FitGeometry]) -> sp.csr_array | Non
     if "start_weights" not in task.inputs:
         return None
     source = SubjectModel.load(task.inputs["start_model"])
-    return transferred(load_weights(task.inputs["start_weights"], source), source, subject)
+    return transfer(load_weights(task.inputs["start_weights"], source), source, subject)
 
 
 def _mirror(subject: SubjectModel, symmetry: float) -> sp.csr_array | None:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from solver.errors import InputError, SolveError
-from solver.fitting import chosen
+from solver.fitting import defaults
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Target
 from solver.fitting.sequence import Tracker, stillness
@@ -264,7 +264,7 @@ def _follower(face: Face, given: FitSequence, last: SequenceFrame | None) -> Fol
     if last is not None:
         with suppress(SolveError):  # out of reach from rest: the next frame begins there
             state = face.continuation(state, Pose(last.activations, last.jaw))
-    regulariser = chosen.unseen_regulariser(face)
+    regulariser = defaults.unseen_regulariser(face)
     tracker = Tracker(
         face,
         regulariser,

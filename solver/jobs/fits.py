@@ -12,8 +12,8 @@ import numpy as np
 
 from solver.errors import InputError, Notice, SolveError
 from solver.fitting import target_checks
-from solver.fitting.chosen import ChosenFit
 from solver.fitting.face import Face
+from solver.fitting.fallback import FallbackFit
 from solver.fitting.objective import Target
 from solver.fitting.target_checks import check_held, idle_muscles
 from solver.jobs.common import Targets, refuse
@@ -83,7 +83,7 @@ def describe_fit(
     role: str,
     scan: RegisteredScan,
     target: Target,
-    found: ChosenFit,
+    found: FallbackFit,
     seconds: float,
 ) -> ExpressionFit:
     """Return a fit with its distances; raises ``solve.not_finite`` rather than write NaN."""

@@ -12,7 +12,7 @@ from solver.errors import InputError
 from solver.fitting.face import Pose
 from solver.fitting.stretches import (
     fibre_tensors,
-    shortened,
+    shorten,
 )
 from solver.kinds.scene import Jaw, MotionKey, SimulateScene
 from solver.mechanics.flesh import shape_gradients
@@ -118,4 +118,4 @@ class _Muscles:
                 f"the muscle {name!r} has no fibres in this rig: give six numbers instead",
                 found=name,
             )
-        return shortened(tensor, how)
+        return shorten(tensor, how)

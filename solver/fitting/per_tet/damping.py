@@ -49,7 +49,7 @@ class Damping:
         """Return the damping of the first step."""
         return cls(np.full(count, OPTIONS.tets.start), OPTIONS.jaw.start)
 
-    def limited(self, at: Floats, a: Floats, b: Floats) -> tuple[Floats, Floats, Damping]:
+    def limit(self, at: Floats, a: Floats, b: Floats) -> tuple[Floats, Floats, Damping]:
         """Cut a step (a, b) from activations ``at`` tet by tet; return it and the next damping."""
         length = (
             np.sqrt(np.einsum("ei,eij,ej->e", a, stretches.metric(at), a)) / OPTIONS.largest_step
@@ -62,12 +62,12 @@ class Damping:
         )
         return a / np.maximum(length, 1.0)[:, None], b / max(jaw, 1.0), damping
 
-    def raised(self, factor: float) -> Damping:
+    def scale(self, factor: float) -> Damping:
         """Return this damping times ``factor``."""
         return Damping(factor * self.tets, factor * self.jaw, self.fall)
 
     @property
-    def hindered(self) -> bool:
+    def is_hindered(self) -> bool:
         """Tell whether small gains may be the damping's doing."""
         return self.fall > OPTIONS.fall
 
@@ -77,5 +77,5 @@ class Damping:
 
     def after_refusal(self) -> Damping:
         """Return the damping to try again with."""
-        raised = self.raised(OPTIONS.refused)
-        return Damping(raised.tets, raised.jaw, float(np.sqrt(self.fall)))
+        more = self.scale(OPTIONS.refused)
+        return Damping(more.tets, more.jaw, float(np.sqrt(self.fall)))

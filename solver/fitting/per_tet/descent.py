@@ -25,8 +25,7 @@ from solver.surface import Floats
 # From one equilibrium of a per-tet model to the next, along a Gauss-Newton step.
 
 
-CORRECTIONS = 8
-"""Newton steps to an equilibrium nearby."""
+CORRECTIONS = 8  # Newton steps to an equilibrium nearby
 
 
 @dataclass(frozen=True)
@@ -52,12 +51,12 @@ class Step:
         """Minimise the damped Gauss-Newton model at a state."""
         model = objective.quadratic(state, damping)
         a, b = state.pose.layout.split(solver.step(model, state))
-        return cls(state, value, model, *damping.limited(state.pose.a, a, b))
+        return cls(state, value, model, *damping.limit(state.pose.a, a, b))
 
-    def pose(self, part: float = 1.0) -> Pose:
-        """Return the pose that a part of the step leads to."""
+    def pose(self, fraction: float = 1.0) -> Pose:
+        """Return the pose that a fraction of the step leads to."""
         before = self.state.pose
-        return Pose(stretches.moved(before.a, part * self.a), before.b + part * self.b)
+        return Pose(stretches.move(before.a, fraction * self.a), before.b + fraction * self.b)
 
     def descend(self, objective: Objective, tries: int) -> tuple[State, Damping] | None:
         """Return the first state along the step, halved and halved, with a lower f, and a damping.
@@ -70,7 +69,7 @@ class Step:
             except SolveError:
                 continue
             if trial.equilibrium.minimum and objective.value(trial) < self.value:
-                return trial, self.lowered.raised(2.0**halving)
+                return trial, self.lowered.scale(2.0**halving)
         return None
 
     def _reach(self, tissue: Tissue, pose: Pose) -> State:
@@ -86,27 +85,21 @@ class Step:
         return tissue.face.solve_equilibrium(pose, near.x, max_iterations=CORRECTIONS)
 
 
-TRIES = 2
-"""Whole and half steps before the damping grows."""
+@dataclass(frozen=True)
+class FoldOptions:
+    """The descent near folds, and its end."""
 
-SNAPS = 6
-SNAP_LOSS = 2.5
-"""How often a fit may snap over a fold, and to what multiple of the least f."""
+    tries: int = 2  # whole and half steps before the damping grows
+    snaps: int = 6  # over a fold, at most
+    snap_loss: float = 2.5  # f behind a fold, as a multiple of the least, at most
+    snap_iterations: int = 30  # Newton steps to an equilibrium behind a fold
+    small_gains: int = 2  # in turn, at the end: a single one may just have been damped
+    unstuck: float = 0.02  # gain, relative to f, after which a refused step is forgotten
+    patience: int = 6  # iterations without a new least f before it counts as the minimum
 
-SNAP_ITERATIONS = 30
-"""Newton steps to an equilibrium behind a fold."""
 
-SMALL_GAINS = 2
-"""Steps one after the other that gain next to nothing; a single one may just have been damped."""
-
-UNSTUCK = 0.02
-"""Gain, as a part of f, after which a refused step is forgotten; less is crawling."""
-
-PATIENCE = 6
-"""Iterations without a new least f before it counts as the minimum."""
-
+# called after each accepted step with the iteration and the least objective so far
 Listener = Callable[[int, float], None]
-"""Called after each accepted step with the iteration and the least objective so far."""
 
 
 class Status(StrEnum):
@@ -131,8 +124,14 @@ class Descent:
     """Minimises f from ``state``, iterations being counted from ``taken``."""
 
     def __init__(
-        self, objective: Objective, state: State, listen: Listener | None, taken: int
+        self,
+        objective: Objective,
+        state: State,
+        listen: Listener | None,
+        taken: int,
+        options: FoldOptions = FoldOptions(),
     ) -> None:
+        self._options = options
         self._objective = objective
         self._listen = listen
         self._solver = SaddleSolver(objective.tissue)
@@ -150,48 +149,48 @@ class Descent:
             self._since_best += 1
             if not self._advance(tolerance):
                 return self._found(Status.NO_DESCENT)
-            if self._small == SMALL_GAINS:
+            if self._small == self._options.small_gains:
                 return self._found(Status.CONVERGED)
-            if self._since_best == PATIENCE:
+            if self._since_best == self._options.patience:
                 return self._found(Status.NO_DESCENT)
         return self._found(Status.ITERATIONS)
 
     def _advance(self, tolerance: float) -> bool:
         """Take a step, or have the next one shorter; False if there is none that leads on."""
-        crawls = self._slow and self._damping.hindered
+        crawls = self._slow and self._damping.is_hindered
         if crawls:
             self._damping = self._first_damping()
         try:
             step = Step.of(self._objective, self._solver, self._state, self._value, self._damping)
         except SolveError:
             return False
-        found = None if crawls else step.descend(self._objective, TRIES)
+        found = None if crawls else step.descend(self._objective, self._options.tries)
         if found is None and not (self._stuck or crawls):
             self._stuck, self._damping = True, self._damping.after_refusal()
             return True
-        if found is None and self._snaps < SNAPS:
+        if found is None and self._snaps < self._options.snaps:
             self._snaps += 1
             self._stuck = False
-            found = self._snapped(step)
+            found = self._snap(step)
         if found is None:
             return False
         self._take(*found, tolerance)
         return True
 
-    def _snapped(self, step: Step) -> tuple[State, Damping] | None:
+    def _snap(self, step: Step) -> tuple[State, Damping] | None:
         """Return the equilibrium at the end of a step, however far that is, if f is not too high.
 
         Half the step is tried where the whole one leads nowhere.
         """
         tissue = self._objective.tissue
-        for part in (1.0, 0.5):
+        for fraction in (1.0, 0.5):
             try:
                 state = tissue.face.solve_equilibrium(
-                    step.pose(part), step.state.x, max_iterations=SNAP_ITERATIONS
+                    step.pose(fraction), step.state.x, max_iterations=self._options.snap_iterations
                 )
             except SolveError:
                 continue
-            limit = SNAP_LOSS * self._best[1]
+            limit = self._options.snap_loss * self._best[1]
             if state.equilibrium.minimum and self._objective.value(state) < limit:
                 return state, step.lowered.afresh()
         return None
@@ -201,7 +200,7 @@ class Descent:
         value = self._objective.value(state)
         gain = self._value - value
         self._state, self._value, self._damping = state, value, damping
-        self._slow = 0.0 <= gain < UNSTUCK * value
+        self._slow = 0.0 <= gain < self._options.unstuck * value
         self._stuck = self._stuck and self._slow
         self._small = self._small + 1 if 0.0 <= gain <= tolerance * value else 0
         if value < self._best[1]:
@@ -224,13 +223,16 @@ class Descent:
 # viscosity falls from step to step, and what is left of it is settled at the end.
 
 
-VISCOSITIES = (1.0, 0.5, 0.25, 0.12, 0.06)
-"""Parts of the stiffness at rest; with less the flesh snaps on the way as it does without."""
+@dataclass(frozen=True)
+class CreepOptions:
+    """The way through viscous flesh."""
 
-STEPS = 4
-"""Steps with each of them."""
-
-CREEP_TRIES = 3
+    # relative to the stiffness at rest; with less the flesh snaps on the way as it does without
+    viscosities: tuple[float, ...] = (1.0, 0.5, 0.25, 0.12, 0.06)
+    steps: int = 4  # with each of them
+    tries: int = 3  # whole, half and quarter steps before the damping grows
+    cycles: int = 4  # times that the flesh creeps: again from wherever a descent gets stuck ...
+    enough: float = 0.97  # ... as long as it leaves this much of f at most
 
 
 def creep(
@@ -240,6 +242,7 @@ def creep(
     start: State,
     viscosities: Sequence[float],
     steps: int,
+    tries: int = CreepOptions.tries,
 ) -> tuple[State, int]:
     """Return an equilibrium near the target and the steps to it, ``steps`` with each viscosity.
 
@@ -260,7 +263,7 @@ def creep(
         except SolveError:
             break
         taken += 1
-        found = step.descend(objective, CREEP_TRIES)
+        found = step.descend(objective, tries)
         if found is None:
             damping = damping.after_refusal()
         else:

@@ -9,8 +9,7 @@ from solver.fitting.face import Face, State
 from solver.fitting.objective import Term
 from solver.fitting.per_tet import tissue as tissues
 from solver.fitting.per_tet.descent import (
-    STEPS,
-    VISCOSITIES,
+    CreepOptions,
     Descent,
     Listener,
     Status,
@@ -18,12 +17,6 @@ from solver.fitting.per_tet.descent import (
 )
 from solver.fitting.per_tet.objective import Objective, PerTetOptions
 from solver.surface import Floats, Ints
-
-CYCLES = 4
-"""Times that the flesh creeps: again from wherever a descent gets stuck ..."""
-
-ENOUGH = 0.97
-"""... as long as it leaves this part of f at most."""
 
 
 @dataclass(frozen=True)
@@ -56,28 +49,28 @@ def fit(
     ``face`` should have the material :data:`~solver.mechanics.flesh.COROTATED_DET`. ``listen``
     hears of equilibria only, not of steps in viscous flesh. Raises :class:`InputError`
     (``model.no_fibres``, ``model.no_muscle``, ``start.activations``) and :class:`SolveError` if the
-    face can not be settled.
+    face cannot be settled.
     """
-    options = options or PerTetOptions()
+    options, creeping = options or PerTetOptions(), CreepOptions()
     tissue = tissues.of_face(face)
     state = start or tissue.face.rest_state()
     if state.pose.layout is not tissue.face.layout:
         raise InputError("start.activations", "the start has not six activations per active tet")
     objective = Objective(tissue, data, options, state.pose.b)
     taken, value = 0, objective.value(state)
-    for cycle in range(CYCLES):
+    for cycle in range(creeping.cycles):
         if cycle or start is None:
             # half the iterations at most are for the viscous flesh
             left = options.max_iterations - taken
-            viscosities = VISCOSITIES[min(cycle, 1) :]
-            steps = min(STEPS, left // (2 * len(viscosities)))
+            viscosities = creeping.viscosities[min(cycle, 1) :]
+            steps = min(creeping.steps, left // (2 * len(viscosities)))
             state, crept = creep(tissue, data, options, state, viscosities, steps)
             taken += crept
         descent = Descent(objective, state, listen, taken)
         found = descent.run(options.max_iterations, options.tolerance)
         state, taken = found.state, found.iterations
         before, value = value, objective.value(state)
-        if found.status != Status.NO_DESCENT or value > ENOUGH * before:
+        if found.status != Status.NO_DESCENT or value > creeping.enough * before:
             break
     pose = found.state.pose
     state = tissue.face.solve_equilibrium(pose, found.state.x)

@@ -33,17 +33,17 @@ class PreferredContraction:
 
     def __init__(self, tissue: Tissue) -> None:
         self._tissue = tissue
-        self._row = np.repeat(np.arange(len(tissue.active)), np.diff(tissue.shares.indptr))
+        self._row = np.repeat(np.arange(len(tissue.active)), np.diff(tissue.fractions.indptr))
         x, y, z = tissue.fibres.T
         self._along = np.stack([x * x, x * y, x * z, y * y, y * z, z * z], axis=1)
 
     def contractions(self, a: Floats) -> Floats:
         """Return the gamma_m (m,) that minimise R_act at ``a``: the local step."""
-        shares = self._tissue.shares
+        fractions = self._tissue.fractions
         along = np.sum(FROBENIUS * self._along * a[self._row], axis=1)
         across = (a @ IDENTITY)[self._row] - along
-        m = shares.shape[1]
-        sums = [np.bincount(shares.indices, shares.data * v, m) for v in (1.0, along, across)]
+        m = fractions.shape[1]
+        sums = [np.bincount(fractions.indices, fractions.data * v, m) for v in (1.0, along, across)]
         volume = np.where(sums[0] > 0.0, sums[0], 1.0)
         return np.array(
             [
@@ -54,23 +54,23 @@ class PreferredContraction:
 
     def value(self, a: Floats, gamma: Floats) -> float:
         """Return R_act(a)."""
-        offset = a[self._row] - self._preferred(gamma)
-        return float(self._tissue.shares.data @ (offset**2 @ FROBENIUS))
+        offset = a[self._row] - self._target(gamma)
+        return float(self._tissue.fractions.data @ (offset**2 @ FROBENIUS))
 
     def gradient(self, a: Floats, gamma: Floats) -> Floats:
         """Return its derivative by a, (n_active, 6): by gamma it is zero at its minimum."""
-        offset = self._tissue.shares.data[:, None] * (a[self._row] - self._preferred(gamma))
-        sums = np.add.reduceat(offset, self._tissue.shares.indptr[:-1])
+        offset = self._tissue.fractions.data[:, None] * (a[self._row] - self._target(gamma))
+        sums = np.add.reduceat(offset, self._tissue.fractions.indptr[:-1])
         return np.asarray(2.0 * FROBENIUS * sums)
 
     def curvature(self) -> Floats:
         """Return the diagonal (n_active, 6) of its Hessian by a, the gamma_m being held."""
         return np.asarray(2.0 * self._tissue.volumes[:, None] * FROBENIUS)
 
-    def _preferred(self, gamma: Floats) -> Floats:
+    def _target(self, gamma: Floats) -> Floats:
         """Return T(gamma_m, q_im) as (nnz, 6)."""
         root = np.sqrt(gamma)
-        muscle = self._tissue.shares.indices
+        muscle = self._tissue.fractions.indices
         along = (1.0 / gamma - root)[muscle, None] * self._along
         return np.asarray(along + root[muscle, None] * IDENTITY)
 
@@ -100,15 +100,14 @@ def contraction(along: float, across: float) -> float:
 # replaced by the parabola that touches it there and lies above it elsewhere.
 
 
-SMOOTHING = 1e-3
-"""delta: a whole face with activations of this size counts as passive."""
+SMOOTHING = 1e-3  # delta: a whole face with activations of this size counts as passive
 
 
 class GroupSparsity:
     """R_sparse of one tissue; activations are (n_active, 6)."""
 
     def __init__(self, tissue: Tissue) -> None:
-        self._shares = tissue.shares
+        self._fractions = tissue.fractions
 
     def value(self, a: Floats) -> float:
         """Return R_sparse(a)."""
@@ -120,11 +119,11 @@ class GroupSparsity:
 
     def curvature(self, a: Floats) -> Floats:
         """Return the parabolas' second derivative by each entry of a, (n_active, 1)."""
-        return np.asarray(self._shares @ (1.0 / self._norms(a)))[:, None]
+        return np.asarray(self._fractions @ (1.0 / self._norms(a)))[:, None]
 
     def _norms(self, a: Floats) -> Floats:
         squares = np.sum((a - IDENTITY) ** 2, axis=1)
-        return np.asarray(np.sqrt(self._shares.T @ squares + SMOOTHING**2))
+        return np.asarray(np.sqrt(self._fractions.T @ squares + SMOOTHING**2))
 
 
 @dataclass(frozen=True)

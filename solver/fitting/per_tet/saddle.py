@@ -30,11 +30,9 @@ from solver.fitting.sensitivity import PoseRates
 from solver.mechanics.response import Response
 from solver.surface import Floats, Ints
 
+# multiples of the identity, in balanced units, the first that can be factorised being taken
 SHIFTS = (1e-7, 1e-5, 1e-3)
-"""Parts of the identity, in balanced units, the first that can be factorised being taken."""
-
-LEAST_SCALE = 1e-3
-"""What counts as the data's curvature, in balanced units, where damping dwarfs it."""
+LEAST_SCALE = 1e-3  # of the data's curvature, in balanced units, where damping dwarfs it
 
 
 class Linearisation:
@@ -171,12 +169,12 @@ class SaddleSolver:
             lower = sp.csc_matrix(sp.tril(matrix))
             lower.sort_indices()
             try:
-                return self._analysed(lower).factor(lower.data).solve
+                return self._analyse(lower).factor(lower.data).solve
             except RuntimeError:
                 continue
-        raise SolveError("solve.singular", "the step of the per-tet model can not be solved for")
+        raise SolveError("solve.singular", "the step of the per-tet model cannot be solved for")
 
-    def _analysed(self, lower: sp.csc_matrix) -> Any:
+    def _analyse(self, lower: sp.csc_matrix) -> Any:
         if (
             self._pattern is None
             or len(self._pattern[1]) != lower.nnz

@@ -2,9 +2,9 @@
 
     E = sum_i V_i [f_i psi(F_i, S(a_i)) + (1 - f_i) psi(F_i, I)]
 
-f_i is the share of muscle in tet i, sampled when the model was built (Ichim et al. 2017, eq. 1 and
-2, whose W_i are the volumes f_i V_i and (1 - f_i) V_i). A tet of both tissues is two elements with
-the same vertices, so that the mechanics know nothing of it.
+f_i is the volume fraction of muscle in tet i, sampled when the model was built (Ichim et al. 2017,
+eq. 1 and 2, whose W_i are the volumes f_i V_i and (1 - f_i) V_i). A tet of both tissues is two
+elements with the same vertices, so that the mechanics know nothing of it.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ from solver.fitting.face import Face
 from solver.mechanics.flesh import Flesh
 from solver.surface import Floats, Ints
 
-LEAST_SHARE = 0.05
-"""A tet with less muscle than this is passive."""
+LEAST_FRACTION = 0.05  # of a tet: with less muscle it is passive
 
 
 @dataclass(frozen=True)
@@ -29,26 +28,26 @@ class Tissue:
 
     face
         The face with a flesh of elements: first all tets, those with muscle standing for their
-        share of it, then the passive rest of these. Its S (elements, n_active + 1) has one 1 a row:
-        every active tet is a muscle by itself.
+        fraction of it, then the passive rest of these. Its S (elements, n_active + 1) has one 1 a
+        row: every active tet is a muscle by itself.
     active
         (n_active,) the tets with muscle.
-    shares
+    fractions
         (n_active, m) CSR: v_im, the part of all muscle volume that is muscle m in active tet i; the
         sum is one.
     fibres
-        (nnz, 3) unit fibre directions, one for each stored entry of ``shares``.
+        (nnz, 3) unit fibre directions, one for each stored entry of ``fractions``.
     """
 
     face: Face
     active: Ints
-    shares: sp.csr_array
+    fractions: sp.csr_array
     fibres: Floats
 
     @property
     def volumes(self) -> Floats:
         """Return v_i (n_active,), each active tet's part of all muscle volume."""
-        return np.asarray(self.shares.sum(axis=1))
+        return np.asarray(self.fractions.sum(axis=1))
 
 
 def of_face(face: Face) -> Tissue:
@@ -62,20 +61,20 @@ def of_face(face: Face) -> Tissue:
     tets = len(model.tets)
     row = np.repeat(np.arange(tets), np.diff(model.weights.indptr))
     muscle = (model.weights.indices > 0) & (model.weights.data > 0.0)
-    share = np.bincount(row[muscle], model.weights.data[muscle], tets)
-    is_active = share >= LEAST_SHARE
+    fraction = np.bincount(row[muscle], model.weights.data[muscle], tets)
+    is_active = fraction >= LEAST_FRACTION
     if not is_active.any():
         raise InputError("model.no_muscle", "no tetrahedron of the model has a muscle")
     active = np.flatnonzero(is_active)
-    share = np.where(is_active, np.minimum(share, 1.0), 1.0)
-    mixed = np.flatnonzero(share < 1.0)
+    fraction = np.where(is_active, np.minimum(fraction, 1.0), 1.0)
+    mixed = np.flatnonzero(fraction < 1.0)
 
     flesh = Flesh(
         model.rest,
         np.concatenate([model.tets, model.tets[mixed]]),
         np.flatnonzero(face.flesh.free_numbers < 0),
         face.flesh.material,
-        np.concatenate([share, 1.0 - share[mixed]]),
+        np.concatenate([fraction, 1.0 - fraction[mixed]]),
         face.flesh.sliding,
     )
     column = np.zeros(len(flesh.tets), dtype=np.int64)
@@ -88,7 +87,7 @@ def of_face(face: Face) -> Tissue:
     kept = muscle & is_active[row]
     volumes = model.weights.data[kept] * face.flesh.volumes[row[kept]]
     counts = np.bincount(row[kept], minlength=tets)[active]
-    shares = sp.csr_array(
+    fractions = sp.csr_array(
         (
             volumes / volumes.sum(),
             model.weights.indices[kept] - 1,
@@ -97,5 +96,5 @@ def of_face(face: Face) -> Tissue:
         shape=(len(active), model.muscle_count),
     )
     return Tissue(
-        face.with_flesh(flesh).with_weights(selection), active, shares, model.fibres[kept]
+        face.with_flesh(flesh).with_weights(selection), active, fractions, model.fibres[kept]
     )

@@ -1,4 +1,4 @@
-"""What IPOPT's problems share: the call of IPOPT, and a target's part of the objective."""
+"""Common to IPOPT's problems: the call of IPOPT, and a target's part of the objective."""
 
 from __future__ import annotations
 
@@ -16,16 +16,13 @@ from solver.fitting.objective import Term
 from solver.fitting.sensitivity import coordinates
 from solver.surface import Floats, Ints
 
-SUCCESS = (0, 1)
-"""IPOPT's Solve_Succeeded and Solved_To_Acceptable_Level."""
-
-UNBOUNDED = 2e19
-"""What IPOPT takes for infinity."""
+SUCCESS = (0, 1)  # IPOPT's Solve_Succeeded and Solved_To_Acceptable_Level
+UNBOUNDED = 2e19  # IPOPT's infinity
 
 Answer = TypeVar("Answer")
 
+# called at each of IPOPT's iterations with its number and the objective
 Listener = Callable[[int, float], None]
-"""Called at each of IPOPT's iterations with its number and the objective."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +55,7 @@ class Solution:
     violation: float
     trouble: str | None
 
-    def checked(self, answer: Answer) -> Answer:
+    def check(self, answer: Answer) -> Answer:
         """Return the answer made of this; raise :class:`NotConvergedError` if it is none."""
         if self.trouble is not None:
             raise NotConvergedError(self.trouble, self.iterations, answer)
@@ -165,16 +162,16 @@ class Data:
     def gradient(self, x: Floats, b: Floats) -> tuple[Floats, Floats]:
         """Return the derivatives by the free coordinates (size,) and by b (5,)."""
         flat = self._term.gradient(x).ravel()
-        return flat[self._free], self._turned(b).T @ flat[self._riding]
+        return flat[self._free], self._jaw_motion(b).T @ flat[self._riding]
 
     def hessian(self, x: Floats, b: Floats) -> Floats:
         """Return the Gauss-Newton Hessian's entries, in the order of ``structure``."""
         curvature = self._term.curvature(x)
-        turned = self._turned(b)
+        moving = self._jaw_motion(b)
         by_free = curvature[self._free][:, self._free]
         riding = curvature[self._riding]
-        cross = turned.T @ riding[:, self._free][:, self._crossed]
-        square = turned.T @ (riding[:, self._riding] @ turned)
+        cross = moving.T @ riding[:, self._free][:, self._crossed]
+        square = moving.T @ (riding[:, self._riding] @ moving)
         return np.concatenate(
             [
                 np.asarray(by_free[self._rows, self._columns]).ravel(),
@@ -183,7 +180,7 @@ class Data:
             ]
         )
 
-    def _turned(self, b: Floats) -> Floats:
+    def _jaw_motion(self, b: Floats) -> Floats:
         """Return the mandible's coordinates by b, (k, 5)."""
         direct = self._face.mandible_jacobian(b)[self._face.model.mandible]
         return direct.reshape(-1, direct.shape[2])

@@ -50,7 +50,7 @@ class Expression:
         self._data = data
         self._by_data = Data(face, data, jaw)
         self._priors = priors
-        self._pose_entries = np.nonzero(self._touched(candidates))
+        self._pose_entries = np.nonzero(self._find_touched(candidates))
         pattern = self.flesh.hessian(self.flesh.rest, self.flesh.passive())
         rows = np.repeat(np.arange(self.flesh.size), np.diff(pattern.indptr))
         self.jacobian_structure: tuple[Ints, Ints] = (
@@ -112,7 +112,7 @@ class Expression:
         by_pose = PoseRates.at(face, pose, x).columns()
         return np.concatenate([by_x, by_pose[self._pose_entries]])
 
-    def _touched(self, candidates: sp.csr_array) -> Floats:
+    def _find_touched(self, candidates: sp.csr_array) -> Floats:
         """Tell which forces (size,) each entry of (a, b) can change, (size, 6 m + 5)."""
         flesh = self.flesh
         tet, muscle = candidates[:, 1:].nonzero()
@@ -151,7 +151,7 @@ def minimise(
     forces = np.zeros(expression.flesh.size)
     found = solve(problem, begin, forces, tolerance, max_iterations)
     pose, x = expression.pose(found.z), expression.place(found.z)
-    return found.checked(Reference(pose, x, found.objective, found.iterations, found.violation))
+    return found.check(Reference(pose, x, found.objective, found.iterations, found.violation))
 
 
 class OneExpression(Problem):
@@ -246,7 +246,7 @@ def forward(face: Face, pose: Pose, x: Floats, *, tolerance: float = 1e-9) -> Re
     start = x[face.flesh.free].ravel()
     found = solve(problem, start, np.zeros(0), tolerance, 500)
     x = problem.place(found.z)
-    return found.checked(Reference(pose, x, found.objective, found.iterations, 0.0))
+    return found.check(Reference(pose, x, found.objective, found.iterations, 0.0))
 
 
 class ForwardProblem(Problem):

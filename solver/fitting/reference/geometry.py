@@ -15,10 +15,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.fitting.face import Pose, State
-from solver.fitting.joint import GeometryProblem, replace_values
+from solver.fitting.joint import GeometryProblem
 from solver.fitting.reference.common import UNBOUNDED, Listener, Problem, solve
 from solver.fitting.reference.expression import Expression, MusclePriors
 from solver.fitting.sensitivity import WeightRates
+from solver.fitting.simplex import replace_values
 from solver.surface import Floats, Ints
 
 
@@ -69,7 +70,7 @@ def geometry(
         found.iterations,
         found.violation,
     )
-    return found.checked(answer)
+    return found.check(answer)
 
 
 class FullGeometry(Problem):

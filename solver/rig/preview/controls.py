@@ -22,7 +22,7 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.stretches import (
     FROBENIUS,
     fibre_tensors,
-    shortened,
+    shorten,
 )
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.result import ExpressionFit
@@ -168,7 +168,7 @@ def _muscles(face: Face, full_stretch: float) -> tuple[list[Control], Floats]:
     kept = np.flatnonzero(np.isfinite(tensors).all(axis=(1, 2)))
     changes = np.zeros((count, 6, len(kept)))
     for column, muscle in enumerate(kept):
-        changes[muscle, :, column] = shortened(tensors[muscle], full_stretch) - IDENTITY
+        changes[muscle, :, column] = shorten(tensors[muscle], full_stretch) - IDENTITY
     names = [model.muscle_names[muscle] for muscle in kept]
     return [Control(name, "muscle", name, name) for name in names], changes.reshape(6 * count, -1)
 

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from solver.contact.crossing import crossing
 from solver.contact.mouth import AROUND, LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
 from solver.errors import InputError, SolveError
-from solver.fitting.contact import LIPS_SLACK_MM, TEETH_SLACK_MM, Contact, Teeth
+from solver.fitting.contact import Contact, LipContactOptions, Teeth
 from solver.mechanics import jaw
 from solver.model import JawFrame
 from solver.surface import Surface
@@ -80,7 +80,11 @@ def test_contact_pushes_lips_apart_and_off_the_teeth():
     assert upper[2] < -1e-3
     np.testing.assert_allclose((upper + lower)[:2], 0.0, atol=1e-3)
     apart = points.copy()
-    apart[: starts[1]] += [0.0, OVERLAP - LIPS_SLACK_MM / 2, OVERLAP - TEETH_SLACK_MM / 2]
+    apart[: starts[1]] += [
+        0.0,
+        OVERLAP - LipContactOptions.lips_slack_mm / 2,
+        OVERLAP - LipContactOptions.teeth_slack_mm / 2,
+    ]
     assert term.value(apart) == 0.0
     assert not term.gradient(apart).any()
 
@@ -146,7 +150,7 @@ def test_a_lip_behind_the_teeth_of_a_moved_jaw_comes_out_to_the_front(deep):
         x = x - gradient / stiffness
     seen = jaw.move_back(JAW, x[:count], B)
     radius = np.hypot(seen[:, 0], seen[:, 2])
-    assert np.all((radius > RADIUS - TEETH_SLACK_MM - 0.2) & (radius < RADIUS))
+    assert np.all((radius > RADIUS - LipContactOptions.teeth_slack_mm - 0.2) & (radius < RADIUS))
 
 
 def test_derivatives_behind_teeth_match_differences():

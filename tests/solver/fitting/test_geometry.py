@@ -12,18 +12,14 @@ from solver.fitting import (
     activation,
     geometry,
     joint,
+    simplex,
 )
 from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
-from solver.fitting.joint import (
-    GeometryProblem,
-    Iterate,
-    mirror_structure,
-    replace_values,
-    transferred,
-)
+from solver.fitting.joint import GeometryProblem, Iterate
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.sensitivity import Sensitivity
+from solver.fitting.simplex import mirror_structure, replace_values, transfer
 from tests.solver.block import block_model, poses
 
 
@@ -87,7 +83,7 @@ def test_step_solves_the_dense_system():
     rows[np.repeat(np.arange(S.shape[0]), 3), np.arange(S.nnz)] = 1.0
     tangent = scipy.linalg.null_space(rows)
     expected = -tangent @ np.linalg.solve(tangent.T @ matrix @ tangent, tangent.T @ gradient)
-    expected = joint.project(S.data + expected[: S.nnz], S.indptr) - S.data
+    expected = simplex.project(S.data + expected[: S.nnz], S.indptr) - S.data
     found = joint.step(
         problem, Iterate(S, states, damping=0.05, pose_damping=dict.fromkeys(data, 1e-2))
     )
@@ -142,14 +138,14 @@ def test_symmetric_option_leaves_changes_alike():
 
 def test_transferred_weights_follow_tets_and_names(face):
     model = face.model
-    same = transferred(model.weights, model, model)
+    same = transfer(model.weights, model, model)
     np.testing.assert_allclose(same.data, model.weights.data, atol=1e-12)
     renamed = replace(model, muscle_names=("right", "left"))
-    swapped = transferred(model.weights, model, renamed)
+    swapped = transfer(model.weights, model, renamed)
     np.testing.assert_allclose(swapped.toarray()[:, [0, 2, 1]], model.weights.toarray(), atol=1e-12)
     finer = block_model((8, 7, 5))
-    onto = transferred(model.weights, model, finer).toarray()
+    onto = transfer(model.weights, model, finer).toarray()
     np.testing.assert_allclose(onto.sum(axis=1), 1.0, atol=1e-12)
     assert np.abs(onto - finer.weights.toarray()).mean() < 0.05
     with pytest.raises(InputError, match="no muscle in common"):
-        transferred(model.weights, model, replace(model, muscle_names=("a", "b")))
+        transfer(model.weights, model, replace(model, muscle_names=("a", "b")))

@@ -115,14 +115,14 @@ def test_damping_of_every_tet_follows_its_step():
     at = np.tile([1.0, 0.0, 0.0, 1.0, 0.0, 1.0], (3, 1))
     step = np.zeros((3, 6))
     step[:, 0] = [0.01, 0.5, 100.0]
-    cut, jaw, damping = Damping.start(3).limited(at, step, np.array([0.04, 0, 0, 0, 0]))
+    cut, jaw, damping = Damping.start(3).limit(at, step, np.array([0.04, 0, 0, 0, 0]))
     np.testing.assert_allclose(cut[:, 0], [0.01, 0.5, 0.5])
     np.testing.assert_allclose(damping.tets, [0.25, 1.0, 8.0])
     assert jaw[0] == pytest.approx(0.02)
     assert damping.jaw == pytest.approx(2e-2)
     refused = damping.after_refusal()
     np.testing.assert_allclose(refused.tets, 16.0 * damping.tets)
-    assert (refused.fall, refused.hindered, damping.hindered) == (0.5, True, False)
+    assert (refused.fall, refused.is_hindered, damping.is_hindered) == (0.5, True, False)
 
 
 def test_any_controls_are_fitted_to_a_skin():

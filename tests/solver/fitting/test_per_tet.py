@@ -150,10 +150,10 @@ def test_activations_stay_positive_definite(divided):
     step = rng.standard_normal(a.shape)
     step[0] = -5.0 * a[0]
     assert np.linalg.eigvalsh(stretches.matrices(a + step)).min() < 0.0
-    assert np.linalg.eigvalsh(stretches.matrices(stretches.moved(a, step))).min() > 0.0
+    assert np.linalg.eigvalsh(stretches.matrices(stretches.move(a, step))).min() > 0.0
     # to first order it is the sum, and the metric is the length of the step that is left
     small = STEP * step
-    np.testing.assert_allclose(stretches.moved(a, small), a + small, atol=20 * STEP**2 * 25)
+    np.testing.assert_allclose(stretches.move(a, small), a + small, atol=20 * STEP**2 * 25)
     back = np.einsum("ei,eij,ej->e", step, stretches.metric(a), step)
     A, dA = stretches.matrices(a), stretches.matrices(step)
     root = np.linalg.solve(A, dA)

@@ -6,10 +6,11 @@ import scipy.sparse as sp
 
 from solver.fitting import joint, per_tet, reference
 from solver.fitting.face import Face, Pose
-from solver.fitting.joint import GeometryProblem, Iterate, replace_values
+from solver.fitting.joint import GeometryProblem, Iterate
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.per_tet import PerTetOptions, tissue
 from solver.fitting.reference.geometry import FullGeometry
+from solver.fitting.simplex import replace_values
 from tests.solver.block import block_model
 from tests.solver.fitting.test_per_tet import contracted, face_with_fibres, target_of
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from solver.fitting.face import Face, Pose
-from solver.fitting.joint import replace_values
 from solver.fitting.objective import SkinDistance, Target
 from solver.fitting.sensitivity import Sensitivity
+from solver.fitting.simplex import replace_values
 from tests.solver.block import block_model
 
 STEP = 1e-5

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from solver.fitting import joint
+from solver.fitting import simplex
 
 
 def test_projection_is_nearest_and_tangents_sum_to_zero():
@@ -12,10 +12,10 @@ def test_projection_is_nearest_and_tangents_sum_to_zero():
     lengths = rng.integers(1, 6, size=200)
     indptr = np.concatenate([[0], np.cumsum(lengths)])
     values = rng.standard_normal(indptr[-1])
-    nearest = joint.project(values, indptr)
+    nearest = simplex.project(values, indptr)
     gradient = rng.standard_normal(indptr[-1])
-    free = joint.free_entries(nearest, gradient, indptr)
-    step = joint.tangent(-gradient, free, indptr)
+    free = simplex.free_entries(nearest, gradient, indptr)
+    step = simplex.tangent(-gradient, free, indptr)
     for first, last in pairwise(indptr):
         row = nearest[first:last]
         assert row.min() >= 0.0

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from solver.errors import InputError
 from solver.fitting import target_checks
 from solver.fitting.face import Face
-from solver.fitting.joint import replace_values
+from solver.fitting.simplex import replace_values
 from solver.fitting.target_checks import (
     check_held,
     idle_muscles,
@@ -110,8 +110,12 @@ def test_what_a_fit_leaves_is_told_by_patch():
 
 
 def test_another_face_for_a_known_name():
-    assert target_checks.replaced(MODEL, "smile", expression(4.0), scan(expression(5.0))) == []
-    (notice,) = target_checks.replaced(MODEL, "smile", expression(4.0), scan(expression(-4.0)))
+    assert (
+        target_checks.check_replaced(MODEL, "smile", expression(4.0), scan(expression(5.0))) == []
+    )
+    (notice,) = target_checks.check_replaced(
+        MODEL, "smile", expression(4.0), scan(expression(-4.0))
+    )
     assert notice.code == "target.replaced"
 
 

@@ -6,8 +6,8 @@ import pytest
 from solver.fitting.face import Face
 from solver.fitting.objective import (
     SkinDistance,
+    SumTerm,
     Target,
-    Together,
 )
 from tests.solver.block import block_model
 
@@ -30,7 +30,7 @@ def scans(face):
 @pytest.mark.parametrize("kind", ["points", "planes", "together"])
 def test_gradient_and_curvature_match_differences(face, kind):
     points, planes = (SkinDistance(face, target) for target in scans(face))
-    term = {"points": points, "planes": planes, "together": Together((points, planes))}[kind]
+    term = {"points": points, "planes": planes, "together": SumTerm((points, planes))}[kind]
     rng = np.random.default_rng(6)
     x = face.model.rest + 0.2 * rng.standard_normal(face.model.rest.shape)
     step = rng.standard_normal(x.shape)

@@ -11,7 +11,7 @@ import pytest
 
 from solver.errors import InputError, SolveError
 from solver.fitting import (
-    chosen,
+    fallback,
     geometry,
 )
 from solver.fitting.face import Face, Pose
@@ -90,19 +90,19 @@ def test_what_neither_solver_can_fit_costs_only_itself(
     files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """IPOPT ends with numbers that are none; the other expression is kept."""
-    real = chosen.reference.activations
+    real = fallback.reference.activations
     calls = []
 
     def broken(face: Face, *args: Any, **more: Any) -> Reference:
         calls.append(face)
-        if len(calls) <= len(chosen.HEAVIER):
+        if len(calls) <= len(fallback.FallbackOptions.heavier):
             x = np.full_like(MODEL.rest, np.nan)
             last = Reference(face.rest_pose(), x, np.nan, 3, np.nan)
             raise NotConvergedError("Invalid number detected", 3, last)
         return real(face, *args, **more)
 
-    monkeypatch.setattr(chosen.activation, "fit", fail)
-    monkeypatch.setattr(chosen.reference, "activations", broken)
+    monkeypatch.setattr(fallback.activation, "fit", fail)
+    monkeypatch.setattr(fallback.reference, "activations", broken)
     report, steps = activations(files, tmp_path / "both", "wide", "narrow")
     lost, kept = report["expressions"]["wide"], report["expressions"]["narrow"]
     assert (lost["solver"], lost["status"]) == ("ipopt", "failed")

@@ -6,50 +6,41 @@ notices that say why it is no better.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from solver.contact.mouth import Mouth
 from solver.errors import Notice, SolveError
 from solver.fitting import activation, reference
 from solver.fitting.activation import ActivationOptions, Resting
-from solver.fitting.contact import Contact, Teeth
 from solver.fitting.face import Face, State
 from solver.fitting.least_squares import Listener
-from solver.fitting.objective import (
-    Regulariser,
-    SkinDistance,
-    Target,
-    Term,
-    Together,
-)
+from solver.fitting.objective import Regulariser, Term
 from solver.fitting.reference import NotConvergedError, Reference
 
 Solver = Literal["reduced", "ipopt"]
 Status = Literal["converged", "stopped", "failed"]
 
-IPOPT_ITERATIONS = 4
-"""Iterations that IPOPT, whose steps are shorter, may take for one of Gauss-Newton."""
 
-HEAVIER = (1.0, 100.0, 20.0, 5.0, 1.0)
-"""Weights of the activations' prior that IPOPT tries, as multiples of the one that is wanted."""
+@dataclass(frozen=True)
+class FallbackOptions:
+    """IPOPT's effort for an expression."""
 
-IPOPT_TOLERANCE = 1e-4
+    iterations: int = 4  # for one of Gauss-Newton's, whose steps are longer
+    # weights of the activations' prior in turn, as multiples of the one that is wanted
+    heavier: tuple[float, ...] = (1.0, 100.0, 20.0, 5.0, 1.0)
+    tolerance: float = 1e-4
+    slow_vertices: int = 3000  # from which on an expression takes minutes
 
 
 UNSETTLED = Notice(
     "ipopt.unsettled", "what IPOPT found does not come to rest; the best result is kept"
 )
 
-SLOW_VERTICES = 3000
-"""Vertices from which on IPOPT takes minutes for an expression."""
-
 
 @dataclass(frozen=True)
-class ChosenFit:
+class FallbackFit:
     """A settled state, f there, and how it was found.
 
     ``status`` is ``stopped`` where the iterations ran out, ``failed`` where the solver broke down
@@ -74,13 +65,14 @@ def fit(
     listen: Listener | None = None,
     *,
     start: State | None = None,
-) -> ChosenFit:
+    ipopt: FallbackOptions = FallbackOptions(),
+) -> FallbackFit:
     """Minimise f over (a, b); never raises :class:`SolveError`.
 
     The reduced solver begins at ``start``, if given, which may be no more than approached.
     """
     if solver == "ipopt":
-        return by_ipopt(face, data, regulariser, rest, options, listen)
+        return fit_by_ipopt(face, data, regulariser, rest, options, listen, ipopt)
     try:
         if start is None:
             found = activation.fit(
@@ -94,37 +86,38 @@ def fit(
             f"the reduced solver failed ({error}); IPOPT took over",
             {"reason": getattr(error, "code", "solve.singular")},
         )
-        instead = by_ipopt(face, data, regulariser, rest, options, listen)
+        instead = fit_by_ipopt(face, data, regulariser, rest, options, listen, ipopt)
         return replace(instead, notices=(reason, *instead.notices))
     status: Status = "converged" if found.converged else "stopped"
-    return ChosenFit(found.state, found.objective, found.iterations, "reduced", status, ())
+    return FallbackFit(found.state, found.objective, found.iterations, "reduced", status, ())
 
 
-def by_ipopt(
+def fit_by_ipopt(
     face: Face,
     data: Term,
     regulariser: Regulariser,
     rest: Resting,
     options: ActivationOptions,
     listen: Listener | None = None,
-) -> ChosenFit:
+    ipopt: FallbackOptions = FallbackOptions(),
+) -> FallbackFit:
     """Do as :func:`fit` by IPOPT; its answer is settled, and compared with the resting face.
 
     Where IPOPT does not converge, it tries again with heavier priors of the activations, each time
     from the best state so far: there the flesh does not buckle, and the answer is nearby.
     """
     neutral = activation.objective(data, regulariser, rest.state)
-    best = ChosenFit(rest.state, neutral, 0, "ipopt", "failed", ())
-    limit = IPOPT_ITERATIONS * options.max_iterations
+    best = FallbackFit(rest.state, neutral, 0, "ipopt", "failed", ())
+    limit = ipopt.iterations * options.max_iterations
     done = 0
     trouble: dict[str, Notice] = {}
-    for heavier in HEAVIER:
+    for heavier in ipopt.heavier:
         prior = replace(regulariser, w_a=heavier * regulariser.w_a)
         start, before = best.state, done
 
-        def scaled(iteration: int, value: float, before: int = before) -> None:
+        def report(iteration: int, value: float, before: int = before) -> None:
             if listen:
-                listen((before + iteration) // IPOPT_ITERATIONS, value)
+                listen((before + iteration) // ipopt.iterations, value)
 
         try:
             found = reference.activations(
@@ -133,9 +126,9 @@ def by_ipopt(
                 prior,
                 start.pose,
                 start.x,
-                tolerance=IPOPT_TOLERANCE,
+                tolerance=ipopt.tolerance,
                 max_iterations=limit,
-                listen=scaled,
+                listen=report,
             )
             converged = True
         except NotConvergedError as error:
@@ -143,7 +136,7 @@ def by_ipopt(
             message = f"{error.message}; the best result is kept"
             trouble[error.code] = Notice(error.code, message, error.context)
         done += found.iterations
-        state = _settled(face, found)
+        state = _settle(face, found)
         if state is None:
             trouble[UNSETTLED.code] = UNSETTLED
             continue
@@ -157,7 +150,7 @@ def by_ipopt(
     return replace(best, iterations=done, notices=tuple(trouble.values()))
 
 
-def _settled(face: Face, found: Reference) -> State | None:
+def _settle(face: Face, found: Reference) -> State | None:
     """Return the equilibrium near IPOPT's answer, None if there is none."""
     if not (np.isfinite(found.x).all() and np.isfinite(found.pose.a).all()):
         return None
@@ -167,41 +160,10 @@ def _settled(face: Face, found: Reference) -> State | None:
         return None
 
 
-def slowness(face: Face) -> list[Notice]:
+def warn_of_slowness(face: Face, options: FallbackOptions = FallbackOptions()) -> list[Notice]:
     """Return a warning if IPOPT will take minutes for an expression of ``face``."""
     vertices = len(face.model.rest)
-    if vertices <= SLOW_VERTICES:
+    if vertices <= options.slow_vertices:
         return []
     message = f"solver ipopt takes minutes for an expression on a mesh of {vertices} vertices"
     return [Notice("solver.slow", message, {"found": vertices})]
-
-
-# What jobs and benchmarks fit: the terms of every expression, and the weights of an unseen one.
-
-
-UNSEEN = {"w_a": 1e-3, "w_v": 1e-2, "w_b": 1e-6}
-"""Weights for an expression that S was not fitted to: w_a low from the start."""
-
-UNSEEN_STOP = ActivationOptions(max_iterations=25, tolerance=1e-3)
-
-
-def distances(face: Face, targets: Mapping[str, Target]) -> dict[str, Term]:
-    """Return the distance of every expression, without contact: what a fit of S begins with."""
-    return {name: SkinDistance(face, target) for name, target in targets.items()}
-
-
-def terms(face: Face, targets: Mapping[str, Target]) -> dict[str, Term]:
-    """Return the terms of every expression: the distance, and contact if the model has lips."""
-    mouth = Mouth.of(face.model)
-    data = distances(face, targets)
-    if mouth is None:
-        return data
-    teeth = Teeth(face.model, mouth)
-    return {
-        name: Together((term, Contact(face.model, mouth, teeth))) for name, term in data.items()
-    }
-
-
-def unseen_regulariser(face: Face) -> Regulariser:
-    """Return the regulariser of an expression that S was not fitted to, around the resting face."""
-    return Regulariser(**UNSEEN, prior=face.rest_pose())

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from solver.errors import SolveError
-from solver.fitting import chosen
+from solver.fitting import fallback
 from solver.fitting.activation import ActivationOptions, Resting
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, SkinDistance, Target
@@ -26,12 +26,12 @@ def problem():
 
 
 def test_both_solvers_find_the_same(problem):
-    reduced, full = (chosen.fit(*problem, solver) for solver in ("reduced", "ipopt"))
+    reduced, full = (fallback.fit(*problem, solver) for solver in ("reduced", "ipopt"))
     assert (reduced.solver, reduced.status, reduced.notices) == ("reduced", "converged", ())
     assert (full.solver, full.status, full.notices) == ("ipopt", "converged", ())
     assert full.objective == pytest.approx(reduced.objective, rel=1e-3)
     _, data, regulariser, rest, _ = problem
-    assert full.objective < 0.01 * chosen.activation.objective(data, regulariser, rest.state)
+    assert full.objective < 0.01 * fallback.activation.objective(data, regulariser, rest.state)
 
 
 @pytest.mark.parametrize("error", [SolveError("solve.far", "too far"), np.linalg.LinAlgError("no")])
@@ -39,10 +39,10 @@ def test_ipopt_takes_over_and_says_why(problem, monkeypatch, error):
     def fail(*_args, **_more):
         raise error
 
-    full = chosen.fit(*problem, "ipopt")
-    monkeypatch.setattr(chosen.activation, "fit", fail)
+    full = fallback.fit(*problem, "ipopt")
+    monkeypatch.setattr(fallback.activation, "fit", fail)
     steps = []
-    found = chosen.fit(*problem, listen=lambda iteration, value: steps.append((iteration, value)))
+    found = fallback.fit(*problem, listen=lambda iteration, value: steps.append((iteration, value)))
     assert (found.solver, found.status) == ("ipopt", "converged")
     assert found.objective == full.objective
     (notice,) = found.notices
@@ -51,15 +51,14 @@ def test_ipopt_takes_over_and_says_why(problem, monkeypatch, error):
     assert steps[-1][1] < steps[0][1]
 
 
-def test_out_of_iterations_the_best_is_kept(problem, monkeypatch):
+def test_out_of_iterations_the_best_is_kept(problem):
     """One iteration of IPOPT ends nowhere: what is kept is better than rest, and settled."""
-    monkeypatch.setattr(chosen, "IPOPT_ITERATIONS", 1)
-    monkeypatch.setattr(chosen, "HEAVIER", (1.0,))
+    once = fallback.FallbackOptions(iterations=1, heavier=(1.0,))
     face, data, regulariser, rest, _ = problem
     few = ActivationOptions(1, 1e-6)
-    found = chosen.by_ipopt(face, data, regulariser, rest, few)
+    found = fallback.fit_by_ipopt(face, data, regulariser, rest, few, ipopt=once)
     assert found.status == "stopped"
     assert [notice.code for notice in found.notices] == ["ipopt.failed"]
-    assert found.objective < 0.5 * chosen.activation.objective(data, regulariser, rest.state)
+    assert found.objective < 0.5 * fallback.activation.objective(data, regulariser, rest.state)
     assert found.state.equilibrium.residual < 1e-6
     assert face.flesh.inverted(found.state.x) == 0

@@ -1,0 +1,239 @@
+"""The set that S lives on, S of one subject for another, and its mirror prior.
+
+Every row of S is on the unit simplex over its candidate columns. Rows are those of a CSR matrix
+given by its ``indptr``; values are its data (nnz,).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numba as nb
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from solver.errors import InputError
+from solver.model import SubjectModel
+from solver.surface import Floats, Ints
+
+
+@dataclass(frozen=True)
+class SimplexOptions:
+    """Effort of a minimisation on the simplex, which is not brought to convergence."""
+
+    passes: int = 3  # conjugate gradients, each on a face of the simplex
+    iterations: int = 10  # of each at most
+    tolerance: float = 0.1  # of each, relative
+    halvings: int = 4  # of a step that is projected
+
+
+def minimise_on_simplex(
+    values: Floats,
+    gradient: Floats,
+    product: Callable[[Floats], Floats],
+    indptr: Ints,
+    reach: float,
+    options: SimplexOptions = SimplexOptions(),
+) -> Floats:
+    """Return the values that minimise g . d + 1/2 d . H d on the simplex, d their change.
+
+    ``gradient`` (nnz,) is g at ``values``, ``product`` multiplies by the positive definite H; no
+    value moves by more than ``reach``. A few passes of conjugate gradients, each on the face that
+    the last one ended on and projected afterwards (More and Toraldo 1991), not to convergence.
+    """
+    at, steepest = values, gradient
+    for _ in range(options.passes):
+        free = free_entries(at, steepest, indptr)
+
+        def on_face(direction: Floats, free: NDArray[np.bool_] = free) -> Floats:
+            return tangent(product(direction), free, indptr)
+
+        system = scipy.sparse.linalg.LinearOperator(
+            (len(values), len(values)), matvec=on_face, dtype=np.float64
+        )
+        right = -tangent(steepest, free, indptr)
+        step, _ = scipy.sparse.linalg.cg(
+            system, right, rtol=options.tolerance, maxiter=options.iterations
+        )
+        for halving in range(options.halvings):
+            goal = np.clip(at + 0.5**halving * step, values - reach, values + reach)
+            move = project(goal, indptr) - at
+            image = product(move)
+            if steepest @ move + 0.5 * move @ image < 0.0:
+                break
+        else:
+            break
+        at, steepest = at + move, steepest + image
+    return at
+
+
+@nb.njit(cache=True, parallel=True)
+def project(values: Floats, indptr: Ints) -> Floats:
+    """Return the nearest values with s >= 0 and sum 1 in every row (Held, Wolfe, Crowder 1974)."""
+    out = np.empty_like(values)
+    for row in nb.prange(len(indptr) - 1):
+        first, last = indptr[row], indptr[row + 1]
+        descending = np.sort(values[first:last])[::-1]
+        total, threshold = 0.0, 0.0
+        for k in range(last - first):
+            total += descending[k]
+            shift = (total - 1.0) / (k + 1)
+            if descending[k] <= shift:
+                break
+            threshold = shift
+        for entry in range(first, last):
+            out[entry] = max(values[entry] - threshold, 0.0)
+    return out
+
+
+@nb.njit(cache=True, parallel=True)
+def free_entries(values: Floats, gradient: Floats, indptr: Ints) -> NDArray[np.bool_]:
+    """Tell which entries may move: not those at zero that the gradient pushes below it.
+
+    The push is the gradient less its mean over the row's free entries, the multiplier of the sum.
+    """
+    free = np.ones(len(values), dtype=np.bool_)
+    for row in nb.prange(len(indptr) - 1):
+        first, last = indptr[row], indptr[row + 1]
+        changed = True
+        while changed:
+            changed = False
+            total, count = 0.0, 0
+            for entry in range(first, last):
+                if free[entry]:
+                    total += gradient[entry]
+                    count += 1
+            for entry in range(first, last):
+                held = values[entry] <= 0.0 and gradient[entry] * count > total
+                if free[entry] and held and count > 1:
+                    free[entry] = False
+                    changed = True
+    return free
+
+
+@nb.njit(cache=True, parallel=True)
+def tangent(values: Floats, free: NDArray[np.bool_], indptr: Ints) -> Floats:
+    """Project onto the face's tangent: zero at entries that are not free, rows that sum to zero."""
+    out = np.zeros_like(values)
+    for row in nb.prange(len(indptr) - 1):
+        total, count = 0.0, 0
+        for entry in range(indptr[row], indptr[row + 1]):
+            if free[entry]:
+                total += values[entry]
+                count += 1
+        for entry in range(indptr[row], indptr[row + 1]):
+            if free[entry]:
+                out[entry] = values[entry] - total / count
+    return out
+
+
+# S as values on a fixed pattern, the candidates of every tet; and S of one subject for another.
+
+
+def replace_values(S: sp.csr_array, values: Floats) -> sp.csr_array:
+    """Return a matrix of S's pattern with other values (nnz,)."""
+    return sp.csr_array((values, S.indices, S.indptr), shape=S.shape)
+
+
+def transfer(S: sp.csr_array, source: SubjectModel, model: SubjectModel) -> sp.csr_array:
+    """Return ``source``'s fitted S (n', m' + 1) on ``model``'s pattern, to start its fit from.
+
+    Tet by tet where both have the template's tets, else from the nearest centroid; muscle by
+    muscle by name. A tet whose candidates have no weight there keeps the model's own. Raises
+    :class:`InputError` (``weights.other_muscles``) if no muscle is known to both.
+    """
+    own = model.weights
+    tets = np.repeat(np.arange(own.shape[0]), np.diff(own.indptr))
+    column = _columns(source.muscle_names, model.muscle_names)[own.indices]
+    found = np.asarray(S[_counterparts(source, model)[tets], np.maximum(column, 0)]).ravel()
+    values = np.where(column >= 0, found, 0.0)
+    total = np.add.reduceat(values, own.indptr[:-1])[tets]
+    values = np.where(total > 0.0, values, own.data)
+    return replace_values(own, project(values, own.indptr))
+
+
+def _columns(source: tuple[str, ...], names: tuple[str, ...]) -> Ints:
+    """Return for every column of ``names`` that of ``source``, -1 where it has no such muscle."""
+    numbers = {name: number for number, name in enumerate(source, start=1)}
+    if not set(numbers) & set(names):
+        raise InputError("weights.other_muscles", "the two subjects have no muscle in common")
+    return np.array([0, *(numbers.get(name, -1) for name in names)])
+
+
+def _counterparts(source: SubjectModel, model: SubjectModel) -> Ints:
+    """Return for every tet of ``model`` the one of ``source`` that stands for it."""
+    if np.array_equal(source.tets, model.tets):
+        return np.arange(len(model.tets))
+    there, here = (_centres(subject) for subject in (source, model))
+    return np.asarray(cKDTree(there).query(here)[1])
+
+
+def _centres(model: SubjectModel) -> Floats:
+    """Return the tets' centroids in the frame of the jaw."""
+    return np.asarray((model.rest[model.tets].mean(axis=1) - model.jaw.origin) @ model.jaw.axes.T)
+
+
+# The symmetric option: muscles of the left and right change alike, as far as the tets allow.
+#
+# A tet mesh is not its own mirror image, and neither is a person. So nothing is forced: the prior
+# (w_m/2) sum (ds_ij - ds_i'j')^2 asks the *changes* ds of S from its start, which has the mesh's
+# own asymmetry, to be alike at the tet i' nearest to the mirrored centroid of tet i and the muscle
+# j' of the other side. The mirror is the jaw frame's middle plane.
+
+
+OTHER_SIDE = {"left": "right", "right": "left", "l": "r", "r": "l"}
+MIRROR_REACH_MM = 4.0  # a tet further than this from its mirrored place has no counterpart
+
+
+def mirror_structure(model: SubjectModel, w_m: float) -> sp.csr_array:
+    """Return L (k, nnz), so that 1/2 |L ds|^2 is the prior; entries without counterpart are free.
+
+    Raises :class:`InputError` (``model.no_sides``) if no muscle's name tells its side.
+    """
+    S = model.weights
+    numbers = sp.csr_array((np.arange(1, S.nnz + 1), S.indices, S.indptr), shape=S.shape)
+    tets = np.repeat(np.arange(S.shape[0]), np.diff(S.indptr))
+    tet, muscle = mirrored_tets(model)[tets], mirrored_muscles(model.muscle_names)[S.indices]
+    found = np.asarray(numbers[np.maximum(tet, 0), muscle]).ravel() - 1
+    own = np.arange(S.nnz)
+    paired = np.flatnonzero((tet >= 0) & (found >= 0) & (found != own))
+    root = np.full(len(paired), np.sqrt(w_m))
+    rows = np.arange(len(paired))
+    return sp.csr_array(
+        (
+            np.concatenate([root, -root]),
+            (np.concatenate([rows, rows]), np.concatenate([paired, found[paired]])),
+        ),
+        shape=(len(paired), S.nnz),
+    )
+
+
+def mirrored_muscles(names: tuple[str, ...]) -> Ints:
+    """Return for every column of S the column of the other side, for those in the middle their own.
+
+    The sides are the words left, right, l and r of a name.
+    """
+    words = [tuple(re.split(r"[\s_]+", name.lower())) for name in names]
+    columns = {name: number for number, name in enumerate(words, start=1)}
+    swapped = [tuple(OTHER_SIDE.get(word, word) for word in name) for name in words]
+    if swapped == words:
+        raise InputError("model.no_sides", "no muscle's name says left or right: nothing mirrors")
+    others = [columns.get(name, number) for number, name in enumerate(swapped, start=1)]
+    return np.array([0, *others])
+
+
+def mirrored_tets(model: SubjectModel) -> Ints:
+    """Return for every tet the nearest to its mirror image, -1 if none is near."""
+    centres = model.rest[model.tets].mean(axis=1)
+    distance, nearest = cKDTree(centres).query(_mirror(model, centres))
+    return np.where(distance <= MIRROR_REACH_MM, nearest, -1)
+
+
+def _mirror(model: SubjectModel, points: Floats) -> Floats:
+    across = model.jaw.axes[0]
+    return np.asarray(points - 2.0 * np.outer((points - model.jaw.origin) @ across, across))
