@@ -19,7 +19,7 @@ FORMAT = 1  # of the file
 
 @dataclass(frozen=True)
 class JawFrame:
-    """The mandible's five degrees of freedom b (SYSTEM: jaw).
+    """The mandible's five degrees of freedom b (ARCHITECTURE.md, the equations: jaw).
 
     ``origin`` (3,) lies half way between the condyles; ``axes`` (3, 3) has rows: the unit vector
     through the condyles (to the subject's left), the vertical axis, and their cross product.

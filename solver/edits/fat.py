@@ -44,7 +44,9 @@ def _border(model: SubjectModel) -> Floats:
 
 @dataclass(frozen=True)
 class Fat:
-    """Growth f_i = f_min (1 - s_i0) + f_max s_i0 of F_p = f I, where a map says (SYSTEM: fat).
+    """Growth f_i = f_min (1 - s_i0) + f_max s_i0 of F_p = f I, where a map says.
+
+    The equation is in ARCHITECTURE.md (fat).
 
     Muscle grows by ``f_min``, passive flesh by ``f_max``; s_i0 is S's passive share of a tet.
     (0.9, 1.0) is slim, (1.0, 1.2) fat. A ``painted`` map (V,), see :mod:`solver.edits.maps`, draws
