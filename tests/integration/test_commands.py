@@ -57,7 +57,7 @@ def test_a_session_at_the_station(myoface: Command, url: str, tmp_path: Path) ->
     bad = myoface("captures", "add", subject, blink, "--raw", "--check", code=3)
     assert "blink: bad: it cannot be used" in bad.output
     assert "blink.obj has no mouth" in bad.output
-    assert "scan again with the mouth in view" in bad.output
+    assert "turn the head towards the lower camera and scan again" in bad.output
     myoface("captures", "delete", subject, "blink")
 
     frown, smile = scan(tmp_path, "frown", "fault nan"), scan(tmp_path, "smile")
