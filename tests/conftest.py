@@ -18,7 +18,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 import pytest
 from xdist.scheduler import LoadScopeScheduling
 
-UNITS = tuple(f"tests/{folder}/" for folder in ("solver", "service", "worker", "myoface"))
+UNITS = tuple(f"tests/{folder}/" for folder in ("unit", "solver", "service", "worker", "myoface"))
 QUICK_LIMIT = 2.0  # s of processor time that a test of `make quick` may take
 
 SECONDS = "processor seconds"
