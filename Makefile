@@ -13,16 +13,16 @@ help: ## list the targets
 demo: setup ## the whole product on the built-in face: scans in over HTTP, a fitted rig and a report out
 	@$(BIN)/myoface demo
 
-quick: setup-dev ## style, types, and unit tests that need no data and no process (QUICKTIME)
+quick: setup-dev ## style, types, and unit tests that need no data and no process (45 s)
 	@$(BIN)/ruff check --quiet
 	@$(BIN)/ruff format --check --quiet
 	@$(BIN)/mypy
 	@$(TESTS) --quick --quiet -n $(WORKERS)
 
-test: check fast-servers ## what CI runs: the checks and all tests that are not slow (TESTTIME)
+test: check fast-servers ## what CI runs: the checks and all tests that are not slow (6 minutes)
 	@$(TESTS) -n $(WORKERS) -m "not slow or end_to_end and not servers"
 
-test-all: servers ## also the slow tests: all on the servers, the browser, campaigns (ALLTIME)
+test-all: servers ## also the slow tests: all on the servers, the browser, campaigns (30 minutes)
 	@scripts/blender-venv || echo "no Blender here: its tests skip"
 	@$(MAKE) --no-print-directory test
 	@$(TESTS) -m "slow and (servers or not end_to_end)"

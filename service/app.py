@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+from typing import Any
 
 from anyio import to_thread
 from fastapi import FastAPI
@@ -139,17 +141,24 @@ def create_app(settings: Settings | None = None) -> FastAPI:
 
 def _describe_problems(app: FastAPI) -> None:
     """Complete the OpenAPI description: the problem document, and what any body may meet with."""
-    document = app.openapi()  # FastAPI keeps it and serves it from now on
-    schema = errors.ProblemDocument.model_json_schema()
-    document["components"]["schemas"]["ProblemDocument"] = schema
-    of_keys = {str(status): answer for status, answer in errors.problems(401, 403, 429).items()}
-    of_bodies = {str(status): answer for status, answer in errors.problems(400, 408, 413).items()}
-    for operations in document["paths"].values():
-        for operation in operations.values():
-            if "requestBody" in operation:
-                operation["responses"] = of_bodies | operation["responses"]
-            if "security" in operation:
-                operation["responses"] = of_keys | operation["responses"]
+    describe = app.openapi  # takes half a second, so it waits until somebody asks
+
+    @cache
+    def complete() -> dict[str, Any]:
+        document = describe()
+        schema = errors.ProblemDocument.model_json_schema()
+        document["components"]["schemas"]["ProblemDocument"] = schema
+        of_keys = {str(status): answer for status, answer in errors.problems(401, 403, 429).items()}
+        bodies = {str(status): answer for status, answer in errors.problems(400, 408, 413).items()}
+        for operations in document["paths"].values():
+            for operation in operations.values():
+                if "requestBody" in operation:
+                    operation["responses"] = bodies | operation["responses"]
+                if "security" in operation:
+                    operation["responses"] = of_keys | operation["responses"]
+        return document
+
+    app.openapi = complete  # type: ignore[method-assign]
 
 
 def _version() -> str:

@@ -18,7 +18,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 import pytest
 from xdist.scheduler import LoadScopeScheduling
 
-UNITS = tuple(f"tests/{folder}/" for folder in ("solver", "service", "worker", "myoface"))
+UNITS = tuple(f"tests/{folder}/" for folder in ("unit", "solver", "service", "worker", "myoface"))
 QUICK_LIMIT = 2.0  # s of processor time that a test of `make quick` may take
 
 SECONDS = "processor seconds"
@@ -59,6 +59,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = _mixed(items)
 
 
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> LoadScopeScheduling:
     config.option.loadscopereorder = False
     return _ByModule(config, log)

@@ -57,7 +57,7 @@ def test_a_session_at_the_station(myoface: Command, url: str, tmp_path: Path) ->
     bad = myoface("captures", "add", subject, blink, "--raw", "--check", code=3)
     assert "blink: bad: it cannot be used" in bad.output
     assert "blink.obj has no mouth" in bad.output
-    assert "scan again with the mouth in view" in bad.output
+    assert "turn the head towards the lower camera and scan again" in bad.output
     myoface("captures", "delete", subject, "blink")
 
     frown, smile = scan(tmp_path, "frown", "fault nan"), scan(tmp_path, "smile")
@@ -65,7 +65,7 @@ def test_a_session_at_the_station(myoface: Command, url: str, tmp_path: Path) ->
     registered = myoface("captures", "register", subject, "-o", tmp_path / "out", code=1).output
     assert registered.index("neutral: registered") < registered.index("smile: registered")
     mesh = (tmp_path / "out" / "smile" / "registered.ply").read_text()
-    assert "neutral: registered, 80% of the face seen, 0.30 mm off the scan" in registered
+    assert "neutral: registered, 83% of the face seen, 0.31 mm off the scan" in registered
     assert mesh == "registered # smile by registered # neutral by nose,0,0,0"
     assert "frown.obj has a NaN in line 3" in registered
     listed = myoface("jobs", "list", "--subject", subject, "--state", "failed").output

@@ -22,8 +22,6 @@ from service.store.models import Upload
 from service.uploads.service import UploadService
 from tests.service_client import OFFSET_STREAM, Studio, eventually, served
 
-pytestmark = pytest.mark.telling
-
 SCAN = b"".join(f"v {i} 0 0\n".encode() for i in range(50_000))
 SHA256 = hashlib.sha256(SCAN).hexdigest()
 
@@ -33,6 +31,7 @@ def settings(tmp_path: Path) -> Settings:
     return Settings(data_dir=tmp_path, max_upload_bytes=10_000_000)
 
 
+@pytest.mark.telling
 def test_an_upload_resumes_where_the_service_died(settings: Settings) -> None:
     with served(settings) as studio:
         http = studio.http
@@ -115,6 +114,7 @@ def test_uploads_that_can_not_be(
     assert (answer.status_code, answer.json()["code"]) == (status, code)
 
 
+@pytest.mark.telling
 def test_two_writers_never_mix(settings: Settings) -> None:
     """Both send the whole file from offset 0 at once, in many small pieces."""
     answers: list[httpx.Response] = []
@@ -196,6 +196,7 @@ def test_asking_while_the_last_bytes_come_tells_the_end(
         assert (asked.status_code, asked.headers["Upload-Offset"]) == (200, str(len(SCAN)))
 
 
+@pytest.mark.telling
 def test_giving_up_removes_the_bytes(settings: Settings) -> None:
     with served(settings) as studio:
         http = studio.http

@@ -30,7 +30,7 @@ def test_scans_are_judged_as_they_come(studio_and_url: tuple[Studio, str], tmp_p
         eventually(lambda: "Ada/neutral: good" in lines(), seconds=40)
         save(ada / "smile.obj", "#! verdict bad\n")
         eventually(lambda: "Ada/smile: bad" in lines(), seconds=20)
-        assert "with the mouth in view" in log.read_text()
+        assert "towards the lower camera" in log.read_text()
         save(ada / "smile.obj", "# smile, scanned again\n")
         eventually(lambda: "Ada/smile: good" in lines(), seconds=20)
         save(ada / "a name no scan may have.obj", "# x\n")

@@ -32,6 +32,8 @@ from solver.similarity import Similarity, fit_similarity
 from solver.surface import Floats, Surface
 from solver.templates.builtin.build import builtin_template
 
+pytestmark = pytest.mark.long
+
 MM_PER_UNIT = (1.0, 10.0, 1000.0, 25.4, 3.7, 0.02, 140.0)  # three of them are no unit's
 CROPS = ("whole", "front", "holes", "shoulders", "cloud")
 FAST = (0, 2, 4, 8, 16)
