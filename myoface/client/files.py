@@ -25,8 +25,8 @@ GONE = frozenset({httpx.codes.NOT_FOUND, httpx.codes.GONE})
 # Longer than any service keeps an upload that nobody goes on with.
 NOTES_KEPT_S = 7 * 24 * 3600
 
+# Called with the bytes done and the bytes in all.
 Transferred = Callable[[int, int], None]
-"""Called with the bytes done and the bytes in all."""
 
 
 def ignore_transfer(_done: int, _total: int, /) -> None:

@@ -10,10 +10,10 @@ from typing import Any
 from myoface.errors import ApiError
 from myoface.resources import Batch, Frame, Job, MotionFrame
 
+# Called with the job whenever its state or progress has changed.
 Watcher = Callable[[Job], None]
-"""Called with the job whenever its state or progress has changed."""
+# Called with the batch about once a second.
 BatchWatcher = Callable[[Batch], None]
-"""Called with the batch about once a second."""
 
 
 def unwatched(_job: Job, /) -> None:

@@ -35,10 +35,10 @@ from solver.scene.keys import head_of
 from solver.scene.stage import Stage
 from solver.templates.builtin.build import builtin_template
 
+# Part of a job after which its blendshapes are solved.
 SOLVED = 0.3
-"""Part of a job after which its blendshapes are solved."""
+# Blendshapes that are solved between two writings of their file.
 SAVED_EVERY = 5
-"""Blendshapes that are solved between two writings of their file."""
 
 
 def run(task: Task[Animate]) -> list[Path]:

@@ -16,8 +16,8 @@ from solver.progress import Step
 from solver.rig.preview.make import make_preview, preview_picture, write_preview
 from solver.rig.result import load_activations, load_weights
 
+# Residual of an equilibrium: within a thousandth of a millimetre, and far below the error.
 TOLERANCE = 1e-5
-"""Residual of an equilibrium: within a thousandth of a millimetre, and far below the error."""
 
 
 def run(task: Task[BuildPreview]) -> list[Path]:

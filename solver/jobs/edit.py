@@ -45,8 +45,8 @@ def run(task: Task[Edit]) -> list[Path]:
     entries = scene.edits
     unedited = Edited.nothing(known.model, known.S)
     edited = apply(edits_of(entries, known.places), known.model, known.S)
-    before, all_before = _replayed(unedited, physics, fits, "before the edits", 0.05, progress)
-    after, all_after = _replayed(edited, physics, fits, "after the edits", 0.45, progress)
+    before, all_before = _replay(unedited, physics, fits, "before the edits", 0.05, progress)
+    after, all_after = _replay(edited, physics, fits, "after the edits", 0.45, progress)
     compared = [
         Compared(fit.name, one, other, fit.skin)
         for fit, one, other in zip(fits, all_before, all_after, strict=True)
@@ -60,7 +60,7 @@ def run(task: Task[Edit]) -> list[Path]:
     return files
 
 
-def _replayed(
+def _replay(
     person: Edited,
     physics: Physics,
     fits: Sequence[ExpressionFit],

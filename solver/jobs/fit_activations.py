@@ -46,7 +46,7 @@ def run(task: Task[FitActivations]) -> list[Path]:
     carried = load_activations(inputs["rig"], subject) if "rig" in inputs else ()
     told = Telling(subject, progress)
     told.tell(0.02, find_oddities(face, scans))
-    told.tell(0.02, _replaced(subject, carried, scans))
+    told.tell(0.02, _replacements(subject, carried, scans))
     if given.solver == "ipopt":
         told.tell(0.02, fallback.warn_of_slowness(face))
     rest = Resting(face)
@@ -83,7 +83,7 @@ def _geometry_seconds(carried: Sequence[ExpressionFit]) -> dict[str, float]:
     return {"geometry": sum(together)} if together else {}
 
 
-def _replaced(
+def _replacements(
     model: SubjectModel, carried: Sequence[ExpressionFit], scans: Mapping[str, RegisteredScan]
 ) -> list[Notice]:
     """Return which expressions of the parent rig are replaced by another face."""

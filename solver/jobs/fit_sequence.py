@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -45,17 +46,21 @@ from solver.surface import Floats
 # From one frame of a performance to the next: the head is placed, the face fitted.
 
 
-LEAST_COVERAGE = 0.1
-"""Share of the face's points below which a frame says nothing."""
-LEAST_STILL = 10
-"""Still points that must be seen to tell the head's motion from the face's."""
-STILL = 0.05
-"""Stillness, times confidence, from which a point has a say in the head's motion."""
-RESTLESS_MM = 0.03
-"""A head that moves by more as the face is fitted is placed, and the face fitted, again."""
-PLACINGS = 3
-DECIMALS = 9
-"""Frames are stored as text: digits beyond say nothing."""
+DECIMALS = 9  # frames are stored as text: digits beyond say nothing
+
+
+@dataclass(frozen=True)
+class FollowOptions:
+    """Numbers of placing the head and fitting the face, frame by frame."""
+
+    coverage: float = 0.1  # share of the face's points below which a frame says nothing
+    still_points: int = 10  # that must be seen to tell the head's motion from the face's
+    still: float = 0.05  # stillness times confidence from which a point has a say in that
+    restless_mm: float = 0.03  # a head that moves by more is placed, and the face fitted, again
+    placings: int = 3  # of the head in a frame
+
+
+FOLLOW = FollowOptions()
 
 
 class Follower:
@@ -73,12 +78,14 @@ class Follower:
         targets: Targets,
         last: SequenceFrame | None = None,
         still: Floats | None = None,
+        options: FollowOptions = FOLLOW,
     ) -> None:
         self._tracker = tracker
+        self._options = options
         self._face = tracker.face
         self._targets = targets
         self._still = still
-        if still is not None and np.sum(still > STILL) < LEAST_STILL:
+        if still is not None and np.sum(still > options.still) < options.still_points:
             raise InputError(
                 "sequence.no_still_points",
                 "the head's motion cannot be told from the face's: muscles or the jaw move every "
@@ -94,7 +101,7 @@ class Follower:
         seen = np.mean(scan.confidence > 0)
         status: Status = "unseen"
         iterations = 0
-        if seen >= LEAST_COVERAGE and self._sees_the_head(scan):
+        if seen >= self._options.coverage and self._sees_the_head(scan):
             try:
                 iterations = self._place_and_fit(scan)
                 status = "fitted"
@@ -121,7 +128,8 @@ class Follower:
     def _sees_the_head(self, scan: RegisteredScan) -> bool:
         if self._still is None:
             return True
-        return bool(np.sum(self._still * scan.confidence > STILL) >= LEAST_STILL)
+        visible = np.sum(self._still * scan.confidence > self._options.still)
+        return bool(visible >= self._options.still_points)
 
     def _place_and_fit(self, scan: RegisteredScan) -> int:
         """Fit the face with the head where it is; again if that moves the head."""
@@ -129,19 +137,19 @@ class Follower:
             return self._fit(scan.vertices, scan.confidence)
         pose = self._tracker.state.pose
         iterations, before = 0, np.full_like(scan.vertices, np.inf)
-        for _ in range(PLACINGS):
-            self._head = self._placed(scan, self._still)
+        for _ in range(self._options.placings):
+            self._head = self._place_head(scan, self._still)
             points = self._head.inverse()(scan.vertices)
-            if np.nanmax(np.abs(points - before)) < RESTLESS_MM:
+            if np.nanmax(np.abs(points - before)) < self._options.restless_mm:
                 break
             iterations += self._fit(points, scan.confidence, pose)
             before = points
         return iterations
 
-    def _placed(self, scan: RegisteredScan, still: Floats) -> Similarity:
+    def _place_head(self, scan: RegisteredScan, still: Floats) -> Similarity:
         """Return the motion of the fitted face's still points to where they were seen."""
         weights = still * scan.confidence
-        used = weights > STILL
+        used = weights > self._options.still
         fitted = self._face.face_points(self._tracker.state.x)[used]
         seen, weights = scan.vertices[used], weights[used]
         roughly = weighted_motion(fitted, seen, weights)
@@ -186,10 +194,10 @@ def _six(motion: Similarity) -> Floats:
 
 
 CHUNKS = ChunkOptions(frames=30)
+# Mean distance that says that a performance is not this person's: a fit leaves less than 2.
 UNLIKE_MM = 5.0
-"""Mean distance that says that a performance is not this person's: a fit leaves less than 2."""
+# Frames in the picture.
 MOST_SHOTS = 6
-"""Frames in the picture."""
 
 
 def run(task: Task[FitSequence]) -> list[Path]:

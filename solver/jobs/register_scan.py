@@ -22,8 +22,8 @@ from solver.registration.report import distance_picture, report
 from solver.registration.topology import topology
 from solver.templates.builtin.build import builtin_template
 
+# Environment variable with the path of MediaPipe's face landmarker; without it none is used.
 LANDMARKER_VARIABLE = "MYOFACE_FACE_LANDMARKER"
-"""Environment variable with the path of MediaPipe's face landmarker; without it none is used."""
 
 
 def run(task: Task[RegisterScan]) -> list[Path]:

@@ -81,13 +81,13 @@ def _hash(path: Path) -> str:
 
 
 CHUNKS = ChunkOptions(frames=10)
+# Part of a job after which its files are written.
 EXPORT = 0.9
-"""Part of a job after which its files are written."""
+# Part of a job after which its files are read.
 READ = 0.02
-"""Part of a job after which its files are read."""
 PICTURE_SIZE, PICTURE_QUALITY = (240, 300), 85
+# A file of frames has a picture if none had for so long.
 PICTURE_SECONDS = 10.0
-"""A file of frames has a picture if none had for so long."""
 
 
 def play(

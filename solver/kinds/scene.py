@@ -19,7 +19,7 @@ from solver.kinds.values import (
     form_by_member,
 )
 
-MOST_KEYS = 10000
+MOST_KEYS = 10000  # of one track of a scene
 STIFFNESS_PA = 3000.0  # mu of facial soft tissue: a Young's modulus of 7.5 kPa, 8.6 by other laws
 
 Time = Annotated[float, Field(ge=0, le=600, description="in seconds")]

@@ -51,14 +51,14 @@ class Material:
         )
 
 
+# The flesh of the muscle geometry paper: the trace of the stretch resists change of volume.
 COROTATED_TRACE = Material(mu=1.0, lam=1.0, kappa=0.0)
-"""The flesh of the muscle geometry paper: the trace of the stretch resists change of volume."""
 
+# The flesh of Phace as published: mu |F - R S(a)|^2 + 3 mu (det F - det S(a))^2.
 COROTATED_DET = Material(mu=1.0, lam=0.0, kappa=3.0)
-"""The flesh of Phace as published: mu |F - R S(a)|^2 + 3 mu (det F - det S(a))^2."""
 
+# The stable Neo-Hookean flesh that is like Phace's at small strains.
 NEO_HOOKEAN = replace(COROTATED_DET, law="neo_hookean")
-"""The stable Neo-Hookean flesh that is like Phace's at small strains."""
 
 
 def shape_gradients(rest: Floats, tets: Ints) -> tuple[Floats, Floats]:

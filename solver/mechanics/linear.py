@@ -215,16 +215,16 @@ class _CholmodFactor:
         return np.array(X).reshape(B.shape)
 
 
+# Name -> (the package it needs, the solver).
 SOLVERS: dict[str, tuple[str, Callable[[sp.csr_array], LinearSolver]]] = {
     "rslab": ("rslab", Rslab),
     "rslab-single": ("rslab", RslabSingle),
     "cholmod": ("cvxopt", Cholmod),
     "superlu": ("scipy", SuperLU),
 }
-"""Name -> (the package it needs, the solver)."""
 
+# Those in double precision, the fastest first.
 DOUBLE = ("rslab", "cholmod", "superlu")
-"""Those in double precision, the fastest first."""
 
 
 def analyse(pattern: sp.csr_array, name: str | None = None) -> LinearSolver:

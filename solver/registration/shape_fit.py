@@ -102,17 +102,27 @@ def motion_columns(pairs: Pairs, *, sizes: bool) -> Floats:
     return np.hstack(columns)
 
 
-REACHES_MM = (12.0, 12.0, 10.0, 10.0, 8.0, 8.0, 6.0, 6.0, *(4.0,) * 6, *(3.0,) * 8, *(2.0,) * 6)
-# Standard deviation s of the offsets, as a share of the reach.
-NOISE_SHARE = 0.2
-# Neighbouring offsets go together: so many of them count as one observation.
-INDEPENDENT = 0.02
-# Landmarks count while the reach is at least the first; their standard deviation.
-PINNED_REACH_MM, PIN_MM = 6.0, 3.0
-STRONGEST = 1.2  # weight of an expression
-EXPRESSION_PRIOR = 0.5  # on the squares of their weights
-# Standard deviation of the gap between closed lips.
-CLOSED_MM = 0.15
+@dataclass(frozen=True)
+class ShapeFitOptions:
+    """Numbers of a fit of shapes to a scan."""
+
+    # how far points pair, mm, round by round
+    reaches_mm: tuple[float, ...] = (
+        *(12.0, 12.0, 10.0, 10.0, 8.0, 8.0, 6.0, 6.0),
+        *(4.0,) * 6,
+        *(3.0,) * 8,
+        *(2.0,) * 6,
+    )
+    noise: float = 0.2  # standard deviation of the offsets, by the reach
+    independent: float = 0.02  # part of the offsets that counts: neighbouring ones go together
+    pinned_reach_mm: float = 6.0  # landmarks count while the reach is at least this ...
+    pin_mm: float = 3.0  # ... with this standard deviation
+    strongest: float = 1.2  # weight of an expression
+    expression_prior: float = 0.5  # on the squares of their weights
+    closed_mm: float = 0.15  # standard deviation of the gap between closed lips
+
+
+FIT = ShapeFitOptions()
 
 
 @dataclass(frozen=True)
@@ -132,17 +142,17 @@ class Shapes:
         return np.asarray(self.start + np.tensordot(weights, self.displacements, 1))
 
 
-def persons(topology: Topology, basis: ShapeBasis) -> Shapes:
+def persons(topology: Topology, basis: ShapeBasis, options: ShapeFitOptions = FIT) -> Shapes:
     """Return the identities of a template: independent, of unit variance, the lips closed."""
     one, other = topology.touching.T
     gaps = (basis.identity[:, one] - basis.identity[:, other]).reshape(len(basis.identity), -1)
-    prior = np.eye(len(gaps)) + INDEPENDENT / CLOSED_MM**2 * (gaps @ gaps.T)
+    prior = np.eye(len(gaps)) + options.independent / options.closed_mm**2 * (gaps @ gaps.T)
     return Shapes(topology.template.skin.vertices, basis.identity, np.asarray(prior), bounded=False)
 
 
-def expressions(neutral: Floats, basis: ShapeBasis) -> Shapes:
+def expressions(neutral: Floats, basis: ShapeBasis, options: ShapeFitOptions = FIT) -> Shapes:
     """Return the expressions of a person with this ``neutral`` (n, 3)."""
-    prior = EXPRESSION_PRIOR * np.eye(len(basis.expressions))
+    prior = options.expression_prior * np.eye(len(basis.expressions))
     return Shapes(neutral, basis.expressions, prior, bounded=True)
 
 
@@ -161,6 +171,7 @@ def fit_shapes(
     shapes: Shapes,
     topology: Topology,
     pins: Pins | None = None,
+    options: ShapeFitOptions = FIT,
     *,
     sizes: bool,
 ) -> ShapeFit:
@@ -171,15 +182,15 @@ def fit_shapes(
     outer, faces = topology.outer, topology.template.skin.faces
     count = len(shapes.prior)
     weights = np.zeros(count)
-    for reach in REACHES_MM:
+    for reach in options.reaches_mm:
         model = shapes.at(weights)
         normals = vertex_normals(Surface(model, faces))[outer]
         pairs = pair(scan, motion, model[outer], normals, reach)
-        trust = pairs.weights * INDEPENDENT / (NOISE_SHARE * reach) ** 2
+        trust = pairs.weights * options.independent / (options.noise * reach) ** 2
         pairs, rows = replace(pairs, weights=trust), outer
-        if pins is not None and reach >= PINNED_REACH_MM:
+        if pins is not None and reach >= options.pinned_reach_mm:
             places, goals = model[pins.vertices], motion(pins.points)
-            pairs = add_pins(pairs, places, goals, 1 / PIN_MM**2)
+            pairs = add_pins(pairs, places, goals, 1 / options.pin_mm**2)
             rows = np.concatenate([outer, np.repeat(pins.vertices, 3)])
         basis = np.einsum("knd,nd->nk", shapes.displacements[:, rows], pairs.normals)
         # offset = n . (q - x): the model moves by its weights, the scan by its motion
@@ -189,19 +200,19 @@ def fit_shapes(
         right = -weighted.T @ (pairs.offset + basis @ weights)
         normal[:count, :count] += shapes.prior
         normal[np.diag_indices_from(normal)] += 1e-9
-        solution = _solve(normal, right, count if shapes.bounded else 0)
+        solution = _solve(normal, right, count if shapes.bounded else 0, options.strongest)
         weights, step = solution[:count], solution[count:]
         motion = motion.then(small_motion(step[:6], float(step[6]) if sizes else 0.0))
     return ShapeFit(weights, shapes.at(weights), motion)
 
 
-def _solve(normal: Floats, right: Floats, bounded: int) -> Floats:
-    """Minimise x N x / 2 - r x, the first ``bounded`` unknowns within [0, 1.2]."""
+def _solve(normal: Floats, right: Floats, bounded: int, strongest: float) -> Floats:
+    """Minimise x N x / 2 - r x, the first ``bounded`` unknowns within [0, ``strongest``]."""
     if not bounded:
         return np.asarray(np.linalg.solve(normal, right))
     root = np.linalg.cholesky(normal)
     lower, upper = np.full(len(right), -np.inf), np.full(len(right), np.inf)
-    lower[:bounded], upper[:bounded] = 0.0, STRONGEST
+    lower[:bounded], upper[:bounded] = 0.0, strongest
     return np.asarray(lsq_linear(root.T, np.linalg.solve(root, right), (lower, upper)).x)
 
 
@@ -251,13 +262,20 @@ def align(
 # free form. Persons and expressions are fitted together, as nothing is known of the scan.
 
 
-IDENTITIES = 30  # shapes of persons that a rough fit uses
-EXPRESSION_SD = 0.35  # standard deviation of a weight
-LIKENESS_REACHES_MM = (10.0, 8.0, 6.0, 5.0, *(4.0,) * 5, *(3.0,) * 5)
-LIKENESS_NOISE_SHARE = 0.25  # standard deviation of the distances, by the reach
-# Neighbouring distances go together: so many of them count as one observation.
-LIKENESS_INDEPENDENT = 0.05
-FACING = 0.6  # least cosine of the normals, of either sign
+@dataclass(frozen=True)
+class LikenessOptions:
+    """Numbers of a rough fit of persons and expressions together."""
+
+    reaches_mm: tuple[float, ...] = (10.0, 8.0, 6.0, 5.0, *(4.0,) * 5, *(3.0,) * 5)
+    noise: float = 0.25  # standard deviation of the distances, by the reach
+    independent: float = 0.05  # part of the distances that counts: neighbouring ones go together
+    identities: int = 30  # shapes of persons that it uses
+    expression_sd: float = 0.35  # standard deviation of an expression's weight
+    strongest: float = 1.2  # weight of an expression
+    facing: float = 0.6  # least cosine of the normals, of either sign
+
+
+LIKENESS = LikenessOptions()
 IGNORED = ("eyeLook", "Pupil", "tongue")  # expressions that no scan shows
 
 
@@ -269,7 +287,13 @@ class Likeness:
     motion: Similarity
 
 
-def fit_likeness(scan: Samples, pose: Similarity, template: Template, face: Surface) -> Likeness:
+def fit_likeness(
+    scan: Samples,
+    pose: Similarity,
+    template: Template,
+    face: Surface,
+    options: LikenessOptions = LIKENESS,
+) -> Likeness:
     """Fit the template's shapes to a scan from a good ``pose``.
 
     ``face`` is the part of the skin that is fitted, in the template's numbers. A template without
@@ -285,11 +309,13 @@ def fit_likeness(scan: Samples, pose: Similarity, template: Template, face: Surf
         for number, name in enumerate(shapes.expression_names)
         if not name.startswith(IGNORED)
     ]
-    basis = np.concatenate([shapes.identity[:IDENTITIES], shapes.expressions[chosen]])
-    people = min(IDENTITIES, len(shapes.identity))
-    precision = np.full(len(basis), EXPRESSION_SD**-2)
+    basis = np.concatenate([shapes.identity[: options.identities], shapes.expressions[chosen]])
+    people = min(options.identities, len(shapes.identity))
+    precision = np.full(len(basis), options.expression_sd**-2)
     precision[:people] = 1.0
-    weights, found = _fit(scan, pose, skin[numbers], faces, basis[:, numbers], precision, people)
+    weights, found = _fit(
+        scan, pose, skin[numbers], faces, basis[:, numbers], precision, people, options
+    )
     return Likeness(skin + np.tensordot(weights, basis, 1), found)
 
 
@@ -301,17 +327,18 @@ def _fit(
     basis: NDArray[np.float32],
     precision: Floats,
     people: int,
+    options: LikenessOptions,
 ) -> tuple[Floats, Similarity]:
     """Return the weights (k,) of ``basis`` (k, n, 3) and the pose, fitted together.
 
-    The weights behind the first ``people`` are expressions, kept within [0, STRONGEST].
+    The weights behind the first ``people`` are expressions, kept within [0, ``strongest``].
     """
     count = len(basis)
     weights = np.zeros(count)
     tree = KDTree(scan.points)
     area = vertex_areas(rest, faces)
     scale, rotation, translation = pose.scale, pose.rotation, pose.shift
-    for reach in LIKENESS_REACHES_MM:
+    for reach in options.reaches_mm:
         model = rest + np.tensordot(weights, basis, 1)
         normals = vertex_normals(Surface(model, faces))
         gap, near = tree.query((model - translation) @ rotation / scale)
@@ -319,7 +346,7 @@ def _fit(
         facing = np.abs((scan.normals[near] @ rotation.T * normals).sum(axis=1))
         error = ((matched - model) * normals).sum(axis=1)
         trust = area / area.mean() * np.clip(1 - (gap * scale / reach) ** 2, 0, 1) ** 2
-        trust *= (facing > FACING) * LIKENESS_INDEPENDENT / (LIKENESS_NOISE_SHARE * reach) ** 2
+        trust *= (facing > options.facing) * options.independent / (options.noise * reach) ** 2
         centre = matched.mean(axis=0)
         p = matched - centre
         shape_rows = np.einsum("knd,nd->nk", basis, normals)
@@ -329,7 +356,7 @@ def _fit(
         normal[range(count), range(count)] += precision
         step = np.linalg.solve(normal, rows.T @ (trust * (error + shape_rows @ weights)))
         weights = step[:count]
-        weights[people:] = np.clip(weights[people:], 0.0, STRONGEST)
+        weights[people:] = np.clip(weights[people:], 0.0, options.strongest)
         turn = Rotation.from_rotvec(step[count : count + 3]).as_matrix()
         growth = float(np.clip(1 + step[-1], 0.95, 1.05))
         translation = growth * turn @ (translation - centre) + centre + step[count + 3 : -1]
