@@ -28,7 +28,10 @@ from benchmarks.documents import Section, Table
 from solver.anatomy.template import ShapeBasis, Template
 from solver.meshio.raw import RawScan, read_raw
 from solver.registration.mend import mend
-from solver.registration.register import Registration, register
+from solver.registration.register import (
+    RegisteredFace,
+    register,
+)
 from solver.registration.topology import Topology, topology
 from solver.similarity import weighted_motion
 from solver.surface import Floats, Surface
@@ -152,7 +155,7 @@ def _raw(known: Topology, folder: Path) -> Figures:
     }
 
 
-def _distances(found: Registration, known: Topology) -> Figures:
+def _distances(found: RegisteredFace, known: Topology) -> Figures:
     seen = known.face[found.trust.covered[known.face]]
     distance = found.trust.distance_mm[seen]
     return {
@@ -165,7 +168,7 @@ def _distances(found: Registration, known: Topology) -> Figures:
     }
 
 
-def _scan_to_face(found: Registration, known: Topology) -> float:
+def _scan_to_face(found: RegisteredFace, known: Topology) -> float:
     """Return the mean distance of the scan's points that lie on the inside of the face."""
     is_face = np.zeros(len(found.skin.vertices), dtype=bool)
     is_face[known.face] = True
@@ -207,7 +210,7 @@ def _spoilt(surface: Surface, seed: int) -> RawScan:
     return corrupted(surface, seed, Corruption(unit_mm=unit))
 
 
-def _errors(found: Registration, truth: Floats, known: Topology) -> Figures:
+def _errors(found: RegisteredFace, truth: Floats, known: Topology) -> Figures:
     face, vertices = known.template.face_vertices, found.skin.vertices
     motion = weighted_motion(vertices[face], truth[face], np.ones(len(face)))
     error = np.linalg.norm(vertices - truth, axis=1)[face]
@@ -239,7 +242,7 @@ def _together(people: dict[str, Figures]) -> Figures:
 
 def _timed(
     raw: RawScan, known: Topology, neutral: Floats | None = None
-) -> tuple[Registration, float]:
+) -> tuple[RegisteredFace, float]:
     start = time.perf_counter()
     found = register(mend(raw)[0], known, neutral)
     return found, time.perf_counter() - start

@@ -30,7 +30,11 @@ from solver.edits.edit import (
 )
 from solver.errors import SolveError
 from solver.fitting.face import Face
-from solver.kinds.scene import Contact, EditScene, Flesh
+from solver.kinds.scene import (
+    ContactEntry,
+    EditScene,
+    FleshEntry,
+)
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.rig.edit_report import Compared, EditedPerson, edit_report
@@ -51,7 +55,7 @@ EFFECTS = ("fat", "slim", "full_cheeks", "chin_forward", "lip_filler", "palsy", 
 EXPRESSIONS = ("smile", "surprise", "disgust")
 CELL = (250, 300)
 FIT_TOLERANCE = 1e-5
-NO_CONTACT = Flesh(contact=Contact(lips=False, teeth=False, eyes=False))
+NO_CONTACT = FleshEntry(contact=ContactEntry(lips=False, teeth=False, eyes=False))
 
 
 @dataclass(frozen=True)
@@ -80,7 +84,7 @@ class Subject:
 
 def run(subject: Subject, names: Sequence[str] = EFFECTS) -> dict[str, EditedPerson]:
     """Make the edits of the scenes with these names."""
-    physics = physics_of(Flesh())
+    physics = physics_of(FleshEntry())
     before, all_before = poses(Edited.nothing(subject.model, subject.S), physics, subject.fits)
     people = {}
     for name in names:

@@ -19,11 +19,11 @@ from solver.fitting.gauss_newton import GaussNewton
 from solver.fitting.least_squares import (
     DampingOptions,
     Ending,
+    LeastSquaresStep,
     Listener,
-    Step,
     StopOptions,
-    TrustOptions,
     TrustRegion,
+    TrustRegionOptions,
     minimise,
 )
 from solver.fitting.objective import Regulariser, SkinDistance, Target, Term
@@ -49,7 +49,7 @@ class DescentOptions:
     damping: DampingOptions = field(
         default_factory=lambda: DampingOptions(0.1, least=1e-6, grow=8.0, shrink=8.0)
     )
-    trust: TrustOptions = field(default_factory=TrustOptions)
+    trust: TrustRegionOptions = field(default_factory=TrustRegionOptions)
     settlings: int = 3  # descents, each from the settled end of the one before
     buckled: float = 1.005  # growth of f beyond which a state that settles was not near its rest
 
@@ -174,17 +174,17 @@ class PoseProblem:
         self._model: GaussNewton | None = None
 
     def value(self, point: State) -> float:
-        """See :class:`Problem`."""
+        """See :class:`LeastSquaresProblem`."""
         return objective(self._data, self._regulariser, point)
 
     def linearise(self, point: State) -> GaussNewton:
-        """See :class:`Problem`; it begins with the matrix that the model before has come to."""
+        """See :class:`LeastSquaresProblem`; it begins with the matrix that the model before has come to."""
         matrix = self._model.matrix if self._model else self._matrix
         self._model = GaussNewton(self._face, self._data, self._regulariser, point, matrix)
         return self._model
 
-    def move(self, point: State, step: Step) -> State | None:
-        """See :class:`Problem`."""
+    def move(self, point: State, step: LeastSquaresStep) -> State | None:
+        """See :class:`LeastSquaresProblem`."""
         try:
             return self._go(self._face, point, step.response, point.pose.add(step.change))
         except SolveError:

@@ -16,7 +16,7 @@ import scipy.linalg
 from solver.errors import SolveError
 from solver.fitting.controls import Layout
 from solver.fitting.face import Face, State
-from solver.fitting.least_squares import Step
+from solver.fitting.least_squares import LeastSquaresStep
 from solver.fitting.objective import Regulariser, Term
 from solver.fitting.sensitivity import Sensitivity
 from solver.surface import Floats
@@ -45,7 +45,7 @@ class GaussNewton:
         self._gradient += regulariser.gradient(state.pose)
         self.matrix = matrix
 
-    def step(self, damping: float, trust: float) -> Step:
+    def step(self, damping: float, trust: float) -> LeastSquaresStep:
         """Return the step with ``damping`` D^2 added to the matrix, cut to the reach ``trust``.
 
         Raises :class:`SolveError` (``solve.not_finite``) where there is none.
@@ -69,7 +69,7 @@ class GaussNewton:
         step, curved = fraction * step, fraction * (curved - units * step)
         slope, bend = float(self._gradient @ step), float(step @ curved)
         response = self._sensitivity.flesh_by_pose(step)
-        return Step(step, slope, bend, self._layout.reach(step), response)
+        return LeastSquaresStep(step, slope, bend, self._layout.reach(step), response)
 
     def _product(self, change: Floats) -> Floats:
         """Return J^T C J applied to a change of (a, b)."""

@@ -56,7 +56,7 @@ class DampingOptions:
 
 
 @dataclass(frozen=True)
-class Step:
+class LeastSquaresStep:
     """A ``change`` of the variables (k,), with its linear model.
 
     ``slope`` is g . s and ``bend`` s . B s, ``reach`` its length, 1 being what a linear model is
@@ -74,20 +74,22 @@ class Step:
         """Return what the model promises f to fall by."""
         return -self.slope - 0.5 * self.bend
 
-    def cut(self, part: float) -> Step:
+    def cut(self, part: float) -> LeastSquaresStep:
         """Return a part of the step."""
         slope, bend = part * self.slope, part**2 * self.bend
-        return Step(part * self.change, slope, bend, part * self.reach, part * self.response)
+        return LeastSquaresStep(
+            part * self.change, slope, bend, part * self.reach, part * self.response
+        )
 
 
 class LinearModel(Protocol):
     """f around a point."""
 
-    def step(self, damping: float, trust: float) -> Step:
+    def step(self, damping: float, trust: float) -> LeastSquaresStep:
         """Return the step that minimises the damped model, cut to a reach of ``trust``."""
 
 
-class Problem(Protocol[Point]):
+class LeastSquaresProblem(Protocol[Point]):
     """f, its linear models, and the way along their steps."""
 
     def value(self, point: Point) -> float:
@@ -96,7 +98,7 @@ class Problem(Protocol[Point]):
     def linearise(self, point: Point) -> LinearModel:
         """Return f's model around a point."""
 
-    def move(self, point: Point, step: Step) -> Point | None:
+    def move(self, point: Point, step: LeastSquaresStep) -> Point | None:
         """Return the point a step leads to, None where that is too far."""
 
 
@@ -122,7 +124,7 @@ class Trial(Generic[Point]):
 
 
 @dataclass(frozen=True)
-class Minimum(Generic[Point]):
+class LeastSquaresSolution(Generic[Point]):
     """End of a descent: f there, the steps taken to it, and why.
 
     ``idle`` says that one more search was begun and led nowhere.
@@ -135,11 +137,11 @@ class Minimum(Generic[Point]):
     idle: bool = False
 
 
-class Search(Protocol):
+class StepSearch(Protocol):
     """Finds a step that lowers f; it may keep what it learns for the next one."""
 
     def descend(
-        self, problem: Problem[Point], point: Point, value: float, stop: StopOptions
+        self, problem: LeastSquaresProblem[Point], point: Point, value: float, stop: StopOptions
     ) -> Trial[Point]:
         """Take the model's steps at a point where f is ``value``."""
 
@@ -154,28 +156,30 @@ class StopOptions:
 
 
 def minimise(
-    problem: Problem[Point],
+    problem: LeastSquaresProblem[Point],
     start: Point,
-    search: Search,
+    search: StepSearch,
     stop: StopOptions,
     listen: Listener | None = None,
-) -> Minimum[Point]:
+) -> LeastSquaresSolution[Point]:
     """Lower f step by step from ``start``."""
     point, value = start, problem.value(start)
     for number in range(stop.iterations):
         found = search.descend(problem, point, value, stop)
         if found.point is None:
-            return Minimum(point, value, number, found.ending or Ending.STUCK, idle=True)
+            return LeastSquaresSolution(
+                point, value, number, found.ending or Ending.STUCK, idle=True
+            )
         point, value = found.point, found.value
         if listen:
             listen(number + 1, value)
         if found.ending:
-            return Minimum(point, value, number + 1, found.ending)
-    return Minimum(point, value, stop.iterations, Ending.ITERATIONS)
+            return LeastSquaresSolution(point, value, number + 1, found.ending)
+    return LeastSquaresSolution(point, value, stop.iterations, Ending.ITERATIONS)
 
 
 @dataclass(frozen=True)
-class TrustOptions:
+class TrustRegionOptions:
     """The reach of steps, and how many are tried from one point before that counts as stuck."""
 
     most: float = 1.0
@@ -186,14 +190,14 @@ class TrustOptions:
 class TrustRegion:
     """A search by ever shorter and more damped steps, each solved for anew."""
 
-    def __init__(self, damping: DampingOptions, trust: TrustOptions | None = None) -> None:
-        self._rule, self._trust = damping, trust or TrustOptions()
+    def __init__(self, damping: DampingOptions, trust: TrustRegionOptions | None = None) -> None:
+        self._rule, self._trust = damping, trust or TrustRegionOptions()
         self.damping, self.reach = damping.start, self._trust.most
 
     def descend(
-        self, problem: Problem[Point], point: Point, value: float, stop: StopOptions
+        self, problem: LeastSquaresProblem[Point], point: Point, value: float, stop: StopOptions
     ) -> Trial[Point]:
-        """See :class:`Search`."""
+        """See :class:`StepSearch`."""
         model = problem.linearise(point)
         for trial in range(self._trust.tries):
             step = model.step(self.damping, self.reach)
@@ -241,9 +245,9 @@ class Halving:
         self.damping = damping.start
 
     def descend(
-        self, problem: Problem[Point], point: Point, value: float, stop: StopOptions
+        self, problem: LeastSquaresProblem[Point], point: Point, value: float, stop: StopOptions
     ) -> Trial[Point]:
-        """See :class:`Search`."""
+        """See :class:`StepSearch`."""
         step = problem.linearise(point).step(self.damping, 1.0)
         if step.gain <= stop.promised * value:
             return Trial(None, value, Ending.CONVERGED)
@@ -258,7 +262,7 @@ class Halving:
         return Trial(None, value, Ending.STUCK)
 
     def _accept(
-        self, moved: Point, value: float, reached: float, step: Step, stop: StopOptions
+        self, moved: Point, value: float, reached: float, step: LeastSquaresStep, stop: StopOptions
     ) -> Trial[Point]:
         ratio = (value - reached) / step.gain
         self.damping = self._rule.adapt(self.damping, ratio)

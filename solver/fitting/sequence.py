@@ -24,7 +24,7 @@ from solver.fitting.least_squares import (
     Ending,
     Halving,
     HalvingOptions,
-    Step,
+    LeastSquaresStep,
     StopOptions,
     minimise,
 )
@@ -195,11 +195,11 @@ class _FrameModel:
     gradient: Floats
     hessian: Floats
 
-    def step(self, damping: float, trust: float) -> Step:
+    def step(self, damping: float, trust: float) -> LeastSquaresStep:
         """See :class:`~solver.fitting.least_squares.LinearModel`."""
         step = damped_step(self.layout, self.hessian, self.gradient, damping, trust)
         slope, bend = float(self.gradient @ step), float(step @ self.hessian @ step)
-        return Step(step, slope, bend, self.layout.reach(step))
+        return LeastSquaresStep(step, slope, bend, self.layout.reach(step))
 
 
 @dataclass(frozen=True)
@@ -222,7 +222,7 @@ class _FrameProblem:
         hessian = self.kept.hessian + self.regulariser.gauss_newton(point.pose)
         return _FrameModel(point.pose.layout, gradient, hessian)
 
-    def move(self, point: State, step: Step) -> State | None:
+    def move(self, point: State, step: LeastSquaresStep) -> State | None:
         """See :class:`Problem`; the equilibrium is only corrected."""
         face, flesh, pose = self.face, self.face.flesh, point.pose.add(step.change)
         x = flesh.moved(point.x, self.kept.jacobian.flesh @ step.change)

@@ -20,8 +20,8 @@ from solver.fitting.least_squares import (
     DampingOptions,
     Halving,
     HalvingOptions,
-    Minimum,
-    Step,
+    LeastSquaresSolution,
+    LeastSquaresStep,
     StopOptions,
     minimise,
 )
@@ -65,7 +65,7 @@ class SkinFit:
         self._face, self._controls, self._target = face, controls, target
         self._options = options or SkinFitOptions()
 
-    def solve(self) -> Minimum[SkinPoint]:
+    def solve(self) -> LeastSquaresSolution[SkinPoint]:
         """Minimise f from rest."""
         start = self.settle(self._controls.layout.rest, self._face.model.rest)
         search = Halving(DampingOptions(0.0, least=0.0), self._options.halving)
@@ -105,7 +105,7 @@ class SkinFit:
         bounds = lower - options.room, upper + options.room
         return BoundedModel(matrix, np.concatenate(right), bounds)
 
-    def move(self, point: SkinPoint, step: Step) -> SkinPoint | None:
+    def move(self, point: SkinPoint, step: LeastSquaresStep) -> SkinPoint | None:
         """See :class:`~solver.fitting.least_squares.Problem`."""
         try:
             return self.settle(point.q + step.change, point.equilibrium.x)
@@ -124,8 +124,10 @@ class BoundedModel:
     right: Floats
     bounds: tuple[Floats, Floats]
 
-    def step(self, damping: float, trust: float) -> Step:  # noqa: ARG002 - bounds hold it
+    def step(self, damping: float, trust: float) -> LeastSquaresStep:  # noqa: ARG002 - bounds hold it
         """See :class:`~solver.fitting.least_squares.LinearModel`."""
         change = np.asarray(lsq_linear(self.matrix, self.right, self.bounds).x)
         image = self.matrix @ change
-        return Step(change, float(-2.0 * self.right @ image), float(2.0 * image @ image))
+        return LeastSquaresStep(
+            change, float(-2.0 * self.right @ image), float(2.0 * image @ image)
+        )

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from solver.errors import InputError
-from solver.kinds import KINDS, Kind, Options, OptionsError
+from solver.kinds import KINDS, JobOptions, Kind, OptionsError
 from solver.progress import Progress, silent
 
-Given = TypeVar("Given", bound=Options)
+Given = TypeVar("Given", bound=JobOptions)
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def run_job(
     return left
 
 
-def read_options(kind: Kind, given: Mapping[str, Any]) -> Options:
+def read_options(kind: Kind, given: Mapping[str, Any]) -> JobOptions:
     """Return options with their defaults; raises :class:`InputError` for the first fault."""
     try:
         return kind.read(given)

@@ -11,9 +11,13 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 from solver.kinds.faults import Fault
-from solver.kinds.kind import Kind, Options, OptionsError
+from solver.kinds.kind import (
+    JobOptions,
+    Kind,
+    OptionsError,
+)
 
-__all__ = ["KINDS", "Fault", "Kind", "Options", "OptionsError"]
+__all__ = ["KINDS", "Fault", "JobOptions", "Kind", "OptionsError"]
 
 
 def _find() -> dict[str, Kind]:

@@ -2,12 +2,15 @@
 
 from pydantic import Field
 
-from solver.kinds.kind import Kind, Options
+from solver.kinds.kind import (
+    JobOptions,
+    Kind,
+)
 from solver.kinds.options import LinearSolver, Video
 from solver.kinds.scene import AnimateScene
 
 
-class Animate(Options):
+class Animate(JobOptions):
     """Options of an animation."""
 
     scene: AnimateScene = Field(description="what is animated, see docs/guide/simulation.md")

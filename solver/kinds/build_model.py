@@ -2,10 +2,13 @@
 
 from pydantic import Field
 
-from solver.kinds.kind import Kind, Options
+from solver.kinds.kind import (
+    JobOptions,
+    Kind,
+)
 
 
-class BuildModel(Options):
+class BuildModel(JobOptions):
     """Options of a model."""
 
     edge_mm: float = Field(default=9.0, ge=3, le=30, description="edge length of the tetrahedra")

@@ -2,11 +2,14 @@
 
 from pydantic import Field
 
-from solver.kinds.kind import Kind, Options
+from solver.kinds.kind import (
+    JobOptions,
+    Kind,
+)
 from solver.kinds.values import Whole
 
 
-class BuildPreview(Options):
+class BuildPreview(JobOptions):
     """Options of a rig's sliders."""
 
     seed: Whole = Field(

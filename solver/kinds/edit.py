@@ -2,11 +2,14 @@
 
 from pydantic import Field
 
-from solver.kinds.kind import Kind, Options
+from solver.kinds.kind import (
+    JobOptions,
+    Kind,
+)
 from solver.kinds.scene import EditScene
 
 
-class Edit(Options):
+class Edit(JobOptions):
     """Options of an edit."""
 
     scene: EditScene = Field(description="what is edited, see docs/guide/simulation.md")

@@ -52,7 +52,7 @@ Factor = Annotated[
 ]
 
 
-class Fat(Document):
+class FatEntry(Document):
     """Fatter or slimmer."""
 
     kind: Literal["fat"]
@@ -71,7 +71,7 @@ class Stop(Document):
     depth_mm: float = Field(default=0.0, ge=0, le=50, description="under the skin")
 
 
-class Filler(Document):
+class FillerEntry(Document):
     """Filler along the path of a needle."""
 
     kind: Literal["filler"]
@@ -82,7 +82,7 @@ class Filler(Document):
     )
 
 
-class Bone(Document):
+class BoneEntry(Document):
     """A part of a bone, moved."""
 
     kind: Literal["bone"]
@@ -92,7 +92,7 @@ class Bone(Document):
     move_mm: Vector
 
 
-class Stiffness(Document):
+class StiffnessEntry(Document):
     """Stiffer or softer."""
 
     kind: Literal["stiffness"]
@@ -100,7 +100,7 @@ class Stiffness(Document):
     map: SkinMap | None = Everywhere
 
 
-class Density(Document):
+class DensityEntry(Document):
     """Heavier or lighter."""
 
     kind: Literal["density"]
@@ -108,7 +108,7 @@ class Density(Document):
     map: SkinMap | None = Everywhere
 
 
-class Paralysis(Document):
+class ParalysisEntry(Document):
     """Muscles, or a side, that contract less."""
 
     kind: Literal["paralysis"]
@@ -121,14 +121,14 @@ class Paralysis(Document):
     strength: float = Field(default=0.0, ge=0, le=1, description="what is left of the muscles")
 
 
-EDITS = (Fat, Filler, Bone, Stiffness, Density, Paralysis)
+EDITS = (FatEntry, FillerEntry, BoneEntry, StiffnessEntry, DensityEntry, ParalysisEntry)
 Edit = Annotated[
-    Annotated[Fat, Tag("<fat>")]
-    | Annotated[Filler, Tag("<filler>")]
-    | Annotated[Bone, Tag("<bone>")]
-    | Annotated[Stiffness, Tag("<stiffness>")]
-    | Annotated[Density, Tag("<density>")]
-    | Annotated[Paralysis, Tag("<paralysis>")],
+    Annotated[FatEntry, Tag("<fat>")]
+    | Annotated[FillerEntry, Tag("<filler>")]
+    | Annotated[BoneEntry, Tag("<bone>")]
+    | Annotated[StiffnessEntry, Tag("<stiffness>")]
+    | Annotated[DensityEntry, Tag("<density>")]
+    | Annotated[ParalysisEntry, Tag("<paralysis>")],
     Discriminator(find_kind),
 ]
 Edits = Annotated[

@@ -4,12 +4,15 @@ from typing import Literal
 
 from pydantic import Field
 
-from solver.kinds.kind import Kind, Options
+from solver.kinds.kind import (
+    JobOptions,
+    Kind,
+)
 from solver.kinds.options import Distance, LinearSolver
 from solver.kinds.values import Whole
 
 
-class FitActivations(Options):
+class FitActivations(JobOptions):
     """Options of a fit of activations."""
 
     max_iterations: Whole = Field(

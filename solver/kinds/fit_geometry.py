@@ -4,12 +4,15 @@ from typing import Literal
 
 from pydantic import Field
 
-from solver.kinds.kind import Kind, Options
+from solver.kinds.kind import (
+    JobOptions,
+    Kind,
+)
 from solver.kinds.options import Distance, DoubleSolver
 from solver.kinds.values import Whole
 
 
-class FitGeometry(Options):
+class FitGeometry(JobOptions):
     """Options of a fit of S, activations and jaw."""
 
     rounds: Whole = Field(

@@ -4,12 +4,15 @@ from typing import Annotated
 
 from pydantic import Field
 
-from solver.kinds.kind import Kind, Options
+from solver.kinds.kind import (
+    JobOptions,
+    Kind,
+)
 from solver.kinds.options import Distance, LinearSolver
 from solver.kinds.values import Integral, Whole
 
 
-class FitSequence(Options):
+class FitSequence(JobOptions):
     """Options of a fit of frames."""
 
     fps: float = Field(

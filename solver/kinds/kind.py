@@ -28,7 +28,7 @@ Input = Literal[
 ]
 
 
-class Options(Document):
+class JobOptions(Document):
     """Base of a kind's options: a field each, with default, bounds and a description."""
 
 
@@ -74,7 +74,7 @@ class Kind:
     leaves: str
     report: str
     result: str
-    options: type[Options] = Options
+    options: type[JobOptions] = JobOptions
     asks: tuple[Input, ...] = ()
     folder: str = "result"
     frames: bool = False
@@ -85,7 +85,7 @@ class Kind:
         """The JSON Schema of its options."""
         return json_schema(self.options)
 
-    def read(self, given: Mapping[str, Any]) -> Options:
+    def read(self, given: Mapping[str, Any]) -> JobOptions:
         """Return options with their defaults; raises :class:`OptionsError` with all faults."""
         try:
             return self.options.model_validate(given)

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from solver.kinds.kind import Options
+from solver.kinds.kind import JobOptions
 
 Axis = Literal["auto", "x", "-x", "y", "-y", "z", "-z"]
 Distance = Annotated[
@@ -31,7 +31,7 @@ DoubleSolver = Annotated[
 Video = Annotated[bool, Field(description="write a film, animation.mp4, too")]
 
 
-class FrameOptions(Options):
+class FrameOptions(JobOptions):
     """Unit and axes of a raw scan."""
 
     unit: Literal["auto", "mm", "cm", "m", "inch"] = Field(

@@ -36,7 +36,7 @@ Turn = Annotated[
 # --- flesh ----------------------------------------------------------------------------------------
 
 
-class Material(Document):
+class MaterialEntry(Document):
     """Material of the flesh."""
 
     law: Literal["corotated_trace", "corotated_det", "neo_hookean"] = Field(
@@ -50,7 +50,7 @@ class Material(Document):
     )
 
 
-class Contact(Document):
+class ContactEntry(Document):
     """Contacts of the skin."""
 
     lips: bool = Field(default=True, description="lips with lips")
@@ -61,10 +61,10 @@ class Contact(Document):
     )
 
 
-class Flesh(Document):
+class FleshEntry(Document):
     """Flesh and contact, in every scene."""
 
-    material: Material = Field(default_factory=Material)
+    material: MaterialEntry = Field(default_factory=MaterialEntry)
     activation_model: Literal["blended", "fibre"] = Field(
         default="blended",
         description="blended: six numbers a muscle, as fitted; fibre: contraction along fibres "
@@ -73,7 +73,7 @@ class Flesh(Document):
     sliding: bool = Field(
         default=True, description="whether skin slides on the skull, or is pinned to it"
     )
-    contact: Contact = Field(default_factory=Contact)
+    contact: ContactEntry = Field(default_factory=ContactEntry)
 
 
 # --- keys -----------------------------------------------------------------------------------------
@@ -147,14 +147,14 @@ class Recording(Document):
 # --- forces ---------------------------------------------------------------------------------------
 
 
-class Gravity(Document):
+class GravityEntry(Document):
     """Weight, less that under which the neutral was scanned."""
 
     kind: Literal["gravity"]
     mm_s2: Vector = Field(default=[0.0, -9810.0, 0.0])
 
 
-class Wind(Document):
+class WindEntry(Document):
     """Wind on the skin."""
 
     kind: Literal["wind"]
@@ -163,7 +163,7 @@ class Wind(Document):
     seed: Whole = Field(default=0, ge=0, description="of the gusts")
 
 
-class Pull(Document):
+class PullEntry(Document):
     """A pull at a point of the skin."""
 
     kind: Literal["point"]
@@ -176,9 +176,9 @@ class Pull(Document):
 
 
 Force = Annotated[
-    Annotated[Gravity, Tag("<gravity>")]
-    | Annotated[Wind, Tag("<wind>")]
-    | Annotated[Pull, Tag("<point>")],
+    Annotated[GravityEntry, Tag("<gravity>")]
+    | Annotated[WindEntry, Tag("<wind>")]
+    | Annotated[PullEntry, Tag("<point>")],
     Discriminator(find_kind),
 ]
 
@@ -232,7 +232,7 @@ class Object(Document):
 # --- scenes ---------------------------------------------------------------------------------------
 
 
-class PlayedScene(Flesh):
+class PlayedScene(FleshEntry):
     """A scene with frames: of a simulation or an animation."""
 
     mode: Literal["quasi_static", "dynamic"] = Field(
@@ -287,7 +287,7 @@ class AnimateScene(PlayedScene):
     recording: Recording
 
 
-class EditScene(Flesh):
+class EditScene(FleshEntry):
     """Edits of a person's anatomy."""
 
     edits: Edits

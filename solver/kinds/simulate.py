@@ -2,12 +2,15 @@
 
 from pydantic import Field
 
-from solver.kinds.kind import Kind, Options
+from solver.kinds.kind import (
+    JobOptions,
+    Kind,
+)
 from solver.kinds.options import LinearSolver, Video
 from solver.kinds.scene import SimulateScene
 
 
-class Simulate(Options):
+class Simulate(JobOptions):
     """Options of a simulation."""
 
     scene: SimulateScene = Field(description="what is simulated, see docs/guide/simulation.md")

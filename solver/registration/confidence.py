@@ -13,7 +13,7 @@ from solver.surface import Floats, Ints, Surface, adjacency, vertex_normals
 
 
 @dataclass(frozen=True)
-class TrustOptions:
+class ConfidenceOptions:
     """Limits of what a scan says of a registered vertex."""
 
     covered_mm: float = 10.0  # farther there is no data
@@ -21,7 +21,7 @@ class TrustOptions:
     trusted_mm: float = 2.0  # distance at which confidence has fallen to 1/e
 
 
-TRUST = TrustOptions()
+TRUST = ConfidenceOptions()
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@ STILL = 0.1  # least weight of the vertices on which an expression's head is ali
 
 
 @dataclass(frozen=True)
-class Registration:
+class RegisteredFace:
     """A scan in the template's topology.
 
     start
@@ -114,7 +114,7 @@ def register(
     landmarks: Marks | None = None,
     landmarker: Path | None = None,
     progress: Progress = silent,
-) -> Registration:
+) -> RegisteredFace:
     """Register a mended scan: a neutral, or an expression if ``neutral`` (n, 3) is given.
 
     Parameters
@@ -165,7 +165,7 @@ def _find_pins(start: Start, topology: Topology, model: Path) -> Pins | None:
 
 def _register_neutral(
     start: Start, topology: Topology, pins: Pins | None, progress: Progress
-) -> Registration:
+) -> RegisteredFace:
     scan, motion, template = start.scan, start.motion, topology.template
     rest, basis = template.skin, template.shapes
     open_size = not start.size_known
@@ -182,12 +182,12 @@ def _register_neutral(
     skin = rest.moved(carry_hidden(topology.groups, shape, shape, fitted, topology.outer))
     seen = trust(scan, motion, skin, topology.outer)
     folds = folded_triangles(rest.vertices, skin.vertices, topology.flesh)
-    return Registration(start, skin, seen, motion, weights, folds)
+    return RegisteredFace(start, skin, seen, motion, weights, folds)
 
 
 def _register_expression(
     start: Start, topology: Topology, neutral: Floats, pins: Pins | None, progress: Progress
-) -> Registration:
+) -> RegisteredFace:
     scan, template = start.scan, topology.template
     rest, basis = template.skin.moved(neutral), template.shapes
     open_size = not start.size_known
@@ -208,10 +208,10 @@ def _register_expression(
     back = head_motion(skin.vertices, shape, topology.stable * seen.confidence)
     skin = skin.moved(back(skin.vertices))
     folds = folded_triangles(neutral, skin.vertices, topology.flesh)
-    return Registration(start, skin, seen, motion.then(back), weights, folds)
+    return RegisteredFace(start, skin, seen, motion.then(back), weights, folds)
 
 
-def _check(file: str, found: Registration, topology: Topology) -> None:
+def _check(file: str, found: RegisteredFace, topology: Topology) -> None:
     """Raise ``scan.not_a_face`` where even free form could not come near."""
     seen = topology.face[found.trust.covered[topology.face]]
     share = len(seen) / len(topology.face)

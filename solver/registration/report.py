@@ -11,7 +11,7 @@ import numpy as np
 from solver.drawing.head import DrawnHead
 from solver.drawing.render import Camera, DrawnBody, Lit, render
 from solver.drawing.sheet import HEADER, Sheet
-from solver.registration.register import Registration
+from solver.registration.register import RegisteredFace
 from solver.registration.scan_surface import ScanSurface
 from solver.registration.topology import Topology
 from solver.surface import Floats, Ints, Surface
@@ -31,7 +31,7 @@ class ReportLimits:
 LIMITS = ReportLimits()
 
 
-def report(registered: Registration, topology: Topology) -> dict[str, Any]:
+def report(registered: RegisteredFace, topology: Topology) -> dict[str, Any]:
     """Return the figures and findings as plain JSON values; lengths in mm.
 
     Distances are from registered vertices to the scan's surface, over the covered outer face;
@@ -67,7 +67,7 @@ def report(registered: Registration, topology: Topology) -> dict[str, Any]:
     }
 
 
-def findings(registered: Registration, topology: Topology, seen: Ints) -> list[dict[str, str]]:
+def findings(registered: RegisteredFace, topology: Topology, seen: Ints) -> list[dict[str, str]]:
     """Return what an operator should know, each with code, severity, message and advice."""
     found = []
 
@@ -133,7 +133,7 @@ def findings(registered: Registration, topology: Topology, seen: Ints) -> list[d
     return found
 
 
-def _regions(registered: Registration, topology: Topology) -> dict[str, dict[str, Any]]:
+def _regions(registered: RegisteredFace, topology: Topology) -> dict[str, dict[str, Any]]:
     trust = registered.trust
     figures = {}
     for name, vertices in topology.template.regions.items():
@@ -161,7 +161,7 @@ GREY = (0.42, 0.42, 0.43)  # of a raw scan
 DOT_MM = 1.2  # radius of a point of a cloud
 
 
-def distance_picture(registered: Registration, topology: Topology, path: Path) -> None:
+def distance_picture(registered: RegisteredFace, topology: Topology, path: Path) -> None:
     """Draw scan, registration and distance side by side, from the front and both sides."""
     scan, skin, trust = registered.start.scan, registered.skin, registered.trust
     head = DrawnHead(topology.template.skin)

@@ -24,7 +24,7 @@ from solver.surface import (
 
 
 @dataclass(frozen=True)
-class SurfaceOptions:
+class ScanSurfaceOptions:
     """Preparing a scan for closest points; lengths in mm."""
 
     max_vertices: int = (
@@ -38,7 +38,7 @@ class SurfaceOptions:
     alike_neighbours: int = 3  # that are averaged
 
 
-SURFACE = SurfaceOptions()
+SURFACE = ScanSurfaceOptions()
 
 
 @dataclass(frozen=True)

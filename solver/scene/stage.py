@@ -62,18 +62,18 @@ def edits_of(entries: Sequence[described.Edit], places: Places) -> list[Edit]:
 
 
 def _edit(entry: described.Edit, places: Places) -> Edit:
-    if isinstance(entry, described.Fat):
+    if isinstance(entry, described.FatEntry):
         return Fat(entry.f_min, entry.f_max, places.map_of(entry.map), entry.softening)
-    if isinstance(entry, described.Filler):
+    if isinstance(entry, described.FillerEntry):
         points = np.array([places.point(stop.at) for stop in entry.path])
         depths = np.array([stop.depth_mm for stop in entry.path])
         return Filler(under_skin(places.model, points, depths), entry.ml, entry.radius_mm)
-    if isinstance(entry, described.Bone):
+    if isinstance(entry, described.BoneEntry):
         at, move = places.point(entry.at), np.array(entry.move_mm, np.float64)
         return Bone(entry.bone, at, entry.radius_mm, move)
-    if isinstance(entry, described.Stiffness):
+    if isinstance(entry, described.StiffnessEntry):
         return Stiffening(entry.factor, places.map_of(entry.map))
-    if isinstance(entry, described.Density):
+    if isinstance(entry, described.DensityEntry):
         return Density(entry.factor, places.map_of(entry.map))
     muscles = None if entry.muscles is None else tuple(entry.muscles)
     return Paralysis(muscles, entry.side, entry.strength)
@@ -90,9 +90,9 @@ def forces_of(
 
 
 def _force(entry: scenes.Force, face: Face, masses: Floats, places: Places) -> Force:
-    if isinstance(entry, scenes.Gravity):
+    if isinstance(entry, scenes.GravityEntry):
         return Gravity(masses, entry.mm_s2)
-    if isinstance(entry, scenes.Wind):
+    if isinstance(entry, scenes.WindEntry):
         return Wind(face, entry.m_s, entry.gusts, entry.seed)
     at, radius = places.vertex(entry.at), entry.radius_mm
     return Pull(face.model, at, entry.mn, radius_mm=radius, ramp=entry.ramp)
@@ -159,7 +159,7 @@ class Physics:
         return np.ascontiguousarray(S @ np.vstack([IDENTITY, a]))
 
 
-def physics_of(scene: scenes.Flesh) -> Physics:
+def physics_of(scene: scenes.FleshEntry) -> Physics:
     """Return the physics of a scene."""
     contact = scene.contact
     return Physics(

@@ -29,7 +29,7 @@ CORRECTIONS = 8  # Newton steps to an equilibrium nearby
 
 
 @dataclass(frozen=True)
-class Step:
+class TetStep:
     """A step (a, b) from a state where f is ``value``, and the damping if it is taken as it is."""
 
     state: State
@@ -47,7 +47,7 @@ class Step:
         state: State,
         value: float,
         damping: Damping,
-    ) -> Step:
+    ) -> TetStep:
         """Minimise the damped Gauss-Newton model at a state."""
         model = objective.quadratic(state, damping)
         a, b = state.pose.layout.split(solver.step(model, state))
@@ -161,7 +161,9 @@ class Descent:
         if crawls:
             self._damping = self._first_damping()
         try:
-            step = Step.of(self._objective, self._solver, self._state, self._value, self._damping)
+            step = TetStep.of(
+                self._objective, self._solver, self._state, self._value, self._damping
+            )
         except SolveError:
             return False
         found = None if crawls else step.descend(self._objective, self._options.tries)
@@ -177,7 +179,7 @@ class Descent:
         self._take(*found, tolerance)
         return True
 
-    def _snap(self, step: Step) -> tuple[State, Damping] | None:
+    def _snap(self, step: TetStep) -> tuple[State, Damping] | None:
         """Return the equilibrium at the end of a step, however far that is, if f is not too high.
 
         Half the step is tried where the whole one leads nowhere.
@@ -259,7 +261,7 @@ def creep(
             drag.viscosity, drag.anchor = float(viscosity), state.x
         try:
             state = viscous.face.solve_equilibrium(state.pose, state.x, max_iterations=CORRECTIONS)
-            step = Step.of(objective, solver, state, objective.value(state), damping)
+            step = TetStep.of(objective, solver, state, objective.value(state), damping)
         except SolveError:
             break
         taken += 1

@@ -62,7 +62,7 @@ class Solution:
         return answer
 
 
-class Problem(ABC):
+class IpoptProblem(ABC):
     """A problem in cyipopt's form: minimise the objective under constraints, z (n,) being free.
 
     Without constraints, those methods and the Jacobian's are left out.
@@ -97,7 +97,7 @@ class Problem(ABC):
 
 
 def solve(
-    problem: Problem,
+    problem: IpoptProblem,
     start: Floats,
     constants: Floats,
     tolerance: float,

@@ -17,7 +17,14 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, Term
 from solver.fitting.per_tet import Objective, PerTetOptions
 from solver.fitting.per_tet import tissue as tissues
-from solver.fitting.reference.common import Data, Listener, Problem, Reference, finite, solve
+from solver.fitting.reference.common import (
+    Data,
+    IpoptProblem,
+    Listener,
+    Reference,
+    finite,
+    solve,
+)
 from solver.fitting.sensitivity import PoseRates
 from solver.surface import Floats, Ints
 
@@ -154,7 +161,7 @@ def minimise(
     return found.check(Reference(pose, x, found.objective, found.iterations, found.violation))
 
 
-class OneExpression(Problem):
+class OneExpression(IpoptProblem):
     """Variables and constraints are those of the expression, S being fixed."""
 
     def __init__(self, expression: Expression, listen: Listener | None = None) -> None:
@@ -163,31 +170,31 @@ class OneExpression(Problem):
         self._S = expression.face.S
 
     def objective(self, z: Floats) -> float:
-        """See :class:`Problem`."""
+        """See :class:`IpoptProblem`."""
         return self._expression.objective(z)
 
     def gradient(self, z: Floats) -> Floats:
-        """See :class:`Problem`."""
+        """See :class:`IpoptProblem`."""
         return self._expression.gradient(z)
 
     def constraints(self, z: Floats) -> Floats:
-        """See :class:`Problem`."""
+        """See :class:`IpoptProblem`."""
         return self._expression.constraints(z, self._S)
 
     def jacobianstructure(self) -> tuple[Ints, Ints]:
-        """See :class:`Problem`."""
+        """See :class:`IpoptProblem`."""
         return self._expression.jacobian_structure
 
     def jacobian(self, z: Floats) -> Floats:
-        """See :class:`Problem`."""
+        """See :class:`IpoptProblem`."""
         return self._expression.jacobian(z, self._S)
 
     def hessianstructure(self) -> tuple[Ints, Ints]:
-        """See :class:`Problem`."""
+        """See :class:`IpoptProblem`."""
         return self._expression.hessian_structure
 
     def hessian(self, z: Floats, multipliers: Floats, factor: float) -> Floats:  # noqa: ARG002
-        """See :class:`Problem`."""
+        """See :class:`IpoptProblem`."""
         return factor * self._expression.hessian(z)
 
 
@@ -249,7 +256,7 @@ def forward(face: Face, pose: Pose, x: Floats, *, tolerance: float = 1e-9) -> Re
     return found.check(Reference(pose, x, found.objective, found.iterations, 0.0))
 
 
-class ForwardProblem(Problem):
+class ForwardProblem(IpoptProblem):
     """Variables are the free vertices' coordinates."""
 
     def __init__(self, face: Face, pose: Pose, x: Floats) -> None:
@@ -270,19 +277,19 @@ class ForwardProblem(Problem):
         return x
 
     def objective(self, z: Floats) -> float:
-        """See :class:`Problem`."""
+        """See :class:`IpoptProblem`."""
         return finite(self._flesh.energy(self.place(z), self._a))
 
     def gradient(self, z: Floats) -> Floats:
-        """See :class:`Problem`."""
+        """See :class:`IpoptProblem`."""
         return self._flesh.gradient(self.place(z), self._a)
 
     def hessianstructure(self) -> tuple[Ints, Ints]:
-        """See :class:`Problem`."""
+        """See :class:`IpoptProblem`."""
         return self._structure
 
     def hessian(self, z: Floats, multipliers: Floats, factor: float) -> Floats:  # noqa: ARG002
-        """See :class:`Problem`."""
+        """See :class:`IpoptProblem`."""
         return np.asarray(factor * self._flesh.hessian(self.place(z), self._a).data[self._keep])
 
 

@@ -16,7 +16,12 @@ import scipy.sparse as sp
 
 from solver.fitting.face import Pose, State
 from solver.fitting.joint import GeometryProblem
-from solver.fitting.reference.common import UNBOUNDED, Listener, Problem, solve
+from solver.fitting.reference.common import (
+    UNBOUNDED,
+    IpoptProblem,
+    Listener,
+    solve,
+)
 from solver.fitting.reference.expression import Expression, MusclePriors
 from solver.fitting.sensitivity import WeightRates
 from solver.fitting.simplex import replace_values
@@ -73,7 +78,7 @@ def geometry(
     return found.check(answer)
 
 
-class FullGeometry(Problem):
+class FullGeometry(IpoptProblem):
     """Variables (z_1, ..., z_K, values of S); every expression's forces, then the rows' sums."""
 
     def __init__(
@@ -105,25 +110,25 @@ class FullGeometry(Problem):
         return dict(zip(self.parts, pieces, strict=True)), S
 
     def objective(self, z: Floats) -> float:
-        """See :class:`Problem`."""
+        """See :class:`IpoptProblem`."""
         pieces, S = self.split(z)
         parts = sum(part.objective(pieces[name]) for name, part in self.parts.items())
         return parts + self._problem.prior_value(S.data)
 
     def gradient(self, z: Floats) -> Floats:
-        """See :class:`Problem`."""
+        """See :class:`IpoptProblem`."""
         pieces, S = self.split(z)
         parts = [part.gradient(pieces[name]) for name, part in self.parts.items()]
         return np.concatenate([*parts, self._problem.prior_gradient(S.data)])
 
     def constraints(self, z: Floats) -> Floats:
-        """See :class:`Problem`."""
+        """See :class:`IpoptProblem`."""
         pieces, S = self.split(z)
         forces = [part.constraints(pieces[name], S) for name, part in self.parts.items()]
         return np.concatenate([*forces, S.sum(axis=1)])
 
     def jacobianstructure(self) -> tuple[Ints, Ints]:
-        """See :class:`Problem`."""
+        """See :class:`IpoptProblem`."""
         rows, columns = [], []
         size = self._face.flesh.size
         by_weights = self._pull(self._S, self._face.rest_pose(), self._face.model.rest)
@@ -137,7 +142,7 @@ class FullGeometry(Problem):
         return np.concatenate(rows), np.concatenate(columns)
 
     def jacobian(self, z: Floats) -> Floats:
-        """See :class:`Problem`."""
+        """See :class:`IpoptProblem`."""
         pieces, S = self.split(z)
         values = []
         for name, part in self.parts.items():
@@ -147,7 +152,7 @@ class FullGeometry(Problem):
         return np.concatenate([*values, np.ones(S.nnz)])
 
     def hessianstructure(self) -> tuple[Ints, Ints]:
-        """See :class:`Problem`."""
+        """See :class:`IpoptProblem`."""
         both = []
         for side in (0, 1):
             parts = [
@@ -159,7 +164,7 @@ class FullGeometry(Problem):
         return both[0], both[1]
 
     def hessian(self, z: Floats, multipliers: Floats, factor: float) -> Floats:  # noqa: ARG002
-        """See :class:`Problem`."""
+        """See :class:`IpoptProblem`."""
         pieces, _ = self.split(z)
         parts = [part.hessian(pieces[name]) for name, part in self.parts.items()]
         return factor * np.concatenate([*parts, self._by_weights.data])

@@ -13,7 +13,7 @@ from solver.fitting.least_squares import (
     Ending,
     Halving,
     HalvingOptions,
-    Step,
+    LeastSquaresStep,
     StopOptions,
     TrustRegion,
     minimise,
@@ -56,7 +56,7 @@ class Linearised:
         step = np.linalg.solve(self.hessian + damping * np.eye(2), -self.gradient)
         step /= max(np.abs(step).max() / trust, 1.0)
         bend = step @ self.hessian @ step
-        return Step(step, self.gradient @ step, bend, np.abs(step).max())
+        return LeastSquaresStep(step, self.gradient @ step, bend, np.abs(step).max())
 
 
 SEARCHES = [
