@@ -178,7 +178,7 @@ class PoseProblem:
         return objective(self._data, self._regulariser, point)
 
     def linearise(self, point: State) -> GaussNewton:
-        """See :class:`LeastSquaresProblem`; it begins with the matrix that the model before has come to."""
+        """See :class:`LeastSquaresProblem`; it begins with the matrix of the model before."""
         matrix = self._model.matrix if self._model else self._matrix
         self._model = GaussNewton(self._face, self._data, self._regulariser, point, matrix)
         return self._model
