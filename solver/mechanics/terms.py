@@ -180,7 +180,7 @@ class Drag:
 
     def __init__(self, term: EnergyTerm, rest: Floats, controls: Floats, held: Ints) -> None:
         self._vertices = term.vertices
-        self._K = term.blocks(rest, controls).copy()
+        self._K = _without(held, term, term.blocks(rest, controls))
         self._held = held
         self.viscosity = 0.0
         self.anchor = rest
@@ -220,6 +220,15 @@ class Drag:
         motion = x - self.anchor
         motion[self._held] = 0.0
         return motion
+
+
+def _without(held: Ints, term: EnergyTerm, blocks: Floats) -> Floats:
+    """Return a term's blocks, zero for pairs with a ``held`` vertex: what it carries is no drag."""
+    out, is_held = blocks.copy(), np.isin(term.vertices, held)
+    for u in range(is_held.shape[1]):
+        for v in range(u, is_held.shape[1]):
+            out[is_held[:, u] | is_held[:, v], PAIR[u, v]] = 0.0
+    return out
 
 
 @nb.njit(cache=True, parallel=True)

@@ -34,6 +34,27 @@ def test_derivatives():
     )
 
 
+def test_what_held_vertices_do_is_no_drag():
+    """Held vertices move by the pose, not by creeping: the drag must not couple to them."""
+    plain = Face(block_model()).flesh
+    (drag,) = plain.drags()
+    flesh = plain.plus(drag)
+    drag.viscosity, drag.anchor = 0.3, flesh.rest
+    rng = np.random.default_rng(4)
+    motion = np.zeros((*flesh.rest.shape, 1))
+    motion[flesh.held] = rng.standard_normal((len(flesh.held), 3, 1))
+    a, x = flesh.passive(), flesh.rest
+
+    def pulled(sign):
+        return flesh.gradient(x + sign * STEP * motion[:, :, 0], a)
+
+    change = (pulled(1) - pulled(-1)) / (2 * STEP)
+    assert np.abs(change).max() > 1e-2
+    np.testing.assert_allclose(
+        flesh.coupling(x, a, motion)[:, 0], change, atol=1e-6 * np.abs(change).max()
+    )
+
+
 def test_it_creeps_to_where_flesh_rests():
     """Step by step it comes to the same equilibrium, which it then does not leave."""
     face = Face(block_model())
