@@ -17,6 +17,7 @@ import scipy.sparse as sp
 from solver.fitting.face import Face, Pose, State
 from solver.mechanics.flesh import IDENTITY
 from solver.mechanics.response import Response
+from solver.mechanics.terms import force_columns
 from solver.surface import Floats, Ints
 from solver.threads import in_threads
 
@@ -270,19 +271,6 @@ class Sensitivity:
 def coordinates(vertices: Ints) -> Ints:
     """Return where the coordinates of ``vertices`` are among all (3 p,)."""
     return np.asarray((3 * vertices[:, None] + np.arange(3)).ravel())
-
-
-def force_columns(forces: Floats, numbers: Ints, size: int) -> sp.csc_array:
-    """Return (size, k) with the ``forces`` (k, 4, 3) on a tet's vertices in each column.
-
-    ``numbers`` (k, 4) are the vertices' among the free ones, -1 for one that is held.
-    """
-    rows = 3 * numbers[:, :, None] + np.arange(3)
-    # a held vertex feels no force: its entries are zeroed and go to row 0
-    held = rows < 0
-    values, rows = np.where(held, 0.0, forces), np.where(held, 0, rows)
-    indptr = 12 * np.arange(len(forces) + 1)
-    return sp.csc_array((values.ravel(), rows.ravel(), indptr), shape=(size, len(forces)))
 
 
 @nb.njit(cache=True, nogil=True)
