@@ -24,11 +24,7 @@ from solver.anatomy.template import Template
 from solver.model import SubjectModel
 from solver.surface import Floats
 from solver.templates import ict_facekit
-from solver.templates.ict_facekit import (
-    FaceKit,
-    identity,
-    read_facekit,
-)
+from solver.templates.ict_facekit import FaceKit, identity, read_facekit
 from solver.templates.ict_template import build_ict_template
 
 SMALL_MM3 = 600.0

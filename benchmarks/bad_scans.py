@@ -133,10 +133,7 @@ def mirrored_with_normals(subject: Subject, folder: Path) -> BadScan:
     mesh = trimesh.Trimesh(subject.head.vertices, subject.head.faces, process=False)
     flip = np.array([-1.0, 1.0, 1.0])
     other = trimesh.Trimesh(
-        mesh.vertices * flip,
-        mesh.faces,
-        vertex_normals=mesh.vertex_normals * flip,
-        process=False,
+        mesh.vertices * flip, mesh.faces, vertex_normals=mesh.vertex_normals * flip, process=False
     )
     path = folder / "mirrored.ply"
     path.write_bytes(trimesh.exchange.ply.export_ply(other, vertex_normal=True))

@@ -25,22 +25,11 @@ from benchmarks.reference import CONVERGED
 from benchmarks.speed.clock import History
 from benchmarks.subjects import COARSE_EDGE_MM
 from solver.errors import SolveError
-from solver.fitting import (
-    activation,
-    defaults,
-    geometry,
-    per_tet,
-    reference,
-)
+from solver.fitting import activation, defaults, geometry, per_tet, reference
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, State
 from solver.fitting.geometry import GeometryOptions
-from solver.fitting.objective import (
-    Regulariser,
-    SkinDistance,
-    Target,
-    Term,
-)
+from solver.fitting.objective import Regulariser, SkinDistance, Target, Term
 from solver.fitting.per_tet import PerTetOptions
 from solver.mechanics.flesh import COROTATED_DET
 from solver.model import SubjectModel

@@ -8,10 +8,7 @@ import igl
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from solver.drawing.render import (
-    Camera,
-    look,
-)
+from solver.drawing.render import Camera, look
 from solver.meshio.raw import RawScan
 from solver.surface import Floats, Ints, Surface
 

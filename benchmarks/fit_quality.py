@@ -214,11 +214,7 @@ def _few_scans(face: Face, captures: CaptureSet, schedule: GeometryOptions) -> F
 
 
 def _bump(
-    name: str,
-    captures: CaptureSet,
-    test: Fits,
-    tets: Face,
-    stop: PerTetOptions,
+    name: str, captures: CaptureSet, test: Fits, tets: Face, stop: PerTetOptions
 ) -> dict[str, float]:
     """Return what part of a bump on a test scan's cheek is followed by S and by P.
 

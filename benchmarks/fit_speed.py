@@ -34,10 +34,7 @@ from benchmarks.speed import forward, ipopt, solvers
 from benchmarks.speed.clock import Stopwatch, peak_gib
 from benchmarks.speed.frames import frames
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
-from solver.fitting import (
-    defaults,
-    geometry,
-)
+from solver.fitting import defaults, geometry
 from solver.fitting.face import Face
 from solver.fitting.objective import Target
 from solver.mechanics.flesh import COROTATED_DET
@@ -156,10 +153,7 @@ def _performance(options: argparse.Namespace, face: Face) -> Figures | None:
     if options.recording is None:
         return None
     take = performance_frames(
-        options.faces,
-        options.recording,
-        subject=options.subject,
-        capture_sets=options.capture_sets,
+        options.faces, options.recording, subject=options.subject, capture_sets=options.capture_sets
     )
     count, compared = (60, 2) if options.quick else (FRAMES, COMPARED)
     numbers = range(options.first_frame, min(options.first_frame + count, len(take)))

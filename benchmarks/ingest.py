@@ -25,11 +25,7 @@ from benchmarks.documents import Section, Table
 from solver.jobs import run_job
 from solver.meshio.obj import write_obj
 from solver.surface import Surface
-from solver.templates.builtin.build import (
-    builtin_capture_set,
-    builtin_expression,
-    builtin_template,
-)
+from solver.templates.builtin.build import builtin_capture_set, builtin_expression, builtin_template
 from solver.templates.ict_facekit import ict_capture_set
 
 SIZES = (200_000, 1_000_000)

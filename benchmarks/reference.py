@@ -26,12 +26,7 @@ from solver.errors import SolveError
 from solver.fitting import activation, reference
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, State
-from solver.fitting.objective import (
-    Regulariser,
-    SkinDistance,
-    Target,
-    Term,
-)
+from solver.fitting.objective import Regulariser, SkinDistance, Target, Term
 
 CONVERGED = ActivationOptions(max_iterations=200, tolerance=1e-7)
 

@@ -17,10 +17,7 @@ from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.drawing.head import both_sides
 from solver.fitting.activation import Resting
 from solver.fitting.face import Face, Pose
-from solver.fitting.stretches import (
-    fibre_tensors,
-    shorten,
-)
+from solver.fitting.stretches import fibre_tensors, shorten
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.round_trip import round_trip
 

@@ -14,12 +14,7 @@ from benchmarks.documents import Figures
 from solver.contact.crossing import crossing
 from solver.contact.mouth import Mouth
 from solver.errors import SolveError
-from solver.fitting import (
-    defaults,
-    fallback,
-    geometry,
-    per_tet,
-)
+from solver.fitting import defaults, fallback, geometry, per_tet
 from solver.fitting.activation import Resting
 from solver.fitting.face import Face, State
 from solver.fitting.geometry import GeometryOptions

@@ -9,10 +9,7 @@ from pathlib import Path
 from solver.anatomy.build import build_subject_model
 from solver.anatomy.meshing import find_or_make_mesh
 from solver.model import SubjectModel
-from solver.templates.builtin.build import (
-    builtin_capture_set,
-    builtin_template,
-)
+from solver.templates.builtin.build import builtin_capture_set, builtin_template
 from solver.templates.export import CaptureSet
 from solver.templates.ict_facekit import ict_capture_set
 from solver.templates.ict_template import build_ict_template

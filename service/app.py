@@ -103,10 +103,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         settings.max_key_streams,
     )
     app.state.downloads = ConnectionLimit(
-        "download.too_many",
-        "downloads",
-        settings.max_tenant_downloads,
-        settings.max_key_downloads,
+        "download.too_many", "downloads", settings.max_tenant_downloads, settings.max_key_downloads
     )
     app.state.keyring = keyring
     app.state.master = master

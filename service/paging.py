@@ -62,9 +62,6 @@ def read_cursor(cursor: str) -> tuple[datetime, str]:
         moment = datetime.fromisoformat(created_at).astimezone(UTC)
         if not ID.fullmatch(row_id):
             raise ValueError(row_id)
-    except (
-        ValueError,
-        OverflowError,
-    ) as error:  # not base64, not two words, no date, no id
+    except (ValueError, OverflowError) as error:  # not base64, not two words, no date, no id
         raise Problem(422, "request.cursor", "the cursor is not one of this service's") from error
     return moment, row_id

@@ -25,16 +25,11 @@ IN_WORDS = {
 
 # A UUID, as the text that the tables hold
 Id = Annotated[
-    str,
-    StringConstraints(pattern=_ID, to_lower=True),
-    Field(json_schema_extra={"format": "uuid"}),
+    str, StringConstraints(pattern=_ID, to_lower=True), Field(json_schema_extra={"format": "uuid"})
 ]
 
 # One line of text; PostgreSQL could not hold a NUL
-Line = Annotated[
-    str,
-    StringConstraints(strip_whitespace=True, max_length=200, pattern=_LINE),
-]
+Line = Annotated[str, StringConstraints(strip_whitespace=True, max_length=200, pattern=_LINE)]
 
 Title = Annotated[Line, StringConstraints(min_length=1)]
 # A name that also serves in file names and as the name of a morph target

@@ -70,11 +70,7 @@ def note_answer(span: Span, method: str, route: str, status: int) -> None:
     """Write down on a request's span which route answered, and how; ``status`` 0 is not at all."""
     span.update_name(f"{method} {route}")
     span.set_attributes(
-        {
-            "http.request.method": method,
-            "http.route": route,
-            "http.response.status_code": status,
-        }
+        {"http.request.method": method, "http.route": route, "http.response.status_code": status}
     )
     if status >= 500 or not status:
         _spoil(span)

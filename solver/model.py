@@ -105,11 +105,7 @@ class SubjectModel:
     def anatomy(self) -> dict[str, str]:
         """Return the template as reports name it: its hash is that of the content, of no file."""
         kept = self.template
-        return {
-            "name": kept["name"],
-            "version": kept["version"],
-            "content_sha256": kept["sha256"],
-        }
+        return {"name": kept["name"], "version": kept["version"], "content_sha256": kept["sha256"]}
 
     @property
     def sha256(self) -> str:

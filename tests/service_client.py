@@ -126,13 +126,7 @@ class Studio:
         """
         store = self.http.app.state.store.of(DEFAULT_TENANT)  # type: ignore[attr-defined]
         left = [
-            Artifact(
-                job_id=job_id,
-                name=name,
-                size=1,
-                sha256=sha256,
-                media_type="x",
-            )
+            Artifact(job_id=job_id, name=name, size=1, sha256=sha256, media_type="x")
             for name, sha256 in artifacts.items()
         ]
         with store.write() as session:

@@ -20,11 +20,7 @@ import trimesh
 from benchmarks.documents import Figures
 from benchmarks.physics.fitted import Fitted
 from benchmarks.physics.headset import headset
-from solver.contact.crossing import (
-    Gauge,
-    Penetration,
-    depth_inside,
-)
+from solver.contact.crossing import Gauge, Penetration, depth_inside
 from solver.contact.potentials import contact_potentials
 from solver.drawing.head import DrawnHead
 from solver.drawing.render import Camera, DrawnBody, Lit, fade, render

@@ -22,19 +22,10 @@ from benchmarks.documents import Figures
 from solver.drawing.head import DrawnHead
 from solver.drawing.render import fade, render
 from solver.drawing.sheet import HEADER, Sheet
-from solver.edits.edit import (
-    Edited,
-    Replay,
-    Replayed,
-    apply,
-)
+from solver.edits.edit import Edited, Replay, Replayed, apply
 from solver.errors import SolveError
 from solver.fitting.face import Face
-from solver.kinds.scene import (
-    ContactEntry,
-    EditScene,
-    FleshEntry,
-)
+from solver.kinds.scene import ContactEntry, EditScene, FleshEntry
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.rig.edit_report import Compared, EditedPerson, edit_report
@@ -42,11 +33,7 @@ from solver.rig.pictures import THREE_QUARTER, face_camera
 from solver.rig.result import ExpressionFit, load_activations, load_weights
 from solver.scene.document import read_scene
 from solver.scene.places import Places
-from solver.scene.stage import (
-    Physics,
-    edits_of,
-    physics_of,
-)
+from solver.scene.stage import Physics, edits_of, physics_of
 from solver.simulation.fibres import fit_fibres
 from solver.surface import Floats
 

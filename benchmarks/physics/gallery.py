@@ -13,10 +13,7 @@ import trimesh
 from benchmarks.physics.fitted import Fitted
 from benchmarks.physics.headset import headset
 from benchmarks.physics.jobs import FOLDER
-from solver.jobs.scenes import (
-    play,
-    skin_of,
-)
+from solver.jobs.scenes import play, skin_of
 from solver.kinds.scene import SimulateScene
 from solver.progress import silent
 from solver.rig.animation_picture import Filming, Shot, contact_sheet

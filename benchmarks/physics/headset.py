@@ -62,9 +62,7 @@ def _rest_on(model: SubjectModel, loop: Floats, pressed_mm: float) -> Floats:
     """Return the z (k,) at which a frame on the loop (k, 2) begins to be pressed in."""
     points = model.skin.vertices[model.face]
     squared, *_ = igl.point_mesh_squared_distance(
-        np.ascontiguousarray(points),
-        model.bones["cranium"].vertices,
-        model.bones["cranium"].faces,
+        np.ascontiguousarray(points), model.bones["cranium"].vertices, model.bones["cranium"].faces
     )
     short = np.maximum(pressed_mm - MOST * np.sqrt(squared), 0.0)
     near = np.linalg.norm(points[:, None, :2] - loop[None], axis=2) < TOUCH_MM

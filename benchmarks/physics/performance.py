@@ -25,11 +25,7 @@ from solver.animation.recording import RecordedDrives, from_recording
 from solver.drawing.head import DrawnHead
 from solver.drawing.render import fade, render
 from solver.drawing.sheet import HEADER, MARGIN, Sheet
-from solver.jobs.scenes import (
-    finish,
-    play,
-    skin_of,
-)
+from solver.jobs.scenes import finish, play, skin_of
 from solver.kinds.scene import SimulateScene
 from solver.progress import silent
 from solver.rig.motion import MotionFrame

@@ -10,10 +10,7 @@ import numpy as np
 from benchmarks.documents import Figures
 from benchmarks.speed.clock import Stopwatch
 from benchmarks.speed.solvers import CONVERGED, IPOPT_W_A, prepared
-from solver.fitting import (
-    activation,
-    defaults,
-)
+from solver.fitting import activation, defaults
 from solver.fitting.face import Face, Pose, State
 from solver.fitting.objective import SkinDistance, Target
 from solver.mechanics.linear import Factor, LinearSolver, fastest

@@ -11,19 +11,10 @@ from benchmarks.documents import Figures
 from benchmarks.speed.clock import History, Stopwatch
 from benchmarks.speed.solvers import CONVERGED, IPOPT_W_A, prepared
 from solver.errors import SolveError
-from solver.fitting import (
-    activation,
-    defaults,
-    reference,
-)
+from solver.fitting import activation, defaults, reference
 from solver.fitting.activation import Resting
 from solver.fitting.face import Face
-from solver.fitting.objective import (
-    Regulariser,
-    SkinDistance,
-    Target,
-    Term,
-)
+from solver.fitting.objective import Regulariser, SkinDistance, Target, Term
 from solver.fitting.reference import NotConvergedError
 
 IPOPT_ITERATIONS = 200
@@ -78,11 +69,7 @@ def _reduced(face: Face, data: Term, regulariser: Regulariser, rest: Resting) ->
             )
         seconds.append(watch.seconds)
         same.append(history.until(SAME_OBJECTIVE))
-    return {
-        "seconds": median(seconds),
-        "seconds_same": median(same),
-        "objective": fitted.objective,
-    }
+    return {"seconds": median(seconds), "seconds_same": median(same), "objective": fitted.objective}
 
 
 def _ipopt(face: Face, data: Term, regulariser: Regulariser, rest: Resting) -> Figures:

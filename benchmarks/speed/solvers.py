@@ -10,11 +10,7 @@ import numpy as np
 from benchmarks.documents import Figures
 from benchmarks.speed.clock import Stopwatch
 from solver.errors import SolveError
-from solver.fitting import (
-    activation,
-    defaults,
-    per_tet,
-)
+from solver.fitting import activation, defaults, per_tet
 from solver.fitting.activation import ActivationFit, ActivationOptions, Resting
 from solver.fitting.face import Face
 from solver.fitting.objective import SkinDistance, Target

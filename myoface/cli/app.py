@@ -45,8 +45,7 @@ Unit = Annotated[UnitName, typer.Option(help="unit of a raw scan's coordinates")
 Up = Annotated[Axis, typer.Option(help="a raw scan's axis to the top of the head")]
 Forward = Annotated[Axis, typer.Option(help="a raw scan's axis out of the face")]
 LandmarksFile = Annotated[
-    Path | None,
-    typer.Option("--landmarks", exists=True, dir_okay=False, help="JSON, LJSON or CSV"),
+    Path | None, typer.Option("--landmarks", exists=True, dir_okay=False, help="JSON, LJSON or CSV")
 ]
 Url = Annotated[str, typer.Option("--url", envvar="MYOFACE_URL", help="the service")]
 Scan = Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="OBJ, PLY, GLB or STL")]

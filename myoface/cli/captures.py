@@ -229,23 +229,12 @@ def _form(capture: Capture, captures: list[Capture]) -> str:
 
 
 def _upload(
-    client: Client,
-    subject: str,
-    file: Path,
-    role: Role,
-    *,
-    registered: bool,
-    marks: Path | None,
+    client: Client, subject: str, file: Path, role: Role, *, registered: bool, marks: Path | None
 ) -> Capture:
     try:
         with transfer_bar(file.name) as progress:
             capture = client.add_capture(
-                subject,
-                file,
-                role=role,
-                registered=registered,
-                landmarks=marks,
-                progress=progress,
+                subject, file, role=role, registered=registered, landmarks=marks, progress=progress
             )
     except (ApiError, KeyboardInterrupt) as error:
         if getattr(error, "code", UNREACHABLE) == UNREACHABLE:

@@ -118,12 +118,7 @@ def show_kinds(
     elif kind in found:
         options = found[kind].options["properties"].items()
         rows = [
-            (
-                name,
-                json.dumps(schema.get("default")),
-                _limits(schema),
-                schema["description"],
-            )
+            (name, json.dumps(schema.get("default")), _limits(schema), schema["description"])
             for name, schema in options
         ]
         show_table(("option", "default", "allowed", "what"), rows)

@@ -92,11 +92,7 @@ def demo(
 
 
 def _inputs(
-    output: Path,
-    anatomy: Path | None,
-    faces: Path | None,
-    subject: str,
-    capture_sets: Path | None,
+    output: Path, anatomy: Path | None, faces: Path | None, subject: str, capture_sets: Path | None
 ) -> tuple[Path | None, CaptureSet]:
     if anatomy is None or faces is None:
         from solver.templates.builtin.build import builtin_capture_set

@@ -11,15 +11,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from myoface.cli.app import (
-    BAD_SCAN,
-    LandmarksFile,
-    NewFile,
-    NewFolder,
-    RawScan,
-    Scan,
-    read_scene,
-)
+from myoface.cli.app import BAD_SCAN, LandmarksFile, NewFile, NewFolder, RawScan, Scan, read_scene
 from myoface.cli.console import JobView, out, show_registration, show_verdict
 from solver.jobs import run_job
 from solver.kinds import KINDS, Kind

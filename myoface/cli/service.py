@@ -15,11 +15,7 @@ from myoface.cli.console import out
 from service.process import configure_logs
 from service.settings import Settings
 
-MARKS = {
-    "ok": "[green]ok[/]     ",
-    "warning": "[yellow]warning[/]",
-    "fault": "[red]fault[/]  ",
-}
+MARKS = {"ok": "[green]ok[/]     ", "warning": "[yellow]warning[/]", "fault": "[red]fault[/]  "}
 
 Port = Annotated[int | None, typer.Option(help="0 takes a free one")]
 Data = Annotated[Path | None, typer.Option(help="folder for everything the service keeps")]

@@ -24,10 +24,7 @@ router = APIRouter(prefix="/v1/batches", tags=["batches"])
 
 
 @router.post(
-    "",
-    status_code=201,
-    summary="Add a session's scans",
-    responses=problems(404, 409, 410, 422),
+    "", status_code=201, summary="Add a session's scans", responses=problems(404, 409, 410, 422)
 )
 def create(
     new: NewBatch, session: WriteSession, once: Once, who: Writer, settings: SettingsDep

@@ -91,9 +91,7 @@ def cancel(session: Session, batch_id: str, order: Cancel) -> None:
 def progress(session: Session, batch: Batch) -> BatchProgress:
     """Return where a batch is."""
     return BatchProgress.of(
-        batch,
-        repository.captures(session, batch.capture_ids),
-        repository.jobs(session, [batch.id]),
+        batch, repository.captures(session, batch.capture_ids), repository.jobs(session, [batch.id])
     )
 
 

@@ -76,11 +76,7 @@ def show(
     responses=problems(404, 409, 410, 422),
 )
 def set_landmarks(
-    subject_id: Id,
-    capture_id: Id,
-    given: Landmarks,
-    session: WriteSession,
-    settings: SettingsDep,
+    subject_id: Id, capture_id: Id, given: Landmarks, session: WriteSession, settings: SettingsDep
 ) -> CaptureView:
     """Make a complete upload (JSON, LJSON or CSV) the scan's landmarks, instead of earlier ones."""
     capture = service.set_landmarks(session, subject_id, capture_id, given)
@@ -88,10 +84,7 @@ def set_landmarks(
 
 
 @router.delete(
-    "/{capture_id}",
-    status_code=204,
-    summary="Delete a scan",
-    responses=problems(404, 409, 422),
+    "/{capture_id}", status_code=204, summary="Delete a scan", responses=problems(404, 409, 422)
 )
 def delete(subject_id: Id, capture_id: Id, session: DeleteSession, who: Deleter) -> Response:
     """Delete a capture with its checks and registrations, for example to replace a bad scan."""

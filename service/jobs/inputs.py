@@ -107,10 +107,7 @@ def _neutral(session: Session, subject_id: str, *, of_an_expression: bool = Fals
     neutral = captures.neutral(session, subject_id)
     if neutral is None:
         raise Problem(
-            409,
-            "subject.no_neutral",
-            "the subject has no neutral capture",
-            subject_id=subject_id,
+            409, "subject.no_neutral", "the subject has no neutral capture", subject_id=subject_id
         )
     if (form := registered_form(session, neutral)) is not None:
         return _input_of("neutral", neutral.name, form.filename, form.sha256)

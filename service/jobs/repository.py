@@ -42,9 +42,7 @@ def newest_model(session: Session, subject_id: str) -> Job | None:
     return session.scalars(
         select(Job)
         .where(
-            Job.subject_id == subject_id,
-            Job.kind == "build_model",
-            Job.state == State.SUCCEEDED,
+            Job.subject_id == subject_id, Job.kind == "build_model", Job.state == State.SUCCEEDED
         )
         .order_by(Job.created_at.desc())
         .limit(1)

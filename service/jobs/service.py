@@ -23,11 +23,7 @@ from solver.kinds import KINDS, Kind
 
 
 def submit(
-    session: Session,
-    new: NewJob,
-    max_attempts: int,
-    job_id: str | None = None,
-    **origin: str,
+    session: Session, new: NewJob, max_attempts: int, job_id: str | None = None, **origin: str
 ) -> tuple[Job, bool]:
     """Queue a job; returns it, and whether it is new.
 
@@ -99,11 +95,7 @@ def check_options(name: str, options: dict[str, Any]) -> Kind:
     kind = KINDS.get(name)
     if kind is None:
         raise Problem(
-            422,
-            "job.kind",
-            f"there is no kind of job {name!r}",
-            expected=sorted(KINDS),
-            found=name,
+            422, "job.kind", f"there is no kind of job {name!r}", expected=sorted(KINDS), found=name
         )
     try:
         json.dumps(options, allow_nan=False, ensure_ascii=False).encode()

@@ -323,9 +323,7 @@ def _put_off(session: Session, webhook_id: str, until: datetime) -> None:
     waiting = (
         select(Delivery.id)
         .where(
-            Delivery.webhook_id == webhook_id,
-            Delivery.state == PENDING,
-            Delivery.next_at < until,
+            Delivery.webhook_id == webhook_id, Delivery.state == PENDING, Delivery.next_at < until
         )
         .with_for_update(skip_locked=True)  # of which one is just taken, it is under way
     )

@@ -13,15 +13,7 @@ from service import paging
 from service.access.limits import ConnectionLimit
 from service.access.principal import Reader
 from service.access.signed import FileReader, Signer
-from service.dependencies import (
-    Cursor,
-    FileStore,
-    Limit,
-    ReadSession,
-    ReadStore,
-    SettingsDep,
-    part,
-)
+from service.dependencies import Cursor, FileStore, Limit, ReadSession, ReadStore, SettingsDep, part
 from service.errors import problems
 from service.records.audit import record
 from service.rigs import repository

@@ -78,10 +78,7 @@ class Database:
     def write(self, tenant_id: str | None = None) -> Iterator[Session]:
         """Give a session that commits at the end, or rolls back on an exception."""
         info = {TENANT: tenant_id}
-        with (
-            Session(self._writing, expire_on_commit=False, info=info) as session,
-            session.begin(),
-        ):
+        with Session(self._writing, expire_on_commit=False, info=info) as session, session.begin():
             yield session
 
     def migrate(

@@ -24,10 +24,7 @@ def create(session: Session, new: NewTemplate) -> Template:
             expected=[".npz"],
         )
     template = Template(
-        name=new.name,
-        filename=upload.filename,
-        size=upload.size,
-        sha256=upload.sha256,
+        name=new.name, filename=upload.filename, size=upload.size, sha256=upload.sha256
     )
     session.add(template)
     session.flush()

@@ -76,10 +76,7 @@ def _headers(response: Response, upload: Upload) -> None:
 
 
 @router.options(
-    "",
-    status_code=204,
-    summary="What the upload protocol can do",
-    responses=problems(412, 422),
+    "", status_code=204, summary="What the upload protocol can do", responses=problems(412, 422)
 )
 def describe(response: Response, settings: SettingsDep) -> None:
     """Show version, extensions, checksum algorithms and the largest size."""

@@ -53,10 +53,7 @@ def create(
 
 
 @router.get(
-    "/webhooks",
-    response_model=Page[WebhookView],
-    summary="List webhooks",
-    responses=problems(422),
+    "/webhooks", response_model=Page[WebhookView], summary="List webhooks", responses=problems(422)
 )
 def index(session: HookSession, limit: Limit = 100, cursor: Cursor = None) -> Any:
     """List webhooks, newest first."""

@@ -14,12 +14,7 @@ from solver.kinds import KINDS
 
 # Events that a webhook can subscribe to
 EventType = Literal[
-    "job.started",
-    "job.succeeded",
-    "job.failed",
-    "job.canceled",
-    "scan.checked",
-    "batch.finished",
+    "job.started", "job.succeeded", "job.failed", "job.canceled", "scan.checked", "batch.finished"
 ]
 
 

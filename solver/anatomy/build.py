@@ -111,9 +111,7 @@ def _check(template: Template, neutral: Floats) -> None:
     wrong = np.flatnonzero(~np.isfinite(neutral).all(axis=1))
     if len(wrong):
         raise InputError(
-            "scan.nan",
-            f"vertex {wrong[0]} of the neutral is not finite",
-            vertex=int(wrong[0]),
+            "scan.nan", f"vertex {wrong[0]} of the neutral is not finite", vertex=int(wrong[0])
         )
 
 

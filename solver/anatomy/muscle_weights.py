@@ -49,10 +49,7 @@ SAMPLING = SamplingOptions()
 
 
 def initial_weights(
-    vertices: Floats,
-    tets: Ints,
-    muscles: list[Surface],
-    sampling: SamplingOptions = SAMPLING,
+    vertices: Floats, tets: Ints, muscles: list[Surface], sampling: SamplingOptions = SAMPLING
 ) -> sp.csr_array:
     """Return S (t, m + 1): volume fractions of muscles in tetrahedra, column 0 the passive rest.
 
@@ -279,12 +276,7 @@ class _Field:
     """Potentials on the candidates of one muscle, with the conductivity times volume of each."""
 
     def __init__(
-        self,
-        vertices: Floats,
-        tets: Ints,
-        gradients: Floats,
-        weight: Floats,
-        options: FibreOptions,
+        self, vertices: Floats, tets: Ints, gradients: Floats, weight: Floats, options: FibreOptions
     ) -> None:
         self._options = options
         numbers, local = np.unique(tets, return_inverse=True)

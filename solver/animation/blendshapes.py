@@ -20,10 +20,7 @@ import scipy.sparse as sp
 
 from solver.anatomy.template import ShapeBasis
 from solver.errors import InputError, SolveError
-from solver.fitting import (
-    activation,
-    defaults,
-)
+from solver.fitting import activation, defaults
 from solver.fitting.activation import Resting
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import LEAST_STRETCH, Target

@@ -10,10 +10,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
-from solver.animation.blendshapes import (
-    Blend,
-    unfold,
-)
+from solver.animation.blendshapes import Blend, unfold
 from solver.errors import InputError
 from solver.fitting.face import Pose
 from solver.mechanics.flesh import IDENTITY

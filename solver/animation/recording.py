@@ -7,14 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from solver.animation.blendshapes import Blendshapes, unfold
-from solver.animation.keys import (
-    HeadKey,
-    HeadMotion,
-    PosedFrame,
-    neck,
-    track,
-    turn_about,
-)
+from solver.animation.keys import HeadKey, HeadMotion, PosedFrame, neck, track, turn_about
 from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.scans.live_link import ARKIT_NAMES, LiveLinkTake

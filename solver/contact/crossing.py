@@ -72,10 +72,7 @@ def _in_teeth(mouth: Mouth, points: Floats, part: int, teeth: int) -> float | No
     if not (len(faces) and len(vertices)):
         return None
     distance, *_ = igl.signed_distance(
-        np.ascontiguousarray(vertices),
-        points,
-        faces,
-        igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER,
+        np.ascontiguousarray(vertices), points, faces, igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
     )
     return float(np.maximum(-np.asarray(distance), 0.0).max(initial=0.0))
 

@@ -14,11 +14,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from solver.anatomy.contact_regions import (
-    LOWER,
-    UPPER,
-    lip_sides,
-)
+from solver.anatomy.contact_regions import LOWER, UPPER, lip_sides
 from solver.anatomy.embedding import rows_of
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints

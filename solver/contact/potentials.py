@@ -86,10 +86,7 @@ def touching(
 
 
 def arches(
-    model: SubjectModel,
-    mouth: Mouth,
-    stiffness_pa: float,
-    options: OneSidedOptions | None = None,
+    model: SubjectModel, mouth: Mouth, stiffness_pa: float, options: OneSidedOptions | None = None
 ) -> list[OneSided]:
     """Return what keeps lips in front of upper and of lower teeth, as far as there are any.
 

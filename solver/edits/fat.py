@@ -77,9 +77,7 @@ class Fat:
         growth = 1.0 + (whole - 1.0) * share
         softer = np.maximum(growth, 1.0) ** -self.softening
         return replace(
-            before,
-            growth=before.growth * growth,
-            stiffness_factor=before.stiffness_factor * softer,
+            before, growth=before.growth * growth, stiffness_factor=before.stiffness_factor * softer
         )
 
 

@@ -30,12 +30,7 @@ class GaussNewton:
     """f's model at ``state``; ``matrix`` (6 m + 5, 6 m + 5) is K, corrected as steps are taken."""
 
     def __init__(
-        self,
-        face: Face,
-        data: Term,
-        regulariser: Regulariser,
-        state: State,
-        matrix: Floats,
+        self, face: Face, data: Term, regulariser: Regulariser, state: State, matrix: Floats
     ) -> None:
         self._layout = state.pose.layout
         self._sensitivity = Sensitivity(face, state)

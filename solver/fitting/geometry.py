@@ -14,13 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.errors import InputError, Notice, SolveError
-from solver.fitting import (
-    activation,
-    fallback,
-    joint,
-    reference,
-    simplex,
-)
+from solver.fitting import activation, fallback, joint, reference, simplex
 from solver.fitting.activation import ActivationOptions, Resting
 from solver.fitting.face import Face, State
 from solver.fitting.fallback import FallbackFit

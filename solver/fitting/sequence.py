@@ -28,12 +28,7 @@ from solver.fitting.least_squares import (
     StopOptions,
     minimise,
 )
-from solver.fitting.objective import (
-    Regulariser,
-    SkinDistance,
-    Target,
-    Term,
-)
+from solver.fitting.objective import Regulariser, SkinDistance, Target, Term
 from solver.fitting.sensitivity import Jacobian, Sensitivity
 from solver.mechanics.equilibrium import CorrectorOptions, correct, untangle
 from solver.mechanics.newton import Factorization

@@ -18,12 +18,7 @@ from solver.fitting.face import Face
 from solver.meshio.registered import RegisteredScan
 from solver.model import SubjectModel
 from solver.similarity import Similarity, weighted_motion
-from solver.surface import (
-    Floats,
-    Ints,
-    directed_edges,
-    vertex_areas,
-)
+from solver.surface import Floats, Ints, directed_edges, vertex_areas
 
 
 @dataclass(frozen=True)
@@ -47,9 +42,7 @@ class TargetLimits:
 
 
 def before_fit(
-    model: SubjectModel,
-    scans: Mapping[str, RegisteredScan],
-    limits: TargetLimits = TargetLimits(),
+    model: SubjectModel, scans: Mapping[str, RegisteredScan], limits: TargetLimits = TargetLimits()
 ) -> list[Notice]:
     """Return what is odd about scans by name, each a registered scan of ``model``'s topology."""
     found = [*_find_repeated(model, scans, limits), *_find_same_name(model, scans, limits)]

@@ -7,24 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from solver.anatomy.template import Template
-from solver.animation.blendshapes import (
-    Blendshapes,
-    Solved,
-    expression_targets,
-    solve_blendshapes,
-)
+from solver.animation.blendshapes import Blendshapes, Solved, expression_targets, solve_blendshapes
 from solver.animation.recording import from_recording
 from solver.fitting.face import Face
 from solver.fitting.target_checks import check_held
-from solver.jobs.scenes import (
-    EXPORT,
-    READ,
-    Person,
-    fingerprint,
-    finish,
-    play,
-    read_person,
-)
+from solver.jobs.scenes import EXPORT, READ, Person, fingerprint, finish, play, read_person
 from solver.jobs.task import Task
 from solver.kinds.animate import Animate
 from solver.mechanics.linear import fastest

@@ -32,10 +32,7 @@ def run(task: Task[BuildModel]) -> list[Path]:
     vertices = read_registered(neutral, anatomy.skin.faces, len(anatomy.skin.vertices)).vertices
     anatomy = find_or_make_mesh(anatomy, edge_mm, lambda step: progress(within(step, 0.02, 0.7)))
     model = build_subject_model(
-        anatomy,
-        vertices,
-        edge_mm=edge_mm,
-        progress=lambda step: progress(within(step, 0.7, 0.93)),
+        anatomy, vertices, edge_mm=edge_mm, progress=lambda step: progress(within(step, 0.7, 0.93))
     )
     names = ("model.npz", "model.json", "anatomy.png", "tets.png", "fibres.png")
     files = [task.out / name for name in names]

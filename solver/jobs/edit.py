@@ -6,12 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from solver.edits.edit import (
-    Edited,
-    Replay,
-    Replayed,
-    apply,
-)
+from solver.edits.edit import Edited, Replay, Replayed, apply
 from solver.errors import SolveError
 from solver.fitting.target_checks import check_held
 from solver.jobs.scenes import read_person
@@ -22,11 +17,7 @@ from solver.progress import Progress, Step
 from solver.rig.animation_picture import edit_picture
 from solver.rig.edit_report import Compared, EditedPerson, edit_report, write_edit
 from solver.rig.result import ExpressionFit, load_activations
-from solver.scene.stage import (
-    Physics,
-    edits_of,
-    physics_of,
-)
+from solver.scene.stage import Physics, edits_of, physics_of
 
 
 def run(task: Task[Edit]) -> list[Path]:

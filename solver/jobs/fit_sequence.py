@@ -26,18 +26,9 @@ from solver.model import SubjectModel
 from solver.progress import Progress, Step
 from solver.registration.confidence import head_motion
 from solver.rig.animation_gltf import AnimatedSkin
-from solver.rig.animation_picture import (
-    SequenceShot,
-    sequence_picture,
-)
+from solver.rig.animation_picture import SequenceShot, sequence_picture
 from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter
-from solver.rig.motion import (
-    SequenceFrame,
-    Status,
-    read_frames,
-    sequence_report,
-    write_sequence,
-)
+from solver.rig.motion import SequenceFrame, Status, read_frames, sequence_report, write_sequence
 from solver.rig.result import load_weights
 from solver.scans.performance import Performance, open_performance
 from solver.similarity import IDENTITY, Similarity, weighted_motion
@@ -274,11 +265,7 @@ def _follower(face: Face, given: FitSequence, last: SequenceFrame | None) -> Fol
             state = face.continuation(state, Pose(last.activations, last.jaw))
     regulariser = defaults.unseen_regulariser(face)
     tracker = Tracker(
-        face,
-        regulariser,
-        state,
-        temporal=given.temporal,
-        max_iterations=given.max_iterations,
+        face, regulariser, state, temporal=given.temporal, max_iterations=given.max_iterations
     )
     targets = Targets(face.model, given.distance)
     return Follower(tracker, targets, last, stillness(face) if given.head_motion else None)

@@ -33,10 +33,7 @@ from solver.scene.document import document_of
 from solver.scene.places import Places
 from solver.scene.stage import Stage
 from solver.similarity import Similarity
-from solver.simulation.inertia import (
-    Drive,
-    Motion,
-)
+from solver.simulation.inertia import Drive, Motion
 from solver.simulation.simulator import Stepped
 from solver.surface import Floats
 
@@ -63,10 +60,7 @@ def read_person(task: Task[Any]) -> Person:
 
 def fingerprint(task: Task[Any]) -> str:
     """Return the hash of a task's scene and of all files that it is played with."""
-    files = {
-        **task.inputs,
-        **{f"asset {name}": path for name, path in task.captures.items()},
-    }
+    files = {**task.inputs, **{f"asset {name}": path for name, path in task.captures.items()}}
     hashes = {name: _hash(path) for name, path in files.items()}
     content = [document_of(task.options.scene), hashes]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

@@ -5,14 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from solver.fitting.face import Pose
-from solver.jobs.scenes import (
-    EXPORT,
-    READ,
-    fingerprint,
-    finish,
-    play,
-    read_person,
-)
+from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_person
 from solver.jobs.task import Task
 from solver.kinds.simulate import Simulate
 from solver.rig.animation import check_video

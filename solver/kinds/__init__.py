@@ -11,11 +11,7 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 from solver.kinds.faults import Fault
-from solver.kinds.kind import (
-    JobOptions,
-    Kind,
-    OptionsError,
-)
+from solver.kinds.kind import JobOptions, Kind, OptionsError
 
 __all__ = ["KINDS", "Fault", "JobOptions", "Kind", "OptionsError"]
 

@@ -4,10 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from solver.kinds.kind import (
-    JobOptions,
-    Kind,
-)
+from solver.kinds.kind import JobOptions, Kind
 from solver.kinds.options import Distance, DoubleSolver
 from solver.kinds.values import Whole
 

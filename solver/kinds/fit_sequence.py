@@ -4,10 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from solver.kinds.kind import (
-    JobOptions,
-    Kind,
-)
+from solver.kinds.kind import JobOptions, Kind
 from solver.kinds.options import Distance, LinearSolver
 from solver.kinds.values import Integral, Whole
 

@@ -44,6 +44,5 @@ class FrameOptions(JobOptions):
         description="the file's axis that points to the top of the head; auto: found",
     )
     forward: Axis = Field(
-        default="auto",
-        description="the file's axis that points out of the face; auto: found",
+        default="auto", description="the file's axis that points out of the face; auto: found"
     )

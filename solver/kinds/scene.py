@@ -240,8 +240,7 @@ class PlayedScene(FleshEntry):
         description="dynamic: the flesh has inertia; quasi_static: every frame is an equilibrium",
     )
     steps_per_frame: Annotated[int, Field(ge=1, le=64), Integral] | None = Field(
-        default=None,
-        description="null: 4 if dynamic, else 1; long steps damp what swings",
+        default=None, description="null: 4 if dynamic, else 1; long steps damp what swings"
     )
     damping: float = Field(
         default=0.5,
@@ -250,9 +249,7 @@ class PlayedScene(FleshEntry):
         description="of a dynamic face's motion in its head, per mass, in 1/s",
     )
     head: list[MotionKey] = Field(
-        default=[],
-        max_length=MOST_KEYS,
-        description="where the head is; it turns about the neck",
+        default=[], max_length=MOST_KEYS, description="where the head is; it turns about the neck"
     )
     forces: list[Force] = Field(default=[], max_length=32)
     objects: list[Object] = Field(

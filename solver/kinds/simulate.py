@@ -2,10 +2,7 @@
 
 from pydantic import Field
 
-from solver.kinds.kind import (
-    JobOptions,
-    Kind,
-)
+from solver.kinds.kind import JobOptions, Kind
 from solver.kinds.options import LinearSolver, Video
 from solver.kinds.scene import SimulateScene
 

@@ -19,12 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.mechanics.flesh import Flesh
-from solver.mechanics.linear import (
-    Factor,
-    GrowingSolver,
-    LinearSolver,
-    NotPositiveDefiniteError,
-)
+from solver.mechanics.linear import Factor, GrowingSolver, LinearSolver, NotPositiveDefiniteError
 from solver.mechanics.potential import BoundaryRates, Potential
 from solver.surface import Floats
 

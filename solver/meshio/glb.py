@@ -69,10 +69,7 @@ def _invalid_error(file: str, error: Exception) -> InputError:
 
 
 def _registered_mesh(
-    file: str,
-    document: dict[str, Any],
-    binary: bytes,
-    shown: list[tuple[dict[str, Any], Floats]],
+    file: str, document: dict[str, Any], binary: bytes, shown: list[tuple[dict[str, Any], Floats]]
 ) -> Mesh:
     """Return the vertices of the one mesh that the scene shows."""
     if len(shown) != 1:
@@ -239,11 +236,7 @@ def _part(
 
     is_empty = len(faces) == 0 and mode != Mode.POINTS
     return Mesh(
-        vertices,
-        faces,
-        rows("NORMAL"),
-        rows("COLOR_0"),
-        empty_groups=(name,) if is_empty else (),
+        vertices, faces, rows("NORMAL"), rows("COLOR_0"), empty_groups=(name,) if is_empty else ()
     )
 
 

@@ -16,15 +16,7 @@ from typing import Any
 import numpy as np
 
 from solver.anatomy.template import Template
-from solver.drawing.render import (
-    Camera,
-    DrawnBody,
-    Lit,
-    Pixels,
-    Visible,
-    look,
-    render,
-)
+from solver.drawing.render import Camera, DrawnBody, Lit, Pixels, Visible, look, render
 from solver.errors import InputError
 from solver.similarity import fit_similarity
 from solver.surface import Floats, Ints, Surface

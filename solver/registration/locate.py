@@ -427,11 +427,7 @@ def orient_outward(samples: Samples) -> Samples:
 
 
 def _starts(
-    face: FacePoints,
-    cloud: _Cloud,
-    batch: slice,
-    upright: Axes,
-    options: SearchOptions,
+    face: FacePoints, cloud: _Cloud, batch: slice, upright: Axes, options: SearchOptions
 ) -> _Poses:
     """Put the nose tip on a ``batch`` of places that stand out, with all turns about the normal."""
     first, _ = _cells(cloud.points, options.tip_spacing)

@@ -21,10 +21,7 @@ from scipy.sparse.linalg import spsolve
 
 from solver.mechanics.linear import Rslab
 from solver.registration.scan_surface import ScanSurface
-from solver.registration.shape_fit import (
-    Pins,
-    pair,
-)
+from solver.registration.shape_fit import Pins, pair
 from solver.registration.topology import Topology
 from solver.similarity import Similarity
 from solver.surface import (

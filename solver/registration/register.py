@@ -22,13 +22,7 @@ from solver.registration.locate import (
     location_findings,
     scan_samples,
 )
-from solver.registration.nonrigid import (
-    FROM_AFAR,
-    REFINE,
-    folded_triangles,
-    free_form,
-    unfold,
-)
+from solver.registration.nonrigid import FROM_AFAR, REFINE, folded_triangles, free_form, unfold
 from solver.registration.scan_surface import ScanSurface, check_size, scan_surface
 from solver.registration.shape_fit import Pins, align, expressions, fit_shapes, persons
 from solver.registration.topology import Topology, carry_hidden

@@ -14,13 +14,7 @@ from scipy.spatial import cKDTree
 
 from solver.errors import InputError
 from solver.meshio.raw import RawScan
-from solver.surface import (
-    Floats,
-    Ints,
-    Surface,
-    adjacency,
-    area_normals,
-)
+from solver.surface import Floats, Ints, Surface, adjacency, area_normals
 
 
 @dataclass(frozen=True)

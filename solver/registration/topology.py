@@ -11,10 +11,7 @@ from scipy.spatial import cKDTree
 from solver.anatomy.template import Template
 from solver.anatomy.warp import interpolate, spread
 from solver.drawing.head import skin_parts
-from solver.drawing.render import (
-    Camera,
-    look,
-)
+from solver.drawing.render import Camera, look
 from solver.similarity import weighted_motion
 from solver.surface import Floats, Ints
 

@@ -40,11 +40,7 @@ FASTEST = 1  # level of compression: skins hardly shrink, however long one tries
 
 
 def write_animation_npz(
-    path: Path,
-    model: SubjectModel,
-    frames: Sequence[MotionFrame],
-    skins: Singles,
-    vertices: Ints,
+    path: Path, model: SubjectModel, frames: Sequence[MotionFrame], skins: Singles, vertices: Ints
 ) -> None:
     """Write what drove ``frames``, and ``vertices`` (k,) of their skins in the world, mm.
 

@@ -16,13 +16,7 @@ import scipy.sparse as sp
 from solver.contact.crossing import Crossing
 from solver.model import SubjectModel
 from solver.rig.certificate import Certificate, ExpressionCheck, FleshCheck, Muscles
-from solver.rig.checks import (
-    Judgement,
-    Verdict,
-    judge,
-    overall,
-    use,
-)
+from solver.rig.checks import Judgement, Verdict, judge, overall, use
 from solver.rig.result import ExpressionFit
 from solver.rig.rig import Rig
 from solver.surface import Floats

@@ -224,11 +224,7 @@ def _solve(data: dict[str, np.ndarray], k: int) -> dict[str, Any]:
     if "status" not in data:
         return {"status": "unknown"}
     notices = tuple(Notice.from_dict(each) for each in json.loads(str(data["notices"][k])))
-    return {
-        "solver": str(data["solver"][k]),
-        "status": str(data["status"][k]),
-        "notices": notices,
-    }
+    return {"solver": str(data["solver"][k]), "status": str(data["status"][k]), "notices": notices}
 
 
 def _read_part(path: Path, name: str) -> Arrays:

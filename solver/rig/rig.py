@@ -64,8 +64,7 @@ class Rig:
         """Return the figures; raises :class:`InputError` (``export.figures``) if there are none."""
         if self.figures is None:
             raise InputError(
-                "export.figures",
-                "the rig has no figures: its report.json is not beside it",
+                "export.figures", "the rig has no figures: its report.json is not beside it"
             )
         return self.figures
 

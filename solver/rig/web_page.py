@@ -13,11 +13,7 @@ from typing import Any
 from PIL import Image
 
 from solver.drawing.head import both_sides
-from solver.rig.certificate import (
-    JAW_RANGES,
-    JAW_SOURCE,
-    MUSCLE_SOURCE,
-)
+from solver.rig.certificate import JAW_RANGES, JAW_SOURCE, MUSCLE_SOURCE
 from solver.rig.checks import overall
 from solver.rig.result import ROLES
 

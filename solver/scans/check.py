@@ -29,12 +29,7 @@ from solver.registration.locate import (
 from solver.registration.mend import Samples, mend
 from solver.registration.shape_fit import fit_likeness
 from solver.registration.units import check_frame
-from solver.scans.cover import (
-    Cover,
-    cover,
-    has_second_face,
-    visible_part,
-)
+from solver.scans.cover import Cover, cover, has_second_face, visible_part
 from solver.scans.findings import (
     Features,
     axis_findings,
@@ -48,12 +43,7 @@ from solver.scans.findings import (
     winding_findings,
     with_advice,
 )
-from solver.scans.mouth import (
-    closed_eyes,
-    lip_gap,
-    roughness,
-    spikes,
-)
+from solver.scans.mouth import closed_eyes, lip_gap, roughness, spikes
 from solver.surface import Floats, Surface
 
 AROUND_FACE_MM = 25.0  # margin of the part that is looked at closely

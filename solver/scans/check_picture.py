@@ -8,10 +8,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from scipy.spatial import KDTree
 
-from solver.drawing.render import (
-    Camera,
-    look,
-)
+from solver.drawing.render import Camera, look
 from solver.registration.mend import estimated_normals
 from solver.scans.check import ScanCheck
 from solver.scans.cover import FAR_MM

@@ -17,16 +17,9 @@ from scipy.spatial import KDTree
 from solver.anatomy.template import Template
 from solver.errors import Finding, InputError, Severity
 from solver.meshio.raw import RawScan
-from solver.registration.landmarks import (
-    match,
-    read_landmarks,
-)
+from solver.registration.landmarks import match, read_landmarks
 from solver.registration.locate import JUDGE, FacePoints, Location
-from solver.registration.mend import (
-    WELDED_SHARE,
-    Mending,
-    Samples,
-)
+from solver.registration.mend import WELDED_SHARE, Mending, Samples
 from solver.registration.units import choose_unit
 from solver.scans.cover import Cover
 from solver.scans.mouth import Roughness

@@ -10,28 +10,18 @@ import scipy.sparse as sp
 from solver.animation.keys import HeadKey, KeyedDrives, PoseKey, from_keys
 from solver.errors import InputError
 from solver.fitting.face import Pose
-from solver.fitting.stretches import (
-    fibre_tensors,
-    shorten,
-)
+from solver.fitting.stretches import fibre_tensors, shorten
 from solver.kinds.scene import Jaw, MotionKey, SimulateScene
 from solver.mechanics.flesh import shape_gradients
 from solver.model import SubjectModel
 from solver.surface import Floats
 
 # as far as a jaw gets, and a little more, as fits bite some degrees deep: beyond it flesh tears
-JAW_LIMITS = {
-    "open_deg": (-10.0, 45.0),
-    "left_deg": (-15.0, 15.0),
-    "move_mm": (-20.0, 20.0),
-}
+JAW_LIMITS = {"open_deg": (-10.0, 45.0), "left_deg": (-15.0, 15.0), "move_mm": (-20.0, 20.0)}
 
 
 def drives_of(
-    scene: SimulateScene,
-    poses: Mapping[str, Pose],
-    model: SubjectModel,
-    S: sp.csr_array,
+    scene: SimulateScene, poses: Mapping[str, Pose], model: SubjectModel, S: sp.csr_array
 ) -> KeyedDrives:
     """Return what the keys of a scene make a face do.
 
@@ -53,12 +43,7 @@ def drives_of(
     seconds, fps = last if scene.duration is None else scene.duration, scene.fps
     times = np.arange(int(seconds * fps + 1e-6) + 1) / fps
     drives = from_keys(
-        keys,
-        poses,
-        model,
-        times,
-        head=head_of(scene.head),
-        interpolation=scene.interpolation,
+        keys, poses, model, times, head=head_of(scene.head), interpolation=scene.interpolation
     )
     for number, key in enumerate(keys):
         check_jaw(drives(key.time).jaw, f"keys[{number}]")
@@ -80,11 +65,7 @@ def jaw_of(jaw: Jaw) -> Floats:
 
 def check_jaw(b: Floats, where: str) -> None:
     """Raise :class:`InputError` (``scene.jaw``) if no jaw can be at b (5,)."""
-    found = {
-        "open_deg": np.degrees(b[:1]),
-        "left_deg": np.degrees(b[1:2]),
-        "move_mm": b[2:],
-    }
+    found = {"open_deg": np.degrees(b[:1]), "left_deg": np.degrees(b[1:2]), "move_mm": b[2:]}
     for name, values in found.items():
         least, most = JAW_LIMITS[name]
         worst = float(values[np.argmax(np.abs(values))])

@@ -8,37 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from solver.animation.keys import (
-    Drives,
-    Gaze,
-    PosedFrame,
-)
-from solver.contact.crossing import (
-    Gauge,
-    Penetration,
-)
+from solver.animation.keys import Drives, Gaze, PosedFrame
+from solver.contact.crossing import Gauge, Penetration
 from solver.contact.potentials import contact_potentials
 from solver.edits.bones import Bone
 from solver.edits.edit import Edit, Edited, apply
-from solver.edits.fat import (
-    Density,
-    Fat,
-    Filler,
-    Stiffening,
-    under_skin,
-)
+from solver.edits.fat import Density, Fat, Filler, Stiffening, under_skin
 from solver.edits.paralysis import Paralysis
 from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.kinds import edits as described
 from solver.kinds import scene as scenes
-from solver.mechanics.flesh import (
-    COROTATED_DET,
-    COROTATED_TRACE,
-    IDENTITY,
-    NEO_HOOKEAN,
-    Material,
-)
+from solver.mechanics.flesh import COROTATED_DET, COROTATED_TRACE, IDENTITY, NEO_HOOKEAN, Material
 from solver.mechanics.linear import fastest
 from solver.mechanics.potential import Potential
 from solver.scene.objects import check_objects, objects_of

@@ -18,12 +18,7 @@ from solver.mechanics.linear import fastest
 from solver.mechanics.potential import Boundary, Potential
 from solver.similarity import Similarity
 from solver.simulation.forces import Force
-from solver.simulation.inertia import (
-    Drive,
-    Inertia,
-    Motion,
-    lumped_masses,
-)
+from solver.simulation.inertia import Drive, Inertia, Motion, lumped_masses
 from solver.simulation.newton import MOMENT, Minimum, Newton
 from solver.surface import Floats
 

@@ -21,10 +21,7 @@ from scipy.spatial import cKDTree
 
 from solver.rig.view.format import write_container
 from solver.surface import Floats, Ints, Surface, adjacency, vertex_normals
-from solver.templates.builtin.build import (
-    builtin_capture_set,
-    builtin_template,
-)
+from solver.templates.builtin.build import builtin_capture_set, builtin_template
 from solver.templates.export import CaptureSet
 from solver.templates.ict_facekit import ict_capture_set
 

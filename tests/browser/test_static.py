@@ -165,8 +165,7 @@ def test_files_are_packed_and_asked_for_again_only_by_tag(http: TestClient) -> N
 
 
 @pytest.mark.parametrize(
-    "path",
-    ["nothing.js", "../routes.py", "%2e%2e/routes.py", "..%2froutes.py", "js", "js/", ""],
+    "path", ["nothing.js", "../routes.py", "%2e%2e/routes.py", "..%2froutes.py", "js", "js/", ""]
 )
 def test_nothing_else_is_served(path: str, http: TestClient) -> None:
     answer = http.get(f"/static/{path}")

@@ -67,12 +67,7 @@ def test_contracts_load_no_numerics() -> None:
             "options.scene.forces[0].m_s",
             "[1, 2] is too short",
         ),
-        (
-            "build_model",
-            {"edge_mm": 1},
-            "options.edge_mm",
-            "1 is less than the minimum of 3",
-        ),
+        ("build_model", {"edge_mm": 1}, "options.edge_mm", "1 is less than the minimum of 3"),
         (
             "build_model",
             {"edge": 9},

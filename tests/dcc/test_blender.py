@@ -17,11 +17,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from solver.rig.animation_gltf import (
-    AnimatedSkin,
-    AnimationOptions,
-    write_animation_glb,
-)
+from solver.rig.animation_gltf import AnimatedSkin, AnimationOptions, write_animation_glb
 from solver.rig.exporters import glb
 from solver.rig.gltf import Solid
 from solver.rig.motion import SequenceFrame

@@ -33,10 +33,7 @@ def client(parts: Production | None, tmp_path_factory: pytest.TempPathFactory) -
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("scan", "landmarks"),
-    [
-        ("menpo3d/james.obj", "menpo3d/james.ljson"),
-        ("meshmonk/DemoFace_10K.obj", None),
-    ],
+    [("menpo3d/james.obj", "menpo3d/james.ljson"), ("meshmonk/DemoFace_10K.obj", None)],
 )
 def test_a_raw_scan_becomes_a_model(
     client: Client, scan: str, landmarks: str | None, tmp_path: Path

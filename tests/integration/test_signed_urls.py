@@ -44,12 +44,7 @@ def test_a_signed_url_reads_one_file_for_a_while(tmp_path: Path) -> None:
         tenant, until, signature = token.split(".")
         later = f"{tenant}.{int(until) + 60}.{signature}"
         stolen = f"another.{until}.{signature}"
-        for path, text in (
-            (artifact, later),
-            (artifact, stolen),
-            (artifact, "x"),
-            (other, token),
-        ):
+        for path, text in ((artifact, later), (artifact, stolen), (artifact, "x"), (other, token)):
             refused = studio.http.get(f"/v1/artifacts/{path}?signed={text}")
             assert (refused.status_code, refused.json()["code"]) == (403, "url.invalid")
         elsewhere = studio.http.get(f"/v1/subjects?signed={token}")

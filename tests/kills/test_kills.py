@@ -132,9 +132,7 @@ def test_poison_is_given_up_after_three_attempts(stack_and_studio: tuple[Stack, 
 
 
 @pytest.mark.slow
-def test_a_cancel_that_no_worker_confirms_is_closed(
-    stack_and_studio: tuple[Stack, Studio],
-) -> None:
+def test_a_cancel_that_no_worker_confirms_is_closed(stack_and_studio: tuple[Stack, Studio]) -> None:
     stack, studio = stack_and_studio
     job = _fit(studio, seconds=30)
     stopped = stack.pid("long")

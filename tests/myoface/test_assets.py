@@ -129,11 +129,7 @@ def test_broken_download_goes_on_where_it_broke(
     assert shelf.asked[0] is None
     assert [asked for asked in shelf.asked[1:] if asked is None] == []
     assert heard[-1] == (len(shelf.content),) * 2
-    assert sorted(file.name for file in tmp_path.iterdir()) == [
-        "LICENCE.txt",
-        "asset.zip",
-        RECORD,
-    ]
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["LICENCE.txt", "asset.zip", RECORD]
     assert "CC Attribution 4.0" in (tmp_path / "LICENCE.txt").read_text()
 
 

@@ -16,10 +16,7 @@ from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.rig.result import load_activations, load_weights
 from solver.scans.performance import open_performance
-from solver.storage import (
-    map_array,
-    read_arrays,
-)
+from solver.storage import map_array, read_arrays
 from tests.solver.block import block_model
 
 ARRAYS = {

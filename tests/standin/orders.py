@@ -50,12 +50,7 @@ def work(scans: Iterable[Path], progress: Progress, phases: Sequence[str]) -> No
 def fail(fault: str | None, scan: Path) -> None:
     """Have a fault."""
     if fault == "nan":
-        raise InputError(
-            "scan.nan",
-            f"{scan} has a NaN in line 3",
-            file=str(scan),
-            line=3,
-        )
+        raise InputError("scan.nan", f"{scan} has a NaN in line 3", file=str(scan), line=3)
     if fault == "crash":
         raise ZeroDivisionError("a bug")
     if fault == "memory":

@@ -6,16 +6,7 @@ import uuid
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import (
-    JSON,
-    BigInteger,
-    DateTime,
-    Dialect,
-    Enum,
-    ForeignKey,
-    String,
-    TypeDecorator,
-)
+from sqlalchemy import JSON, BigInteger, DateTime, Dialect, Enum, ForeignKey, String, TypeDecorator
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from service.queue.states import State

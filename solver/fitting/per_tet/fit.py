@@ -8,13 +8,7 @@ from solver.errors import InputError
 from solver.fitting.face import Face, State
 from solver.fitting.objective import Term
 from solver.fitting.per_tet import tissue as tissues
-from solver.fitting.per_tet.descent import (
-    CreepOptions,
-    Descent,
-    Listener,
-    Status,
-    creep,
-)
+from solver.fitting.per_tet.descent import CreepOptions, Descent, Listener, Status, creep
 from solver.fitting.per_tet.objective import Objective, PerTetOptions
 from solver.surface import Floats, Ints
 

@@ -128,12 +128,7 @@ class SaddleSolver:
         p = 1.0 / (stiffness * q)
         s = 1.0 / np.sqrt(np.diag(Cb))
         solve = self._factor(
-            p * p * C,
-            p * q * H,
-            q * q * K,
-            p * E * s,
-            q * rates.by_jaw * s,
-            s[:, None] * Cb * s,
+            p * p * C, p * q * H, q * q * K, p * E * s, q * rates.by_jaw * s, s[:, None] * Cb * s
         )
         size = flesh.size
 

@@ -17,14 +17,7 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, Term
 from solver.fitting.per_tet import Objective, PerTetOptions
 from solver.fitting.per_tet import tissue as tissues
-from solver.fitting.reference.common import (
-    Data,
-    IpoptProblem,
-    Listener,
-    Reference,
-    finite,
-    solve,
-)
+from solver.fitting.reference.common import Data, IpoptProblem, Listener, Reference, finite, solve
 from solver.fitting.sensitivity import PoseRates
 from solver.surface import Floats, Ints
 

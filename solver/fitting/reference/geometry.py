@@ -16,12 +16,7 @@ import scipy.sparse as sp
 
 from solver.fitting.face import Pose, State
 from solver.fitting.joint import GeometryProblem
-from solver.fitting.reference.common import (
-    UNBOUNDED,
-    IpoptProblem,
-    Listener,
-    solve,
-)
+from solver.fitting.reference.common import UNBOUNDED, IpoptProblem, Listener, solve
 from solver.fitting.reference.expression import Expression, MusclePriors
 from solver.fitting.sensitivity import WeightRates
 from solver.fitting.simplex import replace_values

@@ -166,11 +166,7 @@ def _materials(stage: Usd.Stage, mesh: UsdGeom.Mesh, skin: Surface) -> None:
 
 
 def _animation(
-    stage: Usd.Stage,
-    model: SubjectModel,
-    names: list[str],
-    jaws: Floats,
-    options: Options,
+    stage: Usd.Stage, model: SubjectModel, names: list[str], jaws: Floats, options: Options
 ) -> None:
     """Move shapes and jaw: from neutral to an expression, hold it, and back, one after the other.
 

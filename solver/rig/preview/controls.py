@@ -19,11 +19,7 @@ import scipy.optimize
 from solver.fitting.activation import Resting
 from solver.fitting.controls import JAW_UNITS
 from solver.fitting.face import Face, Pose
-from solver.fitting.stretches import (
-    FROBENIUS,
-    fibre_tensors,
-    shorten,
-)
+from solver.fitting.stretches import FROBENIUS, fibre_tensors, shorten
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.result import ExpressionFit
 from solver.surface import Floats

@@ -160,11 +160,7 @@ class SliderSolver:
     """Finds equilibria of a face's sliders; ``fitted`` (p, 3) are those of whole expressions."""
 
     def __init__(
-        self,
-        face: Face,
-        controls: Sliders,
-        rest: State,
-        fitted: Mapping[str, Floats],
+        self, face: Face, controls: Sliders, rest: State, fitted: Mapping[str, Floats]
     ) -> None:
         self._face = face
         self._controls = controls

@@ -19,13 +19,7 @@ from solver.animation.blendshapes import (
     solve_blendshapes,
     unfold,
 )
-from solver.animation.keys import (
-    Gaze,
-    HeadKey,
-    PoseKey,
-    from_keys,
-    neck,
-)
+from solver.animation.keys import Gaze, HeadKey, PoseKey, from_keys, neck
 from solver.animation.recording import from_recording
 from solver.errors import InputError
 from solver.fitting.face import Face, Pose

@@ -7,14 +7,7 @@ import pytest
 
 from solver.edits.bones import Bone
 from solver.edits.edit import DENSITY, apply
-from solver.edits.fat import (
-    Density,
-    Fat,
-    Filler,
-    Stiffening,
-    distance_to_path,
-    under_skin,
-)
+from solver.edits.fat import Density, Fat, Filler, Stiffening, distance_to_path, under_skin
 from solver.edits.maps import into_volume, patches, spots
 from solver.edits.paralysis import Paralysis
 from solver.errors import InputError

@@ -8,12 +8,7 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from solver.errors import InputError
-from solver.fitting import (
-    activation,
-    geometry,
-    joint,
-    simplex,
-)
+from solver.fitting import activation, geometry, joint, simplex
 from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.joint import GeometryProblem, Iterate

@@ -12,10 +12,7 @@ from solver.fitting.face import Face, Pose, State
 from solver.fitting.objective import SkinDistance, Target
 from solver.fitting.per_tet import Objective, PerTetOptions, tissue
 from solver.fitting.per_tet.damping import Damping
-from solver.fitting.per_tet.objective import (
-    PreferredContraction,
-    contraction,
-)
+from solver.fitting.per_tet.objective import PreferredContraction, contraction
 from solver.fitting.per_tet.saddle import SaddleSolver
 from solver.mechanics.flesh import COROTATED_DET, IDENTITY
 from tests.solver.block import block_model

@@ -11,10 +11,7 @@ from solver.errors import InputError
 from solver.fitting import target_checks
 from solver.fitting.face import Face
 from solver.fitting.simplex import replace_values
-from solver.fitting.target_checks import (
-    check_held,
-    idle_muscles,
-)
+from solver.fitting.target_checks import check_held, idle_muscles
 from solver.meshio.registered import RegisteredScan
 from solver.surface import Surface
 from tests.solver.block import head_block

@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 
 from solver.fitting.face import Face
-from solver.fitting.objective import (
-    SkinDistance,
-    SumTerm,
-    Target,
-)
+from solver.fitting.objective import SkinDistance, SumTerm, Target
 from tests.solver.block import block_model
 
 

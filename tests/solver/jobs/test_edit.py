@@ -111,10 +111,7 @@ def test_the_picture_says_how_many_expressions_it_leaves_out(
     [
         ({"edits": [{"kind": "wings"}]}, "scene.schema"),
         ({"edits": [{"kind": "paralysis", "muscles": ["tongue"]}]}, "scene.muscle"),
-        (
-            {"edits": [FAT | {"map": {"spots": ["pogonion"], "radius_mm": 10}}]},
-            "scene.landmark",
-        ),
+        ({"edits": [FAT | {"map": {"spots": ["pogonion"], "radius_mm": 10}}]}, "scene.landmark"),
         ({"edits": [FAT | {"map": {"asset": "painted"}}]}, "scene.asset"),
     ],
 )

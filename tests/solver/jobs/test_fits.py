@@ -10,10 +10,7 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError, SolveError
-from solver.fitting import (
-    fallback,
-    geometry,
-)
+from solver.fitting import fallback, geometry
 from solver.fitting.face import Face, Pose
 from solver.fitting.reference import NotConvergedError, Reference
 from solver.jobs import run_job

@@ -54,11 +54,7 @@ def files_of(rig: Path) -> dict[str, Path]:
 
 
 def play(
-    rig: Path,
-    out: Path,
-    scene: dict[str, Any],
-    assets: dict[str, Path] | None = None,
-    **how: Any,
+    rig: Path, out: Path, scene: dict[str, Any], assets: dict[str, Path] | None = None, **how: Any
 ) -> dict[str, Any]:
     options = {"scene": scene}
     files = run_job("simulate", out, options=options, captures=assets, **files_of(rig), **how)
@@ -125,10 +121,7 @@ def test_what_was_interrupted_goes_on_as_if_it_had_not_been(rig: Path, tmp_path:
     assert all(path.stat().st_mtime_ns == written for path, written in ready.items())
     np.testing.assert_allclose(skins(tmp_path / "parts"), skins(tmp_path / "whole"), atol=0.02)
     (tmp_path / "more.csv").write_text("a file that the scene does not name")
-    for other, assets in (
-        ({**scene, "damping": 2}, {}),
-        (scene, {"more": tmp_path / "more.csv"}),
-    ):
+    for other, assets in (({**scene, "damping": 2}, {}), (scene, {"more": tmp_path / "more.csv"})):
         with pytest.raises(InputError) as raised:
             play(rig, tmp_path / "parts", other, assets, resume=True)
         assert raised.value.code == "simulate.other_scene"

@@ -2,10 +2,7 @@
 
 import numpy as np
 
-from solver.registration.nonrigid import (
-    folded_triangles,
-    unfold,
-)
+from solver.registration.nonrigid import folded_triangles, unfold
 
 
 def test_a_vertex_pushed_over_its_neighbour_comes_back():

@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError
-from solver.registration.landmarks import (
-    landmark_vertices,
-    match,
-    read_landmarks,
-)
+from solver.registration.landmarks import landmark_vertices, match, read_landmarks
 from solver.templates.builtin.build import builtin_template
 from tests.fixtures import data_folder
 

@@ -9,11 +9,7 @@ import pytest
 
 from solver.mechanics.flesh import shape_gradients
 from solver.model import SubjectModel
-from solver.rig.certificate import (
-    Muscles,
-    jaw_motion,
-    muscles,
-)
+from solver.rig.certificate import Muscles, jaw_motion, muscles
 from solver.surface import Floats
 from tests.solver.block import block_model
 
@@ -84,7 +80,4 @@ def test_the_jaws_motion(model: SubjectModel) -> None:
     assert left.faults() == []
     torn = jaw_motion(model, np.array([0.0, 0.0, 0.0, -30.0, -6.0]))
     assert torn.condyles_down_mm == pytest.approx(30.0)
-    assert torn.faults() == [
-        "is 6.0 mm behind its sockets",
-        "drops from its sockets by 30 mm",
-    ]
+    assert torn.faults() == ["is 6.0 mm behind its sockets", "drops from its sockets by 30 mm"]

@@ -4,10 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from solver.rig.pictures import (
-    ThreadOptions,
-    fibre_threads,
-)
+from solver.rig.pictures import ThreadOptions, fibre_threads
 from tests.solver.block import block_model
 
 

@@ -90,10 +90,7 @@ def test_the_first_fault_is_named(scene, where, words):
 
 
 def test_whole_numbers_are_integers_however_they_are_written():
-    scene = {
-        "steps_per_frame": 2.0,
-        "forces": [{"kind": "point", "at": 5.0, "mn": [0.5, 1.0, 0]}],
-    }
+    scene = {"steps_per_frame": 2.0, "forces": [{"kind": "point", "at": 5.0, "mn": [0.5, 1.0, 0]}]}
     found = document_of(read_scene(scene, SimulateScene))
     numbers = [found["steps_per_frame"], found["forces"][0]["at"], *found["forces"][0]["mn"]]
     assert numbers == [2, 5, 0.5, 1, 0]

@@ -5,12 +5,7 @@ import numpy as np
 import pytest
 
 from solver.edits.bones import Bone
-from solver.edits.fat import (
-    Density,
-    Fat,
-    Filler,
-    Stiffening,
-)
+from solver.edits.fat import Density, Fat, Filler, Stiffening
 from solver.edits.paralysis import Paralysis
 from solver.errors import InputError
 from solver.kinds.edits import EDITS
@@ -18,9 +13,7 @@ from solver.kinds.scene import EditScene
 from solver.kinds.schema import json_schema
 from solver.scene.document import read_scene
 from solver.scene.places import Places
-from solver.scene.stage import (
-    edits_of,
-)
+from solver.scene.stage import edits_of
 from tests.solver.block import head_block
 
 EVERY_KIND = [

@@ -62,10 +62,7 @@ def upgrade() -> None:
         sa.Column("name", sa.String(length=200), nullable=False),
         sa.Column("template_id", sa.String(length=36), nullable=True),
         sa.Column("created_at", sa.DateTime(timezone=True), nullable=False),
-        sa.ForeignKeyConstraint(
-            ["template_id"],
-            ["templates.id"],
-        ),
+        sa.ForeignKeyConstraint(["template_id"], ["templates.id"]),
         sa.PrimaryKeyConstraint("id"),
     )
     op.create_table(

@@ -12,8 +12,7 @@ down_revision = "0001"
 def upgrade() -> None:
     """Apply; the captures there are were all taken as registered."""
     op.add_column(
-        "captures",
-        sa.Column("registered", sa.Boolean(), nullable=False, server_default=sa.true()),
+        "captures", sa.Column("registered", sa.Boolean(), nullable=False, server_default=sa.true())
     )
     op.add_column("captures", sa.Column("landmarks_filename", sa.String(length=255)))
     op.add_column("captures", sa.Column("landmarks_sha256", sa.String(length=64)))
