@@ -72,7 +72,7 @@ def run(options: argparse.Namespace) -> Figures:
 def _solvers(model: SubjectModel, target: Target, w_a: float) -> dict[str, Any]:
     face, phace = Face(model), Face(model, material=COROTATED_DET)
     data = SkinDistance(face, target)
-    rest = face.rest_state()
+    rest = face.rest
     regulariser = Regulariser(w_a, 1e-2, 1e-6, rest.pose)
     _compile(face, phace, data, regulariser, rest)
 

@@ -148,7 +148,7 @@ def _gap(model: SubjectModel, thing: Surface) -> float:
 def _moved(person: Fitted, face: Face, pose: Pose) -> Floats:
     """Return the vertices of a pose, without contact."""
     face = face.with_weights(person.S)
-    return face.continuation(face.rest_state(), pose).x
+    return face.continuation(face.rest, pose).x
 
 
 def play(person: Fitted, scene: Scene, *, contact: bool) -> Played:

@@ -27,7 +27,7 @@ PART = 0.5
 
 def forward(face: Face, poses: Mapping[str, Pose]) -> list[Figures]:
     """Simulate every pose cold, from the resting face, and warm, from 95 % of the pose."""
-    rest = face.rest_state()
+    rest = face.rest
     found = []
     for name, pose in poses.items():
         with Stopwatch() as cold:

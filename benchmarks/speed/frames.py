@@ -24,7 +24,7 @@ def frames(face: Face, performance: IctPerformance, numbers: range, compared: in
     objective of the compared frames over the mean of their cold fits, less one. A frame that can
     not be fitted stays as the one before, and is in ``failed``.
     """
-    regulariser, rest = defaults.unseen_regulariser(face), face.rest_state()
+    regulariser, rest = defaults.unseen_regulariser(face), face.rest
     tracker = Tracker(face, regulariser, rest)
     alone = set(numbers[:: max(len(numbers) // compared, 1)])
     milliseconds, errors, inverted, pairs, failed = [], [], 0, [], []

@@ -80,7 +80,7 @@ def per_tets(face: Face, targets: Mapping[str, Target]) -> list[Figures]:
 
 def compile_kernels(face: Face, phace: Face | None, target: Target) -> None:
     """Run every solver for a moment, so that no compilation is timed."""
-    rest = face.rest_state()
+    rest = face.rest
     data = SkinDistance(face, target)
     regulariser = defaults.unseen_regulariser(face)
     activation.fit(face, data, regulariser, rest, ActivationOptions(1))

@@ -121,7 +121,7 @@ def fit(
                 break
         matrix = None
         go = Face.predict_and_solve if state is None else Face.newton_continuation
-        begin = best.state if best else face.rest_state()
+        begin = best.state if best else face.rest
     if best is None:
         raise SolveError("solve.no_convergence", "the fitted face does not come to rest")
     return best
@@ -202,7 +202,7 @@ class Resting:
 
     def __init__(self, face: Face) -> None:
         self._face = face
-        self.state: State = face.rest_state()
+        self.state: State = face.rest
 
     @cached_property
     def matrix(self) -> Floats:

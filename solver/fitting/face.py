@@ -135,14 +135,16 @@ class Face:
 
     def with_weights(self, S: sp.csr_array) -> Face:
         """Return this face with another muscle geometry ``S`` (n, m + 1)."""
-        other = copy.copy(self)
-        other.S = S
-        return other
+        return self._with(S=S)
 
     def with_flesh(self, flesh: Flesh) -> Face:
         """Return this face with another flesh, whose tets join the same vertices."""
+        return self._with(flesh=flesh)
+
+    def _with(self, **changes: sp.csr_array | Flesh) -> Face:
         other = copy.copy(self)
-        other.flesh = flesh
+        other.__dict__.pop("rest", None)
+        other.__dict__.update(changes)
         return other
 
     @property
@@ -154,8 +156,9 @@ class Face:
         """Return the pose of the neutral face."""
         return Pose(*self.layout.split(self.layout.rest.copy()))
 
-    def rest_state(self) -> State:
-        """Return the neutral face as an equilibrium."""
+    @cached_property
+    def rest(self) -> State:
+        """The neutral face as an equilibrium; raises :class:`SolveError` if there is none."""
         return self.solve_equilibrium(self.rest_pose(), self.model.rest)
 
     def tet_activations(self, a: Floats) -> Floats:

@@ -202,7 +202,7 @@ def fit_by_ipopt(
     S = face.model.weights if start is None else start
     structure = sp.csr_array((0, S.nnz)) if structure is None else structure
     face = face.with_weights(S)
-    rest = face.rest_state()
+    rest = face.rest
     w_a, w_s = options.weights(options.rounds - 1)
     regulariser = Regulariser(w_a, options.w_v, options.w_b, rest.pose)
     problem = GeometryProblem(face, data, regulariser, w_s, S.data, structure)

@@ -131,18 +131,20 @@ class Regulariser:
         by_b = self.w_b * JAW_UNITS**2 * (pose.b - self.prior.b)
         return pose.layout.join([by_a, by_b])
 
-    def gauss_newton(self, pose: Pose) -> Floats:
-        """Return the Gauss-Newton Hessian by (a, b), (6 m + 5, 6 m + 5)."""
-        layout = pose.layout
+    def curvature(self, pose: Pose) -> tuple[Floats, Floats]:
+        """Return the Gauss-Newton Hessian: a block of each a_j, (m, 6, 6), and b's diagonal."""
         gradients = determinant_gradients(pose.a)
         _, towards = lacking_eigenvalues(pose.a)
         blocks = self.w_v * gradients[:, :, None] * gradients[:, None, :]
         blocks += self.w_e * towards.transpose(0, 2, 1) @ towards
-        entries = layout.places("activations")
-        out = np.zeros((layout.size, layout.size))
-        out[entries[:, :, None], entries[:, None, :]] = blocks
-        diagonal = [np.full(pose.a.shape, self.w_a), self.w_b * JAW_UNITS**2]
-        out[np.diag_indices_from(out)] += layout.join(diagonal)
+        blocks[:, np.arange(6), np.arange(6)] += self.w_a
+        return blocks, self.w_b * JAW_UNITS**2
+
+    def gauss_newton(self, pose: Pose) -> Floats:
+        """Return :meth:`curvature` as one matrix (6 m + 5, 6 m + 5)."""
+        muscles, jaw = (pose.layout.places(name) for name in ("activations", "jaw"))
+        out = np.zeros((pose.layout.size, pose.layout.size))
+        out[muscles[:, :, None], muscles[:, None, :]], out[jaw, jaw] = self.curvature(pose)
         return out
 
 

@@ -248,7 +248,7 @@ def stillness(face: Face, usual: UsualMotion = UsualMotion()) -> Floats:
     The motion is the linear response, at rest, to usual changes of every activation and of the
     jaw, all at once and independent of each other.
     """
-    by_pose = Sensitivity(face, face.rest_state()).motions_by_pose()
+    by_pose = Sensitivity(face, face.rest).motions_by_pose()
     by_a = np.full_like(face.rest_pose().a, usual.activation)
     change = face.layout.join([by_a, np.array(usual.jaw)])
     columns = (by_pose * change).reshape(len(by_pose), -1)

@@ -259,7 +259,7 @@ def run(task: Task[FitSequence]) -> list[Path]:
 
 def _follower(face: Face, given: FitSequence, last: SequenceFrame | None) -> Follower:
     """Return what fits the frames, from rest or from the ``last`` that is ready."""
-    state = face.rest_state()
+    state = face.rest
     if last is not None:
         with suppress(SolveError):  # out of reach from rest: the next frame begins there
             state = face.continuation(state, Pose(last.activations, last.jaw))

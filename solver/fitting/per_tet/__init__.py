@@ -12,6 +12,6 @@ a and b are solved for together (global). From the neutral face a fit goes in vi
 """
 
 from solver.fitting.per_tet.fit import PerTetFit, fit
-from solver.fitting.per_tet.objective import Objective, PerTetOptions
+from solver.fitting.per_tet.objective import Objective, PerTetOptions, PerTetPriors
 
-__all__ = ["Objective", "PerTetFit", "PerTetOptions", "fit"]
+__all__ = ["Objective", "PerTetFit", "PerTetOptions", "PerTetPriors", "fit"]

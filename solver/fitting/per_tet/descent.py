@@ -49,7 +49,7 @@ class TetStep:
         damping: Damping,
     ) -> TetStep:
         """Minimise the damped Gauss-Newton model at a state."""
-        model = objective.quadratic(state, damping)
+        model = objective.quadratic(state, damping.tets, damping.jaw)
         a, b = state.pose.layout.split(solver.step(model, state))
         return cls(state, value, model, *damping.limit(state.pose.a, a, b))
 

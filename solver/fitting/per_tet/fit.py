@@ -47,7 +47,7 @@ def fit(
     """
     options, creeping = options or PerTetOptions(), CreepOptions()
     tissue = tissues.of_face(face)
-    state = start or tissue.face.rest_state()
+    state = start or tissue.face.rest
     if state.pose.layout is not tissue.face.layout:
         raise InputError("start.activations", "the start has not six activations per active tet")
     objective = Objective(tissue, data, options, state.pose.b)
@@ -71,7 +71,7 @@ def fit(
     return PerTetFit(
         pose.a,
         tissue.active,
-        objective.contractions(pose.a),
+        objective.priors.contraction.contractions(pose.a),
         state,
         objective.value(state),
         found.iterations,

@@ -10,7 +10,6 @@ from solver.fitting import stretches
 from solver.fitting.controls import JAW_UNITS
 from solver.fitting.face import Pose, State
 from solver.fitting.objective import Term, determinant_gradients, determinants
-from solver.fitting.per_tet.damping import Damping
 from solver.fitting.per_tet.saddle import Linearisation, Quadratic
 from solver.fitting.per_tet.tissue import Tissue
 from solver.fitting.stretches import FROBENIUS
@@ -142,71 +141,73 @@ class PerTetOptions:
     tolerance: float = 2e-3
 
 
-class Objective:
-    """f as a function of a tissue's state, with its derivatives."""
+class PerTetPriors:
+    """f but for the data: the regularisers of a ``tissue``, the jaw's around ``b`` (5,)."""
 
-    def __init__(self, tissue: Tissue, data: Term, options: PerTetOptions, b: Floats) -> None:
-        self.tissue = tissue
-        self._data = data
+    def __init__(self, tissue: Tissue, options: PerTetOptions, b: Floats) -> None:
         self._options = options
         self._b = b
         self._volumes = tissue.volumes
-        self._contraction = PreferredContraction(tissue)
         self._sparsity = GroupSparsity(tissue)
+        self.contraction = PreferredContraction(tissue)
 
-    def contractions(self, a: Floats) -> Floats:
-        """Return the muscles' gamma (m,) that minimise f at activations ``a``."""
-        return self._contraction.contractions(a)
-
-    def value(self, state: State) -> float:
-        """Return f at a state's estimate, every gamma being the best."""
-        return self._data.value(state.estimate) + self.prior_value(state.pose)
-
-    def prior_value(self, pose: Pose) -> float:
-        """Return the regularisers' sum at a pose."""
+    def value(self, pose: Pose) -> float:
+        """Return the regularisers' sum at a pose, every gamma being the best."""
         options, a = self._options, pose.a
         det = determinants(a) - 1.0
         jaw = JAW_UNITS * (pose.b - self._b)
         return float(
-            options.w_act * self._contraction.value(a, self.contractions(a))
+            options.w_act * self.contraction.value(a, self.contraction.contractions(a))
             + options.w_sparse * self._sparsity.value(a)
             + options.w_volume * (self._volumes @ det**2)
             + 0.5 * options.w_b * jaw @ jaw
         )
 
-    def prior_gradient(self, pose: Pose) -> Floats:
-        """Return the derivative of :meth:`prior_value` by (a, b)."""
+    def gradient(self, pose: Pose) -> Floats:
+        """Return the derivative of :meth:`value` by (a, b)."""
         options, a = self._options, pose.a
-        by_a = options.w_act * self._contraction.gradient(a, self.contractions(a))
+        by_a = options.w_act * self.contraction.gradient(a, self.contraction.contractions(a))
         by_a = by_a + options.w_sparse * self._sparsity.gradient(a)
         stretch = 2.0 * options.w_volume * self._volumes * (determinants(a) - 1.0)
         by_a = by_a + stretch[:, None] * determinant_gradients(a)
         return pose.layout.join([by_a, options.w_b * JAW_UNITS**2 * (pose.b - self._b)])
 
-    def prior_blocks(self, a: Floats) -> Floats:
-        """Return the Gauss-Newton Hessian of :meth:`prior_value` by each tet's a, (n_active, 6, 6).
+    def curvature(self, pose: Pose) -> tuple[Floats, Floats]:
+        """Return the Gauss-Newton Hessian: a block of each tet, (n_active, 6, 6), and b's diagonal.
 
         The contractions are held, and the parabolas of R_sparse stand for it.
         """
-        options, slopes = self._options, determinant_gradients(a)
+        options, slopes = self._options, determinant_gradients(pose.a)
         volume = 2.0 * options.w_volume * self._volumes
         blocks = volume[:, None, None] * slopes[:, :, None] * slopes[:, None, :]
-        diagonal = options.w_act * self._contraction.curvature()
-        blocks[:, np.arange(6), np.arange(6)] += diagonal
-        blocks[:, np.arange(6), np.arange(6)] += options.w_sparse * self._sparsity.curvature(a)
-        return np.asarray(blocks)
+        blocks[:, np.arange(6), np.arange(6)] += options.w_act * self.contraction.curvature()
+        by_sparsity = options.w_sparse * self._sparsity.curvature(pose.a)
+        blocks[:, np.arange(6), np.arange(6)] += by_sparsity
+        return blocks, options.w_b * JAW_UNITS**2
 
-    def quadratic(self, state: State, damping: Damping) -> Quadratic:
-        """Return the Gauss-Newton model of f at a state, damped."""
-        options, a = self._options, state.pose.a
+
+class Objective:
+    """f as a function of a tissue's state, with its derivatives."""
+
+    def __init__(self, tissue: Tissue, data: Term, options: PerTetOptions, b: Floats) -> None:
+        self.tissue = tissue
+        self.priors = PerTetPriors(tissue, options, b)
+        self._data, self._w_b = data, options.w_b
+
+    def value(self, state: State) -> float:
+        """Return f at a state's estimate."""
+        return self._data.value(state.estimate) + self.priors.value(state.pose)
+
+    def quadratic(self, state: State, tets: Floats, jaw: float) -> Quadratic:
+        """Return f's Gauss-Newton model, damped by ``tets`` (n_active,) and ``jaw``."""
         response = Linearisation(self.tissue, state)
         gradient = response.adjoint(self._data.gradient(state.estimate))
-        blocks = self.prior_blocks(a)
-        blocks += 2.0 * (damping.tets * self._volumes)[:, None, None] * stretches.metric(a)
+        blocks, _ = self.priors.curvature(state.pose)
+        damping = 2.0 * (tets * self.tissue.volumes)[:, None, None]
         return Quadratic(
             response,
-            gradient + self.prior_gradient(state.pose),
+            gradient + self.priors.gradient(state.pose),
             self._data.curvature(state.estimate),
-            blocks,
-            (options.w_b + damping.jaw) * JAW_UNITS**2,
+            blocks + damping * stretches.metric(state.pose.a),
+            (self._w_b + jaw) * JAW_UNITS**2,
         )

@@ -102,24 +102,23 @@ def solve(
     constants: Floats,
     tolerance: float,
     max_iterations: int,
-    least: Floats | None = None,
+    lower: Floats | float = -UNBOUNDED,
 ) -> Solution:
     """Run IPOPT from ``start`` (n,), the constraints (m,) being equal to ``constants``.
 
-    ``least`` (n,) bounds the variables from below, none if not given.
+    ``lower`` (n,) bounds the variables from below.
     """
     ipopt = cyipopt.Problem(
         n=len(start),
         m=len(constants),
         problem_obj=problem,
-        lb=np.full(len(start), -UNBOUNDED) if least is None else least,
+        lb=np.maximum(np.full(len(start), -UNBOUNDED), lower),
         cl=constants,
         cu=constants,
     )
-    ipopt.add_option("sb", "yes")
-    ipopt.add_option("print_level", 0)
-    ipopt.add_option("tol", tolerance)
-    ipopt.add_option("max_iter", max_iterations)
+    options = {"sb": "yes", "print_level": 0, "tol": tolerance, "max_iter": max_iterations}
+    for name, value in options.items():
+        ipopt.add_option(name, value)
     z, info = ipopt.solve(start)
     message = info["status_msg"]
     text = message.decode() if isinstance(message, bytes) else str(message)
@@ -151,8 +150,7 @@ class Data:
         by_free = curvature[self._free][:, self._free].tocoo()
         lower = by_free.col <= by_free.row
         self._rows, self._columns = by_free.row[lower], by_free.col[lower]
-        touched = curvature[self._riding][:, self._free].tocoo().col
-        self._crossed = np.unique(touched)
+        self._crossed = np.unique(curvature[self._riding][:, self._free].tocoo().col)
         self._square = np.tril_indices(len(jaw))
         self.structure = (
             np.concatenate([self._rows, np.repeat(jaw, len(self._crossed)), jaw[self._square[0]]]),
@@ -172,13 +170,8 @@ class Data:
         riding = curvature[self._riding]
         cross = moving.T @ riding[:, self._free][:, self._crossed]
         square = moving.T @ (riding[:, self._riding] @ moving)
-        return np.concatenate(
-            [
-                np.asarray(by_free[self._rows, self._columns]).ravel(),
-                np.asarray(cross).ravel(),
-                square[self._square],
-            ]
-        )
+        lower = np.asarray(by_free[self._rows, self._columns])
+        return np.concatenate([lower.ravel(), np.asarray(cross).ravel(), square[self._square]])
 
     def _jaw_motion(self, b: Floats) -> Floats:
         """Return the mandible's coordinates by b, (k, 5)."""

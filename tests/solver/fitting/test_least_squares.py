@@ -128,7 +128,7 @@ def test_damping_of_every_tet_follows_its_step():
 def test_any_controls_are_fitted_to_a_skin():
     """Activations of S and the jaw by the path that fibres take."""
     face = Face(block_model())
-    target = face.face_points(face.continuation(face.rest_state(), poses(1)[0]).x)
+    target = face.face_points(face.continuation(face.rest, poses(1)[0]).x)
     fit = SkinFit(face, PoseControls(face), target)
     before = fit.value(fit.settle(face.layout.rest, face.model.rest))
     found = fit.solve()

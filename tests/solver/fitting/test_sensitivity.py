@@ -20,7 +20,7 @@ def posed():
     rng = np.random.default_rng(11)
     a = face.rest_pose().a + 0.3 * rng.standard_normal((2, 6))
     pose = Pose(a, np.array([0.12, 0.05, 0.5, -1.0, 0.8]))
-    state = face.continuation(face.rest_state(), pose)
+    state = face.continuation(face.rest, pose)
     assert np.abs(state.x - face.model.rest).max() > 3.0
     return face, S, state, rng
 

@@ -23,7 +23,7 @@ class Counting:
 
 def test_coasting_ends_where_newton_does():
     face = Face(block_model())
-    rest = face.rest_state()
+    rest = face.rest
     pose = rest.pose.toward(poses(1)[0], 0.3)
     near = rest.equilibrium.factor
     near.solve(np.zeros(face.flesh.size))

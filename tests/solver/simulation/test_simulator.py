@@ -72,7 +72,7 @@ def test_quasi_static_steps_end_in_the_equilibria_of_a_fit():
     motion = steps.rest(neutral)
     np.testing.assert_allclose(motion.x, face.model.rest, atol=1e-6)
     stepped = steps.step(motion, neutral, drive(face, pose, 1.0))
-    settled = face.continuation(face.rest_state(), pose)
+    settled = face.continuation(face.rest, pose)
     assert np.abs(settled.x - face.model.rest).max() > 3.0
     np.testing.assert_allclose(stepped.y, settled.x, atol=1e-5)
     assert stepped.inverted == stepped.halvings == 0
