@@ -12,6 +12,7 @@ where that begins, as it begins within the slack.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,8 @@ from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mandible, Mouth
 from solver.contact.one_sided import Arch, Excess, along, free_depths
 from solver.contact.overlap import between_lips
 from solver.errors import SolveError
+from solver.fitting.face import Face
+from solver.fitting.objective import SumTerm, Target, Term, distances
 from solver.model import SubjectModel
 from solver.surface import Floats, Surface
 
@@ -170,3 +173,13 @@ def _lips(mouth: Mouth, x: Floats, options: LipContactOptions) -> _Touching:
     apart = sp.csr_array((nearest - vertex) @ mouth.rows)
     weight = np.full(len(deep.ids), options.lips_weight)
     return _Touching(deep.depth - options.lips_slack_mm, along(apart, deep.out), weight)
+
+
+def terms(face: Face, targets: Mapping[str, Target]) -> dict[str, Term]:
+    """Return the terms of every expression: the distance, and contact if the model has lips."""
+    mouth = Mouth.of(face.model)
+    data = distances(face, targets)
+    if mouth is None:
+        return data
+    teeth = Teeth(face.model, mouth)
+    return {name: SumTerm((term, Contact(face.model, mouth, teeth))) for name, term in data.items()}

@@ -18,6 +18,7 @@ from solver.mechanics.equilibrium import Equilibrium, PredictorOptions
 from solver.mechanics.flesh import COROTATED_TRACE, IDENTITY, Flesh, Material
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import Factorization, NewtonOptions
+from solver.mechanics.response import Response, SparseControls
 from solver.mechanics.sliding import SlidingPlanes, no_planes, planes
 from solver.model import SubjectModel
 from solver.surface import Floats
@@ -191,6 +192,15 @@ class Face:
         )
         return State(pose, result)
 
+    def settle(self, pose: Pose, x: Floats, near: Factorization | None = None) -> State | None:
+        """Do as :meth:`solve_equilibrium`; return None where there is none near by."""
+        if not (np.isfinite(x).all() and np.isfinite(pose.a).all()):
+            return None
+        try:
+            return self.solve_equilibrium(pose, x, near)
+        except SolveError:
+            return None
+
     def newton_predict(
         self,
         state: State,
@@ -335,11 +345,12 @@ class Face:
         x = state.x.copy()
         x[self.model.mandible] = self.mandible(target.b)
         before = self.tet_activations(state.pose.a)
-        pull = self.flesh.coupling(state.x, before, (x - state.x)[:, :, None])[:, 0]
+        pull = self.flesh.coupling(state.x, before, (x - state.x)[:, :, None])
         change = self.flesh.gradient(state.x, self.tet_activations(target.a))
-        response = -state.equilibrium.factor.solve(pull + change)
-        x[self.flesh.free] += response.reshape(-1, 3)
-        return x
+        # the held vertices are where they will be
+        way = SparseControls(sp.csc_array(pull + change[:, None]), sp.csr_array((x.size, 1)))
+        response = Response(self.flesh, state.equilibrium.factor)
+        return self.flesh.moved(x, response.free_motion(way, np.ones(1)))
 
     def _sliding_planes(self, mu: Floats | float) -> SlidingPlanes:
         """Return the planes along the skull that the model's sliding vertices stay on."""

@@ -123,18 +123,12 @@ def step(problem: GeometryProblem, now: Iterate, options: JointOptions | None = 
             grown = rule.increase(now.damping, halving)
             states = {name: trial.state for name, trial in trials.items() if trial.state}
             return Iterate(S, states, rule.adapt(grown, gain / predicted), damping)
-    losing = [name for name, trial in trials.items() if trial.gain < 0.0]
-    states = now.states | _settle(face, {name: now.states[name] for name in losing})
+    # near buckling the value at an estimate may flatter: settle those that lose, where possible
+    states = {
+        name: (face.settle(state.pose, state.x) if trials[name].gain < 0.0 else None) or state
+        for name, state in now.states.items()
+    }
     return Iterate(now.S, states, rule.increase(now.damping, options.halvings), damping)
-
-
-def _settle(face: Face, states: dict[str, State]) -> dict[str, State]:
-    """Settle those states that can be: near buckling, the value at an estimate may flatter."""
-    settled = {}
-    for name, state in states.items():
-        with contextlib.suppress(SolveError):
-            settled[name] = face.solve_equilibrium(state.pose, state.x)
-    return settled
 
 
 def _change(
@@ -176,8 +170,9 @@ class _Linearised:
         self, problem: GeometryProblem, face: Face, name: str, state: State, damping: float
     ) -> None:
         self._problem, self._face, self._name, self._state = problem, face, name, state
-        self._response = Sensitivity(face, state)
-        self._jacobian = jacobian = self._response.by_pose()
+        sensitivity = Sensitivity(face, state)
+        self._response, self._weights = sensitivity.response, sensitivity.weights
+        self._jacobian = jacobian = sensitivity.by_pose()
         data, regulariser = problem.data[name], problem.regulariser
         gradient, curvature = data.gradient(state.estimate), data.curvature(state.estimate)
         self._by_x = gradient.ravel()[jacobian.free]
@@ -196,19 +191,19 @@ class _Linearised:
         """Return f's derivative (nnz,) by S, the pose following."""
         by_x = self._by_x.copy()
         by_x[self._touched] -= self._coupling @ self._solve(self._by_pose)
-        return self._response.by_geometry_adjoint(by_x)
+        return self._response.free_adjoint(self._weights, by_x)
 
     def product(self, change: Floats) -> Floats:
         """Return X^T (C - T B^-1 T^T) X applied to a change of S, (nnz,)."""
-        flesh = self._response.flesh_by_geometry(change)
+        flesh = self._response.free_motion(self._weights, change)
         pull = self._curvature @ flesh
         pull[self._touched] -= self._coupling @ self._solve(self._couple(flesh))
-        return self._response.by_geometry_adjoint(pull)
+        return self._response.free_adjoint(self._weights, pull)
 
     def trial(self, S: sp.csr_array, change: Floats, fraction: float) -> _Trial:
         """Go to a new S and ``fraction`` of the way to the pose that goes with it."""
         problem, state = self._problem, self._state
-        flesh = self._response.flesh_by_geometry(change)
+        flesh = self._response.free_motion(self._weights, change)
         by_pose = -self._solve(self._by_pose + self._couple(flesh))
         by_pose *= fraction / max(state.pose.layout.reach(by_pose), 1.0)
         pose = state.pose.add(by_pose)

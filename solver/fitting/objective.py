@@ -11,6 +11,7 @@ the barrier forbids, and what is left are many buckled equilibria to get caught 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
@@ -241,6 +242,11 @@ class SkinDistance:
         )
         root = sp.csr_array(along @ sp.kron(M, sp.eye_array(3), format="csr"))
         return sp.csr_array(root.T @ root)
+
+
+def distances(face: Face, targets: Mapping[str, Target]) -> dict[str, Term]:
+    """Return the distance of every expression, without contact: what a fit of S begins with."""
+    return {name: SkinDistance(face, target) for name, target in targets.items()}
 
 
 @dataclass(frozen=True)

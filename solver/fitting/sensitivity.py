@@ -16,7 +16,7 @@ import scipy.sparse as sp
 
 from solver.fitting.face import Face, Pose, State
 from solver.mechanics.flesh import IDENTITY
-from solver.mechanics.response import Response
+from solver.mechanics.response import Response, SparseControls
 from solver.mechanics.terms import force_columns
 from solver.surface import Floats, Ints
 from solver.threads import in_threads
@@ -131,27 +131,6 @@ class PoseRates:
         return self._layout.join([(self._S.T @ by_tet_a)[1:], self.by_jaw.T @ motion])
 
 
-class PoseControls:
-    """Activations of S and the jaw: :class:`solver.fitting.controls.FitControls`."""
-
-    def __init__(self, face: Face) -> None:
-        self._face = face
-        self.layout = face.layout
-        self.flesh = face.flesh
-
-    def flesh_controls(self, q: Floats) -> Floats:
-        """See :class:`solver.fitting.controls.FitControls`."""
-        return self._face.tet_activations(self.layout.part("activations", q))
-
-    def held_positions(self, q: Floats) -> Floats:
-        """See :class:`solver.fitting.controls.FitControls`."""
-        return self._face.held_positions(self.layout.part("jaw", q))
-
-    def linearise(self, q: Floats, x: Floats) -> PoseRates:
-        """See :class:`solver.fitting.controls.FitControls`."""
-        return PoseRates.at(self._face, Pose(*self.layout.split(q)), x)
-
-
 class WeightRates:
     """The derivative by S's values (nnz,): :class:`solver.mechanics.response.Controls`."""
 
@@ -193,79 +172,36 @@ class WeightRates:
         return out
 
 
-@dataclass(frozen=True)
-class Along:
-    """Controls along the ``directions`` (k, l) of others' q (k,)."""
-
-    rates: PoseRates
-    directions: Floats
-
-    @property
-    def held(self) -> sp.csr_array:
-        """Return dx_held by them, (3 p, l)."""
-        return sp.csr_array(self.rates.held @ sp.csr_array(self.directions))
-
-    def columns(self) -> Floats:
-        """Return the free gradient's derivative (size, l)."""
-        return np.asfortranarray(self.rates.columns() @ self.directions)
-
-    def product(self, change: Floats) -> Floats:
-        """Return the free gradient's change (size,)."""
-        return self.rates.product(self.directions @ change)
-
-    def adjoint(self, motion: Floats) -> Floats:
-        """Return the transpose of :meth:`product` applied to (size,)."""
-        return np.asarray(self.directions.T @ self.rates.adjoint(motion))
-
-
 class Sensitivity:
-    """The derivatives of the vertices x at one state; one factor serves all."""
+    """The derivatives of the vertices x at one state: the ``response`` to ``pose`` and ``weights``.
+
+    One factor serves all.
+    """
 
     def __init__(self, face: Face, state: State) -> None:
-        self._face = face
+        self._free = face.flesh.free_coordinates
         self._forces = _Forces(face, state.pose, state.x)
-        self._response = Response(face.flesh, state.equilibrium.factor)
-
-    def by_pose(self) -> Jacobian:
-        """Return the derivatives by (a, b); a muscle by muscle, six entries each."""
-        flesh = self._response.columns(self._pose)
-        return Jacobian(flesh, self._pose.held, self._face.flesh.free_coordinates)
-
-    def motions_by_pose(self) -> Floats:
-        """Return the derivatives by (a, b) of all vertices, (p, 3, 6 m + 5)."""
-        return self._response.motions(self._pose)
-
-    def motions_along(self, directions: Floats) -> Floats:
-        """Return the derivatives (p, 3, k) along ``directions`` of (a, b), (6 m + 5, k)."""
-        return self._response.motions(Along(self._pose, directions))
-
-    def flesh_by_pose(self, change: Floats) -> Floats:
-        """Return the free vertices' change (size,) for a change of (a, b), (6 m + 5,)."""
-        return self._response.free_motion(self._pose, change)
-
-    def by_pose_product(self, change: Floats) -> Floats:
-        """Return dx/d(a, b) applied to a change of (a, b), (6 m + 5,): motions (p, 3)."""
-        return self._response.product(self._pose, change)
-
-    def by_pose_adjoint(self, gradient: Floats) -> Floats:
-        """Return (dx/d(a, b))^T g for g by x, (p, 3), by one solve: shape (6 m + 5,)."""
-        return self._response.adjoint(self._pose, gradient)
-
-    def flesh_by_geometry(self, change: Floats) -> Floats:
-        """Return the free vertices' change (size,) for a change of S's values (nnz,)."""
-        return self._response.free_motion(self._weights, change)
-
-    def by_geometry_adjoint(self, gradient: Floats) -> Floats:
-        """Return the transpose of :meth:`flesh_by_geometry` applied to (size,): shape (nnz,)."""
-        return self._response.free_adjoint(self._weights, gradient)
+        self.response = Response(face.flesh, state.equilibrium.factor)
 
     @cached_property
-    def _pose(self) -> PoseRates:
+    def pose(self) -> PoseRates:
+        """The forces by (a, b)."""
         return PoseRates(self._forces)
 
     @cached_property
-    def _weights(self) -> WeightRates:
+    def weights(self) -> WeightRates:
+        """The forces by S's values (nnz,)."""
         return WeightRates(self._forces)
+
+    def by_pose(self) -> Jacobian:
+        """Return the derivatives by (a, b); a muscle by muscle, six entries each."""
+        return Jacobian(self.response.columns(self.pose), self.pose.held, self._free)
+
+    def motions_along(self, directions: Floats) -> Floats:
+        """Return the derivatives (p, 3, k) along ``directions`` of (a, b), (6 m + 5, k)."""
+        forces = sp.csc_array(self.pose.columns() @ directions)
+        held = sp.csr_array(self.pose.held @ sp.csr_array(directions))
+        return self.response.motions(SparseControls(forces, held))
 
 
 def coordinates(vertices: Ints) -> Ints:

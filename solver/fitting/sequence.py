@@ -15,10 +15,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from solver.fitting import activation
-from solver.fitting.activation import ActivationOptions
+from solver.fitting.activation import ActivationOptions, damped_step
 from solver.fitting.controls import Layout
 from solver.fitting.face import Face, Pose, State
-from solver.fitting.gauss_newton import damped_step
 from solver.fitting.least_squares import (
     DampingOptions,
     Ending,
@@ -248,7 +247,8 @@ def stillness(face: Face, usual: UsualMotion = UsualMotion()) -> Floats:
     The motion is the linear response, at rest, to usual changes of every activation and of the
     jaw, all at once and independent of each other.
     """
-    by_pose = Sensitivity(face, face.rest).motions_by_pose()
+    sensitivity = Sensitivity(face, face.rest)
+    by_pose = sensitivity.response.motions(sensitivity.pose)
     by_a = np.full_like(face.rest_pose().a, usual.activation)
     change = face.layout.join([by_a, np.array(usual.jaw)])
     columns = (by_pose * change).reshape(len(by_pose), -1)

@@ -11,7 +11,6 @@ import scipy.sparse as sp
 
 from solver.contact.crossing import Crossing, crossing
 from solver.contact.mouth import Mouth
-from solver.fitting.activation import Resting
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import determinants
 from solver.fitting.stretches import fibre_tensors, matrices
@@ -225,14 +224,13 @@ def with_round_trips(
     face: Face, fits: tuple[ExpressionFit, ...], listen: Listener | None = None
 ) -> tuple[ExpressionFit, ...]:
     """Return the fits with their round trips; those that have one keep it."""
-    rest = Resting(face)
     done = []
     for number, fit in enumerate(fits):
         if fit.round_trip is None:
             if listen:
                 listen(fit.name, number)
             pose, skin = Pose(fit.activations, fit.jaw), fit.skin[face.model.face]
-            done.append(replace(fit, round_trip=round_trip(face, pose, skin, rest)))
+            done.append(replace(fit, round_trip=round_trip(face, pose, skin)))
         else:
             done.append(fit)
     return tuple(done)

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import cyipopt
 import numpy as np
 
-from solver.errors import SolveError
+from solver.errors import Notice, SolveError
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Term
 from solver.fitting.sensitivity import coordinates
@@ -43,6 +43,10 @@ class NotConvergedError(SolveError):
         text = f"IPOPT stopped after {iterations} iterations: {message}"
         super().__init__("ipopt.failed", text, iterations=iterations)
         self.last = last
+
+    def notice(self, kept: str) -> Notice:
+        """Return it as a notice that says what is ``kept``."""
+        return Notice(self.code, f"{self.message}; {kept}", self.context)
 
 
 @dataclass(frozen=True)

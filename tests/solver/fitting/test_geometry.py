@@ -61,11 +61,12 @@ def test_step_solves_the_dense_system():
     gradient[: S.nnz] = problem.prior_gradient(S.data)
     for number, (name, term) in enumerate(data.items()):
         x = states[name].x
-        response = Sensitivity(face, states[name])
-        jacobian = response.by_pose()
+        sensitivity = Sensitivity(face, states[name])
+        response, weights = sensitivity.response, sensitivity.weights
+        jacobian = sensitivity.by_pose()
         by_all = np.zeros((x.size, total))
         by_all[jacobian.free, : S.nnz] = np.stack(
-            [response.flesh_by_geometry(column) for column in np.eye(S.nnz)], axis=1
+            [response.free_motion(weights, column) for column in np.eye(S.nnz)], axis=1
         )
         own = slice(S.nnz + number * count, S.nnz + (number + 1) * count)
         by_all[jacobian.free, own] = jacobian.flesh

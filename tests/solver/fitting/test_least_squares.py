@@ -1,4 +1,4 @@
-"""The damped descent on Rosenbrock's valley, the damping rules, and a fit of any controls."""
+"""The damped descent on Rosenbrock's valley and the damping rules."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from solver.fitting.activation import DescentOptions
-from solver.fitting.face import Face
 from solver.fitting.joint import JointOptions
 from solver.fitting.least_squares import (
     DampingOptions,
@@ -19,10 +18,7 @@ from solver.fitting.least_squares import (
     minimise,
 )
 from solver.fitting.per_tet.damping import Damping
-from solver.fitting.sensitivity import PoseControls
 from solver.fitting.sequence import TrackingOptions
-from solver.fitting.skin_fit import SkinFit
-from tests.solver.block import block_model, poses
 
 START = np.array([-1.2, 1.0])
 
@@ -123,14 +119,3 @@ def test_damping_of_every_tet_follows_its_step():
     refused = damping.after_refusal()
     np.testing.assert_allclose(refused.tets, 16.0 * damping.tets)
     assert (refused.fall, refused.is_hindered, damping.is_hindered) == (0.5, True, False)
-
-
-def test_any_controls_are_fitted_to_a_skin():
-    """Activations of S and the jaw by the path that fibres take."""
-    face = Face(block_model())
-    target = face.face_points(face.continuation(face.rest, poses(1)[0]).x)
-    fit = SkinFit(face, PoseControls(face), target)
-    before = fit.value(fit.settle(face.layout.rest, face.model.rest))
-    found = fit.solve()
-    assert found.value < 0.2 * before
-    assert face.flesh.inverted(found.point.equilibrium.x) == 0
