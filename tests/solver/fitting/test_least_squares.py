@@ -17,7 +17,7 @@ from solver.fitting.least_squares import (
     TrustRegion,
     minimise,
 )
-from solver.fitting.per_tet.damping import Damping
+from solver.fitting.per_tet.descent import Damping
 from solver.fitting.sequence import TrackingOptions
 
 START = np.array([-1.2, 1.0])
