@@ -32,7 +32,6 @@ from solver.fitting.least_squares import (
     Listener,
     StopOptions,
     TrustRegion,
-    TrustRegionOptions,
     minimise,
 )
 from solver.fitting.objective import Regulariser, SkinDistance, Target, Term
@@ -62,14 +61,13 @@ def unseen_regulariser(face: Face) -> Regulariser:
 class DescentOptions:
     """The way down, and from where it begins again.
 
-    Steps longer than ``trust`` allows end, now and then, in flesh that buckles: from there a fit
-    takes twice as long, and one of S comes to a worse end.
+    Steps longer than :class:`TrustRegion` allows end, now and then, in flesh that buckles: from
+    there a fit takes twice as long, and one of S comes to a worse end.
     """
 
     damping: DampingOptions = field(
         default_factory=lambda: DampingOptions(0.1, least=1e-6, grow=8.0, shrink=8.0)
     )
-    trust: TrustRegionOptions = field(default_factory=TrustRegionOptions)
     settlings: int = 3  # descents, each from the settled end of the one before
     buckled: float = 1.005  # growth of f beyond which a state that settles was not near its rest
     products: int = 16  # with J^T C J for a step, at most
@@ -171,7 +169,7 @@ def improve(
         matrix = curvature(face, data, start)
     problem = _PoseProblem(face, data, regulariser, go, matrix, descent)
     stop = StopOptions(options.max_iterations, options.tolerance, options.tolerance)
-    found = minimise(problem, start, TrustRegion(descent.damping, descent.trust), stop, listen)
+    found = minimise(problem, start, TrustRegion(descent.damping), stop, listen)
     converged = found.ending == Ending.CONVERGED
     return ActivationFit(found.point, found.value, found.steps + found.idle, converged)
 

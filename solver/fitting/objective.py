@@ -22,7 +22,13 @@ import scipy.sparse as sp
 from solver.errors import InputError
 from solver.fitting.controls import JAW_UNITS
 from solver.fitting.face import Face, Pose
-from solver.fitting.stretches import matrices
+from solver.fitting.stretches import (
+    FROBENIUS,
+    determinant_gradients,
+    determinants,
+    entries,
+    matrices,
+)
 from solver.surface import Floats
 
 # the eigenvalue e of S(a_j) that a muscle hardly goes below: contraction to a tenth
@@ -149,49 +155,19 @@ class Regulariser:
         return out
 
 
-def determinants(a: Floats) -> Floats:
-    """Return det S(a_j) for a of shape (m, 6)."""
-    xx, xy, xz, yy, yz, zz = a.T
-    return np.asarray(
-        xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
-    )
-
-
-def determinant_gradients(a: Floats) -> Floats:
-    """Return d det S(a_j)/da_j, (m, 6); an off-diagonal entry stands for two of the matrix."""
-    xx, xy, xz, yy, yz, zz = a.T
-    return np.stack(
-        [
-            yy * zz - yz * yz,
-            2.0 * (xz * yz - xy * zz),
-            2.0 * (xy * yz - xz * yy),
-            xx * zz - xz * xz,
-            2.0 * (xy * xz - xx * yz),
-            xx * yy - xy * xy,
-        ],
-        axis=1,
-    )
-
-
 def lacking_eigenvalues(a: Floats) -> tuple[Floats, Floats]:
     """Return max(0, e - lambda_k(S(a_j))), (m, 3), and where not 0 d lambda_k/da_j, (m, 3, 6)."""
     values, vectors = np.linalg.eigh(matrices(a))
     lack = np.maximum(LEAST_STRETCH - values, 0.0)
-    x, y, z = vectors.transpose(1, 0, 2)
-    gradients = np.stack([x * x, 2 * x * y, 2 * x * z, y * y, 2 * y * z, z * z], axis=2)
+    gradients = FROBENIUS * entries(vectors.transpose(0, 2, 1))
     return lack, gradients * (lack > 0.0)[:, :, None]
 
 
-# Parts of a fit's objective that depend on the tets' vertices x alone.
-#
-# A term gives its value, its gradient by x and the Gauss-Newton part of its Hessian; fits combine
-# them with the equilibrium's derivatives and know nothing else of scans, contact or markers.
-
-
 class Term(Protocol):
-    """A part of f; x is (p, 3) in mm, held vertices included.
+    """A part of f that depends on the tets' vertices x (p, 3) alone, held ones included, in mm.
 
-    What rides on the mandible is an affine combination of its vertices, so no term needs b.
+    What rides on the mandible is an affine combination of its vertices, so no term needs b. Fits
+    combine terms with the equilibrium's derivatives and know nothing else of scans or contact.
     """
 
     def value(self, x: Floats) -> float:

@@ -40,21 +40,14 @@ class Jacobian:
         flat = gradient.ravel()
         return np.asarray(self.flesh.T @ flat[self.free] + self.held.T @ flat)
 
-    def rows(self, some: Ints) -> Floats:
-        """Return the derivative of some coordinates, (len(some), k)."""
-        place = np.full(self.held.shape[0], -1)
-        place[self.free] = np.arange(len(self.free))
-        place = place[some]
-        out = np.zeros((len(some), self.flesh.shape[1]))
-        out[place >= 0] = self.flesh[place[place >= 0]]
-        direct = self.held[some].tocoo()
-        out[direct.row, direct.col] += direct.data
-        return out
-
     def contract(self, curvature: sp.csr_array) -> Floats:
         """Return (dx/dq)^T C dx/dq (k, k) for C (3 p, 3 p)."""
         touched = np.flatnonzero(np.diff(curvature.indptr))
-        rows = self.rows(touched)
+        number = np.full(len(curvature.indptr) - 1, -1)
+        number[self.free] = np.arange(len(self.free))
+        number = number[touched]
+        rows = self.held[touched].toarray()
+        rows[number >= 0] = self.flesh[number[number >= 0]]
         inner = curvature[touched][:, touched]
         out = np.empty((rows.shape[1], rows.shape[1]))
 
@@ -67,7 +60,7 @@ class Jacobian:
         return out
 
 
-class _Forces:
+class TetForces:
     """The forces' derivative by the activations A_i of a face's tets at x (p, 3), tet by tet."""
 
     def __init__(self, face: Face, pose: Pose, x: Floats) -> None:
@@ -83,7 +76,7 @@ class _Forces:
 class PoseRates:
     """The derivative by (a, b), a muscle by muscle: :class:`solver.mechanics.response.Controls`."""
 
-    def __init__(self, forces: _Forces) -> None:
+    def __init__(self, forces: TetForces) -> None:
         self._forces = forces
         face, pose = forces.face, forces.pose
         self._S, self._layout = face.S, pose.layout
@@ -98,16 +91,6 @@ class PoseRates:
             (values.ravel(), (rows.ravel(), columns.ravel())),
             shape=(direct.shape[0] * 3, self._layout.size),
         )
-
-    @classmethod
-    def at(cls, face: Face, pose: Pose, x: Floats) -> PoseRates:
-        """Return the derivative at any x (p, 3)."""
-        return cls(_Forces(face, pose, x))
-
-    @property
-    def by_tet(self) -> Floats:
-        """Return the forces' derivative by the tets' activations, (n, 4, 3, 6)."""
-        return self._forces.by_tet
 
     def columns(self) -> Floats:
         """Return d(grad_x E)/d(a, b), (size, 6 m + 5)."""
@@ -127,23 +110,18 @@ class PoseRates:
     def adjoint(self, motion: Floats) -> Floats:
         """Return the transpose of :meth:`product` applied to (size,)."""
         by_tet_a = np.empty_like(self._forces.tet_a)
-        _activations_by_forces(self.by_tet, self._forces.numbers, motion, by_tet_a)
+        _activations_by_forces(self._forces.by_tet, self._forces.numbers, motion, by_tet_a)
         return self._layout.join([(self._S.T @ by_tet_a)[1:], self.by_jaw.T @ motion])
 
 
 class WeightRates:
     """The derivative by S's values (nnz,): :class:`solver.mechanics.response.Controls`."""
 
-    def __init__(self, forces: _Forces) -> None:
+    def __init__(self, forces: TetForces) -> None:
         self._forces = forces
         self._size = forces.face.flesh.size
         self._count = forces.face.S.nnz
         self.held = sp.csr_array((forces.x.size, self._count))
-
-    @classmethod
-    def at(cls, face: Face, pose: Pose, x: Floats) -> WeightRates:
-        """Return the derivative at any x (p, 3)."""
-        return cls(_Forces(face, pose, x))
 
     def matrix(self) -> sp.csc_array:
         """Return d(grad_x E)/dS, (size, nnz).
@@ -180,7 +158,7 @@ class Sensitivity:
 
     def __init__(self, face: Face, state: State) -> None:
         self._free = face.flesh.free_coordinates
-        self._forces = _Forces(face, state.pose, state.x)
+        self._forces = TetForces(face, state.pose, state.x)
         self.response = Response(face.flesh, state.equilibrium.factor)
 
     @cached_property

@@ -22,7 +22,6 @@ from solver.fitting.least_squares import (
     DampingOptions,
     Ending,
     Halving,
-    HalvingOptions,
     LeastSquaresStep,
     StopOptions,
     minimise,
@@ -41,10 +40,7 @@ class TrackingOptions:
     # SQP steps at most (a frame that takes them all would like new sensitivities), and the part
     # of f that a step has to promise
     stop: StopOptions = field(default_factory=lambda: StopOptions(3, promised=2e-3))
-    # gains below ``least_ratio`` of the promised end the frame's steps
-    halving: HalvingOptions = field(
-        default_factory=lambda: HalvingOptions(tries=3, least_ratio=0.2)
-    )
+    least_ratio: float = 0.2  # of a gain to the promised one, below which the frame's steps end
     damping: DampingOptions = field(
         default_factory=lambda: DampingOptions(1e-3, least=1e-4, most=1.0, good=0.7, bad=0.4)
     )
@@ -116,7 +112,7 @@ class Tracker:
         self._kept: _Kept | None = None
         self._age = 0
         self._value = np.inf
-        self._search = Halving(self._options.damping, self._options.halving)
+        self._search = Halving(self._options.damping, least_ratio=self._options.least_ratio)
 
     def fit(self, target: Target, before: Pose | None = None) -> int:
         """Fit a frame and return the steps it took.

@@ -19,7 +19,6 @@ from solver.fitting.face import Face
 from solver.fitting.least_squares import (
     DampingOptions,
     Halving,
-    HalvingOptions,
     LeastSquaresSolution,
     LeastSquaresStep,
     StopOptions,
@@ -38,7 +37,7 @@ class SkinFitOptions:
     w_rest: float = 1e-2  # mm^2 by the square of q's units
     room: float = 1e-9  # beyond a bound that is reached
     stop: StopOptions = field(default_factory=lambda: StopOptions(12, gained=1e-3))
-    halving: HalvingOptions = field(default_factory=lambda: HalvingOptions(tries=5))
+    tries: int = 5  # of a step and its halves
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ class SkinFit:
     def solve(self) -> LeastSquaresSolution[SkinPoint]:
         """Minimise f from rest."""
         start = self.settle(self._controls.layout.rest, self._face.model.rest)
-        search = Halving(DampingOptions(0.0, least=0.0), self._options.halving)
+        search = Halving(DampingOptions(0.0, least=0.0), self._options.tries)
         return minimise(self, start, search, self._options.stop)
 
     def settle(self, q: Floats, x: Floats) -> SkinPoint:

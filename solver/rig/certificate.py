@@ -12,8 +12,7 @@ import scipy.sparse as sp
 from solver.contact.crossing import Crossing, crossing
 from solver.contact.mouth import Mouth
 from solver.fitting.face import Face, Pose
-from solver.fitting.objective import determinants
-from solver.fitting.stretches import fibre_tensors, matrices
+from solver.fitting.stretches import determinants, fibre_tensors, matrices
 from solver.mechanics import jaw
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import factorize

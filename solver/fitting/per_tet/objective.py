@@ -9,10 +9,10 @@ import numpy as np
 from solver.fitting import stretches
 from solver.fitting.controls import JAW_UNITS
 from solver.fitting.face import Pose, State
-from solver.fitting.objective import Term, determinant_gradients, determinants
+from solver.fitting.objective import Term
 from solver.fitting.per_tet.saddle import Linearisation, Quadratic
 from solver.fitting.per_tet.tissue import Tissue
-from solver.fitting.stretches import FROBENIUS
+from solver.fitting.stretches import FROBENIUS, determinant_gradients, determinants
 from solver.mechanics.flesh import IDENTITY
 from solver.surface import Floats
 
@@ -33,8 +33,7 @@ class PreferredContraction:
     def __init__(self, tissue: Tissue) -> None:
         self._tissue = tissue
         self._row = np.repeat(np.arange(len(tissue.active)), np.diff(tissue.fractions.indptr))
-        x, y, z = tissue.fibres.T
-        self._along = np.stack([x * x, x * y, x * z, y * y, y * z, z * z], axis=1)
+        self._along = stretches.entries(tissue.fibres)
 
     def contractions(self, a: Floats) -> Floats:
         """Return the gamma_m (m,) that minimise R_act at ``a``: the local step."""

@@ -26,7 +26,7 @@ import scipy.sparse as sp
 from solver.errors import SolveError
 from solver.fitting.face import State
 from solver.fitting.per_tet.tissue import Tissue
-from solver.fitting.sensitivity import PoseRates
+from solver.fitting.sensitivity import PoseRates, TetForces
 from solver.mechanics.response import Response
 from solver.surface import Floats, Ints
 
@@ -41,8 +41,9 @@ class Linearisation:
     def __init__(self, tissue: Tissue, state: State) -> None:
         flesh = tissue.face.flesh
         self.layout = state.pose.layout
-        self.rates = PoseRates.at(tissue.face, state.pose, state.x)
-        self.forces = self.rates.by_tet[tissue.active]
+        forces = TetForces(tissue.face, state.pose, state.x)
+        self.rates = PoseRates(forces)
+        self.forces = forces.by_tet[tissue.active]
         self.free = flesh.free_coordinates
         self._response = Response(flesh, state.equilibrium.factor)
 

@@ -17,7 +17,7 @@ from solver.fitting.objective import Regulariser, Term
 from solver.fitting.per_tet import PerTetOptions, PerTetPriors
 from solver.fitting.per_tet import tissue as tissues
 from solver.fitting.reference.common import Data, IpoptProblem, Listener, Reference, finite, solve
-from solver.fitting.sensitivity import PoseRates
+from solver.fitting.sensitivity import PoseRates, TetForces
 from solver.surface import Floats, Ints
 
 
@@ -132,7 +132,7 @@ class Expression(IpoptProblem):
         face = self.face if S is None else self.face.with_weights(S)
         x, pose = self.place(z), self.pose(z)
         by_x = self.flesh.hessian(x, face.tet_activations(pose.a)).data
-        by_pose = PoseRates.at(face, pose, x).columns()
+        by_pose = PoseRates(TetForces(face, pose, x)).columns()
         return np.concatenate([by_x, by_pose[self._pose_entries]])
 
     def _find_touched(self, candidates: sp.csr_array) -> tuple[Ints, Ints]:

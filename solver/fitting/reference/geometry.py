@@ -19,7 +19,7 @@ from solver.fitting.face import Pose, State
 from solver.fitting.joint import GeometryProblem
 from solver.fitting.reference.common import IpoptProblem, Listener, solve
 from solver.fitting.reference.expression import Expression
-from solver.fitting.sensitivity import WeightRates
+from solver.fitting.sensitivity import TetForces, WeightRates
 from solver.fitting.simplex import replace_values
 from solver.surface import Floats, Ints
 
@@ -158,4 +158,4 @@ class FullGeometry(IpoptProblem):
         return np.concatenate([*parts, factor * self._by_weights.data])
 
     def _pull(self, S: sp.csr_array, pose: Pose, x: Floats) -> sp.csc_array:
-        return WeightRates.at(self._face.with_weights(S), pose, x).matrix()
+        return WeightRates(TetForces(self._face.with_weights(S), pose, x)).matrix()

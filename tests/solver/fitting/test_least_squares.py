@@ -11,7 +11,6 @@ from solver.fitting.least_squares import (
     DampingOptions,
     Ending,
     Halving,
-    HalvingOptions,
     LeastSquaresStep,
     StopOptions,
     TrustRegion,
@@ -56,8 +55,8 @@ class Linearised:
 
 
 SEARCHES = [
-    lambda: TrustRegion(DescentOptions().damping, DescentOptions().trust),
-    lambda: Halving(DampingOptions(0.0, least=0.0), HalvingOptions(tries=12)),
+    lambda: TrustRegion(DescentOptions().damping),
+    lambda: Halving(DampingOptions(0.0, least=0.0), tries=12),
 ]
 
 
@@ -81,7 +80,7 @@ def test_the_end_is_told():
     assert (found.ending, found.steps, found.idle) == (Ending.STUCK, 0, True)
     found = minimise(Valley(), np.ones(2), search, StopOptions(9))
     assert (found.ending, found.steps, found.idle) == (Ending.CONVERGED, 0, True)
-    wary = Halving(DampingOptions(0.0, least=0.0), HalvingOptions(least_ratio=2.0))
+    wary = Halving(DampingOptions(0.0, least=0.0), least_ratio=2.0)
     found = minimise(Valley(), START, wary, StopOptions(9))
     assert (found.ending, found.steps) == (Ending.UNRELIABLE, 1)
 
