@@ -158,18 +158,18 @@ class Sensitivity:
 
     def __init__(self, face: Face, state: State) -> None:
         self._free = face.flesh.free_coordinates
-        self._forces = TetForces(face, state.pose, state.x)
+        self.forces = TetForces(face, state.pose, state.x)
         self.response = Response(face.flesh, state.equilibrium.factor)
 
     @cached_property
     def pose(self) -> PoseRates:
         """The forces by (a, b)."""
-        return PoseRates(self._forces)
+        return PoseRates(self.forces)
 
     @cached_property
     def weights(self) -> WeightRates:
         """The forces by S's values (nnz,)."""
-        return WeightRates(self._forces)
+        return WeightRates(self.forces)
 
     def by_pose(self) -> Jacobian:
         """Return the derivatives by (a, b); a muscle by muscle, six entries each."""

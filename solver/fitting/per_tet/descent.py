@@ -124,7 +124,7 @@ class TetStep:
     ) -> TetStep:
         """Minimise the damped Gauss-Newton model at a state."""
         model = objective.quadratic(state, damping.tets, damping.jaw)
-        a, b = state.pose.layout.split(solver.step(model, state))
+        a, b = state.pose.layout.split(solver.step(model))
         return cls(state, objective.value(state), model, *damping.limit(state.pose.a, a, b))
 
     def pose(self, fraction: float = 1.0) -> Pose:
@@ -152,8 +152,9 @@ class TetStep:
         Approaching is not enough here: single tets are so soft that the flesh may buckle on the
         rest of the way, and the derivatives would be those of another equilibrium.
         """
-        motion = self.model.response.motion(pose.vector() - self.state.pose.vector())
-        near = face.newton_predict(self.state, motion.ravel()[self.model.response.free], pose)
+        change, sensitivity = pose.vector() - self.state.pose.vector(), self.model.sensitivity
+        motion = sensitivity.response.free_motion(sensitivity.pose, change)
+        near = face.newton_predict(self.state, motion, pose)
         corrections = self.lowered.options.corrections
         return face.solve_equilibrium(pose, near.x, max_iterations=corrections)
 

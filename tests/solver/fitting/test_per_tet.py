@@ -113,7 +113,7 @@ def test_step_solves_the_reduced_system(posed, divided):
     matrix = np.array([model.product(unit) for unit in np.eye(count)])
     np.testing.assert_allclose(matrix, matrix.T, atol=1e-9 * np.abs(matrix).max())
     exact = np.linalg.solve(matrix, -model.gradient)
-    step = SaddleSolver(divided, iterations=12, tolerance=1e-10).step(model, state)
+    step = SaddleSolver(divided, iterations=12, tolerance=1e-10).step(model)
     np.testing.assert_allclose(step, exact, atol=1e-6 * np.abs(exact).max())
 
 
