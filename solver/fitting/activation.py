@@ -226,10 +226,7 @@ class GaussNewton:
         self.matrix = matrix
 
     def step(self, damping: float, trust: float) -> LeastSquaresStep:
-        """Return the step with ``damping`` D^2 added to the matrix, cut to the reach ``trust``.
-
-        Raises :class:`SolveError` (``solve.not_finite``) where there is none.
-        """
+        """See :meth:`DenseModel.step`."""
         units = damping * self._layout.damping
         known = self._regulariser + np.diag(units)
         step, curved = np.zeros_like(self._gradient), np.zeros_like(self._gradient)
@@ -286,17 +283,25 @@ def _update(matrix: Floats, change: Floats, seen: Floats) -> Floats:
     return matrix
 
 
-def damped_step(
-    layout: Layout, hessian: Floats, gradient: Floats, damping: float, trust: float
-) -> Floats:
-    """Solve (H + damping D^2) step = -gradient, D the units of ``layout``; cut to the ``trust``.
+@dataclass(frozen=True)
+class DenseModel:
+    """f's model by its ``gradient`` and a whole ``hessian``, in ``layout``."""
 
-    Raises :class:`SolveError` (``solve.not_finite``) where there is no such step.
-    """
-    damped = hessian.copy()
-    damped[np.diag_indices_from(damped)] += damping * layout.damping
-    step = _solve_positive(damped, -gradient)
-    return np.asarray(step / max(layout.reach(step) / trust, 1.0))
+    layout: Layout
+    hessian: Floats
+    gradient: Floats
+
+    def step(self, damping: float, trust: float) -> LeastSquaresStep:
+        """Return the step with ``damping`` D^2 added to the matrix, cut to the reach ``trust``.
+
+        Raises :class:`SolveError` (``solve.not_finite``) where there is none.
+        """
+        damped = self.hessian.copy()
+        damped[np.diag_indices_from(damped)] += damping * self.layout.damping
+        step = _solve_positive(damped, -self.gradient)
+        step = step / max(self.layout.reach(step) / trust, 1.0)
+        slope, bend = float(self.gradient @ step), float(step @ self.hessian @ step)
+        return LeastSquaresStep(step, slope, bend, self.layout.reach(step))
 
 
 def _solve_positive(matrix: Floats, right: Floats) -> Floats:

@@ -11,9 +11,10 @@ the barrier forbids, and what is left are many buckled equilibria to get caught 
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Protocol
 
 import numpy as np
@@ -72,18 +73,14 @@ class Target:
 
     def value(self, points: Floats) -> float:
         """Return sum_v w_v |p_v - t_v|^2, or of the distances along the normals, in mm^2."""
-        return float(self.weights @ np.sum(self._offset(points) ** 2, axis=1))
-
-    def gradient(self, points: Floats) -> Floats:
-        """Return the derivative of :meth:`value` by the points, (k, 3)."""
-        return np.asarray(2.0 * self.weights[:, None] * self._offset(points))
+        return float(self.weights @ np.sum(self.offset(points) ** 2, axis=1))
 
     def distances(self, points: Floats) -> Floats:
         """Return |p_v - t_v|, or that along the normals, (k,) mm; NaN where it has no point."""
-        distance = np.linalg.norm(self._offset(points), axis=1)
+        distance = np.linalg.norm(self.offset(points), axis=1)
         return np.where(self.weights > 0.0, distance, np.nan)
 
-    def _offset(self, points: Floats) -> Floats:
+    def offset(self, points: Floats) -> Floats:
         """Return p_v - t_v (k, 3), along the normals where there are any."""
         offset = points - self.points
         if self.normals is None:
@@ -109,12 +106,8 @@ class Regulariser:
         if weight == 0.0:
             return self
         total = self.w_a + weight
-        return replace(
-            self,
-            w_a=total,
-            w_b=self.w_b * (total / self.w_a if self.w_a > 0.0 else 1.0),
-            prior=self.prior.toward(pose, weight / total),
-        )
+        w_b = self.w_b * (total / self.w_a if self.w_a > 0.0 else 1.0)
+        return replace(self, w_a=total, w_b=w_b, prior=self.prior.toward(pose, weight / total))
 
     def value(self, pose: Pose) -> float:
         """Return the regularisers' sum."""
@@ -196,7 +189,8 @@ class SkinDistance:
 
     def gradient(self, x: Floats) -> Floats:
         """See :class:`Term`."""
-        by_point = self.target.gradient(self._face.face_points(x))
+        offset = self.target.offset(self._face.face_points(x))
+        by_point = 2.0 * self.target.weights[:, None] * offset
         return np.asarray(self._face.face_embedding.T @ by_point)
 
     def curvature(self, x: Floats) -> sp.csr_array:  # noqa: ARG002 - it is the same everywhere
@@ -205,18 +199,14 @@ class SkinDistance:
 
     @cached_property
     def _curvature(self) -> sp.csr_array:
-        M = self._face.face_embedding
+        M, unit = self._face.face_embedding, sp.eye_array(3)
         weights, normals = self.target.weights, self.target.normals
         if normals is None:
             by_vertex = 2.0 * M.T @ sp.diags_array(weights) @ M
-            return sp.csr_array(sp.kron(by_vertex, sp.eye_array(3), format="csr"))
-        points = len(weights)
-        rows = np.repeat(np.arange(points), 3)
-        along = sp.csr_array(
-            ((normals * np.sqrt(2.0 * weights)[:, None]).ravel(), (rows, np.arange(3 * points))),
-            shape=(points, 3 * points),
-        )
-        root = sp.csr_array(along @ sp.kron(M, sp.eye_array(3), format="csr"))
+            return sp.csr_array(sp.kron(by_vertex, unit, format="csr"))
+        along = (normals * np.sqrt(2.0 * weights)[:, None]).ravel()
+        each = np.arange(len(along))
+        root = sp.csr_array((along, (each // 3, each))) @ sp.kron(M, unit, format="csr")
         return sp.csr_array(root.T @ root)
 
 
@@ -241,7 +231,4 @@ class SumTerm:
 
     def curvature(self, x: Floats) -> sp.csr_array:
         """See :class:`Term`."""
-        first, *others = (term.curvature(x) for term in self.terms)
-        for other in others:
-            first = first + other
-        return first
+        return reduce(operator.add, (term.curvature(x) for term in self.terms))

@@ -24,8 +24,7 @@ from solver.fitting.least_squares import (
     StopOptions,
     minimise,
 )
-from solver.mechanics import equilibrium
-from solver.mechanics.equilibrium import Equilibrium
+from solver.mechanics.equilibrium import Equilibrium, solve_equilibrium
 from solver.mechanics.response import Response
 from solver.surface import Floats
 
@@ -51,7 +50,7 @@ class SkinPoint:
 class SkinFit:
     """f of ``controls`` for the face's points (k, 3) at ``target`` (k, 3).
 
-    It is a :class:`~solver.fitting.least_squares.Problem`.
+    It is a :class:`~solver.fitting.least_squares.LeastSquaresProblem`.
     """
 
     def __init__(
@@ -59,10 +58,10 @@ class SkinFit:
         face: Face,
         controls: FitControls,
         target: Floats,
-        options: SkinFitOptions | None = None,
+        options: SkinFitOptions = SkinFitOptions(),
     ) -> None:
         self._face, self._controls, self._target = face, controls, target
-        self._options = options or SkinFitOptions()
+        self._options = options
 
     def solve(self) -> LeastSquaresSolution[SkinPoint]:
         """Minimise f from rest."""
@@ -74,10 +73,8 @@ class SkinFit:
         """Return the equilibrium of q, found from x (p, 3)."""
         face, flesh, x = self._face, self._controls.flesh, x.copy()
         x[flesh.held] = self._controls.held_positions(q)
-        drive = self._controls.flesh_controls(q)
-        found = equilibrium.solve_equilibrium(
-            flesh, face.linear, x, drive, tolerance=face.tolerance
-        )
+        drive, tolerance = self._controls.flesh_controls(q), face.tolerance
+        found = solve_equilibrium(flesh, face.linear, x, drive, tolerance=tolerance)
         return SkinPoint(q, found)
 
     def jacobian(self, point: SkinPoint) -> Floats:
@@ -89,23 +86,23 @@ class SkinFit:
         return np.asarray(points.reshape(-1, len(point.q)))
 
     def value(self, point: SkinPoint) -> float:
-        """See :class:`~solver.fitting.least_squares.Problem`."""
+        """Return f."""
         distance = (self._distances(point) ** 2).sum() / len(self._target)
         away = point.q - self._controls.layout.rest
         return float(distance + self._options.w_rest * (away**2).sum())
 
-    def linearise(self, point: SkinPoint) -> BoundedModel:
-        """See :class:`~solver.fitting.least_squares.Problem`."""
+    def linearise(self, point: SkinPoint) -> _BoundedModel:
+        """Return f's model within the bounds."""
         layout, options = self._controls.layout, self._options
         scale, pull = np.sqrt(len(self._target)), np.sqrt(options.w_rest)
         matrix = np.vstack([self.jacobian(point) / scale, pull * np.eye(layout.size)])
         right = [-self._distances(point).ravel() / scale, pull * (layout.rest - point.q)]
         lower, upper = layout.lower - point.q, layout.upper - point.q
         bounds = lower - options.room, upper + options.room
-        return BoundedModel(matrix, np.concatenate(right), bounds)
+        return _BoundedModel(matrix, np.concatenate(right), bounds)
 
     def move(self, point: SkinPoint, step: LeastSquaresStep) -> SkinPoint | None:
-        """See :class:`~solver.fitting.least_squares.Problem`."""
+        """Return the equilibrium at the end of a step."""
         try:
             return self.settle(point.q + step.change, point.equilibrium.x)
         except SolveError:  # too far: half of it may not be
@@ -116,7 +113,7 @@ class SkinFit:
 
 
 @dataclass(frozen=True)
-class BoundedModel:
+class _BoundedModel:
     """|A s - r|^2 for a step s within ``bounds``: ``matrix`` A and ``right`` r."""
 
     matrix: Floats
@@ -124,9 +121,7 @@ class BoundedModel:
     bounds: tuple[Floats, Floats]
 
     def step(self, damping: float, trust: float) -> LeastSquaresStep:  # noqa: ARG002 - bounds hold it
-        """See :class:`~solver.fitting.least_squares.LinearModel`."""
         change = np.asarray(lsq_linear(self.matrix, self.right, self.bounds).x)
         image = self.matrix @ change
-        return LeastSquaresStep(
-            change, float(-2.0 * self.right @ image), float(2.0 * image @ image)
-        )
+        slope, bend = float(-2.0 * self.right @ image), float(2.0 * image @ image)
+        return LeastSquaresStep(change, slope, bend)

@@ -73,9 +73,8 @@ class Expression(IpoptProblem):
     def minimise(self, start: Pose, x: Floats, tolerance: float, max_iterations: int) -> Reference:
         """Minimise f from ``start`` and ``x`` (p, 3); raises :class:`NotConvergedError`."""
         forces = np.zeros(self.flesh.size)
-        found = solve(self, self.start(start, x), forces, tolerance, max_iterations)
-        pose, x = self.pose(found.z), self.place(found.z)
-        return found.check(Reference(pose, x, found.objective, found.iterations, found.violation))
+        z, found = solve(self, self.start(start, x), forces, tolerance, max_iterations)
+        return Reference(pose=self.pose(z), x=self.place(z), **vars(found)).check()
 
     def start(self, pose: Pose, x: Floats) -> Floats:
         """Return z of a pose and x (p, 3)."""
@@ -93,11 +92,11 @@ class Expression(IpoptProblem):
         return x
 
     def objective(self, z: Floats) -> float:
-        """See :class:`IpoptProblem`."""
+        """Return f."""
         return self._data.value(self.place(z)) + self._priors.value(self.pose(z))
 
     def gradient(self, z: Floats) -> Floats:
-        """See :class:`IpoptProblem`."""
+        """Return f's derivative (n,)."""
         pose = self.pose(z)
         by_free, by_jaw = self._by_data.gradient(self.place(z), pose.b)
         out = np.concatenate([by_free, self._priors.gradient(pose)])
@@ -230,6 +229,5 @@ def forward(face: Face, pose: Pose, x: Floats, *, tolerance: float = 1e-9) -> Re
     Raises :class:`NotConvergedError` (``ipopt.failed``) with IPOPT's message.
     """
     problem = _Forward(face, pose, x)
-    found = solve(problem, x[face.flesh.free].ravel(), np.zeros(0), tolerance, 500)
-    x = problem.place(found.z)
-    return found.check(Reference(pose, x, found.objective, found.iterations, 0.0))
+    z, found = solve(problem, x[face.flesh.free].ravel(), np.zeros(0), tolerance, 500)
+    return Reference(pose=pose, x=problem.place(z), **vars(found)).check()

@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from solver.fitting.controls import Block, Layout
 from solver.fitting.face import Pose, State
 from solver.fitting.joint import GeometryProblem
-from solver.fitting.reference.common import IpoptProblem, Listener, solve
+from solver.fitting.reference.common import IpoptProblem, Listener, Solution, solve
 from solver.fitting.reference.expression import Expression
 from solver.fitting.sensitivity import TetForces, WeightRates
 from solver.fitting.simplex import replace_values
@@ -25,15 +25,12 @@ from solver.surface import Floats, Ints
 
 
 @dataclass(frozen=True)
-class GeometryReference:
-    """IPOPT's answer: S, every expression's pose and x (p, 3), objective and iterations."""
+class GeometryReference(Solution):
+    """IPOPT's answer: S, and every expression's pose and x (p, 3)."""
 
     S: sp.csr_array
     poses: dict[str, Pose]
     x: dict[str, Floats]
-    objective: float
-    iterations: int
-    violation: float
 
 
 def geometry(
@@ -52,7 +49,7 @@ def geometry(
     full = FullGeometry(problem, S, listen)
     begin = [part.start(start[name].pose, start[name].x) for name, part in full.parts.items()]
     constants = [np.zeros(len(full.parts) * problem.face.flesh.size), np.ones(S.shape[0])]
-    found = solve(
+    z, found = solve(
         full,
         full.layout.join([*begin, S.data]),
         np.concatenate(constants),
@@ -60,16 +57,10 @@ def geometry(
         max_iterations,
         full.layout.lower,
     )
-    pieces, fitted = full.split(found.z)
-    answer = GeometryReference(
-        fitted,
-        {name: part.pose(pieces[name]) for name, part in full.parts.items()},
-        {name: part.place(pieces[name]) for name, part in full.parts.items()},
-        found.objective,
-        found.iterations,
-        found.violation,
-    )
-    return found.check(answer)
+    pieces, fitted = full.split(z)
+    poses = {name: part.pose(pieces[name]) for name, part in full.parts.items()}
+    x = {name: part.place(pieces[name]) for name, part in full.parts.items()}
+    return GeometryReference(S=fitted, poses=poses, x=x, **vars(found)).check()
 
 
 class FullGeometry(IpoptProblem):

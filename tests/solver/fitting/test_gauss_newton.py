@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from solver.fitting import activation
-from solver.fitting.activation import DescentOptions, GaussNewton, damped_step
+from solver.fitting.activation import DenseModel, DescentOptions, GaussNewton
 from solver.fitting.face import Face
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.sensitivity import Sensitivity
@@ -27,7 +27,7 @@ def exact(face, data, regulariser, state):
     hessian = activation.curvature(face, data, state) + regulariser.gauss_newton(state.pose)
     jacobian = Sensitivity(face, state).by_pose()
     gradient = jacobian.adjoint(data.gradient(state.x)) + regulariser.gradient(state.pose)
-    step = damped_step(state.pose.layout, hessian, gradient, DAMPING, trust=np.inf)
+    step = DenseModel(state.pose.layout, hessian, gradient).step(DAMPING, np.inf).change
     return hessian, gradient, step
 
 
@@ -36,7 +36,7 @@ def test_step_is_that_of_the_exact_matrix(problem):
     hessian, gradient, step = exact(*parts)
     # the matrix it begins with leads elsewhere
     wrong = matrix + parts[2].gauss_newton(parts[3].pose)
-    elsewhere = damped_step(parts[3].pose.layout, wrong, gradient, DAMPING, trust=np.inf)
+    elsewhere = DenseModel(parts[3].pose.layout, wrong, gradient).step(DAMPING, np.inf).change
     assert np.abs(elsewhere - step).max() > 0.05 * np.abs(step).max()
     found = GaussNewton(*parts, matrix, DescentOptions(accuracy=1e-6)).step(DAMPING, np.inf)
     np.testing.assert_allclose(found.change, step, atol=1e-3 * np.abs(step).max())
@@ -55,7 +55,7 @@ def test_matrix_learns_what_the_step_needed(problem):
     known = parts[2].gauss_newton(parts[3].pose)
     layout = parts[3].pose.layout
     errors = [
-        np.abs(damped_step(layout, each + known, gradient, DAMPING, np.inf) - step).max()
+        np.abs(DenseModel(layout, each + known, gradient).step(DAMPING, np.inf).change - step).max()
         for each in (matrix, model.matrix)
     ]
     assert errors[1] < 0.5 * errors[0]

@@ -94,8 +94,8 @@ def test_what_neither_solver_can_fit_costs_only_itself(
         calls.append(face)
         if len(calls) <= len(fallback.FallbackOptions.heavier):
             x = np.full_like(MODEL.rest, np.nan)
-            last = Reference(face.rest_pose(), x, np.nan, 3, np.nan)
-            raise NotConvergedError("Invalid number detected", 3, last)
+            last = Reference(np.nan, 3, np.nan, "", face.rest_pose(), x)
+            raise NotConvergedError("Invalid number detected", last)
         return real(face, *args, **more)
 
     monkeypatch.setattr(fallback.activation, "fit", fail)
