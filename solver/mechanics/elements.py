@@ -18,7 +18,7 @@ import numpy as np
 from solver.mechanics import laws
 from solver.mechanics.laws import MODES
 from solver.mechanics.linalg3 import Matrix, Symmetric, determinant, dot, symmetric_determinant
-from solver.mechanics.materials.volumetric import BARRIER_START, Moduli
+from solver.mechanics.materials import BARRIER_START, Moduli
 from solver.surface import Floats, Ints
 
 CHUNK = 512  # tets that share one scratch space: enough to make its allocation free

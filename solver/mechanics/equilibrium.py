@@ -9,7 +9,7 @@ import numpy as np
 from solver.errors import SolveError
 from solver.mechanics.flesh import Flesh
 from solver.mechanics.linear import LinearSolver
-from solver.mechanics.materials.volumetric import BARRIER_START
+from solver.mechanics.materials import BARRIER_START
 from solver.mechanics.newton import Accelerator, Energy, Factorization, NewtonOptions, Search
 from solver.surface import Floats
 

@@ -18,8 +18,14 @@ from solver.mechanics import elements, laws
 from solver.mechanics.assembly import BlockSum, VertexSum, couple
 from solver.mechanics.elements import Elements
 from solver.mechanics.laws import Law
-from solver.mechanics.sliding import PlanesTerm, SlidingPlanes, no_planes
-from solver.mechanics.terms import Drag, ElasticTerm, EnergyTerm
+from solver.mechanics.terms import (
+    Drag,
+    ElasticTerm,
+    EnergyTerm,
+    PlanesTerm,
+    SlidingPlanes,
+    no_planes,
+)
 from solver.surface import Floats, Ints
 
 # the activation a_I of passive flesh: S(a_I) = I
