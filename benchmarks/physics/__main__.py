@@ -22,7 +22,7 @@ from benchmarks.physics.section import section
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from myoface.client import Client
 from solver.anatomy.template import Template
-from solver.animation.recording import from_recording
+from solver.animation.drives import from_recording
 from solver.model import SubjectModel
 from solver.scans.live_link import read_live_link
 

@@ -21,7 +21,7 @@ from benchmarks.documents import Figures
 from benchmarks.physics.fitted import Fitted
 from myoface.demo.outcome import khronos_validation
 from solver.anatomy.template import ShapeBasis
-from solver.animation.recording import RecordedDrives, from_recording
+from solver.animation.drives import RecordedDrives, from_recording
 from solver.drawing.head import DrawnHead
 from solver.drawing.render import fade, render
 from solver.drawing.sheet import HEADER, MARGIN, Sheet

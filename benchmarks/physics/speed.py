@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from benchmarks import plots
 from benchmarks.documents import Figures
 from benchmarks.physics.fitted import Fitted
-from solver.animation.keys import Drives
+from solver.animation.drives import Drives
 from solver.contact.potentials import contact_potentials
 from solver.edits.edit import DENSITY
 from solver.fitting.face import Face

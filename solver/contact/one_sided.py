@@ -112,6 +112,7 @@ class OneSided:
         stiffness: Floats,
         carried: JawFrame | None = None,
     ) -> None:
+        self.obstacle = obstacle
         self._excess = Excess(obstacle, free)
         self._rows = rows
         self._offset = offset
@@ -180,7 +181,7 @@ class OneSided:
         if self._carried is None:
             return np.zeros_like(x)
         _, slope = self._depths(x)
-        points = np.asarray(self._rows @ x + self._offset)
+        points = self._points(x)
         # the vertex's motion as seen from the jaw, in the head's directions
         seen = self._seen(points, goal.jaw) - self._seen(points, self._jaw)
         nearer = np.einsum("ki,ki->k", slope, seen @ self._turn.T)
@@ -190,9 +191,9 @@ class OneSided:
         """See :class:`solver.mechanics.potential.Potential`."""
         return 1.0
 
-    def behind(self, x: Floats, tolerance: float) -> Ints:
-        """Return which vertices lie deeper by ``tolerance`` than they may, well over the field."""
-        return self._excess.behind(self._seen_at(x), tolerance)
+    def behind(self, x: Floats, b: Floats, tolerance: float) -> Ints:
+        """Return the vertices deeper by ``tolerance`` than they may, the jaw being at b (5,)."""
+        return self._excess.behind(self._seen(self._points(x), b), tolerance)
 
     def _depths(self, x: Floats) -> tuple[Floats, Floats]:
         """Return h (k,), zero where nothing pushes, and the head's frame's gradients (k, 3).
@@ -215,7 +216,10 @@ class OneSided:
         return deep, stiffness * (outer + h[deep, None, None] * second)
 
     def _seen_at(self, x: Floats) -> Floats:
-        return self._seen(np.asarray(self._rows @ x + self._offset), self._jaw)
+        return self._seen(self._points(x), self._jaw)
+
+    def _points(self, x: Floats) -> Floats:
+        return np.asarray(self._rows @ x + self._offset)
 
     def _seen(self, points: Floats, b: Floats) -> Floats:
         """Return points (k, 3) of the head in the obstacle's frame, with the jaw at b (5,)."""
@@ -264,7 +268,7 @@ class ArchOptions:
 
 @dataclass(frozen=True)
 class Arch:
-    """An :class:`solver.contact.one_sided.DepthField`: the outer side of a row of teeth.
+    """An :class:`DepthField`: the outer side of a row of teeth.
 
     ``axis`` (3,) is a point on the vertical axis; ``radius`` and ``inside``, by angle in rad and
     height in mm, are R and how far a place lies inside the border of the field, both in mm.
@@ -282,18 +286,19 @@ class Arch:
         low, high = points.min(axis=0), points.max(axis=0)
         axis = (low + high) / 2
         axis[2] = low[2] + options.axis_mm
-        angle, height, radius = _cylindrical(points - axis)
+        arms = _Cylindrical.of(points - axis, 0.0)
         angles = np.arange(-180.0, 180.0, options.step_degrees)
         heights = (
             np.arange(low[1] - options.around_mm, high[1] + options.around_mm, options.step_mm)
             - axis[1]
         )
         place = (
-            np.round((np.degrees(angle) + 180.0) / options.step_degrees).astype(int) % len(angles),
-            np.round((height - heights[0]) / options.step_mm).astype(int),
+            np.round((np.degrees(arms.angle) + 180.0) / options.step_degrees).astype(int)
+            % len(angles),
+            np.round((arms.height - heights[0]) / options.step_mm).astype(int),
         )
         table = np.zeros((len(angles), len(heights)))
-        np.maximum.at(table, place, radius)
+        np.maximum.at(table, place, arms.radius)
         # the seam lies behind, where there are no teeth
         gap = (
             round(options.gap_degrees / options.step_degrees),
@@ -303,7 +308,7 @@ class Arch:
         covered = table > 0.0
         nearest = distance_transform_edt(~covered, return_distances=False, return_indices=True)
         table = gaussian_filter(table[tuple(nearest)], 1.0)
-        cell = (np.radians(options.step_degrees) * radius.mean(), options.step_mm)
+        cell = (np.radians(options.step_degrees) * arms.radius.mean(), options.step_mm)
         inside = distance_transform_edt(covered, cell) - distance_transform_edt(~covered, cell)
         grid = (np.radians(angles), heights)
         return cls(
@@ -314,70 +319,78 @@ class Arch:
         )
 
     def depths(self, points: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """See :class:`solver.contact.one_sided.DepthField`."""
-        arm = points - self.axis
-        angle, height, radius = _cylindrical(arm)
-        radius = np.maximum(radius, self.options.step_mm)
-        around = np.stack([arm[:, 2], np.zeros(len(arm)), -arm[:, 0]], axis=1)
-        around /= (radius**2)[:, None]
-        up = np.array([0.0, 1.0, 0.0])
-        outward = arm * [1.0, 0.0, 1.0] / radius[:, None]
-
-        def field(spline: RectBivariateSpline) -> tuple[Floats, Floats]:
-            by_angle = np.asarray(spline.ev(angle, height, dx=1))
-            by_height = np.asarray(spline.ev(angle, height, dy=1))
-            gradient = by_angle[:, None] * around + by_height[:, None] * up
-            return np.asarray(spline.ev(angle, height)), gradient
-
-        reach, slope = field(self.radius)
-        inside, border = field(self.inside)
-        part = np.clip(inside / self.options.fade_mm, 0.0, 1.0)
+        """See :class:`DepthField`."""
+        place = _Cylindrical.of(points - self.axis, self.options.step_mm)
+        reach, slope = place.value(self.radius), place.gradient(self.radius)
+        border = place.gradient(self.inside)
+        part, fade_mm = self._part(place), self.options.fade_mm
         counts = part**2 * (3.0 - 2.0 * part)
-        fades = (6.0 * part * (1.0 - part) / self.options.fade_mm)[:, None] * border
-        return reach - radius, slope - outward, counts, fades
+        fades = (6.0 * part * (1.0 - part) / fade_mm)[:, None] * border
+        return reach - place.radius, slope - place.outward, counts, fades
 
     def curvatures(self, points: Floats) -> tuple[Floats, Floats]:
-        """See :class:`solver.contact.one_sided.DepthField`."""
-        arm = points - self.axis
-        angle, height, radius = _cylindrical(arm)
-        radius = np.maximum(radius, self.options.step_mm)
-        across, ahead = arm[:, 0] / radius, arm[:, 2] / radius
-        around = np.stack([ahead, np.zeros(len(arm)), -across], axis=1)
-        up = np.array([0.0, 1.0, 0.0])
-        # d2(angle): the direction around turns with the angle and shrinks with the radius
-        turning = np.zeros((len(arm), 3, 3))
-        turning[:, 0, 0], turning[:, 2, 2] = -2.0 * across * ahead, 2.0 * across * ahead
-        turning[:, 0, 2] = turning[:, 2, 0] = across**2 - ahead**2
-
-        def field(spline: RectBivariateSpline) -> tuple[Floats, Floats, Floats]:
-            def at(dx: int, dy: int) -> Floats:
-                return np.asarray(spline.ev(angle, height, dx=dx, dy=dy))
-
-            by_angle = around / radius[:, None]
-            gradient = at(1, 0)[:, None] * by_angle + at(0, 1)[:, None] * up
-            mixed = at(1, 1)[:, None, None] * by_angle[:, :, None] * up
-            second = at(2, 0)[:, None, None] * by_angle[:, :, None] * by_angle[:, None, :]
-            second += mixed + mixed.transpose(0, 2, 1)
-            second += at(0, 2)[:, None, None] * np.outer(up, up)
-            second += (at(1, 0) / radius**2)[:, None, None] * turning
-            return np.asarray(spline.ev(angle, height)), gradient, second
-
-        _, _, by_depth = field(self.radius)
+        """See :class:`DepthField`."""
+        place = _Cylindrical.of(points - self.axis, self.options.step_mm)
+        around, radius = place.around, place.radius
+        by_depth = place.curvature(self.radius)
         by_depth -= around[:, :, None] * around[:, None, :] / radius[:, None, None]
-        inside, border, bending = field(self.inside)
-        part = np.clip(inside / self.options.fade_mm, 0.0, 1.0)
-        steep, bent = (
-            6.0 * part * (1.0 - part) / self.options.fade_mm,
-            6.0 * (1.0 - 2.0 * part) / self.options.fade_mm**2,
-        )
+        border, bending = place.gradient(self.inside), place.curvature(self.inside)
+        part, fade_mm = self._part(place), self.options.fade_mm
+        steep, bent = 6.0 * part * (1.0 - part) / fade_mm, 6.0 * (1.0 - 2.0 * part) / fade_mm**2
         bent[(part == 0.0) | (part == 1.0)] = 0.0
         by_counts = bent[:, None, None] * border[:, :, None] * border[:, None, :]
         return by_depth, by_counts + steep[:, None, None] * bending
 
+    def _part(self, place: _Cylindrical) -> Floats:
+        """Return how far (k,) places are from the border of the field, 0, to where all counts."""
+        return np.clip(place.value(self.inside) / self.options.fade_mm, 0.0, 1.0)
 
-def _cylindrical(arm: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return angles from z to x in rad, heights and radii (k,) of arms (k, 3) from the axis."""
-    return np.arctan2(arm[:, 0], arm[:, 2]), arm[:, 1], np.hypot(arm[:, 0], arm[:, 2])
+
+UP = np.array([0.0, 1.0, 0.0])  # the direction of an arch's axis
+
+
+@dataclass(frozen=True)
+class _Cylindrical:
+    """Arms (k, 3) from an axis as angles from z to x in rad, heights and radii (k,) in mm.
+
+    ``outward`` and ``around`` (k, 3) are the unit directions in which radius and angle grow.
+    """
+
+    angle: Floats
+    height: Floats
+    radius: Floats
+    outward: Floats
+    around: Floats
+
+    @classmethod
+    def of(cls, arm: Floats, least: float) -> _Cylindrical:
+        """Return arms of at least so small a radius."""
+        radius = np.maximum(np.hypot(arm[:, 0], arm[:, 2]), least)
+        outward = arm * [1.0, 0.0, 1.0] / radius[:, None]
+        around = outward[:, ::-1] * [1.0, 0.0, -1.0]
+        return cls(np.arctan2(arm[:, 0], arm[:, 2]), arm[:, 1], radius, outward, around)
+
+    def value(self, spline: RectBivariateSpline, dx: int = 0, dy: int = 0) -> Floats:
+        """Return a field (k,) of angle and height, or its derivative by them."""
+        return np.asarray(spline.ev(self.angle, self.height, dx=dx, dy=dy))
+
+    def gradient(self, spline: RectBivariateSpline) -> Floats:
+        """Return its derivative by the places, (k, 3)."""
+        by_angle = self.around / self.radius[:, None]
+        return self.value(spline, dx=1)[:, None] * by_angle + self.value(spline, dy=1)[:, None] * UP
+
+    def curvature(self, spline: RectBivariateSpline) -> Floats:
+        """Return its second derivative by the places, (k, 3, 3)."""
+        by_angle = self.around / self.radius[:, None]
+        # d2(angle): the direction around turns with the angle and shrinks with the radius
+        turning = self.around[:, :, None] * self.outward[:, None, :]
+        turning += turning.transpose(0, 2, 1)
+        mixed = self.value(spline, 1, 1)[:, None, None] * by_angle[:, :, None] * UP
+        second = self.value(spline, 2)[:, None, None] * by_angle[:, :, None] * by_angle[:, None, :]
+        second += mixed + mixed.transpose(0, 2, 1)
+        second += self.value(spline, 0, 2)[:, None, None] * np.outer(UP, UP)
+        bending = self.value(spline, 1) / self.radius**2
+        return np.asarray(second - bending[:, None, None] * turning)
 
 
 def _samples(surface: Surface, apart: float) -> Floats:
@@ -399,7 +412,7 @@ def _samples(surface: Surface, apart: float) -> Floats:
 
 @dataclass(frozen=True)
 class Eyeball:
-    """An :class:`solver.contact.one_sided.DepthField`: ``centre`` (3,) and ``radius`` in mm."""
+    """An :class:`DepthField`: ``centre`` (3,) and ``radius`` in mm."""
 
     centre: Floats
     radius: float
@@ -417,14 +430,14 @@ class Eyeball:
         return cls(middle + centre, float(np.sqrt(solution[3] + centre @ centre)))
 
     def depths(self, points: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """See :class:`solver.contact.one_sided.DepthField`: all of it counts everywhere."""
+        """See :class:`DepthField`: all of it counts everywhere."""
         arm = points - self.centre
         distance = np.maximum(np.linalg.norm(arm, axis=1), 1e-9)
         everywhere, nothing = np.ones(len(points)), np.zeros_like(points)
         return self.radius - distance, -arm / distance[:, None], everywhere, nothing
 
     def curvatures(self, points: Floats) -> tuple[Floats, Floats]:
-        """See :class:`solver.contact.one_sided.DepthField`."""
+        """See :class:`DepthField`."""
         arm = points - self.centre
         distance = np.maximum(np.linalg.norm(arm, axis=1), 1e-9)
         out = arm / distance[:, None]

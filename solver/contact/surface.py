@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from solver.anatomy.embedding import rows_of
 from solver.anatomy.tetrahedra import barycentric_in_tets
+from solver.contact.crossing import INSIDE, between_lips
 from solver.contact.mouth import Mouth
-from solver.contact.overlap import INSIDE, between_lips
 from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints, adjacency
@@ -135,7 +135,7 @@ def _mark_crossed(
     """Mark (s,) the vertices that lie in flesh not under their own skin, or where skin crosses.
 
     The former by the generalised winding number (Jacobson et al. 2013), as the lips' overlap is
-    found (:mod:`solver.contact.overlap`), with all that it marks about what crosses.
+    found (:mod:`solver.contact.crossing`), with all that it marks about what crosses.
     """
     marks = np.zeros(len(points), dtype=np.bool_)
     if ipctk.has_intersections(collision_mesh(points, faces), np.asfortranarray(points)):

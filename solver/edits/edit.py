@@ -77,7 +77,7 @@ class Edited:
         return cls(model, model, ones, ones, DENSITY * ones, np.zeros_like(model.rest), S, options)
 
 
-class Edit(Protocol):
+class Change(Protocol):
     """A change of a person's anatomy, by what it does to all edits before it."""
 
     def __call__(self, before: Edited) -> Edited:
@@ -88,7 +88,7 @@ class Edit(Protocol):
 
 
 def apply(
-    edits: Iterable[Edit],
+    edits: Iterable[Change],
     model: SubjectModel,
     S: sp.csr_array,
     options: EditOptions = EditOptions(),

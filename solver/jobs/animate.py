@@ -8,7 +8,7 @@ import numpy as np
 
 from solver.anatomy.template import Template
 from solver.animation.blendshapes import Blendshapes, Solved, expression_targets, solve_blendshapes
-from solver.animation.recording import from_recording
+from solver.animation.drives import from_recording
 from solver.fitting.face import Face
 from solver.fitting.target_checks import check_held
 from solver.jobs.scenes import EXPORT, READ, Person, fingerprint, finish, play, read_person
@@ -18,7 +18,7 @@ from solver.mechanics.linear import fastest
 from solver.progress import Step
 from solver.rig.animation import check_video
 from solver.scans.live_link import read_live_link
-from solver.scene.keys import head_of
+from solver.scene.document import head_of
 from solver.scene.stage import Stage
 from solver.templates.builtin.build import builtin_template
 

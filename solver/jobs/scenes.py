@@ -19,7 +19,7 @@ import scipy.sparse as sp
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from solver.animation.keys import PosedFrame
+from solver.animation.drives import PosedFrame
 from solver.errors import SolveError
 from solver.jobs.task import Task
 from solver.model import SubjectModel

@@ -39,7 +39,7 @@ class MotionFrame(FrameRecord):
         (p, 3) in mm: how far the flesh's vertices are off their rest, in the head's frame.
     penetration_mm, behind_teeth
         How deep skin is in teeth, in other skin or in objects, at the worst, and the number of the
-        lips' vertices behind teeth, see :class:`~solver.contact.crossing.Penetration`.
+        lips' vertices behind teeth, see :class:`~solver.contact.potentials.Penetration`.
     halvings, residual
         How the solve went, see :class:`~solver.simulation.simulator.Stepped`.
     """

@@ -8,13 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from solver.animation.keys import Drives, Gaze, PosedFrame
-from solver.contact.crossing import Gauge, Penetration
-from solver.contact.potentials import contact_potentials
-from solver.edits.bones import Bone
-from solver.edits.edit import Edit, Edited, apply
-from solver.edits.fat import Density, Fat, Filler, Stiffening, under_skin
-from solver.edits.paralysis import Paralysis
+from solver.animation.drives import Drives, Gaze, PosedFrame
+from solver.contact.potentials import Gauge, Penetration, contact_potentials
+from solver.edits.changes import Bone, Density, Fat, Filler, Paralysis, Stiffening, under_skin
+from solver.edits.edit import Change, Edited, apply
 from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.kinds import edits as described
@@ -33,7 +30,7 @@ from solver.surface import Floats, Surface
 # A scene's ``edits``, ``forces``, ``material``, ``contact``, ``sliding`` and ``activation_model``.
 
 
-def edits_of(entries: Sequence[described.Edit], places: Places) -> list[Edit]:
+def edits_of(entries: Sequence[described.Edit], places: Places) -> list[Change]:
     """Return the edits that a scene describes.
 
     Raises :class:`~solver.errors.InputError` as :class:`~solver.scene.places.Places` for places,
@@ -42,7 +39,7 @@ def edits_of(entries: Sequence[described.Edit], places: Places) -> list[Edit]:
     return [_edit(entry, places) for entry in entries]
 
 
-def _edit(entry: described.Edit, places: Places) -> Edit:
+def _edit(entry: described.Edit, places: Places) -> Change:
     if isinstance(entry, described.FatEntry):
         return Fat(entry.f_min, entry.f_max, places.map_of(entry.map), entry.softening)
     if isinstance(entry, described.FillerEntry):
@@ -194,10 +191,11 @@ class Stage:
         )
         dynamic = scene.mode == "dynamic"
         self.steps_per_frame = scene.steps_per_frame or (STEPS if dynamic else 1)
+        potentials = self._physics.contacts(self._edited, objects)
         masses = lumped_masses(self._face.flesh, self._edited.density)
         self.simulator = Simulator(
             self._face,
-            self._physics.contacts(self._edited, objects),
+            potentials,
             forces_of(scene.forces, self._face, masses, places),
             dynamic=dynamic,
             density=self._edited.density,
@@ -205,7 +203,7 @@ class Stage:
             linear=linear,
         )
         self._gaze = Gaze(self.model)
-        self.gauge = Gauge(self.model, self._edited.unedited)
+        self.gauge = Gauge(self.model, self._edited.unedited, potentials)
 
     def drive(self, time: float, pose: PosedFrame) -> Drive:
         """Return what the flesh is asked for at ``time``, when the face does ``pose``."""

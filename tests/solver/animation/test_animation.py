@@ -19,8 +19,7 @@ from solver.animation.blendshapes import (
     solve_blendshapes,
     unfold,
 )
-from solver.animation.keys import Gaze, HeadKey, PoseKey, from_keys, neck
-from solver.animation.recording import from_recording
+from solver.animation.drives import Gaze, HeadKey, PoseKey, from_keys, from_recording, neck
 from solver.errors import InputError
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import LEAST_STRETCH

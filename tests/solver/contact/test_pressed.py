@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from solver.contact.crossing import Gauge
-from solver.contact.potentials import contact_potentials
+from solver.contact.potentials import Gauge, contact_potentials
 from solver.fitting.face import Face
 from solver.mechanics.flesh import COROTATED_TRACE
 from solver.similarity import IDENTITY

@@ -1,4 +1,4 @@
-"""Keyframes: expressions, single muscles and the jaw at chosen times."""
+"""Motion of a face over time: between keys of a scene, and of a Live Link Face recording."""
 
 from __future__ import annotations
 
@@ -10,13 +10,15 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
-from solver.animation.blendshapes import Blend, unfold
+from solver.animation.blendshapes import Blend, Blendshapes, unfold
 from solver.errors import InputError
 from solver.fitting.face import Pose
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel
+from solver.scans.live_link import ARKIT_NAMES, LiveLinkTake
 from solver.similarity import Similarity
 from solver.surface import Floats
+from solver.templates.ict_facekit import arkit_source
 
 # One moment of an animation.
 
@@ -157,7 +159,7 @@ class PoseKey:
 
 
 class KeyedDrives:
-    """A :class:`~solver.animation.keys.Drives` between keys; see :func:`from_keys`."""
+    """A :class:`Drives` between keys; see :func:`from_keys`."""
 
     def __init__(
         self,
@@ -193,7 +195,7 @@ class KeyedDrives:
         self._jaw = track_of([key.jaw for key in keys], 5)
 
     def __call__(self, time: float) -> PosedFrame:
-        """See :class:`~solver.animation.keys.Drives`."""
+        """See :class:`Drives`."""
         pose = self._blend.pose(self._weights(time))
         a = pose.a
         a[self._muscles] += self._moves(time).reshape(-1, 6)
@@ -241,6 +243,69 @@ def _check_names(keys: Sequence[PoseKey], poses: Mapping[str, Pose], model: Subj
                         found=name,
                         expected=known,
                     )
+
+
+class RecordedDrives:
+    """A :class:`Drives` of a recording; see :func:`from_recording`.
+
+    ``weights`` (f, e) are what drives each blendshape in the frames.
+    """
+
+    def __init__(
+        self,
+        take: LiveLinkTake,
+        shapes: Blendshapes,
+        model: SubjectModel,
+        frames: slice,
+        head: HeadMotion,
+    ) -> None:
+        self._blend = shapes.blend
+        columns = [ARKIT_NAMES.index(arkit_source(name)) for name in self._blend.names]
+        self.times: Floats = take.times[frames] - take.times[frames.start]
+        self.weights: Floats = np.clip(take.weights[frames][:, columns], 0.0, 1.0)
+        turns = np.hstack([take.head[frames], take.eyes[frames].reshape(-1, 6)])
+        values = np.hstack([self.weights, turns])
+        self._track = track(self.times, values, "frames", "linear")
+        self._neck = neck(model)
+        self._head = head
+
+    def __call__(self, time: float) -> PosedFrame:
+        """See :class:`Drives`."""
+        weights, head, eyes = np.split(self._track(time), [-9, -6])
+        pose = self._blend.pose(weights)
+        a, clamped = unfold(pose.a)
+        motion = turn_about(self._neck, head, np.zeros(3)).then(self._head(time))
+        return PosedFrame(a, pose.b, motion, eyes.reshape(2, 3), clamped)
+
+
+def from_recording(
+    take: LiveLinkTake,
+    shapes: Blendshapes,
+    model: SubjectModel,
+    start: int = 0,
+    end: int | None = None,
+    *,
+    head: Sequence[HeadKey] = (),
+) -> RecordedDrives:
+    """Return the recording's frames from ``start`` to ``end`` (not included; None: the last).
+
+    Times begin at 0. Weights and turns between frames lie on straight lines. The recorded head
+    turns about the neck; keys of the ``head`` come on top of that. Raises :class:`InputError`
+    (``scene.frames``) if the recording does not have those frames.
+    """
+    count = len(take.times)
+    last = count if end is None else end
+    if not 0 <= start < last <= count:
+        raise InputError(
+            "scene.frames",
+            f"the recording has the frames 0 to {count - 1}: start {start} and end {last} are not "
+            "within it",
+            expected=count,
+            start=start,
+            end=last,
+        )
+    motion = HeadMotion(head, neck(model))
+    return RecordedDrives(take, shapes, model, slice(start, last), motion)
 
 
 # Eyeballs, which no muscle of the face moves: they turn in the head by themselves.
