@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass
+from typing import Any
 
 import igl
 import numba as nb
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -88,7 +90,7 @@ def between_lips(
     crossed = np.flatnonzero((mouth.label == LIPS) & np.isfinite(beside))
     partner = _facing(points, normals, inside, crossed, options.deepest_mm)
     ids, partner = inside[partner >= 0], partner[partner >= 0]
-    found = Overlap.at(points, ids, *_nearest(points, ids, partner, mouth.flesh, *mouth.rings))
+    found = Overlap.at(points, ids, *_nearest(mouth, points, ids, partner))
     other = np.einsum("hc,hci,hi->h", found.shares, normals[found.corners], found.out)
     own = np.einsum("hi,hi->h", normals[ids], found.out)
     return found.where((other > options.back) & (own < -options.back))
@@ -112,58 +114,19 @@ def _facing(points: Floats, normals: Floats, ids: Ints, among: Ints, deepest: fl
     return out
 
 
-@nb.njit(cache=True)
-def _nearest(
-    points: Floats, ids: Ints, partner: Ints, faces: Ints, start: Ints, number: Ints
-) -> tuple[Ints, Floats]:
-    """Return the triangle around ``partner`` nearest to each point, by corners, and the shares."""
-    corners = np.empty((len(ids), 3), dtype=np.int64)
-    shares = np.empty((len(ids), 3))
-    for k in range(len(ids)):
-        p = points[ids[k]]
-        best = np.inf
-        for entry in range(start[partner[k]], start[partner[k] + 1]):
-            face = faces[number[entry]]
-            own = _in_triangle(p, points[face[0]], points[face[1]], points[face[2]])
-            gap = p - own[0] * points[face[0]] - own[1] * points[face[1]] - own[2] * points[face[2]]
-            squared = gap @ gap
-            if squared < best:
-                best = squared
-                corners[k] = face
-                shares[k] = own
-    return corners, shares
-
-
-@nb.njit(cache=True)
-def _in_triangle(p: Floats, a: Floats, b: Floats, c: Floats) -> Floats:
-    """Return the barycentric shares of the triangle's point nearest to p.
-
-    By the regions of corners, edges and the inside: Ericson, Real-Time Collision Detection, 5.1.5.
-    """
-    ab, ac = b - a, c - a
-    d1, d2 = ab @ (p - a), ac @ (p - a)
-    if d1 <= 0.0 and d2 <= 0.0:
-        return np.array([1.0, 0.0, 0.0])
-    d3, d4 = ab @ (p - b), ac @ (p - b)
-    if d3 >= 0.0 and d4 <= d3:
-        return np.array([0.0, 1.0, 0.0])
-    d5, d6 = ab @ (p - c), ac @ (p - c)
-    if d6 >= 0.0 and d5 <= d6:
-        return np.array([0.0, 0.0, 1.0])
-    on_c = d1 * d4 - d3 * d2
-    if on_c <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        t = d1 / (d1 - d3)
-        return np.array([1.0 - t, t, 0.0])
-    on_b = d5 * d2 - d1 * d6
-    if on_b <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        t = d2 / (d2 - d6)
-        return np.array([1.0 - t, 0.0, t])
-    on_a = d3 * d6 - d5 * d4
-    if on_a <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
-        t = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        return np.array([0.0, 1.0 - t, t])
-    whole = on_a + on_b + on_c
-    return np.array([on_a, on_b, on_c]) / whole
+def _nearest(mouth: Mouth, points: Floats, ids: Ints, partner: Ints) -> tuple[Ints, Floats]:
+    """Return the triangles around ``partner`` nearest to points, by corners, and the shares."""
+    start, number = mouth.rings
+    counts = start[partner + 1] - start[partner]
+    row = np.repeat(np.arange(len(ids)), counts)
+    first = np.cumsum(counts) - counts
+    corners = mouth.flesh[number[start[partner][row] + np.arange(len(row)) - first[row]]]
+    library: Any = trimesh.triangles
+    places = library.closest_point(points[corners], points[ids[row]])
+    squared = ((places - points[ids[row]]) ** 2).sum(axis=1)
+    best = np.lexsort((squared, row))[first]
+    shares = library.points_to_barycentric(points[corners[best]], places[best])
+    return corners[best], shares
 
 
 @dataclass(frozen=True)

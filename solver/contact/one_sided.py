@@ -92,7 +92,7 @@ class OneSided:
     Parameters
     ----------
     obstacle
-        The obstacle, where it is at rest.
+        Where it is at rest.
     rows, offset
         (k, p) CSR and (k, 3): the vertices are ``rows @ x + offset``.
     free
@@ -164,11 +164,9 @@ class OneSided:
             return out
         h, slope = self._depths(x)
         # the obstacle moves under the vertex by the jaw's motion there, and its directions turn
-        seen = self._seen_at(x)[deep]
-        moved = jaw.jacobian(self._carried, seen, self._jaw)
-        turned = jaw.jacobian(
-            self._carried, self._carried.origin + slope[deep] @ self._turn, self._jaw
-        )
+        frame = self._carried
+        moved = jaw.jacobian(frame, self._seen_at(x)[deep], self._jaw)
+        turned = jaw.jacobian(frame, frame.origin + slope[deep] @ self._turn, self._jaw)
         turned[:, :, 2:] = 0.0
         by_jaw = (self._stiffness * h)[deep, None, None] * turned
         by_jaw -= np.einsum("kij,kjb->kib", blocks, moved)
@@ -196,10 +194,8 @@ class OneSided:
         return self._excess.behind(self._seen(self._points(x), b), tolerance)
 
     def _depths(self, x: Floats) -> tuple[Floats, Floats]:
-        """Return h (k,), zero where nothing pushes, and the head's frame's gradients (k, 3).
-
-        Value, gradient and Hessian ask for the same x again.
-        """
+        """Return h (k,), zero where nothing pushes, and the head's frame's gradients (k, 3)."""
+        # value, gradient and Hessian ask for the same x again
         if self._last is None or not np.array_equal(self._last[0], x):
             h, slope = self._excess.at(self._seen_at(x))
             self._last = x.copy(), (h, slope @ self._turn.T)
@@ -243,15 +239,6 @@ def along(rows: sp.csr_array, directions: Floats) -> sp.csr_array:
     )
 
 
-# Rows of teeth as lips see them: how far out the teeth reach, all around.
-#
-#     r = R(theta, y)
-#
-# in cylindrical coordinates around a vertical axis through the arch's middle: the largest radius of
-# the teeth's surface, the gaps between crowns closed. A lip's vertex lies R - r deep. So a lip that
-# is behind teeth, however far, is led out to the front.
-
-
 @dataclass(frozen=True)
 class ArchOptions:
     """Options of the table of a row of teeth."""
@@ -268,10 +255,15 @@ class ArchOptions:
 
 @dataclass(frozen=True)
 class Arch:
-    """An :class:`DepthField`: the outer side of a row of teeth.
+    """A :class:`DepthField`: how far out a row of teeth reaches, all around.
 
-    ``axis`` (3,) is a point on the vertical axis; ``radius`` and ``inside``, by angle in rad and
-    height in mm, are R and how far a place lies inside the border of the field, both in mm.
+        r = R(theta, y)
+
+    in cylindrical coordinates around a vertical axis through the arch's middle is the largest
+    radius of the teeth's surface, the gaps between crowns closed. A lip's vertex lies R - r deep:
+    behind teeth, however far, it is led out to the front. ``axis`` (3,) is a point on the axis;
+    ``radius`` and ``inside``, by angle in rad and height in mm, are R and how far a place lies
+    inside the border of the field, both in mm.
     """
 
     axis: Floats
@@ -282,41 +274,29 @@ class Arch:
     @classmethod
     def of(cls, teeth: Surface, options: ArchOptions = ArchOptions()) -> Arch:
         """Tabulate the field of a row of teeth, whose front looks along z."""
+        degrees, mm, around = options.step_degrees, options.step_mm, options.around_mm
         points = _samples(teeth, options.sample_mm)
         low, high = points.min(axis=0), points.max(axis=0)
         axis = (low + high) / 2
         axis[2] = low[2] + options.axis_mm
         arms = _Cylindrical.of(points - axis, 0.0)
-        angles = np.arange(-180.0, 180.0, options.step_degrees)
-        heights = (
-            np.arange(low[1] - options.around_mm, high[1] + options.around_mm, options.step_mm)
-            - axis[1]
-        )
-        place = (
-            np.round((np.degrees(arms.angle) + 180.0) / options.step_degrees).astype(int)
-            % len(angles),
-            np.round((arms.height - heights[0]) / options.step_mm).astype(int),
-        )
+        angles = np.arange(-180.0, 180.0, degrees)
+        heights = np.arange(low[1] - around, high[1] + around, mm) - axis[1]
+        row = np.round((np.degrees(arms.angle) + 180.0) / degrees).astype(int) % len(angles)
+        column = np.round((arms.height - heights[0]) / mm).astype(int)
         table = np.zeros((len(angles), len(heights)))
-        np.maximum.at(table, place, arms.radius)
+        np.maximum.at(table, (row, column), arms.radius)
         # the seam lies behind, where there are no teeth
-        gap = (
-            round(options.gap_degrees / options.step_degrees),
-            round(options.gap_mm / options.step_mm),
-        )
+        gap = round(options.gap_degrees / degrees), round(options.gap_mm / mm)
         table = grey_closing(table, gap)
         covered = table > 0.0
         nearest = distance_transform_edt(~covered, return_distances=False, return_indices=True)
         table = gaussian_filter(table[tuple(nearest)], 1.0)
-        cell = (np.radians(options.step_degrees) * arms.radius.mean(), options.step_mm)
+        cell = (np.radians(degrees) * arms.radius.mean(), mm)
         inside = distance_transform_edt(covered, cell) - distance_transform_edt(~covered, cell)
         grid = (np.radians(angles), heights)
-        return cls(
-            axis,
-            RectBivariateSpline(*grid, table),
-            RectBivariateSpline(*grid, gaussian_filter(inside, 1.0)),
-            options,
-        )
+        border = RectBivariateSpline(*grid, gaussian_filter(inside, 1.0))
+        return cls(axis, RectBivariateSpline(*grid, table), border, options)
 
     def depths(self, points: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """See :class:`DepthField`."""
@@ -377,7 +357,8 @@ class _Cylindrical:
     def gradient(self, spline: RectBivariateSpline) -> Floats:
         """Return its derivative by the places, (k, 3)."""
         by_angle = self.around / self.radius[:, None]
-        return self.value(spline, dx=1)[:, None] * by_angle + self.value(spline, dy=1)[:, None] * UP
+        along = self.value(spline, dy=1)[:, None] * UP
+        return np.asarray(self.value(spline, dx=1)[:, None] * by_angle + along)
 
     def curvature(self, spline: RectBivariateSpline) -> Floats:
         """Return its second derivative by the places, (k, 3, 3)."""
@@ -407,12 +388,9 @@ def _samples(surface: Surface, apart: float) -> Floats:
     return np.vstack(found)
 
 
-# Eyeballs, which lids lie on: spheres.
-
-
 @dataclass(frozen=True)
 class Eyeball:
-    """An :class:`DepthField`: ``centre`` (3,) and ``radius`` in mm."""
+    """A :class:`DepthField` of what lids lie on: ``centre`` (3,) and ``radius`` in mm."""
 
     centre: Floats
     radius: float
@@ -422,24 +400,30 @@ class Eyeball:
         """Fit the sphere to the front half of an eyeball's vertices (k, 3), by least squares."""
         front = points[points[:, 2] >= np.median(points[:, 2])]
         middle = front.mean(axis=0)
-        # |p - c|^2 = radius^2 is linear in c and radius^2 - |c|^2
-        local = front - middle
-        system = np.column_stack([2.0 * local, np.ones(len(local))])
-        solution = np.linalg.lstsq(system, (local**2).sum(axis=1), rcond=None)[0]
-        centre = solution[:3]
-        return cls(middle + centre, float(np.sqrt(solution[3] + centre @ centre)))
+        centre, radius = nearest_sphere(front - middle)
+        return cls(middle + centre, radius)
 
     def depths(self, points: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """See :class:`DepthField`: all of it counts everywhere."""
-        arm = points - self.centre
-        distance = np.maximum(np.linalg.norm(arm, axis=1), 1e-9)
-        everywhere, nothing = np.ones(len(points)), np.zeros_like(points)
-        return self.radius - distance, -arm / distance[:, None], everywhere, nothing
+        distance, out = self._from_centre(points)
+        return self.radius - distance, -out, np.ones(len(points)), np.zeros_like(points)
 
     def curvatures(self, points: Floats) -> tuple[Floats, Floats]:
         """See :class:`DepthField`."""
-        arm = points - self.centre
-        distance = np.maximum(np.linalg.norm(arm, axis=1), 1e-9)
-        out = arm / distance[:, None]
+        distance, out = self._from_centre(points)
         tangent = np.eye(3) - out[:, :, None] * out[:, None, :]
         return -tangent / distance[:, None, None], np.zeros_like(tangent)
+
+    def _from_centre(self, points: Floats) -> tuple[Floats, Floats]:
+        arm = points - self.centre
+        distance = np.maximum(np.linalg.norm(arm, axis=1), 1e-9)
+        return distance, arm / distance[:, None]
+
+
+def nearest_sphere(points: Floats) -> tuple[Floats, float]:
+    """Return centre (3,) and radius of the sphere nearest to points (k, 3), by least squares."""
+    # |p - c|^2 = radius^2 is linear in c and radius^2 - |c|^2
+    system = np.column_stack([2.0 * points, np.ones(len(points))])
+    solution = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
+    centre = solution[:3]
+    return centre, float(np.sqrt(solution[3] + centre @ centre))

@@ -43,16 +43,7 @@ class Elements(NamedTuple):
 
     def take(self, some: Ints) -> Elements:
         """Return some of the tets."""
-        return Elements(
-            self.tets[some],
-            self.N[some],
-            self.volume[some],
-            self.mu[some],
-            self.lam[some],
-            self.kappa[some],
-            self.barrier_weight[some],
-            self.law,
-        )
+        return self._replace(**{name: getattr(self, name)[some] for name in self._fields[:-1]})
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)

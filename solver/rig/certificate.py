@@ -17,7 +17,7 @@ from solver.fitting.objective import determinants
 from solver.fitting.stretches import fibre_tensors, matrices
 from solver.mechanics import jaw
 from solver.mechanics.linear import LinearSolver, analyse
-from solver.mechanics.newton import factorize
+from solver.mechanics.newton import Factorization
 from solver.model import SubjectModel
 from solver.rig.result import ExpressionFit
 from solver.rig.rig import Rig
@@ -269,7 +269,7 @@ def check_flesh(face: Face, a: Floats, x: Floats, linear: LinearSolver) -> Flesh
     flesh = face.flesh
     det = flesh.jacobians(x)
     residual = np.linalg.norm(flesh.gradient(x, a)) / flesh.force_scale
-    _, share = factorize(flesh, linear, x, a)
+    share = Factorization(flesh, linear, x, a).projection
     return FleshCheck(
         inverted=int((det <= 0.0).sum()),
         det_least=float(det.min()),

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from pydantic import ValidationError
 
-from solver.animation.drives import HeadKey, KeyedDrives, PoseKey, from_keys
+from solver.animation.drives import HeadKey, KeyedDrives, PoseKey
 from solver.errors import InputError
 from solver.fitting.face import Pose
 from solver.fitting.stretches import fibre_tensors, shorten
@@ -60,8 +60,7 @@ def drives_of(
     """Return what the keys of a scene make a face do.
 
     ``poses`` are the rig's expressions. Frames come ``fps`` a second, from 0 on. Raises
-    :class:`InputError`: as :func:`~solver.animation.drives.from_keys`, and ``scene.jaw`` where the
-    jaw would be where no jaw can be.
+    :class:`InputError`: as :class:`KeyedDrives`, and ``scene.jaw`` where no jaw can be.
     """
     muscles = _Muscles(model, S)
     keys = [
@@ -76,7 +75,7 @@ def drives_of(
     last = max((key.time for key in keys), default=0.0)
     seconds, fps = last if scene.duration is None else scene.duration, scene.fps
     times = np.arange(int(seconds * fps + 1e-6) + 1) / fps
-    drives = from_keys(
+    drives = KeyedDrives(
         keys, poses, model, times, head=head_of(scene.head), interpolation=scene.interpolation
     )
     for number, key in enumerate(keys):

@@ -27,8 +27,6 @@ from solver.simulation.inertia import Drive, lumped_masses
 from solver.simulation.simulator import Simulator
 from solver.surface import Floats, Surface
 
-# A scene's ``edits``, ``forces``, ``material``, ``contact``, ``sliding`` and ``activation_model``.
-
 
 def edits_of(entries: Sequence[described.Edit], places: Places) -> list[Change]:
     """Return the edits that a scene describes.
@@ -116,8 +114,6 @@ class Physics:
 
     def contacts(self, edited: Edited, objects: Sequence[Surface] = ()) -> list[Potential]:
         """Return what keeps the skin out of itself, of teeth, eyeballs and ``objects``."""
-        if not (self.lips or self.teeth or self.eyes or objects):
-            return []
         return contact_potentials(
             edited.model,
             self.material.mu,
@@ -160,9 +156,8 @@ class Stage:
     """A person with the S (n, m + 1) in a scene.
 
     ``drives`` say what the face does; ``linear`` names the linear solver; ``objects`` are what the
-    face meets. Raises
-    :class:`~solver.errors.InputError` (``scene.*``, ``force.point``, ``contact.crossed``) for what
-    the person does not have or cannot be.
+    face meets. Raises :class:`~solver.errors.InputError` (``scene.*``, ``force.point``,
+    ``contact.crossed``) for what the person does not have or cannot be.
     """
 
     def __init__(
@@ -185,10 +180,8 @@ class Stage:
             self.objects = objects_of(scene.objects, places)
         begin = self.drive(float(drives.times[0]), drives(float(drives.times[0])))
         objects = self._seen(begin)
-        check_objects(
-            self.model,
-            {each.name: shape for each, shape in zip(self.objects, objects, strict=True)},
-        )
+        names = [each.name for each in self.objects]
+        check_objects(self.model, dict(zip(names, objects, strict=True)))
         dynamic = scene.mode == "dynamic"
         self.steps_per_frame = scene.steps_per_frame or (STEPS if dynamic else 1)
         potentials = self._physics.contacts(self._edited, objects)
