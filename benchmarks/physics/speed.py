@@ -25,7 +25,7 @@ from solver.kinds.scene import STIFFNESS_PA
 from solver.mechanics.flesh import COROTATED_TRACE
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
-from solver.simulation.inertia import Drive
+from solver.simulation.forces import Drive
 from solver.simulation.simulator import Simulator, Stepped
 from solver.surface import Floats
 

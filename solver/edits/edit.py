@@ -15,7 +15,7 @@ from solver.fitting.face import Face
 from solver.mechanics.potential import Potential
 from solver.model import SubjectModel
 from solver.similarity import IDENTITY as NO_MOTION
-from solver.simulation.inertia import Drive
+from solver.simulation.forces import Drive
 from solver.simulation.simulator import Simulator
 from solver.surface import Floats
 

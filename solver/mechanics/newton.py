@@ -6,7 +6,7 @@ hence every tet positively oriented. Where a Hessian from nearby still serves, i
 instead, with Anderson's acceleration: one costs a fraction of a new factorization.
 
 Equilibria (:mod:`solver.mechanics.equilibrium`) and moments of a simulation
-(:mod:`solver.simulation.newton`) are found by the same :class:`Search` with other options.
+(:mod:`solver.simulation.simulator`) are found by the same :class:`Search` with other options.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -162,11 +163,8 @@ class Energy:
         potentials: Sequence[Potential] = (),
         goal: Boundary | None = None,
     ) -> None:
-        self.flesh = flesh
-        self.a = a
-        self._linear = linear
-        self._potentials = potentials
-        self._goal = goal
+        self.flesh, self.a = flesh, a
+        self._linear, self._potentials, self._goal = linear, potentials, goal
 
     def value(self, x: Floats) -> float:
         """Return the energy of x (p, 3)."""
@@ -211,8 +209,7 @@ class Energy:
         return part
 
 
-@dataclass(frozen=True)
-class _Step:
+class _Step(NamedTuple):
     """End of a step: x (p, 3), the gradient (size,) there, and the part of it that was taken."""
 
     x: Floats

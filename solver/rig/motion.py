@@ -21,7 +21,7 @@ from solver.model import SubjectModel
 from solver.rig.frames import ChunkReader, FrameRecord, pack, unpack
 from solver.rig.result import ENTRIES
 from solver.similarity import IDENTITY, Similarity, small_motion
-from solver.simulation.inertia import Motion
+from solver.simulation.forces import Motion
 from solver.surface import Floats
 
 FORMAT = 1  # of reports and of sequence.npz

@@ -22,8 +22,7 @@ from solver.mechanics.potential import Potential
 from solver.scene.objects import check_objects, objects_of
 from solver.scene.places import Places
 from solver.simulation.fibres import fibre_activations, nearest_fibre
-from solver.simulation.forces import Force, Gravity, Pull, Wind
-from solver.simulation.inertia import Drive, lumped_masses
+from solver.simulation.forces import Drive, Force, Gravity, Pull, Wind, lumped_masses
 from solver.simulation.simulator import Simulator
 from solver.surface import Floats, Surface
 

@@ -9,7 +9,7 @@ from solver.contact.potentials import Gauge, contact_potentials
 from solver.fitting.face import Face
 from solver.mechanics.flesh import COROTATED_TRACE
 from solver.similarity import IDENTITY
-from solver.simulation.inertia import Drive
+from solver.simulation.forces import Drive
 from solver.simulation.simulator import Simulator
 from tests.fixtures import small_model
 from tests.solver.ball import ball
