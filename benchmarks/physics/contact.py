@@ -20,8 +20,8 @@ import trimesh
 from benchmarks.documents import Figures
 from benchmarks.physics.fitted import Fitted
 from benchmarks.physics.headset import headset
-from solver.contact.crossing import Gauge, Penetration, depth_inside
-from solver.contact.potentials import contact_potentials
+from solver.contact.crossing import depth_inside
+from solver.contact.potentials import Gauge, Penetration, contact_potentials
 from solver.drawing.head import DrawnHead
 from solver.drawing.render import Camera, DrawnBody, Lit, fade, render
 from solver.drawing.sheet import HEADER, Sheet

@@ -19,9 +19,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.anatomy.embedding import rows_of
+from solver.contact.crossing import between_lips
 from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mandible, Mouth
 from solver.contact.one_sided import Arch, Excess, along, free_depths
-from solver.contact.overlap import between_lips
 from solver.errors import SolveError
 from solver.fitting.face import Face
 from solver.fitting.objective import SumTerm, Target, Term, distances

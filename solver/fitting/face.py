@@ -19,7 +19,7 @@ from solver.mechanics.flesh import COROTATED_TRACE, IDENTITY, Flesh, Material
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import Factorization, NewtonOptions
 from solver.mechanics.response import Response, SparseControls
-from solver.mechanics.sliding import SlidingPlanes, no_planes, planes
+from solver.mechanics.terms import SlidingPlanes, no_planes, planes
 from solver.model import SubjectModel
 from solver.surface import Floats
 from solver.threads import leave_threads_to_kernels

@@ -15,7 +15,7 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.stretches import determinants, fibre_tensors, matrices
 from solver.mechanics import jaw
 from solver.mechanics.linear import LinearSolver, analyse
-from solver.mechanics.newton import factorize
+from solver.mechanics.newton import Factorization
 from solver.model import SubjectModel
 from solver.rig.result import ExpressionFit
 from solver.rig.rig import Rig
@@ -266,7 +266,7 @@ def check_flesh(face: Face, a: Floats, x: Floats, linear: LinearSolver) -> Flesh
     flesh = face.flesh
     det = flesh.jacobians(x)
     residual = np.linalg.norm(flesh.gradient(x, a)) / flesh.force_scale
-    _, share = factorize(flesh, linear, x, a)
+    share = Factorization(flesh, linear, x, a).projection
     return FleshCheck(
         inverted=int((det <= 0.0).sum()),
         det_least=float(det.min()),

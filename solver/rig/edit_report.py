@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from solver.anatomy.tetrahedra import ML, volume_ml, volumes
-from solver.contact.crossing import Gauge
+from solver.contact.potentials import Gauge
 from solver.edits.edit import Edited, Replayed
 from solver.model import SubjectModel
 from solver.rig.gltf import in_turn, write_face

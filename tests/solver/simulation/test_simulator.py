@@ -10,8 +10,7 @@ from solver.errors import InputError, SolveError
 from solver.fitting.face import Face
 from solver.mechanics.flesh import COROTATED_TRACE
 from solver.similarity import IDENTITY, Similarity, small_motion
-from solver.simulation.forces import Gravity
-from solver.simulation.inertia import Drive, Inertia, Motion, lumped_masses
+from solver.simulation.forces import Drive, Gravity, Inertia, Motion, lumped_masses
 from solver.simulation.simulator import Simulator
 from tests.solver.block import block_model, poses
 
