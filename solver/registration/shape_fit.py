@@ -20,8 +20,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from solver.anatomy.template import ShapeBasis, Template
-from solver.registration.mend import Samples
-from solver.registration.scan_surface import ScanSurface
+from solver.registration.scan_surface import Samples, ScanSurface
 from solver.registration.topology import Topology
 from solver.similarity import Similarity, small_motion
 from solver.surface import Floats, Ints, Surface, vertex_areas, vertex_normals

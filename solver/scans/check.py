@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from solver.anatomy.template import Template
 from solver.errors import Finding, InputError
-from solver.meshio.raw import RawScan, read_raw
+from solver.meshio.raw import RawScan, mend, read_raw
 from solver.registration.locate import (
     Location,
     face_points,
@@ -26,7 +26,7 @@ from solver.registration.locate import (
     location_findings,
     scan_samples,
 )
-from solver.registration.mend import Samples, mend
+from solver.registration.scan_surface import Samples
 from solver.registration.shape_fit import fit_likeness
 from solver.registration.units import check_frame
 from solver.scans.cover import Cover, cover, has_second_face, visible_part
