@@ -95,9 +95,8 @@ def _check(template: Template, neutral: Floats) -> None:
         raise InputError("scan.vertex_count", reason, expected=wanted, found=found)
     wrong = np.flatnonzero(~np.isfinite(neutral).all(axis=1))
     if len(wrong):
-        raise InputError(
-            "scan.nan", f"vertex {wrong[0]} of the neutral is not finite", vertex=int(wrong[0])
-        )
+        reason = f"vertex {wrong[0]} of the neutral is not finite"
+        raise InputError("scan.nan", reason, vertex=int(wrong[0]))
 
 
 def model_summary(model: SubjectModel) -> dict[str, Any]:

@@ -93,8 +93,8 @@ def make_mesh(
     flesh = _mesh(head, edge_mm, options)
     progress(Step("relax", 0.85))
     flesh = _fit(head, flesh, options)
-    embedded, bound, jaw_skin = _bound_skin(head, flesh, edge_mm, options)
-    rows = rows_of(flesh.tets[bound.tet], bound.shares, len(flesh.vertices))
+    embedded, tet, shares, jaw_skin = _bound_skin(head, flesh, edge_mm, options)
+    rows = rows_of(flesh.tets[tet], shares, len(flesh.vertices))
     held = flesh.held_vertices
     start = close_lips(head, flesh.vertices, flesh.tets, flesh.outside, held)
     guides = guidance(head, head.skin.vertices, embedded, rows, held, flesh.vertices[held], start)
@@ -108,14 +108,15 @@ def make_mesh(
         tets=flesh.tets,
         **_held(head, flesh, options),
         embedded=embedded,
-        embedded_in=bound.tet,
-        shares=bound.shares,
+        embedded_in=tet,
+        shares=shares,
         attached_mandible=jaw_skin,
         weights=weights,
     )
 
 
 def _mesh(head: Template, edge_mm: float, options: MeshOptions) -> MeshedFlesh:
+    """Return the flesh in the parted pose, as the mesher leaves it."""
     domain = options.domain
     soup = domain_soup(head, domain)
     vertices, tets = tetrahedralize(
@@ -132,9 +133,9 @@ def _fit(head: Template, flesh: MeshedFlesh, options: MeshOptions) -> MeshedFles
     """Return the flesh with its vertices fitted to the parted skin in least squares."""
     skin, parted = np.unique(head.flesh.faces), head.parted_skin.vertices
     for _ in range(options.fitting_rounds):
-        bound = _bound(flesh, parted[skin])
-        near = bound.distance < options.greatest_envelope_mm
-        rows = rows_of(flesh.tets[bound.tet], bound.shares, len(flesh.vertices))[near]
+        tet, shares, distance = _bound(flesh, parted[skin])
+        near = distance < options.greatest_envelope_mm
+        rows = rows_of(flesh.tets[tet], shares, len(flesh.vertices))[near]
         held, place = flesh.held_vertices, _on_bones(head, flesh)
         guides = guidance(head, parted, skin[near], rows, held, place[held], flesh.vertices)
         flesh = replace(flesh, vertices=relax(flesh.vertices, flesh.tets, guides))
@@ -150,48 +151,35 @@ def _on_bones(head: Template, flesh: MeshedFlesh) -> Floats:
     return place
 
 
-@dataclass(frozen=True)
-class Bound:
-    """Points bound to the outside of a flesh: tet (n,), ``shares`` (n, 4), ``distance`` (n,) mm."""
-
-    tet: Ints
-    shares: Floats
-    distance: Floats
-
-
-def _bound(flesh: MeshedFlesh, points: Floats) -> Bound:
+def _bound(flesh: MeshedFlesh, points: Floats) -> tuple[Ints, Floats, Floats]:
+    """Return the nearest outer tets (n,), coordinates (n, 4) in them and the distance (n,)."""
     face, shares, distance = barycentric(points, Surface(flesh.vertices, flesh.outside))
-    tet = flesh.outside_of[face]
-    corners = flesh.outside[face]
+    tet, corners = flesh.outside_of[face], flesh.outside[face]
     same = flesh.tets[tet][:, :, None] == corners[:, None, :]
-    return Bound(tet, np.einsum("nck,nk->nc", same, shares), distance)
+    return tet, np.einsum("nck,nk->nc", same, shares), distance
 
 
 def _bound_skin(
     head: Template, flesh: MeshedFlesh, edge_mm: float, options: MeshOptions
-) -> tuple[Ints, Bound, Ints]:
-    """Return the skin vertices that follow the flesh, how, and those that follow the jaw.
+) -> tuple[Ints, Ints, Floats, Ints]:
+    """Return skin vertices that follow the flesh, their tets and coordinates, and the jaw's skin.
 
     Vertices are bound in the parted pose: there the upper lip is far from the lower.
     """
     skin = np.unique(head.flesh.faces)
     parted = head.parted_skin.vertices[skin]
-    bound, ahead = _bound(flesh, parted), in_front(head, parted)
-    near = (bound.distance < options.embedding * edge_mm) & ahead
+    (tet, shares, distance), ahead = _bound(flesh, parted), in_front(head, parted)
+    near = (distance < options.embedding * edge_mm) & ahead
     lost = skin[np.isin(skin, head.face_vertices) & ~near]
     if len(lost):
-        raise SolveError(
-            "mesh.uncovered",
-            f"{len(lost)} face vertices, the first is {lost[0]}, are too far from the flesh",
-            vertex=int(lost[0]),
-            count=len(lost),
-        )
+        reason = f"{len(lost)} face vertices, the first is {lost[0]}, are too far from the flesh"
+        raise SolveError("mesh.uncovered", reason, vertex=int(lost[0]), count=len(lost))
     loose = ~near & ahead
     to_jaw = cKDTree(head.mandible.vertices).query(parted[loose])[0]
     to_skull = cKDTree(head.cranium.vertices).query(parted[loose])[0]
     lining = (to_jaw < to_skull) & (to_jaw < options.lining_mm)
     jaw_skin = np.union1d(head.attached_mandible, skin[loose][lining])
-    return skin[near], Bound(bound.tet[near], bound.shares[near], bound.distance[near]), jaw_skin
+    return skin[near], tet[near], shares[near], jaw_skin
 
 
 def _held(head: Template, flesh: MeshedFlesh, options: MeshOptions) -> dict[str, Ints]:

@@ -94,24 +94,16 @@ def relax(x: Floats, tets: Ints, guides: Guides, options: RelaxationOptions = RE
         x = _minimise(x, tets, guides, stiffness, options.untangling, options.iterations)
     x = _minimise(x, tets, guides, stiffness, options.smoothing, options.iterations)
     for _ in range(options.rounds):
-        bad = _is_bad(x, tets, options.wanted_deg)
+        bad = (dihedral_angles(x, tets).min(axis=1) < options.wanted_deg) | (volumes(x, tets) <= 0)
         if not bad.any():
             break
         stiffness[bad] *= options.stiffening
         x = _minimise(x, tets, guides, stiffness, options.smoothing, options.later_iterations)
     inverted = np.flatnonzero(volumes(x, tets) <= 0)
     if len(inverted):
-        raise SolveError(
-            "mesh.inverted",
-            f"{len(inverted)} tetrahedra stay inverted",
-            tets=inverted[:10].tolist(),
-        )
+        reason = f"{len(inverted)} tetrahedra stay inverted"
+        raise SolveError("mesh.inverted", reason, tets=inverted[:10].tolist())
     return x
-
-
-def _is_bad(x: Floats, tets: Ints, wanted_deg: float) -> np.ndarray:
-    narrow = dihedral_angles(x, tets).min(axis=1) < wanted_deg
-    return np.asarray(narrow | (volumes(x, tets) <= 0))
 
 
 def _minimise(

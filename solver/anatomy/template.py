@@ -108,9 +108,8 @@ class _Check:
         self._file = file
 
     def wrong(self, code: str, array: str, what: str) -> None:
-        raise InputError(
-            f"template.{code}", f"{self._file}: {array} {what}", file=self._file, array=array
-        )
+        reason = f"{self._file}: {array} {what}"
+        raise InputError(f"template.{code}", reason, file=self._file, array=array)
 
     def points(self, name: str, array: np.ndarray, shape: tuple[int | None, ...]) -> None:
         fits = array.ndim == len(shape) and all(
@@ -327,9 +326,8 @@ class Template:
         try:
             template = cls._from_archive(archive)
         except (KeyError, TypeError, ValueError) as error:
-            raise InputError(
-                "template.unreadable", f"{path.name} is not a template: {error}", file=path.name
-            ) from error
+            reason = f"{path.name} is not a template: {error}"
+            raise InputError("template.unreadable", reason, file=path.name) from error
         check_arrays(template, path.name)
         return template
 

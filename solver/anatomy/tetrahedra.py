@@ -87,18 +87,12 @@ def tetrahedralize(
         command += [str(source), str(target), str(cpu_seconds)]
         child = subprocess.run(command, cwd=_ROOT, capture_output=True, check=False)
         if child.returncode == -signal.SIGPROF:
-            raise SolveError(
-                "mesher.timeout",
-                f"the mesher had no result after {cpu_seconds:.0f} seconds of processor time",
-                seconds=cpu_seconds,
-            )
+            reason = f"the mesher had no result after {cpu_seconds:.0f} seconds of processor time"
+            raise SolveError("mesher.timeout", reason, seconds=cpu_seconds)
         if child.returncode != 0 or not target.exists():
             last_words = child.stderr.decode(errors="replace").strip()[-500:]
-            raise SolveError(
-                "mesher.crashed",
-                f"the mesher ended with code {child.returncode}: {last_words}",
-                returncode=child.returncode,
-            )
+            reason = f"the mesher ended with code {child.returncode}: {last_words}"
+            raise SolveError("mesher.crashed", reason, returncode=child.returncode)
         with np.load(target) as result:
             vertices, tets = result["vertices"], result["tets"].astype(np.int64)
     return vertices, positively_oriented(vertices, tets)

@@ -117,33 +117,31 @@ def _deep_enough(
 # Motion of all points of the flesh when its tetrahedra move.
 
 
-class FleshMotion:
-    """A smooth warp corrected so that it moves a mesh's vertices as they really moved.
+def flesh_motion(
+    vertices: Floats, tets: Ints, moved: Floats, warp: Warp
+) -> Callable[[Floats], Floats]:
+    """Return a smooth warp corrected so that it moves a mesh as it really moved.
 
-    The corrections at the vertices are interpolated in the tetrahedron around a point, or at the
-    nearest point of the mesh's boundary. So muscles stay where S has them.
+    The mesh has ``vertices`` (p, 3), now ``moved`` (p, 3), and ``tets`` (t, 4). Corrections at the
+    vertices are interpolated in the tetrahedron around a point, or at the nearest point of the
+    mesh's boundary. So muscles stay where S has them.
     """
+    outside, corrections = Surface(vertices, boundary(tets)), moved - warp(vertices)
+    tree = igl.AABB()
+    tree.init(vertices, tets)
 
-    def __init__(self, vertices: Floats, tets: Ints, moved: Floats, warp: Warp) -> None:
-        """Take a mesh, ``vertices`` (p, 3) and ``tets`` (t, 4), and where it ``moved``, (p, 3)."""
-        self._vertices, self._tets, self._warp = vertices, tets, warp
-        self._surface = Surface(vertices, boundary(tets))
-        self._correction = moved - warp(vertices)
-        self._tree = igl.AABB()
-        self._tree.init(vertices, tets)
-
-    def __call__(self, points: Floats) -> Floats:
-        """Return the images (n, 3) of ``points`` (n, 3)."""
+    def motion(points: Floats) -> Floats:
         points = np.ascontiguousarray(points)
-        tet = np.asarray(igl.in_element(self._vertices, self._tets, points, self._tree))
-        correction = np.empty_like(points)
-        inside, outside = np.flatnonzero(tet >= 0), np.flatnonzero(tet < 0)
-        corners = self._tets[tet[inside]]
-        shares = barycentric_in_tets(points[inside], self._vertices[corners])
-        correction[inside] = np.einsum("nk,nkd->nd", shares, self._correction[corners])
-        if len(outside):
-            correction[outside] = at_nearest(points[outside], self._surface, self._correction)
-        return self._warp(points) + correction
+        tet = np.asarray(igl.in_element(vertices, tets, points, tree))
+        correction, inside = np.empty_like(points), tet >= 0
+        corners = tets[tet[inside]]
+        shares = barycentric_in_tets(points[inside], vertices[corners])
+        correction[inside] = np.einsum("nk,nkd->nd", shares, corrections[corners])
+        if not inside.all():
+            correction[~inside] = at_nearest(points[~inside], outside, corrections)
+        return warp(points) + correction
+
+    return motion
 
 
 # Springs on a mesh of flesh: from the skin it carries, the bones it lies on, and its place.
@@ -181,12 +179,10 @@ def guidance(
     """
     count = len(start)
     pull = np.where(np.isin(embedded, head.face_vertices), pulls.face, pulls.skin)
+    to_skin = Guides(surface_rows, skin[embedded], pull)
+    to_bones = Guides.of_vertices(held, held_at, pulls.bone, count)
     return Guides.join(
-        [
-            Guides(surface_rows, skin[embedded], pull),
-            Guides.of_vertices(held, held_at, pulls.bone, count),
-            Guides.of_vertices(np.arange(count), start, pulls.stay, count),
-        ]
+        [to_skin, to_bones, Guides.of_vertices(np.arange(count), start, pulls.stay, count)]
     )
 
 
@@ -212,8 +208,7 @@ def transport(
     below the least of ``options``.
     """
     start = warp(mesh.vertices)
-    place = start.copy()
-    cranium = np.concatenate([mesh.cranium, mesh.sliding])
+    place, cranium = start.copy(), np.concatenate([mesh.cranium, mesh.sliding])
     for ids, before, after in (
         (cranium, template.cranium, person.cranium),
         (mesh.mandible, template.mandible, person.mandible),
@@ -227,11 +222,8 @@ def transport(
     moved = relax(start, mesh.tets, guides)
     narrow = dihedral_angles(moved, mesh.tets).min()
     if narrow < options.least_deg:
-        raise SolveError(
-            "mesh.flat",
-            f"a tetrahedron is left with a dihedral angle of {narrow:.1f} degrees",
-            degrees=float(narrow),
-        )
-    motion = FleshMotion(mesh.vertices, mesh.tets, moved, warp)
+        reason = f"a tetrahedron is left with a dihedral angle of {narrow:.1f} degrees"
+        raise SolveError("mesh.flat", reason, degrees=float(narrow))
+    motion = flesh_motion(mesh.vertices, mesh.tets, moved, warp)
     muscles = tuple(carry_muscle(muscle, motion) for muscle in template.muscles)
     return replace(mesh, vertices=moved), replace(person, muscles=muscles)

@@ -22,6 +22,7 @@ from solver.anatomy.warp import MIRROR
 from solver.errors import InputError
 from solver.surface import Floats, Surface
 from solver.templates.downloads import PublicFile, obj_mesh, public_files
+from solver.templates.tables import file_fault
 
 # The download as DBCLS publishes it: release 3.0, one OBJ an organ, named by its FMA id.
 #
@@ -30,8 +31,16 @@ from solver.templates.downloads import PublicFile, obj_mesh, public_files
 # another pose; it cannot be used.
 
 
-def public_parts(folder: Path) -> list[tuple[str, str, Surface]]:
-    """Return (name, category, mesh) of the organs that the face needs, in BodyParts3D's axes (mm).
+@dataclass(frozen=True)
+class Part:
+    """One anatomical part, in mm with y up, and its category."""
+
+    category: str
+    surface: Surface
+
+
+def public_parts(folder: Path) -> dict[str, Part]:
+    """Return name -> the organs that the face needs.
 
     ``folder`` holds ``FMA*.obj`` at any depth, or the archive ``BodyParts3D_3.0_obj_99.zip``.
 
@@ -41,32 +50,26 @@ def public_parts(folder: Path) -> list[tuple[str, str, Surface]]:
     """
     files = {file.name: file for file in public_files(folder, ".obj")}
     if not any(name.startswith(("FMA", "FJ")) for name in files):
-        raise InputError(
-            "anatomy.index",
-            f"there is neither index.csv nor an FMA*.obj of BodyParts3D in {folder}",
-            file=str(folder),
-        )
+        reason = f"there is neither index.csv nor an FMA*.obj of BodyParts3D in {folder}"
+        raise file_fault("anatomy.index", reason, folder)
     if not any(name.startswith("FMA") for name in files):
-        raise InputError(
-            "anatomy.release",
-            f"{folder} holds BodyParts3D 4.0, which has no muscles of the face; release 3.0 has",
-            file=str(folder),
-        )
-    return [
-        (row["name"], row["category"], _surface(files, row["fma_id"], row["name"], folder))
+        reason = "holds BodyParts3D 4.0, which has no muscles of the face; release 3.0 has"
+        raise file_fault("anatomy.release", f"{folder} {reason}", folder)
+    return {
+        row["name"]: Part(row["category"], _surface(files, row["fma_id"], row["name"], folder))
         for row in read_table("bodyparts3d_parts")
-    ]
+    }
 
 
 def _surface(files: dict[str, PublicFile], fma_id: str, name: str, folder: Path) -> Surface:
     file = files.get(f"{fma_id}.obj")
     if file is None:
         reason = f"{folder} lacks {fma_id}.obj ({name}) of BodyParts3D 3.0"
-        raise InputError("anatomy.part", reason, file=f"{fma_id}.obj", part=name)
+        raise file_fault("anatomy.part", reason, f"{fma_id}.obj", part=name)
     vertices, polygons = obj_mesh(file)
     if (polygons[:, 3] >= 0).any():
-        raise InputError("download.mesh", f"{file} has faces of four corners", file=str(file))
-    return Surface(vertices, polygons[:, :3])
+        raise file_fault("download.mesh", f"{file} has faces of four corners", file)
+    return Surface(to_subject_axes(vertices), polygons[:, :3])
 
 
 # Parts by name, from the download or from an index.
@@ -78,14 +81,6 @@ _COLUMNS = {"fma_id", "category", "name"}
 # belly and temporoparietalis behind the flesh.
 _CHEWING = ("masseter", "temporalis")
 _BEHIND = ("occipitalis", "temporoparietalis")
-
-
-@dataclass(frozen=True)
-class Part:
-    """One anatomical part with its category in the index."""
-
-    category: str
-    surface: Surface
 
 
 def to_subject_axes(points: Floats) -> Floats:
@@ -103,13 +98,7 @@ def read_parts(folder: Path) -> dict[str, Part]:
     ``anatomy.mesh`` if a mesh it lists is missing or unreadable, or as :func:`public_parts`.
     """
     index = folder / "index.csv"
-    if index.is_file():
-        parts = _read_index(index)
-    else:
-        parts = {
-            name: Part(category, surface.moved(to_subject_axes(surface.vertices)))
-            for name, category, surface in public_parts(folder)
-        }
+    parts = _read_index(index) if index.is_file() else public_parts(folder)
     for side in ("left", "right"):
         _name_eye_rings(parts, side)
     return parts
@@ -120,9 +109,7 @@ def _read_index(index: Path) -> dict[str, Part]:
         reader = csv.DictReader(stream)
         missing = _COLUMNS - set(reader.fieldnames or ())
         if missing:
-            raise InputError(
-                "anatomy.index", f"{index} lacks the columns {sorted(missing)}", file=str(index)
-            )
+            raise file_fault("anatomy.index", f"{index} lacks the columns {sorted(missing)}", index)
         return {
             row["name"]: Part(row["category"], _read_mesh(index.with_name(f"{row['fma_id']}.ply")))
             for row in reader
@@ -142,9 +129,7 @@ def _read_mesh(path: Path) -> Surface:
     try:
         mesh = trimesh.load_mesh(path, process=False)
     except (OSError, ValueError, IndexError) as error:
-        raise InputError(
-            "anatomy.mesh", f"{path.name} cannot be read: {error}", file=str(path)
-        ) from error
+        raise file_fault("anatomy.mesh", f"{path.name} cannot be read: {error}", path) from error
     vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
     return Surface(to_subject_axes(vertices), faces)
 

@@ -12,6 +12,7 @@ import numpy as np
 from solver.errors import InputError
 from solver.storage import NOT_READABLE
 from solver.surface import Floats, Ints
+from solver.templates.tables import file_fault
 
 
 @dataclass(frozen=True)
@@ -41,9 +42,8 @@ class PublicFile:
             with ZipFile(self.path) as archive:
                 return archive.read(self.member)
         except NOT_READABLE as error:
-            raise InputError(
-                "download.unreadable", f"{self} cannot be read: {error}", file=str(self)
-            ) from error
+            reason = f"{self} cannot be read: {error}"
+            raise file_fault("download.unreadable", reason, self) from error
 
     def __str__(self) -> str:
         return str(self.path) if self.member is None else f"{self.path}: {self.member}"
@@ -70,9 +70,8 @@ def _members(archive: Path) -> list[str]:
         with ZipFile(archive) as opened:
             return opened.namelist()
     except (OSError, BadZipFile) as error:
-        raise InputError(
-            "download.unreadable", f"{archive} is no ZIP archive: {error}", file=str(archive)
-        ) from error
+        reason = f"{archive} is no ZIP archive: {error}"
+        raise file_fault("download.unreadable", reason, archive) from error
 
 
 def obj_vertices(file: PublicFile) -> Floats:
@@ -124,4 +123,4 @@ def _corners(file: PublicFile, line: int, row: bytes, vertices: int) -> list[int
 
 
 def _fault(file: PublicFile, line: int, reason: str) -> InputError:
-    return InputError("download.mesh", f"{file}, line {line}: {reason}", file=str(file), line=line)
+    return file_fault("download.mesh", f"{file}, line {line}: {reason}", file, line=line)

@@ -17,7 +17,7 @@ from solver.meshio.obj import write_obj
 from solver.meshio.ply import write_ply
 from solver.surface import Ints, Surface
 from solver.templates.folder import DESCRIPTION, FORMAT
-from solver.templates.tables import fault, vertex_ranges
+from solver.templates.tables import file_fault, vertex_ranges
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def write_template(template: Template, folder: Path) -> None:
     """
     folder.mkdir(parents=True, exist_ok=True)
     if any(folder.iterdir()):
-        raise fault("folder", f"{folder} is not empty", str(folder))
+        raise file_fault("template.folder", f"{folder} is not empty", str(folder))
     (folder / DESCRIPTION).write_text(_description(template), encoding="utf-8")
     meshes = {name: getattr(template, name) for name in ("skin", "cranium", "mandible")}
     for name, surface in (meshes | {"parted": template.parted_skin}).items():
@@ -128,7 +128,9 @@ def _write_shapes(
     folder.mkdir()
     for name, delta in zip(names, deltas, strict=True):
         if name != Path(name).name:
-            raise fault("value", f"the shape {name!r} has no name for a file", str(folder))
+            raise file_fault(
+                "template.value", f"the shape {name!r} has no name for a file", str(folder)
+            )
         write_ply(folder / f"{name}.ply", template.skin.moved(template.skin.vertices + delta))
 
 

@@ -25,7 +25,7 @@ from solver.storage import NOT_READABLE, check_directory
 from solver.surface import Floats, Surface
 from solver.templates.tables import (
     Row,
-    fault,
+    file_fault,
     read_table,
     read_toml,
     read_vertex_sets,
@@ -60,7 +60,7 @@ def read_template(path: Path) -> Template:
                 _unpack(path.name, stream, unpacked)
         except NOT_READABLE as error:
             reason = f"{path.name} is neither a folder nor a ZIP: {error}"
-            raise fault("unreadable", reason, path.name) from error
+            raise file_fault("template.unreadable", reason, path.name) from error
         inside = sorted(Path(unpacked).rglob(DESCRIPTION), key=lambda found: len(found.parts))
         return _Folder(inside[0].parent if inside else Path(unpacked)).template()
 
@@ -70,7 +70,8 @@ def _unpack(file: str, stream: IO[bytes], folder: str) -> None:
         size = sum(entry.file_size for entry in archive.infolist())
         if size > MAX_UNPACKED_BYTES:
             reason = f"{file} unpacks to {size} bytes; at most {MAX_UNPACKED_BYTES} can be"
-            raise fault("too_large", reason, file, expected=MAX_UNPACKED_BYTES, found=size)
+            limits = {"expected": MAX_UNPACKED_BYTES, "found": size}
+            raise file_fault("template.too_large", reason, file, **limits)
         archive.extractall(folder)
 
 
@@ -91,7 +92,8 @@ class _Folder:
         parts = read_vertex_sets(folder / "parts.json", count)
         absent = [name for name in PARTS if name not in parts]
         if absent:
-            raise fault("value", f"parts.json lacks {', '.join(absent)}", "parts.json")
+            reason = f"parts.json lacks {', '.join(absent)}"
+            raise file_fault("template.value", reason, "parts.json")
         cranium, mandible = (self.mesh(name) for name in BONES)
         shapes = self.shapes()
         mm = float(np.linalg.norm(self.matrix[0]))  # the unit
@@ -144,14 +146,14 @@ class _Folder:
         path = next((each for each in files if each.is_file()), None)
         if path is None:
             shown = " or ".join(each.name for each in files)
-            raise fault("missing", f"{self.folder.name} has no {shown}", shown)
+            raise file_fault("template.missing", f"{self.folder.name} has no {shown}", shown)
         scan = read_raw(path)
         wrong = np.flatnonzero(~np.isfinite(scan.vertices).all(axis=1))
         if len(wrong):
             reason = f"{path.name}: vertex {wrong[0]} is not finite"
-            raise fault("mesh", reason, path.name, vertex=int(wrong[0]))
+            raise file_fault("template.mesh", reason, path.name, vertex=int(wrong[0]))
         if len(scan.faces) == 0:
-            raise fault("mesh", f"{path.name} has no faces", path.name)
+            raise file_fault("template.mesh", f"{path.name} has no faces", path.name)
         return Surface(self.to_mm(scan.vertices), scan.faces)
 
     def displacement(self, path: Path) -> Floats:
@@ -159,7 +161,8 @@ class _Folder:
         vertices, rest = self.mesh(path.stem, path).vertices, self.skin.vertices
         if len(vertices) != len(rest):
             reason = f"{path.name} has {len(vertices)} vertices, the skin has {len(rest)}"
-            raise fault("mesh", reason, path.name, expected=len(rest), found=len(vertices))
+            counts = {"expected": len(rest), "found": len(vertices)}
+            raise file_fault("template.mesh", reason, path.name, **counts)
         return vertices - rest
 
     def muscles(self, skull: Floats) -> tuple[Muscle, ...]:
@@ -243,7 +246,7 @@ class _Folder:
         weights = self.description.get("parting")
         if "parting" not in self.description:
             reason = f"has neither parted.ply nor parted.obj, and {DESCRIPTION} no [parting]"
-            raise fault("missing", f"{self.folder.name} {reason}", "parted.ply")
+            raise file_fault("template.missing", f"{self.folder.name} {reason}", "parted.ply")
         if not isinstance(weights, dict):
             raise _value_fault("parting is no table")
         parting = np.zeros_like(self.skin.vertices)
@@ -288,8 +291,8 @@ def _is_number(value: Any) -> bool:
 
 
 def _value_fault(reason: str, file: str = DESCRIPTION) -> InputError:
-    return fault("value", f"{file}: {reason}", file)
+    return file_fault("template.value", f"{file}: {reason}", file)
 
 
 def _frame_fault(reason: str) -> InputError:
-    return fault("frame", f"{DESCRIPTION}: {reason}", DESCRIPTION)
+    return file_fault("template.frame", f"{DESCRIPTION}: {reason}", DESCRIPTION)

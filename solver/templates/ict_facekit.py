@@ -25,6 +25,7 @@ from solver.storage import read_arrays
 from solver.surface import Floats, Ints, Surface
 from solver.templates.downloads import PublicFile, obj_mesh, obj_vertices, public_files
 from solver.templates.export import CaptureSet
+from solver.templates.tables import file_fault
 
 # The model as USC ICT publishes it: the folder ``FaceXModel`` of OBJ meshes, in cm.
 #
@@ -63,11 +64,8 @@ def _of_one_folder(folder: Path) -> dict[str, PublicFile]:
     files = public_files(folder, ".obj")
     home = next((file.folder for file in files if file.name == f"{NEUTRAL}.obj"), None)
     if home is None:
-        raise InputError(
-            "faces.unreadable",
-            f"{folder} has neither ict_facekit.npz nor ICT-FaceKit's {NEUTRAL}.obj",
-            file=str(folder),
-        )
+        reason = f"{folder} has neither ict_facekit.npz nor ICT-FaceKit's {NEUTRAL}.obj"
+        raise file_fault("faces.unreadable", reason, folder)
     return {file.name.removesuffix(".obj"): file for file in files if file.folder == home}
 
 
@@ -147,9 +145,8 @@ def read_facekit(folder: Path) -> FaceKit:
     except InputError:
         raise
     except (LookupError, TypeError, ValueError) as error:
-        raise InputError(
-            "faces.unreadable", f"{path} is not an ICT-FaceKit file: {error}", file=str(path)
-        ) from error
+        reason = f"{path} is not an ICT-FaceKit file: {error}"
+        raise file_fault("faces.unreadable", reason, path) from error
 
 
 def _face_kit(data: dict[str, np.ndarray], path: Path) -> FaceKit:
@@ -162,13 +159,8 @@ def _face_kit(data: dict[str, np.ndarray], path: Path) -> FaceKit:
 
 
 def _topology_fault(file: object, found: int, whose: str, expected: int) -> InputError:
-    return InputError(
-        "faces.topology",
-        f"{file} has {found} vertices, {whose} has {expected}",
-        file=str(file),
-        expected=expected,
-        found=found,
-    )
+    reason = f"{file} has {found} vertices, {whose} has {expected}"
+    return file_fault("faces.topology", reason, file, expected=expected, found=found)
 
 
 def triangulate(quads: Ints) -> Ints:
@@ -219,9 +211,8 @@ def ict_capture_set(faces: Path, subject: str, capture_sets: Path | None = None)
     def scan(weights: Weights) -> Surface:
         unknown = [name for name in weights if name not in kit.deltas]
         if unknown:
-            raise InputError(
-                "captures.expression", f"ICT-FaceKit has no expression {unknown[0]}", file=str(path)
-            )
+            reason = f"ICT-FaceKit has no expression {unknown[0]}"
+            raise file_fault("captures.expression", reason, path)
         moves = (weight * kit.deltas[name] for name, weight in weights.items())
         return neutral.moved(neutral.vertices + sum(moves, np.zeros_like(neutral.vertices)))
 
@@ -238,11 +229,8 @@ def ict_neutral(
     path = capture_sets or faces / "capture_sets.json"
     subjects = _read(path)["subjects"]
     if subject not in subjects:
-        raise InputError(
-            "captures.subject",
-            f"{path.name} has no subject {subject}, only {', '.join(subjects)}",
-            file=str(path),
-        )
+        reason = f"{path.name} has no subject {subject}, only {', '.join(subjects)}"
+        raise file_fault("captures.subject", reason, path)
     seed = subjects[subject]["identity_seed"]
     return kit.skin if seed is None else identity(kit, seed)
 
@@ -271,7 +259,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _unreadable(path: Path, reason: str) -> InputError:
-    return InputError("captures.unreadable", reason, file=str(path))
+    return file_fault("captures.unreadable", reason, path)
 
 
 def _faults(sets: dict[str, Any]) -> Iterator[str]:
@@ -357,13 +345,9 @@ def model_performance(faces: Path, recording: Path, model: SubjectModel) -> IctP
     """
     skin = model.skin.vertices
     if len(skin) != VERTEX_COUNT:
-        raise InputError(
-            "performance.topology",
-            f"the model's skin has {len(skin)} vertices, ICT-FaceKit's {VERTEX_COUNT}: a recording "
-            "can drive models of that template alone",
-            expected=VERTEX_COUNT,
-            found=len(skin),
-        )
+        counts = f"the model's skin has {len(skin)} vertices, ICT-FaceKit's {VERTEX_COUNT}"
+        reason = f"{counts}: a recording can drive models of that template alone"
+        raise InputError("performance.topology", reason, expected=VERTEX_COUNT, found=len(skin))
     whole = drive(read_facekit(faces), skin, read_live_link(recording))
     coordinates = (3 * model.face[:, None] + np.arange(3)).ravel()
     return replace(whole, neutral=skin[model.face], shapes=whole.shapes[:, coordinates])

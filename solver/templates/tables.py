@@ -98,7 +98,7 @@ def read_vertex_sets(path: Path, count: int) -> dict[str, Ints]:
     """
     sets = _parse(path, json.loads)
     if not isinstance(sets, dict) or not all(isinstance(value, list) for value in sets.values()):
-        raise fault("unreadable", f"{path.name} is no object of lists", path.name)
+        raise file_fault("template.unreadable", f"{path.name} is no object of lists", path.name)
     return {name: _vertices(path.name, name, value, count) for name, value in sets.items()}
 
 
@@ -131,16 +131,16 @@ def _vertices(file: str, name: str, items: list[Any], count: int) -> Ints:
 
 def vertex_fault(file: str, name: str, reason: str, vertex: int | None = None) -> InputError:
     """Return an error about a vertex number of an entry ``name``."""
-    return fault("vertex", f"{file}, {name}: {reason}", file, vertex=vertex)
+    return file_fault("template.vertex", f"{file}, {name}: {reason}", file, vertex=vertex)
 
 
-def fault(code: str, reason: str, file: str, **context: Any) -> InputError:
-    """Return an error about a file of the folder; ``template.`` is put before the code."""
-    return InputError(f"template.{code}", reason, file=file, **context)
+def file_fault(code: str, reason: str, file: object, **context: Any) -> InputError:
+    """Return an error about a file."""
+    return InputError(code, reason, file=str(file), **context)
 
 
 def _table_fault(file: str, line: int, reason: str) -> InputError:
-    return fault("table", f"{file}, line {line}: {reason}", file, line=line)
+    return file_fault("template.table", f"{file}, line {line}: {reason}", file, line=line)
 
 
 def _parse(path: Path, parse: Callable[[str], Any]) -> Any:
@@ -148,13 +148,14 @@ def _parse(path: Path, parse: Callable[[str], Any]) -> Any:
     try:
         return parse(text)
     except (ValueError, RecursionError) as error:
-        raise fault("unreadable", f"{path.name}: {error}", path.name) from error
+        raise file_fault("template.unreadable", f"{path.name}: {error}", path.name) from error
 
 
 def _read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8-sig")  # spreadsheets begin CSV files with a mark
     except FileNotFoundError:
-        raise fault("missing", f"{path.parent.name} has no {path.name}", path.name) from None
+        reason = f"{path.parent.name} has no {path.name}"
+        raise file_fault("template.missing", reason, path.name) from None
     except (OSError, UnicodeDecodeError) as error:
-        raise fault("unreadable", f"{path.name}: {error}", path.name) from error
+        raise file_fault("template.unreadable", f"{path.name}: {error}", path.name) from error

@@ -7,7 +7,6 @@ in ``solver/anatomy/data``, then kept in the cache folder. See ``docs/guide/buil
 from __future__ import annotations
 
 import hashlib
-import uuid
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -21,14 +20,7 @@ from solver.anatomy.domain import join_surfaces
 from solver.anatomy.template import Template
 from solver.storage import cache_directory
 from solver.surface import Ints, Surface
-from solver.templates.builtin.head import (
-    SIDES,
-    WHEEL_SHA256,
-    Head,
-    SourceFiles,
-    fetch_wheel,
-    shape_basis,
-)
+from solver.templates.builtin.head import WHEEL_SHA256, Head, SourceFiles, fetch_wheel, shape_basis
 from solver.templates.builtin.muscles import build_muscles
 from solver.templates.builtin.skull import OuterSkin, Skull, build_skull, depth_table
 from solver.templates.export import CaptureSet
@@ -89,7 +81,9 @@ SOURCE = (
 )
 BACK_Z, BOTTOM_Y = 8.0, -105.0  # cut planes, mm
 # Expressions that part the closed lips for meshing.
-PARTING = {f"mouth{way}{side}": 0.4 for way in ("LowerDown", "UpperUp") for side in SIDES}
+PARTING = {
+    f"mouth{way}{side}": 0.4 for way in ("LowerDown", "UpperUp") for side in ("Left", "Right")
+}
 
 
 @cache
@@ -117,9 +111,7 @@ def builtin_template() -> Template:
     path = cache_directory() / f"template-{_build_key()}.npz"
     if not path.exists():
         log.info("building the built-in anatomy", to=str(path))
-        unfinished = path.with_suffix(f".{uuid.uuid4().hex}")
-        build_template(builtin_head()).save(unfinished)
-        unfinished.replace(path)
+        build_template(builtin_head()).save(path)
     return Template.load(path)
 
 
@@ -170,11 +162,9 @@ def build_template(head: Head) -> Template:
 
 def _muscle_bed(head: Head, skin: OuterSkin, skull: Skull) -> Surface:
     """Return what muscles lie on: bones, eyes and the linings of mouth and eye sockets."""
-    flesh = head.part("skin")
-    lining = ~np.isin(flesh.faces, skin.visible_vertices).all(axis=1)
-    faces = np.concatenate(
-        [flesh.faces[lining], *[head.part(eye).faces for eye in ("left_eye", "right_eye")]]
-    )
+    flesh, eyes = head.part("skin"), (head.part(f"{side}_eye") for side in ("left", "right"))
+    lining = flesh.faces[~np.isin(flesh.faces, skin.visible_vertices).all(axis=1)]
+    faces = np.concatenate([lining, *[eye.faces for eye in eyes]])
     return join_surfaces([Surface(head.neutral, faces), skull.cranium, skull.mandible])
 
 

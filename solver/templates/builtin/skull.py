@@ -12,12 +12,7 @@ import igl
 import numpy as np
 import scipy.sparse as sp
 import trimesh
-from scipy.interpolate import (
-    CubicSpline,
-    RBFInterpolator,
-    RectBivariateSpline,
-    RegularGridInterpolator,
-)
+from scipy import interpolate
 from scipy.ndimage import gaussian_filter
 
 from solver.anatomy.bones import largest_piece, level_set
@@ -64,11 +59,6 @@ class OuterSkin:
             np.flatnonzero(hidden < options.hidden), head.part_vertices["skin"]
         )
         self.faces: Ints = skin[np.isin(skin, self.visible_vertices).all(axis=1)]
-        self._index()
-
-    def _index(self) -> None:
-        self._tree = igl.AABB()
-        self._tree.init(self.vertices, self.faces)
 
     def stretched_over(self, vertices: Ints) -> OuterSkin:
         """Return this skin with some vertices drawn tight between the others (harmonic).
@@ -77,17 +67,16 @@ class OuterSkin:
         """
         edges = adjacency(self.faces, len(self.vertices))
         laplacian = sp.csc_array(sp.diags_array(edges.sum(axis=1)) - edges)
-        given = ~np.isin(np.arange(len(self.vertices)), vertices)
-        given |= ~np.isin(np.arange(len(self.vertices)), self.visible_vertices)
+        free = np.intersect1d(vertices, self.visible_vertices)
+        given = ~np.isin(np.arange(len(self.vertices)), free)
         tight = copy(self)
         tight.vertices = extend(laplacian, self.vertices, given, np.zeros_like(self.vertices))
         tight.normals = np.nan_to_num(igl.per_vertex_normals(tight.vertices, self.faces))
-        tight._index()
         return tight
 
     def closest(self, points: Floats) -> tuple[Floats, Ints, Floats]:
         """Return distance (k,), face (k,) and closest point (k, 3) of the visible skin."""
-        squared, face, closest = self._tree.squared_distance(self.vertices, self.faces, points)
+        squared, face, closest = igl.point_mesh_squared_distance(points, self.vertices, self.faces)
         return np.sqrt(squared), face, closest
 
     def interpolate(self, values: Floats, face: Ints, point: Floats) -> Floats:
@@ -135,7 +124,9 @@ def depth_fields(head: Head) -> dict[str, Callable[[Floats], Floats]]:
             for name in sides(head, row["landmark"])
         }
         values = np.array(list(depths.values()))
-        fields[bone] = RBFInterpolator(head.neutral[list(depths)], values, kernel="linear")
+        fields[bone] = interpolate.RBFInterpolator(
+            head.neutral[list(depths)], values, kernel="linear"
+        )
     return fields
 
 
@@ -146,18 +137,13 @@ def depth_table(head: Head) -> tuple[Depth, ...]:
     compared with the printed one (``checked``).
     """
     references = {row["key"]: row["reference"] for row in read_table("sources")}
-    return tuple(
-        Depth(
-            name,
-            row["bone"],
-            float(row["depth_mm"]),
-            None,
-            references[row["source"]] + UNCHECKED * (row["checked"] == "no"),
-        )
-        for row in read_table("soft_tissue_depths")
-        if row["source"] != NO_BONE
-        for name in sides(head, row["landmark"])
-    )
+    depths = []
+    for row in read_table("soft_tissue_depths"):
+        if row["source"] != NO_BONE:
+            source = references[row["source"]] + UNCHECKED * (row["checked"] == "no")
+            names, depth = sides(head, row["landmark"]), float(row["depth_mm"])
+            depths += [Depth(name, row["bone"], depth, None, source) for name in names]
+    return tuple(depths)
 
 
 def sides(head: Head, landmark: str) -> list[str]:
@@ -273,7 +259,7 @@ def _decimate(vertices: Floats, triangles: Ints, faces: int, relaxations: int) -
 def _cranium(points: Floats, shape: dict[str, Any], under_skin: Floats) -> Floats:
     x, y, z = points.T
     limit, base = shape["lateral_limit"], np.array(shape["base_height"]["points"])
-    side = RegularGridInterpolator(
+    side = interpolate.RegularGridInterpolator(
         (limit["y"], limit["z"]), limit["x"], bounds_error=False, fill_value=None
     )
     solid = np.minimum(under_skin, y - np.interp(z, base[:, 0], base[:, 1]))
@@ -313,7 +299,8 @@ def _thick_patch(points: Floats, controls: Floats, samples: int = 40) -> Floats:
     u, v = np.linspace(0, rows - 1, samples), np.linspace(0, columns - 1, samples)
     places, degree = (np.arange(rows), np.arange(columns)), min(3, rows - 1)
     splines = [
-        RectBivariateSpline(*places, controls[..., i], kx=degree, ky=2)(u, v) for i in range(4)
+        interpolate.RectBivariateSpline(*places, controls[..., i], kx=degree, ky=2)(u, v)
+        for i in range(4)
     ]
     patch = np.stack(splines, -1).reshape(-1, 4)
     faces = split_quads(grid_quads(samples, samples)[:, [0, 3, 2, 1]])
@@ -345,7 +332,7 @@ def _teeth(points: Floats, shape: dict[str, Any], jaw: str) -> Floats:
     """Return the crowns of one jaw, set side by side along the dental arch."""
     arch = np.array(shape["dental_arch"][jaw], dtype=float)
     length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(arch, axis=0), axis=1))]
-    curve = CubicSpline(length, arch)
+    curve = interpolate.CubicSpline(length, arch)
     crowns, start = shape["teeth"][jaw], 0.0
     solid = np.full(len(points), -np.inf)
     for width in crowns["widths"]:
