@@ -7,7 +7,6 @@ with y up and z forward.
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -136,12 +135,13 @@ def _read_mesh(path: Path) -> Surface:
 
 def muscle_names(parts: dict[str, Part]) -> list[str]:
     """Return the muscles that move the face: the facial ones, then masseter and temporalis."""
-
-    def named(category: str, wanted: Callable[[str], bool]) -> list[str]:
-        return sorted(n for n, part in parts.items() if part.category == category and wanted(n))
-
-    facial = named("facial_muscle", lambda name: not name.endswith(_BEHIND))
-    return facial + named("mastication_muscle", lambda name: name.endswith(_CHEWING))
+    facial = [
+        n for n, p in parts.items() if p.category == "facial_muscle" and not n.endswith(_BEHIND)
+    ]
+    chewing = [
+        n for n, p in parts.items() if p.category == "mastication_muscle" and n.endswith(_CHEWING)
+    ]
+    return sorted(facial) + sorted(chewing)
 
 
 def with_table_axis(name: str, surface: Surface, skull: Floats) -> Muscle:

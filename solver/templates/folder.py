@@ -52,7 +52,7 @@ def read_template(path: Path) -> Template:
         codes of :func:`solver.anatomy.template.check_arrays`.
     """
     if path.is_dir():
-        return _Folder(path).template()
+        return _TemplateFolder(path).template()
     with tempfile.TemporaryDirectory() as unpacked:
         try:
             with path.open("rb") as stream:
@@ -62,7 +62,7 @@ def read_template(path: Path) -> Template:
             reason = f"{path.name} is neither a folder nor a ZIP: {error}"
             raise file_fault("template.unreadable", reason, path.name) from error
         inside = sorted(Path(unpacked).rglob(DESCRIPTION), key=lambda found: len(found.parts))
-        return _Folder(inside[0].parent if inside else Path(unpacked)).template()
+        return _TemplateFolder(inside[0].parent if inside else Path(unpacked)).template()
 
 
 def _unpack(file: str, stream: IO[bytes], folder: str) -> None:
@@ -75,7 +75,7 @@ def _unpack(file: str, stream: IO[bytes], folder: str) -> None:
         archive.extractall(folder)
 
 
-class _Folder:
+class _TemplateFolder:
     """A folder with its description, the ``matrix`` (3, 3) of its frame, and the skin in mm."""
 
     def __init__(self, folder: Path) -> None:
