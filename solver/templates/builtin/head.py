@@ -229,11 +229,11 @@ class Head:
 
         Raises :class:`InputError` (``builtin.expression``) for a name that is not one of the 52.
         """
-        for name in set(weights) - set(self.expression_names):
-            reason = f"{name} is not an expression of the built-in head"
-            raise InputError("builtin.expression", reason, expression=name)
         total = np.zeros_like(self.neutral)
         for name, weight in weights.items():
+            if name not in self.expression_names:
+                reason = f"{name} is not an expression of the built-in head"
+                raise InputError("builtin.expression", reason, expression=name)
             total += weight * MM_PER_UNIT * self.source.face_unit(name)[self._base_vertex]
         return total
 
