@@ -83,7 +83,7 @@ def write_template(template: Template, folder: Path) -> None:
 
 
 def _description(template: Template) -> str:
-    left, right = template.condyles.tolist()
+    left, right = template.condyles.astype(float).tolist()
     return f"""\
 format = {FORMAT}
 name = {_quote(template.name)}
