@@ -203,6 +203,13 @@ class DrawnHead:
         colour[measured] = linear(heat(error_mm[measured], most_mm))
         return DrawnBody(lit, colour, gloss=0.04)
 
+    def compare(
+        self, first: Floats, second: Floats, error_mm: Floats, most_mm: float = HEAT_MAX_MM
+    ) -> list[DrawnBody]:
+        """Return the head at ``first`` and at ``second`` (v, 3), and a heat map on the latter."""
+        lit = self.lit(second)
+        return [self.body(self.lit(first)), self.body(lit), self.heat_map(lit, error_mm, most_mm)]
+
 
 def _eye_colour(points: Floats) -> Floats:
     """Return the colours (n, 3) of two eyeballs that look forward."""

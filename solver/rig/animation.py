@@ -16,17 +16,19 @@ from zipfile import ZIP_DEFLATED, ZipFile
 
 import numpy as np
 
-from solver.drawing.render import Pixels
+from solver.drawing.head import DrawnHead
+from solver.drawing.render import DrawnBody, Lit, Pixels, render_bust
+from solver.drawing.sheet import MARGIN, Column, SheetLayout, draw_sheet
 from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.rig.animation_gltf import write_animation_glb
-from solver.rig.animation_picture import Filming, Shot, contact_sheet
 from solver.rig.gltf import Solid
 from solver.rig.motion import MotionFrame
+from solver.rig.pictures import THREE_QUARTER, face_camera
 from solver.rig.skin_basis import Singles
 from solver.scene.objects import SceneObject
 from solver.similarity import small_motion
-from solver.surface import Floats, Ints
+from solver.surface import Floats, Ints, Surface
 
 # ``animation.npz``: an animation as arrays; docs/guide/simulation.md describes it.
 
@@ -63,6 +65,75 @@ def write_animation_npz(
             for frame, skin in zip(frames, skins, strict=True):
                 placed = small_motion(frame.head)(skin[vertices].astype(np.float64))
                 stream.write(placed.astype("<f4").tobytes())
+
+
+# Frames as pictures, with what the face meets.
+
+# linear colour and opacity of what the face meets
+OBJECT, OBJECT_OPACITY = (0.35, 0.45, 0.52), 0.3
+
+
+class Filming:
+    """Draws a subject's skins, one like the other: all from where the neutral is seen."""
+
+    def __init__(self, model: SubjectModel) -> None:
+        self._head = DrawnHead(model.skin)
+        self._cameras = {
+            yaw: face_camera(model.skin.vertices, model.face, yaw) for yaw in (0.0, THREE_QUARTER)
+        }
+
+    def light(self, skin: Floats) -> Floats:
+        """Return the light on a skin (v, 3), for pictures of it and of skins that are alike."""
+        return self._head.lit(skin).light
+
+    def picture(
+        self,
+        skin: Floats,
+        light: Floats,
+        size: tuple[int, int],
+        *,
+        objects: Sequence[Surface] = (),
+        yaw: float = 0.0,
+    ) -> Pixels:
+        """Return a skin (v, 3) in the world, mm, with objects half transparent before it.
+
+        ``size`` is (width, height); ``yaw`` is 0 for a look from the front, :data:`THREE_QUARTER`
+        for one from the side.
+        """
+        body = self._head.body(self._head.lit(skin, light))
+        shown = [body, *(_glass(each) for each in objects)]
+        return render_bust(shown, self._cameras[yaw], size)
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A moment of an animation: its ``caption``, skin (v, 3) and objects in the world, mm."""
+
+    caption: str
+    skin: Floats
+    objects: tuple[Surface, ...] = ()
+
+
+def contact_sheet(
+    filming: Filming, shots: Sequence[Shot], title: str, detail: str, path: Path
+) -> None:
+    """Draw shots in rows of four, each from the front and from the side."""
+    layout = SheetLayout(cell=(300, 360), label=MARGIN, columns=4, foot=MARGIN)
+    columns = []
+    for shot in shots:
+        light = filming.light(shot.skin)
+        images = [
+            filming.picture(shot.skin, light, layout.cell, objects=shot.objects, yaw=yaw)
+            for yaw in (0.0, THREE_QUARTER)
+        ]
+        columns.append(Column(shot.caption, images))
+    draw_sheet(path, title, detail, ("", ""), columns, layout, scale_mm=None)
+
+
+def _glass(surface: Surface) -> DrawnBody:
+    return DrawnBody(
+        Lit(surface), np.tile(OBJECT, (len(surface.vertices), 1)), opacity=OBJECT_OPACITY
+    )
 
 
 # ``animation.mp4``: frames as a film, by PyAV (the extra ``video``).

@@ -119,7 +119,9 @@ def write_morphed(
         setattr(of_vertices, name, buffer.dense(values, gl.SCALAR, gl.ARRAY_BUFFER))
     targets = make_targets(buffer, normals)
     animation = animate(buffer, len(names))
-    parts = _parts_in_order(neutral)
+    # Blender numbers vertices by primitives: so it keeps their order where parts do not mix
+    by_vertex = sorted(skin_parts(neutral).items(), key=lambda part: neutral.faces[part[1]].min())
+    parts = dict(by_vertex)
     materials = [*parts, "object"] if solids else list(parts)
     document = gl.GLTF2(
         asset=gl.Asset(version="2.0", generator=GENERATOR),
@@ -136,13 +138,7 @@ def write_morphed(
                 weights=[0.0] * len(names),
                 extras={"targetNames": list(names)},
                 primitives=[
-                    gl.Primitive(
-                        attributes=of_vertices,
-                        indices=buffer.indices(neutral.faces[faces]),
-                        material=number,
-                        mode=gl.TRIANGLES,
-                        targets=targets,
-                    )
+                    _triangles(buffer, of_vertices, neutral.faces[faces], number, targets)
                     for number, faces in enumerate(parts.values())
                 ],
             ),
@@ -159,17 +155,29 @@ def write_morphed(
     document.save_binary(str(path))
 
 
+def _triangles(
+    buffer: Buffer,
+    attributes: gl.Attributes,
+    faces: Ints,
+    material: int,
+    targets: Sequence[gl.Attributes] = (),
+) -> gl.Primitive:
+    return gl.Primitive(
+        attributes=attributes,
+        indices=buffer.indices(faces),
+        material=material,
+        mode=gl.TRIANGLES,
+        targets=list(targets),
+    )
+
+
 def _mesh(buffer: Buffer, solid: Solid, material: int) -> gl.Mesh:
     """Return a solid's triangles; without normals they are drawn flat, as edges of objects are."""
     vertices = solid.shape.vertices * METRES
     corners = buffer.dense(vertices, gl.VEC3, gl.ARRAY_BUFFER, bounds=True)
-    triangles = gl.Primitive(
-        attributes=gl.Attributes(POSITION=corners),
-        indices=buffer.indices(solid.shape.faces),
-        material=material,
-        mode=gl.TRIANGLES,
-    )
-    return gl.Mesh(name=solid.name, primitives=[triangles])
+    attributes = gl.Attributes(POSITION=corners)
+    primitive = _triangles(buffer, attributes, solid.shape.faces, material)
+    return gl.Mesh(name=solid.name, primitives=[primitive])
 
 
 def _node(solid: Solid, mesh: int) -> gl.Node:
@@ -181,15 +189,6 @@ def _node(solid: Solid, mesh: int) -> gl.Node:
         rotation=Rotation.from_rotvec(place[:3]).as_quat().tolist(),
         translation=(place[3:] * METRES).tolist(),
     )
-
-
-def _parts_in_order(skin: Surface) -> dict[str, Ints]:
-    """Return part -> face numbers, by their first vertices.
-
-    Blender numbers vertices by primitives, so this keeps their order where parts do not mix.
-    """
-    parts = skin_parts(skin)
-    return dict(sorted(parts.items(), key=lambda part: int(skin.faces[part[1]].min())))
 
 
 def worst_error(expressions: Sequence[ExpressionFit], vertices: int) -> Floats:
@@ -235,7 +234,9 @@ def rigid_tracks(buffer: Buffer, times: Floats, places: Floats) -> Tracks:
     They are rotation vectors in rad and shifts in mm.
     """
     turns = Rotation.from_rotvec(places[:, :3]).as_quat()
-    turns *= _same_side(turns)[:, None]
+    # each on the side of the one before
+    flips = np.where(np.sum(turns[1:] * turns[:-1], axis=1) < 0, -1.0, 1.0)
+    turns *= np.cumprod(np.concatenate([[1.0], flips]))[:, None]
     at_keys = buffer.dense(times, gl.SCALAR, bounds=True)
     return {
         gl.ROTATION: (at_keys, buffer.dense(turns, gl.VEC4)),
@@ -264,20 +265,13 @@ def animation(name: str, *tracks: Tracks) -> gl.Animation:
     )
 
 
-def _same_side(quaternions: Floats) -> Floats:
-    """Return signs (f,) that keep each quaternion (f, 4) on the side of the one before."""
-    turned = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0
-    return np.asarray(np.cumprod(np.concatenate([[1.0], np.where(turned, -1.0, 1.0)])))
-
-
 @dataclass(frozen=True)
 class SparsePlaces:
-    """Numbers of the ``count`` vertices among ``of`` that sparse values are of: a buffer view."""
+    """Numbers of the vertices, among ``of``, that sparse values are of."""
 
-    view: int
+    indices: gl.AccessorSparseIndices
     count: int
     of: int
-    component: int
 
 
 class Buffer:
@@ -294,16 +288,12 @@ class Buffer:
         """Add values as 32-bit floats and return the accessor's number."""
         stored = np.ascontiguousarray(values, dtype="<f4")
         view = self._view(stored, target)
-        accessor = self._accessor(gl.FLOAT, len(stored), kind, bufferView=view)
-        if bounds:
-            _set_bounds(accessor, stored)
-        return len(self.accessors) - 1
+        return self._add(gl.FLOAT, len(stored), kind, stored if bounds else None, view)
 
     def indices(self, faces: Ints) -> int:
         """Add triangles and return the accessor's number."""
         view = self._view(np.ascontiguousarray(faces, "<u4"), gl.ELEMENT_ARRAY_BUFFER)
-        self._accessor(gl.UNSIGNED_INT, faces.size, gl.SCALAR, bufferView=view)
-        return len(self.accessors) - 1
+        return self._add(gl.UNSIGNED_INT, faces.size, gl.SCALAR, None, view)
 
     def morph(self, change: Floats, still: float, *, bounds: bool = False) -> int:
         """Add a change (v, 3) of an attribute, sparse where that is smaller."""
@@ -313,28 +303,16 @@ class Buffer:
         if len(moving) == 0:
             moving = np.zeros(1, np.int64)  # glTF wants at least one sparse entry
         values = np.ascontiguousarray(change[moving], "<f4")
-        short = len(change) <= 2**16
-        accessor = self._accessor(gl.FLOAT, len(change), gl.VEC3, bufferView=None)
-        accessor.sparse = gl.Sparse(
-            count=len(moving),
-            indices=gl.AccessorSparseIndices(
-                bufferView=self._view(moving.astype("<u2" if short else "<u4")),
-                componentType=gl.UNSIGNED_SHORT if short else gl.UNSIGNED_INT,
-            ),
-            values=gl.AccessorSparseValues(bufferView=self._view(values)),
-        )
-        if bounds:
-            whole = np.vstack([values, np.zeros((1, 3), "<f4")])
-            _set_bounds(accessor, values if len(values) == len(change) else whole)
-        return len(self.accessors) - 1
+        return self._sparse(gl.FLOAT, values, self.places(moving, len(change)), bounds)
 
     def places(self, moving: Ints, count: int) -> SparsePlaces:
         """Add the numbers (k,) of the vertices of ``count`` that sparse values are of."""
         short = count <= 2**16
-        view = self._view(moving.astype("<u2" if short else "<u4"))
-        return SparsePlaces(
-            view, len(moving), count, gl.UNSIGNED_SHORT if short else gl.UNSIGNED_INT
+        indices = gl.AccessorSparseIndices(
+            bufferView=self._view(moving.astype("<u2" if short else "<u4")),
+            componentType=gl.UNSIGNED_SHORT if short else gl.UNSIGNED_INT,
         )
+        return SparsePlaces(indices, len(moving), count)
 
     def quantise(
         self, values: Floats, places: SparsePlaces, bits: Literal[8, 16], *, bounds: bool = False
@@ -345,20 +323,23 @@ class Buffer:
         """
         most = 2 ** (bits - 1) - 1
         stored = np.rint(np.clip(values, -1.0, 1.0) * most).astype(f"<i{bits // 8}")
-        component = gl.BYTE if bits == 8 else gl.SHORT
-        accessor = self._accessor(component, places.of, gl.VEC3, bufferView=None)
-        accessor.normalized = True
-        accessor.sparse = gl.Sparse(
+        number = self._sparse(gl.BYTE if bits == 8 else gl.SHORT, stored, places, bounds)
+        self.accessors[number].normalized = True
+        return number
+
+    def _sparse(
+        self, component: int, stored: np.ndarray, places: SparsePlaces, bounds: bool
+    ) -> int:
+        """Add vectors at ``places``, zero elsewhere."""
+        still = np.zeros((0 if places.count == places.of else 1, 3), stored.dtype)
+        bounded = np.vstack([stored, still]) if bounds else None
+        number = self._add(component, places.of, gl.VEC3, bounded)
+        self.accessors[number].sparse = gl.Sparse(
             count=places.count,
-            indices=gl.AccessorSparseIndices(
-                bufferView=places.view, componentType=places.component
-            ),
+            indices=places.indices,
             values=gl.AccessorSparseValues(bufferView=self._view(stored)),
         )
-        if bounds:
-            still = np.zeros((0 if places.count == places.of else 1, 3), stored.dtype)
-            _set_bounds(accessor, np.vstack([stored, still]))
-        return len(self.accessors) - 1
+        return number
 
     def _view(self, stored: np.ndarray, target: int | None = None) -> int:
         self.content += b"\0" * (-len(self.content) % 4)
@@ -369,22 +350,25 @@ class Buffer:
         self.views.append(view)
         return len(self.views) - 1
 
-    def _accessor(
-        self, component: int, count: int, kind: str, *, bufferView: int | None
-    ) -> gl.Accessor:
+    def _add(
+        self,
+        component: int,
+        count: int,
+        kind: str,
+        bounded: np.ndarray | None,
+        view: int | None = None,
+    ) -> int:
+        """Add an accessor with min and max, as glTF demands for positions and key times."""
         accessor = gl.Accessor(
-            bufferView=bufferView,
-            byteOffset=0 if bufferView is not None else None,
+            bufferView=view,
+            byteOffset=None if view is None else 0,
             componentType=component,
             count=count,
             type=kind,
         )
+        if bounded is not None:
+            table = bounded.reshape(len(bounded), -1)
+            accessor.min = table.min(axis=0).astype(float).tolist()
+            accessor.max = table.max(axis=0).astype(float).tolist()
         self.accessors.append(accessor)
-        return accessor
-
-
-def _set_bounds(accessor: gl.Accessor, stored: np.ndarray) -> None:
-    """Set min and max, as glTF demands for positions and key times."""
-    table = stored.reshape(len(stored), -1)
-    accessor.min = table.min(axis=0).astype(float).tolist()
-    accessor.max = table.max(axis=0).astype(float).tolist()
+        return len(self.accessors) - 1

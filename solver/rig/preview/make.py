@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from solver.drawing.head import DrawnHead
-from solver.drawing.render import fade, render
 from solver.drawing.sheet import Column, SheetLayout, draw_sheet
 from solver.errors import InputError, SolveError
 from solver.fitting.activation import Resting
@@ -303,11 +302,9 @@ def preview_picture(model: SubjectModel, preview: Preview, path: Path, poses: in
         shown = neutral + preview.skin.motion(sample.slid.values)
         error = np.full(len(neutral), np.nan)
         error[model.face] = unseen.off[number]
-        simulated, previewed = head.lit(sample.skin), head.lit(shown)
-        bodies = (head.body(simulated), head.body(previewed), head.heat_map(previewed, error))
-        images = [fade(render([body], camera, *layout.cell)) for body in bodies]
+        bodies = head.compare(sample.skin, shown, error)
         words = f"{sample.slid.sort}, mean {unseen.off[number].mean():.2f} mm"
-        columns.append(Column(words, images))
+        columns.append(Column.of(words, bodies, camera, layout))
     detail = (
         f"{overall.poses} poses    mean {overall.mean:.2f} mm    "
         f"95 % below {overall.p95:.2f} mm    greatest {overall.max:.2f} mm"
