@@ -6,7 +6,7 @@ All files are documented in docs/guide/simulation.md.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from fractions import Fraction
 from importlib.util import find_spec
@@ -74,7 +74,7 @@ OBJECT, OBJECT_OPACITY = (0.35, 0.45, 0.52), 0.3
 
 
 class Filming:
-    """Draws a subject's skins, one like the other: all from where the neutral is seen."""
+    """Draws a subject's skins, all from where the neutral is seen."""
 
     def __init__(self, model: SubjectModel) -> None:
         self._head = DrawnHead(model.skin)
@@ -131,9 +131,8 @@ def contact_sheet(
 
 
 def _glass(surface: Surface) -> DrawnBody:
-    return DrawnBody(
-        Lit(surface), np.tile(OBJECT, (len(surface.vertices), 1)), opacity=OBJECT_OPACITY
-    )
+    colour = np.broadcast_to(OBJECT, surface.vertices.shape)
+    return DrawnBody(Lit(surface), colour, opacity=OBJECT_OPACITY)
 
 
 # ``animation.mp4``: frames as a film, by PyAV (the extra ``video``).
@@ -216,53 +215,41 @@ def write_animation(
     figures = {**report, "glb": {**asdict(written), "bytes": glb.stat().st_size}}
     table.write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     filming = Filming(model)
+
+    def shot(number: int) -> Shot:
+        frame = frames[number]
+        skin = frame.into_world(skins[number].astype(np.float64))
+        return Shot(f"{frame.time:.2f} s", skin, tuple(each.at(frame.time) for each in objects))
+
     shown = np.unique(np.linspace(0, len(frames) - 1, options.shots).round().astype(int))
-    shots = [_shot(frames[number], skins[number], objects) for number in shown]
-    contact_sheet(filming, shots, title, _detail(frames, times), sheet)
+    detail = (
+        f"{len(frames)} frames in {times[-1] - times[0]:.1f} s, "
+        f"{sum(frame.inverted for frame in frames)} inverted tets, "
+        f"skin at most {max(frame.penetration_mm for frame in frames):.2f} mm in what it meets"
+    )
+    contact_sheet(filming, [shot(number) for number in shown], title, detail, sheet)
     files = [table, glb, arrays, sheet]
     film = out / "animation.mp4"
     film.unlink(missing_ok=True)  # one of another scene is not to stay beside the new files
     if video:
         files.append(film)
-        pictures = _film(filming, frames, skins, objects, options)
+        pictures = _film(filming, len(frames), shot, options)
         write_video(film, pictures, options.size, _fps(times, options))
     return files
 
 
-def _shot(frame: MotionFrame, skin: Singles, objects: Sequence[SceneObject]) -> Shot:
-    placed = frame.into_world(skin.astype(np.float64))
-    return Shot(f"{frame.time:.2f} s", placed, tuple(each.at(frame.time) for each in objects))
-
-
 def _film(
-    filming: Filming,
-    frames: Sequence[MotionFrame],
-    skins: Singles,
-    objects: Sequence[SceneObject],
-    options: FilmOptions,
+    filming: Filming, count: int, shot: Callable[[int], Shot], options: FilmOptions
 ) -> Iterator[Pixels]:
     """Draw all frames; light, which takes longest, is interpolated between some of them."""
-
-    def shot(number: int) -> Shot:
-        return _shot(frames[number], skins[number], objects)
-
     light = filming.light(shot(0).skin)
-    for first in range(0, len(frames), options.lit_every):
-        begin, end = light, min(first + options.lit_every, len(frames) - 1)
+    for first in range(0, count, options.lit_every):
+        begin, end = light, min(first + options.lit_every, count - 1)
         light = filming.light(shot(end).skin)
-        for number in range(first, min(first + options.lit_every, len(frames))):
+        for number in range(first, min(first + options.lit_every, count)):
             share = (number - first) / max(end - first, 1)
             now, here = shot(number), begin + share * (light - begin)
             yield filming.picture(now.skin, here, options.size, objects=now.objects)
-
-
-def _detail(frames: Sequence[MotionFrame], times: Floats) -> str:
-    inverted = sum(frame.inverted for frame in frames)
-    deepest = max(frame.penetration_mm for frame in frames)
-    return (
-        f"{len(frames)} frames in {times[-1] - times[0]:.1f} s, {inverted} inverted tets, "
-        f"skin at most {deepest:.2f} mm in what it meets"
-    )
 
 
 def _fps(times: Floats, options: FilmOptions) -> float:

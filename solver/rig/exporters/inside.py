@@ -6,7 +6,6 @@ up to 16 mm and 0.016 mm up to 64 mm.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import igl
@@ -17,21 +16,15 @@ from solver.anatomy.embedding import barycentric
 from solver.anatomy.tetrahedra import barycentric_in_tets
 from solver.mechanics import jaw
 from solver.model import JawFrame, SubjectModel
+from solver.rig.container import half_precision, write_container
+from solver.rig.exporters import NO_OPTIONS
+from solver.rig.exporters import NoOptions as Options
 from solver.rig.rig import Rig
-from solver.rig.view.format import half_precision, write_container
 from solver.surface import Floats, Ints, Surface
 
 FILE = "inside.bin"
 MEDIA_TYPE = "application/octet-stream"
 WITH_EVERY_RIG = True
-
-
-@dataclass(frozen=True)
-class Options:
-    """There is nothing to choose."""
-
-
-# Points in and about the flesh follow its tets.
 
 
 # the face of a tet opposite each of its corners
@@ -49,10 +42,12 @@ def bind(points: Floats, vertices: Floats, tets: Ints) -> tuple[Ints, Floats]:
     tree.init(vertices, tets)
     tet = np.array(igl.in_element(vertices, tets, points, tree), np.int64)
     weights = np.empty((len(points), 4))
-    inside, outside = np.flatnonzero(tet >= 0), np.flatnonzero(tet < 0)
+    inside, outside = tet >= 0, tet < 0
     weights[inside] = barycentric_in_tets(points[inside], vertices[tets[tet[inside]]])
-    if len(outside):
-        faces, owners = _outer_faces(tets)
+    if outside.any():
+        sides = np.sort(tets[:, OPPOSITE].reshape(-1, 3), axis=1)
+        faces, first, count = np.unique(sides, axis=0, return_index=True, return_counts=True)
+        faces, owners = faces[count == 1], first[count == 1] // len(OPPOSITE)
         nearest, shares, _ = barycentric(points[outside], Surface(vertices, faces))
         tet[outside] = owners[nearest]
         same = tets[owners[nearest]][:, :, None] == faces[nearest][:, None, :]
@@ -60,20 +55,12 @@ def bind(points: Floats, vertices: Floats, tets: Ints) -> tuple[Ints, Floats]:
     return tet, weights
 
 
-def _outer_faces(tets: Ints) -> tuple[Ints, Ints]:
-    """Return the faces (f, 3) that belong to one tet only, and that tet's number (f,)."""
-    faces = np.sort(tets[:, OPPOSITE].reshape(-1, 3), axis=1)
-    unique, first, count = np.unique(faces, axis=0, return_index=True, return_counts=True)
-    outer = count == 1
-    return unique[outer], first[outer] // len(OPPOSITE)
-
-
 NO_MUSCLE = 255  # the number for none, in a byte
 NO_SURFACE = Surface(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
 Arrays = dict[str, np.ndarray]
 
 
-def write(rig: Rig, path: Path, _options: Options = Options()) -> None:
+def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
     """Write the tets in every expression, and the bones and muscles that move with them.
 
     ``at/k`` is left out for an expression whose tets the rig does not hold. Muscles are numbered as
@@ -98,8 +85,7 @@ def write(rig: Rig, path: Path, _options: Options = Options()) -> None:
             arrays[f"at/{k}"] = half_precision(fit.x - model.rest)
     for i, bone in enumerate(model.bones.values()):
         arrays |= _surface(f"bone/{i}", bone)
-    arrays |= _muscles(model)
-    write_container(path, header, arrays)
+    write_container(path, header, arrays | _muscles(model))
 
 
 def _surface(name: str, surface: Surface) -> Arrays:

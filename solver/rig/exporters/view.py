@@ -6,25 +6,21 @@ docs/reference/rig-format.md describes it. Displacements are in half precision, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from solver.rig.container import half_precision, write_container
+from solver.rig.exporters import NO_OPTIONS
+from solver.rig.exporters import NoOptions as Options
 from solver.rig.rig import Rig
-from solver.rig.view.format import half_precision, write_container
 
 FILE = "view.bin"
 MEDIA_TYPE = "application/octet-stream"
 WITH_EVERY_RIG = True
 
 
-@dataclass(frozen=True)
-class Options:
-    """There is nothing to choose."""
-
-
-def write(rig: Rig, path: Path, _options: Options = Options()) -> None:
+def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
     """Write the skin in every expression, the scans and the distances between them."""
     figures = rig.known_figures()
     neutral = rig.model.skin.vertices

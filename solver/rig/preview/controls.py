@@ -1,7 +1,7 @@
 """The sliders: every muscle's contraction, the jaw's ways, and what else each expression uses.
 
 All are numbers from 0 to 1 that change (a, b) linearly. A muscle's slider contracts it along its
-fibres (:mod:`~solver.rig.preview.controls`). The jaw has two controls, one each way, for each of
+fibres. The jaw has two controls, one each way, for each of
 its degrees of freedom that is used. One number per muscle cannot tell all of a fit with six: what
 is left of each expression is a control of its own, so that every fit can be reached.
 """
@@ -181,12 +181,10 @@ def _jaw(fitted: Floats, options: SliderOptions) -> tuple[list[Control], Floats,
     for axis, ways in enumerate(JAW_WAYS):
         for sign, title in zip((1.0, -1.0), ways, strict=True):
             there = np.maximum(sign * places[:, axis], 0.0)
-            most = options.margin * there.max(initial=0.0)
-            if title == "jaw opens":
-                most = max(most, options.least_opening)
-            if most * JAW_UNITS[axis] < options.least_jaw_mm:
-                continue
-            listed.append(Control(title.replace(" ", "_"), "jaw", title.capitalize()))
-            columns.append(sign * most * along[:, axis])
-            values.append(there / most)
+            least = options.least_opening if title == "jaw opens" else 0.0
+            most = max(options.margin * there.max(initial=0.0), least)
+            if most * JAW_UNITS[axis] >= options.least_jaw_mm:
+                listed.append(Control(title.replace(" ", "_"), "jaw", title.capitalize()))
+                columns.append(sign * most * along[:, axis])
+                values.append(there / most)
     return listed, np.array(columns).T, np.array(values).T

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,19 +60,14 @@ def poses_to_learn(
 ) -> list[Slid]:
     """Return the poses that the preview is made from, the most important first."""
     rng = np.random.default_rng([seed, 0])
-    return [
-        *(
-            Slid("expression", level * values, name)
-            for name, values in controls.presets.items()
-            for level in reversed(options.levels)
-        ),
-        *(
-            _alone(controls, number, level)
-            for number in range(len(controls))
-            for level in options.levels
-        ),
-        *_mix(controls, rng, options.learn, options),
+    fitted = [
+        Slid("expression", level * values, name)
+        for name, values in controls.presets.items()
+        for level in reversed(options.levels)
     ]
+    numbers = range(len(controls))
+    alone = [_alone(controls, number, level) for number in numbers for level in options.levels]
+    return [*fitted, *alone, *_mix(controls, rng, options.learn, options)]
 
 
 def poses_to_measure(
@@ -100,13 +96,16 @@ def _mix(
 ) -> Iterator[Slid]:
     for _ in range(counts.plausible):
         yield Slid("plausible", plausible_values(controls, rng, options))
-    used = _used_together(controls)
+    fitted = np.array(list(controls.presets.values()))
+    # how much the expressions use two muscles or ways of the jaw together, (k, k)
+    own = fitted.copy()
+    own[:, controls.of_kind("expression")] = 0.0
+    used = np.triu(own.T @ own, 1)
     for _ in range(counts.pairs if used.any() else 0):
         pair = rng.choice(used.size, p=used.ravel() / used.sum())
         values = np.zeros(len(controls))
         values[list(np.unravel_index(pair, used.shape))] = rng.uniform(*options.pair, 2)
         yield Slid("pair", values)
-    fitted = np.array(list(controls.presets.values()))
     changeable = controls.of_kind("muscle") + controls.of_kind("jaw")
     for _ in range(counts.variations):
         values = fitted[rng.integers(len(fitted))].copy()
@@ -134,13 +133,6 @@ def plausible_values(
     # the first of the jaw's controls opens it
     values[controls.of_kind("jaw")[0]] = rng.uniform(0.0, options.opening)
     return values
-
-
-def _used_together(controls: Sliders) -> Floats:
-    """Return how much the expressions use two muscles or ways of the jaw together, (k, k)."""
-    fitted = np.array(list(controls.presets.values()))
-    fitted[:, controls.of_kind("expression")] = 0.0
-    return np.triu(fitted.T @ fitted, 1)
 
 
 @dataclass(frozen=True)
@@ -177,21 +169,15 @@ class SliderSolver:
         for number, slid in enumerate(poses):
             if time.monotonic() > deadline:
                 break
-            try:
-                state = self._move(slid.values)
-            except SolveError:
-                pass
-            else:
+            pose = self._controls.pose(slid.values)
+            with suppress(SolveError):
+                state = self._face.continuation(self._near(slid.values), pose)
+                self._last, self._last_values = state, slid.values
                 skin = self._face.whole_skin(state.x, state.pose.b)
                 samples.append(Sample(slid, state.x, skin))
                 self._known.append((slid.values, state.x))
             listen(number + 1)
         return samples
-
-    def _move(self, values: Floats) -> State:
-        self._last = self._face.continuation(self._near(values), self._controls.pose(values))
-        self._last_values = values
-        return self._last
 
     def _near(self, values: Floats) -> State:
         """Return the nearest state; only the last one still has its factorised Hessian."""
