@@ -100,9 +100,11 @@ class Filming:
         ``size`` is (width, height); ``yaw`` is 0 for a look from the front, :data:`THREE_QUARTER`
         for one from the side.
         """
-        body = self._head.body(self._head.lit(skin, light))
-        shown = [body, *(_glass(each) for each in objects)]
-        return render_bust(shown, self._cameras[yaw], size)
+        bodies = [self._head.body(self._head.lit(skin, light))]
+        for each in objects:
+            colour = np.broadcast_to(OBJECT, each.vertices.shape)
+            bodies.append(DrawnBody(Lit(each), colour, opacity=OBJECT_OPACITY))
+        return render_bust(bodies, self._cameras[yaw], size)
 
 
 @dataclass(frozen=True)
@@ -128,11 +130,6 @@ def contact_sheet(
         ]
         columns.append(Column(shot.caption, images))
     draw_sheet(path, title, detail, ("", ""), columns, layout, scale_mm=None)
-
-
-def _glass(surface: Surface) -> DrawnBody:
-    colour = np.broadcast_to(OBJECT, surface.vertices.shape)
-    return DrawnBody(Lit(surface), colour, opacity=OBJECT_OPACITY)
 
 
 # ``animation.mp4``: frames as a film, by PyAV (the extra ``video``).
@@ -234,7 +231,9 @@ def write_animation(
     if video:
         files.append(film)
         pictures = _film(filming, len(frames), shot, options)
-        write_video(film, pictures, options.size, _fps(times, options))
+        usual = 1.0 / float(np.median(np.diff(times))) if len(times) > 1 else options.single_fps
+        fps = max(options.least_fps, round(usual, 2))
+        write_video(film, pictures, options.size, fps)
     return files
 
 
@@ -250,10 +249,3 @@ def _film(
             share = (number - first) / max(end - first, 1)
             now, here = shot(number), begin + share * (light - begin)
             yield filming.picture(now.skin, here, options.size, objects=now.objects)
-
-
-def _fps(times: Floats, options: FilmOptions) -> float:
-    """Return the usual number of frames a second."""
-    if len(times) < 2:
-        return options.single_fps
-    return max(options.least_fps, round(1.0 / float(np.median(np.diff(times))), 2))

@@ -87,11 +87,11 @@ class Muscles:
 def muscles(model: SubjectModel, volumes: Floats, S: sp.csr_array, a: Floats) -> Muscles:
     """Return the figures of activations ``a`` (m, 6); ``volumes`` (n,) are the tets' at rest."""
     tensors = matrices(a)
-    stretches = np.linalg.eigvalsh(tensors)
+    shortest, _, longest = np.asarray(np.linalg.eigvalsh(tensors), np.float64).T
     fibres = np.einsum("jkl,jkl->j", fibre_tensors(model, volumes, S), tensors)
     of_entries = S.data * np.repeat(volumes, np.diff(S.indptr))
-    flesh = np.bincount(S.indices, of_entries, minlength=len(a) + 1)[1:]
-    return Muscles(stretches[:, 0], stretches[:, 2], determinants(a), fibres, flesh)
+    flesh = np.asarray(np.bincount(S.indices, of_entries, len(a) + 1)[1:], np.float64)
+    return Muscles(shortest, longest, determinants(a), fibres, flesh)
 
 
 # from rest, in degrees and mm; see JAW_SOURCE
@@ -352,7 +352,7 @@ def _contact(fitted: Crossing | None, scan: Crossing | None) -> dict[str, Measur
 def _depths(found: Crossing | None) -> dict[str, float]:
     if found is None:
         return {}
-    depths = {
+    depths: dict[str, list[float | None]] = {
         "contact.lips": [found.lips],
         "contact.teeth": [found.upper_teeth, found.lower_teeth],
         "contact.bite": [found.bite],

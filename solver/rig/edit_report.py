@@ -226,7 +226,9 @@ def edit_picture(
         detail = f"{detail}; {len(expressions)} of {there} expressions are shown"
     moved = [np.linalg.norm(after - before, axis=1) for _, _, before, after in views]
     model = person.unedited
-    most = _scale_end(np.concatenate([each[model.face] for each in moved]), options)
+    usual = np.percentile([each[model.face] for each in moved], options.nearly_all)
+    ends = options.scales_mm
+    most = next((end for end in ends if end >= usual), ends[-1])
     head, layout = DrawnHead(model.skin), SheetLayout()
     columns = []
     for (name, yaw, before, after), motion in zip(views, moved, strict=True):
@@ -234,8 +236,3 @@ def edit_picture(
         bodies = head.compare(before, after, motion, most)
         columns.append(Column.of(name, bodies, camera, layout))
     draw_sheet(path, title, detail, ("Before", "After", "Moved"), columns, layout, most)
-
-
-def _scale_end(moved_mm: Floats, options: EditSheetOptions) -> float:
-    usual = np.percentile(moved_mm, options.nearly_all)
-    return next((end for end in options.scales_mm if end >= usual), options.scales_mm[-1])

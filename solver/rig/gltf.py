@@ -42,10 +42,14 @@ class ShapeOptions:
     move_seconds: float = 0.6  # from the neutral to a shape, and back
     hold_seconds: float = 0.4
 
-    @property
-    def period(self) -> float:
-        """Return the time in s that each shape has."""
-        return 2 * self.move_seconds + self.hold_seconds
+    def keys(self, count: int) -> tuple[Floats, Floats]:
+        """Return times (k,) in s and weights (k, count): neutral, shape, neutral, one by one."""
+        period = 2 * self.move_seconds + self.hold_seconds
+        steps = np.array([self.move_seconds, self.move_seconds + self.hold_seconds, period])
+        times = (period * np.arange(count)[:, None] + steps).ravel()
+        shapes = np.eye(count)
+        rows = np.stack([shapes, shapes, np.zeros_like(shapes)], axis=1).reshape(-1, count)
+        return np.append(0.0, times), np.vstack([np.zeros((1, count)), rows])
 
 
 DEFAULTS = ShapeOptions()  # every expression whole, a second and a half each
@@ -138,7 +142,13 @@ def write_morphed(
                 weights=[0.0] * len(names),
                 extras={"targetNames": list(names)},
                 primitives=[
-                    _triangles(buffer, of_vertices, neutral.faces[faces], number, targets)
+                    gl.Primitive(
+                        attributes=of_vertices,
+                        indices=buffer.indices(neutral.faces[faces]),
+                        material=number,
+                        mode=gl.TRIANGLES,
+                        targets=targets,
+                    )
                     for number, faces in enumerate(parts.values())
                 ],
             ),
@@ -155,29 +165,17 @@ def write_morphed(
     document.save_binary(str(path))
 
 
-def _triangles(
-    buffer: Buffer,
-    attributes: gl.Attributes,
-    faces: Ints,
-    material: int,
-    targets: Sequence[gl.Attributes] = (),
-) -> gl.Primitive:
-    return gl.Primitive(
-        attributes=attributes,
-        indices=buffer.indices(faces),
-        material=material,
-        mode=gl.TRIANGLES,
-        targets=list(targets),
-    )
-
-
 def _mesh(buffer: Buffer, solid: Solid, material: int) -> gl.Mesh:
     """Return a solid's triangles; without normals they are drawn flat, as edges of objects are."""
     vertices = solid.shape.vertices * METRES
     corners = buffer.dense(vertices, gl.VEC3, gl.ARRAY_BUFFER, bounds=True)
-    attributes = gl.Attributes(POSITION=corners)
-    primitive = _triangles(buffer, attributes, solid.shape.faces, material)
-    return gl.Mesh(name=solid.name, primitives=[primitive])
+    triangles = gl.Primitive(
+        attributes=gl.Attributes(POSITION=corners),
+        indices=buffer.indices(solid.shape.faces),
+        material=material,
+        mode=gl.TRIANGLES,
+    )
+    return gl.Mesh(name=solid.name, primitives=[triangles])
 
 
 def _node(solid: Solid, mesh: int) -> gl.Node:
@@ -193,10 +191,8 @@ def _node(solid: Solid, mesh: int) -> gl.Node:
 
 def worst_error(expressions: Sequence[ExpressionFit], vertices: int) -> Floats:
     """Return the greatest distance (v,) to the scans, mm; 0 where nothing was measured."""
-    worst = np.zeros(vertices)
-    for fit in expressions:
-        worst = np.fmax(worst, fit.error_mm)
-    return worst
+    errors = [np.zeros(vertices), *(fit.error_mm for fit in expressions)]
+    return np.asarray(np.fmax.reduce(errors))
 
 
 def _material(part: str) -> gl.Material:
@@ -213,19 +209,14 @@ def _material(part: str) -> gl.Material:
 
 
 def in_turn(buffer: Buffer, count: int, options: ShapeOptions = DEFAULTS) -> gl.Animation | None:
-    """Return neutral -> expression -> neutral for one after the other; None if there is none."""
+    """Return an animation of all shapes one after the other; None if there is none."""
     if not count:
         return None
-    period, shown = options.period, options.move_seconds + options.hold_seconds
-    times = [0.0]
-    weights = [np.zeros(count)]
-    for number, shape in enumerate(np.eye(count)):
-        start = number * period
-        times += [start + options.move_seconds, start + shown, start + period]
-        weights += [shape, shape, np.zeros(count)]
-    at_keys = buffer.dense(np.array(times), gl.SCALAR, bounds=True)
-    values = buffer.dense(np.concatenate(weights), gl.SCALAR)
-    return animation("expressions", {gl.WEIGHTS: (at_keys, values)})
+    times, weights = options.keys(count)
+    at_keys = buffer.dense(times, gl.SCALAR, bounds=True)
+    return animation(
+        "expressions", {gl.WEIGHTS: (at_keys, buffer.dense(weights.ravel(), gl.SCALAR))}
+    )
 
 
 def rigid_tracks(buffer: Buffer, times: Floats, places: Floats) -> Tracks:

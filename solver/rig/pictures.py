@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import igl
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -44,48 +45,46 @@ def fibre_threads(
     if model.fibres is None:
         return {}
     entries = model.weights.tocoo()
-    centres = model.rest[model.tets].mean(axis=1)
+    points = model.rest[model.tets].mean(axis=1)[entries.row]
     threads = {}
     for column, name in enumerate(model.muscle_names, start=1):
-        own = np.flatnonzero((entries.col == column) & (entries.data >= options.least_share))
-        if len(own):
-            points = centres[entries.row[own]]
-            threads[name] = _tubes(_trace(points, model.fibres[own], options), options)
+        own = (entries.col == column) & (entries.data >= options.least_share)
+        if own.any():
+            threads[name] = _tubes(_trace(points[own], model.fibres[own], options), options)
     return threads
 
 
 def _trace(points: Floats, directions: Floats, options: ThreadOptions) -> Floats:
     """Return polylines (k, 2 steps + 1, 3) through the points of a field."""
     tree = cKDTree(points)
-    count = min(options.neighbours, len(points))
-    halves = []
-    for sign in (-1.0, 1.0):
-        place, ahead, line = points, directions, []
+    nearest = range(1, min(options.neighbours, len(points)) + 1)
+
+    def follow(step_mm: float) -> list[Floats]:
+        line = [points]
         for _ in range(options.steps):
-            near = tree.query(place, k=range(1, count + 1))[1]
-            ahead = directions[near].mean(axis=1)
-            ahead = ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
-            place = place + sign * options.step_mm * ahead
-            line.append(place)
-        halves.append(line)
-    return np.stack([*halves[0][::-1], points, *halves[1]], axis=1)
+            ahead = _unit(directions[tree.query(line[-1], k=nearest)[1]].mean(axis=1))
+            line.append(line[-1] + step_mm * ahead)
+        return line[1:]
+
+    back, forth = follow(-options.step_mm), follow(options.step_mm)
+    return np.stack([*back[::-1], points, *forth], axis=1)
+
+
+def _unit(vectors: Floats) -> Floats:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9))
 
 
 def _tubes(lines: Floats, options: ThreadOptions) -> Surface:
     """Return triangles around polylines (k, s, 3), thinner towards both ends."""
     count, steps, _ = lines.shape
     sides = options.sides
-    along = np.gradient(lines, axis=1)
-    along /= np.maximum(np.linalg.norm(along, axis=2, keepdims=True), 1e-9)
-    least = np.eye(3)[np.abs(along).argmin(axis=2)]
-    across = np.cross(along, least)
-    across /= np.linalg.norm(across, axis=2, keepdims=True)
+    along = _unit(np.gradient(lines, axis=1))
+    across = _unit(np.cross(along, np.eye(3)[np.abs(along).argmin(axis=2)]))
     other = np.cross(along, across)
     width = options.radius_mm * np.sin(np.linspace(0.15, np.pi - 0.15, steps)) ** 0.5
     angle = 2 * np.pi * np.arange(sides) / sides
-    circle = (
-        np.cos(angle)[:, None] * across[:, :, None] + np.sin(angle)[:, None] * other[:, :, None]
-    )
+    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    circle = cosine * across[:, :, None] + sine * other[:, :, None]
     vertices = lines[:, :, None] + width[:, None, None] * circle
     number: Ints = np.arange(count * steps * sides).reshape(count, steps, sides)
     a, b = number[:, :-1], number[:, 1:]
@@ -105,9 +104,10 @@ def fit_picture(model: SubjectModel, fit: ExpressionFit, path: Path) -> None:
     cell = width, height = WIDTH // 3, 520
     foot = HEADER + 2 * height
     page = Sheet(WIDTH, foot + 64)
+    role = f"{ROLES[fit.role]} expression" if fit.role in ROLES else fit.role
     page.heading(
         fit.name.replace("_", " "),
-        f"{_role_words(fit.role)}    mean {error.mean():.2f} mm    "
+        f"{role}    mean {error.mean():.2f} mm    "
         f"95 % below {np.percentile(error, 95):.2f} mm    greatest {error.max():.2f} mm",
     )
     for column, (title, body) in enumerate(zip(("Scan", "Fit", "Error"), bodies, strict=True)):
@@ -118,10 +118,6 @@ def fit_picture(model: SubjectModel, fit: ExpressionFit, path: Path) -> None:
         page.text((left + width // 2, HEADER), title, 20, anchor="ma")
     page.scale((WIDTH - width + 60, foot + 12), width - 130)
     page.save(path)
-
-
-def _role_words(role: str) -> str:
-    return f"{ROLES[role]} expression" if role in ROLES else role
 
 
 @dataclass(frozen=True)
@@ -258,16 +254,10 @@ def _tet_colours(model: SubjectModel, palette: dict[str, Colour]) -> Floats:
 
 def _tet_body(model: SubjectModel, keep: np.ndarray, colour: Floats) -> DrawnBody:
     """Return the outside of the kept tets, every triangle flat and in its tet's colour."""
-    tets = model.tets[keep]
-    faces = tets[:, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]].reshape(-1, 3)
-    owner = np.repeat(np.flatnonzero(keep), 4)
-    _, first, count = np.unique(
-        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
-    )
-    outside = first[count == 1]
-    corners = model.rest[faces[outside]].reshape(-1, 3)
+    faces, owners, _ = igl.boundary_facets(model.tets[keep])
+    corners = model.rest[faces].reshape(-1, 3)
     triangles: Ints = np.arange(len(corners)).reshape(-1, 3)
-    shades = np.repeat(colour[owner[outside]], 3, axis=0)
+    shades = np.repeat(colour[keep][owners], 3, axis=0)
     return DrawnBody(Lit(Surface(corners, triangles)), shades, gloss=0.0, edges=True)
 
 
@@ -342,7 +332,7 @@ def _mark(
 
 @dataclass(frozen=True)
 class SequenceShot:
-    """A fitted frame on the scan topology: ``seen`` and ``skin`` (v, 3), and ``error_mm`` (v,).
+    """A fitted frame: ``seen`` and ``skin`` (v, 3) on the scan topology, and ``error_mm`` (v,).
 
     ``error_mm`` is NaN where nothing was seen; there ``seen`` is the fitted skin.
     """

@@ -275,12 +275,10 @@ def _trip_words(trip: dict[str, Any] | None) -> str:
         return "not tried"
     if not trip["reached"]:
         return "the pose cannot be reached from rest"
-    mean, most, refit = (
-        figure(trip[name], 3) for name in ("skin_mean_mm", "skin_max_mm", "refit_mean_mm")
-    )
     words = (
-        f"simulated from rest: mean {mean} mm, greatest {most} mm away; fitted again: "
-        f"mean {refit} mm"
+        f"simulated from rest: mean {figure(trip['skin_mean_mm'], 3)} mm, greatest "
+        f"{figure(trip['skin_max_mm'], 3)} mm away; fitted again: mean "
+        f"{figure(trip['refit_mean_mm'], 3)} mm"
     )
     if (error := trip["activation_error"]) is not None:
         words += f", activations of the excited muscles within {100 * error:.1f} %"

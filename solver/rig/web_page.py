@@ -146,11 +146,6 @@ def _tag(verdict: str) -> str:
     return _element("span", sign, WORDS[verdict], class_=f"tag {verdict}")
 
 
-def _tile(words: str, value: str, unit: str) -> str:
-    number = _element("strong", value, " ", _element("em", escape(unit)))
-    return _element("div", number, escape(words), class_="tile")
-
-
 def _link(name: str, anchors: dict[str, str]) -> str:
     return _element("a", escape(name), href=f"#{anchors[name]}")
 
@@ -181,7 +176,11 @@ def _tiles(figures: dict[str, Any]) -> str:
         for code, words in TILES.items()
         if code in worst
     ]
-    return "\n".join(_tile(*each) for each in tiles)
+    lines = []
+    for words, value, unit in tiles:
+        number = _element("strong", value, " ", _element("em", escape(unit)))
+        lines.append(_element("div", number, escape(words), class_="tile"))
+    return "\n".join(lines)
 
 
 def _todo(figures: dict[str, Any], anchors: dict[str, str]) -> str:

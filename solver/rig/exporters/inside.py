@@ -27,10 +27,6 @@ MEDIA_TYPE = "application/octet-stream"
 WITH_EVERY_RIG = True
 
 
-# the face of a tet opposite each of its corners
-OPPOSITE = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-
-
 def bind(points: Floats, vertices: Floats, tets: Ints) -> tuple[Ints, Floats]:
     """Return the tet (n,) that each point (n, 3) follows and its barycentric weights (n, 4).
 
@@ -45,9 +41,7 @@ def bind(points: Floats, vertices: Floats, tets: Ints) -> tuple[Ints, Floats]:
     inside, outside = tet >= 0, tet < 0
     weights[inside] = barycentric_in_tets(points[inside], vertices[tets[tet[inside]]])
     if outside.any():
-        sides = np.sort(tets[:, OPPOSITE].reshape(-1, 3), axis=1)
-        faces, first, count = np.unique(sides, axis=0, return_index=True, return_counts=True)
-        faces, owners = faces[count == 1], first[count == 1] // len(OPPOSITE)
+        faces, owners, _ = igl.boundary_facets(tets)
         nearest, shares, _ = barycentric(points[outside], Surface(vertices, faces))
         tet[outside] = owners[nearest]
         same = tets[owners[nearest]][:, :, None] == faces[nearest][:, None, :]

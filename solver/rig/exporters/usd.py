@@ -165,26 +165,19 @@ def _animation(
     weights = animation.CreateBlendShapeWeightsAttr()
     translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
 
-    def key(seconds: float, shown: Floats, b: Floats) -> None:
-        time = Usd.TimeCode(round(seconds * FRAMES_PER_SECOND))
+    jaws = np.array([fit.jaw for fit in expressions]).reshape(-1, jaw.DEGREES_OF_FREEDOM)
+    times, rows = options.keys(len(expressions))
+    for seconds, shown in zip(times.tolist(), rows, strict=True):
+        time, b = Usd.TimeCode(round(seconds * FRAMES_PER_SECOND)), shown @ jaws
         x, y, z, w = Rotation.from_matrix(jaw.rotation(model.jaw, b)).as_quat().tolist()
         place = jaw.move(model.jaw, model.jaw.origin[None], b)[0]
         weights.Set(Vt.FloatArray.FromNumpy(shown.astype(np.float32)), time)
         translations.Set([Gf.Vec3f(0.0), Gf.Vec3f(*place.tolist())], time)
         rotations.Set([Gf.Quatf(1.0), Gf.Quatf(w, x, y, z)], time)
-
-    still, closed = np.zeros(len(expressions)), np.zeros(jaw.DEGREES_OF_FREEDOM)
-    period, held = options.period, options.move_seconds + options.hold_seconds
-    key(0.0, still, closed)
-    for number, fit in enumerate(expressions):
-        start, shown = number * period, np.eye(len(expressions))[number]
-        key(start + options.move_seconds, shown, fit.jaw)
-        key(start + held, shown, fit.jaw)
-        key(start + period, still, closed)
     stage.SetTimeCodesPerSecond(FRAMES_PER_SECOND)
     stage.SetFramesPerSecond(FRAMES_PER_SECOND)
     stage.SetStartTimeCode(0.0)
-    stage.SetEndTimeCode(round(len(expressions) * period * FRAMES_PER_SECOND))
+    stage.SetEndTimeCode(round(times[-1] * FRAMES_PER_SECOND))
 
 
 def _free(stage: Usd.Stage, parent: Sdf.Path, name: str) -> Sdf.Path:

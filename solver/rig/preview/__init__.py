@@ -85,10 +85,8 @@ class PreviewError:
     def of_sorts(self) -> dict[str, Distances]:
         """Return the distances of every sort of pose."""
         sorts = np.array([sample.slid.sort for sample in self.samples])
-        return {
-            sort: self._over(np.flatnonzero(sorts == sort))
-            for sort in dict.fromkeys(sorts.tolist())
-        }
+        names = dict.fromkeys(sorts.tolist())
+        return {sort: self._over(np.flatnonzero(sorts == sort)) for sort in names}
 
     def mean_about(self, name: str) -> float | None:
         """Return the mean distance, mm, of the poses about a control or an expression."""
@@ -98,7 +96,8 @@ class PreviewError:
     def _over(self, rows: Ints) -> Distances:
         off = self.off[rows]
         figures = (self._moved[rows].mean(), off.mean(), np.percentile(off, 95), off.max())
-        return Distances(*map(float, figures), poses=len(rows))
+        moved, mean, p95, most = map(float, figures)
+        return Distances(moved, mean, p95, most, len(rows))
 
 
 # called with what is being done and how much of all is ready, in [0, 1]
