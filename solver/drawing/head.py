@@ -60,10 +60,7 @@ def both_sides(muscle: str) -> str:
 
 
 def muscle_colours(names: tuple[str, ...]) -> dict[str, tuple[float, ...]]:
-    """Return muscle without side -> sRGB colour: hues by the golden ratio, alike in strength.
-
-    Neighbours in the list get hues far apart, and the two sides of a muscle share one.
-    """
+    """Return muscle without side -> sRGB colour, of hues far apart for neighbours in the list."""
     lightness = (0.40, 0.56, 0.48, 0.66)
     return {
         kind: colorsys.hls_to_rgb((0.985 + number * 0.381966) % 1.0, lightness[number % 4], 0.58)
@@ -175,10 +172,7 @@ class DrawnHead:
             self._colour = np.vstack([self._colour, _eye_colour(fine)])
 
     def lit(self, vertices: Floats, light: Floats | None = None) -> Lit:
-        """Return the whole head with its topology at ``vertices`` (v, 3), for the bodies below.
-
-        ``light`` is that of the head in another pose, if it is to be had.
-        """
+        """Return the head at ``vertices`` (v, 3); ``light`` may be that of another pose."""
         if len(self.eyes):
             eyes = vertices[self._eye_vertices]
             fine, _ = igl.upsample(eyes, self._eye_faces, EYE_SUBDIVISIONS)

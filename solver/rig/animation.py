@@ -149,10 +149,7 @@ def check_video() -> None:
 
 
 def write_video(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], fps: float) -> None:
-    """Write sRGB ``pictures`` (h, w, 3) from 0 to 1 at ``fps``; ``size`` is (w, h), even numbers.
-
-    Raises as :func:`check_video`.
-    """
+    """Write sRGB ``pictures`` (h, w, 3) from 0 to 1, w and h even; see :func:`check_video`."""
     check_video()
     import av
 

@@ -146,10 +146,7 @@ def _skin_error(basis: Basis, times: Floats) -> Error:
 
 
 def _rigid_error(shape: Surface, places: Floats, times: Floats) -> Error:
-    """Return the error of what turns and moves from frame to frame, seen at its box's corners.
-
-    By glTF it turns steadily (slerp); Blender draws quaternions' entries as lines. Both count.
-    """
+    """Return the error at the corners of the box of what turns and moves from frame to frame."""
     box = np.array([shape.vertices.min(axis=0), shape.vertices.max(axis=0)])
     corners = np.stack(np.meshgrid(*box.T), axis=-1).reshape(-1, 3)
     turns = Rotation.from_rotvec(places[:, :3])
@@ -159,6 +156,7 @@ def _rigid_error(shape: Surface, places: Floats, times: Floats) -> Error:
         shifts = _between(places[[first, last], 3:], ends, now) - places[frames, 3:]
         quaternions = turns[[first, last]].as_quat()
         quaternions[1] *= np.copysign(1.0, quaternions[0] @ quaternions[1])
+        # by glTF it turns steadily, Blender draws quaternions' entries as lines: both count
         steady = Slerp(ends, turns[[first, last]])(now)
         straight = Rotation.from_quat(_between(quaternions, ends, now))
         apart = [

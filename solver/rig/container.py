@@ -89,13 +89,9 @@ def _store(name: str, array: np.ndarray) -> np.ndarray:
 
 
 def _header(header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[bytes, list[int]]:
-    """Return the header's bytes and where each array begins.
-
-    The places of the arrays are part of the header, and their digits of its length: they move on
-    until the header fits before them.
-    """
+    """Return the header's bytes and where each array begins."""
     sizes = [_align(array.nbytes) for array in arrays.values()]
-    begin = 0
+    begin = 0  # moves on until the header fits: its places are in it, and their digits count
     while True:
         places = [begin + sum(sizes[:number]) for number in range(len(sizes))]
         table = {

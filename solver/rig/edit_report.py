@@ -26,10 +26,7 @@ FORMAT = 1  # of edit.json and edit.npz
 
 @dataclass(frozen=True)
 class Compared:
-    """One expression of the rig: ``before`` and ``after`` the edits, and as ``fitted`` (V, 3).
-
-    None where the flesh found no rest.
-    """
+    """One expression ``before`` and ``after`` edits (None: no rest found), as ``fitted`` (V, 3)."""
 
     name: str
     before: Replayed | None

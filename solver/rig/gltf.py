@@ -48,7 +48,7 @@ class ShapeOptions:
         steps = np.array([self.move_seconds, self.move_seconds + self.hold_seconds, period])
         times = (period * np.arange(count)[:, None] + steps).ravel()
         shapes = np.eye(count)
-        rows = np.stack([shapes, shapes, np.zeros_like(shapes)], axis=1).reshape(-1, count)
+        rows = np.stack([shapes, shapes, np.zeros_like(shapes)], axis=1).reshape(3 * count, count)
         return np.append(0.0, times), np.vstack([np.zeros((1, count)), rows])
 
 
@@ -57,10 +57,7 @@ DEFAULTS = ShapeOptions()  # every expression whole, a second and a half each
 
 @dataclass(frozen=True)
 class Solid:
-    """A rigid thing beside the face: its ``shape`` in mm, and its ``places`` (f, 6) in the world.
-
-    They are rotation vectors in rad and shifts in mm, frame by frame.
-    """
+    """A rigid ``shape`` (mm) and its ``places`` (f, 6): rotation vectors in rad, shifts in mm."""
 
     name: str
     shape: Surface
@@ -220,10 +217,7 @@ def in_turn(buffer: Buffer, count: int, options: ShapeOptions = DEFAULTS) -> gl.
 
 
 def rigid_tracks(buffer: Buffer, times: Floats, places: Floats) -> Tracks:
-    """Add a rigid motion, ``places`` (f, 6) at ``times`` (f,), for :func:`animation`.
-
-    They are rotation vectors in rad and shifts in mm.
-    """
+    """Add a rigid motion, ``places`` (f, 6) as of :class:`Solid`, for :func:`animation`."""
     turns = Rotation.from_rotvec(places[:, :3]).as_quat()
     # each on the side of the one before
     flips = np.where(np.sum(turns[1:] * turns[:-1], axis=1) < 0, -1.0, 1.0)
@@ -236,10 +230,7 @@ def rigid_tracks(buffer: Buffer, times: Floats, places: Floats) -> Tracks:
 
 
 def animation(name: str, *tracks: Tracks) -> gl.Animation:
-    """Return an animation of node 0, 1 ... by the ``tracks`` of each.
-
-    Values between two times lie on a straight line.
-    """
+    """Return an animation of node 0, 1 ... by the ``tracks`` of each, linear between two times."""
     moved = [(node, path, each[path]) for node, each in enumerate(tracks) for path in each]
     return gl.Animation(
         name=name,

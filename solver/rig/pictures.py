@@ -11,6 +11,7 @@ import igl
 import numpy as np
 from scipy.spatial import cKDTree
 
+from solver.anatomy.domain import join_surfaces
 from solver.anatomy.template import Template
 from solver.drawing.head import COLOURS, DrawnHead, both_sides, linear, muscle_colours
 from solver.drawing.render import GAMMA, Camera, DrawnBody, Lit, render, render_bust
@@ -19,8 +20,6 @@ from solver.model import SubjectModel
 from solver.rig.motion import SequenceFrame
 from solver.rig.result import ROLES, ExpressionFit
 from solver.surface import Floats, Ints, Surface, vertex_normals
-
-# Short threads along the fibres of muscles, for pictures.
 
 
 @dataclass(frozen=True)
@@ -174,9 +173,7 @@ def _draw_anatomy(anatomy: _Anatomy, path: Path, title: str, detail: str) -> Non
         ("three quarters", THREE_QUARTER, [inside, glass]),
         ("left side", SIDE, [inside, glass]),
     ]
-    page = Sheet.with_legend(title, detail, palette, WIDTH, HEADER + VIEW_HEIGHT + 48)
-    _draw_views(page, anatomy.skin.vertices, anatomy.face, views)
-    page.save(path)
+    _draw_views(path, title, detail, palette, (anatomy.skin.vertices, anatomy.face), views)
 
 
 def tets_picture(model: SubjectModel, path: Path) -> None:
@@ -196,21 +193,26 @@ def tets_picture(model: SubjectModel, path: Path) -> None:
     )
     fat: Colour = tuple(value ** (1 / GAMMA) for value in COLOURS["fat"])
     legend = {**palette, "fat and passive flesh": fat}
-    page = Sheet.with_legend("Tetrahedra", detail, legend, WIDTH, HEADER + VIEW_HEIGHT + 48)
     shown = [(title, yaw, [_tet_body(model, keep, colour)]) for title, yaw, keep in views]
-    _draw_views(page, model.skin.vertices, model.face, shown)
-    page.save(path)
+    _draw_views(path, "Tetrahedra", detail, legend, (model.skin.vertices, model.face), shown)
 
 
 def _draw_views(
-    page: Sheet, skin: Floats, face: Ints, views: list[tuple[str, float, list[DrawnBody]]]
+    path: Path,
+    title: str,
+    detail: str,
+    legend: dict[str, Colour],
+    face: tuple[Floats, Ints],
+    views: list[tuple[str, float, list[DrawnBody]]],
 ) -> None:
-    """Draw views, each a name, the camera's angle and bodies, over their names."""
+    """Draw views of a ``face``, each a name, the camera's angle and bodies, over a legend."""
+    page = Sheet.with_legend(title, detail, legend, WIDTH, HEADER + VIEW_HEIGHT + 48)
     width = WIDTH // len(views)
     for column, (name, yaw, bodies) in enumerate(views):
-        image = render_bust(bodies, face_camera(skin, face, yaw), (width, VIEW_HEIGHT))
+        image = render_bust(bodies, face_camera(*face, yaw), (width, VIEW_HEIGHT))
         page.panel((column * width, HEADER), image)
         page.text((column * width + width // 2, HEADER + VIEW_HEIGHT + 6), name, 17, anchor="ma")
+    page.save(path)
 
 
 def face_camera(skin: Floats, face: Ints, yaw: float) -> Camera:
@@ -231,14 +233,8 @@ def _inside(anatomy: _Anatomy, palette: dict[str, Colour], organs: DrawnBody) ->
     pieces += [(bone, np.array([COLOURS["bone"]])) for bone in anatomy.bones.values()]
     for name, muscle in anatomy.muscles.items():
         pieces.append((muscle, linear(np.array([palette[both_sides(name)]]))))
-    counts = [len(piece.vertices) for piece, _ in pieces]
-    starts = np.cumsum(counts) - counts
-    surface = Surface(
-        np.vstack([piece.vertices for piece, _ in pieces]),
-        np.vstack([piece.faces + start for (piece, _), start in zip(pieces, starts, strict=True)]),
-    )
     colour = [np.broadcast_to(colour, piece.vertices.shape) for piece, colour in pieces]
-    return DrawnBody(Lit(surface), np.vstack(colour))
+    return DrawnBody(Lit(join_surfaces([piece for piece, _ in pieces])), np.vstack(colour))
 
 
 def _tet_colours(model: SubjectModel, palette: dict[str, Colour]) -> Floats:

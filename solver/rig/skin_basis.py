@@ -113,10 +113,7 @@ def greatest_error(neutral: Surface, skins: Singles, basis: Basis) -> float:
 
 
 def _directions(samples: Singles, options: BasisOptions) -> tuple[Singles, Singles]:
-    """Return shapes (s, 3 k) that make all ``samples`` (f, 3 k), and how much coordinates count.
-
-    The importance (3 k,) is what the shapes are the best by.
-    """
+    """Return shapes (s, 3 k) that make ``samples`` (f, 3 k), and what coordinates (3 k,) count."""
     importance = np.ones(samples.shape[1], np.float32)
     most = min(options.most_shapes, len(samples))
     least = np.float32(options.least_importance)

@@ -92,10 +92,7 @@ def export(
 
 
 def write_all(rig: Rig, folder: Path) -> list[Path]:
-    """Write what belongs to every rig into its folder, and return the files.
-
-    An exporter whose extra is not there is left out.
-    """
+    """Write what belongs to every rig into its folder, unless its extra is missing."""
     files = []
     for name in EXPORTERS:
         try:

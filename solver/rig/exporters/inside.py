@@ -105,12 +105,10 @@ def _muscles(model: SubjectModel) -> Arrays:
 
 
 def _main_muscles(S: sp.csr_array) -> np.ndarray:
-    """Return the number (n,) of the muscle with the greatest share of each tet.
-
-    :data:`NO_MUSCLE` where passive flesh is the greater part, and beyond so many muscles.
-    """
+    """Return the number (n,) of the muscle with the greatest share of each tet."""
     main = np.asarray(S[:, 1:].tocsr().argmax(axis=1)).ravel()
     passive = np.asarray(S[:, [0]].todense()).ravel()
+    # none where passive flesh is the greater part, and beyond what a byte counts
     return np.where((passive < 0.5) & (main < NO_MUSCLE), main, NO_MUSCLE).astype(np.uint8)
 
 

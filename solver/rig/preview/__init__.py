@@ -18,13 +18,15 @@ from solver.fitting.face import Face
 from solver.model import SubjectModel
 from solver.rig.container import write_container
 from solver.rig.pictures import face_camera
-from solver.rig.preview.controls import SliderOptions, Sliders, controls_of
-from solver.rig.preview.samples import (
+from solver.rig.preview.sliders import (
     Responses,
     Sample,
     SampleOptions,
     Slid,
+    SliderOptions,
+    Sliders,
     SliderSolver,
+    controls_of,
     poses_to_learn,
     poses_to_measure,
 )
@@ -43,10 +45,7 @@ from solver.surface import Floats, Ints
 
 @dataclass(frozen=True)
 class Distances:
-    """Distances in mm of the face's vertices over a number of ``poses``.
-
-    ``moved`` is how far the simulated skin is from the neutral on average.
-    """
+    """Distances in mm over ``poses``; ``moved`` is the simulated skin's from the neutral."""
 
     moved: float
     mean: float
@@ -60,10 +59,7 @@ class Distances:
 
 
 class PreviewError:
-    """The distances of ``samples`` on the ``face`` (k,) vertices of the ``neutral`` skin (n, 3).
-
-    ``off`` (s, k) are all of them, in mm.
-    """
+    """Distances ``off`` (s, k), mm, of ``samples`` on the ``face`` (k,) of ``neutral`` (n, 3)."""
 
     def __init__(
         self, skin: ReducedSkin, samples: Sequence[Sample], neutral: Floats, face: Ints
@@ -211,10 +207,7 @@ def _learn(
     listen: Listener,
     options: PreviewOptions,
 ) -> ReducedSkin:
-    """Return the reduced skin of samples; slopes are left out after the ``deadline``.
-
-    Those of a control alone say nothing that mixed poses do not.
-    """
+    """Return the reduced skin of samples; slopes are left out after the ``deadline``."""
     motions = np.array([sample.skin for sample in samples]) - face.model.skin.vertices
     weights = vertex_weights(face.model, options.off_face)
     modes = modes_of(motions, weights, options.reduction)
@@ -224,6 +217,7 @@ def _learn(
     for number, sample in enumerate(samples):
         part = number / len(samples)
         listen("slopes", options.measuring + (1.0 - options.measuring) * part)
+        # a control alone says nothing that mixed poses do not
         is_wanted = sample.slid.sort != "alone" and time.monotonic() < deadline
         slopes.append(responses.at(sample) if is_wanted else None)
     values = np.array([sample.slid.values for sample in samples])
