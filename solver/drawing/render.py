@@ -318,16 +318,18 @@ def render(bodies: list[DrawnBody], camera: Camera, width: int, height: int) -> 
     return np.asarray(np.clip(image, 0, 1) ** (1 / GAMMA), np.float32)
 
 
-def render_bust(bodies: list[DrawnBody], camera: Camera, size: tuple[int, int]) -> Pixels:
-    """Return :func:`render` of ``size`` (width, height), faded where scans are cut off below."""
-    return fade(render(bodies, camera, *size))
-
-
-def fade(image: Pixels, start: float = 0.85, end: float = 0.96) -> Pixels:
-    """Return a bust whose lower end, where scans are cut off, runs out into the background.
+def render_bust(
+    bodies: list[DrawnBody],
+    camera: Camera,
+    size: tuple[int, int],
+    start: float = 0.85,
+    end: float = 0.96,
+) -> Pixels:
+    """Return :func:`render` of ``size`` (width, height), run out below where scans are cut off.
 
     It begins to fade at ``start`` and is gone at ``end``, parts of the height from above.
     """
+    image = render(bodies, camera, *size)
     rows = np.linspace(0, 1, len(image), dtype=np.float32)
     part = np.clip((rows - start) / (end - start), 0, 1)[:, None, None]
     part = part * part * (3 - 2 * part)
