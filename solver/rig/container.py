@@ -77,11 +77,6 @@ def read_container(path: str | Path) -> Container:
     return Container(header, arrays)
 
 
-def half_precision(values: np.ndarray) -> np.ndarray:
-    """Return displacements in half precision."""
-    return values.astype(np.float16)
-
-
 def _store(name: str, array: np.ndarray) -> np.ndarray:
     if array.dtype.name not in DTYPES:
         raise ValueError(f"{name} has dtype {array.dtype}; a view holds {', '.join(DTYPES)}")

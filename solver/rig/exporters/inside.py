@@ -16,7 +16,7 @@ from solver.anatomy.embedding import barycentric
 from solver.anatomy.tetrahedra import barycentric_in_tets
 from solver.mechanics import jaw
 from solver.model import JawFrame, SubjectModel
-from solver.rig.container import half_precision, write_container
+from solver.rig.container import write_container
 from solver.rig.exporters import NO_OPTIONS
 from solver.rig.exporters import NoOptions as Options
 from solver.rig.rig import Rig
@@ -76,7 +76,7 @@ def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
     }
     for k, fit in enumerate(rig.expressions):
         if fit.x is not None:
-            arrays[f"at/{k}"] = half_precision(fit.x - model.rest)
+            arrays[f"at/{k}"] = (fit.x - model.rest).astype(np.float16)
     for i, bone in enumerate(model.bones.values()):
         arrays |= _surface(f"bone/{i}", bone)
     write_container(path, header, arrays | _muscles(model))

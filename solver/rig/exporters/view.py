@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from solver.rig.container import half_precision, write_container
+from solver.rig.container import write_container
 from solver.rig.exporters import NO_OPTIONS
 from solver.rig.exporters import NoOptions as Options
 from solver.rig.rig import Rig
@@ -40,7 +40,7 @@ def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
         "activation": np.array(stretches, np.float32).reshape(len(told), len(names)),
     }
     for k, fit in enumerate(rig.expressions):
-        arrays[f"skin/{k}"] = half_precision(fit.skin - neutral)
-        arrays[f"scan/{k}"] = half_precision(fit.target - neutral)
-        arrays[f"error/{k}"] = half_precision(fit.error_mm)
+        arrays[f"skin/{k}"] = (fit.skin - neutral).astype(np.float16)
+        arrays[f"scan/{k}"] = (fit.target - neutral).astype(np.float16)
+        arrays[f"error/{k}"] = fit.error_mm.astype(np.float16)
     write_container(path, header, arrays)

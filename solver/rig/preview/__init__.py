@@ -209,7 +209,9 @@ def _learn(
 ) -> ReducedSkin:
     """Return the reduced skin of samples; slopes are left out after the ``deadline``."""
     motions = np.array([sample.skin for sample in samples]) - face.model.skin.vertices
-    weights = vertex_weights(face.model, options.off_face)
+    weights = np.full(motions.shape[1], options.off_face)
+    weights[face.model.face] = 1.0
+    weights /= weights.sum()
     modes = modes_of(motions, weights, options.reduction)
     measure = modes * weights[:, None]
     responses = Responses(face, controls, measure)
@@ -223,13 +225,6 @@ def _learn(
     values = np.array([sample.slid.values for sample in samples])
     amounts = np.einsum("rnc,snc->sr", measure, motions, optimize=True)
     return reduce_skin(modes, quadratic_map(values, amounts, slopes, options.reduction))
-
-
-def vertex_weights(model: SubjectModel, off_face: float = 0.1) -> Floats:
-    """Return what every skin vertex counts, (n,), with a sum of 1."""
-    weights = np.full(len(model.skin.vertices), off_face)
-    weights[model.face] = 1.0
-    return np.asarray(weights / weights.sum())
 
 
 # ``preview.bin``: what a page evaluates when a slider moves (docs/guide/preview.md).
