@@ -25,11 +25,12 @@ from benchmarks.reference import CONVERGED
 from benchmarks.speed.clock import History
 from benchmarks.subjects import COARSE_EDGE_MM
 from solver.errors import SolveError
-from solver.fitting import activation, defaults, geometry, per_tet, reference
+from solver.fitting import activation, geometry, per_tet, reference
 from solver.fitting.activation import ActivationOptions
+from solver.fitting.contact import terms
 from solver.fitting.face import Face, State
 from solver.fitting.geometry import GeometryOptions
-from solver.fitting.objective import Regulariser, SkinDistance, Target, Term
+from solver.fitting.objective import Regulariser, SkinDistance, Target, Term, distances
 from solver.fitting.per_tet import PerTetOptions
 from solver.mechanics.flesh import COROTATED_DET
 from solver.model import SubjectModel
@@ -72,7 +73,7 @@ def run(options: argparse.Namespace) -> Figures:
 def _solvers(model: SubjectModel, target: Target, w_a: float) -> dict[str, Any]:
     face, phace = Face(model), Face(model, material=COROTATED_DET)
     data = SkinDistance(face, target)
-    rest = face.rest_state()
+    rest = face.rest
     regulariser = Regulariser(w_a, 1e-2, 1e-6, rest.pose)
     _compile(face, phace, data, regulariser, rest)
 
@@ -126,7 +127,7 @@ def _rounds(
             distance = targets[name].distances(face.face_points(state.estimate))
             errors[name].append(float(np.nanmean(distance)))
 
-    data, first_terms = defaults.terms(face, targets), defaults.distances(face, targets)
+    data, first_terms = terms(face, targets), distances(face, targets)
     fitted = geometry.fit(face, data, options, first_terms=first_terms, listen=listen)
     listen(options.rounds, fitted.states)
     return errors

@@ -34,9 +34,10 @@ from benchmarks.speed import forward, ipopt, solvers
 from benchmarks.speed.clock import Stopwatch, peak_gib
 from benchmarks.speed.frames import frames
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
-from solver.fitting import defaults, geometry
+from solver.fitting import geometry
+from solver.fitting.contact import terms
 from solver.fitting.face import Face
-from solver.fitting.objective import Target
+from solver.fitting.objective import Target, distances
 from solver.mechanics.flesh import COROTATED_DET
 from solver.mechanics.linear import fastest
 from solver.templates.export import CaptureSet
@@ -92,14 +93,12 @@ def run(options: argparse.Namespace) -> Figures:
     solvers.compile_kernels(face, phace, next(iter(test.values())))
     log.info("geometry")
     with Stopwatch() as watch:
-        fitted = geometry.fit(
-            precise, defaults.terms(face, train), first_terms=defaults.distances(face, train)
-        )
+        fitted = geometry.fit(precise, terms(face, train), first_terms=distances(face, train))
     memory = peak_gib()
     log.info("geometry: %.1f s, %.2f GiB", watch.seconds, memory)
     face = face.with_weights(fitted.S)
-    rest, preparing = solvers.prepared(face)
-    by_a = solvers.activations(face, rest, _first(test, 2 if quick else len(test)))
+    preparing = solvers.prepared(face)
+    by_a = solvers.activations(face, _first(test, 2 if quick else len(test)))
     log.info("activations: %s", [round(e["seconds"], 2) for e in by_a])
     by_p = solvers.per_tets(phace, _first(test, 1 if quick else PER_TETS))
     log.info("per tet: %s", [round(e["seconds"], 1) for e in by_p])

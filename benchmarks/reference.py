@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
     scans = {**captures.train, **captures.test}
     names = list(scans)[: 3 if options.quick else None]
     regulariser = Regulariser(options.w_a, 1e-2, 1e-6, face.rest_pose())
-    rest = face.rest_state()
+    rest = face.rest
     # compile the kernels before anything is timed
     data = SkinDistance(face, Target.from_points(scans[names[0]].vertices[model.face]))
     activation.fit(face, data, regulariser, rest, ActivationOptions(1))

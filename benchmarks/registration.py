@@ -26,8 +26,7 @@ from benchmarks import report
 from benchmarks.corruption import Corruption, corrupted
 from benchmarks.documents import Section, Table
 from solver.anatomy.template import ShapeBasis, Template
-from solver.meshio.raw import RawScan, read_raw
-from solver.registration.mend import mend
+from solver.meshio.raw import RawScan, mend, read_raw
 from solver.registration.register import RegisteredFace, register
 from solver.registration.topology import Topology, topology
 from solver.similarity import weighted_motion

@@ -15,7 +15,6 @@ from benchmarks import report, subjects
 from benchmarks.documents import Figures, Section, Table
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.drawing.head import both_sides
-from solver.fitting.activation import Resting
 from solver.fitting.face import Face, Pose
 from solver.fitting.stretches import fibre_tensors, shorten
 from solver.mechanics.flesh import IDENTITY
@@ -39,8 +38,7 @@ def main() -> None:
     options = parser.parse_args()
     model, _ = subjects.load(options, COARSE_EDGE_MM if options.quick else EDGE_MM)
     face = Face(model)
-    rest = Resting(face)
-    sets = [_measure(face, rest, seed) for seed in range(SETS)]
+    sets = [_measure(face, seed) for seed in range(SETS)]
     figures: Figures = {
         "vertices": len(model.rest),
         "tets": len(model.tets),
@@ -71,11 +69,11 @@ def section(figures: Figures) -> Section:
     )
 
 
-def _measure(face: Face, rest: Resting, seed: int) -> Figures:
+def _measure(face: Face, seed: int) -> Figures:
     pose = plausible_pose(face, np.random.default_rng(seed))
-    simulated = face.face_points(face.continuation(rest.state, pose).x)
-    moved = np.linalg.norm(simulated - face.face_points(rest.state.x), axis=1)
-    trip = round_trip(face, pose, simulated, rest)
+    simulated = face.face_points(face.continuation(face.rest, pose).x)
+    moved = np.linalg.norm(simulated - face.face_points(face.rest.x), axis=1)
+    trip = round_trip(face, pose, simulated)
     return {
         "seed": seed,
         "muscles": int((pose.a != IDENTITY).any(axis=1).sum()),

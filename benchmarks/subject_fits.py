@@ -14,11 +14,12 @@ from benchmarks.documents import Figures
 from solver.contact.crossing import crossing
 from solver.contact.mouth import Mouth
 from solver.errors import SolveError
-from solver.fitting import defaults, fallback, geometry, per_tet
-from solver.fitting.activation import Resting
+from solver.fitting import fallback, geometry, per_tet
+from solver.fitting.activation import UNSEEN_STOP, unseen_regulariser
+from solver.fitting.contact import terms
 from solver.fitting.face import Face, State
 from solver.fitting.geometry import GeometryOptions
-from solver.fitting.objective import Target, Term
+from solver.fitting.objective import Target, Term, distances
 from solver.fitting.per_tet import PerTetOptions
 from solver.surface import Floats, Surface
 
@@ -84,7 +85,7 @@ def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> tuple[sp
         log.info("round %d: %.3f mm", number, geometry.mean_error(face, targets, states))
 
     start = time.perf_counter()
-    data, first_terms = defaults.terms(face, targets), defaults.distances(face, targets)
+    data, first_terms = terms(face, targets), distances(face, targets)
     fitted = geometry.fit(face, data, schedule, first_terms=first_terms, listen=listen)
     seconds = time.perf_counter() - start
     return fitted.S, Fits(face, dict(scans), fitted.states, seconds, {})
@@ -92,15 +93,15 @@ def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> tuple[sp
 
 def by_activations(face: Face, scans: Scans) -> Fits:
     """Fit activations and jaw to every scan, S being known."""
-    regulariser, rest = defaults.unseen_regulariser(face), Resting(face)
+    regulariser = unseen_regulariser(face)
 
     def fit(data: Term) -> State:
-        found = fallback.fit(face, data, regulariser, rest, defaults.UNSEEN_STOP)
+        found = fallback.fit(face, data, regulariser, UNSEEN_STOP)
         if found.status == "failed":
             raise SolveError("fit.failed", "; ".join(notice.message for notice in found.notices))
         return found.state
 
-    return _each(face, scans, defaults.terms(face, _targets(face, scans)), fit)
+    return _each(face, scans, terms(face, _targets(face, scans)), fit)
 
 
 def by_tets(face: Face, scans: Scans, options: PerTetOptions) -> Fits:
@@ -109,7 +110,7 @@ def by_tets(face: Face, scans: Scans, options: PerTetOptions) -> Fits:
     def fit(data: Term) -> State:
         return per_tet.fit(face, data, options=options).state
 
-    return _each(face, scans, defaults.terms(face, _targets(face, scans)), fit)
+    return _each(face, scans, terms(face, _targets(face, scans)), fit)
 
 
 def _each(face: Face, scans: Scans, data: Mapping[str, Term], fit: Callable[[Term], State]) -> Fits:

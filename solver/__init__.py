@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from solver.anatomy.template import Template as Template
     from solver.fitting.activation import ActivationOptions as ActivationOptions
-    from solver.fitting.activation import Resting as Resting
-    from solver.fitting.defaults import terms as expression_terms
-    from solver.fitting.defaults import unseen_regulariser as unseen_regulariser
+    from solver.fitting.activation import unseen_regulariser as unseen_regulariser
+    from solver.fitting.contact import terms as expression_terms
     from solver.fitting.face import Face as Face
     from solver.fitting.face import Pose as Pose
     from solver.fitting.fallback import fit as fit_expression
@@ -38,7 +37,6 @@ __all__ = [
     "ActivationOptions",
     "Face",
     "Pose",
-    "Resting",
     "Rig",
     "SubjectModel",
     "Target",
@@ -57,18 +55,17 @@ _PLACES = {
     "ActivationOptions": "solver.fitting.activation:ActivationOptions",
     "Face": "solver.fitting.face:Face",
     "Pose": "solver.fitting.face:Pose",
-    "Resting": "solver.fitting.activation:Resting",
     "Rig": "solver.rig.rig:Rig",
     "SubjectModel": "solver.model:SubjectModel",
     "Target": "solver.fitting.objective:Target",
     "Template": "solver.anatomy.template:Template",
-    "expression_terms": "solver.fitting.defaults:terms",
+    "expression_terms": "solver.fitting.contact:terms",
     "fit_expression": "solver.fitting.fallback:fit",
     "load_activations": "solver.rig.result:load_activations",
     "load_weights": "solver.rig.result:load_weights",
     "run_job": "solver.jobs:run_job",
     "save_weights": "solver.rig.result:save_weights",
-    "unseen_regulariser": "solver.fitting.defaults:unseen_regulariser",
+    "unseen_regulariser": "solver.fitting.activation:unseen_regulariser",
     "write_registered": "solver.meshio.registered:write_registered",
 }
 

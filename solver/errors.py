@@ -2,9 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
+
+LONGEST_QUOTE = 60  # characters of what a file says
+MOST_NAMES = 20  # of a list
+
+
+def quote(value: object) -> str:
+    """Return what a file says as it may stand in a message: short, on one line, printable."""
+    text = str(value)[: LONGEST_QUOTE + 1]
+    shown = "".join(each if each.isprintable() else ascii(each)[1:-1] for each in text)
+    return shown if len(shown) <= LONGEST_QUOTE else f"{shown[: LONGEST_QUOTE - 3]}..."
+
+
+def quote_names(names: Sequence[object], most: int = MOST_NAMES) -> list[str]:
+    """Return the first of a file's ``names``, each as :func:`quote` does, and how many follow."""
+    more = [f"and {len(names) - most} more"] if len(names) > most else []
+    return [*(quote(name) for name in names[:most]), *more]
 
 
 class _PlainError(Exception):

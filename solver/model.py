@@ -41,7 +41,7 @@ class SubjectModel:
     cranium, mandible, cut, sliding
         Vertex numbers: fixed to the cranium, moving with the mandible, fixed on the cut planes,
         and free to slide along the cranium (on the plane through their rest position, see
-        :mod:`solver.mechanics.sliding`).
+        :mod:`solver.mechanics.terms`).
     muscle_names
         The m muscles. Column 0 of S is passive flesh, column j the muscle ``muscle_names[j - 1]``.
     weights

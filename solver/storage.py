@@ -17,7 +17,7 @@ from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile, ZipInfo
 import numpy as np
 import scipy.sparse as sp
 
-from solver.errors import InputError
+from solver.errors import InputError, quote
 
 # Reading arrays that others packed: a file's claims are checked before room is made for them.
 #
@@ -93,15 +93,15 @@ def check_directory(stream: IO[bytes]) -> None:
 def _check_members(members: list[ZipInfo], most_bytes: int) -> None:
     names = set()
     for member in members:
-        name = member.filename
-        if not name.endswith(".npy"):
-            raise ValueError(f"it holds {name!r}, which is no array")
-        if name in names:
-            raise ValueError(f"it holds {name!r} twice")
-        names.add(name)
+        name = quote(member.filename)
+        if not member.filename.endswith(".npy"):
+            raise ValueError(f"it holds '{name}', which is no array")
+        if member.filename in names:
+            raise ValueError(f"it holds '{name}' twice")
+        names.add(member.filename)
         packed = member.compress_type in (ZIP_STORED, ZIP_DEFLATED)
         if not packed or member.flag_bits & ENCRYPTED:
-            raise ValueError(f"{name!r} is encrypted or packed in another way than NumPy does")
+            raise ValueError(f"'{name}' is encrypted or packed in another way than NumPy does")
     size = sum(member.file_size for member in members)
     if size > most_bytes:
         raise ValueError(f"it unpacks to {size} bytes; at most {most_bytes} can be read")
@@ -112,7 +112,7 @@ def _check_array(archive: ZipFile, member: ZipInfo) -> None:
         try:
             _check_size(stream, member.file_size)
         except ValueError as error:
-            raise ValueError(f"{member.filename}: {error}") from error
+            raise ValueError(f"{quote(member.filename)}: {error}") from error
 
 
 def _array(archive: ZipFile, member: ZipInfo) -> np.ndarray:
@@ -124,12 +124,13 @@ def _check_size(stream: IO[bytes], size: int) -> None:
     """Raise unless a ``stream`` of so many bytes begins with an NPY header that fits it."""
     shape, dtype = _header(stream)
     if dtype.kind not in PLAIN or not dtype.itemsize:
-        raise ValueError(f"it holds {dtype}, not plain values")
+        raise ValueError(f"it holds {quote(dtype)}, not plain values")
     if any(length < 0 for length in shape):
-        raise ValueError(f"it claims the shape {shape}")
+        raise ValueError(f"it claims the shape {quote(shape)}")
     needed = stream.tell() + math.prod(shape) * dtype.itemsize
     if needed != size:
-        raise ValueError(f"it has {size} bytes where {dtype} of shape {shape} needs {needed}")
+        claim = f"{quote(dtype)} of shape {quote(shape)} needs {quote(needed)}"
+        raise ValueError(f"it has {size} bytes where {claim}")
 
 
 def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
@@ -200,7 +201,7 @@ class Archive:
         if found != format_number:
             raise InputError(
                 f"{kind}.format",
-                f"{path.name} has {kind} format {found}, not {format_number}",
+                f"{path.name} has {kind} format {quote(found)}, not {format_number}",
                 file=path.name,
             )
         return cls(header, arrays)

@@ -22,7 +22,7 @@ from benchmarks.physics.section import section
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from myoface.client import Client
 from solver.anatomy.template import Template
-from solver.animation.recording import from_recording
+from solver.animation.drives import RecordedDrives
 from solver.model import SubjectModel
 from solver.scans.live_link import read_live_link
 
@@ -116,7 +116,7 @@ def _speed(options: argparse.Namespace) -> Figures:
     person, start = _person(options), performance.START
     frames = QUICK_FRAMES if options.quick else performance.FRAMES
     take = read_live_link(options.recording)
-    drives = from_recording(take, person.shapes, person.model, start, start + frames)
+    drives = RecordedDrives(take, person.shapes, person.model, start, start + frames)
     models = {}
     for given in options.size:
         edge, _, path = given.partition("=")

@@ -30,7 +30,7 @@ from solver.mechanics import equilibrium, linear
 from solver.mechanics.flesh import COROTATED_DET, COROTATED_TRACE, NEO_HOOKEAN, Flesh, Material
 from solver.model import SubjectModel
 from solver.similarity import IDENTITY
-from solver.simulation.inertia import Drive, Inertia, Motion, lumped_masses
+from solver.simulation.forces import Drive, Inertia, Motion, lumped_masses
 from solver.simulation.simulator import Simulator
 from solver.surface import Floats, Ints, area_normals
 

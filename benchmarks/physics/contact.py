@@ -20,8 +20,8 @@ import trimesh
 from benchmarks.documents import Figures
 from benchmarks.physics.fitted import Fitted
 from benchmarks.physics.headset import headset
-from solver.contact.crossing import Gauge, Penetration, depth_inside
-from solver.contact.potentials import contact_potentials
+from solver.contact.crossing import depth_inside
+from solver.contact.potentials import Gauge, Penetration, contact_potentials
 from solver.drawing.head import DrawnHead
 from solver.drawing.render import Camera, DrawnBody, Lit, render_bust
 from solver.drawing.sheet import HEADER, Sheet
@@ -148,7 +148,7 @@ def _gap(model: SubjectModel, thing: Surface) -> float:
 def _moved(person: Fitted, face: Face, pose: Pose) -> Floats:
     """Return the vertices of a pose, without contact."""
     face = face.with_weights(person.S)
-    return face.continuation(face.rest_state(), pose).x
+    return face.continuation(face.rest, pose).x
 
 
 def play(person: Fitted, scene: Scene, *, contact: bool) -> Played:

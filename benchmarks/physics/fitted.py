@@ -15,7 +15,7 @@ from solver.mechanics.flesh import COROTATED_TRACE
 from solver.model import SubjectModel
 from solver.rig.result import load_activations, load_weights
 from solver.similarity import IDENTITY, Similarity
-from solver.simulation.inertia import Drive
+from solver.simulation.forces import Drive
 
 
 @dataclass(frozen=True)

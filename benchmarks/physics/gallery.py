@@ -17,8 +17,7 @@ from solver.jobs.scenes import play, skin_of
 from solver.kinds.scene import SimulateScene
 from solver.progress import silent
 from solver.rig.animation import Filming, Shot, contact_sheet
-from solver.scene.document import read_scene
-from solver.scene.keys import drives_of
+from solver.scene.document import drives_of, read_scene
 from solver.scene.places import Places
 from solver.scene.stage import Stage
 

@@ -21,7 +21,7 @@ from benchmarks.documents import Figures
 from benchmarks.physics.fitted import Fitted
 from myoface.demo.outcome import khronos_validation
 from solver.anatomy.template import ShapeBasis
-from solver.animation.recording import RecordedDrives, from_recording
+from solver.animation.drives import RecordedDrives
 from solver.drawing.head import DrawnHead
 from solver.drawing.render import render_bust
 from solver.drawing.sheet import HEADER, MARGIN, Sheet
@@ -74,7 +74,7 @@ def run(
     ``basis`` are the shapes that the person's blendshapes were solved for.
     """
     out.mkdir(parents=True, exist_ok=True)
-    drives = from_recording(take, person.shapes, person.model, start, start + frames)
+    drives = RecordedDrives(take, person.shapes, person.model, start, start + frames)
     stage = Stage(SimulateScene(), Places(person.model, {}), person.S, drives)
     done = play(stage, out, TITLE, silent, resume=False, share=(0.0, 1.0))
     skins = np.array([skin_of(stage, frame) for frame in done])

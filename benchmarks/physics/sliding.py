@@ -41,7 +41,7 @@ class Raised:
 def raised(person: Fitted, *, pinned: bool) -> Raised:
     """Return the person with both brows raised as far as the blendshapes go."""
     face, pose = person.face(pinned=pinned), person.blend(*RAISED)
-    return Raised(face, face.continuation(face.rest_state(), pose).x, pose)
+    return Raised(face, face.continuation(face.rest, pose).x, pose)
 
 
 def run(person: Fitted) -> Figures:

@@ -10,7 +10,8 @@ import numpy as np
 from benchmarks.documents import Figures
 from benchmarks.speed.clock import Stopwatch
 from benchmarks.speed.solvers import CONVERGED, IPOPT_W_A, prepared
-from solver.fitting import activation, defaults
+from solver.fitting import activation
+from solver.fitting.activation import unseen_regulariser
 from solver.fitting.face import Face, Pose, State
 from solver.fitting.objective import SkinDistance, Target
 from solver.mechanics.linear import Factor, LinearSolver, fastest
@@ -27,7 +28,7 @@ PART = 0.5
 
 def forward(face: Face, poses: Mapping[str, Pose]) -> list[Figures]:
     """Simulate every pose cold, from the resting face, and warm, from 95 % of the pose."""
-    rest = face.rest_state()
+    rest = face.rest
     found = []
     for name, pose in poses.items():
         with Stopwatch() as cold:
@@ -72,21 +73,19 @@ def scaling(
     for edge in sorted(models, key=lambda edge: edge != common):
         model = models[edge]
         face = Face(model, linear=fastest())
-        regulariser = replace(defaults.unseen_regulariser(face), w_a=IPOPT_W_A)
-        rest, preparing = prepared(face)
+        regulariser = replace(unseen_regulariser(face), w_a=IPOPT_W_A)
+        preparing = prepared(face)
         fits, iterations = [], []
         for name in names:
             way = captures.test[name].vertices - captures.neutral.vertices
             target = Target.from_points((model.skin.vertices + PART * way)[model.face])
             data = SkinDistance(face, target)
             with Stopwatch() as watch:
-                fitted = activation.fit(
-                    face, data, regulariser, rest.state, CONVERGED, matrix=rest.matrix
-                )
+                fitted = activation.fit(face, data, regulariser, options=CONVERGED)
             fits.append(watch.seconds)
             iterations.append(fitted.iterations)
             poses.setdefault(name, fitted.state.pose)
-        moves, factors = _simulated(face, rest.state, {**plausible, **poses})
+        moves, factors = _simulated(face, face.rest, {**plausible, **poses})
         found.append(
             {
                 "edge_mm": edge,

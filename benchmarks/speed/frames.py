@@ -7,8 +7,8 @@ import numpy as np
 from benchmarks.documents import Figures
 from benchmarks.speed.clock import Stopwatch
 from solver.errors import SolveError
-from solver.fitting import activation, defaults
-from solver.fitting.activation import ActivationOptions
+from solver.fitting import activation
+from solver.fitting.activation import ActivationOptions, unseen_regulariser
 from solver.fitting.face import Face
 from solver.fitting.objective import SkinDistance, Target
 from solver.fitting.sequence import Tracker
@@ -24,7 +24,7 @@ def frames(face: Face, performance: IctPerformance, numbers: range, compared: in
     objective of the compared frames over the mean of their cold fits, less one. A frame that can
     not be fitted stays as the one before, and is in ``failed``.
     """
-    regulariser, rest = defaults.unseen_regulariser(face), face.rest_state()
+    regulariser, rest = unseen_regulariser(face), face.rest
     tracker = Tracker(face, regulariser, rest)
     alone = set(numbers[:: max(len(numbers) // compared, 1)])
     milliseconds, errors, inverted, pairs, failed = [], [], 0, [], []

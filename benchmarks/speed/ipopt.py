@@ -11,8 +11,8 @@ from benchmarks.documents import Figures
 from benchmarks.speed.clock import History, Stopwatch
 from benchmarks.speed.solvers import CONVERGED, IPOPT_W_A, prepared
 from solver.errors import SolveError
-from solver.fitting import activation, defaults, reference
-from solver.fitting.activation import Resting
+from solver.fitting import activation, reference
+from solver.fitting.activation import unseen_regulariser
 from solver.fitting.face import Face
 from solver.fitting.objective import Regulariser, SkinDistance, Target, Term
 from solver.fitting.reference import NotConvergedError
@@ -35,14 +35,14 @@ def against_ipopt(face: Face, targets: Mapping[str, Target]) -> list[Figures]:
     the same objective. ``ratio`` is of the times that each takes by its own tolerance, 1e-4 and
     IPOPT's 1e-7; ``ratio_same`` of the times after which f is within 0.1 % of its end for good.
     """
-    rest, _ = prepared(face)
-    regulariser = replace(defaults.unseen_regulariser(face), w_a=IPOPT_W_A)
+    prepared(face)
+    regulariser = replace(unseen_regulariser(face), w_a=IPOPT_W_A)
     found = []
     for name, target in targets.items():
         data = SkinDistance(face, target)
         try:
-            ours = _reduced(face, data, regulariser, rest)
-            theirs = _ipopt(face, data, regulariser, rest)
+            ours = _reduced(face, data, regulariser)
+            theirs = _ipopt(face, data, regulariser)
         except SolveError as error:
             found.append({"name": name, "failed": error.message})
             continue
@@ -59,20 +59,18 @@ def against_ipopt(face: Face, targets: Mapping[str, Target]) -> list[Figures]:
     return found
 
 
-def _reduced(face: Face, data: Term, regulariser: Regulariser, rest: Resting) -> Figures:
+def _reduced(face: Face, data: Term, regulariser: Regulariser) -> Figures:
     seconds, same = [], []
     for _ in range(REPEATS):
         history = History(time.perf_counter)
         with Stopwatch() as watch:
-            fitted = activation.fit(
-                face, data, regulariser, rest.state, CONVERGED, history, matrix=rest.matrix
-            )
+            fitted = activation.fit(face, data, regulariser, None, CONVERGED, history)
         seconds.append(watch.seconds)
         same.append(history.until(SAME_OBJECTIVE))
     return {"seconds": median(seconds), "seconds_same": median(same), "objective": fitted.objective}
 
 
-def _ipopt(face: Face, data: Term, regulariser: Regulariser, rest: Resting) -> Figures:
+def _ipopt(face: Face, data: Term, regulariser: Regulariser) -> Figures:
     history, failed = History(time.perf_counter), {}
     with Stopwatch() as watch:
         try:
@@ -80,8 +78,8 @@ def _ipopt(face: Face, data: Term, regulariser: Regulariser, rest: Resting) -> F
                 face,
                 data,
                 regulariser,
-                rest.state.pose,
-                rest.state.x,
+                face.rest.pose,
+                face.rest.x,
                 max_iterations=IPOPT_ITERATIONS,
                 listen=history,
             )

@@ -10,8 +10,13 @@ import numpy as np
 from benchmarks.documents import Figures
 from benchmarks.speed.clock import Stopwatch
 from solver.errors import SolveError
-from solver.fitting import activation, defaults, per_tet
-from solver.fitting.activation import ActivationFit, ActivationOptions, Resting
+from solver.fitting import activation, per_tet
+from solver.fitting.activation import (
+    ActivationFit,
+    ActivationOptions,
+    rest_curvature,
+    unseen_regulariser,
+)
 from solver.fitting.face import Face
 from solver.fitting.objective import SkinDistance, Target
 from solver.fitting.per_tet import PerTetOptions
@@ -28,16 +33,14 @@ IPOPT_W_A = 0.05
 expression. With 0.02 it fails for most of them. The scaling has it on all meshes."""
 
 
-def activations(face: Face, rest: Resting, targets: Mapping[str, Target]) -> list[Figures]:
-    """Fit every target by A, cold: from the resting face ``rest``, which is :func:`prepared`."""
-    regulariser = defaults.unseen_regulariser(face)
+def activations(face: Face, targets: Mapping[str, Target]) -> list[Figures]:
+    """Fit every target by A, cold: from the resting face, which is :func:`prepared`."""
+    regulariser = unseen_regulariser(face)
     found = []
     for name, target in targets.items():
         data = SkinDistance(face, target)
         with Stopwatch() as watch:
-            fitted = activation.fit(
-                face, data, regulariser, rest.state, CONVERGED, matrix=rest.matrix
-            )
+            fitted = activation.fit(face, data, regulariser, options=CONVERGED)
         further = activation.improve(face, data, regulariser, fitted.state, FURTHER)
         found.append(
             {
@@ -51,12 +54,11 @@ def activations(face: Face, rest: Resting, targets: Mapping[str, Target]) -> lis
     return found
 
 
-def prepared(face: Face) -> tuple[Resting, float]:
-    """Return what all expressions of a face begin with, ready and factorised, and its seconds."""
+def prepared(face: Face) -> float:
+    """Make what all expressions of a face begin with, and return the seconds that it took."""
     with Stopwatch() as watch:
-        rest = Resting(face)
-        _ = rest.matrix
-    return rest, watch.seconds
+        rest_curvature(face)
+    return watch.seconds
 
 
 def per_tets(face: Face, targets: Mapping[str, Target]) -> list[Figures]:
@@ -80,9 +82,9 @@ def per_tets(face: Face, targets: Mapping[str, Target]) -> list[Figures]:
 
 def compile_kernels(face: Face, phace: Face | None, target: Target) -> None:
     """Run every solver for a moment, so that no compilation is timed."""
-    rest = face.rest_state()
+    rest = face.rest
     data = SkinDistance(face, target)
-    regulariser = defaults.unseen_regulariser(face)
+    regulariser = unseen_regulariser(face)
     activation.fit(face, data, regulariser, rest, ActivationOptions(1))
     if phace is not None:
         with contextlib.suppress(SolveError):

@@ -14,10 +14,11 @@ import trimesh
 from scipy import ndimage
 from scipy.optimize import least_squares
 
+from solver.anatomy.embedding import at_nearest, inside
 from solver.mechanics import jaw
 from solver.model import JawFrame
 from solver.similarity import fit_similarity
-from solver.surface import Floats, Surface, vertex_normals
+from solver.surface import Floats, Ints, Surface, vertex_normals
 
 Volume = np.ndarray
 
@@ -67,28 +68,19 @@ class VoxelGrid:
         centres = self.lo + (numbers + 0.5) * self._side
         lo, hi = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
         near = ((centres > lo) & (centres < hi)).all(axis=1)
-        winding = igl.fast_winding_number(surface.vertices, surface.faces, centres[near])
-        volume[tuple(numbers[near][np.asarray(winding) > 0.5].T)] = True
+        volume[tuple(numbers[near][inside(surface, centres[near])].T)] = True
         return volume
 
     def surface(self, volume: Volume) -> Surface:
         """Return the smoothed, decimated boundary of the largest piece of ``volume``."""
-        labels, _ = ndimage.label(volume)
-        largest = labels == 1 + np.argmax(np.bincount(labels.ravel())[1:])
-        padded = np.pad(largest, 2).astype(float)
+        padded = np.pad(largest_piece(volume), 2).astype(float)
         field = ndimage.gaussian_filter(padded, self.options.smoothing_voxels)
-        # libigl counts x fastest.
-        nx, ny, nz = field.shape
-        steps = np.meshgrid(*[np.arange(k) for k in (nz, ny, nx)], indexing="ij")
-        points = np.column_stack([steps[2].ravel(), steps[1].ravel(), steps[0].ravel()])
-        points = self.lo + (points - 1.5) * self._side
-        values = field.transpose(2, 1, 0).ravel()
-        vertices, faces = igl.marching_cubes(values, points, nx, ny, nz, 0.5)[:2]
-        return self._simplify(Surface(np.asarray(vertices), np.asarray(faces).astype(np.int64)))
-
-    def _simplify(self, surface: Surface) -> Surface:
-        mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=True)
+        grid = [
+            low + (np.arange(n) - 1.5) * self._side
+            for low, n in zip(self.lo, field.shape, strict=True)
+        ]
         steps, count = self.options.taubin_steps, self.options.faces
+        mesh = trimesh.Trimesh(*level_set(field, grid, 0.5), process=True)
         trimesh.smoothing.filter_taubin(mesh, iterations=steps)  # type: ignore[no-untyped-call]
         vertices, faces, _, _ = igl.qslim(np.asarray(mesh.vertices), np.asarray(mesh.faces), count)
         result = trimesh.Trimesh(vertices, faces, process=True)
@@ -108,6 +100,24 @@ class VoxelGrid:
     def distance(self, volume: Volume) -> Floats:
         """Return the distance in mm of each voxel to the nearest of ``volume``."""
         return np.asarray(ndimage.distance_transform_edt(~volume, sampling=self._side))
+
+
+def largest_piece(solid: Volume) -> Volume:
+    """Return the largest connected piece of a solid."""
+    pieces, _ = ndimage.label(solid)
+    return np.asarray(pieces == 1 + np.argmax(np.bincount(pieces.ravel())[1:]))
+
+
+def level_set(field: Floats, axes: list[Floats], level: float) -> tuple[Floats, Ints]:
+    """Return vertices (v, 3) and faces (f, 3) of the surface where a field has a value.
+
+    ``axes`` are the places of its samples; normals point to greater values.
+    """
+    # libigl counts x fastest.
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).transpose(2, 1, 0, 3).reshape(-1, 3)
+    values = field.transpose(2, 1, 0).ravel()
+    vertices, faces = igl.marching_cubes(values, points, *field.shape, level)[:2]
+    return np.asarray(vertices), np.asarray(faces, np.int64)
 
 
 def wrap_bones(
@@ -140,12 +150,7 @@ def bone_normals(bone: Surface, points: Floats) -> Floats:
 
     Normals of vertices are blended over a triangle, so that neighbours slide alike.
     """
-    tree = igl.AABB()
-    tree.init(bone.vertices, bone.faces)
-    _, face, nearest = tree.squared_distance(bone.vertices, bone.faces, points)
-    corners = bone.faces[face]
-    barycentric = igl.barycentric_coordinates(nearest, *bone.vertices[corners].transpose(1, 0, 2))
-    normals = (vertex_normals(bone)[corners] * barycentric[:, :, None]).sum(axis=1)
+    normals = at_nearest(points, bone, vertex_normals(bone))
     return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
@@ -163,9 +168,8 @@ def jaw_frame(condyles: Floats) -> JawFrame:
     vertical = np.array([0.0, 1.0, 0.0])
     vertical = vertical - (vertical @ lateral) * lateral
     vertical = vertical / np.linalg.norm(vertical)
-    return JawFrame(
-        condyles.mean(axis=0), np.stack([lateral, vertical, np.cross(lateral, vertical)])
-    )
+    axes = np.stack([lateral, vertical, np.cross(lateral, vertical)])
+    return JawFrame(condyles.mean(axis=0), axes)
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import igl
 import numpy as np
 import structlog
 
 from solver.anatomy.bones import jaw_frame
-from solver.anatomy.domain import boundary, join_surfaces
+from solver.anatomy.domain import boundary, join_surfaces, part_of
 from solver.anatomy.embedding import barycentric
 from solver.anatomy.meshing import EDGE_MM, make_mesh
 from solver.anatomy.muscle_weights import enclosed_volume, fibre_directions, muscle_volumes
@@ -32,23 +31,13 @@ def build_subject_model(
     The template's own tets are carried into the person. Only where it has none of ``edge_mm``, or
     where they cannot be carried, the person is meshed from scratch; ``model.mesh_source`` says so.
 
-    Parameters
-    ----------
-    template
-        Anatomy in the topology of the scan.
-    neutral
-        The registered neutral scan: the template's skin vertices in the person.
-    edge_mm
-        Edge length of tetrahedra on the face; see :func:`solver.anatomy.meshing.make_mesh`.
-    progress
-        Told about the phases ``transfer``, ``transport`` or ``mesh``, ``relax`` and ``muscles``.
+    ``neutral`` is the registered neutral scan: the template's skin vertices in the person.
+    ``edge_mm`` is the tets' edge length on the face (:func:`solver.anatomy.meshing.make_mesh`).
+    ``progress`` is told about the phases ``transfer``, ``transport`` or ``mesh``, ``relax`` and
+    ``muscles``.
 
-    Raises
-    ------
-    InputError
-        ``scan.vertex_count`` or ``scan.nan``.
-    SolveError
-        As :func:`solver.anatomy.meshing.make_mesh`.
+    Raises :class:`InputError`, ``scan.vertex_count`` or ``scan.nan``, and :class:`SolveError` as
+    :func:`solver.anatomy.meshing.make_mesh`.
     """
     _check(template, neutral)
     progress(Step("transfer", 0.0))
@@ -101,13 +90,9 @@ def _assemble(
 def _check(template: Template, neutral: Floats) -> None:
     expected = template.skin.vertices.shape
     if neutral.shape != expected:
-        raise InputError(
-            "scan.vertex_count",
-            f"the neutral has {len(neutral)} vertices, the template '{template.name}' has "
-            f"{expected[0]}",
-            expected=expected[0],
-            found=len(neutral),
-        )
+        found, wanted = len(neutral), expected[0]
+        reason = f"the neutral has {found} vertices, the template '{template.name}' has {wanted}"
+        raise InputError("scan.vertex_count", reason, expected=wanted, found=found)
     wrong = np.flatnonzero(~np.isfinite(neutral).all(axis=1))
     if len(wrong):
         raise InputError(
@@ -121,16 +106,16 @@ def model_summary(model: SubjectModel) -> dict[str, Any]:
     ``embedding_*_mm`` is what the embedding leaves to an offset, ``surface_*_mm`` how far the face
     skin lies from the outside of the tets, ``bone_clearance_mm`` how near a bone comes to it.
     """
-    misses = np.linalg.norm(model.offset, axis=1)
-    on_face = np.isin(model.embedded, model.face)
-    surface = boundary(model.tets)
-    depth = barycentric(model.skin.vertices[model.face], Surface(model.rest, surface))[2]
     skin = model.skin.vertices
-    face = np.ascontiguousarray(model.skin.faces[np.isin(model.skin.faces, model.face).all(axis=1)])
-    bones = join_surfaces(list(model.bones.values())).vertices
-    clearance = np.sqrt(igl.point_mesh_squared_distance(bones, skin, face)[0].min())
+    misses = np.linalg.norm(model.offset, axis=1)[np.isin(model.embedded, model.face)]
+    outside = Surface(model.rest, boundary(model.tets))
+    depth = barycentric(skin[model.face], outside)[2]
+    on_face = np.isin(model.skin.faces, model.face).all(axis=1)
+    face = part_of(model.skin, np.flatnonzero(on_face))
+    clearance = barycentric(join_surfaces(list(model.bones.values())).vertices, face)[2]
     enclosed = {name: enclosed_volume(surface) for name, surface in model.muscles.items()}
-    kept = muscle_volumes(model.rest, model.tets, model.weights)
+    kept = muscle_volumes(model.rest, model.tets, model.weights).tolist()
+    muscles = dict(zip(model.muscle_names, kept, strict=True))
     sizes = volumes(model.rest, model.tets)
     return {
         "template": model.anatomy,
@@ -146,22 +131,14 @@ def model_summary(model: SubjectModel) -> dict[str, Any]:
         },
         "muscles": model.muscle_count,
         "candidates_per_tet": (model.weights.nnz / len(model.tets)) - 1.0,
-        "muscle_volume_cm3": {
-            name: round(float(volume) / 1000.0, 3)
-            for name, volume in zip(model.muscle_names, kept, strict=True)
-        },
-        "muscle_volume_kept": {
-            name: round(float(volume) / enclosed[name], 2)
-            for name, volume in zip(model.muscle_names, kept, strict=True)
-        },
-        "muscle_volume_enclosed_cm3": {
-            name: round(volume / 1000.0, 3) for name, volume in enclosed.items()
-        },
+        "muscle_volume_cm3": {name: round(v / 1000.0, 3) for name, v in muscles.items()},
+        "muscle_volume_kept": {name: round(v / enclosed[name], 2) for name, v in muscles.items()},
+        "muscle_volume_enclosed_cm3": {name: round(v / 1000.0, 3) for name, v in enclosed.items()},
         "embedded": len(model.embedded),
         "face_vertices": len(model.face),
-        "embedding_mean_mm": float(misses[on_face].mean()),
-        "embedding_max_mm": float(misses[on_face].max()),
+        "embedding_mean_mm": float(misses.mean()),
+        "embedding_max_mm": float(misses.max()),
         "surface_mean_mm": float(depth.mean()),
         "surface_max_mm": float(depth.max()),
-        "bone_clearance_mm": float(clearance),
+        "bone_clearance_mm": float(clearance.min()),
     }

@@ -24,10 +24,9 @@ UPPER, LOWER = 1, -1  # lips; 0 is neither
 
 
 def lips_apart(flesh: Surface, landmarks: Mapping[str, int]) -> Ints:
-    """Do as :func:`lip_sides` from the edges of the lips at the mid-line.
+    """Return :func:`lip_sides` of a flesh by its landmarks (name -> vertex).
 
-    From there the ways along both lips to a corner of the mouth are equally long. ``flesh`` has the
-    triangles to walk on, ``landmarks`` are name -> vertex.
+    From the edges of the lips at the mid-line both ways to a corner of the mouth are equally long.
     """
     upper, lower = (np.array([landmarks[f"stomion_{lip}us"]]) for lip in ("superi", "inferi"))
     return lip_sides(flesh.vertices, flesh.faces, upper, lower)
@@ -36,14 +35,8 @@ def lips_apart(flesh: Surface, landmarks: Mapping[str, int]) -> Ints:
 def lip_sides(skin: Floats, faces: Ints, upper: Ints, lower: Ints) -> Ints:
     """Return for each skin vertex :data:`UPPER` or :data:`LOWER`, 0 where neither is reached.
 
-    Parameters
-    ----------
-    skin
-        (V, 3) vertices in mm.
-    faces
-        (f, 3) the triangles of the flesh: teeth and eyes are not walked on.
-    upper, lower
-        Vertices on the middle of each lip.
+    ``skin`` (V, 3) is in mm; ``faces`` (f, 3) are the triangles of the flesh: teeth and eyes are
+    not walked on. ``upper`` and ``lower`` are vertices on the middle of each lip.
     """
     edges = directed_edges(faces)
     lengths = np.linalg.norm(skin[edges[:, 0]] - skin[edges[:, 1]], axis=1)
@@ -77,20 +70,11 @@ def contact_regions(
 ) -> dict[str, Ints]:
     """Return region -> skin vertices, sorted.
 
-    Parameters
-    ----------
-    flesh
-        The template's skin, all its vertices (V, 3) in mm, with only the triangles that bound the
-        flesh: face, lips and linings.
-    sides
-        (V,) the lip that a vertex belongs to (:func:`lip_sides`): the nearer teeth say nothing, as
-        upper ones stand before the lower lip.
-    parts
-        Vertices of ``upper_teeth``, ``lower_teeth``, ``left_eyeball`` and ``right_eyeball``.
-    landmarks
-        Name -> vertex; has the four canthi (``endocanthion_l`` and so on).
-    distances
-        Distances by which skin belongs to a region.
+    ``flesh`` has all vertices (V, 3) of the template's skin in mm, with only the triangles that
+    bound the flesh: face, lips and linings. ``sides`` (V,) are the lips that vertices belong to
+    (:func:`lip_sides`): the nearer teeth say nothing, as upper ones stand before the lower lip.
+    ``parts`` are the vertices of ``upper_teeth``, ``lower_teeth``, ``left_eyeball`` and
+    ``right_eyeball``; ``landmarks`` (name -> vertex) has the four canthi (``endocanthion_l`` ...).
     """
     regions = {name: np.sort(ids) for name, ids in parts.items()}
     skin, own = flesh.vertices, np.unique(flesh.faces)
@@ -132,3 +116,13 @@ def _lids(
     line = np.interp(skin[own, 0], [inner[0], outer[0]], [inner[1], outer[1]])
     above = skin[own, 1] > line
     return {f"{side}_upper_lid": own[above], f"{side}_lower_lid": own[~above]}
+
+
+def first_match(vertices: Ints, tests: Mapping[str, np.ndarray]) -> dict[str, Ints]:
+    """Return region -> those of ``vertices`` (k,) whose first passed test (k,) is the region's."""
+    free = np.ones(len(vertices), dtype=bool)
+    regions = {}
+    for name, test in tests.items():
+        regions[name] = vertices[free & test]
+        free &= ~test
+    return regions

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-import igl
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from solver.anatomy.embedding import inside
 from solver.anatomy.template import Template
 from solver.anatomy.tetrahedra import EdgeLengths, background_grid
 from solver.surface import Floats, Ints, Surface
@@ -28,9 +28,6 @@ class Label(IntEnum):
     CRANIUM = 2
     MANDIBLE = 3
     CUT = 4
-
-
-HOLDING = (Label.CRANIUM, Label.MANDIBLE, Label.CUT)
 
 
 @dataclass(frozen=True)
@@ -51,56 +48,52 @@ class DomainOptions:
 DOMAIN = DomainOptions()
 
 
-@dataclass(frozen=True)
-class CutPlanes:
-    """Cut planes: flesh lies in front of ``back_z`` and above ``bottom_y``, in mm."""
-
-    back_z: float
-    bottom_y: float
-
-    @classmethod
-    def of(cls, head: Template) -> CutPlanes:
-        """Return the planes of a template."""
-        return cls(head.back_z, head.bottom_y)
-
-    def in_front(self, points: Floats, margin: float = 0.0) -> np.ndarray:
-        """Return (n,) True where a point is at least ``margin`` inside both planes."""
-        behind = points[..., 2] < self.back_z + margin
-        below = points[..., 1] < self.bottom_y + margin
-        return ~(behind | below)
+def in_front(head: Template, points: Floats, margin: float = 0.0) -> np.ndarray:
+    """Return (n,) True where a point is at least ``margin`` inside both of a head's cut planes."""
+    behind = points[..., 2] < head.back_z + margin
+    return ~(behind | (points[..., 1] < head.bottom_y + margin))
 
 
 def domain_soup(head: Template, options: DomainOptions = DOMAIN) -> Surface:
     """Return every triangle the tetrahedra have to follow: parted skin, bones and cut planes."""
-    planes, margin = CutPlanes.of(head), options.margin_mm
-    skin = Surface(head.parted_skin.vertices, head.skin.faces[head.flesh_faces])
-    surfaces = [_clip(part, planes, margin) for part in (skin, head.cranium, head.mandible)]
+    margin, cells = options.margin_mm, options.plane_cells
+    surfaces = []
+    for part in (head.parted_flesh, head.cranium, head.mandible):
+        ahead = in_front(head, part.vertices[part.faces], -margin).any(axis=1)
+        surfaces.append(part_of(part, np.flatnonzero(ahead)))
     points = surfaces[0].vertices
     lo, hi = points.min(axis=0) - margin, points.max(axis=0) + margin
-    lo = np.maximum(lo, [-np.inf, planes.bottom_y - margin, planes.back_z - margin])
-    back = _sheet(lo, hi, 2, planes.back_z, options.plane_cells)
-    bottom = _sheet(lo, hi, 1, planes.bottom_y, options.plane_cells)
-    return join_surfaces([*surfaces, back, bottom])
+    lo = np.maximum(lo, [-np.inf, head.bottom_y - margin, head.back_z - margin])
+    back = _sheet(lo, hi, 2, head.back_z, cells)
+    return join_surfaces([*surfaces, back, _sheet(lo, hi, 1, head.bottom_y, cells)])
 
 
-def _clip(surface: Surface, planes: CutPlanes, margin: float) -> Surface:
-    used = planes.in_front(surface.vertices[surface.faces], -margin).any(axis=1)
-    numbers, faces = np.unique(surface.faces[used], return_inverse=True)
-    return Surface(surface.vertices[numbers], faces.reshape(-1, 3).astype(np.int64))
+def part_of(surface: Surface, faces: Ints) -> Surface:
+    """Return some faces of a surface, by their numbers, with the vertices that they use."""
+    numbers, corners = np.unique(surface.faces[faces], return_inverse=True)
+    return Surface(surface.vertices[numbers], corners.reshape(-1, 3).astype(np.int64))
 
 
 def _sheet(lo: Floats, hi: Floats, axis: int, value: float, cells: int) -> Surface:
     u, v = (k for k in range(3) if k != axis)
-    steps = np.arange(cells + 1) / cells
-    grid_u, grid_v = np.meshgrid(steps, steps, indexing="ij")
-    vertices = np.empty((grid_u.size, 3))
+    steps = np.indices((cells + 1, cells + 1)).reshape(2, -1) / cells
+    vertices = np.empty((steps.shape[1], 3))
     vertices[:, axis] = value
-    vertices[:, u] = lo[u] + grid_u.ravel() * (hi[u] - lo[u])
-    vertices[:, v] = lo[v] + grid_v.ravel() * (hi[v] - lo[v])
-    number = np.arange(grid_u.size).reshape(grid_u.shape)
-    a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
-    faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
-    return Surface(vertices, faces.astype(np.int64))
+    vertices[:, u] = lo[u] + steps[0] * (hi[u] - lo[u])
+    vertices[:, v] = lo[v] + steps[1] * (hi[v] - lo[v])
+    return Surface(vertices, split_quads(grid_quads(cells + 1, cells + 1)))
+
+
+def grid_quads(rows: int, columns: int) -> Ints:
+    """Return the quads (k, 4) between rows x columns vertices, numbered row by row."""
+    number = np.arange(rows * columns).reshape(rows, columns)
+    corners = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
+    return np.stack(corners, -1).reshape(-1, 4)
+
+
+def split_quads(quads: Ints) -> Ints:
+    """Return triangles (2 k, 3): one half of every quad (k, 4), then the others."""
+    return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
 
 
 def join_surfaces(surfaces: list[Surface]) -> Surface:
@@ -120,12 +113,11 @@ def edge_lengths(
     lo, hi = soup.vertices.min(axis=0) - grid, soup.vertices.max(axis=0) + grid
     points, tets = background_grid(lo, hi, grid)
     lengths = np.full(len(points), options.deep_factor * edge_mm)
-    wanted = [(head.face_vertices, 1.0)]
-    wanted += [
-        (head.regions[name], part) for name, part in FINE_REGIONS.items() if name in head.regions
-    ]
+    fine = [(head.regions.get(name, ()), part) for name, part in FINE_REGIONS.items()]
     skin = head.parted_skin.vertices
-    for vertices, part in wanted:
+    for vertices, part in [(head.face_vertices, 1.0), *fine]:
+        if len(vertices) == 0:
+            continue
         distance = cKDTree(skin[vertices]).query(points)[0]
         grown = part * edge_mm + options.growth * np.maximum(distance - grid, 0)
         lengths = np.minimum(lengths, grown)
@@ -135,17 +127,11 @@ def edge_lengths(
 def label_tets(head: Template, vertices: Floats, tets: Ints) -> Ints:
     """Return the :class:`Label` (t,) of tetrahedra by winding numbers at their centres."""
     centres = vertices[tets].mean(axis=1)
-    skin = Surface(head.parted_skin.vertices, head.skin.faces[head.flesh_faces])
-    labels = np.where(_inside(skin, centres), Label.FLESH, Label.OUTSIDE)
-    labels[(labels == Label.FLESH) & _inside(head.cranium, centres)] = Label.CRANIUM
-    labels[(labels == Label.FLESH) & _inside(head.mandible, centres)] = Label.MANDIBLE
-    labels[(labels == Label.FLESH) & ~CutPlanes.of(head).in_front(centres)] = Label.CUT
+    labels = np.where(inside(head.parted_flesh, centres), Label.FLESH, Label.OUTSIDE)
+    labels[(labels == Label.FLESH) & inside(head.cranium, centres)] = Label.CRANIUM
+    labels[(labels == Label.FLESH) & inside(head.mandible, centres)] = Label.MANDIBLE
+    labels[(labels == Label.FLESH) & ~in_front(head, centres)] = Label.CUT
     return labels.astype(np.int64)
-
-
-def _inside(surface: Surface, points: Floats) -> np.ndarray:
-    winding = igl.fast_winding_number(surface.vertices, surface.faces, points)
-    return np.asarray(winding) > 0.5
 
 
 @dataclass(frozen=True)
@@ -162,6 +148,11 @@ class MeshedFlesh:
     outside_of: Ints
     held: dict[Label, Ints]
 
+    @property
+    def held_vertices(self) -> Ints:
+        """Return the numbers of all vertices on a bone or cut plane."""
+        return np.unique(np.concatenate(list(self.held.values())))
+
 
 def choose_flesh(
     vertices: Floats, tets: Ints, labels: Ints, least_piece: float = DOMAIN.least_piece
@@ -175,7 +166,7 @@ def choose_flesh(
     flesh = labels == Label.FLESH
     sides = _faces_towards(tets, labels, np.flatnonzero(flesh))
     on = {}
-    for label in HOLDING:
+    for label in (Label.CRANIUM, Label.MANDIBLE, Label.CUT):
         # By the faces of all flesh, kept or not: what lies on a bone is held by it.
         on[label] = np.zeros(len(vertices), dtype=bool)
         on[label][sides[label][0]] = True
@@ -201,13 +192,9 @@ def _faces_towards(tets: Ints, labels: Ints, kept: Ints) -> dict[Label, tuple[In
 
     With the faces (f, 3) come the numbers (f,) of the kept tetrahedra they belong to.
     """
-    faces = tets[:, _FACES].reshape(-1, 3)
-    owner = np.repeat(np.arange(len(tets)), 4)
-    order = np.lexsort(np.sort(faces, axis=1).T)
-    ordered = np.sort(faces, axis=1)[order]
+    faces, owner, (first, second) = _sides(tets)
     twin = np.full(len(faces), -1)
-    same = np.flatnonzero((ordered[1:] == ordered[:-1]).all(axis=1))
-    twin[order[same]], twin[order[same + 1]] = owner[order[same + 1]], owner[order[same]]
+    twin[first], twin[second] = owner[second], owner[first]
     is_kept = np.zeros(len(tets) + 1, dtype=bool)
     is_kept[kept] = True
     outer = is_kept[owner] & ~is_kept[twin]
@@ -217,14 +204,20 @@ def _faces_towards(tets: Ints, labels: Ints, kept: Ints) -> dict[Label, tuple[In
     return {label: (faces[side], owner[side]) for label, side in sides.items()}
 
 
+def _sides(tets: Ints) -> tuple[Ints, Ints, tuple[Ints, Ints]]:
+    """Return all faces (4 t, 3), their tets (4 t,), and the numbers of those that are the same."""
+    faces = tets[:, _FACES].reshape(-1, 3)
+    keys = np.sort(faces, axis=1)
+    order = np.lexsort(keys.T)
+    same = np.flatnonzero((keys[order][1:] == keys[order][:-1]).all(axis=1))
+    return faces, np.repeat(np.arange(len(tets)), 4), (order[same], order[same + 1])
+
+
 def _large_pieces(tets: Ints, least_piece: float) -> np.ndarray:
     """Return (t,) True for tetrahedra in large pieces joined by faces."""
-    faces = np.sort(tets[:, _FACES].reshape(-1, 3), axis=1)
-    owner = np.repeat(np.arange(len(tets)), 4)
-    order = np.lexsort(faces.T)
-    same = np.flatnonzero((faces[order][1:] == faces[order][:-1]).all(axis=1))
-    pairs = owner[order[same]], owner[order[same + 1]]
-    graph = sp.coo_array((np.ones(len(same)), pairs), shape=(len(tets), len(tets)))
+    _, owner, shared = _sides(tets)
+    pairs = owner[shared[0]], owner[shared[1]]
+    graph = sp.coo_array((np.ones(len(pairs[0])), pairs), shape=(len(tets), len(tets)))
     _, piece = connected_components(graph, directed=False)
     return np.asarray(np.bincount(piece)[piece] >= least_piece * len(tets))
 

@@ -21,14 +21,37 @@ LEAST_COORDINATE = -1.5
 
 def barycentric(points: Floats, surface: Surface) -> tuple[Ints, Floats, Floats]:
     """Return the nearest triangles (n,), coordinates (n, 3) in them and the distance (n,)."""
-    points = np.ascontiguousarray(points)
     squared, face, closest = igl.point_mesh_squared_distance(
-        points, surface.vertices, surface.faces
+        np.ascontiguousarray(points), surface.vertices, surface.faces
     )
-    corners = surface.faces[face]
-    a, b, c = (np.ascontiguousarray(surface.vertices[corners[:, k]]) for k in range(3))
-    shares = np.asarray(igl.barycentric_coordinates(np.ascontiguousarray(closest), a, b, c))
-    return np.asarray(face), shares, np.sqrt(np.asarray(squared))
+    corners = surface.vertices[surface.faces[face]].transpose(1, 0, 2)
+    return face, np.asarray(igl.barycentric_coordinates(closest, *corners)), np.sqrt(squared)
+
+
+def at_nearest(points: Floats, surface: Surface, values: Floats) -> Floats:
+    """Return values (v, d) of a surface's vertices where it is nearest to ``points`` (n, 3)."""
+    face, shares, _ = barycentric(points, surface)
+    return np.asarray(np.einsum("nk,nkd->nd", shares, values[surface.faces[face]]))
+
+
+def inside(surface: Surface, points: Floats) -> np.ndarray:
+    """Return (n,) True where a surface winds around a point."""
+    return np.asarray(igl.fast_winding_number(surface.vertices, surface.faces, points)) > 0.5
+
+
+def extend(
+    matrix: sp.csc_array, values: Floats, given: np.ndarray, load: Floats, order: str = "COLAMD"
+) -> Floats:
+    """Return u (p, ...) with K u = ``load`` that is ``values`` where ``given`` (p,) is True.
+
+    K, the symmetric ``matrix`` (p, p), is a Laplacian or a conductivity; ``order`` is SuperLU's.
+    """
+    solution, free = values.copy(), ~given
+    if free.any():
+        right = (load - matrix[:, given] @ values[given])[free]
+        inner = sp.csc_array(matrix[free][:, free])
+        solution[free] = splu(inner, permc_spec=order).solve(np.ascontiguousarray(right))
+    return solution
 
 
 def rows_of(corners: Ints, shares: Floats, count: int) -> sp.csr_array:
@@ -41,19 +64,11 @@ def rows_of(corners: Ints, shares: Floats, count: int) -> sp.csr_array:
 
 
 def shares_in_tets(points: Floats, vertices: Floats, corners: Ints, inside: Floats) -> Floats:
-    """Return barycentric coordinates (n, 4) of points in given tetrahedra, bounded.
+    """Return barycentric coordinates (n, 4) of points (n, 3) in given tetrahedra, bounded.
 
-    Parameters
-    ----------
-    points
-        (n, 3) points in or near their tetrahedra.
-    vertices
-        (p, 3) vertices of the mesh.
-    corners
-        (n, 4) corners of the tetrahedron of each point.
-    inside
-        (n, 4) coordinates of a point in or on that tetrahedron. Where the point's own have one
-        below :data:`LEAST_COORDINATE` they are drawn towards these: what is missed is an offset.
+    ``corners`` (n, 4) are those of each point's tetrahedron in a mesh with ``vertices`` (p, 3), and
+    ``inside`` (n, 4) are coordinates of a point in or on it. Where the point's own have one below
+    :data:`LEAST_COORDINATE` they are drawn towards these: what is missed is an offset.
     """
     exact = barycentric_in_tets(points, vertices[corners])
     room = (inside - LEAST_COORDINATE) / np.maximum(inside - exact, 1e-12)

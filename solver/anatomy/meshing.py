@@ -11,21 +11,20 @@ import igl
 import numpy as np
 import scipy.sparse as sp
 import structlog
-from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from solver.anatomy.domain import (
     DOMAIN,
-    CutPlanes,
     DomainOptions,
     Label,
     MeshedFlesh,
     choose_flesh,
     domain_soup,
     edge_lengths,
+    in_front,
     label_tets,
 )
-from solver.anatomy.embedding import barycentric, rows_of
+from solver.anatomy.embedding import at_nearest, barycentric, extend, rows_of
 from solver.anatomy.muscle_weights import initial_weights
 from solver.anatomy.relaxation import relax
 from solver.anatomy.template import Template, TemplateMesh
@@ -82,22 +81,13 @@ def make_mesh(
     The lips are parted to mesh them, then closed; the mesh is relaxed in both poses. fTetWild is
     not reproducible: the same head gives another mesh every time.
 
-    Parameters
-    ----------
-    head
-        Anatomy in any neutral: a template's own, or one carried into a person.
-    edge_mm
-        Edge length of tetrahedra on the face; lips, eyes and nose are finer, neck and scalp
-        coarser. 9 mm gives about 7k vertices and 25k tetrahedra.
-    progress
-        Told about the phases ``mesh``, ``relax`` and ``muscles``.
-    options
-        Distances that decide how flesh, skin and bones are joined.
+    ``head`` is anatomy in any neutral, a template's own or one carried into a person. ``edge_mm``
+    is the edge length on the face; lips, eyes and nose are finer, neck and scalp coarser. 9 mm
+    gives about 7k vertices and 25k tetrahedra. ``progress`` is told about the phases ``mesh``,
+    ``relax`` and ``muscles``.
 
-    Raises
-    ------
-    SolveError
-        ``mesher.timeout``, ``mesher.crashed``, ``mesh.inverted`` or ``mesh.uncovered``.
+    Raises :class:`SolveError`: ``mesher.timeout``, ``mesher.crashed``, ``mesh.inverted`` or
+    ``mesh.uncovered``.
     """
     progress(Step("mesh", 0.0, message="tetrahedra by fTetWild"))
     flesh = _mesh(head, edge_mm, options)
@@ -105,7 +95,7 @@ def make_mesh(
     flesh = _fit(head, flesh, options)
     embedded, bound, jaw_skin = _bound_skin(head, flesh, edge_mm, options)
     rows = rows_of(flesh.tets[bound.tet], bound.shares, len(flesh.vertices))
-    held = np.unique(np.concatenate(list(flesh.held.values())))
+    held = flesh.held_vertices
     start = close_lips(head, flesh.vertices, flesh.tets, flesh.outside, held)
     guides = guidance(head, head.skin.vertices, embedded, rows, held, flesh.vertices[held], start)
     rest = relax(start, flesh.tets, guides)
@@ -135,33 +125,29 @@ def _mesh(head: Template, edge_mm: float, options: MeshOptions) -> MeshedFlesh:
         lengths=edge_lengths(head, soup, edge_mm, domain),
         cpu_seconds=options.mesher_seconds,
     )
-    labels = label_tets(head, vertices, tets)
-    return choose_flesh(vertices, tets, labels, domain.least_piece)
+    return choose_flesh(vertices, tets, label_tets(head, vertices, tets), domain.least_piece)
 
 
 def _fit(head: Template, flesh: MeshedFlesh, options: MeshOptions) -> MeshedFlesh:
     """Return the flesh with its vertices fitted to the parted skin in least squares."""
-    skin = np.unique(head.skin.faces[head.flesh_faces])
-    parted = head.parted_skin.vertices
+    skin, parted = np.unique(head.flesh.faces), head.parted_skin.vertices
     for _ in range(options.fitting_rounds):
         bound = _bound(flesh, parted[skin])
         near = bound.distance < options.greatest_envelope_mm
         rows = rows_of(flesh.tets[bound.tet], bound.shares, len(flesh.vertices))[near]
-        held, held_at = _on_bones(head, flesh)
-        guides = guidance(head, parted, skin[near], rows, held, held_at, flesh.vertices)
+        held, place = flesh.held_vertices, _on_bones(head, flesh)
+        guides = guidance(head, parted, skin[near], rows, held, place[held], flesh.vertices)
         flesh = replace(flesh, vertices=relax(flesh.vertices, flesh.tets, guides))
     return flesh
 
 
-def _on_bones(head: Template, flesh: MeshedFlesh) -> tuple[Ints, Floats]:
-    """Return the held vertices and the nearest points (h, 3) of what holds them."""
+def _on_bones(head: Template, flesh: MeshedFlesh) -> Floats:
+    """Return the flesh's vertices (p, 3), those on a bone moved to its nearest point."""
     place = flesh.vertices.copy()
     for label, bone in ((Label.CRANIUM, head.cranium), (Label.MANDIBLE, head.mandible)):
         ids = flesh.held[label]
-        face, shares, _ = barycentric(flesh.vertices[ids], bone)
-        place[ids] = np.einsum("nk,nkd->nd", shares, bone.vertices[bone.faces[face]])
-    held = np.unique(np.concatenate(list(flesh.held.values())))
-    return held, place[held]
+        place[ids] = at_nearest(flesh.vertices[ids], bone, bone.vertices)
+    return place
 
 
 @dataclass(frozen=True)
@@ -188,11 +174,10 @@ def _bound_skin(
 
     Vertices are bound in the parted pose: there the upper lip is far from the lower.
     """
-    skin = np.unique(head.skin.faces[head.flesh_faces])
+    skin = np.unique(head.flesh.faces)
     parted = head.parted_skin.vertices[skin]
-    bound = _bound(flesh, parted)
-    in_front = CutPlanes.of(head).in_front(parted)
-    near = (bound.distance < options.embedding * edge_mm) & in_front
+    bound, ahead = _bound(flesh, parted), in_front(head, parted)
+    near = (bound.distance < options.embedding * edge_mm) & ahead
     lost = skin[np.isin(skin, head.face_vertices) & ~near]
     if len(lost):
         raise SolveError(
@@ -201,7 +186,7 @@ def _bound_skin(
             vertex=int(lost[0]),
             count=len(lost),
         )
-    loose = ~near & in_front
+    loose = ~near & ahead
     to_jaw = cKDTree(head.mandible.vertices).query(parted[loose])[0]
     to_skull = cKDTree(head.cranium.vertices).query(parted[loose])[0]
     lining = (to_jaw < to_skull) & (to_jaw < options.lining_mm)
@@ -220,18 +205,14 @@ def _held(head: Template, flesh: MeshedFlesh, options: MeshOptions) -> dict[str,
     if frontalis:
         distance = cKDTree(np.vstack(frontalis)).query(flesh.vertices[cranium])[0]
         sliding = cranium[distance < options.frontalis_mm]
-    return {
-        "cranium": np.setdiff1d(cranium, sliding),
-        "mandible": mandible,
-        "cut": cut,
-        "sliding": sliding,
-    }
+    fixed = np.setdiff1d(cranium, sliding)
+    return {"cranium": fixed, "mandible": mandible, "cut": cut, "sliding": sliding}
 
 
 def _drawn_along(head: Template, points: Floats, options: MeshOptions) -> np.ndarray:
     """Return (n,) True for points of a cut plane that move with jaw or face."""
-    face = head.skin.vertices[head.face_vertices]
     throat = points[:, 1] < head.mandible.vertices[:, 1].min()
+    face = head.skin.vertices[head.face_vertices]
     near_face = cKDTree(face).query(points)[0] < options.face_free_mm
     near_jaw = cKDTree(head.mandible.vertices).query(points)[0] < options.jaw_free_mm
     return np.asarray(near_jaw | (throat & near_face))
@@ -247,9 +228,7 @@ def close_lips(head: Template, vertices: Floats, tets: Ints, outside: Ints, held
     and the others follow harmonically; tets between the lips may come out inverted.
     """
     skin_side = np.setdiff1d(outside, held)
-    skin = Surface(head.parted_skin.vertices, head.skin.faces[head.flesh_faces])
-    face, shares, _ = barycentric(vertices[skin_side], skin)
-    displacement = np.einsum("nk,nkd->nd", shares, -head.parting[skin.faces[face]])
+    displacement = at_nearest(vertices[skin_side], head.parted_flesh, -head.parting)
     known = np.concatenate([skin_side, held])
     values = np.vstack([displacement, np.zeros((len(held), 3))])
     return vertices + harmonic_displacement(vertices, tets, known, values)
@@ -260,18 +239,15 @@ def harmonic_displacement(vertices: Floats, tets: Ints, known: Ints, values: Flo
 
     Linear finite elements; the vertices (p, 3) give the metric.
     """
-    laplacian = sp.csc_array(igl.cotmatrix(vertices, tets))
-    displacement = np.zeros_like(vertices)
+    displacement, nothing = np.zeros_like(vertices), np.zeros_like(vertices)
     displacement[known] = values
-    free = np.setdiff1d(np.arange(len(vertices)), known)
-    inner = sp.csc_matrix(-laplacian[free][:, free])
-    right = laplacian[free][:, known] @ values
-    displacement[free] = splu(inner, permc_spec="MMD_AT_PLUS_A").solve(np.ascontiguousarray(right))
-    return displacement
+    given = np.zeros(len(vertices), dtype=bool)
+    given[known] = True
+    laplacian = sp.csc_array(-igl.cotmatrix(vertices, tets))
+    return extend(laplacian, displacement, given, nothing, "MMD_AT_PLUS_A")
 
 
 # A template's tets where its file carries none of the wanted size: made once, then kept.
-
 
 MAKING = 4  # part of the name in the cache; counts up where meshes are made in another way
 
@@ -300,10 +276,8 @@ def find_or_make_mesh(
 
 def _kept(path: Path) -> Template | None:
     """Return the template in the cache; none if there is none, or a file that was spoilt."""
-    if not path.exists():
-        return None
     try:
-        return Template.load(path)
+        return Template.load(path) if path.exists() else None
     except InputError as error:
         log.warning("the template's tets are made anew", reason=str(error))
         path.unlink(missing_ok=True)

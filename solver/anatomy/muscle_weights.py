@@ -1,4 +1,4 @@
-"""Muscles in tetrahedra: the initial S, the directions of fibres, and the axes of muscles.
+"""Muscles in tetrahedra: the initial S, and the directions of fibres.
 
 S (t, m + 1) holds the part of each tetrahedron that each muscle fills; its entries are the muscles
 that may ever act there.
@@ -6,17 +6,14 @@ that may ever act there.
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
-from functools import cache
-from importlib import resources
 
 import igl
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
+from solver.anatomy.embedding import extend
 from solver.anatomy.template import Muscle
 from solver.anatomy.tetrahedra import volumes
 from solver.surface import Floats, Ints, Surface, area_normals, directed_edges
@@ -56,25 +53,19 @@ def initial_weights(
     Stored entries are the candidates: the passive column and every muscle within
     :data:`CANDIDATE_MM` of a tetrahedron, explicit zeros included. Rows sum to one.
     """
-    row_parts, column_parts, fraction_parts = [], [], []
+    parts = []
     for column, muscle in enumerate(muscles, start=1):
         candidates = _candidates(vertices, tets, muscle, sampling)
-        row_parts.append(candidates)
-        column_parts.append(np.full(len(candidates), column))
-        fraction_parts.append(_fractions(vertices[tets[candidates]], muscle, sampling))
-    rows, columns = np.concatenate(row_parts), np.concatenate(column_parts)
+        fractions = _fractions(vertices[tets[candidates]], muscle, sampling)
+        parts.append((candidates, np.full(len(candidates), column), fractions))
+    rows, columns, fractions = (np.concatenate(part) for part in zip(*parts, strict=True))
     sizes = np.array([enclosed_volume(muscle) for muscle in muscles])
-    fractions = _without_overlap(rows, np.concatenate(fraction_parts), sizes[columns - 1])
-    passive = 1.0 - np.minimum(np.bincount(rows, fractions, minlength=len(tets)), 1.0)
+    fractions = _without_overlap(rows, fractions, sizes[columns - 1])
     every = np.arange(len(tets))
-    rows = np.concatenate([every, rows])
-    columns = np.concatenate([np.zeros(len(tets), dtype=np.int64), columns])
+    passive = 1.0 - np.minimum(np.bincount(rows, fractions, minlength=len(tets)), 1.0)
+    places = np.concatenate([every, rows]), np.concatenate([0 * every, columns])
     values = np.concatenate([passive, fractions])
-    order = np.lexsort((columns, rows))
-    indptr = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=len(tets)))])
-    return sp.csr_array(
-        (values[order], columns[order], indptr), shape=(len(tets), len(muscles) + 1)
-    )
+    return sp.csr_array((values, places), shape=(len(tets), len(muscles) + 1))
 
 
 def _without_overlap(rows: Ints, fractions: Floats, sizes: Floats) -> Floats:
@@ -101,18 +92,22 @@ def enclosed_volume(surface: Surface, samples: int = 40_000) -> float:
     Where it is closed that is a sum over its triangles. Else, with gaps or pieces inside out, it is
     counted on a grid of ``samples`` along the surface's principal axes, to about 2 %.
     """
-    middle = surface.vertices.mean(axis=0)
     if _is_closed(surface.faces):
-        corners = surface.vertices[surface.faces] - middle
-        return float(abs(np.linalg.det(corners).sum()) / 6.0)
+        return abs(signed_volume(surface))
+    middle = surface.vertices.mean(axis=0)
     axes = np.linalg.svd(surface.vertices - middle, full_matrices=False)[2]
     local = (surface.vertices - middle) @ axes.T
-    lo, hi = local.min(axis=0), local.max(axis=0)
-    box = float(np.prod(hi - lo))
-    counts = np.ceil((hi - lo) / (box / samples) ** (1 / 3)).astype(int)
-    steps = [lo[k] + (hi - lo)[k] * (np.arange(n) + 0.5) / n for k, n in enumerate(counts)]
-    grid = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    lo, size = local.min(axis=0), np.ptp(local, axis=0)
+    box = float(np.prod(size))
+    counts = np.ceil(size / (box / samples) ** (1 / 3)).astype(int)
+    grid = lo + size * (np.indices(tuple(counts)).reshape(3, -1).T + 0.5) / counts
     return box * float(contains(surface, grid @ axes + middle).mean())
+
+
+def signed_volume(surface: Surface) -> float:
+    """Return the volume in mm^3 inside a closed surface, negative if it is turned inwards."""
+    corners = surface.vertices[surface.faces] - surface.vertices.mean(axis=0)
+    return float(np.linalg.det(corners).sum() / 6.0)
 
 
 def _is_closed(faces: Ints) -> bool:
@@ -125,15 +120,13 @@ def _is_closed(faces: Ints) -> bool:
 
 def contains(surface: Surface, points: Floats) -> np.ndarray:
     """Return (n,) True where a point lies inside; the surface may have gaps or be inside out."""
-    winding = np.asarray(igl.fast_winding_number(surface.vertices, surface.faces, points))
+    winding = igl.fast_winding_number(surface.vertices, surface.faces, points)
     return np.asarray(np.abs(winding) > 0.5)
 
 
 def _fractions(corners: Floats, muscle: Surface, sampling: SamplingOptions) -> Floats:
     """Return which part (t,) of tetrahedra with ``corners`` (t, 4, 3) a muscle fills."""
-    centres = corners.mean(axis=1)
-    reach = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
-    touched = np.flatnonzero(_within(centres, muscle, reach))
+    touched = np.flatnonzero(_near_tets(corners, muscle))
     small = enclosed_volume(muscle) < sampling.fine_below_mm3
     samples = _samples(sampling.fine_level if small else sampling.level)
     points = np.einsum("sk,tkd->tsd", samples, corners[touched])
@@ -143,12 +136,18 @@ def _fractions(corners: Floats, muscle: Surface, sampling: SamplingOptions) -> F
     return fractions
 
 
+def _near_tets(corners: Floats, surface: Surface, distance: float = 0.0) -> np.ndarray:
+    """Return (t,) True for tets that may lie within a distance of a surface, by their spheres."""
+    centres = corners.mean(axis=1)
+    radii = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
+    return _within(centres, surface, distance + radii)
+
+
 def _samples(level: int) -> Floats:
     """Return (8^level, 4) barycentric coordinates of the centres of equal parts."""
     parts = np.eye(4)[None]
     for _ in range(level):
-        pairs = parts[:, np.array(_OCTASECTION)]
-        parts = pairs.mean(axis=3).reshape(-1, 4, 4)
+        parts = parts[:, np.array(_OCTASECTION)].mean(axis=3).reshape(-1, 4, 4)
     return np.asarray(parts.mean(axis=1))
 
 
@@ -157,9 +156,7 @@ def _candidates(vertices: Floats, tets: Ints, surface: Surface, sampling: Sampli
     near = np.asarray(_within(vertices, surface, CANDIDATE_MM)[tets].any(axis=1))
     others = np.flatnonzero(~near)
     corners = vertices[tets[others]]
-    centres = corners.mean(axis=1)
-    reach = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
-    possible = _within(centres, surface, CANDIDATE_MM + reach)
+    possible = _near_tets(corners, surface, CANDIDATE_MM)
     points = np.einsum("sk,tkd->tsd", _samples(sampling.near_level), corners[possible])
     inside = _within(points.reshape(-1, 3), surface, CANDIDATE_MM)
     near[others[possible]] = inside.reshape(points.shape[:2]).any(axis=1)
@@ -223,20 +220,15 @@ def fibre_directions(
 ) -> Floats:
     """Return unit directions (nnz, 3), one for each stored entry of S, zero in column 0.
 
-    Parameters
-    ----------
-    vertices, tets
-        Rest vertices (p, 3) in mm and tetrahedra (n, 4) of positive volume.
-    weights
-        S (n, m + 1): its entries are the candidates, its values their volume fractions.
-    muscles
-        The m muscles, in the place of ``vertices``. Directions go from origin to insertion, or
-        once around a ring.
-    options
-        Ends of muscles, and the flesh around them.
+    ``vertices`` (p, 3) in mm and ``tets`` (n, 4) of positive volume are at rest. The entries of S,
+    ``weights`` (n, m + 1), are the candidates and its values their volume fractions. Of the
+    ``muscles``, which are in the place of the vertices, directions go from origin to insertion, or
+    once around a ring.
     """
-    entries = weights.tocoo()
-    gradients, sizes = _basis(vertices, tets)
+    entries, sizes = weights.tocoo(), volumes(vertices, tets)
+    # Of the linear basis functions, (n, 4, 3).
+    others = np.swapaxes(np.linalg.inv(vertices[tets[:, 1:]] - vertices[tets[:, :1]]), 1, 2)
+    gradients = np.concatenate([-others.sum(axis=1, keepdims=True), others], axis=1)
     directions = np.zeros((weights.nnz, 3))
     for column, muscle in enumerate(muscles, start=1):
         own = np.flatnonzero(entries.col == column)
@@ -246,19 +238,9 @@ def fibre_directions(
         weight = sizes[rows] * (entries.data[own] + options.conductivity)
         field = _Field(vertices, tets[rows], gradients[rows], weight, options)
         flow = field.around(muscle) if muscle.ring else field.along(muscle)
-        length = np.linalg.norm(flow, axis=1)
-        found = length > 0
-        directions[own[found]] = flow[found] / length[found, None]
-        directions[own[~found]] = muscle.fibre
+        length = np.linalg.norm(flow, axis=1, keepdims=True)
+        directions[own] = np.where(length > 0, flow / np.where(length > 0, length, 1), muscle.fibre)
     return directions
-
-
-def _basis(vertices: Floats, tets: Ints) -> tuple[Floats, Floats]:
-    """Return the gradients (n, 4, 3) of the linear basis functions and the volumes (n,)."""
-    edges = vertices[tets[:, 1:]] - vertices[tets[:, :1]]
-    others = np.swapaxes(np.linalg.inv(edges), 1, 2)
-    gradients = np.concatenate([-others.sum(axis=1, keepdims=True), others], axis=1)
-    return gradients, np.linalg.det(edges) / 6.0
 
 
 def _bend(muscle: Muscle) -> float:
@@ -278,12 +260,9 @@ class _Field:
     def __init__(
         self, vertices: Floats, tets: Ints, gradients: Floats, weight: Floats, options: FibreOptions
     ) -> None:
-        self._options = options
+        self._options, self._gradients, self._weight = options, gradients, weight
         numbers, local = np.unique(tets, return_inverse=True)
-        self._points = vertices[numbers]
-        self._tets = local.reshape(tets.shape)
-        self._gradients = gradients
-        self._weight = weight
+        self._points, self._tets = vertices[numbers], local.reshape(tets.shape)
         entries = np.einsum("t,tid,tjd->tij", weight, gradients, gradients)
         pairs = (np.repeat(self._tets, 4, axis=1).ravel(), np.tile(self._tets, 4).ravel())
         count = len(numbers)
@@ -301,8 +280,7 @@ class _Field:
         place = (extent[cKDTree(surface).query(self._points)[1]] - low) / (high - low)
         end = options.bent_end if _bend(muscle) > options.bent else options.straight_end
         given = (place < end) | (place > 1 - end)
-        potential = self._solve(np.zeros(len(guess)), guess, given)
-        return self._gradient(potential)
+        return self._gradient(self._solve(np.zeros(len(guess)), guess, given))
 
     def around(self, muscle: Muscle) -> Floats:
         """Return the harmonic flow (t, 3) around a ring: the angle's gradient, made source-free."""
@@ -317,8 +295,7 @@ class _Field:
         sources = -np.einsum("t,tid,td->ti", self._weight, self._gradients, turning)
         load = np.zeros(len(self._points))
         np.add.at(load, self._tets, sources)
-        nothing = np.zeros(len(load))
-        correction = self._solve(load, nothing, np.zeros(len(load), dtype=bool))
+        correction = self._solve(load, np.zeros(len(load)), np.zeros(len(load), dtype=bool))
         return np.asarray(turning + self._gradient(correction))
 
     def _gradient(self, potential: Floats) -> Floats:
@@ -326,60 +303,25 @@ class _Field:
 
     def _solve(self, load: Floats, guess: Floats, given: np.ndarray) -> Floats:
         """Return u (p,) with -div(sigma grad u) = ``load`` that is ``guess`` where it is given."""
-        free = ~given
         pull = self._options.pull * self._matrix.diagonal().mean() * sp.eye_array(len(guess))
-        matrix = (self._matrix + pull).tocsc()
-        right = load + pull @ guess - matrix[:, given] @ guess[given]
-        solution = guess.copy()
-        if free.any():
-            solution[free] = splu(matrix[free][:, free]).solve(right[free])
-        return solution
+        return extend((self._matrix + pull).tocsc(), guess, given, load + pull @ guess)
 
 
-# The axes of muscles, along which their fibres run from origin to insertion.
-#
-# For the muscles of BodyParts3D ``data/bodyparts3d_muscles.csv`` says it, from the attachments in
-# anatomy texts; a muscle that nobody described runs along its greatest length, away from the
-# skull.
-
-
-def bodyparts3d_muscle(name: str, surface: Surface, skull: Floats) -> Muscle:
-    """Return a muscle of BodyParts3D with the axis of the table.
-
-    One that is not in the table gets an axis as by :func:`with_axis`.
-    """
-    words = name.split()
-    known = _table().get(" ".join(word for word in words if word not in ("left", "right")))
-    if known is None:
-        return with_axis(name, surface, skull)
-    axis, ring = known
-    axis = axis * [-1.0, 1.0, 1.0] if "right" in words else axis
-    origin, insertion = _ends(surface, axis)
-    return Muscle(name, surface, axis, origin, insertion, ring)
-
-
-@cache
-def _table() -> dict[str, tuple[Floats, bool]]:
-    path = resources.files("solver.anatomy.data").joinpath("bodyparts3d_muscles.csv")
-    with path.open() as stream:
-        rows = list(csv.DictReader(stream))
-    axes = np.array([[float(row[axis]) for axis in "xyz"] for row in rows])
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    return {row["muscle"]: (a, row["ring"] == "yes") for row, a in zip(rows, axes, strict=True)}
+# The axis of a muscle that nobody described: its greatest length, away from the skull.
 
 
 def with_axis(name: str, surface: Surface, skull: Floats) -> Muscle:
     """Return a muscle whose axis is its longest extent, from the end nearer to ``skull`` (k, 3)."""
     centred = surface.vertices - surface.vertices.mean(axis=0)
     axis = np.linalg.svd(centred, full_matrices=False)[2][0]
-    ends = _ends(surface, axis)
+    ends = muscle_ends(surface, axis)
     away = cKDTree(skull).query(ends)[0]
     origin, insertion = ends if away[0] <= away[1] else ends[::-1]
     fibre = (insertion - origin) / np.linalg.norm(insertion - origin)
     return Muscle(name, surface, fibre, origin, insertion)
 
 
-def _ends(surface: Surface, axis: Floats, part: float = 0.1) -> Floats:
+def muscle_ends(surface: Surface, axis: Floats, part: float = 0.1) -> Floats:
     """Return the centres (2, 3) of both ends along an axis, each ``part`` of the vertices."""
     along = surface.vertices @ axis
     low, high = np.quantile(along, [part, 1 - part])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import astuple, dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,8 +19,6 @@ from solver.anatomy.embedding import rows_of, shares_in_tets
 from solver.errors import InputError
 from solver.storage import Archive, Arrays, csr_arrays, csr_from, with_prefix
 from solver.surface import Floats, Ints, Surface
-
-# Soft-tissue depths: how far bone lies under the skin at landmarks, with their sources.
 
 
 @dataclass(frozen=True)
@@ -34,9 +33,6 @@ class Depth:
     mean: float
     deviation: float | None
     source: str
-
-
-# Shapes of a topology: its variation over persons and over expressions.
 
 
 @dataclass(frozen=True)
@@ -69,12 +65,11 @@ def check_arrays(template: Template, file: str) -> None:
         ``template.shape``, ``template.nan`` or ``template.range``, with the ``array``'s name.
     """
     check = _Check(file)
-    check.surface("skin", template.skin)
-    skin = len(template.skin.vertices)
-    check.surface("cranium", template.cranium)
-    check.surface("mandible", template.mandible)
+    for name in SURFACES:
+        check.surface(name, getattr(template, name))
+    skin, mesh = len(template.skin.vertices), template.mesh
     check.numbers("flesh_faces", template.flesh_faces, len(template.skin.faces))
-    for name in ("face_vertices", "attached_cranium", "attached_mandible"):
+    for name in VERTEX_SETS:
         check.numbers(name, getattr(template, name), skin)
     for name in ("flesh_faces", "face_vertices"):
         if not len(getattr(template, name)):
@@ -88,32 +83,24 @@ def check_arrays(template: Template, file: str) -> None:
     check.points("planes", np.array([template.back_z, template.bottom_y]), (2,))
     for muscle in template.muscles:
         check.surface(f"muscle {muscle.name}", muscle.surface)
-        axis = np.stack([muscle.fibre, muscle.origin, muscle.insertion])
-        check.points(f"axis of muscle {muscle.name}", axis, (3, 3))
+        check.points(f"axis of muscle {muscle.name}", muscle.axis, (3, 3))
     if template.shapes is not None:
         shapes = template.shapes
         check.points("identity shapes", shapes.identity, (None, skin, 3))
         check.points("expressions", shapes.expressions, (len(shapes.expression_names), skin, 3))
-    if template.mesh is not None:
-        mesh = template.mesh
+    if mesh is not None:
+        weights, count = mesh.weights, len(mesh.vertices)
         check.points("mesh vertices", mesh.vertices, (None, 3))
-        count = len(mesh.vertices)
         check.numbers("mesh tets", mesh.tets, count, columns=4)
-        for name in ("cranium", "mandible", "cut", "sliding"):
-            check.numbers(f"mesh {name}", getattr(mesh, name), count)
-        for name in ("embedded", "attached_mandible"):
-            check.numbers(f"mesh {name}", getattr(mesh, name), skin)
-        check.numbers("mesh embedded_in", mesh.embedded_in, len(mesh.tets))
+        limits = dict.fromkeys(("cranium", "mandible", "cut", "sliding"), count)
+        limits |= {"embedded": skin, "attached_mandible": skin, "embedded_in": len(mesh.tets)}
+        for name, limit in limits.items():
+            check.numbers(f"mesh {name}", getattr(mesh, name), limit)
         check.points("mesh shares", mesh.shares, (len(mesh.embedded_in), 4))
-        weights = mesh.weights
         check.points("mesh weights", weights.data, (len(weights.indices),))
         check.numbers("mesh weights", weights.indices, weights.shape[1])
-        for name, found, wanted in (
-            ("weights", weights.shape[0], len(mesh.tets)),
-            ("embedded_in", len(mesh.embedded_in), len(mesh.embedded)),
-        ):
-            if found != wanted:
-                check.wrong("shape", f"mesh {name}", f"has {found} rows, not {wanted}")
+        check.rows("weights", weights.shape[0], len(mesh.tets))
+        check.rows("embedded_in", len(mesh.embedded_in), len(mesh.embedded))
 
 
 class _Check:
@@ -144,6 +131,10 @@ class _Check:
         if len(outside):
             place = tuple(outside[0])
             self.wrong("range", name, f"has {array[place]} at {list(map(int, place))}, of {count}")
+
+    def rows(self, name: str, found: int, wanted: int) -> None:
+        if found != wanted:
+            self.wrong("shape", f"mesh {name}", f"has {found} rows, not {wanted}")
 
     def surface(self, name: str, surface: Surface) -> None:
         self.points(f"{name} vertices", surface.vertices, (None, 3))
@@ -200,22 +191,23 @@ class TemplateMesh:
 
     def arrays(self) -> Arrays:
         """Return the mesh as named arrays, for a file."""
-        plain = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "weights"}
-        return {name: np.asarray(value) for name, value in plain.items()} | csr_arrays(
-            "weights", self.weights
-        )
+        plain = {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)[:-1]}
+        return plain | csr_arrays("weights", self.weights)
 
     @classmethod
     def from_arrays(cls, arrays: Arrays, muscle_count: int) -> TemplateMesh:
         """Return the mesh that :meth:`arrays` described."""
-        plain = {f.name: arrays[f.name] for f in fields(cls) if f.name != "weights"}
-        weights = csr_from("weights", arrays, muscle_count + 1)
-        return cls(**{**plain, "edge_mm": float(arrays["edge_mm"]), "weights": weights})
+        plain: dict[str, Any] = {f.name: arrays[f.name] for f in fields(cls)[:-1]}
+        plain["edge_mm"] = float(plain["edge_mm"])
+        return cls(**plain, weights=csr_from("weights", arrays, muscle_count + 1))
 
 
 # The template itself.
 
 FORMAT = 1  # of the file
+SURFACES = ("skin", "cranium", "mandible")
+VERTEX_SETS = ("face_vertices", "attached_cranium", "attached_mandible")
+PLAIN = ("flesh_faces", *VERTEX_SETS, "parting", "condyles")  # arrays that are stored as they are
 
 
 @dataclass(frozen=True)
@@ -232,6 +224,11 @@ class Muscle:
     origin: Floats
     insertion: Floats
     ring: bool = False
+
+    @property
+    def axis(self) -> Floats:
+        """Return fibre, origin and insertion, (3, 3)."""
+        return np.stack([self.fibre, self.origin, self.insertion])
 
 
 @dataclass(frozen=True)
@@ -299,6 +296,16 @@ class Template:
         return self.skin.moved(self.skin.vertices + self.parting)
 
     @property
+    def flesh(self) -> Surface:
+        """Return the part of the skin that bounds the flesh, with all vertices of the skin."""
+        return Surface(self.skin.vertices, self.skin.faces[self.flesh_faces])
+
+    @property
+    def parted_flesh(self) -> Surface:
+        """Return :attr:`flesh` with the lips parted."""
+        return self.flesh.moved(self.skin.vertices + self.parting)
+
+    @property
     def sha256(self) -> str:
         """Return the hash of all that the template holds."""
         return self._archive().sha256
@@ -327,27 +334,14 @@ class Template:
         return template
 
     def _archive(self) -> Archive:
-        arrays: Arrays = {
-            "skin_vertices": self.skin.vertices,
-            "skin_faces": self.skin.faces,
-            "flesh_faces": self.flesh_faces,
-            "face_vertices": self.face_vertices,
-            "attached_cranium": self.attached_cranium,
-            "attached_mandible": self.attached_mandible,
-            "parting": self.parting,
-            "cranium_vertices": self.cranium.vertices,
-            "cranium_faces": self.cranium.faces,
-            "mandible_vertices": self.mandible.vertices,
-            "mandible_faces": self.mandible.faces,
-            "condyles": self.condyles,
-            "planes": np.array([self.back_z, self.bottom_y]),
-        }
+        arrays: Arrays = {name: getattr(self, name) for name in PLAIN}
+        arrays["planes"] = np.array([self.back_z, self.bottom_y])
+        surfaces = {name: getattr(self, name) for name in SURFACES}
         for number, muscle in enumerate(self.muscles):
-            arrays[f"muscle_{number}_vertices"] = muscle.surface.vertices
-            arrays[f"muscle_{number}_faces"] = muscle.surface.faces
-            arrays[f"muscle_{number}_axis"] = np.stack(
-                [muscle.fibre, muscle.origin, muscle.insertion]
-            )
+            surfaces[f"muscle_{number}"] = muscle.surface
+            arrays[f"muscle_{number}_axis"] = muscle.axis
+        for name, surface in surfaces.items():
+            arrays[f"{name}_vertices"], arrays[f"{name}_faces"] = surface.vertices, surface.faces
         arrays |= {f"region_{name}": ids for name, ids in self.regions.items()}
         if self.shapes is not None:
             arrays["shapes_identity"] = self.shapes.identity
@@ -371,35 +365,28 @@ class Template:
     @classmethod
     def _from_archive(cls, archive: Archive) -> Template:
         header, data = archive.header, archive.arrays
+
+        def surface(name: str) -> Surface:
+            return Surface(data[f"{name}_vertices"], data[f"{name}_faces"])
+
         muscles = []
         for number, name in enumerate(header["muscles"]):
-            fibre, origin, insertion = data[f"muscle_{number}_axis"]
-            surface = Surface(data[f"muscle_{number}_vertices"], data[f"muscle_{number}_faces"])
             ring = name in header.get("rings", ())
-            muscles.append(Muscle(name, surface, fibre, origin, insertion, ring))
+            fibre, origin, insertion = data[f"muscle_{number}_axis"]
+            bounds = surface(f"muscle_{number}")
+            muscles.append(Muscle(name, bounds, fibre, origin, insertion, ring))
         shapes = None
         if "shapes_identity" in data:
-            shapes = ShapeBasis(
-                data["shapes_identity"],
-                data["shapes_expressions"],
-                tuple(header["expression_names"]),
-            )
+            names = tuple(header["expression_names"])
+            shapes = ShapeBasis(data["shapes_identity"], data["shapes_expressions"], names)
         mesh = with_prefix(data, "mesh_")
         back_z, bottom_y = data["planes"]
+        plain: dict[str, Any] = {name: data[name] for name in PLAIN}
+        plain |= {name: surface(name) for name in SURFACES}
+        plain |= {name: header[name] for name in ("name", "version", "source")}
         return cls(
-            name=header["name"],
-            version=header["version"],
-            source=header["source"],
-            skin=Surface(data["skin_vertices"], data["skin_faces"]),
-            flesh_faces=data["flesh_faces"],
-            face_vertices=data["face_vertices"],
-            attached_cranium=data["attached_cranium"],
-            attached_mandible=data["attached_mandible"],
-            parting=data["parting"],
-            cranium=Surface(data["cranium_vertices"], data["cranium_faces"]),
-            mandible=Surface(data["mandible_vertices"], data["mandible_faces"]),
+            **plain,
             muscles=tuple(muscles),
-            condyles=data["condyles"],
             back_z=float(back_z),
             bottom_y=float(bottom_y),
             landmarks=dict(header["landmarks"]),

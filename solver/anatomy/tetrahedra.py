@@ -23,7 +23,7 @@ from solver.surface import Floats, Ints, Surface
 ML = 1e-3  # millilitres in a cubic millimetre
 
 _ROOT = Path(__file__).parents[2]
-_CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+_CORNERS = np.indices((2, 2, 2)).reshape(3, -1).T  # of a cube
 # The six tetrahedra of a cube around its main diagonal (Kuhn's subdivision), by corner number.
 _KUHN = np.array(
     [[0, 4, 6, 7], [0, 6, 2, 7], [0, 2, 3, 7], [0, 3, 1, 7], [0, 1, 5, 7], [0, 5, 4, 7]]
@@ -45,13 +45,9 @@ def background_grid(lo: Floats, hi: Floats, spacing: float) -> tuple[Floats, Int
     ``spacing`` is the length of a cell in mm.
     """
     counts = np.ceil((hi - lo) / spacing).astype(int) + 1
-    axes = [lo[k] + spacing * np.arange(counts[k]) for k in range(3)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    cells = np.stack(
-        np.meshgrid(*[np.arange(count - 1) for count in counts], indexing="ij"), axis=-1
-    ).reshape(-1, 3)
-    corners = cells[:, None, :] + _CORNERS
-    numbers = (corners[..., 0] * counts[1] + corners[..., 1]) * counts[2] + corners[..., 2]
+    points = lo + spacing * np.indices(tuple(counts)).reshape(3, -1).T
+    corners = np.indices(tuple(counts - 1)).reshape(3, -1).T[:, None] + _CORNERS
+    numbers = np.ravel_multi_index(tuple(np.moveaxis(corners, -1, 0)), tuple(counts))
     return points, numbers[:, _KUHN].reshape(-1, 4)
 
 
@@ -68,27 +64,12 @@ def tetrahedralize(
     Nothing is filtered: the tetrahedra inside, outside and in holes are all returned, and the
     caller chooses. The result is not reproducible from run to run.
 
-    Parameters
-    ----------
-    surface
-        The triangles to follow, within ``envelope_mm``.
-    edge_mm
-        Wanted edge length outside the background mesh of ``lengths``.
-    envelope_mm
-        Largest distance between the triangles and the faces that follow them.
-    lengths
-        Wanted edge lengths where they differ.
-    cpu_seconds
-        The child ends after so much processor time: a busy machine makes it slow, not wrong.
+    The triangles of ``surface`` are followed within ``envelope_mm`` (the largest distance) by tets
+    with edges of ``edge_mm``, or of ``lengths`` where that background mesh is. The child ends after
+    ``cpu_seconds`` of processor time: a busy machine makes it slow, not wrong.
 
-    Returns
-    -------
-    Vertices (p, 3) in mm and positively oriented tetrahedra (t, 4).
-
-    Raises
-    ------
-    SolveError
-        ``mesher.timeout`` or ``mesher.crashed``.
+    Returns vertices (p, 3) in mm and positively oriented tetrahedra (t, 4). Raises
+    :class:`SolveError`: ``mesher.timeout`` or ``mesher.crashed``.
     """
     with tempfile.TemporaryDirectory(prefix="tetrahedra-") as name:
         source, target = Path(name) / "input.npz", Path(name) / "output.npz"
@@ -102,8 +83,8 @@ def tetrahedralize(
             edge=edge_mm,
             envelope=envelope_mm,
         )
-        files = [str(source), str(target)]
-        command = [sys.executable, "-m", "solver.anatomy.tetrahedra", *files, str(cpu_seconds)]
+        command = [sys.executable, "-m", "solver.anatomy.tetrahedra"]
+        command += [str(source), str(target), str(cpu_seconds)]
         child = subprocess.run(command, cwd=_ROOT, capture_output=True, check=False)
         if child.returncode == -signal.SIGPROF:
             raise SolveError(
@@ -125,10 +106,8 @@ def tetrahedralize(
 
 def positively_oriented(vertices: Floats, tets: Ints) -> Ints:
     """Return the tetrahedra with two vertices swapped where the signed volume is negative."""
-    oriented = tets.copy()
-    negative = volumes(vertices, tets) < 0
-    oriented[negative] = tets[negative][:, [0, 1, 3, 2]]
-    return oriented
+    negative = volumes(vertices, tets)[:, None] < 0
+    return np.where(negative, tets[:, [0, 1, 3, 2]], tets)
 
 
 def volumes(vertices: Floats, tets: Ints) -> Floats:

@@ -9,13 +9,12 @@ import igl
 import numpy as np
 import scipy.sparse as sp
 
-from solver.anatomy.depth_warp import SkinDepth
 from solver.anatomy.domain import boundary
-from solver.anatomy.embedding import barycentric
+from solver.anatomy.embedding import at_nearest
 from solver.anatomy.relaxation import Guides, relax
 from solver.anatomy.template import Muscle, Template, TemplateMesh
 from solver.anatomy.tetrahedra import barycentric_in_tets, dihedral_angles
-from solver.anatomy.warp import Warp, interpolate, spread
+from solver.anatomy.warp import SkinDepth, Warp, interpolate, spread
 from solver.errors import SolveError
 from solver.surface import Floats, Ints, Surface
 
@@ -36,8 +35,7 @@ TRANSFER = TransferOptions()
 
 def skin_warp(template: Template, neutral: Floats, options: TransferOptions = TRANSFER) -> Warp:
     """Return the smooth map of space from the template's head to the one with skin ``neutral``."""
-    flesh = np.unique(template.skin.faces[template.flesh_faces])
-    source = template.skin.vertices
+    flesh, source = np.unique(template.flesh.faces), template.skin.vertices
     chosen = flesh[spread(source[flesh], options.correspondences)]
     return interpolate(source[chosen], neutral[chosen], options.smoothing_mm)
 
@@ -51,11 +49,10 @@ def carry(
     reaches further than the template's.
     """
     source = template.skin.vertices
-    before, after = _Depths(template, source), _Depths(template, neutral)
+    skins = list(zip(_skin_depths(template, source), _skin_depths(template, neutral), strict=True))
 
     def bone(surface: Surface) -> Surface:
-        start = warp(surface.vertices)
-        return surface.moved(_deep_enough(surface.vertices, start, before, after, options))
+        return surface.moved(_deep_enough(surface.vertices, warp, skins, options))
 
     face = template.face_vertices
     reach = neutral[face].min(axis=0) - source[face].min(axis=0)
@@ -89,28 +86,26 @@ def carry_muscle(muscle: Muscle, motion: Callable[[Floats], Floats]) -> Muscle:
     )
 
 
-class _Depths:
-    """Depths of points under all skin of the flesh, and under the face's."""
-
-    def __init__(self, template: Template, skin: Floats) -> None:
-        flesh = template.skin.faces[template.flesh_faces]
-        on_face = np.isin(flesh, template.face_vertices).all(axis=1)
-        self.flesh = SkinDepth(Surface(skin, flesh))
-        self.face = SkinDepth(Surface(skin, flesh), flesh[on_face])
+def _skin_depths(template: Template, skin: Floats) -> tuple[SkinDepth, SkinDepth]:
+    """Return depths under all ``skin`` (n, 3) of the flesh, and under the face's."""
+    flesh = template.flesh.moved(skin)
+    on_face = np.isin(flesh.faces, template.face_vertices).all(axis=1)
+    return SkinDepth(flesh), SkinDepth(flesh, flesh.faces[on_face])
 
 
 def _deep_enough(
-    points: Floats, moved: Floats, before: _Depths, after: _Depths, options: TransferOptions
+    points: Floats, warp: Warp, skins: list[tuple[SkinDepth, SkinDepth]], options: TransferOptions
 ) -> Floats:
-    """Return ``moved`` (n, 3) pushed as deep as ``points`` (n, 3), or the wanted clearance.
+    """Return warped ``points`` (n, 3) as deep under the moved skins as they were, or the clearance.
 
     Between face and lining there may be no room for both; then the face's skin is kept clear.
     """
+    moved = warp(points)
     for _ in range(options.clearance_steps):
         start = moved
-        for skin_before, skin_after in ((before.flesh, after.flesh), (before.face, after.face)):
-            least = np.minimum(skin_before(points)[0], options.clearance_mm)
-            depths, deeper = skin_after(moved)
+        for before, after in skins:
+            least = np.minimum(before(points)[0], options.clearance_mm)
+            depths, deeper = after(moved)
             # A bone that reaches through the lining of the mouth has no depth to keep.
             missing = np.where(least > 0, np.maximum(least - depths, 0.0), 0.0)
             moved = moved + missing[:, None] * deeper
@@ -147,9 +142,7 @@ class FleshMotion:
         shares = barycentric_in_tets(points[inside], self._vertices[corners])
         correction[inside] = np.einsum("nk,nkd->nd", shares, self._correction[corners])
         if len(outside):
-            face, shares, _ = barycentric(points[outside], self._surface)
-            corners = self._surface.faces[face]
-            correction[outside] = np.einsum("nk,nkd->nd", shares, self._correction[corners])
+            correction[outside] = at_nearest(points[outside], self._surface, self._correction)
         return self._warp(points) + correction
 
 
@@ -180,22 +173,11 @@ def guidance(
     start: Floats,
     pulls: Pulls = PULLS,
 ) -> Guides:
-    """Return the springs of a mesh.
+    """Return the springs of a mesh with vertices that ``start`` (p, 3).
 
-    Parameters
-    ----------
-    head
-        Says which skin vertices are the face's.
-    skin
-        (n, 3) positions the skin should have.
-    embedded, surface_rows
-        (e,) skin vertices that follow the mesh, and the (e, p) rows of their surface points.
-    held, held_at
-        (h,) vertices on bones and cut planes, and where they belong, (h, 3).
-    start
-        (p, 3) positions of all vertices.
-    pulls
-        Weights of the springs.
+    The skin vertices ``embedded`` (e,) of a head follow the mesh by ``surface_rows`` (e, p), and
+    should be where ``skin`` (n, 3) has them; the vertices ``held`` (h,) on bones and cut planes
+    belong to ``held_at`` (h, 3).
     """
     count = len(start)
     pull = np.where(np.isin(embedded, head.face_vertices), pulls.face, pulls.skin)
@@ -223,23 +205,11 @@ def transport(
 ) -> tuple[TemplateMesh, Template]:
     """Return the template's mesh in a person, and the person with muscles moved as their tets are.
 
-    Parameters
-    ----------
-    template
-        The head the mesh was made for.
-    mesh
-        The template's tets.
-    person
-        The template carried into the person by ``warp``.
-    warp
-        The map of space between their skins.
-    options
-        Of these, the least dihedral angle.
+    ``mesh`` was made for ``template``, which ``warp``, the map of space between their skins,
+    carried into ``person``.
 
-    Raises
-    ------
-    SolveError
-        ``mesh.inverted`` or ``mesh.flat``.
+    Raises :class:`SolveError`: ``mesh.inverted``, or ``mesh.flat`` for a tet with a dihedral angle
+    below the least of ``options``.
     """
     start = warp(mesh.vertices)
     place = start.copy()
@@ -248,7 +218,8 @@ def transport(
         (cranium, template.cranium, person.cranium),
         (mesh.mandible, template.mandible, person.mandible),
     ):
-        place[ids] = _follow(mesh.vertices[ids], before, after)
+        points = mesh.vertices[ids]
+        place[ids] = points + at_nearest(points, before, after.vertices - before.vertices)
     held = np.concatenate([cranium, mesh.mandible, mesh.cut])
     guides = guidance(
         person, person.skin.vertices, mesh.embedded, mesh.surface_rows, held, place[held], start
@@ -264,10 +235,3 @@ def transport(
     motion = FleshMotion(mesh.vertices, mesh.tets, moved, warp)
     muscles = tuple(carry_muscle(muscle, motion) for muscle in template.muscles)
     return replace(mesh, vertices=moved), replace(person, muscles=muscles)
-
-
-def _follow(points: Floats, before: Surface, after: Surface) -> Floats:
-    """Return where points (n, 3) near a surface go when it moves."""
-    face, shares, _ = barycentric(points, before)
-    moved = (after.vertices - before.vertices)[before.faces[face]]
-    return np.asarray(points + np.einsum("nk,nkd->nd", shares, moved))

@@ -1,4 +1,4 @@
-"""Smooth maps of space from corresponding points: the kernel |r| with an affine part.
+"""Smooth maps of space: the kernel |r| with an affine part, from points or depths under a skin.
 
 In three dimensions |r| is the kernel of the biharmonic spline (Bookstein 1989; Carr et al. 2001):
 among all maps through the given points it bends least.
@@ -8,11 +8,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import igl
 import numpy as np
+import scipy.sparse as sp
 from scipy.linalg import solve
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
-from solver.surface import Floats, Ints
+from solver.anatomy.embedding import inside
+from solver.surface import Floats, Ints, Surface, directed_edges
 
 
 @dataclass(frozen=True)
@@ -91,10 +95,7 @@ def least_bending(centres: Floats, planes: PlaneConstraints, stiffness: float) -
     rows = np.einsum("nd,nk->ndk", planes.directions, values)
     rows = rows.reshape(len(values), 3 * width)
     root = np.linalg.cholesky(bending + 1e-9 * np.trace(bending) / count * np.eye(count - 4)).T
-    regular = np.zeros((3 * (count - 4), 3 * width))
-    for axis in range(3):
-        block = slice(axis * width, axis * width + count - 4)
-        regular[axis * (count - 4) : (axis + 1) * (count - 4), block] = np.sqrt(stiffness) * root
+    regular = np.kron(np.eye(3), np.hstack([np.sqrt(stiffness) * root, np.zeros((count - 4, 4))]))
     normal = rows.T @ rows + regular.T @ regular
     right = rows.T @ planes.distances
     normal[np.diag_indices_from(normal)] += 1e-12 * np.trace(normal) / len(normal)
@@ -102,3 +103,130 @@ def least_bending(centres: Floats, planes: PlaneConstraints, stiffness: float) -
     solution = solution.reshape(3, width).T
     coefficients = np.vstack([complement @ solution[: count - 4], solution[count - 4 :]])
     return Warp(centres, coefficients)
+
+
+# The depth of a point under the skin, and the way that leads deeper.
+
+
+class SkinDepth:
+    """Signed distance to a skin whose holes (mouth, lids, neck) are closed by fans.
+
+    With open holes the teeth would count as outside: ``closed`` is the skin without. Distances may
+    be taken to a part of the skin only, ``nearest`` (f, 3).
+    """
+
+    def __init__(self, skin: Surface, nearest: Ints | None = None) -> None:
+        self.closed = close_holes(skin)
+        self._nearest = skin.faces if nearest is None else nearest
+        self._tree = igl.AABB()
+        self._tree.init(self.closed.vertices, self._nearest)
+
+    def __call__(self, points: Floats) -> tuple[Floats, Floats]:
+        """Return depths (n,) in mm, negative outside, and unit directions (n, 3) that go deeper."""
+        squared, _, closest = self._tree.squared_distance(
+            self.closed.vertices, self._nearest, points
+        )
+        away = points - closest
+        distance = np.sqrt(squared)
+        sign = np.where(inside(self.closed, points), 1.0, -1.0)
+        direction = sign[:, None] * away / np.maximum(distance, 1e-9)[:, None]
+        return sign * distance, direction
+
+
+def close_holes(surface: Surface) -> Surface:
+    """Return a surface with a fan of triangles over every hole, around its middle."""
+    edges, hole = boundary_edges(surface.faces)
+    centres = [
+        surface.vertices[np.unique(edges[hole == number])].mean(axis=0, keepdims=True)
+        for number in np.unique(hole)
+    ]
+    # Turned round, the edges of a hole and its middle make faces that close it.
+    caps = np.column_stack([edges[:, ::-1], len(surface.vertices) + hole])
+    return Surface(np.vstack([surface.vertices, *centres]), np.vstack([surface.faces, caps]))
+
+
+def boundary_edges(faces: Ints) -> tuple[Ints, Ints]:
+    """Return the edges (e, 2) of only one face, in its direction, and the hole (e,) of each."""
+    edges = directed_edges(faces)
+    keys, key, count = np.unique(
+        np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    edges = edges[count[key.ravel()] == 1]
+    size = int(keys.max()) + 1
+    graph = sp.coo_array((np.ones(len(edges)), edges.T), shape=(size, size))
+    piece = connected_components(graph, directed=False)[1]
+    return edges, np.unique(piece[edges[:, 0]], return_inverse=True)[1]
+
+
+# Warps that keep landmarks and depths, on both sides alike.
+
+MIRROR = np.array([-1.0, 1.0, 1.0])  # the mid-plane is x = 0
+
+
+def both_sides(points: Floats) -> Floats:
+    """Return points (n, 3) and their mirror images, (2 n, 3)."""
+    return np.vstack([points, points * MIRROR])
+
+
+@dataclass(frozen=True)
+class PointPairs:
+    """Corresponding points ``source`` and ``target``, (k, 3) in mm, of the left and the middle."""
+
+    source: Floats
+    target: Floats
+
+
+@dataclass(frozen=True)
+class DepthLimits:
+    """Least and greatest depth in mm, (n,) or one for all, of ``points`` (n, 3) under a skin.
+
+    The points are those of the left and the middle.
+    """
+
+    points: Floats
+    least: Floats | float
+    greatest: Floats | float
+    skin: SkinDepth
+
+    def corrections(self, warp: Warp) -> PlaneConstraints:
+        """Return the displacements that bring the warped points back within their limits."""
+        now = warp(self.points)
+        depths, deeper = self.skin(now)
+        missing = np.clip(depths, self.least, self.greatest) - depths
+        wanted = missing + np.sum(deeper * (now - self.points), axis=1)
+        active = missing != 0
+        return PlaneConstraints(self.points[active], deeper[active], wanted[active])
+
+
+def depth_warp(
+    landmarks: PointPairs,
+    limits: list[DepthLimits],
+    *,
+    centres: int,
+    stiffness: float,
+    steps: int = 14,
+) -> Warp:
+    """Return the least bending warp that meets landmarks and depth limits (Gauss-Newton).
+
+    Each of the ``steps`` linearises the depths of the points that violate their limits. What is
+    given for the left also holds for the right, mirrored at x = 0: the warp is symmetric. It has
+    ``centres`` on the left and as many on the right; more ``stiffness`` misses what is wanted by
+    more, less folds space.
+    """
+    everything = np.vstack([landmarks.source, *[limit.points for limit in limits]])
+    kernels = both_sides(everything[spread(everything, centres)])
+    fixed = PlaneConstraints(
+        np.repeat(landmarks.source, 3, axis=0),
+        np.tile(np.eye(3), (len(landmarks.source), 1)),
+        (landmarks.target - landmarks.source).ravel(),
+    )
+    warp = Warp(kernels, np.zeros((len(kernels) + 4, 3)))
+    for _ in range(steps):
+        parts = [fixed, *[limit.corrections(warp) for limit in limits]]
+        planes = PlaneConstraints(
+            both_sides(np.vstack([part.points for part in parts])),
+            both_sides(np.vstack([part.directions for part in parts])),
+            np.tile(np.concatenate([part.distances for part in parts]), 2),
+        )
+        warp = least_bending(kernels, planes, stiffness)
+    return warp

@@ -20,8 +20,9 @@ import scipy.sparse as sp
 
 from solver.anatomy.template import ShapeBasis
 from solver.errors import InputError, SolveError
-from solver.fitting import activation, defaults
-from solver.fitting.activation import Resting
+from solver.fitting import activation
+from solver.fitting.activation import UNSEEN_STOP, unseen_regulariser
+from solver.fitting.contact import terms
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import LEAST_STRETCH, Target
 from solver.fitting.stretches import COLUMN, ROW, matrices
@@ -223,21 +224,13 @@ def solve_blendshapes(
     }
     found = dict(done)
     if missing:
-        rest = Resting(face)
-        data, regulariser = defaults.terms(face, missing), defaults.unseen_regulariser(face)
+        data, regulariser = terms(face, missing), unseen_regulariser(face)
         for name, target in missing.items():
             try:
-                fit = activation.fit(
-                    face,
-                    data[name],
-                    regulariser,
-                    rest.state,
-                    defaults.UNSEEN_STOP,
-                    matrix=rest.matrix,
-                )
+                fit = activation.fit(face, data[name], regulariser, options=UNSEEN_STOP)
                 state, settled = fit.state, True
             except (SolveError, np.linalg.LinAlgError):
-                state, settled = rest.state, False
+                state, settled = face.rest, False
             off = target.distances(face.face_points(state.x))
             pose = _beyond(state.pose, found.get(CORRECTED.get(name, "")))
             found[name] = Solved(pose, float(off.mean()), settled)

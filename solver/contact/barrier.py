@@ -38,8 +38,9 @@ class BarrierOptions:
 
 @dataclass(frozen=True)
 class _Contacts:
-    """Positions (v, 3) of the surfaces, and what touches there."""
+    """Positions (v, 3) of the surfaces at x (p, 3), and what touches there."""
 
+    x: Floats
     points: Floats
     collisions: ipctk.NormalCollisions
 
@@ -52,24 +53,23 @@ class _Friction:
     collisions: ipctk.TangentialCollisions
     seconds: float
 
+    def velocity(self, points: Floats) -> Floats:
+        return np.asfortranarray((points - self.points) / self.seconds)
+
 
 class Barrier:
     """A :class:`solver.mechanics.potential.Potential` of the skin and of objects.
 
     Parameters
     ----------
-    surface
-        The skin that may touch.
+    surface, objects
+        The skin that may touch, and closed surfaces, where they are to begin with.
     stiffness_pa
         The flesh's.
-    objects
-        Closed surfaces, where they are to begin with.
     itself
         Whether skin meets skin; else only objects do.
     friction
         Coefficient of friction, of skin and of objects.
-    options
-        Where it acts, and how steeply.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class Barrier:
         self._sliding = ipctk.FrictionPotential(options.slip_mm_s)
         self._friction = friction
         self._lagged: _Friction | None = None
-        self._last: tuple[Floats, _Contacts] | None = None
+        self._last: _Contacts | None = None
         self._mesh = _join(surface, objects, itself=itself)
 
     def begin(self, x: Floats, now: Boundary, seconds: float) -> None:
@@ -102,12 +102,9 @@ class Barrier:
         self.place(now)
         if not self._friction:
             return
-        touching = self._touching(x)
-        lagged = ipctk.TangentialCollisions()
-        lagged.build(
-            self._mesh, touching.points, touching.collisions, self._barrier, self._friction
-        )
-        self._lagged = _Friction(touching.points, lagged, seconds)
+        here, lagged = self._touching(x), ipctk.TangentialCollisions()
+        lagged.build(self._mesh, here.points, here.collisions, self._barrier, self._friction)
+        self._lagged = _Friction(here.points, lagged, seconds)
 
     def place(self, boundary: Boundary) -> None:
         """See :class:`solver.mechanics.potential.Potential`."""
@@ -116,21 +113,20 @@ class Barrier:
 
     def value(self, x: Floats) -> float:
         """See :class:`solver.mechanics.potential.Potential`."""
-        touching = self._touching(x)
-        value = float(self._barrier(touching.collisions, self._mesh, touching.points))
-        if self._lagged is not None:
-            speed = self._velocity(touching.points, self._lagged)
-            drag = self._sliding(self._lagged.collisions, self._mesh, speed)
-            value += self._lagged.seconds * float(drag)
+        now, lagged = self._touching(x), self._lagged
+        value = float(self._barrier(now.collisions, self._mesh, now.points))
+        if lagged is not None:
+            speed = lagged.velocity(now.points)
+            value += lagged.seconds * float(self._sliding(lagged.collisions, self._mesh, speed))
         return value
 
     def gradient(self, x: Floats) -> Floats:
         """See :class:`solver.mechanics.potential.Potential`."""
-        touching = self._touching(x)
-        force = self._barrier.gradient(touching.collisions, self._mesh, touching.points)
-        if self._lagged is not None:
-            speed = self._velocity(touching.points, self._lagged)
-            force = force + self._sliding.gradient(self._lagged.collisions, self._mesh, speed)
+        now, lagged = self._touching(x), self._lagged
+        force = self._barrier.gradient(now.collisions, self._mesh, now.points)
+        if lagged is not None:
+            speed = lagged.velocity(now.points)
+            force = force + self._sliding.gradient(lagged.collisions, self._mesh, speed)
         return self._on_flesh(force)
 
     def hessian(self, x: Floats) -> sp.csr_array:
@@ -181,12 +177,11 @@ class Barrier:
 
     def _touching(self, x: Floats) -> _Contacts:
         """Find what touches at x; value, gradient and Hessian ask for the same x again."""
-        if self._last is None or not np.array_equal(self._last[0], x):
-            points = self._points(x, self._objects)
-            collisions = ipctk.NormalCollisions()
+        if self._last is None or not np.array_equal(self._last.x, x):
+            points, collisions = self._points(x, self._objects), ipctk.NormalCollisions()
             collisions.build(self._mesh, points, self._options.distance_mm)
-            self._last = x.copy(), _Contacts(points, collisions)
-        return self._last[1]
+            self._last = _Contacts(x.copy(), points, collisions)
+        return self._last
 
     def _by_flesh(self, second: sp.csr_array) -> sp.csr_array:
         """Return the Hessian (3 p, 3 p) by the flesh from that by skin and objects."""
@@ -199,16 +194,13 @@ class Barrier:
 
     def _second(self, x: Floats, project: ipctk.PSDProjectionMethod) -> sp.csr_array:
         """Return the Hessian by the coordinates of skin and objects."""
-        touching = self._touching(x)
-        matrix = self._barrier.hessian(touching.collisions, self._mesh, touching.points, project)
-        if self._lagged is not None:
-            speed = self._velocity(touching.points, self._lagged)
-            drag = self._sliding.hessian(self._lagged.collisions, self._mesh, speed, project)
-            matrix = matrix + drag / self._lagged.seconds
+        now, lagged = self._touching(x), self._lagged
+        matrix = self._barrier.hessian(now.collisions, self._mesh, now.points, project)
+        if lagged is not None:
+            speed = lagged.velocity(now.points)
+            drag = self._sliding.hessian(lagged.collisions, self._mesh, speed, project)
+            matrix = matrix + drag / lagged.seconds
         return sp.csr_array(matrix)
-
-    def _velocity(self, points: Floats, lagged: _Friction) -> Floats:
-        return np.asfortranarray((points - lagged.points) / lagged.seconds)
 
     def _on_flesh(self, force: Floats) -> Floats:
         """Return forces on the contact surface's coordinates as forces (p, 3) on the flesh."""

@@ -2,22 +2,131 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
+from typing import Any
 
 import igl
+import numba as nb
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
-from solver.contact.one_sided import OneSided
-from solver.contact.overlap import INSIDE, between_lips
-from solver.contact.potentials import arches
 from solver.errors import InputError
-from solver.mechanics.jaw import move
-from solver.mechanics.potential import Boundary
-from solver.model import SubjectModel
 from solver.surface import Floats, Ints, Surface
+
+INSIDE = 0.5  # winding number above which a place lies inside
+
+
+@dataclass(frozen=True)
+class OverlapOptions:
+    """Options by which a lip counts as in the other one."""
+
+    outside_mm: float = 0.05  # a vertex is looked at this far outside its own skin
+    deepest_mm: float = 6.0  # flesh of a lip is thicker than this: nothing deeper is looked for
+    beside_mm: float = 1.0  # what is crossed is inside itself, or some vertex this near to it is
+    back: float = 0.3  # least cosine between the way back out and the normals of the two skins
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """h vertices of the mouth, each with the nearest point of the surface it has crossed.
+
+    ids
+        (h,) vertices, sorted.
+    corners, shares
+        (h, 3) the triangle that holds the nearest point, and barycentric shares in it.
+    depth
+        (h,) mm from the vertex to that point.
+    out
+        (h, 3) unit vectors from the vertex to that point.
+    """
+
+    ids: Ints
+    corners: Ints
+    shares: Floats
+    depth: Floats
+    out: Floats
+
+    @classmethod
+    def at(cls, points: Floats, ids: Ints, corners: Ints, shares: Floats) -> Overlap:
+        """Measure the depths at ``points`` (m, 3)."""
+        gap = np.einsum("hc,hci->hi", shares, points[corners]) - points[ids]
+        depth = np.linalg.norm(gap, axis=1)
+        return cls(ids, corners, shares, depth, gap / np.maximum(depth, 1e-12)[:, None])
+
+    def where(self, mask: NDArray[np.bool_]) -> Overlap:
+        """Return the rows of a mask (h,)."""
+        return Overlap(*(part[mask] for part in astuple(self)))
+
+
+def inside_lips(mouth: Mouth, points: Floats, normals: Floats, outside_mm: float) -> Ints:
+    """Return those vertices of the lips (h,) that lie in flesh not under their own skin.
+
+    By the generalised winding number (Jacobson et al. 2013) of the skin around the mouth, an open
+    surface: it is above one in the flesh of two lips, and well below a half outside.
+    """
+    lips = np.flatnonzero(mouth.label == LIPS)
+    beside = np.ascontiguousarray(points[lips] + outside_mm * normals[lips])
+    return lips[is_inside(beside, Surface(points, mouth.flesh))]
+
+
+def between_lips(
+    mouth: Mouth, points: Floats, options: OverlapOptions = OverlapOptions()
+) -> Overlap:
+    """Find the overlap of the lips at ``points`` (m, 3) of the mouth.
+
+    Of all skin that is inside, the nearest that faces a vertex: skins in contact have opposed
+    normals, which keeps a vertex's own surroundings out.
+    """
+    normals = mouth.normals(points)
+    inside = inside_lips(mouth, points, normals, options.outside_mm)
+    if not len(inside):
+        nothing = np.empty((0, 3))
+        return Overlap.at(points, inside, nothing.astype(np.int64), nothing)
+    # a thin lip's own other side faces its vertices too, but nothing there is inside
+    beside, _ = cKDTree(points[inside]).query(points, distance_upper_bound=options.beside_mm)
+    crossed = np.flatnonzero((mouth.label == LIPS) & np.isfinite(beside))
+    partner = _facing(points, normals, inside, crossed, options.deepest_mm)
+    ids, partner = inside[partner >= 0], partner[partner >= 0]
+    found = Overlap.at(points, ids, *_nearest(mouth, points, ids, partner))
+    other = np.einsum("hc,hci,hi->h", found.shares, normals[found.corners], found.out)
+    own = np.einsum("hi,hi->h", normals[ids], found.out)
+    return found.where((other > options.back) & (own < -options.back))
+
+
+@nb.njit(cache=True)
+def _facing(points: Floats, normals: Floats, ids: Ints, among: Ints, deepest: float) -> Ints:
+    """Return for each of some vertices the nearest of others that faces it; -1 where none does."""
+    out = np.full(len(ids), -1)
+    where, which = points[among], normals[among]
+    for a in range(len(ids)):
+        x, y, z = points[ids[a]]
+        u, v, w = normals[ids[a]]
+        best = deepest**2
+        for k in range(len(among)):
+            dx, dy, dz = where[k, 0] - x, where[k, 1] - y, where[k, 2] - z
+            squared = dx * dx + dy * dy + dz * dz
+            if squared < best and u * which[k, 0] + v * which[k, 1] + w * which[k, 2] < 0.0:
+                best = squared
+                out[a] = among[k]
+    return out
+
+
+def _nearest(mouth: Mouth, points: Floats, ids: Ints, partner: Ints) -> tuple[Ints, Floats]:
+    """Return the triangles around ``partner`` nearest to points, by corners, and the shares."""
+    start, number = mouth.rings
+    counts = start[partner + 1] - start[partner]
+    row = np.repeat(np.arange(len(ids)), counts)
+    first = np.cumsum(counts) - counts
+    corners = mouth.flesh[number[start[partner][row] + np.arange(len(row)) - first[row]]]
+    library: Any = trimesh.triangles
+    places = library.closest_point(points[corners], points[ids[row]])
+    squared = ((places - points[ids[row]]) ** 2).sum(axis=1)
+    best = np.lexsort((squared, row))[first]
+    shares = library.points_to_barycentric(points[corners[best]], places[best])
+    return corners[best], shares
 
 
 @dataclass(frozen=True)
@@ -75,86 +184,6 @@ def _in_teeth(mouth: Mouth, points: Floats, part: int, teeth: int) -> float | No
         np.ascontiguousarray(vertices), points, faces, igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
     )
     return float(np.maximum(-np.asarray(distance), 0.0).max(initial=0.0))
-
-
-# How deep a face in motion lies in what it touches: the figure that contact is judged by.
-
-
-@dataclass(frozen=True)
-class Penetration:
-    """Depths in mm, and how many of the lips' vertices are behind teeth.
-
-    ``lips`` is a lip's depth in the other lip, ``teeth`` a lip's in teeth, ``objects`` that of skin
-    in objects or of objects in the flesh; zero where nothing crosses, or there is nothing to cross.
-    """
-
-    lips: float
-    teeth: float
-    objects: float
-    behind_teeth: int
-
-    @property
-    def most(self) -> float:
-        """Return the greatest depth."""
-        return max(self.lips, self.teeth, self.objects)
-
-
-class Gauge:
-    """Measures the penetration of one model's flesh, frame by frame.
-
-    ``unedited`` is the person before edits, the model itself by default: lips are behind teeth
-    where they lie deeper in them, by ``behind_mm``, than that person's do at rest.
-    """
-
-    def __init__(
-        self, model: SubjectModel, unedited: SubjectModel | None = None, behind_mm: float = 0.2
-    ) -> None:
-        self._behind_mm = behind_mm
-        self._model = model
-        self._unedited = unedited or model
-        self._mouth = Mouth.of(self._unedited)
-        self._arches: list[OneSided] = []
-        if self._mouth is not None:
-            self._arches = arches(model, self._mouth, 1.0)
-        faces = model.skin.faces
-        on_flesh = faces[np.isin(faces, model.embedded).all(axis=1)]
-        self._faces: Ints = np.searchsorted(model.embedded, on_flesh)
-
-    def neutral(self) -> Penetration:
-        """Measure the unedited person at rest: scans of closed lips cross themselves."""
-        gauge = self if self._unedited is self._model else Gauge(self._unedited)
-        return gauge.at(self._unedited.rest, np.zeros(5))
-
-    def at(self, x: Floats, jaw: Floats, objects: Sequence[Surface] = ()) -> Penetration:
-        """Measure vertices x (p, 3), the jaw at b (5,), and objects in the head's frame."""
-        lips = teeth = 0.0
-        if self._mouth is not None:
-            found = crossing_at(self._mouth, self._mouth_points(self._mouth, x, jaw))
-            lips = found.lips
-            teeth = max(found.upper_teeth or 0.0, found.lower_teeth or 0.0)
-        placed = Boundary(np.empty((0, 3)), jaw)
-        behind = 0
-        for arch in self._arches:
-            arch.place(placed)
-            behind += len(arch.behind(x, self._behind_mm))
-        skin = np.asarray(self._model.embedding @ x + self._model.offset)
-        own = Surface(skin, self._faces)
-        pairs = [pair for each in objects for pair in ((skin, each), (each.vertices, own))]
-        depths = [depth_inside(points, surface) for points, surface in pairs]
-        return Penetration(lips, teeth, max(depths, default=0.0), behind)
-
-    def _mouth_points(self, mouth: Mouth, x: Floats, b: Floats) -> Floats:
-        """Return the positions (m, 3) of the mouth, teeth where edits and the jaw put them.
-
-        An edit bends the mandible, whose vertices then say no more where its teeth are.
-        """
-        model = self._model
-        points = model.skin.vertices[mouth.skin]
-        on_flesh = np.isin(mouth.skin, model.embedded)
-        on_jaw = np.isin(mouth.skin, model.attached_mandible)
-        points[on_flesh] = mouth.points(x)[on_flesh]
-        points[on_jaw] = move(model.jaw, points[on_jaw], b)
-        return points
 
 
 def is_inside(points: Floats, surface: Surface) -> NDArray[np.bool_]:

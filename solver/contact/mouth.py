@@ -19,14 +19,19 @@ from solver.anatomy.embedding import rows_of
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
 
-# The mandible by four of its vertices: what rides on it needs only x, not b.
+
+def area_weighted_normals(points: Floats, faces: Ints) -> Floats:
+    """Return outward unit normals (s, 3), zero where a vertex's triangles have none."""
+    area = igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_AREA
+    normals: Floats = igl.per_vertex_normals(points, faces, area)
+    return np.where(np.isfinite(normals), normals, 0.0)
 
 
 @dataclass(frozen=True)
 class Mandible:
     """Four vertices ``corners`` (4,) that span the mandible, and where they are at ``rest`` (4, 3).
 
-    A point that rides on it is p = sum_k w_k x_k, with affine shares w that do not change.
+    What rides on it needs only x, not b: p = sum_k w_k x_k, with affine shares w that stay.
     """
 
     corners: Ints
@@ -132,9 +137,7 @@ class Mouth:
 
     def normals(self, points: Floats) -> Floats:
         """Return outward unit normals (m, 3), zero at a vertex without triangles."""
-        area = igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_AREA
-        normals: Floats = igl.per_vertex_normals(points, self.faces, area)
-        return np.where(np.isfinite(normals), normals, 0.0)
+        return area_weighted_normals(points, self.faces)
 
     @cached_property
     def flesh(self) -> Ints:

@@ -92,7 +92,7 @@ class OneSided:
     Parameters
     ----------
     obstacle
-        The obstacle, where it is at rest.
+        Where it is at rest.
     rows, offset
         (k, p) CSR and (k, 3): the vertices are ``rows @ x + offset``.
     free
@@ -112,6 +112,7 @@ class OneSided:
         stiffness: Floats,
         carried: JawFrame | None = None,
     ) -> None:
+        self.obstacle = obstacle
         self._excess = Excess(obstacle, free)
         self._rows = rows
         self._offset = offset
@@ -163,11 +164,9 @@ class OneSided:
             return out
         h, slope = self._depths(x)
         # the obstacle moves under the vertex by the jaw's motion there, and its directions turn
-        seen = self._seen_at(x)[deep]
-        moved = jaw.jacobian(self._carried, seen, self._jaw)
-        turned = jaw.jacobian(
-            self._carried, self._carried.origin + slope[deep] @ self._turn, self._jaw
-        )
+        frame = self._carried
+        moved = jaw.jacobian(frame, self._seen_at(x)[deep], self._jaw)
+        turned = jaw.jacobian(frame, frame.origin + slope[deep] @ self._turn, self._jaw)
         turned[:, :, 2:] = 0.0
         by_jaw = (self._stiffness * h)[deep, None, None] * turned
         by_jaw -= np.einsum("kij,kjb->kib", blocks, moved)
@@ -180,7 +179,7 @@ class OneSided:
         if self._carried is None:
             return np.zeros_like(x)
         _, slope = self._depths(x)
-        points = np.asarray(self._rows @ x + self._offset)
+        points = self._points(x)
         # the vertex's motion as seen from the jaw, in the head's directions
         seen = self._seen(points, goal.jaw) - self._seen(points, self._jaw)
         nearer = np.einsum("ki,ki->k", slope, seen @ self._turn.T)
@@ -190,15 +189,13 @@ class OneSided:
         """See :class:`solver.mechanics.potential.Potential`."""
         return 1.0
 
-    def behind(self, x: Floats, tolerance: float) -> Ints:
-        """Return which vertices lie deeper by ``tolerance`` than they may, well over the field."""
-        return self._excess.behind(self._seen_at(x), tolerance)
+    def behind(self, x: Floats, b: Floats, tolerance: float) -> Ints:
+        """Return the vertices deeper by ``tolerance`` than they may, the jaw being at b (5,)."""
+        return self._excess.behind(self._seen(self._points(x), b), tolerance)
 
     def _depths(self, x: Floats) -> tuple[Floats, Floats]:
-        """Return h (k,), zero where nothing pushes, and the head's frame's gradients (k, 3).
-
-        Value, gradient and Hessian ask for the same x again.
-        """
+        """Return h (k,), zero where nothing pushes, and the head's frame's gradients (k, 3)."""
+        # value, gradient and Hessian ask for the same x again
         if self._last is None or not np.array_equal(self._last[0], x):
             h, slope = self._excess.at(self._seen_at(x))
             self._last = x.copy(), (h, slope @ self._turn.T)
@@ -215,7 +212,10 @@ class OneSided:
         return deep, stiffness * (outer + h[deep, None, None] * second)
 
     def _seen_at(self, x: Floats) -> Floats:
-        return self._seen(np.asarray(self._rows @ x + self._offset), self._jaw)
+        return self._seen(self._points(x), self._jaw)
+
+    def _points(self, x: Floats) -> Floats:
+        return np.asarray(self._rows @ x + self._offset)
 
     def _seen(self, points: Floats, b: Floats) -> Floats:
         """Return points (k, 3) of the head in the obstacle's frame, with the jaw at b (5,)."""
@@ -239,15 +239,6 @@ def along(rows: sp.csr_array, directions: Floats) -> sp.csr_array:
     )
 
 
-# Rows of teeth as lips see them: how far out the teeth reach, all around.
-#
-#     r = R(theta, y)
-#
-# in cylindrical coordinates around a vertical axis through the arch's middle: the largest radius of
-# the teeth's surface, the gaps between crowns closed. A lip's vertex lies R - r deep. So a lip that
-# is behind teeth, however far, is led out to the front.
-
-
 @dataclass(frozen=True)
 class ArchOptions:
     """Options of the table of a row of teeth."""
@@ -264,10 +255,15 @@ class ArchOptions:
 
 @dataclass(frozen=True)
 class Arch:
-    """An :class:`solver.contact.one_sided.DepthField`: the outer side of a row of teeth.
+    """A :class:`DepthField`: how far out a row of teeth reaches, all around.
 
-    ``axis`` (3,) is a point on the vertical axis; ``radius`` and ``inside``, by angle in rad and
-    height in mm, are R and how far a place lies inside the border of the field, both in mm.
+        r = R(theta, y)
+
+    in cylindrical coordinates around a vertical axis through the arch's middle is the largest
+    radius of the teeth's surface, the gaps between crowns closed. A lip's vertex lies R - r deep:
+    behind teeth, however far, it is led out to the front. ``axis`` (3,) is a point on the axis;
+    ``radius`` and ``inside``, by angle in rad and height in mm, are R and how far a place lies
+    inside the border of the field, both in mm.
     """
 
     axis: Floats
@@ -278,106 +274,104 @@ class Arch:
     @classmethod
     def of(cls, teeth: Surface, options: ArchOptions = ArchOptions()) -> Arch:
         """Tabulate the field of a row of teeth, whose front looks along z."""
+        degrees, mm, around = options.step_degrees, options.step_mm, options.around_mm
         points = _samples(teeth, options.sample_mm)
         low, high = points.min(axis=0), points.max(axis=0)
         axis = (low + high) / 2
         axis[2] = low[2] + options.axis_mm
-        angle, height, radius = _cylindrical(points - axis)
-        angles = np.arange(-180.0, 180.0, options.step_degrees)
-        heights = (
-            np.arange(low[1] - options.around_mm, high[1] + options.around_mm, options.step_mm)
-            - axis[1]
-        )
-        place = (
-            np.round((np.degrees(angle) + 180.0) / options.step_degrees).astype(int) % len(angles),
-            np.round((height - heights[0]) / options.step_mm).astype(int),
-        )
+        arms = _Cylindrical.of(points - axis, 0.0)
+        angles = np.arange(-180.0, 180.0, degrees)
+        heights = np.arange(low[1] - around, high[1] + around, mm) - axis[1]
+        row = np.round((np.degrees(arms.angle) + 180.0) / degrees).astype(int) % len(angles)
+        column = np.round((arms.height - heights[0]) / mm).astype(int)
         table = np.zeros((len(angles), len(heights)))
-        np.maximum.at(table, place, radius)
+        np.maximum.at(table, (row, column), arms.radius)
         # the seam lies behind, where there are no teeth
-        gap = (
-            round(options.gap_degrees / options.step_degrees),
-            round(options.gap_mm / options.step_mm),
-        )
+        gap = round(options.gap_degrees / degrees), round(options.gap_mm / mm)
         table = grey_closing(table, gap)
         covered = table > 0.0
         nearest = distance_transform_edt(~covered, return_distances=False, return_indices=True)
         table = gaussian_filter(table[tuple(nearest)], 1.0)
-        cell = (np.radians(options.step_degrees) * radius.mean(), options.step_mm)
+        cell = (np.radians(degrees) * arms.radius.mean(), mm)
         inside = distance_transform_edt(covered, cell) - distance_transform_edt(~covered, cell)
         grid = (np.radians(angles), heights)
-        return cls(
-            axis,
-            RectBivariateSpline(*grid, table),
-            RectBivariateSpline(*grid, gaussian_filter(inside, 1.0)),
-            options,
-        )
+        border = RectBivariateSpline(*grid, gaussian_filter(inside, 1.0))
+        return cls(axis, RectBivariateSpline(*grid, table), border, options)
 
     def depths(self, points: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """See :class:`solver.contact.one_sided.DepthField`."""
-        arm = points - self.axis
-        angle, height, radius = _cylindrical(arm)
-        radius = np.maximum(radius, self.options.step_mm)
-        around = np.stack([arm[:, 2], np.zeros(len(arm)), -arm[:, 0]], axis=1)
-        around /= (radius**2)[:, None]
-        up = np.array([0.0, 1.0, 0.0])
-        outward = arm * [1.0, 0.0, 1.0] / radius[:, None]
-
-        def field(spline: RectBivariateSpline) -> tuple[Floats, Floats]:
-            by_angle = np.asarray(spline.ev(angle, height, dx=1))
-            by_height = np.asarray(spline.ev(angle, height, dy=1))
-            gradient = by_angle[:, None] * around + by_height[:, None] * up
-            return np.asarray(spline.ev(angle, height)), gradient
-
-        reach, slope = field(self.radius)
-        inside, border = field(self.inside)
-        part = np.clip(inside / self.options.fade_mm, 0.0, 1.0)
+        """See :class:`DepthField`."""
+        place = _Cylindrical.of(points - self.axis, self.options.step_mm)
+        reach, slope = place.value(self.radius), place.gradient(self.radius)
+        border = place.gradient(self.inside)
+        part, fade_mm = self._part(place), self.options.fade_mm
         counts = part**2 * (3.0 - 2.0 * part)
-        fades = (6.0 * part * (1.0 - part) / self.options.fade_mm)[:, None] * border
-        return reach - radius, slope - outward, counts, fades
+        fades = (6.0 * part * (1.0 - part) / fade_mm)[:, None] * border
+        return reach - place.radius, slope - place.outward, counts, fades
 
     def curvatures(self, points: Floats) -> tuple[Floats, Floats]:
-        """See :class:`solver.contact.one_sided.DepthField`."""
-        arm = points - self.axis
-        angle, height, radius = _cylindrical(arm)
-        radius = np.maximum(radius, self.options.step_mm)
-        across, ahead = arm[:, 0] / radius, arm[:, 2] / radius
-        around = np.stack([ahead, np.zeros(len(arm)), -across], axis=1)
-        up = np.array([0.0, 1.0, 0.0])
-        # d2(angle): the direction around turns with the angle and shrinks with the radius
-        turning = np.zeros((len(arm), 3, 3))
-        turning[:, 0, 0], turning[:, 2, 2] = -2.0 * across * ahead, 2.0 * across * ahead
-        turning[:, 0, 2] = turning[:, 2, 0] = across**2 - ahead**2
-
-        def field(spline: RectBivariateSpline) -> tuple[Floats, Floats, Floats]:
-            def at(dx: int, dy: int) -> Floats:
-                return np.asarray(spline.ev(angle, height, dx=dx, dy=dy))
-
-            by_angle = around / radius[:, None]
-            gradient = at(1, 0)[:, None] * by_angle + at(0, 1)[:, None] * up
-            mixed = at(1, 1)[:, None, None] * by_angle[:, :, None] * up
-            second = at(2, 0)[:, None, None] * by_angle[:, :, None] * by_angle[:, None, :]
-            second += mixed + mixed.transpose(0, 2, 1)
-            second += at(0, 2)[:, None, None] * np.outer(up, up)
-            second += (at(1, 0) / radius**2)[:, None, None] * turning
-            return np.asarray(spline.ev(angle, height)), gradient, second
-
-        _, _, by_depth = field(self.radius)
+        """See :class:`DepthField`."""
+        place = _Cylindrical.of(points - self.axis, self.options.step_mm)
+        around, radius = place.around, place.radius
+        by_depth = place.curvature(self.radius)
         by_depth -= around[:, :, None] * around[:, None, :] / radius[:, None, None]
-        inside, border, bending = field(self.inside)
-        part = np.clip(inside / self.options.fade_mm, 0.0, 1.0)
-        steep, bent = (
-            6.0 * part * (1.0 - part) / self.options.fade_mm,
-            6.0 * (1.0 - 2.0 * part) / self.options.fade_mm**2,
-        )
+        border, bending = place.gradient(self.inside), place.curvature(self.inside)
+        part, fade_mm = self._part(place), self.options.fade_mm
+        steep, bent = 6.0 * part * (1.0 - part) / fade_mm, 6.0 * (1.0 - 2.0 * part) / fade_mm**2
         bent[(part == 0.0) | (part == 1.0)] = 0.0
         by_counts = bent[:, None, None] * border[:, :, None] * border[:, None, :]
         return by_depth, by_counts + steep[:, None, None] * bending
 
+    def _part(self, place: _Cylindrical) -> Floats:
+        """Return how far (k,) places are from the border of the field, 0, to where all counts."""
+        return np.clip(place.value(self.inside) / self.options.fade_mm, 0.0, 1.0)
 
-def _cylindrical(arm: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return angles from z to x in rad, heights and radii (k,) of arms (k, 3) from the axis."""
-    return np.arctan2(arm[:, 0], arm[:, 2]), arm[:, 1], np.hypot(arm[:, 0], arm[:, 2])
+
+UP = np.array([0.0, 1.0, 0.0])  # the direction of an arch's axis
+
+
+@dataclass(frozen=True)
+class _Cylindrical:
+    """Arms (k, 3) from an axis as angles from z to x in rad, heights and radii (k,) in mm.
+
+    ``outward`` and ``around`` (k, 3) are the unit directions in which radius and angle grow.
+    """
+
+    angle: Floats
+    height: Floats
+    radius: Floats
+    outward: Floats
+    around: Floats
+
+    @classmethod
+    def of(cls, arm: Floats, least: float) -> _Cylindrical:
+        """Return arms of at least so small a radius."""
+        radius = np.maximum(np.hypot(arm[:, 0], arm[:, 2]), least)
+        outward = arm * [1.0, 0.0, 1.0] / radius[:, None]
+        around = outward[:, ::-1] * [1.0, 0.0, -1.0]
+        return cls(np.arctan2(arm[:, 0], arm[:, 2]), arm[:, 1], radius, outward, around)
+
+    def value(self, spline: RectBivariateSpline, dx: int = 0, dy: int = 0) -> Floats:
+        """Return a field (k,) of angle and height, or its derivative by them."""
+        return np.asarray(spline.ev(self.angle, self.height, dx=dx, dy=dy))
+
+    def gradient(self, spline: RectBivariateSpline) -> Floats:
+        """Return its derivative by the places, (k, 3)."""
+        by_angle = self.around / self.radius[:, None]
+        along = self.value(spline, dy=1)[:, None] * UP
+        return np.asarray(self.value(spline, dx=1)[:, None] * by_angle + along)
+
+    def curvature(self, spline: RectBivariateSpline) -> Floats:
+        """Return its second derivative by the places, (k, 3, 3)."""
+        by_angle = self.around / self.radius[:, None]
+        # d2(angle): the direction around turns with the angle and shrinks with the radius
+        turning = self.around[:, :, None] * self.outward[:, None, :]
+        turning += turning.transpose(0, 2, 1)
+        mixed = self.value(spline, 1, 1)[:, None, None] * by_angle[:, :, None] * UP
+        second = self.value(spline, 2)[:, None, None] * by_angle[:, :, None] * by_angle[:, None, :]
+        second += mixed + mixed.transpose(0, 2, 1)
+        second += self.value(spline, 0, 2)[:, None, None] * np.outer(UP, UP)
+        bending = self.value(spline, 1) / self.radius**2
+        return np.asarray(second - bending[:, None, None] * turning)
 
 
 def _samples(surface: Surface, apart: float) -> Floats:
@@ -394,12 +388,9 @@ def _samples(surface: Surface, apart: float) -> Floats:
     return np.vstack(found)
 
 
-# Eyeballs, which lids lie on: spheres.
-
-
 @dataclass(frozen=True)
 class Eyeball:
-    """An :class:`solver.contact.one_sided.DepthField`: ``centre`` (3,) and ``radius`` in mm."""
+    """A :class:`DepthField` of what lids lie on: ``centre`` (3,) and ``radius`` in mm."""
 
     centre: Floats
     radius: float
@@ -409,24 +400,30 @@ class Eyeball:
         """Fit the sphere to the front half of an eyeball's vertices (k, 3), by least squares."""
         front = points[points[:, 2] >= np.median(points[:, 2])]
         middle = front.mean(axis=0)
-        # |p - c|^2 = radius^2 is linear in c and radius^2 - |c|^2
-        local = front - middle
-        system = np.column_stack([2.0 * local, np.ones(len(local))])
-        solution = np.linalg.lstsq(system, (local**2).sum(axis=1), rcond=None)[0]
-        centre = solution[:3]
-        return cls(middle + centre, float(np.sqrt(solution[3] + centre @ centre)))
+        centre, radius = nearest_sphere(front - middle)
+        return cls(middle + centre, radius)
 
     def depths(self, points: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """See :class:`solver.contact.one_sided.DepthField`: all of it counts everywhere."""
-        arm = points - self.centre
-        distance = np.maximum(np.linalg.norm(arm, axis=1), 1e-9)
-        everywhere, nothing = np.ones(len(points)), np.zeros_like(points)
-        return self.radius - distance, -arm / distance[:, None], everywhere, nothing
+        """See :class:`DepthField`: all of it counts everywhere."""
+        distance, out = self._from_centre(points)
+        return self.radius - distance, -out, np.ones(len(points)), np.zeros_like(points)
 
     def curvatures(self, points: Floats) -> tuple[Floats, Floats]:
-        """See :class:`solver.contact.one_sided.DepthField`."""
-        arm = points - self.centre
-        distance = np.maximum(np.linalg.norm(arm, axis=1), 1e-9)
-        out = arm / distance[:, None]
+        """See :class:`DepthField`."""
+        distance, out = self._from_centre(points)
         tangent = np.eye(3) - out[:, :, None] * out[:, None, :]
         return -tangent / distance[:, None, None], np.zeros_like(tangent)
+
+    def _from_centre(self, points: Floats) -> tuple[Floats, Floats]:
+        arm = points - self.centre
+        distance = np.maximum(np.linalg.norm(arm, axis=1), 1e-9)
+        return distance, arm / distance[:, None]
+
+
+def nearest_sphere(points: Floats) -> tuple[Floats, float]:
+    """Return centre (3,) and radius of the sphere nearest to points (k, 3), by least squares."""
+    # |p - c|^2 = radius^2 is linear in c and radius^2 - |c|^2
+    system = np.column_stack([2.0 * points, np.ones(len(points))])
+    solution = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
+    centre = solution[:3]
+    return centre, float(np.sqrt(solution[3] + centre @ centre))

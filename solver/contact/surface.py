@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import igl
 import ipctk
-import numba as nb
 import numpy as np
 import scipy.sparse as sp
 import structlog
@@ -21,8 +20,8 @@ from numpy.typing import NDArray
 
 from solver.anatomy.embedding import rows_of
 from solver.anatomy.tetrahedra import barycentric_in_tets
-from solver.contact.mouth import Mouth
-from solver.contact.overlap import INSIDE, between_lips
+from solver.contact.crossing import INSIDE, between_lips
+from solver.contact.mouth import Mouth, area_weighted_normals
 from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints, adjacency
@@ -39,11 +38,11 @@ class SurfaceOptions:
     most_crossed: float = 0.2  # part of the triangles that may cross
 
 
-# Lips that lie in each other, moved apart: what contact of a scan with closed lips begins with.
-
-
 def part_lips(mouth: Mouth, points: Floats, options: SurfaceOptions = SurfaceOptions()) -> Floats:
-    """Return the points (m, 3) of a mouth, both lips giving way by half of where they cross."""
+    """Return the points (m, 3) of a mouth, both lips giving way by half of where they cross.
+
+    That is what contact of a scan with closed lips begins with.
+    """
     count = len(points)
     for _ in range(options.rounds):
         found = between_lips(mouth, points)
@@ -103,7 +102,7 @@ class ContactSurface:
         number = np.searchsorted(model.embedded, skin)
         rows, offset = sp.csr_array(model.embedding[number]), model.offset[number]
         points = np.asarray(rows @ model.rest + offset)
-        normals = _normals(points, own)
+        normals = area_weighted_normals(points, own)
         shift = _apart(mouth, model, skin, options) - options.inset_mm * normals
         moved = points + shift
         crossed = _mark_crossed(moved, own, normals, options.beside_mm)
@@ -135,7 +134,7 @@ def _mark_crossed(
     """Mark (s,) the vertices that lie in flesh not under their own skin, or where skin crosses.
 
     The former by the generalised winding number (Jacobson et al. 2013), as the lips' overlap is
-    found (:mod:`solver.contact.overlap`), with all that it marks about what crosses.
+    found (:mod:`solver.contact.crossing`), with all that it marks about what crosses.
     """
     marks = np.zeros(len(points), dtype=np.bool_)
     if ipctk.has_intersections(collision_mesh(points, faces), np.asfortranarray(points)):
@@ -157,71 +156,21 @@ def _apart(mouth: Mouth | None, model: SubjectModel, skin: Ints, options: Surfac
 
 def crossing_vertices(points: Floats, faces: Ints) -> Ints:
     """Return the corners of triangles and the ends of edges that cross each other, sorted."""
-    edges = np.asarray(ipctk.edges(np.asfortranarray(faces, dtype=np.int32)), dtype=np.int64)
-    faces = faces[np.argsort(points[faces, 0].min(axis=1))]
-    low, high = points[faces].min(axis=1), points[faces].max(axis=1)
-    ends = points[edges, 0]
-    # triangles are sorted along x: of all, those between these may be near an edge
-    first = np.searchsorted(low[:, 0], ends.min(axis=1) - (high - low)[:, 0].max())
-    last = np.searchsorted(low[:, 0], ends.max(axis=1))
-    return np.flatnonzero(_crossing(points, edges, faces, low, high, first, last))
-
-
-@nb.njit(cache=True)
-def _crossing(
-    points: Floats, edges: Ints, faces: Ints, low: Floats, high: Floats, first: Ints, last: Ints
-) -> NDArray[np.bool_]:
-    """Mark (s,) the vertices of every edge and triangle that cross.
-
-    ``low`` and ``high`` (f, 3) bound the triangles, of which an edge is compared with those from
-    ``first`` to ``last``.
-    """
-    marks = np.zeros(len(points), dtype=np.bool_)
-    for number in range(len(edges)):
-        start, end = edges[number]
-        p, q = points[start], points[end]
-        for f in range(first[number], last[number]):
-            apart = False
-            for i in range(3):
-                if max(p[i], q[i]) < low[f, i] or min(p[i], q[i]) > high[f, i]:
-                    apart = True
-                    break
-            face = faces[f]
-            if apart or start in face or end in face:
-                continue
-            if _pierces(p, q, points[face[0]], points[face[1]], points[face[2]]):
-                marks[start] = marks[end] = True
-                marks[face[0]] = marks[face[1]] = marks[face[2]] = True
-    return marks
-
-
-@nb.njit(cache=True)
-def _pierces(p: Floats, q: Floats, a: Floats, b: Floats, c: Floats) -> bool:
-    """Tell whether the segment p q goes through a triangle, by five volumes' signs."""
-    if _volume(a, b, c, p) * _volume(a, b, c, q) >= 0.0:
-        return False
-    first, second, third = _volume(p, q, a, b), _volume(p, q, b, c), _volume(p, q, c, a)
-    same = first > 0.0 and second > 0.0 and third > 0.0
-    return same or (first < 0.0 and second < 0.0 and third < 0.0)
-
-
-@nb.njit(cache=True)
-def _volume(a: Floats, b: Floats, c: Floats, d: Floats) -> float:
-    """Return six times the signed volume of a tetrahedron."""
-    x0, x1, x2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    y0, y1, y2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    z0, z1, z2 = d[0] - a[0], d[1] - a[1], d[2] - a[2]
-    x = x0 * (y1 * z2 - y2 * z1)
-    y = x1 * (y2 * z0 - y0 * z2)
-    z = x2 * (y0 * z1 - y1 * z0)
-    return float(x + y + z)
-
-
-def _normals(points: Floats, faces: Ints) -> Floats:
-    """Return outward unit normals (s, 3), zero where a vertex's triangles have none."""
-    area = igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_AREA
-    normals: Floats = igl.per_vertex_normals(points, faces, area)
-    return np.where(np.isfinite(normals), normals, 0.0)
+    places, mesh = np.asfortranarray(points), collision_mesh(points, faces)
+    grid = ipctk.HashGrid()
+    grid.build(places, mesh.edges, mesh.faces)
+    near = grid.detect_edge_face_candidates()
+    if not near:
+        return np.empty(0, dtype=np.int64)
+    pairs = np.array([(each.edge_id, each.face_id) for each in near])
+    corners = np.hstack([mesh.edges[pairs[:, 0]], mesh.faces[pairs[:, 1]]])
+    crossed = [
+        ipctk.is_edge_intersecting_triangle(*places[each])
+        if each[0] not in each[2:] and each[1] not in each[2:]
+        else False
+        for each in corners
+    ]
+    return np.unique(corners[np.array(crossed)]).astype(np.int64)
 
 
 def _shift_rows(model: SubjectModel, rows: sp.csr_array, shift: Floats) -> sp.csr_array:

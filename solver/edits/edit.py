@@ -1,4 +1,4 @@
-"""Edits of a face, one after the other."""
+"""Edits of a face, one after the other, and expressions replayed on the edited person."""
 
 from __future__ import annotations
 
@@ -15,12 +15,9 @@ from solver.fitting.face import Face
 from solver.mechanics.potential import Potential
 from solver.model import SubjectModel
 from solver.similarity import IDENTITY as NO_MOTION
-from solver.simulation.inertia import Drive
+from solver.simulation.forces import Drive
 from solver.simulation.simulator import Simulator
 from solver.surface import Floats
-
-# A face as edits leave it: the only thing that simulations see of them.
-
 
 DENSITY = 1e-3  # of flesh, in g/mm^3: water's
 
@@ -44,7 +41,7 @@ class EditOptions:
 
 @dataclass(frozen=True)
 class Edited:
-    """An edited person: anatomy, and what became of the flesh.
+    """An edited person, which is all that simulations see of edits.
 
     model
         The person; bones that were moved, and the skin vertices that stay with them (teeth), are
@@ -77,7 +74,7 @@ class Edited:
         return cls(model, model, ones, ones, DENSITY * ones, np.zeros_like(model.rest), S, options)
 
 
-class Edit(Protocol):
+class Change(Protocol):
     """A change of a person's anatomy, by what it does to all edits before it."""
 
     def __call__(self, before: Edited) -> Edited:
@@ -88,7 +85,7 @@ class Edit(Protocol):
 
 
 def apply(
-    edits: Iterable[Edit],
+    edits: Iterable[Change],
     model: SubjectModel,
     S: sp.csr_array,
     options: EditOptions = EditOptions(),
@@ -114,12 +111,9 @@ def apply(
     return edited
 
 
-# Expressions replayed on an edited person: the same activations in other flesh.
-
-
 @dataclass(frozen=True)
 class ReplayOptions:
-    """The way from rest to an expression."""
+    """Options of the way from rest to an expression."""
 
     seconds: float = 1.0  # that it counts as taking, for friction
     steps: int = 4  # in one of them lips would be pressed through each other, or buckle
@@ -160,7 +154,7 @@ class Replay:
         self._drive = Drive(0.0, face.flesh.passive(), np.zeros(5), NO_MOTION)
         self._rest = self._simulator.rest(self._drive)
         # the edited person at rest
-        self.neutral = self._measure(self._rest.x, self._drive.jaw, perf_counter() - begun)
+        self.neutral = self._measure(self._rest.x, self._drive.jaw, begun)
 
     def pose(self, A: Floats, jaw: Floats) -> Replayed:
         """Return the equilibrium for activations ``A`` (n, 6) of the tets and a ``jaw`` (5,).
@@ -168,16 +162,13 @@ class Replay:
         Raises :class:`~solver.errors.SolveError` if there is none.
         """
         begun = perf_counter()
-        goal, motion, drive = (
-            Drive(self._options.seconds, A, jaw, NO_MOTION),
-            self._rest,
-            self._drive,
-        )
+        goal = Drive(self._options.seconds, A, jaw, NO_MOTION)
+        motion, drive = self._rest, self._drive
         for part in np.arange(1, self._options.steps + 1) / self._options.steps:
             target = self._drive.toward(goal, float(part))
             motion, drive = self._simulator.step(motion, drive, target).motion, target
-        return self._measure(motion.x, jaw, perf_counter() - begun)
+        return self._measure(motion.x, jaw, begun)
 
-    def _measure(self, x: Floats, jaw: Floats, seconds: float) -> Replayed:
-        face = self._face
+    def _measure(self, x: Floats, jaw: Floats, begun: float) -> Replayed:
+        face, seconds = self._face, perf_counter() - begun
         return Replayed(x, face.whole_skin(x, jaw), jaw, face.flesh.inverted(x), seconds)

@@ -1,21 +1,30 @@
 """(A): activations and jaw of one expression, S being known.
 
-Reduced-space Gauss-Newton (:mod:`solver.fitting.gauss_newton`): x is eliminated through the
-equilibrium, and Levenberg-Marquardt damping and a trust in the linear model keep the steps in
-reach. On the way the equilibrium is only approached, the rest of the way being part of the linear
-model, as in a full-space (SQP) method. The last state is settled.
+Reduced-space Gauss-Newton: x is eliminated through the equilibrium, and Levenberg-Marquardt damping
+and a trust in the linear model keep the steps in reach. On the way the equilibrium is only
+approached, the rest of the way being part of the linear model, as in a full-space (SQP) method. The
+last state is settled. The model of f at a state is
+
+    f(p + s) ~ f + g . s + 1/2 s . (J^T C J + R) s,    p = (a, b),    J = dx/dp
+
+The gradient g takes one adjoint solve and a product with J^T C J two solves; the matrix itself
+takes as many as p has entries. So a matrix K from a state nearby, or from the same face fitted to
+other data, stands in for it: it gives a direction, an exact product says how far to go in it, and
+a BFGS update keeps in K what the product told, for the next direction and for the next states.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import scipy.linalg
 
 from solver.errors import SolveError
-from solver.fitting import gauss_newton
+from solver.fitting.controls import Layout
 from solver.fitting.face import Face, Pose, State
-from solver.fitting.gauss_newton import GaussNewton
 from solver.fitting.least_squares import (
     DampingOptions,
     Ending,
@@ -23,10 +32,10 @@ from solver.fitting.least_squares import (
     Listener,
     StopOptions,
     TrustRegion,
-    TrustRegionOptions,
     minimise,
 )
 from solver.fitting.objective import Regulariser, SkinDistance, Target, Term
+from solver.fitting.sensitivity import Sensitivity
 from solver.surface import Floats
 
 
@@ -38,20 +47,32 @@ class ActivationOptions:
     tolerance: float = 1e-4
 
 
+# weights and end for an expression that S was not fitted to: w_a low from the start
+UNSEEN = {"w_a": 1e-3, "w_v": 1e-2, "w_b": 1e-6}
+UNSEEN_STOP = ActivationOptions(max_iterations=25, tolerance=1e-3)
+
+
+def unseen_regulariser(face: Face) -> Regulariser:
+    """Return the regulariser of an expression that S was not fitted to, around the resting face."""
+    return Regulariser(**UNSEEN, prior=face.rest_pose())
+
+
 @dataclass(frozen=True)
 class DescentOptions:
     """The way down, and from where it begins again.
 
-    Steps longer than ``trust`` allows end, now and then, in flesh that buckles: from there a fit
-    takes twice as long, and one of S comes to a worse end.
+    Steps longer than :class:`TrustRegion` allows end, now and then, in flesh that buckles: from
+    there a fit takes twice as long, and one of S comes to a worse end.
     """
 
     damping: DampingOptions = field(
         default_factory=lambda: DampingOptions(0.1, least=1e-6, grow=8.0, shrink=8.0)
     )
-    trust: TrustRegionOptions = field(default_factory=TrustRegionOptions)
     settlings: int = 3  # descents, each from the settled end of the one before
     buckled: float = 1.005  # growth of f beyond which a state that settles was not near its rest
+    products: int = 16  # with J^T C J for a step, at most
+    # length of the correction that a step is left without, relative to it in the model's own norm
+    accuracy: float = 0.1
 
 
 @dataclass(frozen=True)
@@ -78,27 +99,28 @@ def fit(
     face: Face,
     data: Term,
     regulariser: Regulariser,
-    start: State,
-    options: ActivationOptions | None = None,
+    start: State | None = None,
+    options: ActivationOptions = ActivationOptions(),
     listen: Listener | None = None,
     *,
     matrix: Floats | None = None,
-    descent: DescentOptions | None = None,
+    descent: DescentOptions = DescentOptions(),
 ) -> ActivationFit:
-    """Minimise f over (a, b) from ``start`` and settle the result.
+    """Minimise f over (a, b) from ``start``, else from the neutral face, and settle the result.
 
     ``matrix`` (6 m + 5, 6 m + 5) is f's Gauss-Newton matrix without its priors, or one like it: of
-    a state nearby or of other data (:mod:`solver.fitting.gauss_newton`). Without it that of
-    ``start`` is made, which takes as long as a few iterations.
+    a state nearby or of other data. Without it that of ``start`` is made, which takes as long as a
+    few iterations, or that of the neutral face is used.
 
     Where the descent gets stuck, or the flesh buckles as it settles or does not settle at all, the
-    fit goes on from the best that did settle, else from the rest pose; in the last case every state
-    on the way is settled too. A descent that gets stuck where it began has found the minimum.
+    fit goes on from the best that did settle, else from the neutral face; in the last case every
+    state on the way is settled too. A descent that gets stuck where it began has found the minimum.
     Raises :class:`SolveError` (``solve.no_convergence``) if the face cannot be settled even so.
     """
-    options, descent = options or ActivationOptions(), descent or DescentOptions()
+    if start is None and matrix is None:
+        matrix = rest_curvature(face)
     best = None
-    iterations, begin, go = 0, start, Face.newton_continuation
+    iterations, begin, go = 0, start or face.rest, Face.newton_continuation
     for _ in range(descent.settlings):
         try:
             found = improve(face, data, regulariser, begin, options, listen, go, matrix, descent)
@@ -108,7 +130,8 @@ def fit(
             break
         iterations += found.iterations
         stuck = not found.converged and found.iterations < options.max_iterations
-        state = _settle(face, found.state)
+        near = found.state
+        state = face.settle(near.pose, near.x, near.equilibrium.factor)
         if state is not None:
             value = objective(data, regulariser, state)
             gained = best is None or value < (1.0 - options.tolerance) * best.objective
@@ -121,17 +144,10 @@ def fit(
                 break
         matrix = None
         go = Face.predict_and_solve if state is None else Face.newton_continuation
-        begin = best.state if best else face.rest_state()
+        begin = best.state if best else face.rest
     if best is None:
         raise SolveError("solve.no_convergence", "the fitted face does not come to rest")
     return best
-
-
-def _settle(face: Face, state: State) -> State | None:
-    try:
-        return face.solve_equilibrium(state.pose, state.x, state.equilibrium.factor)
-    except SolveError:
-        return None
 
 
 def improve(
@@ -143,73 +159,153 @@ def improve(
     listen: Listener | None = None,
     go: Mover = Face.newton_continuation,
     matrix: Floats | None = None,
-    descent: DescentOptions | None = None,
+    descent: DescentOptions = DescentOptions(),
 ) -> ActivationFit:
     """Minimise f over (a, b), going from state to state by ``go``, which settles them or not.
 
     It has got stuck where it ends before ``max_iterations`` and has not converged.
     """
-    descent = descent or DescentOptions()
-    problem = PoseProblem(face, data, regulariser, start, go, matrix)
+    if matrix is None:
+        matrix = curvature(face, data, start)
+    problem = _PoseProblem(face, data, regulariser, go, matrix, descent)
     stop = StopOptions(options.max_iterations, options.tolerance, options.tolerance)
-    found = minimise(problem, start, TrustRegion(descent.damping, descent.trust), stop, listen)
+    found = minimise(problem, start, TrustRegion(descent.damping), stop, listen)
     converged = found.ending == Ending.CONVERGED
     return ActivationFit(found.point, found.value, found.steps + found.idle, converged)
 
 
-class PoseProblem:
-    """f over (a, b) of one expression: a :class:`~solver.fitting.least_squares.Problem`."""
+@dataclass
+class _PoseProblem:
+    """f over (a, b) of one expression: a :class:`~.least_squares.LeastSquaresProblem`."""
+
+    face: Face
+    data: Term
+    regulariser: Regulariser
+    go: Mover
+    matrix: Floats
+    options: DescentOptions
+    model: GaussNewton | None = None
+
+    def value(self, point: State) -> float:
+        return objective(self.data, self.regulariser, point)
+
+    def linearise(self, point: State) -> GaussNewton:
+        """Make the model, which begins with the matrix of the one before."""
+        matrix = self.model.matrix if self.model else self.matrix
+        face, data, regulariser = self.face, self.data, self.regulariser
+        self.model = GaussNewton(face, data, regulariser, point, matrix, self.options)
+        return self.model
+
+    def move(self, point: State, step: LeastSquaresStep) -> State | None:
+        try:
+            return self.go(self.face, point, step.response, point.pose.add(step.change))
+        except SolveError:
+            return None
+
+
+class GaussNewton:
+    """f's model at ``state``; ``matrix`` (6 m + 5, 6 m + 5) is K, corrected as steps are taken."""
 
     def __init__(
         self,
         face: Face,
         data: Term,
         regulariser: Regulariser,
-        start: State,
-        go: Mover,
-        matrix: Floats | None,
+        state: State,
+        matrix: Floats,
+        options: DescentOptions = DescentOptions(),
     ) -> None:
-        self._face, self._data, self._regulariser, self._go = face, data, regulariser, go
-        self._matrix = gauss_newton.curvature(face, data, start) if matrix is None else matrix
-        self._model: GaussNewton | None = None
+        self._options = options
+        self._layout = state.pose.layout
+        sensitivity = Sensitivity(face, state)
+        self._response, self._rates = sensitivity.response, sensitivity.pose
+        self._curvature = data.curvature(state.estimate)
+        self._regulariser = regulariser.gauss_newton(state.pose)
+        self._gradient = self._response.adjoint(self._rates, data.gradient(state.estimate))
+        self._gradient += regulariser.gradient(state.pose)
+        self.matrix = matrix
 
-    def value(self, point: State) -> float:
-        """See :class:`LeastSquaresProblem`."""
-        return objective(self._data, self._regulariser, point)
+    def step(self, damping: float, trust: float) -> LeastSquaresStep:
+        """See :meth:`DenseModel.step`."""
+        units = damping * self._layout.damping
+        known = self._regulariser + np.diag(units)
+        step, curved = np.zeros_like(self._gradient), np.zeros_like(self._gradient)
+        for _ in range(self._options.products):
+            residual = -(self._gradient + curved)
+            direction = _solve_positive(self.matrix + known, residual)
+            square = direction @ residual
+            if square <= self._options.accuracy**2 * step @ curved:
+                break
+            seen = self._product(direction)
+            self.matrix = _update(self.matrix, direction, seen)
+            image = seen + known @ direction
+            length = square / (direction @ image)
+            step = step + length * direction
+            curved = curved + length * image
+        fraction = 1.0 / max(self._layout.reach(step) / trust, 1.0)
+        step, curved = fraction * step, fraction * (curved - units * step)
+        slope, bend = float(self._gradient @ step), float(step @ curved)
+        response = self._response.free_motion(self._rates, step)
+        return LeastSquaresStep(step, slope, bend, self._layout.reach(step), response)
 
-    def linearise(self, point: State) -> GaussNewton:
-        """See :class:`LeastSquaresProblem`; it begins with the matrix of the model before."""
-        matrix = self._model.matrix if self._model else self._matrix
-        self._model = GaussNewton(self._face, self._data, self._regulariser, point, matrix)
-        return self._model
-
-    def move(self, point: State, step: LeastSquaresStep) -> State | None:
-        """See :class:`LeastSquaresProblem`."""
-        try:
-            return self._go(self._face, point, step.response, point.pose.add(step.change))
-        except SolveError:
-            return None
+    def _product(self, change: Floats) -> Floats:
+        """Return J^T C J applied to a change of (a, b)."""
+        pull = self._curvature @ self._response.product(self._rates, change).ravel()
+        return self._response.adjoint(self._rates, pull.reshape(-1, 3))
 
 
-# The neutral face, which every fit of an expression can begin with.
+def curvature(face: Face, data: Term, state: State) -> Floats:
+    """Return J^T C J at a state, (6 m + 5, 6 m + 5): f's Gauss-Newton matrix but for its priors."""
+    jacobian = Sensitivity(face, state).by_pose()
+    return jacobian.contract(data.curvature(state.estimate))
 
 
-class Resting:
-    """Neutral face, common to all expressions: ``state`` is its equilibrium.
+_AT_REST: WeakKeyDictionary[Face, Floats] = WeakKeyDictionary()
 
-    Raises :class:`SolveError` if there is none.
-    """
 
-    def __init__(self, face: Face) -> None:
-        self._face = face
-        self.state: State = face.rest_state()
+def rest_curvature(face: Face) -> Floats:
+    """Return :func:`curvature` of the neutral face for points all alike, made once for a face."""
+    if face not in _AT_REST:
+        target = Target.from_points(face.face_points(face.rest.x))
+        _AT_REST[face] = curvature(face, SkinDistance(face, target), face.rest)
+    return _AT_REST[face]
 
-    @cached_property
-    def matrix(self) -> Floats:
-        """Return the Gauss-Newton matrix (:func:`gauss_newton.curvature`) for points all alike.
 
-        It is computed when first asked for.
+def _update(matrix: Floats, change: Floats, seen: Floats) -> Floats:
+    """Return ``matrix`` updated by BFGS so that its product with ``change`` is what was seen."""
+    expected = matrix @ change
+    guessed, true = float(change @ expected), float(change @ seen)
+    # what the data do not feel is left to the regulariser
+    if min(guessed, true) <= 1e-12 * np.abs(matrix).max() * float(change @ change):
+        return matrix
+    matrix = matrix - np.outer(expected, expected) / guessed
+    matrix += np.outer(seen, seen) / true
+    return matrix
+
+
+@dataclass(frozen=True)
+class DenseModel:
+    """f's model by its ``gradient`` and a whole ``hessian``, in ``layout``."""
+
+    layout: Layout
+    hessian: Floats
+    gradient: Floats
+
+    def step(self, damping: float, trust: float) -> LeastSquaresStep:
+        """Return the step with ``damping`` D^2 added to the matrix, cut to the reach ``trust``.
+
+        Raises :class:`SolveError` (``solve.not_finite``) where there is none.
         """
-        target = Target.from_points(self._face.face_points(self.state.x))
-        data = SkinDistance(self._face, target)
-        return gauss_newton.curvature(self._face, data, self.state)
+        damped = self.hessian.copy()
+        damped[np.diag_indices_from(damped)] += damping * self.layout.damping
+        step = _solve_positive(damped, -self.gradient)
+        step = step / max(self.layout.reach(step) / trust, 1.0)
+        slope, bend = float(self.gradient @ step), float(step @ self.hessian @ step)
+        return LeastSquaresStep(step, slope, bend, self.layout.reach(step))
+
+
+def _solve_positive(matrix: Floats, right: Floats) -> Floats:
+    try:
+        return np.asarray(scipy.linalg.solve(matrix, right, assume_a="pos"))
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error

@@ -12,16 +12,19 @@ where that begins, as it begins within the slack.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
 
 from solver.anatomy.embedding import rows_of
+from solver.contact.crossing import between_lips
 from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mandible, Mouth
 from solver.contact.one_sided import Arch, Excess, along, free_depths
-from solver.contact.overlap import between_lips
 from solver.errors import SolveError
+from solver.fitting.face import Face
+from solver.fitting.objective import SumTerm, Target, Term, distances
 from solver.model import SubjectModel
 from solver.surface import Floats, Surface
 
@@ -53,15 +56,6 @@ class _Touching:
     slope: sp.csr_array
     weight: Floats
 
-    @classmethod
-    def join(cls, parts: list[_Touching]) -> _Touching:
-        """Return the vertices of all parts."""
-        return cls(
-            np.concatenate([part.depth for part in parts]),
-            sp.csr_array(sp.vstack([part.slope for part in parts])),
-            np.concatenate([part.weight for part in parts]),
-        )
-
 
 class Teeth:
     """Upper and lower teeth, as far as a model has them, and how far behind them its lips are."""
@@ -90,8 +84,7 @@ class Teeth:
         points = np.asarray(self._rows @ x + self._offset)
         found = []
         if self._upper is not None:
-            depth, slope = self._upper.at(points)
-            found.append(self._deep(depth, slope, self._rows))
+            found.append(self._deep(*self._upper.at(points), self._rows))
         if self._lower is not None:
             local, shares, turn = self._mandible.seen(points, x)
             depth, slope = self._lower.at(local)
@@ -110,9 +103,9 @@ class Teeth:
 class Contact:
     """The term c, a :class:`solver.fitting.objective.Term`.
 
-    w_d and w_h are the weights of :class:`LipContactOptions` over k, for k face vertices. Fits
-    of several expressions share the ``teeth``. Its methods raise :class:`SolveError`
-    (``solve.not_finite``) where x is not finite.
+    w_d and w_h are the weights of :class:`LipContactOptions` over k, for k face vertices: the
+    data's weights sum to one over the face. Fits of several expressions share the ``teeth``. Its
+    methods raise :class:`SolveError` (``solve.not_finite``) where x is not finite.
     """
 
     def __init__(
@@ -122,10 +115,7 @@ class Contact:
         teeth: Teeth,
         options: LipContactOptions = LipContactOptions(),
     ) -> None:
-        self._options = options
-        self._mouth = mouth
-        self._teeth = teeth
-        # the data's weights sum to one over the face
+        self._options, self._mouth, self._teeth = options, mouth, teeth
         self._scale = 1.0 / len(model.face)
         self._last: tuple[Floats, _Touching] | None = None
 
@@ -152,7 +142,12 @@ class Contact:
             raise SolveError("solve.not_finite", "the flesh has run away: x is not finite")
         if self._last is None or not np.array_equal(self._last[0], x):
             found = [_lips(self._mouth, x, self._options), *self._teeth.touching(x)]
-            self._last = x.copy(), _Touching.join(found)
+            joined = _Touching(
+                np.concatenate([part.depth for part in found]),
+                sp.csr_array(sp.vstack([part.slope for part in found])),
+                np.concatenate([part.weight for part in found]),
+            )
+            self._last = x.copy(), joined
         return self._last[1]
 
 
@@ -170,3 +165,13 @@ def _lips(mouth: Mouth, x: Floats, options: LipContactOptions) -> _Touching:
     apart = sp.csr_array((nearest - vertex) @ mouth.rows)
     weight = np.full(len(deep.ids), options.lips_weight)
     return _Touching(deep.depth - options.lips_slack_mm, along(apart, deep.out), weight)
+
+
+def terms(face: Face, targets: Mapping[str, Target]) -> dict[str, Term]:
+    """Return the terms of every expression: the distance, and contact if the model has lips."""
+    mouth = Mouth.of(face.model)
+    data = distances(face, targets)
+    if mouth is None:
+        return data
+    teeth = Teeth(face.model, mouth)
+    return {name: SumTerm((term, Contact(face.model, mouth, teeth))) for name, term in data.items()}

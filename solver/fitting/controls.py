@@ -25,15 +25,6 @@ JAW_UNITS = np.array([100.0, 100.0, 1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True)
-class StepLimits:
-    """Changes of (a, b) that count as a step of reach 1, and the jaw's part of the damping."""
-
-    activation: float = 0.4  # of an entry
-    turn: float = 0.1  # of the jaw's angles, rad
-    jaw_damping: float = 1e-3  # weight of D^2
-
-
-@dataclass(frozen=True)
 class Block:
     """A named part of q; ``rest`` has its shape, everything else broadcasts to it.
 
@@ -92,23 +83,23 @@ class Layout:
         return self._spread([block.damping for block in self.blocks])
 
     @cached_property
-    def limits(self) -> Floats:
-        """Return the change (size,) of each entry in a step of reach 1."""
+    def _reaches(self) -> Floats:
         return self._spread([block.reach for block in self.blocks])
 
     def reach(self, step: Floats) -> float:
         """Return the length of a ``step`` (size,): 1 is what a linear model is surely good for."""
-        return float((np.abs(step) / self.limits).max())
+        return float((np.abs(step) / self._reaches).max())
 
     def part(self, name: str, q: Floats) -> Floats:
         """Return a view of a block in q (size,), in its shape."""
-        shape = next(block.rest.shape for block in self.blocks if block.name == name)
-        return q[self[name]].reshape(shape)
+        return q[self[name]].reshape(self._shape(name))
 
     def places(self, name: str) -> Ints:
         """Return where a block's entries are in q, in its shape."""
-        block = next(block for block in self.blocks if block.name == name)
-        return np.arange(self[name].start, self[name].stop).reshape(block.rest.shape)
+        return np.arange(self.size)[self[name]].reshape(self._shape(name))
+
+    def _shape(self, name: str) -> tuple[int, ...]:
+        return next(block.rest.shape for block in self.blocks if block.name == name)
 
     def split(self, q: Floats) -> list[Floats]:
         """Return views of q (size,) in the shapes of the blocks."""
@@ -144,17 +135,19 @@ class FitControls(Protocol):
         """Return the derivative by q, at vertices x (p, 3)."""
 
 
-def jaw_block(limits: StepLimits | None = None) -> Block:
+# changes that count as a step of reach 1: of an activation's entry, and of the jaw's angles in rad
+ACTIVATION_REACH, TURN_REACH = 0.4, 0.1
+JAW_DAMPING = 1e-3  # weight of D^2
+
+
+def jaw_block() -> Block:
     """Return the block of the jaw b (5,): two angles, rad, and a translation, mm."""
-    limits = limits or StepLimits()
-    reach = np.full(DEGREES_OF_FREEDOM, np.inf)
-    reach[:2] = limits.turn
-    rest = np.zeros(DEGREES_OF_FREEDOM)
-    return Block("jaw", rest, JAW_UNITS**2 * limits.jaw_damping, reach)
+    reach = np.array([TURN_REACH, TURN_REACH, np.inf, np.inf, np.inf])
+    return Block("jaw", np.zeros(DEGREES_OF_FREEDOM), JAW_UNITS**2 * JAW_DAMPING, reach)
 
 
 @cache
 def pose_layout(muscles: int) -> Layout:
     """Return the layout of (a, b): ``activations`` (m, 6) and ``jaw`` (5,)."""
     rest = np.tile(IDENTITY, (muscles, 1))
-    return Layout((Block("activations", rest, reach=StepLimits().activation), jaw_block()))
+    return Layout((Block("activations", rest, reach=ACTIVATION_REACH), jaw_block()))

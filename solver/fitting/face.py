@@ -18,7 +18,8 @@ from solver.mechanics.equilibrium import Equilibrium, PredictorOptions
 from solver.mechanics.flesh import COROTATED_TRACE, IDENTITY, Flesh, Material
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import Factorization, NewtonOptions
-from solver.mechanics.sliding import SlidingPlanes, no_planes, planes
+from solver.mechanics.response import Response, SparseControls
+from solver.mechanics.terms import SlidingPlanes, no_planes, planes
 from solver.model import SubjectModel
 from solver.surface import Floats
 from solver.threads import leave_threads_to_kernels
@@ -135,14 +136,16 @@ class Face:
 
     def with_weights(self, S: sp.csr_array) -> Face:
         """Return this face with another muscle geometry ``S`` (n, m + 1)."""
-        other = copy.copy(self)
-        other.S = S
-        return other
+        return self._with(S=S)
 
     def with_flesh(self, flesh: Flesh) -> Face:
         """Return this face with another flesh, whose tets join the same vertices."""
+        return self._with(flesh=flesh)
+
+    def _with(self, **changes: sp.csr_array | Flesh) -> Face:
         other = copy.copy(self)
-        other.flesh = flesh
+        other.__dict__.pop("rest", None)
+        other.__dict__.update(changes)
         return other
 
     @property
@@ -154,8 +157,9 @@ class Face:
         """Return the pose of the neutral face."""
         return Pose(*self.layout.split(self.layout.rest.copy()))
 
-    def rest_state(self) -> State:
-        """Return the neutral face as an equilibrium."""
+    @cached_property
+    def rest(self) -> State:
+        """The neutral face as an equilibrium; raises :class:`SolveError` if there is none."""
         return self.solve_equilibrium(self.rest_pose(), self.model.rest)
 
     def tet_activations(self, a: Floats) -> Floats:
@@ -187,6 +191,15 @@ class Face:
             near=near,
         )
         return State(pose, result)
+
+    def settle(self, pose: Pose, x: Floats, near: Factorization | None = None) -> State | None:
+        """Do as :meth:`solve_equilibrium`; return None where there is none near by."""
+        if not (np.isfinite(x).all() and np.isfinite(pose.a).all()):
+            return None
+        try:
+            return self.solve_equilibrium(pose, x, near)
+        except SolveError:
+            return None
 
     def newton_predict(
         self,
@@ -332,11 +345,12 @@ class Face:
         x = state.x.copy()
         x[self.model.mandible] = self.mandible(target.b)
         before = self.tet_activations(state.pose.a)
-        pull = self.flesh.coupling(state.x, before, (x - state.x)[:, :, None])[:, 0]
+        pull = self.flesh.coupling(state.x, before, (x - state.x)[:, :, None])
         change = self.flesh.gradient(state.x, self.tet_activations(target.a))
-        response = -state.equilibrium.factor.solve(pull + change)
-        x[self.flesh.free] += response.reshape(-1, 3)
-        return x
+        # the held vertices are where they will be
+        way = SparseControls(sp.csc_array(pull + change[:, None]), sp.csr_array((x.size, 1)))
+        response = Response(self.flesh, state.equilibrium.factor)
+        return self.flesh.moved(x, response.free_motion(way, np.ones(1)))
 
     def _sliding_planes(self, mu: Floats | float) -> SlidingPlanes:
         """Return the planes along the skull that the model's sliding vertices stay on."""

@@ -13,11 +13,11 @@ import numpy as np
 
 from solver.errors import Notice, SolveError
 from solver.fitting import activation, reference
-from solver.fitting.activation import ActivationOptions, Resting
+from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, State
 from solver.fitting.least_squares import Listener
 from solver.fitting.objective import Regulariser, Term
-from solver.fitting.reference import NotConvergedError, Reference
+from solver.fitting.reference import NotConvergedError
 
 Solver = Literal["reduced", "ipopt"]
 Status = Literal["converged", "stopped", "failed"]
@@ -52,14 +52,13 @@ class FallbackFit:
     iterations: int
     solver: Solver
     status: Status
-    notices: tuple[Notice, ...]
+    notices: tuple[Notice, ...] = ()
 
 
 def fit(
     face: Face,
     data: Term,
     regulariser: Regulariser,
-    rest: Resting,
     options: ActivationOptions,
     solver: Solver = "reduced",
     listen: Listener | None = None,
@@ -67,52 +66,42 @@ def fit(
     start: State | None = None,
     ipopt: FallbackOptions = FallbackOptions(),
 ) -> FallbackFit:
-    """Minimise f over (a, b); never raises :class:`SolveError`.
+    """Minimise f over (a, b); raises :class:`SolveError` only where the neutral face has no rest.
 
     The reduced solver begins at ``start``, if given, which may be no more than approached.
     """
-    if solver == "ipopt":
-        return fit_by_ipopt(face, data, regulariser, rest, options, listen, ipopt)
-    try:
-        if start is None:
-            found = activation.fit(
-                face, data, regulariser, rest.state, options, listen, matrix=rest.matrix
-            )
-        else:
+    reasons: tuple[Notice, ...] = ()
+    if solver == "reduced":
+        try:
             found = activation.fit(face, data, regulariser, start, options, listen)
-    except (SolveError, np.linalg.LinAlgError) as error:
-        reason = Notice(
-            "solve.fallback",
-            f"the reduced solver failed ({error}); IPOPT took over",
-            {"reason": getattr(error, "code", "solve.singular")},
-        )
-        instead = fit_by_ipopt(face, data, regulariser, rest, options, listen, ipopt)
-        return replace(instead, notices=(reason, *instead.notices))
-    status: Status = "converged" if found.converged else "stopped"
-    return FallbackFit(found.state, found.objective, found.iterations, "reduced", status, ())
+            status: Status = "converged" if found.converged else "stopped"
+            return FallbackFit(found.state, found.objective, found.iterations, solver, status)
+        except (SolveError, np.linalg.LinAlgError) as error:
+            message = f"the reduced solver failed ({error}); IPOPT took over"
+            context = {"reason": getattr(error, "code", "solve.singular")}
+            reasons = (Notice("solve.fallback", message, context),)
+    instead = _fit_in_full(face, data, regulariser, options, listen, ipopt)
+    return replace(instead, notices=(*reasons, *instead.notices))
 
 
-def fit_by_ipopt(
+def _fit_in_full(
     face: Face,
     data: Term,
     regulariser: Regulariser,
-    rest: Resting,
     options: ActivationOptions,
-    listen: Listener | None = None,
-    ipopt: FallbackOptions = FallbackOptions(),
+    listen: Listener | None,
+    ipopt: FallbackOptions,
 ) -> FallbackFit:
     """Do as :func:`fit` by IPOPT; its answer is settled, and compared with the resting face.
 
     Where IPOPT does not converge, it tries again with heavier priors of the activations, each time
     from the best state so far: there the flesh does not buckle, and the answer is nearby.
     """
-    neutral = activation.objective(data, regulariser, rest.state)
-    best = FallbackFit(rest.state, neutral, 0, "ipopt", "failed", ())
-    limit = ipopt.iterations * options.max_iterations
+    neutral = activation.objective(data, regulariser, face.rest)
+    best = FallbackFit(face.rest, neutral, 0, "ipopt", "failed")
     done = 0
     trouble: dict[str, Notice] = {}
     for heavier in ipopt.heavier:
-        prior = replace(regulariser, w_a=heavier * regulariser.w_a)
         start, before = best.state, done
 
         def report(iteration: int, value: float, before: int = before) -> None:
@@ -123,41 +112,29 @@ def fit_by_ipopt(
             found = reference.activations(
                 face,
                 data,
-                prior,
+                replace(regulariser, w_a=heavier * regulariser.w_a),
                 start.pose,
                 start.x,
                 tolerance=ipopt.tolerance,
-                max_iterations=limit,
+                max_iterations=ipopt.iterations * options.max_iterations,
                 listen=report,
             )
-            converged = True
+            wanted = heavier == 1.0
         except NotConvergedError as error:
-            found, converged = error.last, False
-            message = f"{error.message}; the best result is kept"
-            trouble[error.code] = Notice(error.code, message, error.context)
+            found, wanted = error.last, False
+            trouble[error.code] = error.notice("the best result is kept")
         done += found.iterations
-        state = _settle(face, found)
+        state = face.settle(found.pose, found.x)
         if state is None:
             trouble[UNSETTLED.code] = UNSETTLED
             continue
         value = activation.objective(data, regulariser, state)
         if value < best.objective:
-            wanted = converged and heavier == 1.0
             status: Status = "converged" if wanted else "stopped"
             best = replace(best, state=state, objective=value, status=status)
-        if converged and heavier == 1.0:
+        if wanted:
             return replace(best, iterations=done)
     return replace(best, iterations=done, notices=tuple(trouble.values()))
-
-
-def _settle(face: Face, found: Reference) -> State | None:
-    """Return the equilibrium near IPOPT's answer, None if there is none."""
-    if not (np.isfinite(found.x).all() and np.isfinite(found.pose.a).all()):
-        return None
-    try:
-        return face.solve_equilibrium(found.pose, found.x)
-    except SolveError:
-        return None
 
 
 def warn_of_slowness(face: Face, options: FallbackOptions = FallbackOptions()) -> list[Notice]:

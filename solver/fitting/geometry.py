@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from solver.errors import InputError, Notice, SolveError
+from solver.errors import InputError, Notice
 from solver.fitting import activation, fallback, joint, reference, simplex
-from solver.fitting.activation import ActivationOptions, Resting
+from solver.fitting.activation import ActivationOptions, rest_curvature
 from solver.fitting.face import Face, State
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.joint import GeometryProblem, Iterate
@@ -91,17 +91,16 @@ def fit(
     S = face.model.weights if start is None else start
     structure = sp.csr_array((0, S.nnz)) if structure is None else structure
     face = face.with_weights(S)
-    rest = Resting(face)
     steps = dict.fromkeys(data, options.first_iterations)
 
     def regulariser(w_a: float) -> Regulariser:
         return Regulariser(w_a, options.w_v, options.w_b, face.rest_pose())
 
     first = ActivationOptions(options.first_iterations)
-    begin = regulariser(options.w_a[0])
+    begin, known = regulariser(options.w_a[0]), rest_curvature(face)
     states = {
         name: activation.improve(
-            face, term, begin, rest.state, first, go=Face.newton_predict, matrix=rest.matrix
+            face, term, begin, face.rest, first, go=Face.newton_predict, matrix=known
         ).state
         for name, term in first_terms.items()
     }
@@ -125,10 +124,10 @@ def fit(
             # what is left of this stage gains nothing: on to the whole rounds, or to the end
             number, idle = (whole, 0) if number < whole else (options.rounds, 0)
     face = face.with_weights(now.S)
-    return finish(face, data, regulariser(options.w_a[1]), now.states, steps)
+    return _finish(face, data, regulariser(options.w_a[1]), now.states, steps)
 
 
-def finish(
+def _finish(
     face: Face,
     data: Mapping[str, Term],
     regulariser: Regulariser,
@@ -136,9 +135,8 @@ def finish(
     steps: Mapping[str, int],
 ) -> GeometryFit:
     """Settle states that were only approached, together with a last fit of the activations."""
-    rest = Resting(face)
     endings = {
-        name: fallback.fit(face, term, regulariser, rest, LAST, start=states[name])
+        name: fallback.fit(face, term, regulariser, LAST, start=states[name])
         for name, term in data.items()
     }
     return GeometryFit(
@@ -202,36 +200,25 @@ def fit_by_ipopt(
     S = face.model.weights if start is None else start
     structure = sp.csr_array((0, S.nnz)) if structure is None else structure
     face = face.with_weights(S)
-    rest = face.rest_state()
     w_a, w_s = options.weights(options.rounds - 1)
-    regulariser = Regulariser(w_a, options.w_v, options.w_b, rest.pose)
+    regulariser = Regulariser(w_a, options.w_v, options.w_b, face.rest_pose())
     problem = GeometryProblem(face, data, regulariser, w_s, S.data, structure)
     notices: tuple[Notice, ...] = ()
     try:
         found = reference.geometry(
             problem,
             S,
-            dict.fromkeys(data, rest),
+            dict.fromkeys(data, face.rest),
             tolerance=TOLERANCE,
             max_iterations=most_iterations(options),
             listen=listen,
         )
     except NotConvergedError as error:
         found = error.last
-        message = f"{error.message}; the best result so far is kept"
-        notices = (Notice(error.code, message, error.context),)
+        notices = (error.notice("the best result so far is kept"),)
+    rest = face.rest
     # IPOPT keeps the simplex to its tolerance only
     face = face.with_weights(replace_values(S, simplex.project(found.S.data, S.indptr)))
-    states = {name: _near(face, found, name, rest) for name in data}
+    states = {name: face.settle(found.poses[name], found.x[name]) or rest for name in data}
     steps = dict.fromkeys(data, found.iterations)
-    return finish(face, data, regulariser, states, steps), notices
-
-
-def _near(face: Face, found: reference.GeometryReference, name: str, rest: State) -> State:
-    """Settle what IPOPT found of an expression; the resting face if that fails."""
-    if not np.isfinite(found.x[name]).all():
-        return rest
-    try:
-        return face.solve_equilibrium(found.poses[name], found.x[name])
-    except SolveError:
-        return rest
+    return _finish(face, data, regulariser, states, steps), notices

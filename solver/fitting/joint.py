@@ -123,18 +123,12 @@ def step(problem: GeometryProblem, now: Iterate, options: JointOptions | None = 
             grown = rule.increase(now.damping, halving)
             states = {name: trial.state for name, trial in trials.items() if trial.state}
             return Iterate(S, states, rule.adapt(grown, gain / predicted), damping)
-    losing = [name for name, trial in trials.items() if trial.gain < 0.0]
-    states = now.states | _settle(face, {name: now.states[name] for name in losing})
+    # near buckling the value at an estimate may flatter: settle those that lose, where possible
+    states = {
+        name: (face.settle(state.pose, state.x) if trials[name].gain < 0.0 else None) or state
+        for name, state in now.states.items()
+    }
     return Iterate(now.S, states, rule.increase(now.damping, options.halvings), damping)
-
-
-def _settle(face: Face, states: dict[str, State]) -> dict[str, State]:
-    """Settle those states that can be: near buckling, the value at an estimate may flatter."""
-    settled = {}
-    for name, state in states.items():
-        with contextlib.suppress(SolveError):
-            settled[name] = face.solve_equilibrium(state.pose, state.x)
-    return settled
 
 
 def _change(
@@ -176,8 +170,9 @@ class _Linearised:
         self, problem: GeometryProblem, face: Face, name: str, state: State, damping: float
     ) -> None:
         self._problem, self._face, self._name, self._state = problem, face, name, state
-        self._response = Sensitivity(face, state)
-        self._jacobian = jacobian = self._response.by_pose()
+        sensitivity = Sensitivity(face, state)
+        self._response, self._weights = sensitivity.response, sensitivity.weights
+        self._jacobian = jacobian = sensitivity.by_pose()
         data, regulariser = problem.data[name], problem.regulariser
         gradient, curvature = data.gradient(state.estimate), data.curvature(state.estimate)
         self._by_x = gradient.ravel()[jacobian.free]
@@ -194,31 +189,35 @@ class _Linearised:
 
     def gradient_by_geometry(self) -> Floats:
         """Return f's derivative (nnz,) by S, the pose following."""
-        by_x = self._by_x.copy()
-        by_x[self._touched] -= self._coupling @ self._solve(self._by_pose)
-        return self._response.by_geometry_adjoint(by_x)
+        return self._pull(self._by_x.copy(), self._by_pose)
 
     def product(self, change: Floats) -> Floats:
         """Return X^T (C - T B^-1 T^T) X applied to a change of S, (nnz,)."""
-        flesh = self._response.flesh_by_geometry(change)
-        pull = self._curvature @ flesh
-        pull[self._touched] -= self._coupling @ self._solve(self._couple(flesh))
-        return self._response.by_geometry_adjoint(pull)
+        flesh = self._response.free_motion(self._weights, change)
+        return self._pull(self._curvature @ flesh, self._couple(flesh))
+
+    def _pull(self, by_x: Floats, by_pose: Floats) -> Floats:
+        """Return X^T (g - T B^-1 h) for g by the free coordinates, which it changes, and h."""
+        by_x[self._touched] -= self._coupling @ self._solve(by_pose)
+        return self._response.free_adjoint(self._weights, by_x)
 
     def trial(self, S: sp.csr_array, change: Floats, fraction: float) -> _Trial:
         """Go to a new S and ``fraction`` of the way to the pose that goes with it."""
         problem, state = self._problem, self._state
-        flesh = self._response.flesh_by_geometry(change)
-        by_pose = -self._solve(self._by_pose + self._couple(flesh))
+        flesh = self._response.free_motion(self._weights, change)
+        coupled = self._couple(flesh)
+        by_pose = -self._solve(self._by_pose + coupled)
         by_pose *= fraction / max(state.pose.layout.reach(by_pose), 1.0)
-        pose = state.pose.add(by_pose)
-        predicted = self._predict_gain(flesh, by_pose)
-        trial = self._move(S, flesh + self._jacobian.flesh @ by_pose, pose)
-        if trial is None:
+        # the undamped model's gain
+        first = self._by_x @ flesh + self._by_pose @ by_pose
+        second = flesh @ (self._curvature @ flesh) + by_pose @ (self._hessian @ by_pose)
+        predicted = float(-first - 0.5 * second - by_pose @ coupled)
+        response = flesh + self._jacobian.flesh @ by_pose
+        found = self._move(S, response, state.pose.add(by_pose))
+        if found is None:
             return _Trial(None, -np.inf, predicted)
-        gain = problem.expression_value(self._name, state)
-        gain -= problem.expression_value(self._name, trial)
-        return _Trial(trial, gain, predicted)
+        before, after = (problem.expression_value(self._name, each) for each in (state, found))
+        return _Trial(found, before - after, predicted)
 
     def _move(self, S: sp.csr_array, response: Floats, pose: Pose) -> State | None:
         """Approach a pose with S; settle where that is too far; None where that fails too."""
@@ -229,12 +228,6 @@ class _Linearised:
         with contextlib.suppress(SolveError):
             return face.predict_and_solve(self._state, response, pose)
         return None
-
-    def _predict_gain(self, flesh: Floats, by_pose: Floats) -> float:
-        """Return what the undamped model gains by a change of the flesh and of the pose."""
-        first = self._by_x @ flesh + self._by_pose @ by_pose
-        second = flesh @ (self._curvature @ flesh) + by_pose @ (self._hessian @ by_pose)
-        return float(-first - 0.5 * second - by_pose @ self._couple(flesh))
 
     def _couple(self, flesh: Floats) -> Floats:
         return np.asarray(self._coupling.T @ flesh[self._touched])

@@ -112,15 +112,25 @@ class Ending(StrEnum):
 
 
 @dataclass(frozen=True)
-class Trial(Generic[Point]):
-    """A search's result: a better point with its f, None if there is none; and the end, if it is.
+class StopOptions:
+    """The end: after so many ``iterations``, or of gains below these parts of f."""
 
-    ``ending`` is None where the fit goes on from here.
-    """
+    iterations: int
+    promised: float = 0.0  # by a step, before it is taken
+    gained: float = 0.0  # by the step that was taken
 
-    point: Point | None
-    value: float
-    ending: Ending | None
+
+class StepSearch(Protocol):
+    """Finds a step that lowers f; it may keep what it learns for the next one."""
+
+    def descend(
+        self, problem: LeastSquaresProblem[Point], point: Point, value: float, stop: StopOptions
+    ) -> tuple[Point | None, float, Ending | None]:
+        """Take the model's steps at a point where f is ``value``.
+
+        Returns a better point with its f, None if there is none; and the end, None if the fit goes
+        on from here.
+        """
 
 
 @dataclass(frozen=True)
@@ -137,24 +147,6 @@ class LeastSquaresSolution(Generic[Point]):
     idle: bool = False
 
 
-class StepSearch(Protocol):
-    """Finds a step that lowers f; it may keep what it learns for the next one."""
-
-    def descend(
-        self, problem: LeastSquaresProblem[Point], point: Point, value: float, stop: StopOptions
-    ) -> Trial[Point]:
-        """Take the model's steps at a point where f is ``value``."""
-
-
-@dataclass(frozen=True)
-class StopOptions:
-    """The end: after so many ``iterations``, or of gains below these parts of f."""
-
-    iterations: int
-    promised: float = 0.0  # by a step, before it is taken
-    gained: float = 0.0  # by the step that was taken
-
-
 def minimise(
     problem: LeastSquaresProblem[Point],
     start: Point,
@@ -165,46 +157,41 @@ def minimise(
     """Lower f step by step from ``start``."""
     point, value = start, problem.value(start)
     for number in range(stop.iterations):
-        found = search.descend(problem, point, value, stop)
-        if found.point is None:
-            return LeastSquaresSolution(
-                point, value, number, found.ending or Ending.STUCK, idle=True
-            )
-        point, value = found.point, found.value
+        better, reached, ending = search.descend(problem, point, value, stop)
+        if better is None:
+            return LeastSquaresSolution(point, value, number, ending or Ending.STUCK, idle=True)
+        point, value = better, reached
         if listen:
             listen(number + 1, value)
-        if found.ending:
-            return LeastSquaresSolution(point, value, number + 1, found.ending)
+        if ending:
+            return LeastSquaresSolution(point, value, number + 1, ending)
     return LeastSquaresSolution(point, value, stop.iterations, Ending.ITERATIONS)
 
 
-@dataclass(frozen=True)
-class TrustRegionOptions:
-    """The reach of steps, and how many are tried from one point before that counts as stuck."""
-
-    most: float = 1.0
-    least: float = 2.0**-8
-    tries: int = 6
-
-
+@dataclass
 class TrustRegion:
     """A search by ever shorter and more damped steps, each solved for anew."""
 
-    def __init__(self, damping: DampingOptions, trust: TrustRegionOptions | None = None) -> None:
-        self._rule, self._trust = damping, trust or TrustRegionOptions()
-        self.damping, self.reach = damping.start, self._trust.most
+    rule: DampingOptions
+    most: float = 1.0  # reach of a step
+    least: float = 2.0**-8
+    tries: int = 6  # from one point before that counts as stuck
+
+    def __post_init__(self) -> None:
+        """Begin with the rule's damping and the longest reach."""
+        self.damping, self.reach = self.rule.start, self.most
 
     def descend(
         self, problem: LeastSquaresProblem[Point], point: Point, value: float, stop: StopOptions
-    ) -> Trial[Point]:
+    ) -> tuple[Point | None, float, Ending | None]:
         """See :class:`StepSearch`."""
         model = problem.linearise(point)
-        for trial in range(self._trust.tries):
+        for trial in range(self.tries):
             step = model.step(self.damping, self.reach)
             # a step that was cut says nothing of what is left
             whole = step.reach < 0.99 * self.reach
             if not trial and whole and step.gain <= stop.promised * value:
-                return Trial(None, value, Ending.CONVERGED)
+                return None, value, Ending.CONVERGED
             moved = problem.move(point, step)
             if moved is None:
                 self._shorten(step.reach)
@@ -213,60 +200,51 @@ class TrustRegion:
             self._adapt((value - reached) / step.gain, step.reach)
             if reached < value:
                 done = whole and value - reached <= stop.gained * reached
-                return Trial(moved, reached, Ending.CONVERGED if done else None)
-        return Trial(None, value, Ending.STUCK)
+                return moved, reached, Ending.CONVERGED if done else None
+        return None, value, Ending.STUCK
 
     def _adapt(self, ratio: float, taken: float) -> None:
         """Learn from a step of reach ``taken`` that gained ``ratio`` of what was promised."""
-        self.damping = self._rule.adapt(self.damping, ratio)
-        if ratio < self._rule.bad:
+        self.damping = self.rule.adapt(self.damping, ratio)
+        if ratio < self.rule.bad:
             self._shorten(taken)
-        elif ratio > self._rule.good and taken > 0.9 * self.reach:
-            self.reach = min(2.0 * self.reach, self._trust.most)
+        elif ratio > self.rule.good and taken > 0.9 * self.reach:
+            self.reach = min(2.0 * self.reach, self.most)
 
     def _shorten(self, taken: float) -> None:
         """Trust in steps half as long as the one ``taken``."""
-        self.reach = max(0.5 * min(self.reach, taken), self._trust.least)
+        self.reach = max(0.5 * min(self.reach, taken), self.least)
 
 
-@dataclass(frozen=True)
-class HalvingOptions:
-    """Tries of a step and its halves, and the ratio of its gain below which the descent ends."""
-
-    tries: int = 3
-    least_ratio: float = -np.inf
-
-
+@dataclass
 class Halving:
     """A search along one step, cut in half and in half again; ``damping`` is of the next one."""
 
-    def __init__(self, damping: DampingOptions, options: HalvingOptions) -> None:
-        self._rule, self._options = damping, options
-        self.damping = damping.start
+    rule: DampingOptions
+    tries: int = 3  # of a step and its halves
+    least_ratio: float = -np.inf  # of a gain to the promised one, below which the descent ends
+
+    def __post_init__(self) -> None:
+        """Begin with the rule's damping."""
+        self.damping = self.rule.start
 
     def descend(
         self, problem: LeastSquaresProblem[Point], point: Point, value: float, stop: StopOptions
-    ) -> Trial[Point]:
+    ) -> tuple[Point | None, float, Ending | None]:
         """See :class:`StepSearch`."""
         step = problem.linearise(point).step(self.damping, 1.0)
         if step.gain <= stop.promised * value:
-            return Trial(None, value, Ending.CONVERGED)
-        for _ in range(self._options.tries):
+            return None, value, Ending.CONVERGED
+        for _ in range(self.tries):
             moved = problem.move(point, step)
-            if moved is not None:
-                reached = problem.value(moved)
-                if reached < value:
-                    return self._accept(moved, value, reached, step, stop)
+            reached = np.inf if moved is None else problem.value(moved)
+            if reached < value:
+                ratio = (value - reached) / step.gain
+                self.damping = self.rule.adapt(self.damping, ratio)
+                if ratio < self.least_ratio:
+                    return moved, reached, Ending.UNRELIABLE
+                done = value - reached <= stop.gained * reached
+                return moved, reached, Ending.CONVERGED if done else None
             step = step.cut(0.5)
-            self.damping = self._rule.increase(self.damping)
-        return Trial(None, value, Ending.STUCK)
-
-    def _accept(
-        self, moved: Point, value: float, reached: float, step: LeastSquaresStep, stop: StopOptions
-    ) -> Trial[Point]:
-        ratio = (value - reached) / step.gain
-        self.damping = self._rule.adapt(self.damping, ratio)
-        if ratio < self._options.least_ratio:
-            return Trial(moved, reached, Ending.UNRELIABLE)
-        done = value - reached <= stop.gained * reached
-        return Trial(moved, reached, Ending.CONVERGED if done else None)
+            self.damping = self.rule.increase(self.damping)
+        return None, value, Ending.STUCK

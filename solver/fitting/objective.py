@@ -11,8 +11,10 @@ the barrier forbids, and what is left are many buckled equilibria to get caught 
 
 from __future__ import annotations
 
+import operator
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Protocol
 
 import numpy as np
@@ -21,7 +23,13 @@ import scipy.sparse as sp
 from solver.errors import InputError
 from solver.fitting.controls import JAW_UNITS
 from solver.fitting.face import Face, Pose
-from solver.fitting.stretches import matrices
+from solver.fitting.stretches import (
+    FROBENIUS,
+    determinant_gradients,
+    determinants,
+    entries,
+    matrices,
+)
 from solver.surface import Floats
 
 # the eigenvalue e of S(a_j) that a muscle hardly goes below: contraction to a tenth
@@ -65,18 +73,14 @@ class Target:
 
     def value(self, points: Floats) -> float:
         """Return sum_v w_v |p_v - t_v|^2, or of the distances along the normals, in mm^2."""
-        return float(self.weights @ np.sum(self._offset(points) ** 2, axis=1))
-
-    def gradient(self, points: Floats) -> Floats:
-        """Return the derivative of :meth:`value` by the points, (k, 3)."""
-        return np.asarray(2.0 * self.weights[:, None] * self._offset(points))
+        return float(self.weights @ np.sum(self.offset(points) ** 2, axis=1))
 
     def distances(self, points: Floats) -> Floats:
         """Return |p_v - t_v|, or that along the normals, (k,) mm; NaN where it has no point."""
-        distance = np.linalg.norm(self._offset(points), axis=1)
+        distance = np.linalg.norm(self.offset(points), axis=1)
         return np.where(self.weights > 0.0, distance, np.nan)
 
-    def _offset(self, points: Floats) -> Floats:
+    def offset(self, points: Floats) -> Floats:
         """Return p_v - t_v (k, 3), along the normals where there are any."""
         offset = points - self.points
         if self.normals is None:
@@ -102,12 +106,8 @@ class Regulariser:
         if weight == 0.0:
             return self
         total = self.w_a + weight
-        return replace(
-            self,
-            w_a=total,
-            w_b=self.w_b * (total / self.w_a if self.w_a > 0.0 else 1.0),
-            prior=self.prior.toward(pose, weight / total),
-        )
+        w_b = self.w_b * (total / self.w_a if self.w_a > 0.0 else 1.0)
+        return replace(self, w_a=total, w_b=w_b, prior=self.prior.toward(pose, weight / total))
 
     def value(self, pose: Pose) -> float:
         """Return the regularisers' sum."""
@@ -131,64 +131,36 @@ class Regulariser:
         by_b = self.w_b * JAW_UNITS**2 * (pose.b - self.prior.b)
         return pose.layout.join([by_a, by_b])
 
-    def gauss_newton(self, pose: Pose) -> Floats:
-        """Return the Gauss-Newton Hessian by (a, b), (6 m + 5, 6 m + 5)."""
-        layout = pose.layout
+    def curvature(self, pose: Pose) -> tuple[Floats, Floats]:
+        """Return the Gauss-Newton Hessian: a block of each a_j, (m, 6, 6), and b's diagonal."""
         gradients = determinant_gradients(pose.a)
         _, towards = lacking_eigenvalues(pose.a)
         blocks = self.w_v * gradients[:, :, None] * gradients[:, None, :]
         blocks += self.w_e * towards.transpose(0, 2, 1) @ towards
-        entries = layout.places("activations")
-        out = np.zeros((layout.size, layout.size))
-        out[entries[:, :, None], entries[:, None, :]] = blocks
-        diagonal = [np.full(pose.a.shape, self.w_a), self.w_b * JAW_UNITS**2]
-        out[np.diag_indices_from(out)] += layout.join(diagonal)
+        blocks[:, np.arange(6), np.arange(6)] += self.w_a
+        return blocks, self.w_b * JAW_UNITS**2
+
+    def gauss_newton(self, pose: Pose) -> Floats:
+        """Return :meth:`curvature` as one matrix (6 m + 5, 6 m + 5)."""
+        muscles, jaw = (pose.layout.places(name) for name in ("activations", "jaw"))
+        out = np.zeros((pose.layout.size, pose.layout.size))
+        out[muscles[:, :, None], muscles[:, None, :]], out[jaw, jaw] = self.curvature(pose)
         return out
-
-
-def determinants(a: Floats) -> Floats:
-    """Return det S(a_j) for a of shape (m, 6)."""
-    xx, xy, xz, yy, yz, zz = a.T
-    return np.asarray(
-        xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
-    )
-
-
-def determinant_gradients(a: Floats) -> Floats:
-    """Return d det S(a_j)/da_j, (m, 6); an off-diagonal entry stands for two of the matrix."""
-    xx, xy, xz, yy, yz, zz = a.T
-    return np.stack(
-        [
-            yy * zz - yz * yz,
-            2.0 * (xz * yz - xy * zz),
-            2.0 * (xy * yz - xz * yy),
-            xx * zz - xz * xz,
-            2.0 * (xy * xz - xx * yz),
-            xx * yy - xy * xy,
-        ],
-        axis=1,
-    )
 
 
 def lacking_eigenvalues(a: Floats) -> tuple[Floats, Floats]:
     """Return max(0, e - lambda_k(S(a_j))), (m, 3), and where not 0 d lambda_k/da_j, (m, 3, 6)."""
     values, vectors = np.linalg.eigh(matrices(a))
     lack = np.maximum(LEAST_STRETCH - values, 0.0)
-    x, y, z = vectors.transpose(1, 0, 2)
-    gradients = np.stack([x * x, 2 * x * y, 2 * x * z, y * y, 2 * y * z, z * z], axis=2)
+    gradients = FROBENIUS * entries(vectors.transpose(0, 2, 1))
     return lack, gradients * (lack > 0.0)[:, :, None]
 
 
-# Parts of a fit's objective that depend on the tets' vertices x alone.
-#
-# A term gives its value, its gradient by x and the Gauss-Newton part of its Hessian; fits combine
-# them with the equilibrium's derivatives and know nothing else of scans, contact or markers.
-
-
 class Term(Protocol):
-    """A part of f; x is (p, 3) in mm, held vertices included.
+    """A part of f that depends on the tets' vertices x (p, 3) alone, held ones included, in mm.
 
-    What rides on the mandible is an affine combination of its vertices, so no term needs b.
+    What rides on the mandible is an affine combination of its vertices, so no term needs b. Fits
+    combine terms with the equilibrium's derivatives and know nothing else of scans or contact.
     """
 
     def value(self, x: Floats) -> float:
@@ -217,7 +189,8 @@ class SkinDistance:
 
     def gradient(self, x: Floats) -> Floats:
         """See :class:`Term`."""
-        by_point = self.target.gradient(self._face.face_points(x))
+        offset = self.target.offset(self._face.face_points(x))
+        by_point = 2.0 * self.target.weights[:, None] * offset
         return np.asarray(self._face.face_embedding.T @ by_point)
 
     def curvature(self, x: Floats) -> sp.csr_array:  # noqa: ARG002 - it is the same everywhere
@@ -226,19 +199,20 @@ class SkinDistance:
 
     @cached_property
     def _curvature(self) -> sp.csr_array:
-        M = self._face.face_embedding
+        M, unit = self._face.face_embedding, sp.eye_array(3)
         weights, normals = self.target.weights, self.target.normals
         if normals is None:
             by_vertex = 2.0 * M.T @ sp.diags_array(weights) @ M
-            return sp.csr_array(sp.kron(by_vertex, sp.eye_array(3), format="csr"))
-        points = len(weights)
-        rows = np.repeat(np.arange(points), 3)
-        along = sp.csr_array(
-            ((normals * np.sqrt(2.0 * weights)[:, None]).ravel(), (rows, np.arange(3 * points))),
-            shape=(points, 3 * points),
-        )
-        root = sp.csr_array(along @ sp.kron(M, sp.eye_array(3), format="csr"))
+            return sp.csr_array(sp.kron(by_vertex, unit, format="csr"))
+        along = (normals * np.sqrt(2.0 * weights)[:, None]).ravel()
+        each = np.arange(len(along))
+        root = sp.csr_array((along, (each // 3, each))) @ sp.kron(M, unit, format="csr")
         return sp.csr_array(root.T @ root)
+
+
+def distances(face: Face, targets: Mapping[str, Target]) -> dict[str, Term]:
+    """Return the distance of every expression, without contact: what a fit of S begins with."""
+    return {name: SkinDistance(face, target) for name, target in targets.items()}
 
 
 @dataclass(frozen=True)
@@ -257,7 +231,4 @@ class SumTerm:
 
     def curvature(self, x: Floats) -> sp.csr_array:
         """See :class:`Term`."""
-        first, *others = (term.curvature(x) for term in self.terms)
-        for other in others:
-            first = first + other
-        return first
+        return reduce(operator.add, (term.curvature(x) for term in self.terms))

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 
 from solver.fitting.face import Face, Pose, State
 from solver.mechanics.flesh import IDENTITY
-from solver.mechanics.response import Response
+from solver.mechanics.response import Response, SparseControls
 from solver.mechanics.terms import force_columns
 from solver.surface import Floats, Ints
 from solver.threads import in_threads
@@ -40,21 +40,14 @@ class Jacobian:
         flat = gradient.ravel()
         return np.asarray(self.flesh.T @ flat[self.free] + self.held.T @ flat)
 
-    def rows(self, some: Ints) -> Floats:
-        """Return the derivative of some coordinates, (len(some), k)."""
-        place = np.full(self.held.shape[0], -1)
-        place[self.free] = np.arange(len(self.free))
-        place = place[some]
-        out = np.zeros((len(some), self.flesh.shape[1]))
-        out[place >= 0] = self.flesh[place[place >= 0]]
-        direct = self.held[some].tocoo()
-        out[direct.row, direct.col] += direct.data
-        return out
-
     def contract(self, curvature: sp.csr_array) -> Floats:
         """Return (dx/dq)^T C dx/dq (k, k) for C (3 p, 3 p)."""
         touched = np.flatnonzero(np.diff(curvature.indptr))
-        rows = self.rows(touched)
+        number = np.full(len(curvature.indptr) - 1, -1)
+        number[self.free] = np.arange(len(self.free))
+        number = number[touched]
+        rows = self.held[touched].toarray()
+        rows[number >= 0] = self.flesh[number[number >= 0]]
         inner = curvature[touched][:, touched]
         out = np.empty((rows.shape[1], rows.shape[1]))
 
@@ -67,7 +60,7 @@ class Jacobian:
         return out
 
 
-class _Forces:
+class TetForces:
     """The forces' derivative by the activations A_i of a face's tets at x (p, 3), tet by tet."""
 
     def __init__(self, face: Face, pose: Pose, x: Floats) -> None:
@@ -83,7 +76,7 @@ class _Forces:
 class PoseRates:
     """The derivative by (a, b), a muscle by muscle: :class:`solver.mechanics.response.Controls`."""
 
-    def __init__(self, forces: _Forces) -> None:
+    def __init__(self, forces: TetForces) -> None:
         self._forces = forces
         face, pose = forces.face, forces.pose
         self._S, self._layout = face.S, pose.layout
@@ -98,16 +91,6 @@ class PoseRates:
             (values.ravel(), (rows.ravel(), columns.ravel())),
             shape=(direct.shape[0] * 3, self._layout.size),
         )
-
-    @classmethod
-    def at(cls, face: Face, pose: Pose, x: Floats) -> PoseRates:
-        """Return the derivative at any x (p, 3)."""
-        return cls(_Forces(face, pose, x))
-
-    @property
-    def by_tet(self) -> Floats:
-        """Return the forces' derivative by the tets' activations, (n, 4, 3, 6)."""
-        return self._forces.by_tet
 
     def columns(self) -> Floats:
         """Return d(grad_x E)/d(a, b), (size, 6 m + 5)."""
@@ -127,44 +110,18 @@ class PoseRates:
     def adjoint(self, motion: Floats) -> Floats:
         """Return the transpose of :meth:`product` applied to (size,)."""
         by_tet_a = np.empty_like(self._forces.tet_a)
-        _activations_by_forces(self.by_tet, self._forces.numbers, motion, by_tet_a)
+        _activations_by_forces(self._forces.by_tet, self._forces.numbers, motion, by_tet_a)
         return self._layout.join([(self._S.T @ by_tet_a)[1:], self.by_jaw.T @ motion])
-
-
-class PoseControls:
-    """Activations of S and the jaw: :class:`solver.fitting.controls.FitControls`."""
-
-    def __init__(self, face: Face) -> None:
-        self._face = face
-        self.layout = face.layout
-        self.flesh = face.flesh
-
-    def flesh_controls(self, q: Floats) -> Floats:
-        """See :class:`solver.fitting.controls.FitControls`."""
-        return self._face.tet_activations(self.layout.part("activations", q))
-
-    def held_positions(self, q: Floats) -> Floats:
-        """See :class:`solver.fitting.controls.FitControls`."""
-        return self._face.held_positions(self.layout.part("jaw", q))
-
-    def linearise(self, q: Floats, x: Floats) -> PoseRates:
-        """See :class:`solver.fitting.controls.FitControls`."""
-        return PoseRates.at(self._face, Pose(*self.layout.split(q)), x)
 
 
 class WeightRates:
     """The derivative by S's values (nnz,): :class:`solver.mechanics.response.Controls`."""
 
-    def __init__(self, forces: _Forces) -> None:
+    def __init__(self, forces: TetForces) -> None:
         self._forces = forces
         self._size = forces.face.flesh.size
         self._count = forces.face.S.nnz
         self.held = sp.csr_array((forces.x.size, self._count))
-
-    @classmethod
-    def at(cls, face: Face, pose: Pose, x: Floats) -> WeightRates:
-        """Return the derivative at any x (p, 3)."""
-        return cls(_Forces(face, pose, x))
 
     def matrix(self) -> sp.csc_array:
         """Return d(grad_x E)/dS, (size, nnz).
@@ -193,79 +150,36 @@ class WeightRates:
         return out
 
 
-@dataclass(frozen=True)
-class Along:
-    """Controls along the ``directions`` (k, l) of others' q (k,)."""
-
-    rates: PoseRates
-    directions: Floats
-
-    @property
-    def held(self) -> sp.csr_array:
-        """Return dx_held by them, (3 p, l)."""
-        return sp.csr_array(self.rates.held @ sp.csr_array(self.directions))
-
-    def columns(self) -> Floats:
-        """Return the free gradient's derivative (size, l)."""
-        return np.asfortranarray(self.rates.columns() @ self.directions)
-
-    def product(self, change: Floats) -> Floats:
-        """Return the free gradient's change (size,)."""
-        return self.rates.product(self.directions @ change)
-
-    def adjoint(self, motion: Floats) -> Floats:
-        """Return the transpose of :meth:`product` applied to (size,)."""
-        return np.asarray(self.directions.T @ self.rates.adjoint(motion))
-
-
 class Sensitivity:
-    """The derivatives of the vertices x at one state; one factor serves all."""
+    """The derivatives of the vertices x at one state: the ``response`` to ``pose`` and ``weights``.
+
+    One factor serves all.
+    """
 
     def __init__(self, face: Face, state: State) -> None:
-        self._face = face
-        self._forces = _Forces(face, state.pose, state.x)
-        self._response = Response(face.flesh, state.equilibrium.factor)
+        self._free = face.flesh.free_coordinates
+        self.forces = TetForces(face, state.pose, state.x)
+        self.response = Response(face.flesh, state.equilibrium.factor)
+
+    @cached_property
+    def pose(self) -> PoseRates:
+        """The forces by (a, b)."""
+        return PoseRates(self.forces)
+
+    @cached_property
+    def weights(self) -> WeightRates:
+        """The forces by S's values (nnz,)."""
+        return WeightRates(self.forces)
 
     def by_pose(self) -> Jacobian:
         """Return the derivatives by (a, b); a muscle by muscle, six entries each."""
-        flesh = self._response.columns(self._pose)
-        return Jacobian(flesh, self._pose.held, self._face.flesh.free_coordinates)
-
-    def motions_by_pose(self) -> Floats:
-        """Return the derivatives by (a, b) of all vertices, (p, 3, 6 m + 5)."""
-        return self._response.motions(self._pose)
+        return Jacobian(self.response.columns(self.pose), self.pose.held, self._free)
 
     def motions_along(self, directions: Floats) -> Floats:
         """Return the derivatives (p, 3, k) along ``directions`` of (a, b), (6 m + 5, k)."""
-        return self._response.motions(Along(self._pose, directions))
-
-    def flesh_by_pose(self, change: Floats) -> Floats:
-        """Return the free vertices' change (size,) for a change of (a, b), (6 m + 5,)."""
-        return self._response.free_motion(self._pose, change)
-
-    def by_pose_product(self, change: Floats) -> Floats:
-        """Return dx/d(a, b) applied to a change of (a, b), (6 m + 5,): motions (p, 3)."""
-        return self._response.product(self._pose, change)
-
-    def by_pose_adjoint(self, gradient: Floats) -> Floats:
-        """Return (dx/d(a, b))^T g for g by x, (p, 3), by one solve: shape (6 m + 5,)."""
-        return self._response.adjoint(self._pose, gradient)
-
-    def flesh_by_geometry(self, change: Floats) -> Floats:
-        """Return the free vertices' change (size,) for a change of S's values (nnz,)."""
-        return self._response.free_motion(self._weights, change)
-
-    def by_geometry_adjoint(self, gradient: Floats) -> Floats:
-        """Return the transpose of :meth:`flesh_by_geometry` applied to (size,): shape (nnz,)."""
-        return self._response.free_adjoint(self._weights, gradient)
-
-    @cached_property
-    def _pose(self) -> PoseRates:
-        return PoseRates(self._forces)
-
-    @cached_property
-    def _weights(self) -> WeightRates:
-        return WeightRates(self._forces)
+        forces = sp.csc_array(self.pose.columns() @ directions)
+        held = sp.csr_array(self.pose.held @ sp.csr_array(directions))
+        return self.response.motions(SparseControls(forces, held))
 
 
 def coordinates(vertices: Ints) -> Ints:

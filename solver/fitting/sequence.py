@@ -15,15 +15,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from solver.fitting import activation
-from solver.fitting.activation import ActivationOptions
-from solver.fitting.controls import Layout
+from solver.fitting.activation import ActivationOptions, DenseModel
 from solver.fitting.face import Face, Pose, State
-from solver.fitting.gauss_newton import damped_step
 from solver.fitting.least_squares import (
     DampingOptions,
     Ending,
     Halving,
-    HalvingOptions,
+    LeastSquaresSolution,
     LeastSquaresStep,
     StopOptions,
     minimise,
@@ -42,10 +40,7 @@ class TrackingOptions:
     # SQP steps at most (a frame that takes them all would like new sensitivities), and the part
     # of f that a step has to promise
     stop: StopOptions = field(default_factory=lambda: StopOptions(3, promised=2e-3))
-    # gains below ``least_ratio`` of the promised end the frame's steps
-    halving: HalvingOptions = field(
-        default_factory=lambda: HalvingOptions(tries=3, least_ratio=0.2)
-    )
+    least_ratio: float = 0.2  # of a gain to the promised one, below which the frame's steps end
     damping: DampingOptions = field(
         default_factory=lambda: DampingOptions(1e-3, least=1e-4, most=1.0, good=0.7, bad=0.4)
     )
@@ -68,24 +63,7 @@ class _Kept:
 
     @classmethod
     def of(cls, jacobian: Jacobian, data: SkinDistance, x: Floats) -> _Kept:
-        """Contract the curvature of a frame's ``data`` with the sensitivities."""
         return cls(jacobian, data.target.weights, jacobian.contract(data.curvature(x)))
-
-    def for_data(self, data: SkinDistance, x: Floats, reseen: float) -> _Kept:
-        """Return what suits a frame whose points may be seen otherwise."""
-        if np.abs(data.target.weights - self.weights).sum() < reseen:
-            return self
-        return _Kept.of(self.jacobian, data, x)
-
-
-@dataclass(frozen=True)
-class _Found:
-    """A frame's state with its f, the steps to it, and whether what is kept led to convergence."""
-
-    state: State
-    value: float
-    steps: int
-    converged: bool
 
 
 class Tracker:
@@ -117,53 +95,47 @@ class Tracker:
         self._kept: _Kept | None = None
         self._age = 0
         self._value = np.inf
-        self._search = Halving(self._options.damping, self._options.halving)
+        self._search = Halving(self._options.damping, least_ratio=self._options.least_ratio)
 
     def fit(self, target: Target, before: Pose | None = None) -> int:
         """Fit a frame and return the steps it took.
 
         ``before`` is the frame before's pose, where the state is this frame's already: fitted to
-        another placing of the head.
-
-        Raises :class:`SolveError` if it cannot be fitted; the state stays that of the frame
-        before.
+        another placing of the head. Raises :class:`SolveError` if it cannot be fitted; the state
+        stays that of the frame before.
         """
+        options, kept = self._options, self._kept
         data = SkinDistance(self.face, target)
         regulariser = self._regulariser.drawn_to(before or self.state.pose, self._temporal)
         found = None
-        if self._kept:
-            self._kept = self._kept.for_data(data, self.state.x, self._options.reseen)
-            found = self._quick(self._kept, data, regulariser)
+        if kept:
+            # points may be seen otherwise
+            if np.abs(data.target.weights - kept.weights).sum() >= options.reseen:
+                kept = self._kept = _Kept.of(kept.jacobian, data, self.state.x)
+            found = self._quick(kept, data, regulariser)
             if found is None and self._age:
                 found = self._quick(self._keep(data), data, regulariser)
             value = activation.objective(data, regulariser, self.state)
-            if found is None and value < self._options.stuck * self._value:
+            if found is None and value < options.stuck * self._value:
                 return 0
         if found is None:
-            fitted = activation.fit(
-                self.face,
-                data,
-                regulariser,
-                self.state,
-                self._whole_fit,
-                matrix=None if self._kept is None else self._kept.hessian,
-            )
-            found = _Found(fitted.state, fitted.objective, fitted.iterations, converged=False)
-            self._age = self._options.kept_frames
-        self.state, self._value = found.state, found.value
+            known = None if self._kept is None else self._kept.hessian
+            whole, stop = self._whole_fit, Ending.ITERATIONS
+            fitted = activation.fit(self.face, data, regulariser, self.state, whole, matrix=known)
+            found = LeastSquaresSolution(fitted.state, fitted.objective, fitted.iterations, stop)
+            self._age = options.kept_frames
+        self.state, self._value = found.point, found.value
         self._age += 1
-        if not found.converged and self._age >= self._options.kept_frames:
+        if found.ending != Ending.CONVERGED and self._age >= options.kept_frames:
             self._keep(data)
         return found.steps
 
     def _keep(self, data: SkinDistance) -> _Kept:
         """Take the Hessian and the sensitivities of the state as it is."""
         pose, found = self.state.pose, self.state.equilibrium
+        far = np.abs(found.factor.x - found.x).max() > CorrectorOptions.close_mm
         # what was projected, too, would be wrong in every frame that it is kept for
-        if (
-            found.factor.projection > 0
-            or np.abs(found.factor.x - found.x).max() > CorrectorOptions.close_mm
-        ):
+        if found.factor.projection > 0 or far:
             a = self.face.tet_activations(pose.a)
             factorization = Factorization(self.face.flesh, self.face.linear, found.x, a)
             self.state = State(pose, replace(found, factor=factorization))
@@ -172,34 +144,18 @@ class Tracker:
         self._age = 0
         return self._kept
 
-    def _quick(self, kept: _Kept, data: Term, regulariser: Regulariser) -> _Found | None:
+    def _quick(
+        self, kept: _Kept, data: Term, regulariser: Regulariser
+    ) -> LeastSquaresSolution[State] | None:
         """Fit a frame with what is kept; None if the first step leads nowhere."""
         problem = _FrameProblem(self.face, kept, data, regulariser)
         found = minimise(problem, self.state, self._search, self._options.stop)
-        if found.ending == Ending.STUCK and not found.steps:
-            return None
-        converged = found.ending == Ending.CONVERGED
-        return _Found(found.point, found.value, found.steps, converged)
-
-
-@dataclass(frozen=True)
-class _FrameModel:
-    """f's model by the sensitivities that are kept."""
-
-    layout: Layout
-    gradient: Floats
-    hessian: Floats
-
-    def step(self, damping: float, trust: float) -> LeastSquaresStep:
-        """See :class:`~solver.fitting.least_squares.LinearModel`."""
-        step = damped_step(self.layout, self.hessian, self.gradient, damping, trust)
-        slope, bend = float(self.gradient @ step), float(step @ self.hessian @ step)
-        return LeastSquaresStep(step, slope, bend, self.layout.reach(step))
+        return None if found.ending == Ending.STUCK and not found.steps else found
 
 
 @dataclass(frozen=True)
 class _FrameProblem:
-    """f of a frame by what is kept: a :class:`~solver.fitting.least_squares.Problem`."""
+    """f of a frame by what is kept: a :class:`~.least_squares.LeastSquaresProblem`."""
 
     face: Face
     kept: _Kept
@@ -207,18 +163,16 @@ class _FrameProblem:
     regulariser: Regulariser
 
     def value(self, point: State) -> float:
-        """See :class:`Problem`."""
         return activation.objective(self.data, self.regulariser, point)
 
-    def linearise(self, point: State) -> _FrameModel:
-        """See :class:`Problem`."""
+    def linearise(self, point: State) -> DenseModel:
         gradient = self.kept.jacobian.adjoint(self.data.gradient(point.x))
         gradient += self.regulariser.gradient(point.pose)
         hessian = self.kept.hessian + self.regulariser.gauss_newton(point.pose)
-        return _FrameModel(point.pose.layout, gradient, hessian)
+        return DenseModel(point.pose.layout, hessian, gradient)
 
     def move(self, point: State, step: LeastSquaresStep) -> State | None:
-        """See :class:`Problem`; the equilibrium is only corrected."""
+        """Correct the equilibrium, no more."""
         face, flesh, pose = self.face, self.face.flesh, point.pose.add(step.change)
         x = flesh.moved(point.x, self.kept.jacobian.flesh @ step.change)
         x[face.model.mandible] = face.mandible(pose.b)
@@ -248,7 +202,8 @@ def stillness(face: Face, usual: UsualMotion = UsualMotion()) -> Floats:
     The motion is the linear response, at rest, to usual changes of every activation and of the
     jaw, all at once and independent of each other.
     """
-    by_pose = Sensitivity(face, face.rest_state()).motions_by_pose()
+    sensitivity = Sensitivity(face, face.rest)
+    by_pose = sensitivity.response.motions(sensitivity.pose)
     by_a = np.full_like(face.rest_pose().a, usual.activation)
     change = face.layout.join([by_a, np.array(usual.jaw)])
     columns = (by_pose * change).reshape(len(by_pose), -1)

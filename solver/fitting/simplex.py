@@ -132,9 +132,6 @@ def tangent(values: Floats, free: NDArray[np.bool_], indptr: Ints) -> Floats:
     return out
 
 
-# S as values on a fixed pattern, the candidates of every tet; and S of one subject for another.
-
-
 def replace_values(S: sp.csr_array, values: Floats) -> sp.csr_array:
     """Return a matrix of S's pattern with other values (nnz,)."""
     return sp.csr_array((values, S.indices, S.indptr), shape=S.shape)
@@ -148,34 +145,36 @@ def transfer(S: sp.csr_array, source: SubjectModel, model: SubjectModel) -> sp.c
     :class:`InputError` (``weights.other_muscles``) if no muscle is known to both.
     """
     own = model.weights
-    tets = np.repeat(np.arange(own.shape[0]), np.diff(own.indptr))
-    column = _columns(source.muscle_names, model.muscle_names)[own.indices]
-    found = np.asarray(S[_counterparts(source, model)[tets], np.maximum(column, 0)]).ravel()
-    values = np.where(column >= 0, found, 0.0)
+    numbers = {name: number for number, name in enumerate(source.muscle_names, start=1)}
+    if not set(numbers) & set(model.muscle_names):
+        raise InputError("weights.other_muscles", "the two subjects have no muscle in common")
+    # of the source's, -1 where it has no such muscle
+    columns = np.array([0, *(numbers.get(name, -1) for name in model.muscle_names)])[own.indices]
+    tets = _rows(own)
+    found = np.asarray(S[_counterparts(source, model)[tets], np.maximum(columns, 0)]).ravel()
+    values = np.where(columns >= 0, found, 0.0)
     total = np.add.reduceat(values, own.indptr[:-1])[tets]
     values = np.where(total > 0.0, values, own.data)
     return replace_values(own, project(values, own.indptr))
-
-
-def _columns(source: tuple[str, ...], names: tuple[str, ...]) -> Ints:
-    """Return for every column of ``names`` that of ``source``, -1 where it has no such muscle."""
-    numbers = {name: number for number, name in enumerate(source, start=1)}
-    if not set(numbers) & set(names):
-        raise InputError("weights.other_muscles", "the two subjects have no muscle in common")
-    return np.array([0, *(numbers.get(name, -1) for name in names)])
 
 
 def _counterparts(source: SubjectModel, model: SubjectModel) -> Ints:
     """Return for every tet of ``model`` the one of ``source`` that stands for it."""
     if np.array_equal(source.tets, model.tets):
         return np.arange(len(model.tets))
-    there, here = (_centres(subject) for subject in (source, model))
+    there, here = (
+        (_centres(subject) - subject.jaw.origin) @ subject.jaw.axes.T for subject in (source, model)
+    )
     return np.asarray(cKDTree(there).query(here)[1])
 
 
 def _centres(model: SubjectModel) -> Floats:
-    """Return the tets' centroids in the frame of the jaw."""
-    return np.asarray((model.rest[model.tets].mean(axis=1) - model.jaw.origin) @ model.jaw.axes.T)
+    return np.asarray(model.rest[model.tets].mean(axis=1))
+
+
+def _rows(S: sp.csr_array) -> Ints:
+    """Return the tet (nnz,) of every value."""
+    return np.repeat(np.arange(S.shape[0]), np.diff(S.indptr))
 
 
 # The symmetric option: muscles of the left and right change alike, as far as the tets allow.
@@ -184,7 +183,6 @@ def _centres(model: SubjectModel) -> Floats:
 # (w_m/2) sum (ds_ij - ds_i'j')^2 asks the *changes* ds of S from its start, which has the mesh's
 # own asymmetry, to be alike at the tet i' nearest to the mirrored centroid of tet i and the muscle
 # j' of the other side. The mirror is the jaw frame's middle plane.
-
 
 OTHER_SIDE = {"left": "right", "right": "left", "l": "r", "r": "l"}
 MIRROR_REACH_MM = 4.0  # a tet further than this from its mirrored place has no counterpart
@@ -196,24 +194,18 @@ def mirror_structure(model: SubjectModel, w_m: float) -> sp.csr_array:
     Raises :class:`InputError` (``model.no_sides``) if no muscle's name tells its side.
     """
     S = model.weights
-    numbers = sp.csr_array((np.arange(1, S.nnz + 1), S.indices, S.indptr), shape=S.shape)
-    tets = np.repeat(np.arange(S.shape[0]), np.diff(S.indptr))
-    tet, muscle = mirrored_tets(model)[tets], mirrored_muscles(model.muscle_names)[S.indices]
+    numbers = replace_values(S, np.arange(1, S.nnz + 1))
+    tet = _mirrored_tets(model)[_rows(S)]
+    muscle = _mirrored_muscles(model.muscle_names)[S.indices]
     found = np.asarray(numbers[np.maximum(tet, 0), muscle]).ravel() - 1
-    own = np.arange(S.nnz)
-    paired = np.flatnonzero((tet >= 0) & (found >= 0) & (found != own))
-    root = np.full(len(paired), np.sqrt(w_m))
-    rows = np.arange(len(paired))
-    return sp.csr_array(
-        (
-            np.concatenate([root, -root]),
-            (np.concatenate([rows, rows]), np.concatenate([paired, found[paired]])),
-        ),
-        shape=(len(paired), S.nnz),
-    )
+    paired = np.flatnonzero((tet >= 0) & (found >= 0) & (found != np.arange(S.nnz)))
+    rows, root = np.arange(len(paired)), np.full(len(paired), np.sqrt(w_m))
+    columns = np.concatenate([paired, found[paired]])
+    entries = np.concatenate([root, -root]), (np.concatenate([rows, rows]), columns)
+    return sp.csr_array(entries, shape=(len(paired), S.nnz))
 
 
-def mirrored_muscles(names: tuple[str, ...]) -> Ints:
+def _mirrored_muscles(names: tuple[str, ...]) -> Ints:
     """Return for every column of S the column of the other side, for those in the middle their own.
 
     The sides are the words left, right, l and r of a name.
@@ -223,17 +215,12 @@ def mirrored_muscles(names: tuple[str, ...]) -> Ints:
     swapped = [tuple(OTHER_SIDE.get(word, word) for word in name) for name in words]
     if swapped == words:
         raise InputError("model.no_sides", "no muscle's name says left or right: nothing mirrors")
-    others = [columns.get(name, number) for number, name in enumerate(swapped, start=1)]
-    return np.array([0, *others])
+    return np.array([0, *(columns.get(name, own) for own, name in enumerate(swapped, start=1))])
 
 
-def mirrored_tets(model: SubjectModel) -> Ints:
+def _mirrored_tets(model: SubjectModel) -> Ints:
     """Return for every tet the nearest to its mirror image, -1 if none is near."""
-    centres = model.rest[model.tets].mean(axis=1)
-    distance, nearest = cKDTree(centres).query(_mirror(model, centres))
+    centres, across = _centres(model), model.jaw.axes[0]
+    mirrored = centres - 2.0 * np.outer((centres - model.jaw.origin) @ across, across)
+    distance, nearest = cKDTree(centres).query(mirrored)
     return np.where(distance <= MIRROR_REACH_MM, nearest, -1)
-
-
-def _mirror(model: SubjectModel, points: Floats) -> Floats:
-    across = model.jaw.axes[0]
-    return np.asarray(points - 2.0 * np.outer((points - model.jaw.origin) @ across, across))

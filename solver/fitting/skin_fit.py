@@ -19,14 +19,12 @@ from solver.fitting.face import Face
 from solver.fitting.least_squares import (
     DampingOptions,
     Halving,
-    HalvingOptions,
     LeastSquaresSolution,
     LeastSquaresStep,
     StopOptions,
     minimise,
 )
-from solver.mechanics import equilibrium
-from solver.mechanics.equilibrium import Equilibrium
+from solver.mechanics.equilibrium import Equilibrium, solve_equilibrium
 from solver.mechanics.response import Response
 from solver.surface import Floats
 
@@ -38,7 +36,7 @@ class SkinFitOptions:
     w_rest: float = 1e-2  # mm^2 by the square of q's units
     room: float = 1e-9  # beyond a bound that is reached
     stop: StopOptions = field(default_factory=lambda: StopOptions(12, gained=1e-3))
-    halving: HalvingOptions = field(default_factory=lambda: HalvingOptions(tries=5))
+    tries: int = 5  # of a step and its halves
 
 
 @dataclass(frozen=True)
@@ -52,7 +50,7 @@ class SkinPoint:
 class SkinFit:
     """f of ``controls`` for the face's points (k, 3) at ``target`` (k, 3).
 
-    It is a :class:`~solver.fitting.least_squares.Problem`.
+    It is a :class:`~solver.fitting.least_squares.LeastSquaresProblem`.
     """
 
     def __init__(
@@ -60,25 +58,23 @@ class SkinFit:
         face: Face,
         controls: FitControls,
         target: Floats,
-        options: SkinFitOptions | None = None,
+        options: SkinFitOptions = SkinFitOptions(),
     ) -> None:
         self._face, self._controls, self._target = face, controls, target
-        self._options = options or SkinFitOptions()
+        self._options = options
 
     def solve(self) -> LeastSquaresSolution[SkinPoint]:
         """Minimise f from rest."""
         start = self.settle(self._controls.layout.rest, self._face.model.rest)
-        search = Halving(DampingOptions(0.0, least=0.0), self._options.halving)
+        search = Halving(DampingOptions(0.0, least=0.0), self._options.tries)
         return minimise(self, start, search, self._options.stop)
 
     def settle(self, q: Floats, x: Floats) -> SkinPoint:
         """Return the equilibrium of q, found from x (p, 3)."""
         face, flesh, x = self._face, self._controls.flesh, x.copy()
         x[flesh.held] = self._controls.held_positions(q)
-        drive = self._controls.flesh_controls(q)
-        found = equilibrium.solve_equilibrium(
-            flesh, face.linear, x, drive, tolerance=face.tolerance
-        )
+        drive, tolerance = self._controls.flesh_controls(q), face.tolerance
+        found = solve_equilibrium(flesh, face.linear, x, drive, tolerance=tolerance)
         return SkinPoint(q, found)
 
     def jacobian(self, point: SkinPoint) -> Floats:
@@ -90,23 +86,23 @@ class SkinFit:
         return np.asarray(points.reshape(-1, len(point.q)))
 
     def value(self, point: SkinPoint) -> float:
-        """See :class:`~solver.fitting.least_squares.Problem`."""
+        """Return f."""
         distance = (self._distances(point) ** 2).sum() / len(self._target)
         away = point.q - self._controls.layout.rest
         return float(distance + self._options.w_rest * (away**2).sum())
 
-    def linearise(self, point: SkinPoint) -> BoundedModel:
-        """See :class:`~solver.fitting.least_squares.Problem`."""
+    def linearise(self, point: SkinPoint) -> _BoundedModel:
+        """Return f's model within the bounds."""
         layout, options = self._controls.layout, self._options
         scale, pull = np.sqrt(len(self._target)), np.sqrt(options.w_rest)
         matrix = np.vstack([self.jacobian(point) / scale, pull * np.eye(layout.size)])
         right = [-self._distances(point).ravel() / scale, pull * (layout.rest - point.q)]
         lower, upper = layout.lower - point.q, layout.upper - point.q
         bounds = lower - options.room, upper + options.room
-        return BoundedModel(matrix, np.concatenate(right), bounds)
+        return _BoundedModel(matrix, np.concatenate(right), bounds)
 
     def move(self, point: SkinPoint, step: LeastSquaresStep) -> SkinPoint | None:
-        """See :class:`~solver.fitting.least_squares.Problem`."""
+        """Return the equilibrium at the end of a step."""
         try:
             return self.settle(point.q + step.change, point.equilibrium.x)
         except SolveError:  # too far: half of it may not be
@@ -117,7 +113,7 @@ class SkinFit:
 
 
 @dataclass(frozen=True)
-class BoundedModel:
+class _BoundedModel:
     """|A s - r|^2 for a step s within ``bounds``: ``matrix`` A and ``right`` r."""
 
     matrix: Floats
@@ -125,9 +121,7 @@ class BoundedModel:
     bounds: tuple[Floats, Floats]
 
     def step(self, damping: float, trust: float) -> LeastSquaresStep:  # noqa: ARG002 - bounds hold it
-        """See :class:`~solver.fitting.least_squares.LinearModel`."""
         change = np.asarray(lsq_linear(self.matrix, self.right, self.bounds).x)
         image = self.matrix @ change
-        return LeastSquaresStep(
-            change, float(-2.0 * self.right @ image), float(2.0 * image @ image)
-        )
+        slope, bend = float(-2.0 * self.right @ image), float(2.0 * image @ image)
+        return LeastSquaresStep(change, slope, bend)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
+from solver.mechanics.linalg3 import symmetric_cofactor
 from solver.model import SubjectModel
 from solver.surface import Floats
 
@@ -25,6 +26,25 @@ UNITS = np.eye(6)[:, PLACES].reshape(6, 3, 3)  # the matrices dS/da_q
 def matrices(a: Floats) -> Floats:
     """Return S(a), (n, 3, 3), for a of shape (n, 6)."""
     return np.ascontiguousarray(a[:, PLACES].reshape(-1, 3, 3))
+
+
+def entries(directions: Floats) -> Floats:
+    """Return the six entries (..., 6) of d d^T for ``directions`` (..., 3)."""
+    return np.asarray(directions[..., ROW] * directions[..., COLUMN])
+
+
+def determinants(a: Floats) -> Floats:
+    """Return det S(a) for a of shape (n, 6)."""
+    return np.asarray(np.sum((a * _cofactors(a))[:, :3], axis=1))
+
+
+def determinant_gradients(a: Floats) -> Floats:
+    """Return d det S(a)/da, (n, 6)."""
+    return FROBENIUS * _cofactors(a)
+
+
+def _cofactors(a: Floats) -> Floats:
+    return np.stack(symmetric_cofactor.py_func(a.T), axis=1)
 
 
 def metric(a: Floats) -> Floats:

@@ -90,9 +90,7 @@ def after_fit(
         return []
     high = error > max(limits.residual_mm, limits.residual_ratio * float(np.median(seen)))
     edges = _edges(model)
-    joined = edges[high[edges].all(axis=1)]
-    graph = sp.coo_array((np.ones(len(joined)), joined.T), shape=(len(error),) * 2)
-    _, patch = connected_components(graph, directed=False)
+    patch = _parts(len(error), edges[high[edges].all(axis=1)])
     area = np.bincount(patch[high], vertex_areas(model.skin.vertices, model.skin.faces)[high])
     found = []
     for number in np.unique(patch[high]):
@@ -106,9 +104,8 @@ def after_fit(
             f"{worst} ({_where(model, worst)}), over {size:.0f} mm: an artifact of the scan, or a "
             "motion that no expression for the muscle geometry has shown"
         )
-        notice = _notice("fit.unreached", message, name, model, worst, error[worst])
-        notice.context["size_mm"] = round(size, 1)
-        found.append(notice)
+        more = {"size_mm": round(size, 1)}
+        found.append(_notice("fit.unreached", message, name, model, worst, error[worst], **more))
     return sorted(found, key=lambda notice: -notice.context["mm"])[: limits.patches]
 
 
@@ -149,9 +146,9 @@ def _find_same_name(
                 f"{name} and {other} have one name but lie {away.max():.1f} mm apart at vertex "
                 f"{vertex} ({_where(model, vertex)}): the fit will find each its own activations"
             )
-            notice = _notice("target.conflict", message, name, model, vertex, away.max())
-            notice.context["other"] = other
-            found.append(notice)
+            found.append(
+                _notice("target.conflict", message, name, model, vertex, away.max(), other=other)
+            )
     return found
 
 
@@ -171,10 +168,9 @@ def _check_head(
     model: SubjectModel, name: str, scan: RegisteredScan, limits: TargetLimits
 ) -> list[Notice]:
     """Find motion of the whole head, which a fit would take for expression."""
-    motion = head_motion(model, scan)
-    shift = float(
-        np.linalg.norm(motion(model.skin.vertices.mean(0)[None]) - model.skin.vertices.mean(0))
-    )
+    motion = _head_motion(model, scan)
+    centre = model.skin.vertices.mean(0)
+    shift = float(np.linalg.norm(motion(centre[None]) - centre))
     if motion.degrees <= limits.turned_degrees and shift <= limits.shifted_mm:
         return []
     message = (
@@ -185,7 +181,7 @@ def _check_head(
     return [Notice("target.turned", message, context)]
 
 
-def head_motion(
+def _head_motion(
     model: SubjectModel, scan: RegisteredScan, still_mm: float = 2.0, rounds: int = 10
 ) -> Similarity:
     """Return the rigid motion from the neutral to the scan that most of the skin agrees on.
@@ -207,10 +203,8 @@ def head_motion(
 def _check_edges(
     model: SubjectModel, name: str, scan: RegisteredScan, limits: TargetLimits
 ) -> list[Notice]:
-    seen = np.zeros(len(scan.vertices), dtype=bool)
-    seen[_seen(model, scan)] = True
     edges = _edges(model)
-    edges = edges[seen[edges].all(axis=1)]
+    edges = edges[np.isin(edges, _seen(model, scan)).all(axis=1)]
     before, now = (
         np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
         for points in (model.skin.vertices, scan.vertices)
@@ -238,6 +232,12 @@ def _edges(model: SubjectModel) -> Ints:
     return np.unique(np.sort(directed_edges(model.skin.faces), axis=1), axis=0)
 
 
+def _parts(count: int, edges: Ints) -> Ints:
+    """Return the number of the connected part that each of ``count`` vertices is in."""
+    graph = sp.coo_array((np.ones(len(edges)), edges.T), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1])
+
+
 def _where(model: SubjectModel, vertex: int) -> str:
     """Return the first region that has a vertex."""
     names = (name for name, ids in model.regions.items() if vertex in ids)
@@ -245,15 +245,16 @@ def _where(model: SubjectModel, vertex: int) -> str:
 
 
 def _notice(
-    code: str, message: str, name: str, model: SubjectModel, vertex: int, distance: float
+    code: str,
+    message: str,
+    name: str,
+    model: SubjectModel,
+    vertex: int,
+    distance: float,
+    **more: float | str,
 ) -> Notice:
-    context = {
-        "expression": name,
-        "region": _where(model, vertex),
-        "vertex": vertex,
-        "mm": round(float(distance), 2),
-    }
-    return Notice(code, message, context)
+    figures = {"vertex": vertex, "mm": round(float(distance), 2), **more}
+    return Notice(code, message, {"expression": name, "region": _where(model, vertex), **figures})
 
 
 # Models that a fit cannot use, or not wholly: flesh that is held by nothing, idle muscles.
@@ -266,9 +267,7 @@ def check_held(face: Face) -> None:
     """
     flesh = face.flesh
     tets, points = flesh.tets, flesh.rest
-    pairs = np.concatenate([tets[:, [0, k]] for k in (1, 2, 3)])
-    graph = sp.coo_array((np.ones(len(pairs)), pairs.T), shape=(len(points),) * 2)
-    _, part = connected_components(graph, directed=False)
+    part = _parts(len(points), np.concatenate([tets[:, [0, k]] for k in (1, 2, 3)]))
     for number in np.unique(part[tets[:, 0]]):
         vertices = np.flatnonzero(part == number)
         held = points[vertices[flesh.free_numbers[vertices] < 0]]
@@ -289,12 +288,13 @@ def idle_muscles(face: Face) -> list[Notice]:
     """Return the muscles that have no share of any tet: their activations stay at rest."""
     shares = np.asarray(face.S.sum(axis=0)).ravel()[1:]
     candidates = np.bincount(face.S.indices, minlength=face.S.shape[1])[1:]
+    end = "it moves nothing and stays at rest"
     found = []
-    for number, name in enumerate(face.model.muscle_names):
-        if candidates[number] == 0:
-            message = f"{name} has no flesh within reach: it moves nothing and stays at rest"
+    for name, count, share in zip(face.model.muscle_names, candidates, shares, strict=True):
+        if count == 0:
+            message = f"{name} has no flesh within reach: {end}"
             found.append(Notice("muscle.no_candidates", message, {"muscle": name}))
-        elif shares[number] <= 0.0:
-            message = f"{name} has no share of any tetrahedron: it moves nothing and stays at rest"
+        elif share <= 0.0:
+            message = f"{name} has no share of any tetrahedron: {end}"
             found.append(Notice("muscle.no_share", message, {"muscle": name}))
     return found

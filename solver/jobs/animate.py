@@ -8,7 +8,7 @@ import numpy as np
 
 from solver.anatomy.template import Template
 from solver.animation.blendshapes import Blendshapes, Solved, expression_targets, solve_blendshapes
-from solver.animation.recording import from_recording
+from solver.animation.drives import RecordedDrives
 from solver.fitting.face import Face
 from solver.fitting.target_checks import check_held
 from solver.jobs.scenes import EXPORT, READ, Person, fingerprint, finish, play, read_person
@@ -18,7 +18,7 @@ from solver.mechanics.linear import fastest
 from solver.progress import Step
 from solver.rig.animation import check_video
 from solver.scans.live_link import read_live_link
-from solver.scene.keys import head_of
+from solver.scene.document import head_of
 from solver.scene.stage import Stage
 from solver.templates.builtin.build import builtin_template
 
@@ -46,7 +46,7 @@ def run(task: Task[Animate]) -> list[Path]:
     def stage_of(shapes: Blendshapes) -> Stage:
         head = head_of(scene.head)
         start, end = recording.start, recording.end
-        drives = from_recording(recorded, shapes, person.model, start, end, head=head)
+        drives = RecordedDrives(recorded, shapes, person.model, start, end, head=head)
         return Stage(scene, person.places, person.S, drives, given.linear_solver)
 
     kept = out / "blendshapes.npz"

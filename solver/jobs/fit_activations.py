@@ -8,8 +8,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from solver.errors import Notice
-from solver.fitting import defaults, fallback, target_checks
-from solver.fitting.activation import Resting
+from solver.fitting import fallback, target_checks
+from solver.fitting.activation import UNSEEN, UNSEEN_STOP, unseen_regulariser
+from solver.fitting.contact import terms
 from solver.jobs.common import Telling
 from solver.jobs.fits import (
     describe_fit,
@@ -49,11 +50,10 @@ def run(task: Task[FitActivations]) -> list[Path]:
     told.tell(0.02, _replacements(subject, carried, scans))
     if given.solver == "ipopt":
         told.tell(0.02, fallback.warn_of_slowness(face))
-    rest = Resting(face)
-    regulariser = defaults.unseen_regulariser(face)
-    stop = replace(defaults.UNSEEN_STOP, max_iterations=given.max_iterations)
+    regulariser = unseen_regulariser(face)
+    stop = replace(UNSEEN_STOP, max_iterations=given.max_iterations)
     targets = targets_of(subject, scans, given.distance)
-    data = defaults.terms(face, targets)
+    data = terms(face, targets)
     fitted = []
     begin = time.perf_counter()
     for number, (name, scan) in enumerate(scans.items()):
@@ -63,7 +63,7 @@ def run(task: Task[FitActivations]) -> list[Path]:
             progress(Step("activations", 0.02 + 0.48 * part, iteration, value, message=name))
 
         start = time.perf_counter()
-        found = fallback.fit(face, data[name], regulariser, rest, stop, given.solver, listen)
+        found = fallback.fit(face, data[name], regulariser, stop, given.solver, listen)
         spent = time.perf_counter() - start
         expression = describe_fit(face, name, "test", scan, targets[name], found, spent)
         done = 0.02 + 0.48 * (number + 1) / len(scans)
@@ -71,7 +71,7 @@ def run(task: Task[FitActivations]) -> list[Path]:
     refuse_failures(fitted)
     kept = [fit for fit in carried if fit.name not in scans]
     chosen_options = given.model_dump(include={"distance", "solver"})
-    settings = {**defaults.UNSEEN, **asdict(stop), **chosen_options}
+    settings = {**UNSEEN, **asdict(stop), **chosen_options}
     seconds = {**_geometry_seconds(carried), "activations": time.perf_counter() - begin}
     whole = Rig(subject, face.S, (*kept, *fitted), seconds, told.general)
     return export_rig(face, whole, settings, task.out, rest_of(progress, 0.5))

@@ -11,10 +11,11 @@ from typing import Any
 import scipy.sparse as sp
 
 from solver.errors import Notice
-from solver.fitting import defaults, geometry
+from solver.fitting import geometry
+from solver.fitting.contact import terms
 from solver.fitting.face import Face, State
 from solver.fitting.geometry import GeometryFit, GeometryOptions
-from solver.fitting.objective import Target
+from solver.fitting.objective import Target, distances
 from solver.fitting.simplex import mirror_structure, transfer
 from solver.jobs.common import Telling
 from solver.jobs.fits import (
@@ -83,7 +84,7 @@ def _geometry(
         error = geometry.mean_error(face, targets, states)
         progress(Step("geometry", done, number + 1, mean_error_mm=error))
 
-    data, first_terms = defaults.terms(face, targets), defaults.distances(face, targets)
+    data, first_terms = terms(face, targets), distances(face, targets)
     return geometry.fit(face, data, schedule, first_terms=first_terms, listen=listen, **priors)
 
 
@@ -99,7 +100,7 @@ def _geometry_by_ipopt(
         part = min(iteration / geometry.most_iterations(schedule), 1.0)
         progress(Step("geometry", 0.02 + 0.78 * part, iteration, value))
 
-    data = defaults.terms(face, targets)
+    data = terms(face, targets)
     fitted, notices = geometry.fit_by_ipopt(face, data, schedule, listen, **priors)
     told.tell(0.8, notices)
     return fitted

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from solver.errors import InputError, SolveError
-from solver.fitting import defaults
+from solver.fitting.activation import unseen_regulariser
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Target
 from solver.fitting.sequence import Tracker, stillness
@@ -259,11 +259,11 @@ def run(task: Task[FitSequence]) -> list[Path]:
 
 def _follower(face: Face, given: FitSequence, last: SequenceFrame | None) -> Follower:
     """Return what fits the frames, from rest or from the ``last`` that is ready."""
-    state = face.rest_state()
+    state = face.rest
     if last is not None:
         with suppress(SolveError):  # out of reach from rest: the next frame begins there
             state = face.continuation(state, Pose(last.activations, last.jaw))
-    regulariser = defaults.unseen_regulariser(face)
+    regulariser = unseen_regulariser(face)
     tracker = Tracker(
         face, regulariser, state, temporal=given.temporal, max_iterations=given.max_iterations
     )

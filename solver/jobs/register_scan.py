@@ -9,11 +9,10 @@ from pathlib import Path
 from solver.anatomy.template import Template
 from solver.jobs.task import Task
 from solver.kinds.register_scan import RegisterScan
-from solver.meshio.raw import read_raw
+from solver.meshio.raw import mend, read_raw
 from solver.meshio.registered import read_registered, write_registered
 from solver.progress import Step
 from solver.registration.landmarks import match, read_landmarks
-from solver.registration.mend import mend
 from solver.registration.register import register
 from solver.registration.report import distance_picture, report
 from solver.registration.topology import topology

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from solver.animation.keys import PosedFrame
+from solver.animation.drives import PosedFrame
 from solver.errors import SolveError
 from solver.jobs.task import Task
 from solver.model import SubjectModel
@@ -32,7 +32,7 @@ from solver.scene.document import document_of
 from solver.scene.places import Places
 from solver.scene.stage import Stage
 from solver.similarity import Similarity
-from solver.simulation.inertia import Drive, Motion
+from solver.simulation.forces import Drive, Motion
 from solver.simulation.simulator import Stepped
 from solver.surface import Floats
 

@@ -10,7 +10,7 @@ from solver.jobs.task import Task
 from solver.kinds.simulate import Simulate
 from solver.rig.animation import check_video
 from solver.rig.result import load_activations
-from solver.scene.keys import drives_of
+from solver.scene.document import drives_of
 from solver.scene.stage import Stage
 
 

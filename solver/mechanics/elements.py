@@ -18,7 +18,7 @@ import numpy as np
 from solver.mechanics import laws
 from solver.mechanics.laws import MODES
 from solver.mechanics.linalg3 import Matrix, Symmetric, determinant, dot, symmetric_determinant
-from solver.mechanics.materials.volumetric import BARRIER_START, Moduli
+from solver.mechanics.materials import BARRIER_START, Moduli
 from solver.surface import Floats, Ints
 
 CHUNK = 512  # tets that share one scratch space: enough to make its allocation free
@@ -43,16 +43,7 @@ class Elements(NamedTuple):
 
     def take(self, some: Ints) -> Elements:
         """Return some of the tets."""
-        return Elements(
-            self.tets[some],
-            self.N[some],
-            self.volume[some],
-            self.mu[some],
-            self.lam[some],
-            self.kappa[some],
-            self.barrier_weight[some],
-            self.law,
-        )
+        return self._replace(**{name: getattr(self, name)[some] for name in self._fields[:-1]})
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)

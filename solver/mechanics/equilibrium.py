@@ -9,7 +9,7 @@ import numpy as np
 from solver.errors import SolveError
 from solver.mechanics.flesh import Flesh
 from solver.mechanics.linear import LinearSolver
-from solver.mechanics.materials.volumetric import BARRIER_START
+from solver.mechanics.materials import BARRIER_START
 from solver.mechanics.newton import Accelerator, Energy, Factorization, NewtonOptions, Search
 from solver.surface import Floats
 
@@ -152,10 +152,6 @@ def _polish(energy: Energy, now: Equilibrium, options: PredictorOptions) -> Equi
     return now
 
 
-# Equilibrium near a known one. A factorization costs as much as several corrections with an old
-# one, so these go on while they get shorter, with Anderson's acceleration.
-
-
 def correct(
     flesh: Flesh,
     linear: LinearSolver,
@@ -166,8 +162,10 @@ def correct(
 ) -> Equilibrium | None:
     """Return the equilibrium near ``x`` (p, 3) to within ``close_mm``, None if it is far.
 
-    ``factor`` is the Hessian of a state nearby; the result has the last that served. Its residual
-    is that before the last correction. Raises :class:`SolveError` (``solve.singular``).
+    A factorization costs as much as several corrections with an old one, so these go on while they
+    get shorter, with Anderson's acceleration. ``factor`` is the Hessian of a state nearby; the
+    result has the last that served, and the residual before the last correction. Raises
+    :class:`SolveError` (``solve.singular``).
     """
     options = options or CorrectorOptions()
     energy, accelerator = Energy(flesh, linear, a), Accelerator()

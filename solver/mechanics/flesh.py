@@ -18,8 +18,14 @@ from solver.mechanics import elements, laws
 from solver.mechanics.assembly import BlockSum, VertexSum, couple
 from solver.mechanics.elements import Elements
 from solver.mechanics.laws import Law
-from solver.mechanics.sliding import PlanesTerm, SlidingPlanes, no_planes
-from solver.mechanics.terms import Drag, ElasticTerm, EnergyTerm
+from solver.mechanics.terms import (
+    Drag,
+    ElasticTerm,
+    EnergyTerm,
+    PlanesTerm,
+    SlidingPlanes,
+    no_planes,
+)
 from solver.surface import Floats, Ints
 
 # the activation a_I of passive flesh: S(a_I) = I
@@ -42,13 +48,8 @@ class Material:
 
     def in_pascal(self, pascals: float) -> Material:
         """Return the material with its stress of 1 being so many ``pascals``."""
-        return replace(
-            self,
-            mu=pascals * self.mu,
-            lam=pascals * self.lam,
-            kappa=pascals * self.kappa,
-            barrier_weight=pascals * self.barrier_weight,
-        )
+        stresses = ("mu", "lam", "kappa", "barrier_weight")
+        return replace(self, **{name: pascals * getattr(self, name) for name in stresses})
 
 
 # The flesh of the muscle geometry paper: the trace of the stretch resists change of volume.
@@ -246,10 +247,7 @@ class Flesh:
         return self._vertex_sum(per_tet)
 
     def hessian(self, x: Floats, a: Floats, *, project: float = 0.0) -> sp.csr_array:
-        """Return d2E/dx2 by the free coordinates; ``project`` = 1 makes it positive semi-definite.
-
-        Between 0 and 1 it mixes the two.
-        """
+        """Return d2E/dx2 by the free coordinates; ``project`` is :meth:`EnergyTerm.blocks`'."""
         matrix = self.block_sum(self._first.blocks(x, a, project=project))
         for each in self._others:
             each.block_sum.add(each.term.blocks(x, a, project=project), matrix.data)
@@ -261,10 +259,7 @@ class Flesh:
         return self.block_sum.diagonal
 
     def assemble(self, blocks: Floats) -> sp.csr_array:
-        """Sum every tet's blocks (n, 4, 4, 3, 3) of its pairs of vertices: (size, size).
-
-        The sum is symmetric: of a pair u, v only the block with u <= v is read.
-        """
+        """Sum every tet's blocks (n, 4, 4, 3, 3), of which those with u <= v are read."""
         u, v = np.triu_indices(4)
         return self.block_sum(np.ascontiguousarray(blocks[:, u, v]))
 
@@ -284,10 +279,7 @@ class Flesh:
         return out.reshape(self.size, -1)
 
     def forces_by_activation(self, x: Floats, a: Floats) -> Floats:
-        """Return the derivative by each tet's activation of its forces, (n, 4, 3, 6).
-
-        A tet's forces are its gradient by its four vertices.
-        """
+        """See :meth:`ElasticTerm.forces_by_activation`."""
         return self.elastic.forces_by_activation(x, a)
 
     def forces_by_control(self, x: Floats, controls: Floats) -> sp.csr_array:

@@ -13,8 +13,7 @@ from typing import Literal, get_args
 import numba as nb
 
 from solver.mechanics.linalg3 import Matrix, Symmetric
-from solver.mechanics.materials import corotated, neo_hookean
-from solver.mechanics.materials.volumetric import Moduli
+from solver.mechanics.materials import Moduli, corotated, neo_hookean
 from solver.surface import Floats
 
 Law = Literal["corotated", "neo_hookean"]

@@ -24,18 +24,15 @@ import numpy as np
 
 from solver.surface import Floats
 
-# Signed singular value decomposition of 3x3 matrices, for kernels.
-#
-# G = U diag(s) V^T with U and V rotations; the smallest singular value carries the sign of det G,
-# so that U V^T is the rotation nearest to G also for inverted elements.
-
 
 @nb.njit(cache=True, error_model="numpy")
 def signed_svd(G: Floats, U: Floats, s: Floats, V: Floats) -> None:
-    """Decompose ``G`` (3, 3) into ``U`` (3, 3), ``s`` (3,) and ``V`` (3, 3), in place.
+    """Decompose ``G`` (3, 3) into ``U`` (3, 3), ``s`` (3,) and ``V`` (3, 3): G = U diag(s) V^T.
 
-    One-sided Jacobi rotations (Hestenes 1958): accurate also for small singular values, where an
-    eigen-decomposition of G^T G would lose half of the digits.
+    U and V are rotations; the smallest singular value carries the sign of det G, so that U V^T is
+    the rotation nearest to G also for inverted elements. One-sided Jacobi rotations (Hestenes
+    1958): accurate also for small singular values, where an eigen-decomposition of G^T G would
+    lose half of the digits.
     """
     for i in range(3):
         for j in range(3):
@@ -182,19 +179,43 @@ def product(X: Matrix, Y: Matrix) -> Matrix:
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
+def symmetric_product(X: Matrix, Y: Matrix) -> Symmetric:
+    """Return X^T Y, which is symmetric."""
+    return (
+        X[0] * Y[0] + X[3] * Y[3] + X[6] * Y[6],
+        X[0] * Y[1] + X[3] * Y[4] + X[6] * Y[7],
+        X[0] * Y[2] + X[3] * Y[5] + X[6] * Y[8],
+        X[1] * Y[1] + X[4] * Y[4] + X[7] * Y[7],
+        X[1] * Y[2] + X[4] * Y[5] + X[7] * Y[8],
+        X[2] * Y[2] + X[5] * Y[5] + X[8] * Y[8],
+    )
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def scale(s: float, X: Matrix) -> Matrix:
     """Return s X."""
-    return (
-        s * X[0],
-        s * X[1],
-        s * X[2],
-        s * X[3],
-        s * X[4],
-        s * X[5],
-        s * X[6],
-        s * X[7],
-        s * X[8],
-    )
+    a, b, c, d, e, f, g, h, i = X
+    return s * a, s * b, s * c, s * d, s * e, s * f, s * g, s * h, s * i
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def add(X: Matrix, Y: Matrix) -> Matrix:
+    """Return X + Y."""
+    a, b, c, d, e, f, g, h, i = X
+    j, k, m, n, p, q, r, s, t = Y
+    return a + j, b + k, c + m, d + n, e + p, f + q, g + r, h + s, i + t
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def subtract(X: Matrix, Y: Matrix) -> Matrix:
+    """Return X - Y."""
+    return add(X, scale(-1.0, Y))
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def symmetric_scale(s: float, A: Symmetric) -> Symmetric:
+    """Return s A."""
+    return s * A[0], s * A[1], s * A[2], s * A[3], s * A[4], s * A[5]
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
@@ -204,16 +225,17 @@ def full(A: Symmetric) -> Matrix:
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
-def square(A: Symmetric) -> Symmetric:
-    """Return A A."""
-    a, b, c, d, e, f = A
-    return (
-        a * a + b * b + c * c,
-        a * b + b * d + c * e,
-        a * c + b * e + c * f,
-        b * b + d * d + e * e,
-        b * c + d * e + e * f,
-        c * c + e * e + f * f,
+def symmetric_unit(number: int) -> Matrix:
+    """Return the derivative of A by its ``number``-th entry."""
+    return full(
+        (
+            1.0 if number == 0 else 0.0,
+            1.0 if number == 1 else 0.0,
+            1.0 if number == 2 else 0.0,
+            1.0 if number == 3 else 0.0,
+            1.0 if number == 4 else 0.0,
+            1.0 if number == 5 else 0.0,
+        )
     )
 
 
@@ -263,44 +285,16 @@ def polar(G: Matrix) -> tuple[float, Matrix, Symmetric]:
     t, slope = _largest_root(square, dot(C, C), J)
     if slope == 0.0:
         return _by_singular_vectors(G)
-    a, b, c, d, e, f, g, h, i = G
-    # G^T G, and u G - v G G^T G + w cof G with the sum's own t, I, J
-    xx = a * a + d * d + g * g
-    xy = a * b + d * e + g * h
-    xz = a * c + d * f + g * i
-    yy = b * b + e * e + h * h
-    yz = b * c + e * f + h * i
-    zz = c * c + f * f + i * i
+    # u G - v G G^T G + w cof G with the sum's own t, I, J
     v = 8.0 / slope
     u = (4.0 * (t * t - square) + 8.0 * square) / slope
     w = 8.0 * t / slope
-    R = (
-        u * a - v * (a * xx + b * xy + c * xz) + w * C[0],
-        u * b - v * (a * xy + b * yy + c * yz) + w * C[1],
-        u * c - v * (a * xz + b * yz + c * zz) + w * C[2],
-        u * d - v * (d * xx + e * xy + f * xz) + w * C[3],
-        u * e - v * (d * xy + e * yy + f * yz) + w * C[4],
-        u * f - v * (d * xz + e * yz + f * zz) + w * C[5],
-        u * g - v * (g * xx + h * xy + i * xz) + w * C[6],
-        u * h - v * (g * xy + h * yy + i * yz) + w * C[7],
-        u * i - v * (g * xz + h * yz + i * zz) + w * C[8],
-    )
+    cubic = times(G, symmetric_product(G, G))
+    R = add(subtract(scale(u, G), scale(v, cubic)), scale(w, C))
     # Y = t I - R^T G, symmetric, and its inverse by the adjugate
-    xx = t - (R[0] * a + R[3] * d + R[6] * g)
-    xy = -(R[0] * b + R[3] * e + R[6] * h)
-    xz = -(R[0] * c + R[3] * f + R[6] * i)
-    yy = t - (R[1] * b + R[4] * e + R[7] * h)
-    yz = -(R[1] * c + R[4] * f + R[7] * i)
-    zz = t - (R[2] * c + R[5] * f + R[8] * i)
-    Y = (
-        v * (yy * zz - yz * yz),
-        v * (xz * yz - xy * zz),
-        v * (xy * yz - xz * yy),
-        v * (xx * zz - xz * xz),
-        v * (xy * xz - xx * yz),
-        v * (xx * yy - xy * xy),
-    )
-    return t, R, Y
+    xx, xy, xz, yy, yz, zz = symmetric_product(R, G)
+    adjugate = symmetric_cofactor((t - xx, -xy, -xz, t - yy, -yz, t - zz))
+    return t, R, symmetric_scale(v, adjugate)
 
 
 @nb.njit(cache=True, error_model="numpy")

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import numba as nb
@@ -33,6 +35,13 @@ class Factor(Protocol):
         """Return K^-1 B for ``B`` of shape (size,) or (size, k)."""
 
 
+@dataclass(frozen=True)
+class _Solve:
+    """A :class:`Factor` by a function."""
+
+    solve: Callable[[Floats], Floats]
+
+
 class LinearSolver(Protocol):
     """The analysis of one sparsity pattern."""
 
@@ -47,6 +56,7 @@ class Rslab:
     """Supernodal LDL^T in Rust (MIT): by far the fastest with many right-hand sides."""
 
     dtype = "float64"
+    block = 32  # right-hand sides that it gets at once
 
     def __init__(self, pattern: sp.csr_array) -> None:
         import rslab
@@ -70,20 +80,35 @@ class Rslab:
         _, negative, zero = factor.inertia
         if negative or zero:
             raise NotPositiveDefiniteError(f"{negative} negative and {zero} zero pivots")
-        return _RslabFactor(factor)
+        return _Solve(partial(self._solve, factor))
 
     def factor_indefinite(self, data: Floats) -> Factor:
         """See :class:`LinearSolver`."""
         factor = self._factor(data)
         if factor.inertia[2]:
             raise NotPositiveDefiniteError(f"{factor.inertia[2]} zero pivots")
-        return _RslabFactor(factor)
+        return _Solve(partial(self._solve, factor))
 
     def _factor(self, data: Floats) -> Any:
         try:
             return self._analysis.factor(data[self._keep])
         except RuntimeError as error:
             raise NotPositiveDefiniteError(str(error)) from error
+
+    def _solve(self, factor: Any, B: Floats) -> Floats:
+        if B.ndim == 1:
+            return np.asarray(factor.solve(B))
+        # columns in memory order: three times as fast as rows. A factor keeps ten times the memory
+        # of the right-hand sides it was given at once. Blocks do not know of each other: any number
+        # of threads gives the same
+        X = np.empty(B.shape, order="F")
+
+        def solve(first: int) -> None:
+            block = slice(first, first + self.block)
+            X[:, block] = factor.solve_many(np.asfortranarray(B[:, block]))
+
+        in_threads(solve, range(0, B.shape[1], self.block))
+        return X
 
 
 class RslabSingle(Rslab):
@@ -93,28 +118,6 @@ class RslabSingle(Rslab):
     """
 
     dtype = "float32"
-
-
-class _RslabFactor:
-    block = 32  # right-hand sides that rslab gets at once
-
-    def __init__(self, factor: Any) -> None:
-        self._factor = factor
-
-    def solve(self, B: Floats) -> Floats:
-        if B.ndim == 1:
-            return np.asarray(self._factor.solve(B))
-        # columns in memory order: three times as fast as rows. A factor keeps ten times the memory
-        # of the right-hand sides it was given at once. Blocks do not know of each other: any number
-        # of threads gives the same
-        X = np.empty(B.shape, order="F")
-
-        def solve(first: int) -> None:
-            block = slice(first, first + self.block)
-            X[:, block] = self._factor.solve_many(np.asfortranarray(B[:, block]))
-
-        in_threads(solve, range(0, B.shape[1], self.block))
-        return X
 
 
 class SuperLU:
@@ -140,11 +143,16 @@ class SuperLU:
         lu = self._factor(data, 0.0)
         if not (lu.U.diagonal() > 0.0).all():
             raise NotPositiveDefiniteError("a pivot is not positive")
-        return _Permuted(lu.solve, self._order)
+        return _Solve(partial(self._solve, lu))
 
     def factor_indefinite(self, data: Floats) -> Factor:
         """See :class:`LinearSolver`."""
-        return _Permuted(self._factor(data, self.pivot_threshold).solve, self._order)
+        return _Solve(partial(self._solve, self._factor(data, self.pivot_threshold)))
+
+    def _solve(self, lu: Any, B: Floats) -> Floats:
+        X = np.empty(B.shape)
+        X[self._order] = lu.solve(np.ascontiguousarray(B[self._order]))
+        return X
 
     def _factor(self, data: Floats, threshold: float) -> Any:
         self._matrix.data = data[self._from]
@@ -159,17 +167,6 @@ class SuperLU:
             raise NotPositiveDefiniteError(str(error)) from error
 
 
-class _Permuted:
-    def __init__(self, solve: Callable[[Floats], Floats], order: Ints) -> None:
-        self._solve = solve
-        self._order = order
-
-    def solve(self, B: Floats) -> Floats:
-        X = np.empty(B.shape)
-        X[self._order] = self._solve(np.ascontiguousarray(B[self._order]))
-        return X
-
-
 class Cholmod:
     """CHOLMOD by cvxopt (GPL-3, an extra)."""
 
@@ -177,41 +174,32 @@ class Cholmod:
         import cvxopt
         import cvxopt.cholmod
 
-        self._spmatrix = cvxopt.spmatrix
-        self._dense = cvxopt.matrix
-        self._cholmod: Any = cvxopt.cholmod
+        self._cvxopt: Any = cvxopt
         self._pattern = pattern
-        self._shape = pattern.shape
         self._keep, self._rows, indptr = _upper(pattern)
         self._columns = np.repeat(np.arange(pattern.shape[0]), np.diff(indptr))
-        self._cholmod.options["supernodal"] = 2
-        self._order = self._dense(nested_dissection(pattern).tolist(), tc="i")
+        cvxopt.cholmod.options["supernodal"] = 2
+        self._order = cvxopt.matrix(nested_dissection(pattern).tolist(), tc="i")
 
     def factor(self, data: Floats) -> Factor:
         """See :class:`LinearSolver`."""
-        lower = self._spmatrix(data[self._keep], self._rows, self._columns, self._shape)
+        cholmod, places = self._cvxopt.cholmod, (self._rows, self._columns)
+        lower = self._cvxopt.spmatrix(data[self._keep], *places, self._pattern.shape)
         # a numeric factorisation overwrites its analysis, and a fit keeps several factors alive
-        analysis = self._cholmod.symbolic(lower, p=self._order)
+        analysis = cholmod.symbolic(lower, p=self._order)
         try:
-            self._cholmod.numeric(lower, analysis)
+            cholmod.numeric(lower, analysis)
         except ArithmeticError as error:
             raise NotPositiveDefiniteError(str(error)) from error
-        return _CholmodFactor(self._cholmod, self._dense, analysis)
+        return _Solve(partial(self._solve, analysis))
 
     def factor_indefinite(self, data: Floats) -> Factor:
         """See :class:`LinearSolver`; a Cholesky factor does not exist, so this is LU."""
         return SuperLU(self._pattern).factor_indefinite(data)
 
-
-class _CholmodFactor:
-    def __init__(self, cholmod: Any, dense: Any, analysis: Any) -> None:
-        self._cholmod = cholmod
-        self._dense = dense
-        self._analysis = analysis
-
-    def solve(self, B: Floats) -> Floats:
-        X = self._dense(np.ascontiguousarray(B.reshape(len(B), -1)))
-        self._cholmod.solve(self._analysis, X)
+    def _solve(self, analysis: Any, B: Floats) -> Floats:
+        X = self._cvxopt.matrix(np.ascontiguousarray(B.reshape(len(B), -1)))
+        self._cvxopt.cholmod.solve(analysis, X)
         return np.array(X).reshape(B.shape)
 
 
@@ -277,19 +265,14 @@ def _is_installed(package: str) -> bool:
     return importlib.util.find_spec(package) is not None
 
 
-# A linear solver for matrices whose pattern grows: flesh, and what touches at the moment.
-#
-# The pattern of flesh never changes; contacts come and go. All entries seen so far stay in the
-# analysed pattern, as zeros where they are not used: most steps then need no new analysis, which
-# costs as much as a factorisation.
-
-
 class GrowingSolver:
     """Factorises the sum of a matrix of fixed ``pattern`` (sorted CSR) and one of any other.
 
-    ``name`` is the linear solver (:func:`~solver.mechanics.linear.analyse`), ``analyses`` counts
-    how often a pattern was analysed. With more than ``largest`` times the entries of the fixed
-    pattern it forgets all but the newest.
+    The pattern of flesh never changes; contacts come and go. All entries seen so far stay in the
+    analysed pattern, as zeros where they are not used: most steps then need no new analysis, which
+    costs as much as a factorisation. With more than ``largest`` times the entries of the fixed
+    pattern it forgets all but the newest. ``name`` is the linear solver (:func:`analyse`),
+    ``analyses`` counts how often a pattern was analysed.
     """
 
     def __init__(
@@ -317,25 +300,18 @@ class GrowingSolver:
         ``indefinite`` is for :meth:`LinearSolver.factor_indefinite`. No entry of ``extra`` may be
         stored twice.
 
-        Raises :class:`~solver.mechanics.linear.NotPositiveDefiniteError`.
+        Raises :class:`NotPositiveDefiniteError`.
         """
         keys = _keys(extra)
-        places = self._places(keys)
-        if places is None:
+        if not _are_among(self._known, keys).all():
             whole = _merge(self._known, keys)
             if len(whole) > self._largest * len(self._fixed):
                 whole = _merge(self._fixed, keys)
             self._analyse(whole)
-            places = np.searchsorted(self._known, keys)
         values = np.zeros(len(self._known))
-        values[places] = extra.data
+        values[np.searchsorted(self._known, keys)] = extra.data
         values[self._fixed_places] += data
         return self._solver.factor_indefinite(values) if indefinite else self._solver.factor(values)
-
-    def _places(self, keys: Ints) -> Ints | None:
-        """Return where entries are in the analysed pattern, None if one of them is not."""
-        places, found = _look_up(self._known, keys)
-        return places if found.all() else None
 
     def _analyse(self, keys: Ints) -> None:
         rows, columns = np.divmod(keys, self._size)
@@ -367,13 +343,13 @@ def _keys(matrix: sp.csr_array) -> Ints:
     return np.asarray(rows * matrix.shape[1] + matrix.indices)
 
 
-def _look_up(known: Ints, keys: Ints) -> tuple[Ints, NDArray[np.bool_]]:
-    """Return where each of some keys is, or belongs, in ``known``, sorted, and whether it is."""
+def _are_among(known: Ints, keys: Ints) -> NDArray[np.bool_]:
+    """Tell which keys are in ``known``, sorted: np.isin would sort them all again."""
     places = np.searchsorted(known, keys)
-    return places, known[np.minimum(places, len(known) - 1)] == keys
+    return np.asarray(known[np.minimum(places, len(known) - 1)] == keys)
 
 
 def _merge(known: Ints, keys: Ints) -> Ints:
     """Return sorted keys with others put in: nearly all are there, and sorting them is dear."""
-    new = np.sort(keys[~_look_up(known, keys)[1]])
+    new = np.sort(keys[~_are_among(known, keys)])
     return np.insert(known, np.searchsorted(known, new), new)

@@ -6,7 +6,7 @@ hence every tet positively oriented. Where a Hessian from nearby still serves, i
 instead, with Anderson's acceleration: one costs a fraction of a new factorization.
 
 Equilibria (:mod:`solver.mechanics.equilibrium`) and moments of a simulation
-(:mod:`solver.simulation.newton`) are found by the same :class:`Search` with other options.
+(:mod:`solver.simulation.simulator`) are found by the same :class:`Search` with other options.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -90,7 +91,10 @@ class Accelerator:
 class Factorization:
     """The Hessian at x (p, 3) with controls ``a``, factorised when first asked for.
 
-    ``first`` is the number of the first of the options' ``projections`` to be tried.
+    It is projected as far as need be, from number ``first`` of the options' ``projections`` on:
+    near buckling a small one is often enough, and keeps more of Newton's speed than all of it.
+    Its members raise :class:`SolveError`: ``solve.crushed`` where a tet has next to no volume left,
+    else ``solve.singular``.
     """
 
     def __init__(
@@ -103,7 +107,8 @@ class Factorization:
         options: NewtonOptions = NewtonOptions(),
     ) -> None:
         self.x = x
-        self._problem = flesh, linear, x, a, first, options
+        self._flesh, self._linear, self._a = flesh, linear, a
+        self._first, self._options = first, options
 
     def solve(self, B: Floats) -> Floats:
         """See :class:`~solver.mechanics.linear.Factor`."""
@@ -116,51 +121,30 @@ class Factorization:
 
     @cached_property
     def _factor_and_projection(self) -> tuple[Factor, int]:
-        return factorize(*self._problem)
-
-
-def factorize(
-    flesh: Flesh,
-    linear: LinearSolver,
-    x: Floats,
-    a: Floats,
-    first: int = 0,
-    options: NewtonOptions = NewtonOptions(),
-) -> tuple[Factor, int]:
-    """Factorise the Hessian at x, projected as far as need be; return the projection's number too.
-
-    The first of the ``projections`` to be tried is number ``first``; 0 is the Hessian itself. Near
-    buckling a small one is often enough, and keeps more of Newton's speed than all of it.
-
-    Raises :class:`SolveError`: ``solve.crushed`` where a tet has next to no volume left, else
-    ``solve.singular``.
-    """
-    for number in range(first, len(options.projections)):
-        matrix = flesh.hessian(x, a, project=options.projections[number])
-        if number:
-            # a projected element may be semi-definite: a trace of it all keeps the sum definite
-            diagonal = flesh.diagonal
-            matrix.data[diagonal] += (
-                1e-6 * options.projections[number] * matrix.data[diagonal].mean()
+        flesh, projections = self._flesh, self._options.projections
+        for number in range(self._first, len(projections)):
+            matrix = flesh.hessian(self.x, self._a, project=projections[number])
+            if number:
+                # a projected element may be semi-definite: a trace of it all keeps the sum definite
+                mean = matrix.data[flesh.diagonal].mean()
+                matrix.data[flesh.diagonal] += 1e-6 * projections[number] * mean
+            try:
+                return self._linear.factor(matrix.data), number
+            except NotPositiveDefiniteError:
+                pass
+        jacobians = flesh.jacobians(self.x)
+        smallest = int(jacobians.argmin())
+        if jacobians[smallest] < self._options.collapsed:
+            place = np.round(flesh.rest[flesh.tets[smallest]].mean(axis=0)).tolist()
+            raise SolveError(
+                "solve.crushed",
+                f"elements near {place} have collapsed: the constraints around them have closed",
+                tet=smallest,
+                place_mm=place,
             )
-        try:
-            return linear.factor(matrix.data), number
-        except NotPositiveDefiniteError:
-            pass
-    jacobians = flesh.jacobians(x)
-    smallest = int(jacobians.argmin())
-    if jacobians[smallest] < options.collapsed:
-        place = np.round(flesh.rest[flesh.tets[smallest]].mean(axis=0))
         raise SolveError(
-            "solve.crushed",
-            f"elements near {place.tolist()} have collapsed: the constraints around them have"
-            " closed",
-            tet=smallest,
-            place_mm=place.tolist(),
+            "solve.singular", "the flesh's Hessian is singular: a part of it is held by nothing"
         )
-    raise SolveError(
-        "solve.singular", "the flesh's Hessian is singular: a part of it is held by nothing"
-    )
 
 
 class Energy:
@@ -179,11 +163,8 @@ class Energy:
         potentials: Sequence[Potential] = (),
         goal: Boundary | None = None,
     ) -> None:
-        self.flesh = flesh
-        self.a = a
-        self._linear = linear
-        self._potentials = potentials
-        self._goal = goal
+        self.flesh, self.a = flesh, a
+        self._linear, self._potentials, self._goal = linear, potentials, goal
 
     def value(self, x: Floats) -> float:
         """Return the energy of x (p, 3)."""
@@ -228,8 +209,7 @@ class Energy:
         return part
 
 
-@dataclass(frozen=True)
-class _Step:
+class _Step(NamedTuple):
     """End of a step: x (p, 3), the gradient (size,) there, and the part of it that was taken."""
 
     x: Floats

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
 import scipy.sparse as sp
 
 from solver.surface import Floats
-
-# What the flesh is held by and meets, at one moment.
 
 
 @dataclass(frozen=True)
@@ -25,14 +25,22 @@ class Boundary:
 
     def toward(self, other: Boundary, part: float) -> Boundary:
         """Return the boundary ``part`` of the straight way to ``other``."""
-        return Boundary(
-            self.held + part * (other.held - self.held),
-            self.jaw + part * (other.jaw - self.jaw),
-            tuple(
-                mine + part * (theirs - mine)
-                for mine, theirs in zip(self.objects, other.objects, strict=True)
-            ),
-        )
+        held, jaw, *objects = straight(part, self._parts, other._parts)
+        return Boundary(held, jaw, tuple(objects))
+
+    def same_as(self, other: Boundary, rounding: float) -> bool:
+        """Tell whether two boundaries differ by no more than ``rounding``, mm and rad."""
+        pairs = zip(self._parts, other._parts, strict=True)
+        return all(np.allclose(a, b, rtol=0.0, atol=rounding) for a, b in pairs)
+
+    @property
+    def _parts(self) -> tuple[Floats, ...]:
+        return self.held, self.jaw, *self.objects
+
+
+def straight(part: float, start: Sequence[Floats], end: Sequence[Floats]) -> list[Floats]:
+    """Return the arrays ``part`` of the straight way from ``start`` to ``end``."""
+    return [a + part * (b - a) for a, b in zip(start, end, strict=True)]
 
 
 @dataclass(frozen=True)

@@ -103,8 +103,7 @@ class Response:
 
     def __init__(self, flesh: Flesh, factor: Factor, *, minimum: bool = True) -> None:
         self.minimum = minimum
-        self._flesh = flesh
-        self._factor = factor
+        self._flesh, self._factor = flesh, factor
 
     @classmethod
     def exact(

@@ -1,14 +1,15 @@
 """Terms of the flesh's energy: what a flesh sums up, the law of its tets being the first.
 
 A term is a sum over entries (a tet and its law, a tet with a fibre of a muscle, a vertex on a
-spring), each of the vertices of one tet or of one vertex alone, so that the Hessian keeps the
-tets' pattern. All terms of a flesh see the same controls and take what is theirs: activations of
-the tets (n, 6) or of muscles (m,). What meets skin or objects has no fixed pattern and is a
-:class:`solver.mechanics.potential.Potential`.
+spring or a plane), each of the vertices of one tet or of one vertex alone, so that the Hessian
+keeps the tets' pattern. All terms of a flesh see the same controls and take what is theirs:
+activations of the tets (n, 6) or of muscles (m,). What meets skin or objects has no fixed pattern
+and is a :class:`solver.mechanics.potential.Potential`.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
@@ -90,7 +91,7 @@ class ElasticTerm:
     def forces_by_activation(self, x: Floats, a: Floats) -> Floats:
         """Return the derivative by each tet's activation of its forces, (n, 4, 3, 6)."""
         self._check(a)
-        out = np.empty((len(self._mesh.tets), 4, 3, 6))
+        out = np.empty((len(a), 4, 3, 6))
         elements.forces_by_activation(self._mesh, np.ascontiguousarray(x), a, out)
         return out
 
@@ -119,24 +120,48 @@ class ElasticTerm:
         return np.empty((len(self._mesh.tets), PAIRS, 3, 3))
 
 
-class Springs:
+class PassiveTerm:
+    """Base of an :class:`EnergyTerm` that no control changes, quadratic in x.
+
+    ``vertices`` (e, v) are its entries', ``stiffness_of`` has their blocks.
+    """
+
+    def __init__(self, vertices: Ints) -> None:
+        self.vertices = vertices
+
+    def stiffness_of(self, some: Ints | slice) -> Floats:
+        """Return the second derivatives of some entries, as :meth:`blocks` has them."""
+        raise NotImplementedError
+
+    def blocks(
+        self,
+        x: Floats,  # noqa: ARG002
+        controls: Floats,  # noqa: ARG002
+        *,
+        project: float = 0.0,  # noqa: ARG002
+        some: Ints | None = None,
+    ) -> Floats:
+        """See :class:`EnergyTerm`."""
+        return self.stiffness_of(slice(None) if some is None else some)
+
+    def forces_by_control(self, x: Floats, controls: Floats) -> None:
+        """See :class:`EnergyTerm`: none."""
+
+
+class Springs(PassiveTerm):
     """Springs from vertices (k,) to a ``centre`` (p, 3), and a ``load`` (p, 3) that pulls them.
 
-    An :class:`EnergyTerm`: E = sum_v s_v / 2 |x_v - centre_v|^2 - load_v . (x_v - rest_v), with
-    ``stiffness`` s (p,) in Pa mm and the load in Pa mm^2. Both may be changed at any time.
+    E = sum_v s_v / 2 |x_v - centre_v|^2 - load_v . (x_v - rest_v), with ``stiffness`` s (p,) in
+    Pa mm and the load in Pa mm^2. Both may be changed at any time.
     """
 
     def __init__(self, rest: Floats, vertices: Ints) -> None:
+        super().__init__(vertices[:, None])
         self._rest = rest
         self._kept = vertices
         self.centre = rest
         self.stiffness = np.zeros(len(rest))
         self.load = np.zeros_like(rest)
-
-    @property
-    def vertices(self) -> Ints:
-        """See :class:`EnergyTerm`."""
-        return self._kept[:, None]
 
     def energy(self, x: Floats, controls: Floats) -> float:  # noqa: ARG002
         """See :class:`EnergyTerm`."""
@@ -148,25 +173,85 @@ class Springs:
     def forces(self, x: Floats, controls: Floats) -> Floats:  # noqa: ARG002
         """See :class:`EnergyTerm`."""
         outside = self.stiffness[:, None] * (x - self.centre) - self.load
-        return np.asarray(outside[self._kept, None])
+        return np.asarray(outside[self.vertices])
 
-    def blocks(
-        self,
-        x: Floats,  # noqa: ARG002
-        controls: Floats,  # noqa: ARG002
-        *,
-        project: float = 0.0,  # noqa: ARG002
-        some: Ints | None = None,
-    ) -> Floats:
+    def stiffness_of(self, some: Ints | slice) -> Floats:
+        """See :class:`PassiveTerm`."""
+        return self.stiffness[self._kept[some], None, None, None] * np.eye(3)
+
+
+@dataclass(frozen=True)
+class SlidingPlanes:
+    """Planes that vertices slide on: ``vertices`` (k,), ``points`` and unit ``normals`` (k, 3).
+
+    ``stiffness`` (k,) is in stress units times mm.
+    """
+
+    vertices: Ints
+    points: Floats
+    normals: Floats
+    stiffness: Floats
+
+    def drift(self, x: Floats) -> Floats:
+        """Return how far the vertices ``x`` (p, 3) have left their planes, (k,) mm."""
+        return np.asarray(((x[self.vertices] - self.points) * self.normals).sum(axis=1))
+
+
+class PlanesTerm(PassiveTerm):
+    """Flesh that slides on a bone: some vertices stay on ``planes``, and move freely in them.
+
+        E = sum_k stiffness_k / 2 ((x_k - point_k) . normal_k)^2
+
+    is the constraint of Phace (SIGGRAPH 2017), a point on the plane through its rest position.
+    """
+
+    def __init__(self, planes: SlidingPlanes) -> None:
+        super().__init__(planes.vertices[:, None])
+        self._planes = planes
+
+    def energy(self, x: Floats, controls: Floats) -> float:  # noqa: ARG002
         """See :class:`EnergyTerm`."""
-        kept = self._kept if some is None else self._kept[some]
-        return self.stiffness[kept, None, None, None] * np.eye(3)
+        return float(0.5 * self._planes.stiffness @ self._planes.drift(x) ** 2)
 
-    def forces_by_control(self, x: Floats, controls: Floats) -> None:
-        """See :class:`EnergyTerm`: none."""
+    def forces(self, x: Floats, controls: Floats) -> Floats:  # noqa: ARG002
+        """See :class:`EnergyTerm`."""
+        along = self._planes.stiffness * self._planes.drift(x)
+        return np.asarray(along[:, None] * self._planes.normals)[:, None]
+
+    def stiffness_of(self, some: Ints | slice) -> Floats:
+        """See :class:`PassiveTerm`."""
+        normals, stiffness = self._planes.normals[some], self._planes.stiffness[some]
+        outer = normals[:, :, None] * normals[:, None, :]
+        return np.asarray((stiffness[:, None, None] * outer)[:, None])
 
 
-class Drag:
+def planes(
+    rest: Floats,
+    tets: Ints,
+    vertices: Ints,
+    normals: Floats,
+    mu: Floats | float,
+    ratio: float = 1000.0,
+) -> SlidingPlanes:
+    """Return the planes through the rest positions of ``vertices`` (k,), with their stiffness.
+
+    ``rest`` (p, 3) and ``tets`` (n, 4) are the flesh's, ``normals`` (k, 3) of unit length, ``mu``
+    is that of all tets or of each (n,). ``ratio`` is the stiffness along the normal over that of
+    flesh: a stress of mu lifts a vertex off the bone by a thousandth of its tets' size.
+    """
+    volume = np.abs(np.linalg.det(rest[tets[:, 1:]] - rest[tets[:, :1]])) / 6.0
+    # mu times the size of what is around a vertex, cubed
+    cubes = np.bincount(tets.ravel(), np.repeat(mu**3 * volume / 4.0, 4), len(rest))
+    return SlidingPlanes(vertices, rest[vertices], normals, ratio * np.cbrt(cubes[vertices]))
+
+
+def no_planes() -> SlidingPlanes:
+    """Return the planes of flesh that slides nowhere."""
+    nothing = np.zeros((0, 3))
+    return SlidingPlanes(np.zeros(0, dtype=np.int64), nothing, nothing, np.zeros(0))
+
+
+class Drag(PassiveTerm):
     """Flesh that is slow to leave where it is: an implicit Euler step of an overdamped motion.
 
         E(x) = tau/2 |x - x_0|^2_K
@@ -174,47 +259,31 @@ class Drag:
     with K the stiffness of ``term`` at ``rest``, ``viscosity`` tau and ``anchor`` x_0 the place
     before the step. Near buckling, where the flesh by itself would snap, such a step stays short;
     without motion it feels nothing (a proximal point method, Rockafellar 1976; the time step is
-    1 / tau). ``held`` vertices do not count. An :class:`EnergyTerm`; viscosity and anchor may be
-    changed at any time.
+    1 / tau). ``held`` vertices do not count. Viscosity and anchor may be changed at any time.
     """
 
     def __init__(self, term: EnergyTerm, rest: Floats, controls: Floats, held: Ints) -> None:
-        self._vertices = term.vertices
+        super().__init__(term.vertices)
         self._K = _without(held, term, term.blocks(rest, controls))
         self._held = held
         self.viscosity = 0.0
         self.anchor = rest
 
-    @property
-    def vertices(self) -> Ints:
-        """See :class:`EnergyTerm`."""
-        return self._vertices
-
     def energy(self, x: Floats, controls: Floats) -> float:
         """See :class:`EnergyTerm`."""
         if not self.viscosity:
             return 0.0
-        return 0.5 * float((self.forces(x, controls) * self._motion(x)[self._vertices]).sum())
+        return 0.5 * float((self.forces(x, controls) * self._motion(x)[self.vertices]).sum())
 
     def forces(self, x: Floats, controls: Floats) -> Floats:  # noqa: ARG002
         """See :class:`EnergyTerm`."""
-        out = np.zeros((*self._vertices.shape, 3))
-        _multiply_blocks(self._K, self._vertices, self._motion(x), self.viscosity, out)
+        out = np.zeros((*self.vertices.shape, 3))
+        _multiply_blocks(self._K, self.vertices, self._motion(x), self.viscosity, out)
         return out
 
-    def blocks(
-        self,
-        x: Floats,  # noqa: ARG002
-        controls: Floats,  # noqa: ARG002
-        *,
-        project: float = 0.0,  # noqa: ARG002
-        some: Ints | None = None,
-    ) -> Floats:
-        """See :class:`EnergyTerm`."""
-        return self.viscosity * (self._K if some is None else self._K[some])
-
-    def forces_by_control(self, x: Floats, controls: Floats) -> None:
-        """See :class:`EnergyTerm`: none."""
+    def stiffness_of(self, some: Ints | slice) -> Floats:
+        """See :class:`PassiveTerm`."""
+        return self.viscosity * self._K[some]
 
     def _motion(self, x: Floats) -> Floats:
         motion = x - self.anchor

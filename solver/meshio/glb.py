@@ -7,16 +7,24 @@ trusted, and a general loader's conveniences (merging, welding) would change the
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.errors import InputError
-from solver.meshio.faults import empty_error, truncated_error, unreadable_error, unsupported_error
-from solver.meshio.mesh import NO_FACES, Mesh, join_meshes
+from solver.errors import quote
+from solver.meshio.mesh import (
+    NO_FACES,
+    Mesh,
+    empty_error,
+    fan,
+    join_meshes,
+    truncated_error,
+    unreadable_error,
+    unsupported_error,
+)
 from solver.surface import Floats, Ints
 
 MM_PER_METRE = 1000.0  # glTF's unit is the metre
@@ -28,6 +36,10 @@ WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 JSON_CHUNK, BINARY_CHUNK = b"JSON", b"BIN\0"
 
 MAX_DEPTH = 64  # of nodes in nodes: no exporter comes near, and recursion stays within Python's
+# Parts may share data, but all of them together are no larger than so many files, or this.
+MOST_SHARES, FEW_BYTES = 16, 1 << 24
+ACCESS_BYTES = 1 << 10  # that reading any accessor counts for at least
+MOST = 1 << 53  # no count or offset: JSON's numbers end there
 NOT_VALID = (KeyError, IndexError, TypeError, AttributeError, OverflowError)  # by broken rules
 
 
@@ -47,63 +59,117 @@ def read_glb(file: str, content: bytes, *, strict: bool = False) -> Mesh:
     mesh, whose parts share one list of positions; only these are returned, in the order of the
     file.
     """
-    document, binary = read_chunks(file, content)
+    source = _read_chunks(file, content)
     try:
-        shown = shown_meshes(file, document)
+        shown = source.shown_meshes()
         if strict:
-            return _registered_mesh(file, document, binary, shown)
-        parts = []
-        for mesh, transform in shown:
-            for number, primitive in enumerate(mesh["primitives"]):
-                name = f"{mesh.get('name', 'mesh')}[{number}]"
-                parts.append(_place(_part(file, document, binary, primitive, name), transform))
+            return _registered_mesh(source, shown)
+        parts = [
+            _place(
+                _part(source, primitive, f"{quote(mesh.get('name', 'mesh'))}[{number}]"), transform
+            )
+            for mesh, transform in shown
+            for number, primitive in enumerate(mesh["primitives"])
+        ]
     except NOT_VALID as error:
-        raise _invalid_error(file, error) from None
+        reason = f"the glTF description is not valid ({quote(repr(error))})"
+        raise unreadable_error(file, reason) from None
     if not parts:
         raise empty_error(file)
     return join_meshes(parts)
 
 
-def _invalid_error(file: str, error: Exception) -> InputError:
-    return unreadable_error(file, f"the glTF description is not valid ({error!r})")
+@dataclass
+class _Source:
+    """A ``file``: its description, its binary buffer, and how many bytes may yet be read."""
+
+    file: str
+    document: dict[str, Any]
+    binary: bytes
+    left: int
+
+    def item(self, kind: str, number: int) -> Any:
+        """Return an object by its glTF number: Python's negative numbers mean nothing there."""
+        if not isinstance(number, int) or number < 0:
+            raise IndexError(number)
+        return self.document[kind][number]
+
+    def shown_meshes(self) -> list[tuple[dict[str, Any], Floats]]:
+        """Return the meshes that the scene shows, with the (4, 4) transforms of their nodes."""
+        found: list[tuple[dict[str, Any], Floats]] = []
+        seen: set[int] = set()
+
+        def visit(number: int, parent: Floats, depth: int) -> None:
+            if depth > MAX_DEPTH or number in seen:
+                reason = "the scene is not a tree of reasonable depth"
+                raise unsupported_error(self.file, reason)
+            seen.add(number)
+            node = self.item("nodes", number)
+            transform = parent @ _transform(self.file, node)
+            if "mesh" in node:
+                found.append((self.item("meshes", node["mesh"]), transform))
+            for child in node.get("children", []):
+                visit(child, transform, depth + 1)
+
+        for root in self.item("scenes", self.document.get("scene", 0))["nodes"]:
+            visit(root, np.eye(4), 0)
+        return found
+
+    def positions(self, number: int) -> Floats:
+        """Return the positions (n, 3) of accessor ``number``."""
+        accessor = self.item("accessors", number)
+        if accessor["type"] != "VEC3" or accessor["componentType"] != FLOAT:
+            raise unsupported_error(self.file, "the positions are not stored as 32-bit floats")
+        positions = self.rows(number)
+        if len(positions) == 0:
+            raise empty_error(self.file)
+        return positions.astype(np.float64)
+
+    def rows(self, number: int) -> NDArray[np.generic]:
+        """Return the rows (n, width) of accessor ``number`` as they are stored."""
+        accessor = self.item("accessors", number)
+        if "sparse" in accessor or "bufferView" not in accessor:
+            raise unsupported_error(self.file, "sparse or compressed data are not supported")
+        view = self.item("bufferViews", accessor["bufferView"])
+        if self.item("buffers", view["buffer"]).get("uri") is not None:
+            raise unsupported_error(self.file, "the data lie in another file")
+        kind, width = np.dtype(COMPONENTS[accessor["componentType"]]), WIDTHS[accessor["type"]]
+        size = kind.itemsize * width
+        count, stride = accessor["count"], view.get("byteStride", size)
+        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        whole = all(isinstance(value, int) for value in (count, stride, start))
+        if not whole or not 0 <= min(count, stride, start) <= max(count, stride, start) < MOST:
+            reason = "the counts and offsets of the data are not valid"
+            raise unreadable_error(self.file, reason)
+        if count == 0:
+            return np.zeros((0, width), kind)
+        expected, found = start + (count - 1) * stride + size, len(self.binary)
+        if stride < size or expected > found:
+            reason = f"the data need {expected} bytes, found {found}"
+            raise truncated_error(self.file, reason, expected=expected, found=found)
+        self.left -= count * size + ACCESS_BYTES
+        if self.left < 0:
+            reason = f"its parts share data and are {MOST_SHARES} times as large as the file"
+            raise unsupported_error(self.file, reason)
+        return np.ndarray((count, width), kind, self.binary, start, (stride, kind.itemsize))
 
 
-def _registered_mesh(
-    file: str, document: dict[str, Any], binary: bytes, shown: list[tuple[dict[str, Any], Floats]]
-) -> Mesh:
-    """Return the vertices of the one mesh that the scene shows."""
-    if len(shown) != 1:
-        reason = f"the scene must show exactly one mesh, found {len(shown)}"
-        raise unsupported_error(file, reason)
-    mesh, transform = shown[0]
-    positions = {part["attributes"]["POSITION"] for part in mesh["primitives"]}
-    if len(positions) != 1:
-        reason = "the parts of the mesh do not share one list of positions"
-        raise unsupported_error(file, reason)
-    vertices = read_positions(file, document, binary, positions.pop())
-    return _place(Mesh(vertices), transform)
-
-
-def read_chunks(file: str, content: bytes) -> tuple[dict[str, Any], bytes]:
+def _read_chunks(file: str, content: bytes) -> _Source:
     """Return the description and the binary buffer of a GLB file."""
     if not content:
         raise empty_error(file)
     if content[:4] != b"glTF" or content[4:8] != (2).to_bytes(4, "little"):
         raise unreadable_error(file, "not a binary glTF 2.0 file")
-    length = int.from_bytes(content[8:12], "little")
-    if len(content) < length or len(content) < 20:
-        raise truncated_error(
-            file,
-            f"the header announces {length} bytes, found {len(content)}",
-            expected=length,
-            found=len(content),
-        )
+    length, found = int.from_bytes(content[8:12], "little"), len(content)
+    if found < length or found < 20:
+        reason = f"the header announces {length} bytes, found {found}"
+        raise truncated_error(file, reason, expected=length, found=found)
     parts: dict[bytes, bytes] = {}
     position = 12
-    while position + 8 <= len(content):
+    while position + 8 <= found:
         size = int.from_bytes(content[position : position + 4], "little")
         kind = content[position + 4 : position + 8]
-        if position + 8 + size > len(content):
+        if position + 8 + size > found:
             raise truncated_error(file, f"a chunk of {size} bytes runs past the end of the file")
         parts.setdefault(kind, content[position + 8 : position + 8 + size])
         position += 8 + size
@@ -113,38 +179,12 @@ def read_chunks(file: str, content: bytes) -> tuple[dict[str, Any], bytes]:
         raise unreadable_error(file, "the description is not valid JSON") from None
     if not isinstance(document, dict):
         raise unreadable_error(file, "the description is not a JSON object")
-    return document, parts.get(BINARY_CHUNK, b"")
-
-
-def shown_meshes(file: str, document: dict[str, Any]) -> list[tuple[dict[str, Any], Floats]]:
-    """Return the meshes that the scene shows, with the (4, 4) transforms of their nodes."""
-    found: list[tuple[dict[str, Any], Floats]] = []
-    seen: set[int] = set()
-
-    def visit(number: int, parent: Floats, depth: int) -> None:
-        if depth > MAX_DEPTH or number in seen:
-            raise unsupported_error(file, "the scene is not a tree of reasonable depth")
-        seen.add(number)
-        node = _item(document["nodes"], number)
-        transform = parent @ _transform(file, node)
-        if "mesh" in node:
-            found.append((_item(document["meshes"], node["mesh"]), transform))
-        for child in node.get("children", []):
-            visit(child, transform, depth + 1)
-
-    for root in _item(document["scenes"], document.get("scene", 0))["nodes"]:
-        visit(root, np.eye(4), 0)
-    return found
-
-
-def _item(items: list[Any], number: int) -> Any:
-    """Return an item by its glTF number: Python's negative numbers mean nothing there."""
-    if not isinstance(number, int) or number < 0:
-        raise IndexError(number)
-    return items[number]
+    binary = parts.get(BINARY_CHUNK, b"")
+    return _Source(file, document, binary, max(MOST_SHARES * len(content), FEW_BYTES))
 
 
 def _transform(file: str, node: dict[str, Any]) -> Floats:
+    """Return the (4, 4) transform of a node: its matrix, or rotation, scale and translation."""
     try:
         if "matrix" in node:
             return np.array(node["matrix"], np.float64).reshape(4, 4).T
@@ -164,80 +204,45 @@ def _transform(file: str, node: dict[str, Any]) -> Floats:
     return transform
 
 
-def read_positions(file: str, document: dict[str, Any], binary: bytes, number: int) -> Floats:
-    """Return the positions (n, 3) of accessor ``number``."""
-    accessor = _item(document["accessors"], number)
-    if accessor["type"] != "VEC3" or accessor["componentType"] != FLOAT:
-        raise unsupported_error(file, "the positions are not stored as 32-bit floats")
-    positions = read_accessor(file, document, binary, number)
-    if len(positions) == 0:
-        raise empty_error(file)
-    return positions.astype(np.float64)
+def _registered_mesh(source: _Source, shown: list[tuple[dict[str, Any], Floats]]) -> Mesh:
+    """Return the vertices of the one mesh that the scene shows."""
+    if len(shown) != 1:
+        reason = f"the scene must show exactly one mesh, found {len(shown)}"
+        raise unsupported_error(source.file, reason)
+    mesh, transform = shown[0]
+    positions = {part["attributes"]["POSITION"] for part in mesh["primitives"]}
+    if len(positions) != 1:
+        reason = "the parts of the mesh do not share one list of positions"
+        raise unsupported_error(source.file, reason)
+    return _place(Mesh(source.positions(positions.pop())), transform)
 
 
-def read_accessor(
-    file: str, document: dict[str, Any], binary: bytes, number: int
-) -> NDArray[np.generic]:
-    """Return the rows (n, width) of accessor ``number`` as they are stored."""
-    accessor = _item(document["accessors"], number)
-    if "sparse" in accessor or "bufferView" not in accessor:
-        raise unsupported_error(file, "sparse or compressed data are not supported")
-    view = _item(document["bufferViews"], accessor["bufferView"])
-    if _item(document["buffers"], view["buffer"]).get("uri") is not None:
-        raise unsupported_error(file, "the data lie in another file")
-    kind, width = np.dtype(COMPONENTS[accessor["componentType"]]), WIDTHS[accessor["type"]]
-    size = kind.itemsize * width
-    count, stride = accessor["count"], view.get("byteStride", size)
-    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-    if not all(isinstance(value, int) and value >= 0 for value in (count, stride, start)):
-        raise unreadable_error(file, "the counts and offsets of the data are not valid")
-    if count == 0:
-        return np.zeros((0, width), kind)
-    expected = start + (count - 1) * stride + size
-    if stride < size or expected > len(binary):
-        raise truncated_error(
-            file,
-            f"the data need {expected} bytes, found {len(binary)}",
-            expected=expected,
-            found=len(binary),
-        )
-    return np.ndarray((count, width), kind, binary, start, (stride, kind.itemsize))
-
-
-def _part(
-    file: str, document: dict[str, Any], binary: bytes, primitive: dict[str, Any], name: str
-) -> Mesh:
+def _part(source: _Source, primitive: dict[str, Any], name: str) -> Mesh:
+    """Return a primitive as a mesh; ``name`` is its own."""
     attributes = primitive["attributes"]
-    vertices = read_positions(file, document, binary, attributes["POSITION"])
+    vertices = source.positions(attributes["POSITION"])
     mode = primitive.get("mode", Mode.TRIANGLES)
+    corners: Ints = np.arange(len(vertices), dtype=np.int64)
     if "indices" in primitive:
-        indices = read_accessor(file, document, binary, primitive["indices"])
-        corners: Ints = indices.ravel().astype(np.int64)
-    else:
-        corners = np.arange(len(vertices), dtype=np.int64)
-    faces = _triangles(file, corners, mode)
+        corners = source.rows(primitive["indices"]).ravel().astype(np.int64)
+    faces = _triangles(source.file, corners, mode)
     if len(faces) and not 0 <= faces.min() <= faces.max() < len(vertices):
-        raise unreadable_error(
-            file,
-            f"{name} uses vertex {faces.max()}, but there are {len(vertices)}",
-            expected=len(vertices),
-            found=int(faces.max()),
-        )
+        found, expected = int(faces.max()), len(vertices)
+        reason = f"{name} uses vertex {found}, but there are {expected}"
+        raise unreadable_error(source.file, reason, expected=expected, found=found)
 
     def rows(attribute: str) -> Floats | None:
         if attribute not in attributes:
             return None
-        stored = read_accessor(file, document, binary, attributes[attribute])
+        stored = source.rows(attributes[attribute])
         scale = 1 if stored.dtype.kind == "f" else int(np.iinfo(str(stored.dtype)).max)
         values = np.asarray(stored[:, :3], np.float64) / scale
         if values.shape != vertices.shape:
-            raise unreadable_error(file, f"{attribute} of {name} does not fit its positions")
+            raise unreadable_error(source.file, f"{attribute} of {name} does not fit its positions")
         return values
 
-    is_empty = len(faces) == 0 and mode != Mode.POINTS
-    return Mesh(
-        vertices, faces, rows("NORMAL"), rows("COLOR_0"), empty_groups=(name,) if is_empty else ()
-    )
+    empty = (name,) if len(faces) == 0 and mode != Mode.POINTS else ()
+    return Mesh(vertices, faces, rows("NORMAL"), rows("COLOR_0"), empty_groups=empty)
 
 
 def _triangles(file: str, corners: Ints, mode: int) -> Ints:
@@ -252,8 +257,7 @@ def _triangles(file: str, corners: Ints, mode: int) -> Ints:
         faces[1::2] = faces[1::2, [1, 0, 2]]
         return faces
     if mode == Mode.FAN:
-        first = np.full(max(len(corners) - 2, 0), corners[0])
-        return np.stack([first, corners[1:-1], corners[2:]], axis=1)
+        return fan(corners, np.array([len(corners)]))
     raise unsupported_error(file, "lines are no surface: export triangles")
 
 

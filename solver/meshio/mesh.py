@@ -1,14 +1,17 @@
-"""The mesh that every reader returns; rows of numbers and polygons, which formats share."""
+"""The mesh that every reader returns, and what formats share: faults, rows of numbers, polygons."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
-from typing import TypeVar
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from solver.errors import InputError
 from solver.surface import Floats, Ints
 
 Number = TypeVar("Number", bound=np.generic)
@@ -49,9 +52,7 @@ def join_meshes(parts: list[Mesh]) -> Mesh:
 
     return Mesh(
         vertices=np.concatenate([part.vertices for part in parts]),
-        faces=np.concatenate(
-            [part.faces + start for part, start in zip(parts, starts[:-1], strict=True)]
-        ),
+        faces=np.concatenate([p.faces + start for p, start in zip(parts, starts, strict=False)]),
         normals=all_of([part.normals for part in parts]),
         colours=all_of([part.colours for part in parts]),
         empty_groups=tuple(name for part in parts for name in part.empty_groups),
@@ -70,28 +71,140 @@ def fan(corners: Ints, counts: Ints) -> Ints:
     """
     pieces = np.maximum(counts - 2, 0)
     first = np.repeat(np.cumsum(counts) - counts, pieces)
-    step = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    step = count_up(pieces)
     return np.stack([corners[first], corners[first + step + 1], corners[first + step + 2]], axis=1)
+
+
+def count_up(lengths: Ints) -> Ints:
+    """Return 0, 1, ... up to each of ``lengths``, one after the other."""
+    return np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+
+
+# The faults that every format shares, in one wording and with stable codes.
+
+
+def unreadable_error(file: str, reason: str, **where: Any) -> InputError:
+    """Return the error for content that breaks the format's rules."""
+    return InputError("scan.unreadable", f"{file}{_at(where)}: {reason}", file=file, **where)
+
+
+def truncated_error(file: str, reason: str, **where: Any) -> InputError:
+    """Return the error for a file that ends before what it announces."""
+    return InputError("scan.truncated", f"{file} is cut short: {reason}", file=file, **where)
+
+
+def unsupported_error(file: str, reason: str, **where: Any) -> InputError:
+    """Return the error for a well-formed file in a form that cannot be used."""
+    return InputError("scan.format", f"{file}{_at(where)}: {reason}", file=file, **where)
+
+
+def empty_error(file: str) -> InputError:
+    """Return the error for a file without a single vertex."""
+    return InputError("scan.empty", f"{file} holds no vertices", file=file)
+
+
+def too_large_error(file: str, has: str, found: int, who: str, limit: int) -> InputError:
+    """Return the error for a file that ``has`` more than ``who`` may have."""
+    message = f"{file} has {found} {has}; {who} has at most {limit}"
+    return InputError("scan.too_large", message, file=file, expected=limit, found=found)
+
+
+def _at(where: dict[str, Any]) -> str:
+    return f", line {where['line']}" if "line" in where else ""
+
+
+def not_finite_error(file: str, vertex: int, found: tuple[float, ...], **where: Any) -> InputError:
+    """Return the error for a coordinate that is NaN or infinite; ``vertex`` counts from 0."""
+    message = f"{file}{_at(where)}: vertex {vertex} is not finite: {found}"
+    return InputError("scan.nan", message, file=file, vertex=vertex, found=str(found), **where)
+
+
+def check_finite(file: str, rows: Floats, line: Callable[[int], int] | None = None) -> None:
+    """Raise ``scan.nan`` for the first of ``rows`` (n, k), a vertex each, that is not finite.
+
+    In text, ``line`` says where it stands.
+    """
+    bad = ~np.isfinite(rows).all(axis=1)
+    if bad.any():
+        vertex = int(np.argmax(bad))
+        where = {} if line is None else {"line": line(vertex)}
+        raise not_finite_error(file, vertex, tuple(rows[vertex].tolist()), **where)
+
+
+def check_suffix(path: Path, formats: Collection[str]) -> str:
+    """Return a file's suffix in small letters; raises ``scan.format`` if it is none of these."""
+    suffix, file = path.suffix.lower(), path.name
+    if suffix not in formats:
+        message = f"{file}: unknown suffix {suffix!r}; a scan is one of {', '.join(formats)}"
+        raise InputError("scan.format", message, file=file, expected=list(formats), found=suffix)
+    return suffix
+
+
+def read_content(path: Path, limit: int, who: str) -> bytes:
+    """Return a file's bytes; ``who`` says in an error what has at most ``limit`` of them.
+
+    Raises :class:`InputError`: ``scan.too_large``, ``scan.unreadable`` or ``scan.empty``.
+    """
+    file = path.name
+    try:
+        size = path.stat().st_size
+        if size > limit:
+            raise too_large_error(file, "bytes", size, who, limit)
+        content = path.read_bytes()
+    except OSError as error:
+        message = f"{file} cannot be read: {error.strerror}"
+        raise InputError("scan.unreadable", message, file=file) from None
+    if not content.strip():
+        raise empty_error(file)
+    return content
 
 
 # Rows of numbers in text, a million in a second: OBJ, PLY, STL and point clouds are made of them.
 
 
-def numbers_by_row(text: bytes) -> tuple[Floats, Ints] | None:
-    """Return all numbers of ``text`` in order, and how many each of its lines holds.
+MAX_DIGITS = 12  # of a count
 
-    Lines are separated by line feeds. Returns None if anything is not a number, so that the caller,
-    who knows the format, can look for the line and name it.
+
+def parse_count(word: str | bytes) -> int | None:
+    """Return a whole number of a few digits; None for anything else."""
+    is_count = word.isascii() and word.isdigit() and len(word) <= MAX_DIGITS
+    return int(word) if is_count else None
+
+
+def parse_rows(
+    rows: list[bytes], widths: Collection[int] | None = None
+) -> tuple[Floats, Ints] | None:
+    """Return all numbers of ``rows`` in order, and how many each row holds.
+
+    Returns None if there are no rows, if anything is not a number, or if the numbers of a row are
+    not as many as one of ``widths``, so that the caller, who knows the format, can look for the row
+    with :func:`find_bad_row` and name it.
     """
-    return _by_row(text, np.float64)
+    parsed = numbers_by_row(b"\n".join(rows), np.float64) if rows else None
+    fits = parsed is not None and (widths is None or np.isin(parsed[1], list(widths)).all())
+    return parsed if fits else None
 
 
-def whole_numbers_by_row(text: bytes) -> tuple[Ints, Ints] | None:
-    """Do as :func:`numbers_by_row` for whole numbers: anything else, 1.0 too, gives None."""
-    return _by_row(text, np.int64)
+def find_bad_row(
+    rows: Iterable[bytes], widths: Collection[int] | None = None
+) -> tuple[int, int, bool] | None:
+    """Return the first row that :func:`parse_rows` does not take; None if it takes all.
+
+    Returns its number, how many words it has, and whether these are numbers.
+    """
+    for number, row in enumerate(rows):
+        words, numbers = len(row.split()), parse_numbers(row)
+        if numbers is None or (widths is not None and words not in widths):
+            return number, words, numbers is not None
+    return None
 
 
-def _by_row(text: bytes, kind: type[Number]) -> tuple[NDArray[Number], Ints] | None:
+def numbers_by_row(text: bytes, kind: type[Number]) -> tuple[NDArray[Number], Ints] | None:
+    """Return the numbers of a ``text`` and how many each of its lines holds.
+
+    Lines are separated by line feeds. Returns None if anything is not a number of that ``kind``:
+    1.0 is no whole number.
+    """
     characters = np.frombuffer(text, np.uint8)
     blank = characters <= ord(" ")
     starts = np.flatnonzero(~blank & np.concatenate([[True], blank[:-1]]))
@@ -111,9 +224,8 @@ def _by_row(text: bytes, kind: type[Number]) -> tuple[NDArray[Number], Ints] | N
 
 def parse_numbers(row: bytes) -> list[float] | None:
     """Return the numbers of one row, None if it holds anything else: slow, to find a fault."""
-    words = row.split()
     try:
-        return None if b"_" in row else [float(word) for word in words]
+        return None if b"_" in row else [float(word) for word in row.split()]
     except ValueError:
         return None
 

@@ -12,23 +12,22 @@ from pathlib import Path
 
 import numpy as np
 
-from solver.errors import InputError
-from solver.meshio.faults import (
-    empty_error,
-    not_finite_error,
-    truncated_error,
-    unreadable_error,
-    unsupported_error,
-)
+from solver.errors import InputError, quote
 from solver.meshio.mesh import (
+    MAX_DIGITS,
     NO_FACES,
     Mesh,
     columns,
+    empty_error,
     fan,
+    not_finite_error,
     numbers_by_row,
     parse_numbers,
+    parse_rows,
+    truncated_error,
     unit_colours,
-    whole_numbers_by_row,
+    unreadable_error,
+    unsupported_error,
 )
 from solver.surface import Floats, Ints, Surface
 
@@ -66,9 +65,8 @@ def read_obj(file: str, content: bytes, *, strict: bool = False) -> Mesh:
         if content.rstrip().endswith(b"\\"):
             raise truncated_error(file, "the last line announces another")
         lines = re.sub(rb"\\\r?\n", b" ", content).split(b"\n")
-    rows = [line[2:] for line in lines if line.startswith(VERTEX)]
-    parsed = numbers_by_row(b"\n".join(rows)) if rows else None
-    if parsed is None or not np.isin(parsed[1], NUMBERS_PER_VERTEX).all():
+    parsed = parse_rows([line[2:] for line in lines if line.startswith(VERTEX)], NUMBERS_PER_VERTEX)
+    if parsed is None:
         raise _find_fault(file, content, strict)
     values, counts = parsed
     vertices = columns(values, counts, 0, 3)
@@ -84,13 +82,8 @@ def read_obj(file: str, content: bytes, *, strict: bool = False) -> Mesh:
     if counts.min() >= 6:
         weights = int(counts[0]) - 6
         colours = unit_colours(columns(values, counts, 3 + weights, 6 + weights))
-    return Mesh(
-        vertices=vertices,
-        faces=faces,
-        normals=_normals(lines, len(vertices), faces_text),
-        colours=colours,
-        empty_groups=_empty_groups(lines),
-    )
+    normals = _normals(lines, len(vertices), faces_text)
+    return Mesh(vertices, faces, normals, colours, empty_groups=_empty_groups(lines))
 
 
 def write_obj(path: Path, surface: Surface) -> None:
@@ -105,23 +98,18 @@ def _triangles(lines: list[bytes], text: bytes, vertices: int) -> Ints | None:
     """Return the triangles (f, 3) of face lines' ``text``; None if there is a fault in it."""
     if not text:
         return NO_FACES
-    parsed = whole_numbers_by_row(re.sub(rb"/\S*", b"", text) if b"/" in text else text)
+    parsed = numbers_by_row(re.sub(rb"/\S*", b"", text) if b"/" in text else text, np.int64)
     if parsed is None:
         return None
     numbers, counts = parsed
     if counts.min() < 3 or numbers.max() > vertices:
         return None
-    if numbers.min() < 0:
-        before = np.repeat(_vertices_before_faces(lines), counts)
+    if numbers.min() < 0:  # they count back from the vertices before the face
+        is_vertex = np.array([line.startswith(VERTEX) for line in lines])
+        is_face = np.array([line.startswith(FACE) for line in lines])
+        before = np.repeat(np.cumsum(is_vertex)[is_face], counts)
         numbers = np.where(numbers < 0, numbers + before + 1, numbers)
     return fan(numbers - 1, counts) if numbers.min() >= 1 else None
-
-
-def _vertices_before_faces(lines: list[bytes]) -> Ints:
-    """Return how many vertices precede each face: negative numbers count back from there."""
-    is_vertex = np.array([line.startswith(VERTEX) for line in lines])
-    is_face = np.array([line.startswith(FACE) for line in lines])
-    return np.asarray(np.cumsum(is_vertex)[is_face], np.int64)
 
 
 def _check_end(file: str, faces: Ints, vertices: int) -> None:
@@ -130,35 +118,43 @@ def _check_end(file: str, faces: Ints, vertices: int) -> None:
         raise truncated_error(file, "it ends within a line, before the first face")
     unused = vertices - len(np.unique(faces))
     if unused > MOST_UNUSED * vertices:
-        raise truncated_error(
-            file, f"it ends without a line end and {unused} vertices are in no face"
-        )
+        reason = f"it ends without a line end and {unused} vertices are in no face"
+        raise truncated_error(file, reason)
 
 
 def _normals(lines: list[bytes], vertices: int, faces_text: bytes) -> Floats | None:
     """Return the normals (n, 3), if there is one to each vertex and faces number both alike."""
     rows = [line[3:] for line in lines if line.startswith(NORMAL)]
-    parsed = numbers_by_row(b"\n".join(rows)) if len(rows) == vertices else None
-    if parsed is None or (parsed[1] != 3).any():
-        return None
-    corner = re.compile(rb"(\d+)/\d*/\1(?=\s|$)")
-    if faces_text and corner.sub(b"", faces_text).strip():
-        return None
-    return parsed[0].reshape(-1, 3)
+    parsed = parse_rows(rows, (3,)) if len(rows) == vertices else None
+    return parsed[0].reshape(-1, 3) if parsed and _are_alike(faces_text) else None
+
+
+def _are_alike(faces_text: bytes) -> bool:
+    """Return whether all corners are ``a//a`` or ``a/b/a``."""
+    if b"-" in faces_text:
+        return False
+    corners = re.sub(rb"/\S*", b"", faces_text).split()
+    pairs = numbers_by_row(re.sub(rb"/\d*/", b" ", faces_text), np.int64)
+    if pairs is None or len(pairs[0]) != 2 * len(corners):
+        return False
+    return bool((pairs[0][::2] == pairs[0][1::2]).all())
 
 
 def _empty_groups(lines: list[bytes]) -> tuple[str, ...]:
     """Return the names of groups and objects that end up without a single face."""
     has_faces: dict[str, bool] = {}
-    current: dict[bytes, list[str]] = {}
+    unmarked: dict[bytes, list[str]] = {}  # current names that no face was seen for
     for line in lines:
         if line.startswith(GROUP):
             kind, *words = line.split()
-            current[kind] = [word.decode("utf-8", "replace")[:60] for word in words]
-            for name in current[kind]:
+            unmarked[kind] = [quote(word.decode("utf-8", "replace")) for word in words]
+            for name in unmarked[kind]:
                 has_faces.setdefault(name, False)
-        elif current and line.startswith(FACE):
-            has_faces |= dict.fromkeys((name for names in current.values() for name in names), True)
+        elif unmarked and line.startswith(FACE):
+            has_faces |= dict.fromkeys(
+                (name for names in unmarked.values() for name in names), True
+            )
+            unmarked.clear()
     return tuple(name for name, filled in has_faces.items() if not filled)
 
 
@@ -182,7 +178,7 @@ def _check_lines(file: str, content: bytes, strict: bool) -> None:
     count, highest, highest_line = 0, 0, 0
     for line, row in _numbered_lines(content, strict):
         if row.startswith(VERTEX):
-            _check_vertex(file, line, row, count, strict)
+            _check_vertex(file, line, row[2:], count, strict)
             count += 1
         elif row.startswith(FACE):
             index = _highest_index(file, line, row, count)
@@ -193,39 +189,31 @@ def _check_lines(file: str, content: bytes, strict: bool) -> None:
     if count == 0:
         raise empty_error(file)
     if highest > count:
-        raise truncated_error(
-            file,
-            f"line {highest_line} uses vertex {highest}, but there are {count}",
-            line=highest_line,
-            expected=highest,
-            found=count,
-        )
+        reason = f"line {highest_line} uses vertex {highest}, but there are {count}"
+        raise truncated_error(file, reason, line=highest_line, expected=highest, found=count)
 
 
 def _numbered_lines(content: bytes, strict: bool) -> Iterator[tuple[int, bytes]]:
     """Yield lines with their numbers; continued ones joined, under the first's, unless strict."""
-    start, joined = 0, b""
+    parts: list[bytes] = []
     for line, row in enumerate(content.split(b"\n"), start=1):
-        start, joined = (start, joined + b" " + row) if joined else (line, row)
-        if not strict and (head := joined.removesuffix(b"\r")).endswith(b"\\"):
-            joined = head[:-1] or b" "
+        head = row.removesuffix(b"\r")
+        if not strict and head.endswith(b"\\"):
+            parts.append(head[:-1])
             continue
-        yield start, joined
-        joined = b""
+        yield line - len(parts), b" ".join([*parts, row])
+        parts = []
 
 
 def _check_vertex(file: str, line: int, row: bytes, vertex: int, strict: bool) -> None:
-    words = row.split()[1:]
+    words, numbers = row.split(), parse_numbers(row)
     if len(words) not in NUMBERS_PER_VERTEX:
-        raise unreadable_error(
-            file, f"a vertex needs 3 numbers, found {len(words)}", line=line, vertex=vertex
-        )
-    numbers = parse_numbers(row[2:])
+        reason = f"a vertex needs 3 numbers, found {len(words)}"
+        raise unreadable_error(file, reason, line=line, vertex=vertex)
     if numbers is None:
-        found = b" ".join(words).decode("ascii", "replace")[:60]
-        raise unreadable_error(
-            file, f"not three numbers: {found!r}", line=line, vertex=vertex, found=found
-        )
+        found = quote(b" ".join(words).decode("ascii", "replace"))
+        reason = f"not three numbers: '{found}'"
+        raise unreadable_error(file, reason, line=line, vertex=vertex, found=found)
     if strict and not all(map(math.isfinite, numbers[:3])):
         raise not_finite_error(file, vertex, tuple(numbers[:3]), line=line)
 
@@ -238,8 +226,9 @@ def _highest_index(file: str, line: int, row: bytes, vertices: int) -> int:
     try:
         numbers = [int(word.partition(b"/")[0]) for word in words]
     except ValueError:
-        reason = "a face holds what is not a vertex number"
-        raise unreadable_error(file, reason, line=line) from None
+        numbers = []
+    if not numbers or max(map(abs, numbers)) >= 10**MAX_DIGITS:
+        raise unreadable_error(file, "a face holds what is not a vertex number", line=line)
     if 0 in numbers or min(numbers) < -vertices:
         reason = f"a face uses vertex {min(numbers)}, which is none"
         raise unreadable_error(file, reason, line=line)

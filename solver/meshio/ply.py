@@ -10,15 +10,22 @@ from typing import Any
 
 import numpy as np
 
-from solver.errors import InputError
-from solver.meshio.faults import (
+from solver.errors import InputError, quote
+from solver.meshio.mesh import (
+    NO_FACES,
+    Mesh,
+    check_finite,
+    count_up,
     empty_error,
-    not_finite_error,
+    fan,
+    find_bad_row,
+    parse_count,
+    parse_rows,
     truncated_error,
+    unit_colours,
     unreadable_error,
     unsupported_error,
 )
-from solver.meshio.mesh import NO_FACES, Mesh, fan, numbers_by_row, parse_numbers, unit_colours
 from solver.surface import Floats, Ints, Surface
 
 TYPES = {
@@ -37,7 +44,6 @@ CONFIDENCE = "confidence"
 INDEX_NAMES = ("vertex_indices", "vertex_index")
 
 MAX_HEADER_LINES = 1000  # so that a binary file without end_header is not searched to its end
-MAX_DIGITS = 12  # of a count
 
 Columns = dict[str, Floats]
 Polygons = tuple[Ints, Ints]  # all corners one after the other, and how many each polygon has
@@ -57,14 +63,21 @@ class Element:
     properties: list[tuple[str, str]] = field(default_factory=list)
     items: dict[str, str] = field(default_factory=dict)
 
-    @property
-    def has_list(self) -> bool:
-        """Tell whether rows differ in length."""
-        return bool(self.items)
+    def row_type(self, order: str, lengths: Mapping[str, int] | None = None) -> np.dtype:
+        """Return the type of a binary row whose lists have these ``lengths``, none by default."""
+        fields: list[tuple[Any, ...]] = []
+        known = lengths or {}
+        for name, code in self.properties:
+            if name in known:
+                fields.append((_length(name), order + code))
+                fields.append((name, order + self.items[name], (known[name],)))
+            else:
+                fields.append((name, order + code))
+        return np.dtype(fields)
 
-    def row_type(self, byte_order: str) -> np.dtype:
-        """Return the type of a binary row (without the items of lists)."""
-        return np.dtype([(name, byte_order + code) for name, code in self.properties])
+
+def _length(name: str) -> str:
+    return f"number of {name}"
 
 
 def read_ply(file: str, content: bytes, *, strict: bool = False) -> Mesh:
@@ -87,7 +100,7 @@ def read_ply(file: str, content: bytes, *, strict: bool = False) -> Mesh:
         with the ``line`` of the fault in text.
     """
     form, elements, start = read_header(file, content)
-    if strict and (not elements or elements[0].name != "vertex" or elements[0].has_list):
+    if strict and (not elements or elements[0].name != "vertex" or elements[0].items):
         reason = "the first element must be 'vertex', without list properties"
         raise unsupported_error(file, reason)
     body: _AsciiBody | _BinaryBody
@@ -108,19 +121,21 @@ def read_ply(file: str, content: bytes, *, strict: bool = False) -> Mesh:
             if index is None:
                 raise unreadable_error(file, "the faces have no vertex_indices")
             polygons = lists[index]
-    if not set(PLACE) <= set(vertex):
+    vertices, colours = _columns(vertex, PLACE), _columns(vertex, COLOUR)
+    if vertices is None:
         raise unreadable_error(file, "the vertices have no x, y and z")
-    if len(vertex["x"]) == 0:
+    if len(vertices) == 0:
         raise empty_error(file)
+    confidence = vertex.get(CONFIDENCE)
     if strict and isinstance(body, _AsciiBody):
-        _check_finite_rows(file, vertex, body)
-    colours = _columns(vertex, COLOUR)
+        known = [vertices] if confidence is None else [vertices, confidence[:, None]]
+        check_finite(file, np.hstack(known), body.line)
     return Mesh(
-        vertices=np.stack([vertex[name] for name in PLACE], axis=1),
-        faces=_triangles(file, polygons, len(vertex["x"])),
+        vertices,
+        faces=_triangles(file, polygons, len(vertices)),
         normals=_columns(vertex, NORMAL),
         colours=None if colours is None else unit_colours(colours),
-        confidence=vertex.get(CONFIDENCE),
+        confidence=confidence,
     )
 
 
@@ -146,17 +161,14 @@ def read_header(file: str, content: bytes) -> tuple[str, list[Element], int]:
             continue
         elif words[0] == "format" and len(words) == 3 and words[1] in BYTE_ORDERS:
             form = words[1]
-        elif words[0] == "element" and len(words) == 3 and _is_count(words[2]):
+        elif words[0] == "element" and len(words) == 3 and parse_count(words[2]) is not None:
             elements.append(Element(words[1], int(words[2])))
         elif words[0] == "property" and elements:
             _add_property(file, line, elements[-1], words[1:])
         else:
-            raise unreadable_error(file, f"not a header line: {' '.join(words)[:60]!r}", line=line)
+            found = quote(" ".join(words))
+            raise unreadable_error(file, f"not a header line: '{found}'", line=line)
     raise unreadable_error(file, f"the header is longer than {MAX_HEADER_LINES} lines")
-
-
-def _is_count(word: str) -> bool:
-    return word.isascii() and word.isdigit() and len(word) <= MAX_DIGITS
 
 
 def _add_property(file: str, line: int, element: Element, words: list[str]) -> None:
@@ -167,7 +179,7 @@ def _add_property(file: str, line: int, element: Element, words: list[str]) -> N
     if is_list and TYPES[types[0]].startswith("f"):
         raise unreadable_error(file, "the length of a list must be a whole number", line=line)
     if any(name == other for other, _ in element.properties):
-        raise unreadable_error(file, f"property {name[:60]!r} appears twice", line=line)
+        raise unreadable_error(file, f"property '{quote(name)}' appears twice", line=line)
     if is_list:
         element.items[name] = TYPES[types[1]]
     element.properties.append((name, TYPES[types[0]]))
@@ -181,39 +193,39 @@ class _BinaryBody:
     ) -> None:
         self._file, self._content, self._position, self._order = file, content, start, order
         expected = sum(element.count * element.row_type(order).itemsize for element in elements)
-        if len(content) - start < expected:
-            raise truncated_error(
-                file,
-                f"the header announces at least {expected} bytes, {len(content) - start} follow",
-                expected=expected,
-                found=len(content) - start,
-            )
+        found = len(content) - start
+        if found < expected:
+            reason = f"the header announces at least {expected} bytes, {found} follow"
+            raise truncated_error(file, reason, expected=expected, found=found)
 
     def read(self, element: Element) -> Rows:
         """Return the columns and lists of an element."""
         lengths = self._list_lengths(element) if element.count else {}
-        row = _row_type(element, lengths, self._order)
+        row = element.row_type(self._order, lengths)
         end = self._position + row.itemsize * element.count
-        if end <= len(self._content):
-            rows = np.frombuffer(self._content, row, count=element.count, offset=self._position)
-            if all((rows[_length(name)] == count).all() for name, count in lengths.items()):
-                self._position = end
-                return _table(rows, element, lengths)
-        return {}, self._read_lists(element)
+        if end > len(self._content):
+            return {}, self._read_lists(element)
+        rows = np.frombuffer(self._content, row, count=element.count, offset=self._position)
+        if not all((rows[_length(name)] == count).all() for name, count in lengths.items()):
+            return {}, self._read_lists(element)
+        self._position = end
+        scalars = [name for name, _ in element.properties if name not in element.items]
+        return {name: rows[name].astype(np.float64) for name in scalars}, {
+            name: (rows[name].astype(np.int64).ravel(), np.full(len(rows), count, np.int64))
+            for name, count in lengths.items()
+        }
 
     def _read_lists(self, element: Element) -> dict[str, Polygons]:
         """Return the lists of rows that differ in length."""
         lists: dict[str, tuple[list[Ints], list[int]]] = {name: ([], []) for name in element.items}
         for number in range(element.count):
             lengths = self._list_lengths(element)
-            row = _row_type(element, lengths, self._order)
+            row = element.row_type(self._order, lengths)
             if self._position + row.itemsize > len(self._content):
-                raise truncated_error(
-                    self._file,
-                    f"{element.count} rows of {element.name!r} announced, {number} follow",
-                    expected=element.count,
-                    found=number,
+                reason = (
+                    f"{element.count} rows of '{quote(element.name)}' announced, {number} follow"
                 )
+                raise truncated_error(self._file, reason, expected=element.count, found=number)
             values = np.frombuffer(self._content, row, count=1, offset=self._position)[0]
             self._position += row.itemsize
             for name, count in lengths.items():
@@ -244,35 +256,6 @@ class _BinaryBody:
         return lengths
 
 
-def _length(name: str) -> str:
-    return f"number of {name}"
-
-
-def _row_type(element: Element, lengths: dict[str, int], order: str) -> np.dtype:
-    fields: list[tuple[Any, ...]] = []
-    for name, code in element.properties:
-        if name in lengths:
-            fields.append((_length(name), order + code))
-            fields.append((name, order + element.items[name], (lengths[name],)))
-        else:
-            fields.append((name, order + code))
-    return np.dtype(fields)
-
-
-def _table(rows: np.ndarray, element: Element, lengths: dict[str, int]) -> Rows:
-    """Return the columns and lists of rows that are all of one length."""
-    scalars = {
-        name: rows[name].astype(np.float64)
-        for name, _ in element.properties
-        if name not in element.items
-    }
-    lists = {
-        name: (rows[name].astype(np.int64).ravel(), np.full(len(rows), count, np.int64))
-        for name, count in lengths.items()
-    }
-    return scalars, lists
-
-
 class _AsciiBody:
     """Reads one element after the other from a body of text, a row a line."""
 
@@ -283,14 +266,10 @@ class _AsciiBody:
         self._every = content[start:].removesuffix(b"\n").split(b"\n")
         self._rows = self._every if strict else [row for row in self._every if row.strip()]
         self._position = 0
-        expected = sum(element.count for element in elements)
-        if len(self._rows) < expected:
-            raise truncated_error(
-                file,
-                f"the header announces {expected} rows, {len(self._rows)} follow",
-                expected=expected,
-                found=len(self._rows),
-            )
+        expected, found = sum(element.count for element in elements), len(self._rows)
+        if found < expected:
+            reason = f"the header announces {expected} rows, {found} follow"
+            raise truncated_error(file, reason, expected=expected, found=found)
 
     def line(self, row: int) -> int:
         """Return the line of the file, from 1, in which a row stands."""
@@ -304,16 +283,14 @@ class _AsciiBody:
         start, self._position = self._position, self._position + element.count
         rows = self._rows[start : self._position]
         width = len(element.properties)
-        if not rows:
+        if not rows or not width:
             return {name: np.zeros(0) for name, _ in element.properties}, {}
-        parsed = numbers_by_row(b"\n".join(rows))
+        parsed = parse_rows(rows, None if element.items else (width,))
         if parsed is None:
             raise self._fault(element, rows, start)
         values, counts = parsed
-        if element.has_list:
+        if element.items:
             return {}, self._read_list(element, values, counts, start)
-        if (counts != width).any():
-            raise self._fault(element, rows, start)
         table = values.reshape(-1, width)
         return {name: table[:, k] for k, (name, _) in enumerate(element.properties)}, {}
 
@@ -332,33 +309,23 @@ class _AsciiBody:
                 raise truncated_error(self._file, "the last line is not whole", line=self.line(row))
             reason = "a list is shorter than it says"
             raise unreadable_error(self._file, reason, line=self.line(row))
-        items = np.repeat(starts + 1, lengths) + _count_up(lengths)
+        items = np.repeat(starts + 1, lengths) + count_up(lengths)
         return {name: (values[items].astype(np.int64), lengths)}
 
     def _fault(self, element: Element, rows: list[bytes], start: int) -> InputError:
         """Return the fault of the first row that is not as announced."""
-        width, of_vertex = len(element.properties), element.name == "vertex"
-        for number, row in enumerate(rows):
-            words = row.split()
-            numbers = parse_numbers(row)
-            if len(words) != width and not element.has_list:
-                reason = f"{width} numbers expected, {len(words)} found"
-            elif numbers is None:
-                reason = (
-                    "not three numbers"
-                    if of_vertex
-                    else f"not a row of {element.name!r}: {row[:60]!r}"
-                )
-            else:
-                continue
-            where = {"vertex": number} if of_vertex else {}
-            return unreadable_error(self._file, reason, line=self.line(start + number), **where)
-        return unreadable_error(self._file, f"the rows of {element.name!r} are not as announced")
-
-
-def _count_up(lengths: Ints) -> Ints:
-    """Return 0, 1, ... up to each of ``lengths``, one after the other."""
-    return np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+        width, name = len(element.properties), quote(element.name)
+        bad = find_bad_row(rows, None if element.items else (width,))
+        if bad is None:
+            return unreadable_error(self._file, f"the rows of '{name}' are not as announced")
+        row, words, _ = bad
+        reason = "not three numbers"
+        if words != width and not element.items:
+            reason = f"{width} numbers expected, {words} found"
+        elif name != "vertex":
+            reason = f"not a row of '{name}': {quote(rows[row])}"
+        where = {"vertex": row} if name == "vertex" else {}
+        return unreadable_error(self._file, reason, line=self.line(start + row), **where)
 
 
 def _triangles(file: str, polygons: Polygons, vertices: int) -> Ints:
@@ -369,13 +336,8 @@ def _triangles(file: str, polygons: Polygons, vertices: int) -> Ints:
     if outside.any():
         face = int(np.searchsorted(np.cumsum(counts), np.argmax(outside), side="right"))
         found = int(corners[np.argmax(outside)])
-        raise unreadable_error(
-            file,
-            f"face {face} uses vertex {found}, but there are {vertices}",
-            face=face,
-            found=found,
-            expected=vertices,
-        )
+        reason = f"face {face} uses vertex {found}, but there are {vertices}"
+        raise unreadable_error(file, reason, face=face, found=found, expected=vertices)
     return fan(corners, counts)
 
 
@@ -383,17 +345,6 @@ def _columns(vertex: Columns, names: tuple[str, ...]) -> Floats | None:
     if not set(names) <= set(vertex):
         return None
     return np.stack([vertex[name] for name in names], axis=1)
-
-
-def _check_finite_rows(file: str, vertex: Columns, body: _AsciiBody) -> None:
-    """Raise ``scan.nan``, with its line, for the first vertex that is not finite."""
-    names = [name for name in (*PLACE, CONFIDENCE) if name in vertex]
-    table = np.stack([vertex[name] for name in names], axis=1)
-    bad = ~np.isfinite(table).all(axis=1)
-    if bad.any():
-        number = int(np.argmax(bad))
-        found = tuple(table[number].tolist())
-        raise not_finite_error(file, number, found, line=body.line(number))
 
 
 # Writing: binary, in double precision, so that what is read back is equal.
@@ -406,20 +357,17 @@ def write_ply(path: Path, surface: Surface, values: Mapping[str, Floats] | None 
 
     ``values`` are further properties of the vertices, name -> (n,), in single precision.
     """
-    columns = {"x": "<f8", "y": "<f8", "z": "<f8", **dict.fromkeys(values or {}, "<f4")}
-    vertices = np.empty(len(surface.vertices), dtype=list(columns.items()))
-    for name, column in {
-        **dict(zip("xyz", surface.vertices.T, strict=True)),
-        **(values or {}),
-    }.items():
+    columns = dict(zip("xyz", surface.vertices.T, strict=True)) | dict(values or {})
+    kinds = {name: "double" if name in PLACE else "float" for name in columns}
+    vertices = np.empty(
+        len(surface.vertices), [(name, f"<{TYPES[k]}") for name, k in kinds.items()]
+    )
+    for name, column in columns.items():
         vertices[name] = column
+    properties = "".join(f"property {kind} {name}\n" for name, kind in kinds.items())
     header = (
-        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(surface.vertices)}\n"
-        + "".join(
-            f"property {'double' if code == '<f8' else 'float'} {name}\n"
-            for name, code in columns.items()
-        )
-        + f"element face {len(surface.faces)}\n"
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n{properties}"
+        f"element face {len(surface.faces)}\n"
         "property list uchar int vertex_indices\nend_header\n"
     )
     faces = np.empty(len(surface.faces), dtype=_FACE)

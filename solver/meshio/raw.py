@@ -1,23 +1,24 @@
-"""Raw scans: any mesh or point cloud, faithfully, in any of five formats."""
+"""Raw scans: any mesh or point cloud, read faithfully in any of five formats, and mended."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import igl
 import numpy as np
+from numpy.typing import NDArray
 
 from solver.errors import InputError
-from solver.meshio.faults import check_suffix, read_content
 from solver.meshio.glb import MM_PER_METRE, read_glb
-from solver.meshio.mesh import Mesh
+from solver.meshio.mesh import Mesh, alike, check_suffix, read_content, too_large_error, weld
 from solver.meshio.obj import read_obj
 from solver.meshio.ply import read_ply
 from solver.meshio.stl import FACET, HEADER_BYTES, read_stl
 from solver.meshio.xyz import read_xyz
-from solver.surface import Floats, Ints
+from solver.surface import Floats, Ints, area_normals, directed_edges
 
 READERS: dict[str, Callable[[str, bytes], Mesh]] = {
     "obj": read_obj,
@@ -79,19 +80,13 @@ def read_raw(path: Path) -> RawScan:
     format_ = sniff(file, content, FORMATS[suffix])
     mesh = READERS[format_](file, content)
     if len(mesh.vertices) > MAX_VERTICES:
-        raise InputError(
-            "scan.too_large",
-            f"{file} has {len(mesh.vertices)} vertices; a raw scan has at most {MAX_VERTICES}",
-            file=file,
-            expected=MAX_VERTICES,
-            found=len(mesh.vertices),
-        )
+        raise too_large_error(file, "vertices", len(mesh.vertices), "a raw scan", MAX_VERTICES)
     return RawScan(
-        file=file,
-        vertices=mesh.vertices,
-        faces=mesh.faces.astype(np.int64, copy=False),
-        normals=mesh.normals,
-        colours=mesh.colours,
+        file,
+        mesh.vertices,
+        mesh.faces.astype(np.int64, copy=False),
+        mesh.normals,
+        mesh.colours,
         mm_per_unit=MM_PER_METRE if format_ == "glb" else None,
         format=format_,
         suffix_format=FORMATS[suffix],
@@ -118,6 +113,8 @@ OTHERS = {  # how files begin that are no scan
 }
 HEAD_BYTES = 65536  # of a file that are looked at
 OBJ_LINE = re.compile(rb"^(v|vn|vt|f|g|o|s|mtllib|usemtl)[ \t]+\S", re.MULTILINE)
+# No blank can be taken in two ways, so that a long run of them is passed once.
+STL_TEXT = re.compile(rb"\s*solid\b(?:.*\s|.*\n\s*)(?:facet|endsolid)\b")
 POINT_LINE = re.compile(rb"^[ \t]*[-+\d.][-+\d.eE]*([ \t,;]+[-+\w.]+){2,}[ \t\r]*$", re.MULTILINE)
 
 
@@ -129,13 +126,9 @@ def sniff(file: str, content: bytes, suffix_format: str) -> str:
     head = content[:HEAD_BYTES]
     found = next((what for magic, what in OTHERS.items() if head.startswith(magic)), None)
     if found is not None:
-        raise InputError(
-            "scan.wrong_extension",
-            f"{file} is {found}, not a scan in {suffix_format.upper()} format",
-            file=file,
-            expected=suffix_format,
-            found=found,
-        )
+        message = f"{file} is {found}, not a scan in {suffix_format.upper()} format"
+        about = {"file": file, "expected": suffix_format, "found": found}
+        raise InputError("scan.wrong_extension", message, **about)
     if re.match(rb"ply\r?\n", head):
         return "ply"
     if head.startswith(b"glTF"):
@@ -144,8 +137,117 @@ def sniff(file: str, content: bytes, suffix_format: str) -> str:
         facets = int.from_bytes(content[80:84], "little")
         is_stl = len(content) == HEADER_BYTES + facets * FACET.itemsize
         return "stl" if is_stl else suffix_format
-    if re.match(rb"\s*solid\b.*\s+(facet|endsolid)\b", head):
+    if STL_TEXT.match(head):
         return "stl"
     if OBJ_LINE.search(head):
         return "obj"
     return "xyz" if POINT_LINE.search(head) else suffix_format
+
+
+# Mending what has one remedy, and counting it.
+
+# A triangle is flat if twice its area is less than this share of its longest edge squared.
+FLAT = 1e-7
+# A coordinate beyond this counts as infinite: distances from it cannot be measured.
+ENDLESS = 1e100
+# Fewer vertices in the place of another are separate parts that touch, and stay.
+WELDED_SHARE = 0.02
+
+
+@dataclass(frozen=True)
+class Mending:
+    """Counts of each fault of a raw scan.
+
+    ``not_finite`` vertices, the first of them ``first_not_finite`` (-1 for none); ``duplicate``
+    vertices (in the place of another); ``flat`` triangles (no area); ``repeated`` triangles (the
+    same corners as another); ``unused`` vertices (in no triangle); ``non_manifold`` edges (of three
+    triangles or more); ``flipped`` triangles (wound against the most of their piece).
+    """
+
+    not_finite: int = 0
+    first_not_finite: int = -1
+    duplicate: int = 0
+    flat: int = 0
+    repeated: int = 0
+    unused: int = 0
+    non_manifold: int = 0
+    flipped: int = 0
+
+
+def mend(scan: RawScan) -> tuple[RawScan, Mending]:
+    """Return the scan without the faults that have one remedy, and how many there were.
+
+    Vertices that are not finite go, with their triangles; many vertices in the place of others
+    become one with them; flat and repeated triangles go; the triangles of each piece are wound
+    alike, as most of them were; vertices that no triangle uses go. The unit and axes stay.
+    """
+    finite = np.asarray((np.abs(scan.vertices) < ENDLESS).all(axis=1))
+    lost = np.flatnonzero(~finite)
+    numbers = np.flatnonzero(finite)
+    first, place = weld(scan.vertices[finite])
+    duplicate = len(numbers) - len(first)
+    if duplicate <= WELDED_SHARE * len(numbers):
+        first = place = np.arange(len(numbers), dtype=np.int64)
+    new_number = np.full(len(finite), -1)
+    new_number[numbers] = place
+    faces: Ints = new_number[scan.faces[finite[scan.faces].all(axis=1)]]
+    kept = numbers[first]
+    counts = Mending(len(lost), int(lost[0]) if len(lost) else -1, duplicate)
+    if len(scan.faces) == 0:
+        return _pick(scan, kept, scan.faces), counts
+    flat = _is_flat(scan.vertices[kept], faces)
+    faces = faces[~flat]
+    single, _ = alike(np.sort(faces, axis=1).astype(np.uint64))
+    repeated = len(faces) - len(single)
+    faces, flipped = _wound_alike(faces[single])
+    used = np.zeros(len(kept), bool)
+    used[faces] = True
+    _, triangles_of_edge = np.unique(_edge_keys(faces, directed=False), return_counts=True)
+    counts = replace(
+        counts,
+        flat=int(flat.sum()),
+        repeated=repeated,
+        unused=int((~used).sum()),
+        non_manifold=int((triangles_of_edge > 2).sum()),
+        flipped=flipped,
+    )
+    return _pick(scan, kept[used], (np.cumsum(used) - 1)[faces]), counts
+
+
+def _edge_keys(faces: Ints, *, directed: bool) -> Ints:
+    """Return a number (3 f,) for the edge that each side of the triangles is of."""
+    ends = directed_edges(faces)
+    one, other = (ends if directed else np.sort(ends, axis=1)).T
+    return np.asarray(one * (int(faces.max(initial=0)) + 1) + other, np.int64)
+
+
+def _pick(scan: RawScan, vertices: Ints, faces: Ints) -> RawScan:
+    def rows(values: Floats | None) -> Floats | None:
+        return None if values is None else values[vertices]
+
+    return replace(
+        scan,
+        vertices=scan.vertices[vertices],
+        faces=faces.astype(np.int64),
+        normals=rows(scan.normals),
+        colours=rows(scan.colours),
+    )
+
+
+def _is_flat(vertices: Floats, faces: Ints) -> NDArray[np.bool_]:
+    double_area = np.linalg.norm(area_normals(vertices, faces), axis=1)
+    sides = vertices[np.roll(faces, -1, axis=1)] - vertices[faces]
+    return np.asarray(double_area <= FLAT * (sides**2).sum(axis=2).max(axis=1))
+
+
+def _wound_alike(faces: Ints) -> tuple[Ints, int]:
+    """Return the triangles, those turned round that the most of their piece run against."""
+    directed = _edge_keys(faces, directed=True)
+    if (np.diff(np.sort(directed)) > 0).all():  # neighbours run along their edge in opposite ways
+        return faces, 0
+    wound, piece = igl.bfs_orient(faces)
+    wound = np.asarray(wound, np.int64)
+    turned = (wound != faces).any(axis=1)
+    against = (np.bincount(piece, turned) > 0.5 * np.bincount(piece))[piece]
+    wound[against] = wound[against][:, ::-1]
+    return wound, int((turned ^ against).sum())

@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from solver.errors import InputError
-from solver.meshio.faults import check_finite, check_suffix, read_content
 from solver.meshio.glb import MM_PER_METRE, read_glb
-from solver.meshio.mesh import Mesh
+from solver.meshio.mesh import Mesh, check_finite, check_suffix, read_content
 from solver.meshio.obj import read_obj
 from solver.meshio.ply import read_ply, write_ply
 from solver.meshio.stl import read_stl
@@ -100,19 +99,18 @@ def read_registered(
     confidence = np.ones(len(vertices)) if mesh.confidence is None else mesh.confidence
     _check_confidence(file, confidence)
     if len(vertices) != vertex_count:
-        raise InputError(
-            "scan.vertex_count",
+        message = (
             f"{file} has {len(vertices)} vertices; the template's topology has {vertex_count}; a "
-            "raw scan is sent as raw and registered first",
-            file=file,
-            expected=vertex_count,
-            found=len(vertices),
+            "raw scan is sent as raw and registered first"
+        )
+        raise InputError(
+            "scan.vertex_count", message, file=file, expected=vertex_count, found=len(vertices)
         )
     check_finite(file, vertices)
-    check_scale(file, vertices, plausible)
-    check_vertex_order(file, vertices, faces, plausible)
+    _check_scale(file, vertices, plausible)
+    _check_vertex_order(file, vertices, faces, plausible)
     if neutral is not None:
-        check_alignment(file, vertices, neutral, plausible)
+        _check_alignment(file, vertices, neutral, plausible)
     return RegisteredScan(vertices, confidence)
 
 
@@ -121,13 +119,9 @@ def _check_confidence(file: str, confidence: Floats) -> None:
     wrong = ~((confidence >= 0) & (confidence <= 1))
     if wrong.any():
         vertex = int(np.argmax(wrong))
-        raise InputError(
-            "scan.confidence",
-            f"{file}: vertex {vertex} has confidence {confidence[vertex]}, not within 0 and 1",
-            file=file,
-            vertex=vertex,
-            found=str(confidence[vertex]),
-        )
+        found = confidence[vertex]
+        message = f"{file}: vertex {vertex} has confidence {found}, not within 0 and 1"
+        raise InputError("scan.confidence", message, file=file, vertex=vertex, found=str(found))
 
 
 def _number_facets(
@@ -138,40 +132,35 @@ def _number_facets(
     STL shares no vertices, so its facets must be the template's ``faces`` (f, 3) in the same order;
     corners that are one vertex in the template must lie in one place.
     """
+    triangles, expected = len(corners) // 3, len(faces)
     if len(corners) != faces.size:
+        message = f"{file} has {triangles} triangles; the template has {expected}"
         raise InputError(
-            "scan.vertex_count",
-            f"{file} has {len(corners) // 3} triangles; the template has {len(faces)}",
-            file=file,
-            expected=len(faces),
-            found=len(corners) // 3,
+            "scan.vertex_count", message, file=file, expected=expected, found=triangles
         )
     check_finite(file, corners)
     vertices = np.full((vertex_count, 3), np.nan)
     vertices[faces.ravel()] = corners
     loose = np.flatnonzero(np.isnan(vertices[:, 0]))
     if len(loose):
-        raise InputError(
-            "scan.format",
-            f"{file}: STL cannot carry vertex {loose[0]}, which is in no triangle: "
-            "use OBJ, PLY or GLB",
-            file=file,
-            vertex=int(loose[0]),
+        vertex = int(loose[0])
+        message = (
+            f"{file}: STL cannot carry vertex {vertex}, which is in no triangle: use "
+            "OBJ, PLY or GLB"
         )
+        raise InputError("scan.format", message, file=file, vertex=vertex)
     apart = np.abs(vertices[faces] - corners.reshape(-1, 3, 3)).max(axis=(1, 2))
     if apart.max() > same_place_mm:
         triangle = int(np.argmax(apart > same_place_mm))
-        raise InputError(
-            "scan.vertex_order",
+        message = (
             f"{file}: triangle {triangle} does not meet its neighbours as in the template; "
-            "the triangles must be the template's, in the same order",
-            file=file,
-            triangle=triangle,
+            "the triangles must be the template's, in the same order"
         )
+        raise InputError("scan.vertex_order", message, file=file, triangle=triangle)
     return vertices
 
 
-def check_scale(file: str, vertices: Floats, plausible: PlausibleScan = PLAUSIBLE) -> None:
+def _check_scale(file: str, vertices: Floats, plausible: PlausibleScan) -> None:
     """Raise ``scan.unit`` unless the vertices (n, 3) are as large as a head in mm."""
     with np.errstate(over="ignore"):
         extent = float(np.nan_to_num(np.ptp(vertices, axis=0).max()))
@@ -185,33 +174,26 @@ def check_scale(file: str, vertices: Floats, plausible: PlausibleScan = PLAUSIBL
         hint = f"it seems to be in {guess}: scale it by {UNITS[guess]:g}"
     else:
         hint = "it cannot be a head in mm"
+    message = f"{file} is {extent:.4g} mm across, a head is {low:g} to {high:g} mm; {hint}"
     raise InputError(
-        "scan.unit",
-        f"{file} is {extent:.4g} mm across, a head is {low:g} to {high:g} mm; {hint}",
-        file=file,
-        expected=list(plausible.head_mm),
-        found=extent,
+        "scan.unit", message, file=file, expected=list(plausible.head_mm), found=extent
     )
 
 
-def check_vertex_order(
-    file: str, vertices: Floats, faces: Ints, plausible: PlausibleScan = PLAUSIBLE
-) -> None:
+def _check_vertex_order(file: str, vertices: Floats, faces: Ints, plausible: PlausibleScan) -> None:
     """Raise ``scan.vertex_order`` if the template's faces (f, 3) join vertices far apart."""
     edges = np.linalg.norm(vertices[faces] - vertices[np.roll(faces, 1, axis=1)], axis=2)
     median, extent = float(np.median(edges)), float(np.ptp(vertices, axis=0).max())
     if median > plausible.edge_ratio * extent:
-        raise InputError(
-            "scan.vertex_order",
+        message = (
             f"{file}: neighbours in the template lie {median:.3g} mm apart; "
-            "the vertices are not in the template's order",
-            file=file,
-            found=median,
+            "the vertices are not in the template's order"
         )
+        raise InputError("scan.vertex_order", message, file=file, found=median)
 
 
-def check_alignment(
-    file: str, vertices: Floats, neutral: Floats, plausible: PlausibleScan = PLAUSIBLE
+def _check_alignment(
+    file: str, vertices: Floats, neutral: Floats, plausible: PlausibleScan
 ) -> None:
     """Raise ``scan.misaligned`` if the expression (n, 3) is far off the neutral (n, 3).
 
@@ -220,24 +202,21 @@ def check_alignment(
     """
     motion = _rigid_motion(neutral, vertices)
     if motion.mirror_leaves < plausible.mirrored:
-        raise InputError(
-            "scan.mirrored",
+        message = (
             f"{file} is mirrored against the neutral (left and right exchanged, or inside out): "
-            "switch off mirroring in the export",
-            file=file,
+            "switch off mirroring in the export"
         )
+        raise InputError("scan.mirrored", message, file=file)
     median = float(np.median(np.linalg.norm(vertices - neutral, axis=1)))
     if median <= plausible.median_motion_mm:
         return
-    raise InputError(
-        "scan.misaligned",
+    message = (
         f"{file} lies {median:.0f} mm off the neutral (median over all vertices): it is turned by "
         f"{motion.degrees:.0f} degrees and moved by {motion.shift:.0f} mm; align its skull with "
-        "the neutral's",
-        file=file,
-        expected=plausible.median_motion_mm,
-        found=median,
+        "the neutral's"
     )
+    expected = plausible.median_motion_mm
+    raise InputError("scan.misaligned", message, file=file, expected=expected, found=median)
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from solver.meshio.faults import empty_error, truncated_error, unreadable_error
-from solver.meshio.mesh import Mesh, numbers_by_row, parse_numbers, weld
+from solver.meshio.mesh import (
+    Mesh,
+    empty_error,
+    find_bad_row,
+    parse_rows,
+    truncated_error,
+    unreadable_error,
+    weld,
+)
 from solver.surface import Floats
 
 HEADER_BYTES = 84  # 80 of text, then the number of triangles as uint32
@@ -18,7 +25,9 @@ def read_stl(file: str, content: bytes, *, strict: bool = False) -> Mesh:
     For registered scans (``strict``) every triangle keeps its own three vertices, in the order of
     the file; otherwise corners in one place become one vertex.
     """
-    corners = _read_binary(file, content) if _is_binary(content) else _read_ascii(file, content)
+    # some binary files start with the word 'solid' too
+    is_text = content[:5].lower() == b"solid" and b"\0" not in content[:1024]
+    corners = _read_ascii(file, content) if is_text else _read_binary(file, content)
     if len(corners) == 0:
         raise empty_error(file)
     vertices = corners.reshape(-1, 3)
@@ -28,25 +37,16 @@ def read_stl(file: str, content: bytes, *, strict: bool = False) -> Mesh:
     return Mesh(vertices[first], numbers.reshape(-1, 3))
 
 
-def _is_binary(content: bytes) -> bool:
-    """Return whether content is binary; some binary files start with the word 'solid' too."""
-    return content[:5].lower() != b"solid" or b"\0" in content[:1024]
-
-
 def _read_binary(file: str, content: bytes) -> Floats:
     """Return the corners (f, 3, 3) of the triangles."""
     if len(content) < HEADER_BYTES:
         reason = f"{len(content)} bytes are not even the header of an STL file"
         raise truncated_error(file, reason)
     count = int.from_bytes(content[HEADER_BYTES - 4 : HEADER_BYTES], "little")
-    expected = HEADER_BYTES + count * FACET.itemsize
-    if len(content) < expected:
-        raise truncated_error(
-            file,
-            f"{count} triangles take {expected} bytes, found {len(content)}",
-            expected=expected,
-            found=len(content),
-        )
+    expected, found = HEADER_BYTES + count * FACET.itemsize, len(content)
+    if found < expected:
+        reason = f"{count} triangles take {expected} bytes, found {found}"
+        raise truncated_error(file, reason, expected=expected, found=found)
     facets = np.frombuffer(content, FACET, count=count, offset=HEADER_BYTES)
     return facets["corners"].astype(np.float64)
 
@@ -54,19 +54,21 @@ def _read_binary(file: str, content: bytes) -> Floats:
 def _read_ascii(file: str, content: bytes) -> Floats:
     """Return the corners (f, 3, 3) of the triangles, or name the line that is at fault."""
     lines = content.splitlines()
-    rows = [line.lstrip()[6:] for line in lines if line.lstrip().startswith(b"vertex")]
-    parsed = numbers_by_row(b"\n".join(rows)) if rows else None
-    if rows and (parsed is None or (parsed[1] != 3).any()):
-        for number, line in enumerate(lines, start=1):
-            if not line.lstrip().startswith(b"vertex"):
-                continue
-            numbers = parse_numbers(line.lstrip()[6:])
-            if numbers is None:
-                raise unreadable_error(file, "not three numbers", line=number)
-            if len(numbers) != 3:
-                raise unreadable_error(file, "a vertex needs 3 numbers", line=number)
-        raise unreadable_error(file, "not a valid STL file")
+    rows = [line.lstrip()[6:] for line in lines if _is_vertex(line)]
+    parsed = parse_rows(rows, (3,))
+    if rows and parsed is None:
+        bad = find_bad_row(rows, (3,))
+        if bad is None:
+            raise unreadable_error(file, "not a valid STL file")
+        row, _, are_numbers = bad
+        reason = "a vertex needs 3 numbers" if are_numbers else "not three numbers"
+        numbers = [number for number, line in enumerate(lines, start=1) if _is_vertex(line)]
+        raise unreadable_error(file, reason, line=numbers[row])
     last = next((line for line in reversed(lines) if line.strip()), b"")
     if last.split()[:1] != [b"endsolid"] or len(rows) % 3:
         raise truncated_error(file, "the last line is not 'endsolid'")
     return np.zeros((0, 3, 3)) if parsed is None else parsed[0].reshape(-1, 3, 3)
+
+
+def _is_vertex(line: bytes) -> bool:
+    return line.lstrip().startswith(b"vertex")

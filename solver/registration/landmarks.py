@@ -17,7 +17,7 @@ import numpy as np
 
 from solver.anatomy.template import Template
 from solver.drawing.render import Camera, DrawnBody, Lit, Pixels, Visible, look, render
-from solver.errors import InputError
+from solver.errors import InputError, quote, quote_names
 from solver.similarity import fit_similarity
 from solver.surface import Floats, Ints, Surface
 
@@ -154,7 +154,7 @@ def match(file: str, points: Points, template: Template) -> tuple[Floats, Ints]:
             f"{LEAST_LANDMARKS} are needed; it knows {', '.join(sorted(known))}",
             file=file,
             expected=sorted(known),
-            found=sorted(points),
+            found=quote_names(sorted(points)),
         )
     rest = template.skin.vertices
     given = np.array([named[name] for name in names])
@@ -226,12 +226,13 @@ def _csv(path: Path, text: str) -> Points:
 
 
 def _point(path: Path, name: str, value: Any, **where: Any) -> Floats:
+    shown = quote(name)
     try:
         x, y, z = (float(number) for number in value)
     except (TypeError, ValueError, OverflowError):
-        raise _unreadable(path, f"{name} is not three numbers", landmark=name, **where) from None
+        raise _unreadable(path, f"{shown} is not three numbers", landmark=shown, **where) from None
     if not all(math.isfinite(number) for number in (x, y, z)):
-        raise _unreadable(path, f"{name} is not finite", landmark=name, **where)
+        raise _unreadable(path, f"{shown} is not finite", landmark=shown, **where)
     return np.array([x, y, z])
 
 

@@ -21,7 +21,7 @@ from solver.anatomy.template import Template
 from solver.anatomy.warp import spread
 from solver.errors import Finding, InputError, Severity
 from solver.meshio.raw import RawScan
-from solver.registration.mend import Samples, sample
+from solver.registration.scan_surface import Samples, sample
 from solver.registration.units import (
     UNITS,
     candidate_scales,

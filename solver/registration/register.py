@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from solver.registration.locate import (
 )
 from solver.registration.nonrigid import FROM_AFAR, REFINE, folded_triangles, free_form, unfold
 from solver.registration.scan_surface import ScanSurface, check_size, scan_surface
-from solver.registration.shape_fit import Pins, align, expressions, fit_shapes, persons
+from solver.registration.shape_fit import Pins, align, expressions, fit_shapes, pair, persons
 from solver.registration.topology import Topology, carry_hidden
 from solver.registration.units import FRAME
 from solver.similarity import IDENTITY, Similarity
@@ -161,11 +162,12 @@ def _register_neutral(
     start: Start, topology: Topology, pins: Pins | None, progress: Progress
 ) -> RegisteredFace:
     scan, motion, template = start.scan, start.motion, topology.template
+    match = partial(pair, scan)
     rest, basis = template.skin, template.shapes
     open_size = not start.size_known
     progress(Step("shape", 0.3))
     if basis is not None and len(basis.identity):
-        fit = fit_shapes(scan, motion, persons(topology, basis), topology, pins, sizes=open_size)
+        fit = fit_shapes(match, motion, persons(topology, basis), pins, sizes=open_size)
         shape, motion, weights, schedule = fit.vertices, fit.motion, fit.weights, REFINE
     else:
         shape, motion = _own_size(scan, motion, topology, open_size=open_size)
@@ -183,6 +185,7 @@ def _register_expression(
     start: Start, topology: Topology, neutral: Floats, pins: Pins | None, progress: Progress
 ) -> RegisteredFace:
     scan, template = start.scan, topology.template
+    match = partial(pair, scan)
     rest, basis = template.skin.moved(neutral), template.shapes
     open_size = not start.size_known
     progress(Step("shape", 0.3))
@@ -192,7 +195,8 @@ def _register_expression(
     motion = align(scan, start.motion, neutral[still], normals, share, sizes=open_size)
     shape, weights, schedule = neutral, np.zeros(0), FROM_AFAR
     if basis is not None and len(basis.expressions):
-        fit = fit_shapes(scan, motion, expressions(neutral, basis), topology, pins, sizes=open_size)
+        shapes = expressions(neutral, topology, basis)
+        fit = fit_shapes(match, motion, shapes, pins, sizes=open_size)
         shape, motion, weights, schedule = fit.vertices, fit.motion, fit.weights, REFINE
     progress(Step("free form", 0.6))
     fitted = free_form(scan, motion, shape, topology, schedule, pins)

@@ -11,13 +11,11 @@ import scipy.sparse as sp
 
 from solver.contact.crossing import Crossing, crossing
 from solver.contact.mouth import Mouth
-from solver.fitting.activation import Resting
 from solver.fitting.face import Face, Pose
-from solver.fitting.objective import determinants
-from solver.fitting.stretches import fibre_tensors, matrices
+from solver.fitting.stretches import determinants, fibre_tensors, matrices
 from solver.mechanics import jaw
 from solver.mechanics.linear import LinearSolver, analyse
-from solver.mechanics.newton import factorize
+from solver.mechanics.newton import Factorization
 from solver.model import SubjectModel
 from solver.rig.result import ExpressionFit
 from solver.rig.rig import Rig
@@ -212,14 +210,13 @@ def with_round_trips(
     face: Face, fits: tuple[ExpressionFit, ...], listen: Listener | None = None
 ) -> tuple[ExpressionFit, ...]:
     """Return the fits with their round trips; those that have one keep it."""
-    rest = Resting(face)
     done = list(fits)
     for number, fit in enumerate(fits):
         if fit.round_trip is None:
             if listen:
                 listen(fit.name, number)
             pose, skin = Pose(fit.activations, fit.jaw), fit.skin[face.model.face]
-            done[number] = replace(fit, round_trip=round_trip(face, pose, skin, rest))
+            done[number] = replace(fit, round_trip=round_trip(face, pose, skin))
     return tuple(done)
 
 
@@ -251,7 +248,7 @@ def check_flesh(face: Face, a: Floats, x: Floats, linear: LinearSolver) -> Flesh
     flesh = face.flesh
     det = flesh.jacobians(x)
     residual = np.linalg.norm(flesh.gradient(x, a)) / flesh.force_scale
-    _, share = factorize(flesh, linear, x, a)
+    share = Factorization(flesh, linear, x, a).projection
     return FleshCheck(
         inverted=int((det <= 0.0).sum()),
         det_least=float(det.min()),

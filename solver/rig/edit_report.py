@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from solver.anatomy.tetrahedra import ML, volume_ml, volumes
-from solver.contact.crossing import Gauge
+from solver.contact.potentials import Gauge
 from solver.drawing.head import DrawnHead
 from solver.drawing.sheet import Column, SheetLayout, draw_sheet
 from solver.edits.edit import Edited, Replayed

@@ -21,7 +21,7 @@ from solver.model import SubjectModel
 from solver.rig.frames import ChunkReader, FrameRecord, pack, unpack
 from solver.rig.result import ENTRIES
 from solver.similarity import IDENTITY, Similarity, small_motion
-from solver.simulation.inertia import Motion
+from solver.simulation.forces import Motion
 from solver.surface import Floats
 
 FORMAT = 1  # of reports and of sequence.npz
@@ -39,7 +39,7 @@ class MotionFrame(FrameRecord):
         (p, 3) in mm: how far the flesh's vertices are off their rest, in the head's frame.
     penetration_mm, behind_teeth
         How deep skin is in teeth, in other skin or in objects, at the worst, and the number of the
-        lips' vertices behind teeth, see :class:`~solver.contact.crossing.Penetration`.
+        lips' vertices behind teeth, see :class:`~solver.contact.potentials.Penetration`.
     halvings, residual
         How the solve went, see :class:`~solver.simulation.simulator.Stepped`.
     """

@@ -12,7 +12,7 @@ import numpy as np
 
 from solver.errors import SolveError
 from solver.fitting import activation
-from solver.fitting.activation import ActivationOptions, Resting
+from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.stretches import FROBENIUS
@@ -56,18 +56,14 @@ class RoundTrip:
 
 
 def round_trip(
-    face: Face,
-    pose: Pose,
-    fitted_face: Floats,
-    rest: Resting,
-    options: RoundTripOptions = RoundTripOptions(),
+    face: Face, pose: Pose, fitted_face: Floats, options: RoundTripOptions = RoundTripOptions()
 ) -> RoundTrip:
-    """Simulate ``pose`` from ``rest`` and fit it again to the simulated skin.
+    """Simulate ``pose`` from rest and fit it again to the simulated skin.
 
     ``fitted_face`` (k, 3) is the fitted skin of the face, in mm.
     """
     try:
-        simulated = face.continuation(rest.state, pose)
+        simulated = face.continuation(face.rest, pose)
     except SolveError:
         return RoundTrip()
     points = face.face_points(simulated.x)
@@ -76,9 +72,7 @@ def round_trip(
     regulariser = Regulariser(options.w_a, options.w_v, options.w_b, prior=face.rest_pose())
     data = SkinDistance(face, Target.from_points(points))
     try:
-        again = activation.fit(
-            face, data, regulariser, rest.state, options.stop, matrix=rest.matrix
-        ).state
+        again = activation.fit(face, data, regulariser, options=options.stop).state
     except (SolveError, np.linalg.LinAlgError):
         return there
     left = np.linalg.norm(face.face_points(again.x) - points, axis=1)

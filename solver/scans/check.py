@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from solver.anatomy.template import Template
 from solver.errors import Finding, InputError
-from solver.meshio.raw import RawScan, read_raw
+from solver.meshio.raw import RawScan, mend, read_raw
 from solver.registration.locate import (
     Location,
     face_points,
@@ -26,8 +26,8 @@ from solver.registration.locate import (
     location_findings,
     scan_samples,
 )
-from solver.registration.mend import Samples, mend
-from solver.registration.shape_fit import fit_likeness
+from solver.registration.scan_surface import Samples
+from solver.registration.shape_fit import LIKENESS, ShapeFit, anybody, fit_shapes, match_samples
 from solver.registration.units import check_frame
 from solver.scans.cover import Cover, cover, has_second_face, visible_part
 from solver.scans.findings import (
@@ -44,7 +44,8 @@ from solver.scans.findings import (
     with_advice,
 )
 from solver.scans.mouth import closed_eyes, lip_gap, roughness, spikes
-from solver.surface import Floats, Surface
+from solver.similarity import Similarity
+from solver.surface import Floats, Surface, vertex_areas
 
 AROUND_FACE_MM = 25.0  # margin of the part that is looked at closely
 # Below and above the face along x, y, z: the head without neck and shoulders.
@@ -169,17 +170,17 @@ def _look_closer(
     """Add what the face lacks, its noise and spikes, its mouth and eyes."""
     around = _around(place.pose.motion(samples.points), face, AROUND_FACE_MM)
     near = Samples(samples.points[around], samples.normals[around], samples.oriented)
-    fitted = fit_likeness(near, place.pose.motion, template, face)
+    fitted = _fit_roughly(near, place.pose.motion, template, face)
     motion = fitted.motion
     size = place.mm_per_unit / motion.scale
-    seen = cover(near.transform(motion), fitted.skin, template, face)
+    seen = cover(near.transform(motion), fitted.vertices, template, face)
     vertices = motion(scan.vertices)
     rough = roughness(vertices * size, seen.points[seen.covered] * size)
     marked = np.zeros(len(vertices), bool)
     if len(scan.faces):
         marked = spikes(vertices * size, scan.faces) & _around(vertices, face, AROUND_HEAD_MM)
     surface = Surface(vertices, scan.faces)
-    features = Features(lip_gap(surface, template), closed_eyes(surface, fitted.skin, template))
+    features = Features(lip_gap(surface, template), closed_eyes(surface, fitted.vertices, template))
     result.findings += cover_findings(seen, features)
     result.findings += roughness_findings(rough, int(marked.sum()))
     result.findings += feature_findings(features, role)
@@ -192,6 +193,16 @@ def _look_closer(
         "lip_gap_mm": features.lip_gap_mm,
         "spikes": int(marked.sum()),
     }
+
+
+def _fit_roughly(scan: Samples, motion: Similarity, template: Template, face: Surface) -> ShapeFit:
+    """Return the template's likeness to the person; a template without shapes as it is."""
+    skin = template.skin.vertices
+    if template.shapes is None:
+        return ShapeFit(np.zeros(0), skin, motion)
+    shapes = anybody(skin, face, template.shapes)
+    match = match_samples(scan, vertex_areas(skin, face.faces)[shapes.used])
+    return fit_shapes(match, motion, shapes, options=LIKENESS, sizes=True)
 
 
 def _around(points: Floats, face: Surface, margin: float | Floats) -> NDArray[np.bool_]:

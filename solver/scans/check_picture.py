@@ -9,7 +9,7 @@ from PIL import Image, ImageDraw, ImageFont
 from scipy.spatial import KDTree
 
 from solver.drawing.render import Camera, look
-from solver.registration.mend import estimated_normals
+from solver.registration.scan_surface import estimated_normals
 from solver.scans.check import ScanCheck
 from solver.scans.cover import FAR_MM
 from solver.surface import Floats, Ints, Surface, area_normals

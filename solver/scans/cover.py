@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from solver.anatomy.template import Template
 from solver.drawing.render import Camera, look
 from solver.registration.locate import FacePoints, FacePose, face_points, find_pose, orient_outward
-from solver.registration.mend import Samples, sample
+from solver.registration.scan_surface import Samples, sample
 from solver.surface import Floats, Ints, Surface
 
 # The face seen from the front as a map of heights: what is foremost at each place.

@@ -15,11 +15,11 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from solver.anatomy.template import Template
-from solver.errors import Finding, InputError, Severity
-from solver.meshio.raw import RawScan
+from solver.errors import Finding, InputError, Severity, quote
+from solver.meshio.raw import WELDED_SHARE, Mending, RawScan
 from solver.registration.landmarks import match, read_landmarks
 from solver.registration.locate import JUDGE, FacePoints, Location
-from solver.registration.mend import WELDED_SHARE, Mending, Samples
+from solver.registration.scan_surface import Samples
 from solver.registration.units import choose_unit
 from solver.scans.cover import Cover
 from solver.scans.mouth import Roughness
@@ -341,7 +341,7 @@ def landmark_findings(
     worst = int(np.argmax(gap))
     if gap[worst] <= OFF_SURFACE_MM:
         return [], (places, rest)
-    name = list(points)[worst]
+    name = quote(list(points)[worst])
     finding = make_finding(
         "landmarks.off_surface",
         "error",

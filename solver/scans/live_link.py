@@ -20,7 +20,7 @@ from typing import NoReturn
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from solver.errors import InputError
+from solver.errors import InputError, quote
 from solver.surface import Floats
 
 TIMECODE = "timecode"
@@ -136,12 +136,14 @@ def _time(path: Path, line: int, row: list[str], column: int, before: Sequence[f
         hours, minutes, seconds, ticks = text.split(":")
         time = 3600.0 * int(hours) + 60.0 * int(minutes) + int(seconds) + float(ticks) / TICKS
     except ValueError:
-        _refuse(path, line, "timecode", f"{text!r} is not a timecode hours:minutes:seconds:ticks")
+        _refuse(
+            path, line, "timecode", f"'{quote(text)}' is not a timecode hours:minutes:seconds:ticks"
+        )
     if not 0.0 <= time < DAY:  # NaN is neither
-        _refuse(path, line, "timecode", f"{text!r} is not a time of day")
+        _refuse(path, line, "timecode", f"'{quote(text)}' is not a time of day")
     if before and time <= before[-1]:
         if before[-1] - time < DAY / 2:
-            _refuse(path, line, "time_order", f"{text} is not later than the frame before")
+            _refuse(path, line, "time_order", f"{quote(text)} is not later than the frame before")
         time += DAY
     return time
 
@@ -151,7 +153,7 @@ def _weights(path: Path, line: int, row: list[str], columns: Mapping[str, int]) 
     for name, column in columns.items():
         weight, text = _number(path, line, row, name, column)
         if not WEIGHTS[0] <= weight <= WEIGHTS[1]:
-            _refuse(path, line, "value", f"{name} is {text}, which is no weight from 0 to 1")
+            _refuse(path, line, "value", f"{name} is {quote(text)}, which is no weight from 0 to 1")
         weights.append(weight)
     return weights
 
@@ -161,7 +163,7 @@ def _angles(path: Path, line: int, row: list[str], columns: Mapping[str, int]) -
     for name, column in columns.items():
         angle, text = _number(path, line, row, name, column)
         if not abs(angle) <= MOST_TURN:
-            _refuse(path, line, "value", f"{name} is {text}, which is no angle in radians")
+            _refuse(path, line, "value", f"{name} is {quote(text)}, which is no angle in radians")
         angles.append(angle)
     return angles
 
@@ -172,7 +174,7 @@ def _number(path: Path, line: int, row: list[str], name: str, column: int) -> tu
     try:
         return float(text), text
     except ValueError:
-        _refuse(path, line, "value", f"{name} is {text!r}, not a number")
+        _refuse(path, line, "value", f"{name} is '{quote(text)}', not a number")
 
 
 def _rotations(angles: Floats | None, count: int) -> Floats:

@@ -10,7 +10,7 @@ import ipctk
 import numpy as np
 import trimesh
 
-from solver.animation.keys import Interpolation, Track, track
+from solver.animation.drives import Interpolation, Track, track
 from solver.contact.crossing import depth_inside, is_inside
 from solver.contact.potentials import touching
 from solver.contact.surface import ContactSurface, collision_mesh

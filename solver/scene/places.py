@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from solver.anatomy.template import Template
-from solver.edits import maps
+from solver.edits.changes import patches, spots
 from solver.errors import InputError
 from solver.kinds.edits import AssetMap, RegionMap, SkinMap
 from solver.model import SubjectModel
@@ -115,7 +115,7 @@ class Places:
         if isinstance(given, RegionMap):
             return self._regions(given.regions)
         centres = np.array([self.point(place) for place in given.spots])
-        return maps.spots(self.model, centres.reshape(-1, 3), given.radius_mm)
+        return spots(self.model, centres.reshape(-1, 3), given.radius_mm)
 
     def _file(self, path: Path) -> Floats:
         try:
@@ -136,4 +136,4 @@ class Places:
                     expected=list(regions),
                 )
         vertices = [regions[name] for name in names]
-        return maps.patches(self.model, np.concatenate([np.zeros(0, np.int64), *vertices]))
+        return patches(self.model, np.concatenate([np.zeros(0, np.int64), *vertices]))

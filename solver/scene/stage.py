@@ -8,13 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from solver.animation.keys import Drives, Gaze, PosedFrame
-from solver.contact.crossing import Gauge, Penetration
-from solver.contact.potentials import contact_potentials
-from solver.edits.bones import Bone
-from solver.edits.edit import Edit, Edited, apply
-from solver.edits.fat import Density, Fat, Filler, Stiffening, under_skin
-from solver.edits.paralysis import Paralysis
+from solver.animation.drives import Drives, Gaze, PosedFrame
+from solver.contact.potentials import Gauge, Penetration, contact_potentials
+from solver.edits.changes import Bone, Density, Fat, Filler, Paralysis, Stiffening, under_skin
+from solver.edits.edit import Change, Edited, apply
 from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.kinds import edits as described
@@ -25,15 +22,12 @@ from solver.mechanics.potential import Potential
 from solver.scene.objects import check_objects, objects_of
 from solver.scene.places import Places
 from solver.simulation.fibres import fibre_activations, nearest_fibre
-from solver.simulation.forces import Force, Gravity, Pull, Wind
-from solver.simulation.inertia import Drive, lumped_masses
+from solver.simulation.forces import Drive, Force, Gravity, Pull, Wind, lumped_masses
 from solver.simulation.simulator import Simulator
 from solver.surface import Floats, Surface
 
-# A scene's ``edits``, ``forces``, ``material``, ``contact``, ``sliding`` and ``activation_model``.
 
-
-def edits_of(entries: Sequence[described.Edit], places: Places) -> list[Edit]:
+def edits_of(entries: Sequence[described.Edit], places: Places) -> list[Change]:
     """Return the edits that a scene describes.
 
     Raises :class:`~solver.errors.InputError` as :class:`~solver.scene.places.Places` for places,
@@ -42,7 +36,7 @@ def edits_of(entries: Sequence[described.Edit], places: Places) -> list[Edit]:
     return [_edit(entry, places) for entry in entries]
 
 
-def _edit(entry: described.Edit, places: Places) -> Edit:
+def _edit(entry: described.Edit, places: Places) -> Change:
     if isinstance(entry, described.FatEntry):
         return Fat(entry.f_min, entry.f_max, places.map_of(entry.map), entry.softening)
     if isinstance(entry, described.FillerEntry):
@@ -119,8 +113,6 @@ class Physics:
 
     def contacts(self, edited: Edited, objects: Sequence[Surface] = ()) -> list[Potential]:
         """Return what keeps the skin out of itself, of teeth, eyeballs and ``objects``."""
-        if not (self.lips or self.teeth or self.eyes or objects):
-            return []
         return contact_potentials(
             edited.model,
             self.material.mu,
@@ -163,9 +155,8 @@ class Stage:
     """A person with the S (n, m + 1) in a scene.
 
     ``drives`` say what the face does; ``linear`` names the linear solver; ``objects`` are what the
-    face meets. Raises
-    :class:`~solver.errors.InputError` (``scene.*``, ``force.point``, ``contact.crossed``) for what
-    the person does not have or cannot be.
+    face meets. Raises :class:`~solver.errors.InputError` (``scene.*``, ``force.point``,
+    ``contact.crossed``) for what the person does not have or cannot be.
     """
 
     def __init__(
@@ -188,16 +179,15 @@ class Stage:
             self.objects = objects_of(scene.objects, places)
         begin = self.drive(float(drives.times[0]), drives(float(drives.times[0])))
         objects = self._seen(begin)
-        check_objects(
-            self.model,
-            {each.name: shape for each, shape in zip(self.objects, objects, strict=True)},
-        )
+        names = [each.name for each in self.objects]
+        check_objects(self.model, dict(zip(names, objects, strict=True)))
         dynamic = scene.mode == "dynamic"
         self.steps_per_frame = scene.steps_per_frame or (STEPS if dynamic else 1)
+        potentials = self._physics.contacts(self._edited, objects)
         masses = lumped_masses(self._face.flesh, self._edited.density)
         self.simulator = Simulator(
             self._face,
-            self._physics.contacts(self._edited, objects),
+            potentials,
             forces_of(scene.forces, self._face, masses, places),
             dynamic=dynamic,
             density=self._edited.density,
@@ -205,7 +195,7 @@ class Stage:
             linear=linear,
         )
         self._gaze = Gaze(self.model)
-        self.gauge = Gauge(self.model, self._edited.unedited)
+        self.gauge = Gauge(self.model, self._edited.unedited, potentials)
 
     def drive(self, time: float, pose: PosedFrame) -> Drive:
         """Return what the flesh is asked for at ``time``, when the face does ``pose``."""

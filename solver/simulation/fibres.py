@@ -42,7 +42,7 @@ def fibre_activations(model: SubjectModel, S: sp.csr_array, gamma: Floats) -> Fl
 
     Raises :class:`InputError` (``model.fibres``) for a model without fibres.
     """
-    rows, columns = _entries(S)
+    rows, columns = S.tocoo().coords
     along = _along(model, S)
     stretch = np.concatenate([[1.0], gamma])[columns]
     across = 1.0 / np.sqrt(stretch)
@@ -56,7 +56,7 @@ def fibre_activations(model: SubjectModel, S: sp.csr_array, gamma: Floats) -> Fl
 
 def activation_rates(model: SubjectModel, S: sp.csr_array, gamma: Floats) -> sp.csr_array:
     """Return the derivative (6 n, m) of :func:`fibre_activations`, each tet's entries in turn."""
-    rows, columns = _entries(S)
+    rows, columns = S.tocoo().coords
     active = np.flatnonzero(columns > 0)
     tets, muscles = rows[active], columns[active] - 1
     along = _along(model, S)[active]
@@ -123,7 +123,7 @@ def nearest_fibre(
     They are f^T S(a_j) f, its mean over the muscle's volume, within the ``options``' limits.
     Raises as :func:`fibre_activations`.
     """
-    rows, columns = _entries(S)
+    rows, columns = S.tocoo().coords
     along = _along(model, S)
     stretch = np.einsum("ek,k,ek->e", along, FROBENIUS, np.vstack([IDENTITY, a])[columns])
     weight = S.data * volumes(model.rest, model.tets)[rows]
@@ -134,11 +134,6 @@ def nearest_fibre(
     return np.asarray(np.clip(found, options.least, options.most)[1:])
 
 
-def _entries(S: sp.csr_array) -> tuple[Ints, Ints]:
-    """Return row and column (nnz,) of every stored entry."""
-    return np.repeat(np.arange(S.shape[0]), np.diff(S.indptr)), np.asarray(S.indices, np.int64)
-
-
 def _along(model: SubjectModel, S: sp.csr_array) -> Floats:
     """Return f f^T (nnz, 6) of every stored entry of S."""
     if model.fibres is None or len(model.fibres) != S.nnz:
@@ -146,9 +141,6 @@ def _along(model: SubjectModel, S: sp.csr_array) -> Floats:
             "model.fibres", "the model has no fibre directions: build it again to use fibre muscles"
         )
     return np.asarray(model.fibres[:, ROW] * model.fibres[:, COLUMN])
-
-
-# Fitting fibre muscles to a target skin: one contraction a muscle, and the jaw.
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """A face in motion: from where it is to where a moment's activations, jaw and forces take it.
 
-Every unknown is in the head's frame, whatever the head does: see :mod:`solver.simulation.inertia`.
+Every unknown is in the head's frame, whatever the head does: see :mod:`solver.simulation.forces`.
 A step that finds no end is halved.
 """
 
@@ -14,13 +14,25 @@ import numpy as np
 
 from solver.errors import InputError, SolveError
 from solver.fitting.face import Face
-from solver.mechanics.linear import fastest
+from solver.mechanics.flesh import Flesh
+from solver.mechanics.linear import GrowingSolver, fastest
+from solver.mechanics.newton import Energy, Factorization, NewtonOptions, Search
 from solver.mechanics.potential import Boundary, Potential
 from solver.similarity import Similarity
-from solver.simulation.forces import Force
-from solver.simulation.inertia import Drive, Inertia, Motion, lumped_masses
-from solver.simulation.newton import MOMENT, Minimum, Newton
+from solver.simulation.forces import Drive, Force, Inertia, Motion, lumped_masses
 from solver.surface import Floats
+
+MOMENT = NewtonOptions(
+    tolerance=1e-5,
+    stalled=1e-3,
+    factorizations=30,  # a search that needs more had better go a shorter way
+    settled_mm=0.005,
+    shortest_step=2.0**-24,
+    growth=1.0,
+    far=np.inf,
+    chord_contraction=0.5,
+    reuse_contraction=0.5,
+)
 
 
 @dataclass(frozen=True)
@@ -52,30 +64,21 @@ class Stepped:
 
 
 class Simulator:
-    """Moves a face's flesh, quasi-statically or dynamically.
+    """Moves the flesh of a face, whose material is in Pa.
 
     Parameters
     ----------
-    face
-        The face; its material is in Pa.
-    potentials
-        What else has energy: contact.
-    forces
-        Forces from outside.
+    potentials, forces
+        What else has energy, such as contact, and forces from outside.
     dynamic
         Whether the flesh has inertia. Without, each moment is an equilibrium, and forces see
         velocities of zero.
-    density
-        (n,) of each tet, g/mm^3.
-    damping
-        Of motion relative to the head, per mass, 1/s.
+    density, damping
+        (n,) of each tet in g/mm^3; of motion relative to the head, per mass, in 1/s.
     linear
         The linear solver, the fastest by default.
     tolerance, settled_mm
-        A step ends at this residual, relative to nodal forces at unit strain, or when corrections
-        stay shorter than this, root mean square over the vertices.
-    options
-        How a step is cut where it finds no end.
+        A step ends as :class:`~solver.mechanics.newton.NewtonOptions` say of these.
     """
 
     def __init__(
@@ -101,25 +104,17 @@ class Simulator:
         self._masses = lumped_masses(face.flesh, density)
         self._inertia = Inertia(face.flesh)
         self._flesh = face.flesh.plus(self._inertia)
-        self._newton = Newton(
-            self._flesh,
-            potentials,
-            options=replace(MOMENT, tolerance=tolerance, settled_mm=settled_mm),
-            linear=linear or fastest(),
-        )
+        newton = replace(MOMENT, tolerance=tolerance, settled_mm=settled_mm)
+        self._newton = _Newton(self._flesh, potentials, newton, linear or fastest())
 
     def rest(self, drive: Drive) -> Motion:
         """Return the face at rest in the pose, and under the forces, of ``drive``.
 
         Raises :class:`SolveError` as :meth:`step`, with the drive's own ``time``.
         """
-        options = self._options
-        start = replace(
-            drive,
-            time=drive.time - options.rise_seconds,
-            A=self._flesh.passive(),
-            jaw=np.zeros_like(drive.jaw),
-        )
+        options, closed = self._options, np.zeros_like(drive.jaw)
+        begun = drive.time - options.rise_seconds
+        start = replace(drive, time=begun, A=self._flesh.passive(), jaw=closed)
         rest = self._face.model.rest
         motion = Motion(drive.head(rest), np.zeros_like(rest), drive.head)
         try:
@@ -154,10 +149,7 @@ class Simulator:
         *,
         dynamic: bool,
     ) -> Stepped:
-        """Go to ``goal`` in parts of the way, powers of two; none is larger than ``largest``.
-
-        Each part may take so many ``factorisations``.
-        """
+        """Go to ``goal`` in parts of the way, powers of two of at most ``largest``."""
         begun = perf_counter()
         done, part, drive = 0.0, largest, before
         iterations = halvings = 0
@@ -189,7 +181,7 @@ class Simulator:
 
     def _once(
         self, now: Motion, before: Drive, goal: Drive, factorisations: int, *, dynamic: bool
-    ) -> tuple[Motion, Minimum]:
+    ) -> tuple[Motion, _Minimum]:
         """Take one step of backward Euler, or find one equilibrium."""
         seconds = goal.time - before.time
         into = goal.head.inverse()
@@ -215,3 +207,123 @@ def _seen(head: Similarity, drive: Drive) -> tuple[Floats, ...]:
     """Return the objects in the frame of ``head``."""
     into = head.inverse()
     return tuple(into(each) for each in drive.objects)
+
+
+@dataclass(frozen=True)
+class AdvanceOptions:
+    """Options of the boundary's way to its goal."""
+
+    steps: int = 40  # at most
+    same: float = 1e-9  # difference of two places, in mm, that is rounding
+    jammed: float = 1e-3  # part of the way that a step gains at least ...
+    jams: int = 5  # ... or it may gain less so often
+
+
+@dataclass(frozen=True)
+class _Minimum:
+    """Vertices x (p, 3) of least energy, the residual there, and the steps that led to it."""
+
+    x: Floats
+    residual: float
+    iterations: int
+
+
+class _Newton:
+    """Minimises the energy of ``flesh`` and ``potentials`` with bones and objects on their way.
+
+    Energies with barriers are infinite where things cross, so that neither the flesh nor what is
+    rigid can jump to its place. Both advance together: a step is Newton's, with the pull of what
+    the rigid parts will do, and goes as far as nothing crosses. So flesh is pushed before it is
+    reached. Once all is where it belongs the energy falls to its minimum. What was factorised last
+    serves again.
+    """
+
+    def __init__(
+        self, flesh: Flesh, potentials: Sequence[Potential], options: NewtonOptions, linear: str
+    ) -> None:
+        self._flesh, self._potentials, self._options = flesh, potentials, options
+        self._solver = GrowingSolver(flesh.hessian(flesh.rest, flesh.passive()), linear)
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget what was factorised: what comes next is far from it."""
+        self._factor: Factorization | None = None
+        self._projection = -1
+
+    def minimise(
+        self, x: Floats, a: Floats, now: Boundary, goal: Boundary, factorizations: int
+    ) -> _Minimum:
+        """Go from x (p, 3) at ``now`` to the least energy at ``goal`` with activations a (n, 6).
+
+        The search ends after so many ``factorizations``. Raises :class:`SolveError`:
+        ``simulate.jammed`` where the boundary gets no further, ``simulate.diverged`` where the
+        energy comes to no minimum.
+        """
+        energy = Energy(self._flesh, self._solver, a, self._potentials, goal)
+        x, advances = self._advance(energy, x, now, goal)
+        options = replace(self._options, factorizations=factorizations)
+        search = Search(energy, x, options, self._factor, self._projection)
+        try:
+            search.minimise()
+        finally:
+            self._factor, self._projection = search.factorization, search.projection
+        # NaN, too, is no minimum
+        if not search.residual <= max(options.stalled, options.tolerance):
+            raise SolveError(
+                "simulate.diverged",
+                f"the flesh found no rest: a residual of {search.residual:.1e}"
+                f" after {search.steps} steps",
+                residual=search.residual,
+            )
+        return _Minimum(search.x, search.residual, advances + search.steps)
+
+    def _advance(
+        self,
+        energy: Energy,
+        x: Floats,
+        now: Boundary,
+        goal: Boundary,
+        options: AdvanceOptions = AdvanceOptions(),
+    ) -> tuple[Floats, int]:
+        """Return x (p, 3) with the boundary at its ``goal``, and the steps that it took."""
+        self._place(now)
+        held = self._flesh.held
+        old, steps, jams = self._factor is not None, 0, 0
+        while not now.same_as(goal, options.same):
+            factor = self._factor or self._factorize(energy, x)
+            motion = np.zeros_like(x)
+            motion[held] = goal.held - x[held]
+            force = energy.gradient(x) + self._pull(energy, x, motion, goal)
+            y = self._flesh.moved(x + motion, -factor.solve(force))
+            part = energy.longest(x, y, self._options)
+            if part < 1.0 and old:
+                # an old factor knows nothing of what is in the way now
+                self._factor, old = None, False
+                continue
+            steps += 1
+            jams += part < options.jammed
+            if jams == options.jams or steps == options.steps:
+                raise SolveError("simulate.jammed", "the jaw or an object can go no further")
+            now = goal if part == 1.0 else now.toward(goal, part)
+            x = y if part == 1.0 else x + part * (y - x)
+            self._place(now)
+            if part < 1.0:
+                self._factor = None
+        return x, steps
+
+    def _factorize(self, energy: Energy, x: Floats) -> Factorization:
+        self._factor = energy.factorization(x, max(self._projection - 1, 0))
+        self._projection = self._factor.projection
+        return self._factor
+
+    def _pull(self, energy: Energy, x: Floats, motion: Floats, goal: Boundary) -> Floats:
+        """Return how the gradient changes as held vertices move by ``motion`` and all else goes."""
+        rigid = (energy.contact_hessian(x) @ motion.ravel()).reshape(-1, 3)
+        for each in self._potentials:
+            rigid += each.pull(x, goal)
+        flesh = self._flesh.coupling(x, energy.a, motion[:, :, None])[:, 0]
+        return np.asarray(flesh + rigid[self._flesh.free].ravel())
+
+    def _place(self, boundary: Boundary) -> None:
+        for each in self._potentials:
+            each.place(boundary)

@@ -7,14 +7,18 @@ with y up and z forward.
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import trimesh
 
-from solver.anatomy.domain import join_surfaces
+from solver.anatomy.data import read_table
+from solver.anatomy.domain import join_surfaces, part_of
+from solver.anatomy.muscle_weights import muscle_ends, with_axis
+from solver.anatomy.template import Muscle
+from solver.anatomy.warp import MIRROR
 from solver.errors import InputError
 from solver.surface import Floats, Surface
 from solver.templates.downloads import PublicFile, obj_mesh, public_files
@@ -31,11 +35,9 @@ def public_parts(folder: Path) -> list[tuple[str, str, Surface]]:
 
     ``folder`` holds ``FMA*.obj`` at any depth, or the archive ``BodyParts3D_3.0_obj_99.zip``.
 
-    Raises
-    ------
-    InputError
-        ``anatomy.index`` if there is no such mesh, ``anatomy.release`` for release 4.0,
-        ``anatomy.part`` if an organ is missing, ``download.*`` for a file that cannot be read.
+    Raises :class:`InputError`: ``anatomy.index`` if there is no such mesh, ``anatomy.release`` for
+    release 4.0, ``anatomy.part`` if an organ is missing, ``download.*`` for a file that cannot be
+    read.
     """
     files = {file.name: file for file in public_files(folder, ".obj")}
     if not any(name.startswith(("FMA", "FJ")) for name in files):
@@ -50,22 +52,17 @@ def public_parts(folder: Path) -> list[tuple[str, str, Surface]]:
             f"{folder} holds BodyParts3D 4.0, which has no muscles of the face; release 3.0 has",
             file=str(folder),
         )
-    with resources.files("solver.anatomy.data").joinpath("bodyparts3d_parts.csv").open() as table:
-        return [
-            (row["name"], row["category"], _surface(files, row["fma_id"], row["name"], folder))
-            for row in csv.DictReader(table)
-        ]
+    return [
+        (row["name"], row["category"], _surface(files, row["fma_id"], row["name"], folder))
+        for row in read_table("bodyparts3d_parts")
+    ]
 
 
 def _surface(files: dict[str, PublicFile], fma_id: str, name: str, folder: Path) -> Surface:
     file = files.get(f"{fma_id}.obj")
     if file is None:
-        raise InputError(
-            "anatomy.part",
-            f"{folder} lacks {fma_id}.obj ({name}) of BodyParts3D 3.0",
-            file=f"{fma_id}.obj",
-            part=name,
-        )
+        reason = f"{folder} lacks {fma_id}.obj ({name}) of BodyParts3D 3.0"
+        raise InputError("anatomy.part", reason, file=f"{fma_id}.obj", part=name)
     vertices, polygons = obj_mesh(file)
     if (polygons[:, 3] >= 0).any():
         raise InputError("download.mesh", f"{file} has faces of four corners", file=str(file))
@@ -100,27 +97,22 @@ def read_parts(folder: Path) -> dict[str, Part]:
     """Return name -> :class:`Part`, in mm with y up.
 
     With an ``index.csv`` they are the meshes that it lists; without one, ``folder`` is the download
-    as DBCLS publishes it (:mod:`solver.templates.bodyparts3d`).
+    as DBCLS publishes it.
 
-    Raises
-    ------
-    InputError
-        ``anatomy.index`` if there is neither or the index lacks a column, ``anatomy.mesh`` if a
-        mesh it lists is missing or unreadable, or as
-        :func:`~solver.templates.bodyparts3d.public_parts`.
+    Raises :class:`InputError`: ``anatomy.index`` if there is neither or the index lacks a column,
+    ``anatomy.mesh`` if a mesh it lists is missing or unreadable, or as :func:`public_parts`.
     """
     index = folder / "index.csv"
-    parts = _read_index(index) if index.is_file() else _read_download(folder)
+    if index.is_file():
+        parts = _read_index(index)
+    else:
+        parts = {
+            name: Part(category, surface.moved(to_subject_axes(surface.vertices)))
+            for name, category, surface in public_parts(folder)
+        }
     for side in ("left", "right"):
         _name_eye_rings(parts, side)
     return parts
-
-
-def _read_download(folder: Path) -> dict[str, Part]:
-    return {
-        name: Part(category, surface.moved(to_subject_axes(surface.vertices)))
-        for name, category, surface in public_parts(folder)
-    }
 
 
 def _read_index(index: Path) -> dict[str, Part]:
@@ -139,15 +131,11 @@ def _read_index(index: Path) -> dict[str, Part]:
 
 def _name_eye_rings(parts: dict[str, Part], side: str) -> None:
     """Give the larger eye ring the name of the orbital part: BodyParts3D 3.0 swaps the two."""
-    orbital, palpebral = (f"{part} part of {side} orbicularis oculi" for part in RINGS)
-    if not {orbital, palpebral} <= parts.keys():
-        return
-    if _height(parts[orbital]) < _height(parts[palpebral]):
-        parts[orbital], parts[palpebral] = parts[palpebral], parts[orbital]
-
-
-def _height(part: Part) -> float:
-    return float(np.ptp(part.surface.vertices[:, 1]))
+    names = [f"{part} part of {side} orbicularis oculi" for part in RINGS]
+    if parts.keys() >= set(names):
+        rings = [parts[name] for name in names]
+        rings.sort(key=lambda ring: -float(np.ptp(ring.surface.vertices[:, 1])))
+        parts.update(zip(names, rings, strict=True))
 
 
 def _read_mesh(path: Path) -> Surface:
@@ -157,25 +145,34 @@ def _read_mesh(path: Path) -> Surface:
         raise InputError(
             "anatomy.mesh", f"{path.name} cannot be read: {error}", file=str(path)
         ) from error
-    return Surface(
-        to_subject_axes(np.asarray(mesh.vertices, dtype=float)),
-        np.asarray(mesh.faces, dtype=np.int64),
-    )
+    vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
+    return Surface(to_subject_axes(vertices), faces)
 
 
 def muscle_names(parts: dict[str, Part]) -> list[str]:
     """Return the muscles that move the face: the facial ones, then masseter and temporalis."""
-    facial = [
-        name
-        for name, part in parts.items()
-        if part.category == "facial_muscle" and not name.endswith(_BEHIND)
-    ]
-    chewing = [
-        name
-        for name, part in parts.items()
-        if part.category == "mastication_muscle" and name.endswith(_CHEWING)
-    ]
-    return sorted(facial) + sorted(chewing)
+
+    def named(category: str, wanted: Callable[[str], bool]) -> list[str]:
+        return sorted(n for n, part in parts.items() if part.category == category and wanted(n))
+
+    facial = named("facial_muscle", lambda name: not name.endswith(_BEHIND))
+    return facial + named("mastication_muscle", lambda name: name.endswith(_CHEWING))
+
+
+def with_table_axis(name: str, surface: Surface, skull: Floats) -> Muscle:
+    """Return a muscle with the axis of ``data/bodyparts3d_muscles.csv``, from anatomy texts.
+
+    One that is not in the table gets an axis as by :func:`with_axis`.
+    """
+    words = name.split()
+    plain = " ".join(word for word in words if word not in ("left", "right"))
+    row = next((row for row in read_table("bodyparts3d_muscles") if row["muscle"] == plain), None)
+    if row is None:
+        return with_axis(name, surface, skull)
+    axis = np.array([float(row[key]) for key in "xyz"])
+    axis = axis / np.linalg.norm(axis) * (MIRROR if "right" in words else 1.0)
+    origin, insertion = muscle_ends(surface, axis)
+    return Muscle(name, surface, axis, origin, insertion, row["ring"] == "yes")
 
 
 def part_surface(parts: dict[str, Part], name: str) -> Surface:
@@ -187,7 +184,7 @@ def part_surface(parts: dict[str, Part], name: str) -> Surface:
 
 def reflect(points: Floats) -> Floats:
     """Return points (..., 3) on the other side of the mid-plane."""
-    return np.asarray(points * np.array([-1.0, 1.0, 1.0]) + np.array([2 * MIDDLE_X, 0.0, 0.0]))
+    return np.asarray(points * MIRROR + [2 * MIDDLE_X, 0.0, 0.0])
 
 
 def symmetric(parts: dict[str, Part]) -> dict[str, Part]:
@@ -198,8 +195,7 @@ def symmetric(parts: dict[str, Part]) -> dict[str, Part]:
     """
     result = {}
     for name, part in parts.items():
-        left = parts.get(name.replace("right", "left"))
-        surface = part.surface
+        left, surface = parts.get(name.replace("right", "left")), part.surface
         if "right" in name and left is not None:
             surface = _mirror_image(left.surface)
         elif "left" not in name:
@@ -215,10 +211,8 @@ def _mirror_image(surface: Surface) -> Surface:
 def _halves(surface: Surface) -> Surface:
     """Return the left half, cut at the mid-plane, and its mirror image."""
     on_left = (surface.vertices[surface.faces, 0] > MIDDLE_X).any(axis=1)
-    numbers, faces = np.unique(surface.faces[on_left], return_inverse=True)
-    vertices = surface.vertices[numbers]
-    vertices[:, 0] = np.maximum(vertices[:, 0], MIDDLE_X)
-    half = Surface(vertices, faces.reshape(-1, 3).astype(np.int64))
+    left = part_of(surface, np.flatnonzero(on_left))
+    half = left.moved(np.maximum(left.vertices, [MIDDLE_X, -np.inf, -np.inf]))
     return join_surfaces([half, _mirror_image(half)])
 
 

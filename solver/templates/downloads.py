@@ -34,10 +34,7 @@ class PublicFile:
         return self.path, PurePosixPath(self.member).parent
 
     def read(self) -> bytes:
-        """Return the content.
-
-        Raises :class:`InputError` (``download.unreadable``) if the file or its archive is damaged.
-        """
+        """Return the content; raises ``download.unreadable`` if file or archive is damaged."""
         try:
             if self.member is None:
                 return self.path.read_bytes()
@@ -93,11 +90,8 @@ def obj_mesh(file: PublicFile) -> tuple[Floats, Ints]:
     """
     rows = file.read().splitlines()
     vertices = _vertices(file, rows)
-    polygons = [
-        _corners(file, line, row, len(vertices))
-        for line, row in enumerate(rows, start=1)
-        if row.startswith(b"f ")
-    ]
+    faces = [(line, row) for line, row in enumerate(rows, start=1) if row.startswith(b"f ")]
+    polygons = [_corners(file, line, row, len(vertices)) for line, row in faces]
     return vertices, np.array(polygons, dtype=np.int64).reshape(-1, 4)
 
 

@@ -6,19 +6,18 @@ import csv
 import json
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from solver.anatomy.template import Muscle, Template
-from solver.errors import InputError
 from solver.meshio.obj import write_obj
 from solver.meshio.ply import write_ply
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Ints, Surface
 from solver.templates.folder import DESCRIPTION, FORMAT
-from solver.templates.tables import vertex_ranges
+from solver.templates.tables import fault, vertex_ranges
 
 
 @dataclass(frozen=True)
@@ -35,11 +34,8 @@ class CaptureSet:
 
     def first(self, train: int, test: int) -> CaptureSet:
         """Return the neutral with the first expressions only."""
-        return CaptureSet(
-            self.neutral,
-            dict(islice(self.train.items(), train)),
-            dict(islice(self.test.items(), test)),
-        )
+        first, others = islice(self.train.items(), train), islice(self.test.items(), test)
+        return CaptureSet(self.neutral, dict(first), dict(others))
 
     def write(self, folder: Path) -> dict[str, Path]:
         """Write every scan as OBJ into ``folder`` and return name -> path (``neutral`` first)."""
@@ -62,21 +58,16 @@ def write_template(template: Template, folder: Path) -> None:
     """
     folder.mkdir(parents=True, exist_ok=True)
     if any(folder.iterdir()):
-        raise InputError("template.folder", f"{folder} is not empty", file=str(folder))
+        raise fault("folder", f"{folder} is not empty", str(folder))
     (folder / DESCRIPTION).write_text(_description(template), encoding="utf-8")
-    write_ply(folder / "skin.ply", template.skin)
-    write_ply(folder / "parted.ply", template.parted_skin)
-    write_ply(folder / "cranium.ply", template.cranium)
-    write_ply(folder / "mandible.ply", template.mandible)
+    meshes = {name: getattr(template, name) for name in ("skin", "cranium", "mandible")}
+    for name, surface in (meshes | {"parted": template.parted_skin}).items():
+        write_ply(folder / f"{name}.ply", surface)
     _write_muscles(template.muscles, folder)
     _write_table(folder / "landmarks.csv", ("name", "vertex"), template.landmarks.items())
     if template.depths:
         columns = ("landmark", "bone", "depth_mm", "sd_mm", "source")
-        rows = [
-            (depth.landmark, depth.bone, depth.mean, depth.deviation, depth.source)
-            for depth in template.depths
-        ]
-        _write_table(folder / "depths.csv", columns, rows)
+        _write_table(folder / "depths.csv", columns, map(astuple, template.depths))
     parts = {
         "flesh": template.skin.faces[template.flesh_faces],
         "face": template.face_vertices,
@@ -85,15 +76,14 @@ def write_template(template: Template, folder: Path) -> None:
     }
     _write_sets(folder / "parts.json", parts)
     _write_sets(folder / "regions.json", template.regions)
-    if template.shapes is not None:
-        numbers = [f"{number:03d}" for number in range(len(template.shapes.identity))]
-        _write_shapes(template, folder / "identities", numbers, template.shapes.identity)
-        names = template.shapes.expression_names
-        _write_shapes(template, folder / "expressions", names, template.shapes.expressions)
+    if (shapes := template.shapes) is not None:
+        numbers = [f"{number:03d}" for number in range(len(shapes.identity))]
+        _write_shapes(template, folder / "identities", numbers, shapes.identity)
+        _write_shapes(template, folder / "expressions", shapes.expression_names, shapes.expressions)
 
 
 def _description(template: Template) -> str:
-    left, right = (_numbers(point) for point in template.condyles)
+    left, right = template.condyles.tolist()
     return f"""\
 format = {FORMAT}
 name = {_quote(template.name)}
@@ -127,8 +117,8 @@ def _write_muscles(muscles: Iterable[Muscle], folder: Path) -> None:
     for muscle in muscles:
         file = f"muscles/{re.sub(r'[^A-Za-z0-9]+', '_', muscle.name)}.ply"
         write_ply(folder / file, muscle.surface)
-        values = np.concatenate([muscle.origin, muscle.insertion, muscle.fibre])
-        rows.append((muscle.name, file, "yes" if muscle.ring else "no", *values.tolist()))
+        values = muscle.axis[[1, 2, 0]].ravel().tolist()
+        rows.append((muscle.name, file, "yes" if muscle.ring else "no", *values))
     _write_table(folder / "muscles.csv", ("name", "file", "ring", *points), rows)
 
 
@@ -138,9 +128,7 @@ def _write_shapes(
     folder.mkdir()
     for name, delta in zip(names, deltas, strict=True):
         if name != Path(name).name:
-            raise InputError(
-                "template.value", f"the shape {name!r} has no name for a file", file=str(folder)
-            )
+            raise fault("value", f"the shape {name!r} has no name for a file", str(folder))
         write_ply(folder / f"{name}.ply", template.skin.moved(template.skin.vertices + delta))
 
 
@@ -157,7 +145,3 @@ def _write_sets(path: Path, sets: dict[str, Ints]) -> None:
         for name, vertices in sets.items()
     ]
     path.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
-
-
-def _numbers(point: Floats) -> str:
-    return json.dumps([float(value) for value in point])

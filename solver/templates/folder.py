@@ -8,7 +8,7 @@ will do as well. See docs/guide/templates.md.
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 from zipfile import ZipFile
@@ -23,7 +23,14 @@ from solver.meshio.raw import read_raw
 from solver.registration.units import AXES, UNITS
 from solver.storage import NOT_READABLE, check_directory
 from solver.surface import Floats, Surface
-from solver.templates.tables import Row, read_table, read_toml, read_vertex_sets, vertex_fault
+from solver.templates.tables import (
+    Row,
+    fault,
+    read_table,
+    read_toml,
+    read_vertex_sets,
+    vertex_fault,
+)
 
 FORMAT = 1  # of template.toml
 DESCRIPTION = "template.toml"
@@ -31,35 +38,6 @@ MAX_UNPACKED_BYTES = 2 * 2**30  # of a ZIP: no real template comes near
 SUFFIXES = (".ply", ".obj")
 PARTS = ("flesh", "face", "with_cranium", "with_mandible")  # sets of skin vertices in parts.json
 BONES = ("cranium", "mandible")
-
-
-@dataclass(frozen=True)
-class FolderFrame:
-    """Unit and axes of a folder: ``matrix`` (3, 3) turns its points into the product's, in mm."""
-
-    matrix: Floats
-
-    @classmethod
-    def of_axes(cls, unit: str, up: str, forward: str) -> FolderFrame:
-        """Return the frame of a unit and two axes such as ``z`` and ``-y``.
-
-        Raises :class:`InputError` (``template.frame``).
-        """
-        if unit not in UNITS or up not in AXES or forward not in AXES:
-            raise _frame_fault(f"unit is one of {', '.join(UNITS)}, axes are x, -x ... -z")
-        left = np.cross(AXES[up], AXES[forward])
-        if not left.any():
-            raise _frame_fault(f"up ({up}) and forward ({forward}) are along one axis")
-        return cls(UNITS[unit] * np.stack([left, AXES[up], AXES[forward]]))
-
-    def __call__(self, points: Floats) -> Floats:
-        """Return points (..., 3) in mm, x to the subject's left, y up, z forward."""
-        return points @ self.matrix.T
-
-    @property
-    def mm(self) -> float:
-        """The unit in mm."""
-        return float(np.linalg.norm(self.matrix[0]))
 
 
 def read_template(path: Path) -> Template:
@@ -74,265 +52,244 @@ def read_template(path: Path) -> Template:
         codes of :func:`solver.anatomy.template.check_arrays`.
     """
     if path.is_dir():
-        return _read(path)
+        return _Folder(path).template()
     with tempfile.TemporaryDirectory() as unpacked:
         try:
             with path.open("rb") as stream:
                 check_directory(stream)
                 _unpack(path.name, stream, unpacked)
         except NOT_READABLE as error:
-            raise InputError(
-                "template.unreadable",
-                f"{path.name} is neither a folder nor a ZIP: {error}",
-                file=path.name,
-            ) from error
+            reason = f"{path.name} is neither a folder nor a ZIP: {error}"
+            raise fault("unreadable", reason, path.name) from error
         inside = sorted(Path(unpacked).rglob(DESCRIPTION), key=lambda found: len(found.parts))
-        return _read(inside[0].parent if inside else Path(unpacked))
+        return _Folder(inside[0].parent if inside else Path(unpacked)).template()
 
 
 def _unpack(file: str, stream: IO[bytes], folder: str) -> None:
     with ZipFile(stream) as archive:
         size = sum(entry.file_size for entry in archive.infolist())
         if size > MAX_UNPACKED_BYTES:
-            raise InputError(
-                "template.too_large",
-                f"{file} unpacks to {size} bytes; at most {MAX_UNPACKED_BYTES} can be",
-                file=file,
-                expected=MAX_UNPACKED_BYTES,
-                found=size,
-            )
+            reason = f"{file} unpacks to {size} bytes; at most {MAX_UNPACKED_BYTES} can be"
+            raise fault("too_large", reason, file, expected=MAX_UNPACKED_BYTES, found=size)
         archive.extractall(folder)
 
 
-def _read(folder: Path) -> Template:
-    description = read_toml(folder / DESCRIPTION)
-    if description.get("format") != FORMAT:
-        raise _value_fault(f"format is {description.get('format')}, not {FORMAT}")
-    frame = _frame(description)
-    skin = _mesh(folder, "skin", frame)
-    count = len(skin.vertices)
-    parts = read_vertex_sets(folder / "parts.json", count)
-    absent = [name for name in PARTS if name not in parts]
-    if absent:
-        raise InputError(
-            "template.value", f"parts.json lacks {', '.join(absent)}", file="parts.json"
+class _Folder:
+    """A folder with its description, the ``matrix`` (3, 3) of its frame, and the skin in mm."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.description = read_toml(folder / DESCRIPTION)
+        if self.description.get("format") != FORMAT:
+            raise _value_fault(f"format is {self.description.get('format')}, not {FORMAT}")
+        self.matrix = self._matrix()
+        self.skin = self.mesh("skin")
+
+    def template(self) -> Template:
+        """Return the whole template."""
+        folder, skin, count = self.folder, self.skin, len(self.skin.vertices)
+        parts = read_vertex_sets(folder / "parts.json", count)
+        absent = [name for name in PARTS if name not in parts]
+        if absent:
+            raise fault("value", f"parts.json lacks {', '.join(absent)}", "parts.json")
+        cranium, mandible = (self.mesh(name) for name in BONES)
+        shapes = self.shapes()
+        mm = float(np.linalg.norm(self.matrix[0]))  # the unit
+        template = Template(
+            name=self.text("name"),
+            version=self.text("version"),
+            source=self.text("source"),
+            licence=self.text("licence"),
+            skin=skin,
+            flesh_faces=np.flatnonzero(np.isin(skin.faces, parts["flesh"]).all(axis=1)),
+            face_vertices=parts["face"],
+            attached_cranium=parts["with_cranium"],
+            attached_mandible=parts["with_mandible"],
+            parting=self.parting(shapes),
+            cranium=cranium,
+            mandible=mandible,
+            muscles=self.muscles(np.vstack([cranium.vertices, mandible.vertices])),
+            condyles=self.to_mm(np.stack([self.point("condyles", s) for s in ("left", "right")])),
+            back_z=mm * self.number("planes", "back"),
+            bottom_y=mm * self.number("planes", "bottom"),
+            landmarks=self.landmarks(),
+            regions=read_vertex_sets(folder / "regions.json", count),
+            shapes=shapes,
+            depths=self.depths(),
         )
-    bones = {name: _mesh(folder, name, frame) for name in BONES}
-    shapes = _shapes(folder, frame, skin)
-    template = Template(
-        name=_text(description, "name"),
-        version=_text(description, "version"),
-        source=_text(description, "source"),
-        licence=_text(description, "licence"),
-        skin=skin,
-        flesh_faces=np.flatnonzero(np.isin(skin.faces, parts["flesh"]).all(axis=1)),
-        face_vertices=parts["face"],
-        attached_cranium=parts["with_cranium"],
-        attached_mandible=parts["with_mandible"],
-        parting=_parting(folder, description, frame, skin, shapes),
-        cranium=bones["cranium"],
-        mandible=bones["mandible"],
-        muscles=_muscles(folder, frame, np.vstack([bones[name].vertices for name in BONES])),
-        condyles=frame(np.stack([_point(description, "condyles", s) for s in ("left", "right")])),
-        back_z=frame.mm * _number(description, "planes", "back"),
-        bottom_y=frame.mm * _number(description, "planes", "bottom"),
-        landmarks=_landmarks(folder, count),
-        regions=read_vertex_sets(folder / "regions.json", count),
-        shapes=shapes,
-        depths=_depths(folder),
-    )
-    check_arrays(template, folder.name)
-    return template
+        check_arrays(template, folder.name)
+        return template
+
+    def _matrix(self) -> Floats:
+        """Return what turns points of the folder into mm, x to the left, y up, z forward."""
+        given = self.description.get("frame", {})
+        if not isinstance(given, dict):
+            raise _value_fault("frame is no table")
+        usual = {"unit": "mm", "up": "y", "forward": "z"}
+        unit, up, forward = (str(given.get(key, value)) for key, value in usual.items())
+        if unit not in UNITS or up not in AXES or forward not in AXES:
+            raise _frame_fault(f"unit is one of {', '.join(UNITS)}, axes are x, -x ... -z")
+        left = np.cross(AXES[up], AXES[forward])
+        if not left.any():
+            raise _frame_fault(f"up ({up}) and forward ({forward}) are along one axis")
+        return np.asarray(UNITS[unit] * np.stack([left, AXES[up], AXES[forward]]))
+
+    def to_mm(self, points: Floats) -> Floats:
+        """Return points (..., 3) in the product's frame."""
+        return np.asarray(points @ self.matrix.T)
+
+    def mesh(self, name: str, file: Path | None = None) -> Surface:
+        """Return the mesh ``name`` with any known suffix, or that of ``file``."""
+        files = [file] if file else [self.folder / f"{name}{suffix}" for suffix in SUFFIXES]
+        path = next((each for each in files if each.is_file()), None)
+        if path is None:
+            shown = " or ".join(each.name for each in files)
+            raise fault("missing", f"{self.folder.name} has no {shown}", shown)
+        scan = read_raw(path)
+        wrong = np.flatnonzero(~np.isfinite(scan.vertices).all(axis=1))
+        if len(wrong):
+            reason = f"{path.name}: vertex {wrong[0]} is not finite"
+            raise fault("mesh", reason, path.name, vertex=int(wrong[0]))
+        if len(scan.faces) == 0:
+            raise fault("mesh", f"{path.name} has no faces", path.name)
+        return Surface(self.to_mm(scan.vertices), scan.faces)
+
+    def displacement(self, path: Path) -> Floats:
+        """Return the displacement (n, 3) to a mesh that must have the skin's vertices."""
+        vertices, rest = self.mesh(path.stem, path).vertices, self.skin.vertices
+        if len(vertices) != len(rest):
+            reason = f"{path.name} has {len(vertices)} vertices, the skin has {len(rest)}"
+            raise fault("mesh", reason, path.name, expected=len(rest), found=len(vertices))
+        return vertices - rest
+
+    def muscles(self, skull: Floats) -> tuple[Muscle, ...]:
+        """Return the muscles with the attachments of their rows, or else of their shapes."""
+        muscles: dict[str, Muscle] = {}
+        for row in read_table(self.folder / "muscles.csv", ("name", "file")):
+            name = row.cell("name")
+            if name in muscles:
+                raise row.fault(f"there is another muscle {name}")
+            file = self.folder / row.cell("file")
+            if not file.resolve().is_relative_to(self.folder.resolve()):
+                raise row.fault(f"file lies outside the folder: {row.text('file')!r}")
+            muscles[name] = self.muscle(row, name, self.mesh(name, file), skull)
+        if not muscles:
+            raise _value_fault("there is no muscle", "muscles.csv")
+        return tuple(muscles.values())
+
+    def muscle(self, row: Row, name: str, surface: Surface, skull: Floats) -> Muscle:
+        """Return one muscle; without any point in its row it gets an axis by its shape."""
+        ring = row.flag("ring")
+        origin, insertion, fibre = (row.point(each) for each in ("origin", "insertion", "fibre"))
+        if origin is None and insertion is None and fibre is None:
+            return replace(with_axis(name, surface, skull), ring=ring)
+        if origin is None or insertion is None:
+            raise row.fault("origin and insertion are given together, or neither")
+        axis = self.to_mm(insertion - origin if fibre is None else fibre)
+        length = np.linalg.norm(axis)
+        if length == 0:
+            raise row.fault("the fibre axis has no length")
+        ends = self.to_mm(origin), self.to_mm(insertion)
+        return Muscle(name, surface, axis / length, *ends, ring)
+
+    def landmarks(self) -> dict[str, int]:
+        """Return name -> skin vertex."""
+        count, landmarks = len(self.skin.vertices), dict[str, int]()
+        for row in read_table(self.folder / "landmarks.csv", ("name", "vertex")):
+            name, text = row.cell("name"), row.cell("vertex")
+            if name in landmarks:
+                raise row.fault(f"there is another landmark {name}")
+            if not text.isdecimal():
+                raise row.fault(f"vertex is no number: {text!r}")
+            if int(text) >= count:
+                reason = f"vertex {text} is none of the skin's {count}"
+                raise vertex_fault(row.file, name, reason, int(text))
+            landmarks[name] = int(text)
+        return landmarks
+
+    def depths(self) -> tuple[Depth, ...]:
+        """Return the depths in mm, whatever the folder's unit; a template may come without any."""
+        path, depths = self.folder / "depths.csv", []
+        if not path.exists():
+            return ()
+        for row in read_table(path, ("landmark", "bone", "depth_mm", "source")):
+            if row.cell("bone") not in BONES:
+                raise row.fault(f"bone is neither of {' and '.join(BONES)}: {row.text('bone')!r}")
+            deviation = row.number("sd_mm") if row.text("sd_mm") else None
+            landmark, mean = row.cell("landmark"), row.number("depth_mm")
+            depths.append(Depth(landmark, row.text("bone"), mean, deviation, row.cell("source")))
+        return tuple(depths)
+
+    def shapes(self) -> ShapeBasis | None:
+        """Return how the skin varies, from whole meshes in ``expressions`` and ``identities``."""
+        names, expressions = self._deltas("expressions")
+        _, identities = self._deltas("identities")
+        if not len(expressions) and not len(identities):
+            return None
+        return ShapeBasis(identities, expressions, names)
+
+    def _deltas(self, name: str) -> tuple[tuple[str, ...], NDArray[np.float32]]:
+        files = sorted(path for path in (self.folder / name).glob("*") if path.suffix in SUFFIXES)
+        deltas = np.empty((len(files), *self.skin.vertices.shape), dtype=np.float32)
+        for delta, path in zip(deltas, files, strict=True):
+            delta[:] = self.displacement(path)
+        return tuple(path.stem for path in files), deltas
+
+    def parting(self, shapes: ShapeBasis | None) -> Floats:
+        """Return the displacement (n, 3) that parts the lips, of a mesh or weighted expressions."""
+        for suffix in SUFFIXES:
+            if (path := self.folder / f"parted{suffix}").is_file():
+                return self.displacement(path)
+        weights = self.description.get("parting")
+        if "parting" not in self.description:
+            reason = f"has neither parted.ply nor parted.obj, and {DESCRIPTION} no [parting]"
+            raise fault("missing", f"{self.folder.name} {reason}", "parted.ply")
+        if not isinstance(weights, dict):
+            raise _value_fault("parting is no table")
+        parting = np.zeros_like(self.skin.vertices)
+        for name in weights:
+            if shapes is None or name not in shapes.expression_names:
+                raise _value_fault(f"[parting] names the expression {name}, which is not there")
+            shape = shapes.expressions[shapes.expression_names.index(name)]
+            parting += self.number("parting", name) * shape
+        return parting
+
+    def text(self, key: str) -> str:
+        """Return a text of the description."""
+        value = self.description.get(key)
+        if not isinstance(value, str) or not value.strip():
+            raise _value_fault(f"{key} is missing or empty")
+        return value
+
+    def number(self, table: str, key: str) -> float:
+        """Return a number of one of the description's tables."""
+        value = self._value(table, key)
+        if not _is_number(value):
+            raise _value_fault(f"[{table}] {key} is no number")
+        return float(value)
+
+    def point(self, table: str, key: str) -> Floats:
+        """Return a point (3,) of one of the description's tables."""
+        value = self._value(table, key)
+        if not isinstance(value, list) or len(value) != 3:
+            raise _value_fault(f"[{table}] {key} is no list of three numbers")
+        if not all(map(_is_number, value)):
+            raise _value_fault(f"[{table}] {key} is no number")
+        return np.array(value, dtype=float)
+
+    def _value(self, table: str, key: str) -> Any:
+        values = self.description.get(table)
+        return values.get(key) if isinstance(values, dict) else None
 
 
-def _frame(description: dict[str, Any]) -> FolderFrame:
-    given = description.get("frame", {})
-    if not isinstance(given, dict):
-        raise _value_fault("frame is no table")
-    return FolderFrame.of_axes(
-        str(given.get("unit", "mm")), str(given.get("up", "y")), str(given.get("forward", "z"))
-    )
-
-
-def _mesh(folder: Path, name: str, frame: FolderFrame, file: Path | None = None) -> Surface:
-    """Return the mesh ``name`` with any known suffix, or that of ``file``."""
-    path = file or next(
-        (found for suffix in SUFFIXES if (found := folder / f"{name}{suffix}").is_file()), None
-    )
-    if path is None or not path.is_file():
-        shown = path.name if path else f"{name}.ply or {name}.obj"
-        raise InputError("template.missing", f"{folder.name} has no {shown}", file=shown)
-    scan = read_raw(path)
-    wrong = np.flatnonzero(~np.isfinite(scan.vertices).all(axis=1))
-    if len(wrong):
-        raise InputError(
-            "template.mesh",
-            f"{path.name}: vertex {wrong[0]} is not finite",
-            file=path.name,
-            vertex=int(wrong[0]),
-        )
-    if len(scan.faces) == 0:
-        raise InputError("template.mesh", f"{path.name} has no faces", file=path.name)
-    return Surface(frame(scan.vertices), scan.faces)
-
-
-def _muscles(folder: Path, frame: FolderFrame, skull: Floats) -> tuple[Muscle, ...]:
-    rows = read_table(folder / "muscles.csv", ("name", "file"))
-    muscles: dict[str, Muscle] = {}
-    for row in rows:
-        name = row.cell("name")
-        if name in muscles:
-            raise row.fault(f"there is another muscle {name}")
-        file = folder / row.cell("file")
-        if not file.resolve().is_relative_to(folder.resolve()):
-            raise row.fault(f"file lies outside the folder: {row.text('file')!r}")
-        surface = _mesh(folder, name, frame, file)
-        muscles[name] = _muscle(row, name, surface, frame, skull)
-    if not muscles:
-        raise _value_fault("there is no muscle", "muscles.csv")
-    return tuple(muscles.values())
-
-
-def _muscle(row: Row, name: str, surface: Surface, frame: FolderFrame, skull: Floats) -> Muscle:
-    """Return a muscle with the attachments and fibre axis of its row, or else of its shape."""
-    ring = row.flag("ring")
-    origin, insertion, fibre = (row.point(each) for each in ("origin", "insertion", "fibre"))
-    if origin is None and insertion is None and fibre is None:
-        return replace(with_axis(name, surface, skull), ring=ring)
-    if origin is None or insertion is None:
-        raise row.fault("origin and insertion are given together, or neither")
-    axis = frame(insertion - origin if fibre is None else fibre)
-    length = np.linalg.norm(axis)
-    if length == 0:
-        raise row.fault("the fibre axis has no length")
-    return Muscle(name, surface, axis / length, frame(origin), frame(insertion), ring)
-
-
-def _landmarks(folder: Path, count: int) -> dict[str, int]:
-    landmarks: dict[str, int] = {}
-    for row in read_table(folder / "landmarks.csv", ("name", "vertex")):
-        name, text = row.cell("name"), row.cell("vertex")
-        if name in landmarks:
-            raise row.fault(f"there is another landmark {name}")
-        if not text.isdecimal():
-            raise row.fault(f"vertex is no number: {text!r}")
-        if int(text) >= count:
-            reason = f"vertex {text} is none of the skin's {count}"
-            raise vertex_fault(row.file, name, reason, int(text))
-        landmarks[name] = int(text)
-    return landmarks
-
-
-def _depths(folder: Path) -> tuple[Depth, ...]:
-    """Return the depths in mm, whatever the folder's unit; a template may come without any."""
-    path = folder / "depths.csv"
-    if not path.exists():
-        return ()
-    depths = []
-    for row in read_table(path, ("landmark", "bone", "depth_mm", "source")):
-        if row.cell("bone") not in BONES:
-            raise row.fault(f"bone is neither of {' and '.join(BONES)}: {row.text('bone')!r}")
-        deviation = row.number("sd_mm") if row.text("sd_mm") else None
-        depths.append(
-            Depth(
-                row.cell("landmark"),
-                row.text("bone"),
-                row.number("depth_mm"),
-                deviation,
-                row.cell("source"),
-            )
-        )
-    return tuple(depths)
-
-
-def _shapes(folder: Path, frame: FolderFrame, skin: Surface) -> ShapeBasis | None:
-    """Return how the skin varies, from whole meshes in ``expressions`` and ``identities``."""
-    names, expressions = _deltas(folder / "expressions", frame, skin)
-    _, identities = _deltas(folder / "identities", frame, skin)
-    if not len(expressions) and not len(identities):
-        return None
-    return ShapeBasis(identities, expressions, names)
-
-
-def _deltas(
-    folder: Path, frame: FolderFrame, skin: Surface
-) -> tuple[tuple[str, ...], NDArray[np.float32]]:
-    files = sorted(path for path in folder.glob("*") if path.suffix in SUFFIXES)
-    deltas = np.empty((len(files), *skin.vertices.shape), dtype=np.float32)
-    for delta, path in zip(deltas, files, strict=True):
-        delta[:] = _in_topology(path, frame, skin) - skin.vertices
-    return tuple(path.stem for path in files), deltas
-
-
-def _in_topology(path: Path, frame: FolderFrame, skin: Surface) -> Floats:
-    """Return the vertices (n, 3) of a mesh that must have the skin's."""
-    vertices = _mesh(path.parent, path.stem, frame, path).vertices
-    if len(vertices) != len(skin.vertices):
-        raise InputError(
-            "template.mesh",
-            f"{path.name} has {len(vertices)} vertices, the skin has {len(skin.vertices)}",
-            file=path.name,
-            expected=len(skin.vertices),
-            found=len(vertices),
-        )
-    return vertices
-
-
-def _parting(
-    folder: Path,
-    description: dict[str, Any],
-    frame: FolderFrame,
-    skin: Surface,
-    shapes: ShapeBasis | None,
-) -> Floats:
-    """Return the displacement (n, 3) that parts the lips, of a mesh or of weighted expressions."""
-    for suffix in SUFFIXES:
-        if (path := folder / f"parted{suffix}").is_file():
-            return _in_topology(path, frame, skin) - skin.vertices
-    if "parting" not in description:
-        raise InputError(
-            "template.missing",
-            f"{folder.name} has neither parted.ply nor parted.obj, and {DESCRIPTION} no [parting]",
-            file="parted.ply",
-        )
-    if not isinstance(description["parting"], dict):
-        raise _value_fault("parting is no table")
-    parting = np.zeros_like(skin.vertices)
-    known = () if shapes is None else shapes.expression_names
-    for name in description["parting"]:
-        if shapes is None or name not in known:
-            raise _value_fault(f"[parting] names the expression {name}, which is not there")
-        weight = _number(description, "parting", name)
-        parting += weight * shapes.expressions[known.index(name)]
-    return parting
-
-
-def _text(description: dict[str, Any], key: str) -> str:
-    value = description.get(key)
-    if not isinstance(value, str) or not value.strip():
-        raise _value_fault(f"{key} is missing or empty")
-    return value
-
-
-def _number(description: dict[str, Any], table: str, key: str) -> float:
-    values = description.get(table)
-    value = values.get(key) if isinstance(values, dict) else None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise _value_fault(f"[{table}] {key} is no number")
-    return float(value)
-
-
-def _point(description: dict[str, Any], table: str, key: str) -> Floats:
-    values = description.get(table)
-    value = values.get(key) if isinstance(values, dict) else None
-    if not isinstance(value, list) or len(value) != 3:
-        raise _value_fault(f"[{table}] {key} is no list of three numbers")
-    return np.array([_number({table: {key: each}}, table, key) for each in value])
+def _is_number(value: Any) -> bool:
+    whole_or_float = isinstance(value, int | float) and not isinstance(value, bool)
+    return whole_or_float and bool(np.isfinite(value))
 
 
 def _value_fault(reason: str, file: str = DESCRIPTION) -> InputError:
-    return InputError("template.value", f"{file}: {reason}", file=file)
+    return fault("value", f"{file}: {reason}", file)
 
 
 def _frame_fault(reason: str) -> InputError:
-    return InputError("template.frame", f"{DESCRIPTION}: {reason}", file=DESCRIPTION)
+    return fault("frame", f"{DESCRIPTION}: {reason}", DESCRIPTION)

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from solver.anatomy.domain import split_quads
 from solver.anatomy.template import ShapeBasis
 from solver.errors import InputError
 from solver.model import SubjectModel
@@ -31,7 +32,6 @@ from solver.templates.export import CaptureSet
 # standard deviation of a component away from it, and every other OBJ is one expression at its full
 # strength. A shape is the difference to the neutral.
 
-
 NEUTRAL = "generic_neutral_mesh"
 _IDENTITY = re.compile(r"identity\d{3}")
 
@@ -42,11 +42,8 @@ def public_facekit(folder: Path) -> dict[str, np.ndarray]:
     ``V`` (n, 3), ``quads`` (f, 4), ``E`` (e, n, 3) with names ``ex`` (e), ``I`` (k, n, 3).
     ``folder`` holds the OBJs at any depth, or an archive of the repository.
 
-    Raises
-    ------
-    InputError
-        ``faces.unreadable`` if there is no neutral, ``faces.topology`` if a shape has another
-        number of vertices, ``download.*`` for a file that cannot be read.
+    Raises :class:`InputError`: ``faces.unreadable`` if there is no neutral, ``faces.topology`` if a
+    shape has another number of vertices, ``download.*`` for a file that cannot be read.
     """
     files = _of_one_folder(folder)
     neutral, quads = obj_mesh(files.pop(NEUTRAL))
@@ -79,13 +76,7 @@ def _shapes(files: list[PublicFile], neutral: Floats) -> np.ndarray:
     for shape, file in zip(shapes, files, strict=True):
         vertices = obj_vertices(file)
         if len(vertices) != len(neutral):
-            raise InputError(
-                "faces.topology",
-                f"{file} has {len(vertices)} vertices, the neutral has {len(neutral)}",
-                file=str(file),
-                expected=len(neutral),
-                found=len(vertices),
-            )
+            raise _topology_fault(file, len(vertices), "the neutral", len(neutral))
         shape[:] = vertices - neutral
     return shapes
 
@@ -93,7 +84,6 @@ def _shapes(files: list[PublicFile], neutral: Floats) -> np.ndarray:
 # The head and its variation, from the published files or from one: ``ict_facekit.npz`` holds ``V``
 # (26719, 3) neutral in cm, ``quads`` with -1 in the fourth column of a triangle, ``E`` and ``ex``
 # expression displacements and their names, ``I`` and ``idn`` identities.
-
 
 VERTEX_COUNT = 26719  # of the published topology
 MM_PER_UNIT = 10.0  # published in cm
@@ -134,19 +124,20 @@ class FaceKit:
     deltas: dict[str, Floats]
     identities: Floats
 
+    def part(self, vertices: range) -> Surface:
+        """Return the skin with only the faces whose vertices all lie in a range."""
+        skin = self.skin
+        return Surface(skin.vertices, skin.faces[faces_within(skin.faces, vertices)])
+
 
 def read_facekit(folder: Path) -> FaceKit:
     """Return the neutral head, its expressions and its identities.
 
-    ``folder`` holds ``ict_facekit.npz``, or else the model as USC ICT publishes it
-    (:mod:`solver.templates.ict_facekit`).
+    ``folder`` holds ``ict_facekit.npz``, or else the model as USC ICT publishes it.
 
-    Raises
-    ------
-    InputError
-        ``faces.unreadable`` if there is neither or ``ict_facekit.npz`` is not such a file,
-        ``faces.topology`` if its vertices are not those of ICT-FaceKit, or as
-        :func:`~solver.templates.ict_facekit.public_facekit`.
+    Raises :class:`InputError`: ``faces.unreadable`` if there is neither or ``ict_facekit.npz`` is
+    not such a file, ``faces.topology`` if its vertices are not those of ICT-FaceKit, or as
+    :func:`public_facekit`.
     """
     path = folder / "ict_facekit.npz"
     if not path.exists():
@@ -162,25 +153,28 @@ def read_facekit(folder: Path) -> FaceKit:
 
 
 def _face_kit(data: dict[str, np.ndarray], path: Path) -> FaceKit:
-    vertices = data["V"].astype(float) * MM_PER_UNIT
+    vertices, expressions, identities = (MM_PER_UNIT * data[key].astype(float) for key in "VEI")
     if len(vertices) != VERTEX_COUNT:
-        raise InputError(
-            "faces.topology",
-            f"{path} has {len(vertices)} vertices, ICT-FaceKit has {VERTEX_COUNT}",
-            file=str(path),
-            expected=VERTEX_COUNT,
-            found=len(vertices),
-        )
+        raise _topology_fault(path, len(vertices), "ICT-FaceKit", VERTEX_COUNT)
     skin = Surface(vertices, triangulate(data["quads"].astype(np.int64)))
     names = [str(name) for name in data["ex"]]
-    deltas = dict(zip(names, data["E"].astype(float) * MM_PER_UNIT, strict=True))
-    return FaceKit(skin, deltas, data["I"].astype(float) * MM_PER_UNIT)
+    return FaceKit(skin, dict(zip(names, expressions, strict=True)), identities)
+
+
+def _topology_fault(file: object, found: int, whose: str, expected: int) -> InputError:
+    return InputError(
+        "faces.topology",
+        f"{file} has {found} vertices, {whose} has {expected}",
+        file=str(file),
+        expected=expected,
+        found=found,
+    )
 
 
 def triangulate(quads: Ints) -> Ints:
     """Return triangles (f, 3) of quads (k, 4) whose fourth vertex is -1 where it is a triangle."""
     whole = quads[:, 3] >= 0
-    return np.vstack([quads[whole][:, :3], quads[whole][:, [0, 2, 3]], quads[~whole][:, :3]])
+    return np.vstack([split_quads(quads[whole]), quads[~whole, :3]])
 
 
 def faces_within(faces: Ints, vertices: range) -> Ints:
@@ -190,10 +184,8 @@ def faces_within(faces: Ints, vertices: range) -> Ints:
 
 def arkit_name(expression: str) -> str:
     """Return ARKit's name of an expression: ``browDown_L`` is ``browDownLeft`` there."""
-    for ending, side in (("_L", "Left"), ("_R", "Right")):
-        if expression.endswith(ending):
-            return expression.removesuffix(ending) + side
-    return expression
+    sides = {"_L": "Left", "_R": "Right"}
+    return expression[:-2] + sides[expression[-2:]] if expression[-2:] in sides else expression
 
 
 def shape_basis(kit: FaceKit) -> ShapeBasis:
@@ -213,33 +205,30 @@ Weights = dict[str, float]
 def ict_capture_set(faces: Path, subject: str, capture_sets: Path | None = None) -> CaptureSet:
     """Return the scans (mm) of one subject of a capture-sets file.
 
-    Parameters
-    ----------
-    faces
-        Folder of ICT-FaceKit.
-    subject
-        A subject's name in the file, such as ``A``.
-    capture_sets
-        The file; default: ``capture_sets.json`` in ``faces``.
+    ``faces`` is the folder of ICT-FaceKit, ``subject`` a name in the file, such as ``A``, and
+    ``capture_sets`` the file; default: ``capture_sets.json`` in ``faces``.
 
-    Raises
-    ------
-    InputError
-        ``captures.unreadable``, ``captures.subject`` or ``captures.expression`` (a shape that
-        ICT-FaceKit does not have), or as :func:`~solver.templates.ict_facekit.read_facekit`.
+    Raises :class:`InputError`: ``captures.unreadable``, ``captures.subject`` or
+    ``captures.expression`` (a shape that ICT-FaceKit does not have), or as :func:`read_facekit`.
     """
     path = capture_sets or faces / "capture_sets.json"
     sets = _read(path)
     kit = read_facekit(faces)
     neutral = ict_neutral(kit, faces, subject, capture_sets)
 
-    def scans(expressions: dict[str, Weights]) -> dict[str, Surface]:
-        return {
-            name: neutral.moved(neutral.vertices + _displacement(kit, weights, path))
-            for name, weights in expressions.items()
-        }
+    def scan(weights: Weights) -> Surface:
+        unknown = [name for name in weights if name not in kit.deltas]
+        if unknown:
+            raise InputError(
+                "captures.expression", f"ICT-FaceKit has no expression {unknown[0]}", file=str(path)
+            )
+        moves = (weight * kit.deltas[name] for name, weight in weights.items())
+        return neutral.moved(neutral.vertices + sum(moves, np.zeros_like(neutral.vertices)))
 
-    return CaptureSet(neutral, scans(sets["train"]), scans(sets["test"]))
+    train, test = (
+        {name: scan(weights) for name, weights in sets[kind].items()} for kind in ("train", "test")
+    )
+    return CaptureSet(neutral, train, test)
 
 
 def ict_neutral(
@@ -264,38 +253,25 @@ def identity(kit: FaceKit, seed: int) -> Surface:
     return kit.skin.moved(kit.skin.vertices + np.tensordot(coefficients, kit.identities, 1))
 
 
-def _displacement(kit: FaceKit, weights: Weights, path: Path) -> Floats:
-    total = np.zeros_like(kit.skin.vertices)
-    for name, weight in weights.items():
-        if name not in kit.deltas:
-            raise InputError(
-                "captures.expression", f"ICT-FaceKit has no expression {name}", file=str(path)
-            )
-        total += weight * kit.deltas[name]
-    return total
-
-
 def _read(path: Path) -> dict[str, Any]:
+    """Return a capture-sets file; of several faults the first is told."""
     try:
         sets: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         missing = {"subjects", "train", "test"} - sets.keys()
     except FileNotFoundError:
-        raise InputError(
-            "captures.unreadable",
-            f"there is no {path.name} in {path.parent}: it names the subjects and expressions",
-            file=str(path),
-        ) from None
+        needed = "it names the subjects and expressions"
+        raise _unreadable(path, f"there is no {path.name} in {path.parent}: {needed}") from None
     except (OSError, ValueError, AttributeError) as error:
-        raise InputError(
-            "captures.unreadable", f"{path} is not a capture-sets file: {error}", file=str(path)
-        ) from error
+        raise _unreadable(path, f"{path} is not a capture-sets file: {error}") from error
     if missing:
-        raise InputError(
-            "captures.unreadable", f"{path} lacks {', '.join(sorted(missing))}", file=str(path)
-        )
+        raise _unreadable(path, f"{path} lacks {', '.join(sorted(missing))}")
     for fault in _faults(sets):
-        raise InputError("captures.unreadable", f"{path.name}: {fault}", file=str(path))
+        raise _unreadable(path, f"{path.name}: {fault}")
     return sets
+
+
+def _unreadable(path: Path, reason: str) -> InputError:
+    return InputError("captures.unreadable", reason, file=str(path))
 
 
 def _faults(sets: dict[str, Any]) -> Iterator[str]:
@@ -307,13 +283,11 @@ def _faults(sets: dict[str, Any]) -> Iterator[str]:
             return
     for name, subject in sets["subjects"].items():
         seed = subject.get("identity_seed", "")
-        whole = isinstance(seed, int) and not isinstance(seed, bool) and seed >= 0
-        if not (seed is None or whole):
+        if seed is not None and not (type(seed) is int and seed >= 0):
             yield f"subject {name} has no identity_seed: null, or a whole number from 0"
     for name, weights in [*sets["train"].items(), *sets["test"].items()]:
         for shape, weight in weights.items():
-            number = isinstance(weight, int | float) and not isinstance(weight, bool)
-            if not (number and np.isfinite(weight)):
+            if type(weight) not in (int, float) or not np.isfinite(weight):
                 yield f"expression {name}: the weight of {shape} is not a number but {weight!r}"
     for name in sorted(sets["train"].keys() & sets["test"].keys()):
         yield f"expression {name} is both in train and in test"
@@ -351,8 +325,7 @@ class IctPerformance:
 
     def frame(self, number: int) -> Floats:
         """Return the skin (V, 3) in a frame, mm."""
-        motion = self.weights[number] @ self.shapes
-        return np.asarray(self.neutral + motion.reshape(-1, 3), np.float64)
+        return np.asarray(self.neutral + (self.weights[number] @ self.shapes).reshape(-1, 3))
 
 
 def performance_frames(
@@ -360,22 +333,20 @@ def performance_frames(
 ) -> IctPerformance:
     """Return a Live Link Face recording as the skin of an ICT-FaceKit subject.
 
-    ``faces`` is ICT-FaceKit's folder; ``subject`` and ``capture_sets`` are as in
-    :func:`~solver.templates.ict_facekit.ict_capture_set`, as are the errors; a recording that can
-    not be used is :func:`~solver.scans.live_link.read_live_link`'s.
+    ``faces``, ``subject``, ``capture_sets`` and errors are as in :func:`ict_capture_set`; a
+    recording that cannot be used is :func:`~solver.scans.live_link.read_live_link`'s.
     """
-    take = read_live_link(recording)
-    kit = read_facekit(faces)
+    take, kit = read_live_link(recording), read_facekit(faces)
     return drive(kit, ict_neutral(kit, faces, subject, capture_sets).vertices, take)
 
 
 def drive(kit: FaceKit, neutral: Floats, take: LiveLinkTake) -> IctPerformance:
     """Return the performance of a person with the skin ``neutral`` (V, 3), mm."""
-    column = {name: number for number, name in enumerate(ARKIT_NAMES)}
-    sources = {name: column.get(arkit_source(name)) for name in kit.deltas}
-    driven = {name: source for name, source in sources.items() if source is not None}
+    sources = {name: arkit_source(name) for name in kit.deltas}
+    driven = {name: source for name, source in sources.items() if source in ARKIT_NAMES}
+    columns = [ARKIT_NAMES.index(source) for source in driven.values()]
     shapes = np.stack([kit.deltas[name].ravel() for name in driven])
-    return IctPerformance(neutral, shapes, take.weights[:, list(driven.values())], take.times)
+    return IctPerformance(neutral, shapes, take.weights[:, columns], take.times)
 
 
 def model_performance(faces: Path, recording: Path, model: SubjectModel) -> IctPerformance:

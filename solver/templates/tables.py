@@ -6,7 +6,7 @@ import csv
 import json
 import re
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -62,12 +62,7 @@ class Row:
 
     def fault(self, reason: str) -> InputError:
         """Return an error about this line."""
-        return InputError(
-            "template.table",
-            f"{self.file}, line {self.line}: {reason}",
-            file=self.file,
-            line=self.line,
-        )
+        return _table_fault(self.file, self.line, reason)
 
 
 def read_table(path: Path, columns: Iterable[str]) -> list[Row]:
@@ -76,16 +71,10 @@ def read_table(path: Path, columns: Iterable[str]) -> list[Row]:
     Raises :class:`InputError`: ``template.missing`` if there is no such file, ``template.table``
     for one that is no such table.
     """
-    text = _read_text(path)
-    reader = csv.DictReader(text.splitlines())
+    reader = csv.DictReader(_read_text(path).splitlines())
     missing = set(columns) - set(reader.fieldnames or ())
     if missing:
-        raise InputError(
-            "template.table",
-            f"{path.name}, line 1: lacks the columns {', '.join(sorted(missing))}",
-            file=path.name,
-            line=1,
-        )
+        raise _table_fault(path.name, 1, f"lacks the columns {', '.join(sorted(missing))}")
     rows = []
     for cells in reader:
         row = Row(path.name, reader.line_num, {k: (v or "").strip() for k, v in cells.items() if k})
@@ -97,10 +86,8 @@ def read_table(path: Path, columns: Iterable[str]) -> list[Row]:
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Return a TOML file; raises ``template.missing`` or ``template.unreadable``."""
-    try:
-        return tomllib.loads(_read_text(path))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError("template.unreadable", f"{path.name}: {error}", file=path.name) from error
+    description: dict[str, Any] = _parse(path, tomllib.loads)
+    return description
 
 
 def read_vertex_sets(path: Path, count: int) -> dict[str, Ints]:
@@ -109,15 +96,9 @@ def read_vertex_sets(path: Path, count: int) -> dict[str, Ints]:
     Raises :class:`InputError`: ``template.missing``, ``template.unreadable``, or
     ``template.vertex`` for what is no vertex of the ``count``.
     """
-    text = _read_text(path)
-    try:
-        sets = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError("template.unreadable", f"{path.name}: {error}", file=path.name) from error
+    sets = _parse(path, json.loads)
     if not isinstance(sets, dict) or not all(isinstance(value, list) for value in sets.values()):
-        raise InputError(
-            "template.unreadable", f"{path.name} is no object of lists", file=path.name
-        )
+        raise fault("unreadable", f"{path.name} is no object of lists", path.name)
     return {name: _vertices(path.name, name, value, count) for name, value in sets.items()}
 
 
@@ -150,15 +131,30 @@ def _vertices(file: str, name: str, items: list[Any], count: int) -> Ints:
 
 def vertex_fault(file: str, name: str, reason: str, vertex: int | None = None) -> InputError:
     """Return an error about a vertex number of an entry ``name``."""
-    return InputError("template.vertex", f"{file}, {name}: {reason}", file=file, vertex=vertex)
+    return fault("vertex", f"{file}, {name}: {reason}", file, vertex=vertex)
+
+
+def fault(code: str, reason: str, file: str, **context: Any) -> InputError:
+    """Return an error about a file of the folder; ``template.`` is put before the code."""
+    return InputError(f"template.{code}", reason, file=file, **context)
+
+
+def _table_fault(file: str, line: int, reason: str) -> InputError:
+    return fault("table", f"{file}, line {line}: {reason}", file, line=line)
+
+
+def _parse(path: Path, parse: Callable[[str], Any]) -> Any:
+    text = _read_text(path)
+    try:
+        return parse(text)
+    except (ValueError, RecursionError) as error:
+        raise fault("unreadable", f"{path.name}: {error}", path.name) from error
 
 
 def _read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8-sig")  # spreadsheets begin CSV files with a mark
     except FileNotFoundError:
-        raise InputError(
-            "template.missing", f"{path.parent.name} has no {path.name}", file=path.name
-        ) from None
+        raise fault("missing", f"{path.parent.name} has no {path.name}", path.name) from None
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError("template.unreadable", f"{path.name}: {error}", file=path.name) from error
+        raise fault("unreadable", f"{path.name}: {error}", path.name) from error

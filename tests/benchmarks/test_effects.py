@@ -24,7 +24,7 @@ def subject():
     face = Face(model)
     a = np.array([[0.8, 0.0, 0.0, 1.1, 0.0, 1.1]] * 2)
     b = np.array([0.04, 0.0, 0.0, 0.0, 0.0])
-    state = face.continuation(face.rest_state(), Pose(a, b))
+    state = face.continuation(face.rest, Pose(a, b))
     skin = face.whole_skin(state.x, b)
     fit = ExpressionFit("wide", "train", a, b, skin, skin, np.zeros(len(skin)), 0, 1, 0.0, 0.0)
     return effects.Subject(model, model.weights, [fit], Places(model, {}))

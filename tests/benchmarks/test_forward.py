@@ -17,7 +17,7 @@ def test_one_mesh_twice_costs_the_same_steps() -> None:
     face = Face(model)
     scans = {}
     for number, pose in enumerate(poses(2)):
-        state = face.continuation(face.rest_state(), pose)
+        state = face.continuation(face.rest, pose)
         vertices = face.whole_skin(state.x, pose.b)
         scans[f"expression {number}"] = replace(model.skin, vertices=vertices)
     captures = CaptureSet(model.skin, {}, scans)

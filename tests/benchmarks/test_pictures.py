@@ -13,7 +13,7 @@ from tests.solver.block import block_model
 def test_a_fit_that_is_off_is_redder(tmp_path: Path) -> None:
     model = block_model()
     face = Face(model)
-    rest = face.rest_state()
+    rest = face.rest
     a = rest.pose.a.copy()
     a[0, 0] = 0.6
     moved = face.continuation(rest, Pose(a, rest.pose.b))

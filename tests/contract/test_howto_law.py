@@ -28,7 +28,7 @@ from tests.solver.block import block_model, poses
 
 model = block_model()
 {use}
-pose, rest = poses(1)[0], face.rest_state()
+pose, rest = poses(1)[0], face.rest
 stretch = np.diag([1.1, 0.9, 1.05])
 identity, moduli = tuple(face.flesh.passive()[0]), (1.0, 1.0, 3.0, 5.0)
 psi = laws.density(2, tuple(stretch.ravel()), identity, moduli)

@@ -7,11 +7,10 @@ with x the equilibrium of active and passive tissue (:mod:`.tissue`) and v_i tet
 muscle volume, so that no weight depends on the mesh's resolution (Ichim et al., Phace, SIGGRAPH
 2017). Reduced-space Gauss-Newton as in :mod:`solver.fitting.activation`: x is eliminated. Before
 each step for (a, b) every muscle's contraction is found for the activations at hand (local), then
-a and b are solved for together (global). From the neutral face a fit goes in viscous flesh
-(:mod:`.creep`), which does not buckle, then from equilibrium to equilibrium (:mod:`.descent`).
+a and b are solved for together (global; :mod:`.saddle`). :mod:`.descent` is the way down.
 """
 
-from solver.fitting.per_tet.fit import PerTetFit, fit
-from solver.fitting.per_tet.objective import Objective, PerTetOptions
+from solver.fitting.per_tet.descent import PerTetFit, fit
+from solver.fitting.per_tet.objective import Objective, PerTetOptions, PerTetPriors
 
-__all__ = ["Objective", "PerTetFit", "PerTetOptions", "fit"]
+__all__ = ["Objective", "PerTetFit", "PerTetOptions", "PerTetPriors", "fit"]

@@ -1,31 +1,110 @@
-"""From equilibrium to equilibrium to a minimum of f; where the flesh folds, over the fold.
+"""The fit of the per-tet model: through viscous flesh, then from equilibrium to equilibrium.
 
-At a fold no short step helps: the flesh snaps into another equilibrium, where f may at first be
-higher. The best state of all is kept.
+Single tets take extreme activations, under which the flesh buckles again and again; at a fold no
+short step helps, and what a long one leads to is chance. Viscous flesh has no folds: each step
+starts with the creep since the one before, so a fit sees buckling begin and goes against it. The
+viscosity falls from step to step, and what is left of it is settled at the end. From there the
+descent goes in equilibria; where the flesh folds it snaps over the fold into another equilibrium,
+where f may at first be higher. The best state of all is kept.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
 
-from solver.errors import SolveError
+from solver.errors import InputError, SolveError
 from solver.fitting import stretches
-from solver.fitting.face import Pose, State
+from solver.fitting.controls import JAW_UNITS
+from solver.fitting.face import Face, Pose, State
+from solver.fitting.least_squares import DampingOptions
 from solver.fitting.objective import Term
-from solver.fitting.per_tet.damping import Damping
+from solver.fitting.per_tet import tissue as tissues
 from solver.fitting.per_tet.objective import Objective, PerTetOptions
 from solver.fitting.per_tet.saddle import Quadratic, SaddleSolver
 from solver.fitting.per_tet.tissue import Tissue
-from solver.surface import Floats
-
-# From one equilibrium of a per-tet model to the next, along a Gauss-Newton step.
+from solver.surface import Floats, Ints
 
 
-CORRECTIONS = 8  # Newton steps to an equilibrium nearby
+@dataclass(frozen=True)
+class TetDescentOptions:
+    """Trust in the linear model, the rules of the dampings, and the way down."""
+
+    largest_step: float = 0.5  # a tet's change |dS(a_i)|, relative
+    largest_jaw_step: float = 2.0  # mm
+    tets: DampingOptions = field(default_factory=lambda: DampingOptions(1.0, least=1e-7, grow=8.0))
+    jaw: DampingOptions = field(default_factory=lambda: DampingOptions(1e-2, least=1e-7, grow=8.0))
+    refused: float = 16.0  # factor for all when a step and its half are refused
+
+    corrections: int = 8  # Newton steps to an equilibrium nearby
+    tries: int = 2  # whole and half steps before the damping grows
+    snaps: int = 6  # over a fold, at most
+    snap_loss: float = 2.5  # f behind a fold, as a multiple of the least, at most
+    snap_iterations: int = 30  # Newton steps to an equilibrium behind a fold
+    small_gains: int = 2  # in turn, at the end: a single one may just have been damped
+    unstuck: float = 0.02  # gain, relative to f, after which a refused step is forgotten
+    patience: int = 6  # iterations without a new least f before it counts as the minimum
+
+    # relative to the stiffness at rest; with less the flesh snaps on the way as it does without
+    viscosities: tuple[float, ...] = (1.0, 0.5, 0.25, 0.12, 0.06)
+    viscous_steps: int = 4  # with each of them
+    viscous_tries: int = 3  # whole, half and quarter steps before the damping grows
+    cycles: int = 4  # times that the flesh creeps: again from wherever a descent gets stuck ...
+    enough: float = 0.97  # ... as long as it leaves this much of f at most
+
+
+@dataclass(frozen=True)
+class Damping:
+    """Levenberg-Marquardt damping, one of each active tet, ``tets`` (n_active,), and the ``jaw``'s.
+
+    The flesh may need ten times more of one tet than of another: with dampings of their own no
+    activation outruns the linear model, and none waits for others. They fall to no less than
+    ``fall`` times themselves a step, and more slowly after every refused step.
+    """
+
+    tets: Floats
+    jaw: float
+    fall: float
+    options: TetDescentOptions
+
+    @classmethod
+    def start(cls, count: int, options: TetDescentOptions = TetDescentOptions()) -> Damping:
+        """Return the damping of the first step."""
+        tets = np.full(count, options.tets.start)
+        return cls(tets, options.jaw.start, 1.0 / options.tets.shrink, options)
+
+    def limit(self, at: Floats, a: Floats, b: Floats) -> tuple[Floats, Floats, Damping]:
+        """Cut a step (a, b) from activations ``at`` tet by tet; return it and the next damping."""
+        options = self.options
+        square = np.einsum("ei,eij,ej->e", a, stretches.metric(at), a)
+        length = np.sqrt(square) / options.largest_step
+        jaw = float(np.abs(JAW_UNITS * b).max()) / options.largest_jaw_step
+        damping = replace(
+            self,
+            tets=options.tets.scale(self.tets, length, self.fall),
+            jaw=float(options.jaw.scale(np.array(self.jaw), np.array(jaw), self.fall)),
+        )
+        return a / np.maximum(length, 1.0)[:, None], b / max(jaw, 1.0), damping
+
+    def scale(self, factor: float) -> Damping:
+        """Return this damping times ``factor``."""
+        return replace(self, tets=factor * self.tets, jaw=factor * self.jaw)
+
+    @property
+    def is_hindered(self) -> bool:
+        """Tell whether small gains may be the damping's doing."""
+        return self.fall > 1.0 / self.options.tets.shrink
+
+    def afresh(self) -> Damping:
+        """Return this damping without the memory of refused steps."""
+        return replace(self, fall=1.0 / self.options.tets.shrink)
+
+    def after_refusal(self) -> Damping:
+        """Return the damping to try again with."""
+        return replace(self.scale(self.options.refused), fall=float(np.sqrt(self.fall)))
 
 
 @dataclass(frozen=True)
@@ -41,17 +120,12 @@ class TetStep:
 
     @classmethod
     def of(
-        cls,
-        objective: Objective,
-        solver: SaddleSolver,
-        state: State,
-        value: float,
-        damping: Damping,
+        cls, objective: Objective, solver: SaddleSolver, state: State, damping: Damping
     ) -> TetStep:
         """Minimise the damped Gauss-Newton model at a state."""
-        model = objective.quadratic(state, damping)
-        a, b = state.pose.layout.split(solver.step(model, state))
-        return cls(state, value, model, *damping.limit(state.pose.a, a, b))
+        model = objective.quadratic(state, damping.tets, damping.jaw)
+        a, b = state.pose.layout.split(solver.step(model))
+        return cls(state, objective.value(state), model, *damping.limit(state.pose.a, a, b))
 
     def pose(self, fraction: float = 1.0) -> Pose:
         """Return the pose that a fraction of the step leads to."""
@@ -65,37 +139,24 @@ class TetStep:
         """
         for halving in range(tries):
             try:
-                trial = self._reach(objective.tissue, self.pose(0.5**halving))
+                trial = self._reach(objective.tissue.face, self.pose(0.5**halving))
             except SolveError:
                 continue
             if trial.equilibrium.minimum and objective.value(trial) < self.value:
                 return trial, self.lowered.scale(2.0**halving)
         return None
 
-    def _reach(self, tissue: Tissue, pose: Pose) -> State:
+    def _reach(self, face: Face, pose: Pose) -> State:
         """Go to the equilibrium of a pose nearby; raises :class:`SolveError`.
 
         Approaching is not enough here: single tets are so soft that the flesh may buckle on the
         rest of the way, and the derivatives would be those of another equilibrium.
         """
-        before = self.state.pose
-        motion = self.model.response.motion(pose.vector() - before.vector())
-        free = motion.ravel()[self.model.response.free]
-        near = tissue.face.newton_predict(self.state, free, pose)
-        return tissue.face.solve_equilibrium(pose, near.x, max_iterations=CORRECTIONS)
-
-
-@dataclass(frozen=True)
-class FoldOptions:
-    """The descent near folds, and its end."""
-
-    tries: int = 2  # whole and half steps before the damping grows
-    snaps: int = 6  # over a fold, at most
-    snap_loss: float = 2.5  # f behind a fold, as a multiple of the least, at most
-    snap_iterations: int = 30  # Newton steps to an equilibrium behind a fold
-    small_gains: int = 2  # in turn, at the end: a single one may just have been damped
-    unstuck: float = 0.02  # gain, relative to f, after which a refused step is forgotten
-    patience: int = 6  # iterations without a new least f before it counts as the minimum
+        change, sensitivity = pose.vector() - self.state.pose.vector(), self.model.sensitivity
+        motion = sensitivity.response.free_motion(sensitivity.pose, change)
+        near = face.newton_predict(self.state, motion, pose)
+        corrections = self.lowered.options.corrections
+        return face.solve_equilibrium(pose, near.x, max_iterations=corrections)
 
 
 # called after each accepted step with the iteration and the least objective so far
@@ -110,18 +171,11 @@ class Status(StrEnum):
     ITERATIONS = "iterations"
 
 
-@dataclass(frozen=True)
-class Found:
-    """The best state, its f, the iterations and why there are no more."""
-
-    state: State
-    value: float
-    iterations: int
-    status: Status
-
-
 class Descent:
-    """Minimises f from ``state``, iterations being counted from ``taken``."""
+    """Minimises f from ``state``, iterations being counted from ``taken``.
+
+    ``best`` is the state of the least f, and that.
+    """
 
     def __init__(
         self,
@@ -129,41 +183,39 @@ class Descent:
         state: State,
         listen: Listener | None,
         taken: int,
-        options: FoldOptions = FoldOptions(),
+        options: TetDescentOptions,
     ) -> None:
         self._options = options
         self._objective = objective
         self._listen = listen
         self._solver = SaddleSolver(objective.tissue)
-        self._damping = self._first_damping()
+        self._first = self._damping = Damping.start(len(objective.tissue.active), options)
         self._state, self._value = state, objective.value(state)
-        self._best = self._state, self._value
-        self._taken = taken
+        self.best = self._state, self._value
+        self.taken = taken
         self._since_best = self._small = self._snaps = 0
         self._stuck = self._slow = False
 
-    def run(self, max_iterations: int, tolerance: float) -> Found:
+    def run(self, max_iterations: int, tolerance: float) -> Status:
         """Go on until ``max_iterations``, or steps that gain less than ``tolerance`` f."""
-        while self._taken < max_iterations:
-            self._taken += 1
+        while self.taken < max_iterations:
+            self.taken += 1
             self._since_best += 1
             if not self._advance(tolerance):
-                return self._found(Status.NO_DESCENT)
+                return Status.NO_DESCENT
             if self._small == self._options.small_gains:
-                return self._found(Status.CONVERGED)
+                return Status.CONVERGED
             if self._since_best == self._options.patience:
-                return self._found(Status.NO_DESCENT)
-        return self._found(Status.ITERATIONS)
+                return Status.NO_DESCENT
+        return Status.ITERATIONS
 
     def _advance(self, tolerance: float) -> bool:
         """Take a step, or have the next one shorter; False if there is none that leads on."""
         crawls = self._slow and self._damping.is_hindered
         if crawls:
-            self._damping = self._first_damping()
+            self._damping = self._first
         try:
-            step = TetStep.of(
-                self._objective, self._solver, self._state, self._value, self._damping
-            )
+            step = TetStep.of(self._objective, self._solver, self._state, self._damping)
         except SolveError:
             return False
         found = None if crawls else step.descend(self._objective, self._options.tries)
@@ -184,15 +236,14 @@ class Descent:
 
         Half the step is tried where the whole one leads nowhere.
         """
-        tissue = self._objective.tissue
+        face, most = self._objective.tissue.face, self._options.snap_iterations
         for fraction in (1.0, 0.5):
             try:
-                state = tissue.face.solve_equilibrium(
-                    step.pose(fraction), step.state.x, max_iterations=self._options.snap_iterations
-                )
+                pose = step.pose(fraction)
+                state = face.solve_equilibrium(pose, step.state.x, max_iterations=most)
             except SolveError:
                 continue
-            limit = self._options.snap_loss * self._best[1]
+            limit = self._options.snap_loss * self.best[1]
             if state.equilibrium.minimum and self._objective.value(state) < limit:
                 return state, step.lowered.afresh()
         return None
@@ -205,73 +256,100 @@ class Descent:
         self._slow = 0.0 <= gain < self._options.unstuck * value
         self._stuck = self._stuck and self._slow
         self._small = self._small + 1 if 0.0 <= gain <= tolerance * value else 0
-        if value < self._best[1]:
-            self._best, self._since_best = (state, value), 0
+        if value < self.best[1]:
+            self.best, self._since_best = (state, value), 0
         if self._listen:
-            self._listen(self._taken, self._best[1])
-
-    def _found(self, status: Status) -> Found:
-        return Found(*self._best, self._taken, status)
-
-    def _first_damping(self) -> Damping:
-        return Damping.start(len(self._objective.tissue.active))
-
-
-# From the neutral face towards a target through viscous flesh, which creeps where flesh snaps.
-#
-# Single tets take extreme activations, under which the flesh buckles again and again; at a fold no
-# short step helps, and what a long one leads to is chance. Viscous flesh has no folds: each step
-# starts with the creep since the one before, so a fit sees buckling begin and goes against it. The
-# viscosity falls from step to step, and what is left of it is settled at the end.
-
-
-@dataclass(frozen=True)
-class CreepOptions:
-    """The way through viscous flesh."""
-
-    # relative to the stiffness at rest; with less the flesh snaps on the way as it does without
-    viscosities: tuple[float, ...] = (1.0, 0.5, 0.25, 0.12, 0.06)
-    steps: int = 4  # with each of them
-    tries: int = 3  # whole, half and quarter steps before the damping grows
-    cycles: int = 4  # times that the flesh creeps: again from wherever a descent gets stuck ...
-    enough: float = 0.97  # ... as long as it leaves this much of f at most
+            self._listen(self.taken, self.best[1])
 
 
 def creep(
     tissue: Tissue,
     data: Term,
-    options: PerTetOptions,
+    weights: PerTetOptions,
     start: State,
     viscosities: Sequence[float],
     steps: int,
-    tries: int = CreepOptions.tries,
+    options: TetDescentOptions,
 ) -> tuple[State, int]:
-    """Return an equilibrium near the target and the steps to it, ``steps`` with each viscosity.
+    """Go through viscous flesh: an equilibrium near the target, and the steps to it.
 
-    It is ``start`` where nothing better is found.
+    There are ``steps`` with each viscosity. It is ``start`` where nothing better is found.
     """
     flesh = tissue.face.flesh
     drags = flesh.drags()
     viscous = replace(tissue, face=tissue.face.with_flesh(flesh.plus(*drags)))
-    objective = Objective(viscous, data, options, start.pose.b)
-    solver = SaddleSolver(viscous)
-    state, damping, taken = start, Damping.start(len(tissue.active)), 0
+    objective = Objective(viscous, data, weights, start.pose.b)
+    solver, face = SaddleSolver(viscous), viscous.face
+    state, damping, taken = start, Damping.start(len(tissue.active), options), 0
     for viscosity in np.repeat(viscosities, steps):
         for drag in drags:
             drag.viscosity, drag.anchor = float(viscosity), state.x
         try:
-            state = viscous.face.solve_equilibrium(state.pose, state.x, max_iterations=CORRECTIONS)
-            step = TetStep.of(objective, solver, state, objective.value(state), damping)
+            state = face.solve_equilibrium(state.pose, state.x, max_iterations=options.corrections)
+            step = TetStep.of(objective, solver, state, damping)
         except SolveError:
             break
         taken += 1
-        found = step.descend(objective, tries)
-        if found is None:
-            damping = damping.after_refusal()
-        else:
-            state, damping = found
-    try:
-        end = tissue.face.solve_equilibrium(state.pose, state.x)
-    except SolveError:
-        return start, taken
-    return min(start, end, key=objective.value), taken
+        found = step.descend(objective, options.viscous_tries)
+        state, damping = found or (state, damping.after_refusal())
+    end = tissue.face.settle(state.pose, state.x)
+    return (start if end is None else min(start, end, key=objective.value)), taken
+
+
+@dataclass(frozen=True)
+class PerTetFit:
+    """A fitted state, settled.
+
+    ``a`` (n_active, 6) are the activations of the tets ``active`` (n_active,), ``gamma`` (m,) the
+    muscles' preferred contractions, above 1 where they shorten. ``iterations`` counts steps,
+    refused ones and those in viscous flesh too.
+    """
+
+    a: Floats
+    active: Ints
+    gamma: Floats
+    state: State
+    objective: float
+    iterations: int
+    status: Status
+
+
+def fit(
+    face: Face,
+    data: Term,
+    start: State | None = None,
+    options: PerTetOptions | None = None,
+    listen: Listener | None = None,
+    way: TetDescentOptions = TetDescentOptions(),
+) -> PerTetFit:
+    """Minimise f from ``start``, a state of another such fit, or from the neutral face; settle it.
+
+    ``face`` should have the material :data:`~solver.mechanics.flesh.COROTATED_DET`. ``listen``
+    hears of equilibria only, not of steps in viscous flesh. Raises :class:`InputError`
+    (``model.no_fibres``, ``model.no_muscle``, ``start.activations``) and :class:`SolveError` if the
+    face cannot be settled.
+    """
+    options, tissue = options or PerTetOptions(), tissues.of_face(face)
+    state = start or tissue.face.rest
+    if state.pose.layout is not tissue.face.layout:
+        raise InputError("start.activations", "the start has not six activations per active tet")
+    objective = Objective(tissue, data, options, state.pose.b)
+    taken, value = 0, objective.value(state)
+    for cycle in range(way.cycles):
+        if cycle or start is None:
+            # half the iterations at most are for the viscous flesh
+            left = options.max_iterations - taken
+            viscosities = way.viscosities[min(cycle, 1) :]
+            steps = min(way.viscous_steps, left // (2 * len(viscosities)))
+            state, crept = creep(tissue, data, options, state, viscosities, steps, way)
+            taken += crept
+        descent = Descent(objective, state, listen, taken, way)
+        status = descent.run(options.max_iterations, options.tolerance)
+        before = value
+        (state, value), taken = descent.best, descent.taken
+        if status != Status.NO_DESCENT or value > way.enough * before:
+            break
+    state = tissue.face.solve_equilibrium(state.pose, state.x)
+    gamma = objective.priors.contraction.contractions(state.pose.a)
+    value = objective.value(state)
+    return PerTetFit(state.pose.a, tissue.active, gamma, state, value, taken, status)

@@ -9,33 +9,32 @@ import numpy as np
 from solver.fitting import stretches
 from solver.fitting.controls import JAW_UNITS
 from solver.fitting.face import Pose, State
-from solver.fitting.objective import Term, determinant_gradients, determinants
-from solver.fitting.per_tet.damping import Damping
-from solver.fitting.per_tet.saddle import Linearisation, Quadratic
+from solver.fitting.objective import Term
+from solver.fitting.per_tet.saddle import Quadratic
 from solver.fitting.per_tet.tissue import Tissue
-from solver.fitting.stretches import FROBENIUS
+from solver.fitting.sensitivity import Sensitivity
+from solver.fitting.stretches import FROBENIUS, determinant_gradients, determinants
 from solver.mechanics.flesh import IDENTITY
 from solver.surface import Floats
 
-# R_act: muscles prefer to contract along their fibres, each by one contraction gamma_m.
-#
-#     R_act(a) = sum_im v_im |T(gamma_m, q_im) - S(a_i)|^2
-#     T(gamma, q) = 1/gamma q q^T + sqrt(gamma) (I - q q^T)
-#
-# (Ichim et al. 2017, section 5.) From print: a muscle has one gamma_m, found by a 1-D root between
-# the solves for a; along the fibre q_im, the Laplace field's direction, T is 1/gamma, across it
-# sqrt(gamma), so its volume is kept and gamma > 1 is a contraction. Our reading: the weights v_im
-# (print: f_im) are parts of all muscle volume, not sums of tets; gamma is not bounded.
-
 
 class PreferredContraction:
-    """R_act of one tissue; activations are (n_active, 6), contractions (m,)."""
+    """R_act: muscles prefer to contract along their fibres, each by one contraction gamma_m.
+
+        R_act(a) = sum_im v_im |T(gamma_m, q_im) - S(a_i)|^2
+        T(gamma, q) = 1/gamma q q^T + sqrt(gamma) (I - q q^T)
+
+    (Ichim et al. 2017, section 5.) From print: a muscle has one gamma_m, found by a 1-D root
+    between the solves for a; along the fibre q_im, the Laplace field's direction, T is 1/gamma,
+    across it sqrt(gamma), so its volume is kept and gamma > 1 is a contraction. Our reading: the
+    weights v_im (print: f_im) are parts of all muscle volume, not sums of tets; gamma is not
+    bounded. Activations are (n_active, 6), contractions (m,).
+    """
 
     def __init__(self, tissue: Tissue) -> None:
         self._tissue = tissue
         self._row = np.repeat(np.arange(len(tissue.active)), np.diff(tissue.fractions.indptr))
-        x, y, z = tissue.fibres.T
-        self._along = np.stack([x * x, x * y, x * z, y * y, y * z, z * z], axis=1)
+        self._along = stretches.entries(tissue.fibres)
 
     def contractions(self, a: Floats) -> Floats:
         """Return the gamma_m (m,) that minimise R_act at ``a``: the local step."""
@@ -44,13 +43,11 @@ class PreferredContraction:
         across = (a @ IDENTITY)[self._row] - along
         m = fractions.shape[1]
         sums = [np.bincount(fractions.indices, fractions.data * v, m) for v in (1.0, along, across)]
-        volume = np.where(sums[0] > 0.0, sums[0], 1.0)
-        return np.array(
-            [
-                contraction(float(p), float(q)) if v > 0.0 else 1.0
-                for v, p, q in zip(sums[0], sums[1] / volume, sums[2] / volume, strict=True)
-            ]
-        )
+        gamma = np.ones(m)
+        for muscle in np.flatnonzero(sums[0] > 0.0):
+            volume, *means = (each[muscle] for each in sums)
+            gamma[muscle] = contraction(*(float(mean / volume) for mean in means))
+        return gamma
 
     def value(self, a: Floats, gamma: Floats) -> float:
         """Return R_act(a)."""
@@ -91,47 +88,13 @@ def contraction(along: float, across: float) -> float:
     return float(gammas[np.argmin(values)])
 
 
-# R_sparse: few muscles are active at a time.
-#
-#     R_sparse(a) = sum_m sqrt(sum_i v_im |a_i - a_I|^2 + delta^2) - delta
-#
-# (Ichim et al. 2017, section 5: print has |a_i|, which only makes sense as the distance from
-# passive flesh.) A group lasso, minimised by iterative reweighting: at every iterate each root is
-# replaced by the parabola that touches it there and lies above it elsewhere.
-
-
-SMOOTHING = 1e-3  # delta: a whole face with activations of this size counts as passive
-
-
-class GroupSparsity:
-    """R_sparse of one tissue; activations are (n_active, 6)."""
-
-    def __init__(self, tissue: Tissue) -> None:
-        self._fractions = tissue.fractions
-
-    def value(self, a: Floats) -> float:
-        """Return R_sparse(a)."""
-        return float(np.sum(self._norms(a) - SMOOTHING))
-
-    def gradient(self, a: Floats) -> Floats:
-        """Return its derivative by a, (n_active, 6)."""
-        return np.asarray(self.curvature(a) * (a - IDENTITY))
-
-    def curvature(self, a: Floats) -> Floats:
-        """Return the parabolas' second derivative by each entry of a, (n_active, 1)."""
-        return np.asarray(self._fractions @ (1.0 / self._norms(a)))[:, None]
-
-    def _norms(self, a: Floats) -> Floats:
-        squares = np.sum((a - IDENTITY) ** 2, axis=1)
-        return np.asarray(np.sqrt(self._fractions.T @ squares + SMOOTHING**2))
-
-
 @dataclass(frozen=True)
 class PerTetOptions:
     """Weights of the regularisers, and when to stop.
 
     ``w_act``, ``w_sparse`` and ``w_volume`` are in mm^2, ``w_b`` weighs the jaw's change. The fit
-    ends after ``max_iterations`` or when steps gain less than ``tolerance`` f.
+    ends after ``max_iterations`` or when steps gain less than ``tolerance`` f. ``smoothing`` is
+    delta: a whole face with activations of this size counts as passive.
     """
 
     w_act: float = 0.01
@@ -140,6 +103,67 @@ class PerTetOptions:
     w_b: float = 1e-6
     max_iterations: int = 60
     tolerance: float = 2e-3
+    smoothing: float = 1e-3
+
+
+class PerTetPriors:
+    """f but for the data: the regularisers of a ``tissue``, the jaw's around ``b`` (5,).
+
+    R_sparse: few muscles are active at a time.
+
+        R_sparse(a) = sum_m sqrt(sum_i v_im |a_i - a_I|^2 + delta^2) - delta
+
+    (Ichim et al. 2017, section 5: print has |a_i|, which only makes sense as the distance from
+    passive flesh.) A group lasso, minimised by iterative reweighting: at every iterate each root is
+    replaced by the parabola that touches it there and lies above it elsewhere.
+    """
+
+    def __init__(self, tissue: Tissue, options: PerTetOptions, b: Floats) -> None:
+        self._options = options
+        self._b = b
+        self._fractions, self._volumes = tissue.fractions, tissue.volumes
+        self.contraction = PreferredContraction(tissue)
+
+    def value(self, pose: Pose) -> float:
+        """Return the regularisers' sum at a pose, every gamma being the best."""
+        options, a = self._options, pose.a
+        det = determinants(a) - 1.0
+        jaw = JAW_UNITS * (pose.b - self._b)
+        return float(
+            options.w_act * self.contraction.value(a, self.contraction.contractions(a))
+            + options.w_sparse * float(np.sum(self._norms(a) - options.smoothing))
+            + options.w_volume * (self._volumes @ det**2)
+            + 0.5 * options.w_b * jaw @ jaw
+        )
+
+    def gradient(self, pose: Pose) -> Floats:
+        """Return the derivative of :meth:`value` by (a, b)."""
+        options, a = self._options, pose.a
+        by_a = options.w_act * self.contraction.gradient(a, self.contraction.contractions(a))
+        by_a = by_a + options.w_sparse * (self._parabolas(a) * (a - IDENTITY))
+        stretch = 2.0 * options.w_volume * self._volumes * (determinants(a) - 1.0)
+        by_a = by_a + stretch[:, None] * determinant_gradients(a)
+        return pose.layout.join([by_a, options.w_b * JAW_UNITS**2 * (pose.b - self._b)])
+
+    def curvature(self, pose: Pose) -> tuple[Floats, Floats]:
+        """Return the Gauss-Newton Hessian: a block of each tet, (n_active, 6, 6), and b's diagonal.
+
+        The contractions are held, and the parabolas of R_sparse stand for it.
+        """
+        options, slopes = self._options, determinant_gradients(pose.a)
+        volume = 2.0 * options.w_volume * self._volumes
+        blocks = volume[:, None, None] * slopes[:, :, None] * slopes[:, None, :]
+        blocks[:, np.arange(6), np.arange(6)] += options.w_act * self.contraction.curvature()
+        blocks[:, np.arange(6), np.arange(6)] += options.w_sparse * self._parabolas(pose.a)
+        return blocks, options.w_b * JAW_UNITS**2
+
+    def _parabolas(self, a: Floats) -> Floats:
+        """Return the parabolas' second derivative by each entry of a, (n_active, 1)."""
+        return np.asarray(self._fractions @ (1.0 / self._norms(a)))[:, None]
+
+    def _norms(self, a: Floats) -> Floats:
+        squares = np.sum((a - IDENTITY) ** 2, axis=1)
+        return np.asarray(np.sqrt(self._fractions.T @ squares + self._options.smoothing**2))
 
 
 class Objective:
@@ -147,66 +171,25 @@ class Objective:
 
     def __init__(self, tissue: Tissue, data: Term, options: PerTetOptions, b: Floats) -> None:
         self.tissue = tissue
-        self._data = data
-        self._options = options
-        self._b = b
-        self._volumes = tissue.volumes
-        self._contraction = PreferredContraction(tissue)
-        self._sparsity = GroupSparsity(tissue)
-
-    def contractions(self, a: Floats) -> Floats:
-        """Return the muscles' gamma (m,) that minimise f at activations ``a``."""
-        return self._contraction.contractions(a)
+        self.priors = PerTetPriors(tissue, options, b)
+        self._data, self._w_b = data, options.w_b
 
     def value(self, state: State) -> float:
-        """Return f at a state's estimate, every gamma being the best."""
-        return self._data.value(state.estimate) + self.prior_value(state.pose)
+        """Return f at a state's estimate."""
+        return self._data.value(state.estimate) + self.priors.value(state.pose)
 
-    def prior_value(self, pose: Pose) -> float:
-        """Return the regularisers' sum at a pose."""
-        options, a = self._options, pose.a
-        det = determinants(a) - 1.0
-        jaw = JAW_UNITS * (pose.b - self._b)
-        return float(
-            options.w_act * self._contraction.value(a, self.contractions(a))
-            + options.w_sparse * self._sparsity.value(a)
-            + options.w_volume * (self._volumes @ det**2)
-            + 0.5 * options.w_b * jaw @ jaw
-        )
-
-    def prior_gradient(self, pose: Pose) -> Floats:
-        """Return the derivative of :meth:`prior_value` by (a, b)."""
-        options, a = self._options, pose.a
-        by_a = options.w_act * self._contraction.gradient(a, self.contractions(a))
-        by_a = by_a + options.w_sparse * self._sparsity.gradient(a)
-        stretch = 2.0 * options.w_volume * self._volumes * (determinants(a) - 1.0)
-        by_a = by_a + stretch[:, None] * determinant_gradients(a)
-        return pose.layout.join([by_a, options.w_b * JAW_UNITS**2 * (pose.b - self._b)])
-
-    def prior_blocks(self, a: Floats) -> Floats:
-        """Return the Gauss-Newton Hessian of :meth:`prior_value` by each tet's a, (n_active, 6, 6).
-
-        The contractions are held, and the parabolas of R_sparse stand for it.
-        """
-        options, slopes = self._options, determinant_gradients(a)
-        volume = 2.0 * options.w_volume * self._volumes
-        blocks = volume[:, None, None] * slopes[:, :, None] * slopes[:, None, :]
-        diagonal = options.w_act * self._contraction.curvature()
-        blocks[:, np.arange(6), np.arange(6)] += diagonal
-        blocks[:, np.arange(6), np.arange(6)] += options.w_sparse * self._sparsity.curvature(a)
-        return np.asarray(blocks)
-
-    def quadratic(self, state: State, damping: Damping) -> Quadratic:
-        """Return the Gauss-Newton model of f at a state, damped."""
-        options, a = self._options, state.pose.a
-        response = Linearisation(self.tissue, state)
-        gradient = response.adjoint(self._data.gradient(state.estimate))
-        blocks = self.prior_blocks(a)
-        blocks += 2.0 * (damping.tets * self._volumes)[:, None, None] * stretches.metric(a)
+    def quadratic(self, state: State, tets: Floats, jaw: float) -> Quadratic:
+        """Return f's Gauss-Newton model, damped by ``tets`` (n_active,) and ``jaw``."""
+        sensitivity = Sensitivity(self.tissue.face, state)
+        by_x = self._data.gradient(state.estimate)
+        gradient = sensitivity.response.adjoint(sensitivity.pose, by_x)
+        blocks, _ = self.priors.curvature(state.pose)
+        damping = 2.0 * (tets * self.tissue.volumes)[:, None, None]
         return Quadratic(
-            response,
-            gradient + self.prior_gradient(state.pose),
+            state,
+            sensitivity,
+            gradient + self.priors.gradient(state.pose),
             self._data.curvature(state.estimate),
-            blocks,
-            (options.w_b + damping.jaw) * JAW_UNITS**2,
+            blocks + damping * stretches.metric(state.pose.a),
+            (self._w_b + jaw) * JAW_UNITS**2,
         )

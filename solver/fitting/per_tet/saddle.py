@@ -26,33 +26,12 @@ import scipy.sparse as sp
 from solver.errors import SolveError
 from solver.fitting.face import State
 from solver.fitting.per_tet.tissue import Tissue
-from solver.fitting.sensitivity import PoseRates
-from solver.mechanics.response import Response
+from solver.fitting.sensitivity import Sensitivity
 from solver.surface import Floats, Ints
 
 # multiples of the identity, in balanced units, the first that can be factorised being taken
 SHIFTS = (1e-7, 1e-5, 1e-3)
 LEAST_SCALE = 1e-3  # of the data's curvature, in balanced units, where damping dwarfs it
-
-
-class Linearisation:
-    """A tissue's equilibrium at one state: J z and J^T g, and what the forces are by (a, b)."""
-
-    def __init__(self, tissue: Tissue, state: State) -> None:
-        flesh = tissue.face.flesh
-        self.layout = state.pose.layout
-        self.rates = PoseRates.at(tissue.face, state.pose, state.x)
-        self.forces = self.rates.by_tet[tissue.active]
-        self.free = flesh.free_coordinates
-        self._response = Response(flesh, state.equilibrium.factor)
-
-    def motion(self, change: Floats) -> Floats:
-        """Return J z: the vertices' motion (p, 3)."""
-        return self._response.product(self.rates, change)
-
-    def adjoint(self, gradient: Floats) -> Floats:
-        """Return J^T g for g by the vertices, (p, 3)."""
-        return self._response.adjoint(self.rates, gradient)
 
 
 @dataclass(frozen=True)
@@ -62,7 +41,8 @@ class Quadratic:
     ``data`` (3 p, 3 p) is C; ``a`` (n_active, 6, 6) and ``b`` (5,) are R's blocks and diagonal.
     """
 
-    response: Linearisation
+    state: State
+    sensitivity: Sensitivity
     gradient: Floats
     data: sp.csr_array
     a: Floats
@@ -70,10 +50,12 @@ class Quadratic:
 
     def product(self, z: Floats) -> Floats:
         """Return (R + J^T C J) z for z = (a, b)."""
-        pull = (self.data @ self.response.motion(z).ravel()).reshape(-1, 3)
-        a, b = self.response.layout.split(z)
-        prior = self.response.layout.join([np.einsum("eij,ej->ei", self.a, a), self.b * b])
-        return self.response.adjoint(pull) + prior
+        response, rates = self.sensitivity.response, self.sensitivity.pose
+        pull = (self.data @ response.product(rates, z).ravel()).reshape(-1, 3)
+        layout = self.state.pose.layout
+        a, b = layout.split(z)
+        prior = layout.join([np.einsum("eij,ej->ei", self.a, a), self.b * b])
+        return response.adjoint(rates, pull) + prior
 
 
 class SaddleSolver:
@@ -86,9 +68,9 @@ class SaddleSolver:
         self._analysis: Any = None
         self._pattern: tuple[Ints, Ints] | None = None
 
-    def step(self, model: Quadratic, state: State) -> Floats:
-        """Return the step (6 n_active + 5,) that minimises the ``model``, made at ``state``."""
-        precondition = self._preconditioner(model, state)
+    def step(self, model: Quadratic) -> Floats:
+        """Return the step (6 n_active + 5,) that minimises the ``model``."""
+        precondition = self._preconditioner(model)
         found = np.zeros_like(model.gradient)
         residual = -model.gradient
         direction = precondition(residual)
@@ -105,20 +87,20 @@ class SaddleSolver:
             direction = nearer + square / previous * direction
         return found
 
-    def _preconditioner(self, model: Quadratic, state: State) -> Any:
+    def _preconditioner(self, model: Quadratic) -> Any:
         """Return the map z -> approximately (R + J^T C J)^-1 z."""
-        flesh, response = self._tissue.face.flesh, model.response
-        inverse = np.linalg.inv(model.a)
-        weighted = np.einsum("euiq,eqr->euir", response.forces, inverse)
+        flesh, active, state = self._tissue.face.flesh, self._tissue.active, model.state
+        free, layout, rates = flesh.free_coordinates, state.pose.layout, model.sensitivity.pose
+        forces = model.sensitivity.forces
+        by_tet, inverse = forces.by_tet[active], np.linalg.inv(model.a)
+        weighted = np.einsum("euiq,eqr->euir", by_tet, inverse)
         blocks = np.zeros((len(flesh.tets), 4, 4, 3, 3))
-        blocks[self._tissue.active] = np.einsum("euir,evjr->euvij", weighted, response.forces)
+        blocks[active] = np.einsum("euir,evjr->euvij", weighted, by_tet)
         K = flesh.assemble(blocks)
-        activation = self._tissue.face.tet_activations(state.pose.a)
-        H = flesh.hessian(state.x, activation, project=not state.equilibrium.minimum)
-        C = model.data[response.free][:, response.free]
-        layout, rates = response.layout, response.rates
+        H = flesh.hessian(state.x, forces.tet_a, project=not state.equilibrium.minimum)
+        C = model.data[free][:, free]
         jaw = rates.held[:, layout["jaw"]]
-        E = (model.data[response.free] @ jaw).toarray()
+        E = (model.data[free] @ jaw).toarray()
         Cb = (jaw.T @ (model.data @ jaw)).toarray() + np.diag(model.b)
 
         # balanced units: x counts p, lambda counts q

@@ -79,22 +79,17 @@ def of_face(face: Face) -> Tissue:
     )
     column = np.zeros(len(flesh.tets), dtype=np.int64)
     column[active] = 1 + np.arange(len(active))
-    selection = sp.csr_array(
-        (np.ones(len(column)), column, np.arange(len(column) + 1)),
-        shape=(len(column), len(active) + 1),
-    )
+    one = np.ones(len(column)), column, np.arange(len(column) + 1)
+    selection = sp.csr_array(one, shape=(len(column), len(active) + 1))
 
     kept = muscle & is_active[row]
     volumes = model.weights.data[kept] * face.flesh.volumes[row[kept]]
     counts = np.bincount(row[kept], minlength=tets)[active]
-    fractions = sp.csr_array(
-        (
-            volumes / volumes.sum(),
-            model.weights.indices[kept] - 1,
-            np.concatenate([[0], np.cumsum(counts)]),
-        ),
-        shape=(len(active), model.muscle_count),
+    entries = (
+        volumes / volumes.sum(),
+        model.weights.indices[kept] - 1,
+        np.concatenate([[0], np.cumsum(counts)]),
     )
-    return Tissue(
-        face.with_flesh(flesh).with_weights(selection), active, fractions, model.fibres[kept]
-    )
+    fractions = sp.csr_array(entries, shape=(len(active), model.muscle_count))
+    divided = face.with_flesh(flesh).with_weights(selection)
+    return Tissue(divided, active, fractions, model.fibres[kept])

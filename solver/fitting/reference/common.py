@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, Self
 
 import cyipopt
 import numpy as np
 
-from solver.errors import SolveError
+from solver.errors import Notice, SolveError
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Term
 from solver.fitting.sensitivity import coordinates
@@ -19,74 +18,59 @@ from solver.surface import Floats, Ints
 SUCCESS = (0, 1)  # IPOPT's Solve_Succeeded and Solved_To_Acceptable_Level
 UNBOUNDED = 2e19  # IPOPT's infinity
 
-Answer = TypeVar("Answer")
-
 # called at each of IPOPT's iterations with its number and the objective
 Listener = Callable[[int, float], None]
 
 
 @dataclass(frozen=True)
-class Reference:
-    """IPOPT's answer: pose, x (p, 3), objective, iterations, and the constraint's violation."""
-
-    pose: Pose
-    x: Floats
-    objective: float
-    iterations: int
-    violation: float
-
-
-class NotConvergedError(SolveError):
-    """IPOPT stopped early; ``last`` is where, in the form of the answer."""
-
-    def __init__(self, message: str, iterations: int, last: Any) -> None:
-        text = f"IPOPT stopped after {iterations} iterations: {message}"
-        super().__init__("ipopt.failed", text, iterations=iterations)
-        self.last = last
-
-
-@dataclass(frozen=True)
 class Solution:
-    """The variables (n,) that IPOPT ended with; ``trouble`` says why, if too early."""
+    """IPOPT's answer: f, iterations, the constraints' violation, and the trouble if it is none."""
 
-    z: Floats
     objective: float
     iterations: int
     violation: float
     trouble: str | None
 
-    def check(self, answer: Answer) -> Answer:
-        """Return the answer made of this; raise :class:`NotConvergedError` if it is none."""
+    def check(self) -> Self:
+        """Return this; raise :class:`NotConvergedError` where IPOPT stopped early."""
         if self.trouble is not None:
-            raise NotConvergedError(self.trouble, self.iterations, answer)
-        return answer
+            raise NotConvergedError(self.trouble, self)
+        return self
 
 
-class IpoptProblem(ABC):
+@dataclass(frozen=True)
+class Reference(Solution):
+    """IPOPT's answer for one expression: its ``pose`` and ``x`` (p, 3)."""
+
+    pose: Pose
+    x: Floats
+
+
+class NotConvergedError(SolveError):
+    """IPOPT stopped early; ``last`` is where, in the form of the answer."""
+
+    def __init__(self, trouble: str, last: Any) -> None:
+        text = f"IPOPT stopped after {last.iterations} iterations: {trouble}"
+        super().__init__("ipopt.failed", text, iterations=last.iterations)
+        self.last = last
+
+    def notice(self, kept: str) -> Notice:
+        """Return it as a notice that says what is ``kept``."""
+        return Notice(self.code, f"{self.message}; {kept}", self.context)
+
+
+class IpoptProblem:
     """A problem in cyipopt's form: minimise the objective under constraints, z (n,) being free.
 
-    Without constraints, those methods and the Jacobian's are left out.
+    It has ``objective`` (z) and ``gradient`` (z); ``hessianstructure`` (), rows and columns of the
+    Hessian's lower triangle, where entries that repeat are summed; ``hessian`` (z, multipliers,
+    factor), the entries of ``factor`` times the objective's Gauss-Newton Hessian; and where there
+    are constraints ``constraints`` (z), ``jacobianstructure`` () and ``jacobian`` (z).
     """
 
     def __init__(self, listen: Listener | None = None) -> None:
         self.iterations = 0
         self._listen = listen
-
-    @abstractmethod
-    def objective(self, z: Floats) -> float:
-        """Return what is minimised."""
-
-    @abstractmethod
-    def gradient(self, z: Floats) -> Floats:
-        """Return its derivative, (n,)."""
-
-    @abstractmethod
-    def hessianstructure(self) -> tuple[Ints, Ints]:
-        """Return rows and columns of the Hessian's lower triangle; those that repeat are summed."""
-
-    @abstractmethod
-    def hessian(self, z: Floats, multipliers: Floats, factor: float) -> Floats:
-        """Return the entries of ``factor`` times the objective's Gauss-Newton Hessian."""
 
     def intermediate(self, _mode: int, iteration: int, objective: float, *_rest: float) -> bool:
         """Take IPOPT's report of an iteration."""
@@ -102,30 +86,30 @@ def solve(
     constants: Floats,
     tolerance: float,
     max_iterations: int,
-    least: Floats | None = None,
-) -> Solution:
+    lower: Floats | float = -UNBOUNDED,
+) -> tuple[Floats, Solution]:
     """Run IPOPT from ``start`` (n,), the constraints (m,) being equal to ``constants``.
 
-    ``least`` (n,) bounds the variables from below, none if not given.
+    ``lower`` (n,) bounds the variables from below. Returns the variables that it ended with, too.
     """
     ipopt = cyipopt.Problem(
         n=len(start),
         m=len(constants),
         problem_obj=problem,
-        lb=np.full(len(start), -UNBOUNDED) if least is None else least,
+        lb=np.maximum(np.full(len(start), -UNBOUNDED), lower),
         cl=constants,
         cu=constants,
     )
-    ipopt.add_option("sb", "yes")
-    ipopt.add_option("print_level", 0)
-    ipopt.add_option("tol", tolerance)
-    ipopt.add_option("max_iter", max_iterations)
+    options = {"sb": "yes", "print_level": 0, "tol": tolerance, "max_iter": max_iterations}
+    for name, value in options.items():
+        ipopt.add_option(name, value)
     z, info = ipopt.solve(start)
     message = info["status_msg"]
     text = message.decode() if isinstance(message, bytes) else str(message)
     violation = float(np.abs(info["g"] - constants).max(initial=0.0))
     trouble = None if info["status"] in SUCCESS else text
-    return Solution(np.asarray(z), float(info["obj_val"]), problem.iterations, violation, trouble)
+    found = Solution(float(info["obj_val"]), problem.iterations, violation, trouble)
+    return np.asarray(z), found
 
 
 def finite(value: float) -> float:
@@ -143,16 +127,14 @@ class Data:
     """
 
     def __init__(self, face: Face, term: Term, jaw: Ints) -> None:
-        self._face = face
-        self._term = term
-        self._free = coordinates(face.flesh.free)
+        self._face, self._term = face, term
+        self._free = face.flesh.free_coordinates
         self._riding = coordinates(face.model.mandible)
         curvature = term.curvature(face.model.rest)
         by_free = curvature[self._free][:, self._free].tocoo()
         lower = by_free.col <= by_free.row
         self._rows, self._columns = by_free.row[lower], by_free.col[lower]
-        touched = curvature[self._riding][:, self._free].tocoo().col
-        self._crossed = np.unique(touched)
+        self._crossed = np.unique(curvature[self._riding][:, self._free].tocoo().col)
         self._square = np.tril_indices(len(jaw))
         self.structure = (
             np.concatenate([self._rows, np.repeat(jaw, len(self._crossed)), jaw[self._square[0]]]),
@@ -172,13 +154,8 @@ class Data:
         riding = curvature[self._riding]
         cross = moving.T @ riding[:, self._free][:, self._crossed]
         square = moving.T @ (riding[:, self._riding] @ moving)
-        return np.concatenate(
-            [
-                np.asarray(by_free[self._rows, self._columns]).ravel(),
-                np.asarray(cross).ravel(),
-                square[self._square],
-            ]
-        )
+        lower = np.asarray(by_free[self._rows, self._columns])
+        return np.concatenate([lower.ravel(), np.asarray(cross).ravel(), square[self._square]])
 
     def _jaw_motion(self, b: Floats) -> Floats:
         """Return the mandible's coordinates by b, (k, 5)."""

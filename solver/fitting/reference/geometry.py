@@ -14,25 +14,23 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
+from solver.fitting.controls import Block, Layout
 from solver.fitting.face import Pose, State
 from solver.fitting.joint import GeometryProblem
-from solver.fitting.reference.common import UNBOUNDED, IpoptProblem, Listener, solve
-from solver.fitting.reference.expression import Expression, MusclePriors
-from solver.fitting.sensitivity import WeightRates
+from solver.fitting.reference.common import IpoptProblem, Listener, Solution, solve
+from solver.fitting.reference.expression import Expression
+from solver.fitting.sensitivity import TetForces, WeightRates
 from solver.fitting.simplex import replace_values
 from solver.surface import Floats, Ints
 
 
 @dataclass(frozen=True)
-class GeometryReference:
-    """IPOPT's answer: S, every expression's pose and x (p, 3), objective and iterations."""
+class GeometryReference(Solution):
+    """IPOPT's answer: S, and every expression's pose and x (p, 3)."""
 
     S: sp.csr_array
     poses: dict[str, Pose]
     x: dict[str, Floats]
-    objective: float
-    iterations: int
-    violation: float
 
 
 def geometry(
@@ -44,33 +42,25 @@ def geometry(
     max_iterations: int = 1000,
     listen: Listener | None = None,
 ) -> GeometryReference:
-    """Minimise over S and all expressions by IPOPT, from ``S`` and the ``start`` states.
+    """Minimise over S and all expressions, from ``S`` and the ``start`` states.
 
     Raises :class:`NotConvergedError` (``ipopt.failed``) with IPOPT's message.
     """
     full = FullGeometry(problem, S, listen)
     begin = [part.start(start[name].pose, start[name].x) for name, part in full.parts.items()]
-    forces = len(full.parts) * problem.face.flesh.size
-    least = np.full(full.count, -UNBOUNDED)
-    least[-S.nnz :] = 0.0
-    found = solve(
+    constants = [np.zeros(len(full.parts) * problem.face.flesh.size), np.ones(S.shape[0])]
+    z, found = solve(
         full,
-        np.concatenate([*begin, S.data]),
-        np.concatenate([np.zeros(forces), np.ones(S.shape[0])]),
+        full.layout.join([*begin, S.data]),
+        np.concatenate(constants),
         tolerance,
         max_iterations,
-        least,
+        full.layout.lower,
     )
-    pieces, fitted = full.split(found.z)
-    answer = GeometryReference(
-        fitted,
-        {name: part.pose(pieces[name]) for name, part in full.parts.items()},
-        {name: part.place(pieces[name]) for name, part in full.parts.items()},
-        found.objective,
-        found.iterations,
-        found.violation,
-    )
-    return found.check(answer)
+    pieces, fitted = full.split(z)
+    poses = {name: part.pose(pieces[name]) for name, part in full.parts.items()}
+    x = {name: part.place(pieces[name]) for name, part in full.parts.items()}
+    return GeometryReference(S=fitted, poses=poses, x=x, **vars(found)).check()
 
 
 class FullGeometry(IpoptProblem):
@@ -80,29 +70,26 @@ class FullGeometry(IpoptProblem):
         self, problem: GeometryProblem, S: sp.csr_array, listen: Listener | None = None
     ) -> None:
         super().__init__(listen)
-        self._problem = problem
-        self._S = S
-        self._face = face = problem.face
+        self._problem, self._S, self._face = problem, S, problem.face
         candidates = replace_values(S, np.ones(S.nnz))
         self.parts = {
-            name: Expression(face, candidates, term, MusclePriors(problem.regulariser))
+            name: Expression(problem.face, term, problem.regulariser, candidates)
             for name, term in problem.data.items()
         }
-        self._each = next(iter(self.parts.values())).count
-        self._first_weight = self._each * len(self.parts)
-        self.count = self._first_weight + S.nnz
+        blocks = [Block(f"z_{name}", part.layout.rest) for name, part in self.parts.items()]
+        self.layout = Layout((*blocks, Block("S", S.data, lower=0.0)))
+        self._firsts = [self.layout[block.name].start for block in blocks]
         # a held vertex feels no force: its entries of the derivative by S are left out
         self._tet = np.repeat(np.arange(S.shape[0]), np.diff(S.indptr))
-        numbers = face.flesh.free_numbers[face.flesh.tets]
-        self._felt = np.repeat(numbers[self._tet].ravel() >= 0, 3)
+        flesh = problem.face.flesh
+        self._felt = np.repeat(flesh.free_numbers[flesh.tets][self._tet].ravel() >= 0, 3)
         square = problem.w_s * sp.eye_array(S.nnz) + problem.structure.T @ problem.structure
         self._by_weights = sp.tril(square).tocoo()
 
     def split(self, z: Floats) -> tuple[dict[str, Floats], sp.csr_array]:
         """Return every expression's variables, and S."""
-        pieces = z[: self._first_weight].reshape(len(self.parts), -1)
-        S = replace_values(self._S, z[self._first_weight :])
-        return dict(zip(self.parts, pieces, strict=True)), S
+        *pieces, values = self.layout.split(z)
+        return dict(zip(self.parts, pieces, strict=True)), replace_values(self._S, values)
 
     def objective(self, z: Floats) -> float:
         """See :class:`IpoptProblem`."""
@@ -114,30 +101,29 @@ class FullGeometry(IpoptProblem):
         """See :class:`IpoptProblem`."""
         pieces, S = self.split(z)
         parts = [part.gradient(pieces[name]) for name, part in self.parts.items()]
-        return np.concatenate([*parts, self._problem.prior_gradient(S.data)])
+        return self.layout.join([*parts, self._problem.prior_gradient(S.data)])
 
     def constraints(self, z: Floats) -> Floats:
-        """See :class:`IpoptProblem`."""
+        """Return every expression's forces, and the sums of the rows of S."""
         pieces, S = self.split(z)
         forces = [part.constraints(pieces[name], S) for name, part in self.parts.items()]
         return np.concatenate([*forces, S.sum(axis=1)])
 
     def jacobianstructure(self) -> tuple[Ints, Ints]:
-        """See :class:`IpoptProblem`."""
-        rows, columns = [], []
-        size = self._face.flesh.size
+        """Return rows and columns of the constraints' derivative."""
+        size, weights = self._face.flesh.size, self.layout.places("S")
         by_weights = self._pull(self._S, self._face.rest_pose(), self._face.model.rest)
-        weights = self._first_weight + np.repeat(np.arange(self._S.nnz), 12)[self._felt]
+        rows, columns = [], []
         for k, part in enumerate(self.parts.values()):
-            by_part = part.jacobian_structure
+            by_part = part.jacobianstructure()
             rows += [k * size + by_part[0], k * size + by_weights.indices[self._felt]]
-            columns += [k * self._each + by_part[1], weights]
+            columns += [self._firsts[k] + by_part[1], np.repeat(weights, 12)[self._felt]]
         rows.append(len(self.parts) * size + self._tet)
-        columns.append(self._first_weight + np.arange(self._S.nnz))
+        columns.append(weights)
         return np.concatenate(rows), np.concatenate(columns)
 
     def jacobian(self, z: Floats) -> Floats:
-        """See :class:`IpoptProblem`."""
+        """Return its entries."""
         pieces, S = self.split(z)
         values = []
         for name, part in self.parts.items():
@@ -148,21 +134,19 @@ class FullGeometry(IpoptProblem):
 
     def hessianstructure(self) -> tuple[Ints, Ints]:
         """See :class:`IpoptProblem`."""
-        both = []
-        for side in (0, 1):
-            parts = [
-                k * self._each + part.hessian_structure[side]
-                for k, part in enumerate(self.parts.values())
-            ]
-            by_weights = self._by_weights.coords[side]
-            both.append(np.concatenate([*parts, self._first_weight + by_weights]))
-        return both[0], both[1]
+        parts = zip(self._firsts, self.parts.values(), strict=True)
+        pairs = [first + np.array(part.hessianstructure()) for first, part in parts]
+        by_weights = self.layout["S"].start + np.array(self._by_weights.coords)
+        rows, columns = np.hstack([*pairs, by_weights])
+        return rows, columns
 
-    def hessian(self, z: Floats, multipliers: Floats, factor: float) -> Floats:  # noqa: ARG002
+    def hessian(self, z: Floats, multipliers: Floats, factor: float) -> Floats:
         """See :class:`IpoptProblem`."""
         pieces, _ = self.split(z)
-        parts = [part.hessian(pieces[name]) for name, part in self.parts.items()]
-        return factor * np.concatenate([*parts, self._by_weights.data])
+        parts = [
+            part.hessian(pieces[name], multipliers, factor) for name, part in self.parts.items()
+        ]
+        return np.concatenate([*parts, factor * self._by_weights.data])
 
     def _pull(self, S: sp.csr_array, pose: Pose, x: Floats) -> sp.csc_array:
-        return WeightRates.at(self._face.with_weights(S), pose, x).matrix()
+        return WeightRates(TetForces(self._face.with_weights(S), pose, x)).matrix()

@@ -26,19 +26,24 @@ from solver.mechanics.linalg3 import (
     SYM_ROW,
     Matrix,
     Symmetric,
+    add,
     cofactor,
     determinant,
     dot,
+    full,
     multiply,
     polar,
     scale,
     signed_svd,
     stretch,
+    subtract,
     symmetric_cofactor,
     symmetric_determinant,
+    symmetric_product,
+    symmetric_scale,
     times,
 )
-from solver.mechanics.materials.volumetric import Moduli, volumetric
+from solver.mechanics.materials import Moduli, volumetric
 from solver.surface import Floats
 
 
@@ -65,18 +70,8 @@ def stress(F: Matrix, A: Symmetric, moduli: Moduli) -> Matrix:
     t, Q, _ = polar(F)
     C = cofactor(F)
     _, first, _ = volumetric(determinant(F), symmetric_determinant(A), kappa, barrier)
-    m, k = 2.0 * mu, lam * (t - 3.0)
-    return (
-        m * (F[0] - B[0]) + k * Q[0] + first * C[0],
-        m * (F[1] - B[1]) + k * Q[1] + first * C[1],
-        m * (F[2] - B[2]) + k * Q[2] + first * C[2],
-        m * (F[3] - B[3]) + k * Q[3] + first * C[3],
-        m * (F[4] - B[4]) + k * Q[4] + first * C[4],
-        m * (F[5] - B[5]) + k * Q[5] + first * C[5],
-        m * (F[6] - B[6]) + k * Q[6] + first * C[6],
-        m * (F[7] - B[7]) + k * Q[7] + first * C[7],
-        m * (F[8] - B[8]) + k * Q[8] + first * C[8],
-    )
+    shape = add(scale(2.0 * mu, subtract(F, B)), scale(lam * (t - 3.0), Q))
+    return add(shape, scale(first, C))
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
@@ -97,15 +92,9 @@ def hessian_modes(
     keep = 1.0 - project
     _, R, Y = polar(times(F, A))
     if project > 0.0:
-        M = _clamp(Y, A, work)
-        Y = (
-            keep * Y[0] + project * M[0],
-            keep * Y[1] + project * M[1],
-            keep * Y[2] + project * M[2],
-            keep * Y[3] + project * M[3],
-            keep * Y[4] + project * M[4],
-            keep * Y[5] + project * M[5],
-        )
+        a, b, c, d, e, f = symmetric_scale(keep, Y)
+        g, h, i, j, k, m = symmetric_scale(project, _clamp(Y, A, work))
+        Y = (a + g, b + h, c + i, d + j, e + k, f + m)
     _twists(R, A, Y, -2.0 * mu, left, right, 0)
     count = 3
     t, Q, Y = polar(F)
@@ -175,9 +164,7 @@ def _clamp(Y: Symmetric, A: Symmetric, work: Floats) -> Symmetric:
     L[2, 1] = (Y[4] - L[1, 0] * L[2, 0]) / L[1, 1]
     L[2, 2] = math.sqrt(max(Y[5] - L[2, 0] * L[2, 0] - L[2, 1] * L[2, 1], 0.0))
     L[0, 1] = L[0, 2] = L[1, 2] = 0.0
-    a, b, c, d, e, f = A
-    xx, yy, zz = a * a + b * b + c * c, b * b + d * d + e * e, c * c + e * e + f * f
-    xy, xz, yz = a * b + b * d + c * e, a * c + b * e + c * f, b * c + d * e + e * f
+    xx, xy, xz, yy, yz, zz = symmetric_product(full(A), full(A))
     for i in range(3):
         l0, l1, l2 = L[0, i], L[1, i], L[2, i]
         g0 = (yy + zz) * l0 - xy * l1 - xz * l2

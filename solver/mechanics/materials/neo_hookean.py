@@ -6,8 +6,8 @@
 
 No rotation is factored out, so that it is smooth everywhere, and alpha leaves it without stress at
 G = I. G is what is elastic in F: an activation is a shape to come to rest in, like growth, and has
-to have a volume. mu and lambda are not Lame's: see :func:`from_lame`. beta is the barrier of
-:mod:`solver.mechanics.materials.volumetric`.
+to have a volume. mu and lambda are not Lame's: see :func:`from_lame`. beta is
+:func:`solver.mechanics.materials.barrier`.
 """
 
 from __future__ import annotations
@@ -19,18 +19,22 @@ import numba as nb
 from solver.mechanics.linalg3 import (
     Matrix,
     Symmetric,
+    add,
     cofactor,
     determinant,
     dot,
     full,
     product,
     scale,
-    square,
+    subtract,
     symmetric_cofactor,
     symmetric_determinant,
+    symmetric_product,
+    symmetric_scale,
+    symmetric_unit,
     times,
 )
-from solver.mechanics.materials.volumetric import Moduli, volumetric
+from solver.mechanics.materials import Moduli, volumetric
 from solver.surface import Floats
 
 
@@ -91,8 +95,7 @@ def hessian_modes(
         right[1, entry] = C[entry]
         left[1, entry] = volume * second * C[entry]
     m, g = volume * mu * (1.0 - shrunk), (1.0 - project) * first
-    B = square(inverse)
-    metric = (m * B[0], m * B[1], m * B[2], m * B[3], m * B[4], m * B[5])
+    metric = symmetric_scale(m, symmetric_product(full(inverse), full(inverse)))
     return 2, metric, scale(g, F)
 
 
@@ -121,33 +124,13 @@ def stress_by_activation(
     shrunk = 1.0 / (dot(G, G) + 1.0)
     m, s = mu * (1.0 - shrunk), 2.0 * mu * shrunk * shrunk
     for column in range(6):
-        dA = full(
-            (
-                1.0 if column == 0 else 0.0,
-                1.0 if column == 1 else 0.0,
-                1.0 if column == 2 else 0.0,
-                1.0 if column == 3 else 0.0,
-                1.0 if column == 4 else 0.0,
-                1.0 if column == 5 else 0.0,
-            )
-        )
+        dA = symmetric_unit(column)
         turned = times(dA, inverse)
         D = product(G, turned)
         # d(cof G)[G dA A^-1]: the cofactor is quadratic
-        L = cofactor(_sum(G, D))
-        M = cofactor(D)
-        a, b = -s * dot(G, D), -second * dot(K, D)
-        dP = (
-            a * G[0] + b * K[0] - m * D[0] - first * (L[0] - K[0] - M[0]),
-            a * G[1] + b * K[1] - m * D[1] - first * (L[1] - K[1] - M[1]),
-            a * G[2] + b * K[2] - m * D[2] - first * (L[2] - K[2] - M[2]),
-            a * G[3] + b * K[3] - m * D[3] - first * (L[3] - K[3] - M[3]),
-            a * G[4] + b * K[4] - m * D[4] - first * (L[4] - K[4] - M[4]),
-            a * G[5] + b * K[5] - m * D[5] - first * (L[5] - K[5] - M[5]),
-            a * G[6] + b * K[6] - m * D[6] - first * (L[6] - K[6] - M[6]),
-            a * G[7] + b * K[7] - m * D[7] - first * (L[7] - K[7] - M[7]),
-            a * G[8] + b * K[8] - m * D[8] - first * (L[8] - K[8] - M[8]),
-        )
+        turning = subtract(subtract(cofactor(add(G, D)), K), cofactor(D))
+        dP = add(scale(-s * dot(G, D), G), scale(-second * dot(K, D), K))
+        dP = subtract(subtract(dP, scale(m, D)), scale(first, turning))
         whole = dot(full(C), dA)
         by_pressure, by_shape = times(P, inverse), product(times(P, C), turned)
         change = times(dP, C)
@@ -164,18 +147,7 @@ def _elastic_stress(G: Matrix, moduli: Moduli) -> tuple[Matrix, float, float]:
     first += lam * (J - 1.0) - 0.75 * mu
     C = cofactor(G)
     m = mu * (1.0 - 1.0 / (dot(G, G) + 1.0))
-    P = (
-        m * G[0] + first * C[0],
-        m * G[1] + first * C[1],
-        m * G[2] + first * C[2],
-        m * G[3] + first * C[3],
-        m * G[4] + first * C[4],
-        m * G[5] + first * C[5],
-        m * G[6] + first * C[6],
-        m * G[7] + first * C[7],
-        m * G[8] + first * C[8],
-    )
-    return P, first, second + lam
+    return add(scale(m, G), scale(first, C)), first, second + lam
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
@@ -187,21 +159,4 @@ def _elastic(F: Matrix, A: Symmetric, volume: float) -> Matrix:
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _inverse(A: Symmetric, volume: float) -> Symmetric:
     """Return A^-1; ``volume`` is det A."""
-    C = symmetric_cofactor(A)
-    v = 1.0 / volume
-    return v * C[0], v * C[1], v * C[2], v * C[3], v * C[4], v * C[5]
-
-
-@nb.njit(cache=True, error_model="numpy", forceinline=True)
-def _sum(X: Matrix, Y: Matrix) -> Matrix:
-    return (
-        X[0] + Y[0],
-        X[1] + Y[1],
-        X[2] + Y[2],
-        X[3] + Y[3],
-        X[4] + Y[4],
-        X[5] + Y[5],
-        X[6] + Y[6],
-        X[7] + Y[7],
-        X[8] + Y[8],
-    )
+    return symmetric_scale(1.0 / volume, symmetric_cofactor(A))

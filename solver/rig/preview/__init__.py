@@ -13,7 +13,6 @@ import numpy as np
 from solver.drawing.head import DrawnHead
 from solver.drawing.sheet import Column, SheetLayout, draw_sheet
 from solver.errors import InputError, SolveError
-from solver.fitting.activation import Resting
 from solver.fitting.face import Face
 from solver.model import SubjectModel
 from solver.rig.container import write_container
@@ -161,13 +160,12 @@ def make_preview(
     if not fits:
         raise InputError("preview.nothing", "the rig has no fitted expression to make sliders from")
     begin = time.monotonic()
-    rest = Resting(face)
     listen("controls", 0.0)
-    controls = controls_of(face, rest, fits, options.sliders)
+    controls = controls_of(face, fits, options.sliders)
     learning = poses_to_learn(controls, seed, options.samples)
     measuring = poses_to_measure(controls, seed, options.samples)
     known = {fit.name: fit.x for fit in fits if fit.x is not None}
-    simulator = SliderSolver(face, controls, rest.state, known)
+    simulator = SliderSolver(face, controls, face.rest, known)
 
     def simulate(phase: str, poses: Sequence[Slid], start: float, end: float) -> list[Sample]:
         def tried(count: int) -> None:

@@ -20,7 +20,7 @@ import scipy.optimize
 
 from solver.drawing.head import both_sides
 from solver.errors import SolveError
-from solver.fitting.activation import Resting
+from solver.fitting.activation import rest_curvature
 from solver.fitting.controls import JAW_UNITS
 from solver.fitting.face import Face, Pose, State
 from solver.fitting.sensitivity import Sensitivity
@@ -132,18 +132,16 @@ class Sliders:
 
 
 def controls_of(
-    face: Face,
-    rest: Resting,
-    fits: Sequence[ExpressionFit],
-    options: SliderOptions = SliderOptions(),
+    face: Face, fits: Sequence[ExpressionFit], options: SliderOptions = SliderOptions()
 ) -> Sliders:
     """Return the controls of a face with one fitted expression or more."""
     layout = face.layout
     in_a, in_b = layout["activations"], layout["jaw"]
     fitted = np.array([Pose(fit.activations, fit.jaw).vector() for fit in fits]) - layout.rest
     muscles, changes = _muscles(face, options.full_stretch)
-    # rest.matrix is the curvature of a mean square: twice J^T J
-    contracted = nearest_amounts(fitted[:, in_a], changes, 0.5 * rest.matrix[in_a, in_a], options)
+    # the curvature of a mean square is twice J^T J
+    seen = 0.5 * rest_curvature(face)[in_a, in_a]
+    contracted = nearest_amounts(fitted[:, in_a], changes, seen, options)
     jaws, ways, opened = _jaw(fitted[:, in_b], options)
     directions = np.zeros((layout.size, len(muscles) + len(jaws)))
     directions[in_a, : len(muscles)] = changes

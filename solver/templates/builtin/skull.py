@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 import itertools
-import json
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
-from importlib import resources
 from typing import Any
 
 import igl
@@ -21,11 +18,14 @@ from scipy.interpolate import (
     RectBivariateSpline,
     RegularGridInterpolator,
 )
-from scipy.ndimage import gaussian_filter, label
-from scipy.sparse.linalg import spsolve
+from scipy.ndimage import gaussian_filter
 
+from solver.anatomy.bones import largest_piece, level_set
+from solver.anatomy.data import read_json, read_table
+from solver.anatomy.domain import grid_quads, split_quads
+from solver.anatomy.embedding import barycentric, extend, inside
 from solver.anatomy.template import Depth
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Floats, Ints, Surface, adjacency
 from solver.templates.builtin.head import Head
 
 NO_BONE = "aperture"  # source of rows where there is no bone, which only say that it is not near
@@ -57,17 +57,13 @@ class OuterSkin:
     def __init__(self, head: Head, options: VisibilityOptions = VISIBILITY) -> None:
         self.vertices = head.neutral
         skin = head.faces[head.part_faces["skin"]]
-        normals = igl.per_vertex_normals(self.vertices, skin)
-        normals = np.nan_to_num(normals)
-        hidden = _hidden_part(head, normals, options)
+        self.normals: Floats = np.nan_to_num(igl.per_vertex_normals(self.vertices, skin))
+        hidden = _hidden_part(head, self.normals, options)
         hidden = np.minimum(hidden, hidden[head.mirror])
         self.visible_vertices: Ints = np.intersect1d(
             np.flatnonzero(hidden < options.hidden), head.part_vertices["skin"]
         )
-        visible = np.zeros(len(self.vertices), dtype=bool)
-        visible[self.visible_vertices] = True
-        self.faces: Ints = skin[visible[skin].all(axis=1)]
-        self.normals: Floats = normals
+        self.faces: Ints = skin[np.isin(skin, self.visible_vertices).all(axis=1)]
         self._index()
 
     def _index(self) -> None:
@@ -79,15 +75,12 @@ class OuterSkin:
 
         Muscles beside the ear run under the head's side, not along the ear.
         """
-        edges = igl.adjacency_matrix(self.faces).astype(float).tocsr()
-        laplacian = (sp.diags_array(edges.sum(axis=1).A1) - edges).tocsr()
-        free = np.intersect1d(vertices, self.visible_vertices)
-        rest = np.setdiff1d(np.unique(self.faces), free)
+        edges = adjacency(self.faces, len(self.vertices))
+        laplacian = sp.csc_array(sp.diags_array(edges.sum(axis=1)) - edges)
+        given = ~np.isin(np.arange(len(self.vertices)), vertices)
+        given |= ~np.isin(np.arange(len(self.vertices)), self.visible_vertices)
         tight = copy(self)
-        tight.vertices = self.vertices.copy()
-        tight.vertices[free] = spsolve(
-            laplacian[free][:, free].tocsc(), -(laplacian[free][:, rest] @ self.vertices[rest])
-        )
+        tight.vertices = extend(laplacian, self.vertices, given, np.zeros_like(self.vertices))
         tight.normals = np.nan_to_num(igl.per_vertex_normals(tight.vertices, self.faces))
         tight._index()
         return tight
@@ -98,18 +91,16 @@ class OuterSkin:
         return np.sqrt(squared), face, closest
 
     def interpolate(self, values: Floats, face: Ints, point: Floats) -> Floats:
-        """Interpolate vertex ``values`` linearly at points (k, 3) of faces (k,)."""
+        """Interpolate vertex ``values`` (n, d) linearly at points (k, 3) of faces (k,)."""
         corners = self.faces[face]
-        a, b, c = (self.vertices[corners[:, i]] for i in range(3))
-        weights = igl.barycentric_coordinates(point, a, b, c)
-        shape = (len(face), 3) + (1,) * (values.ndim - 1)
-        return np.asarray((values[corners] * weights.reshape(shape)).sum(axis=1))
+        weights = igl.barycentric_coordinates(point, *self.vertices[corners].transpose(1, 0, 2))
+        return np.asarray((values[corners] * weights[:, :, None]).sum(axis=1))
 
     def depth(self, points: Floats) -> tuple[Floats, Ints, Floats]:
         """Return the depth under the skin (k,), positive inside, and the face and point above."""
         distance, face, closest = self.closest(points)
-        inside = igl.fast_winding_number(self.vertices, self.faces, points) > 0.5
-        return np.where(inside, distance, -distance), face, closest
+        within = inside(Surface(self.vertices, self.faces), points)
+        return np.where(within, distance, -distance), face, closest
 
 
 def _hidden_part(head: Head, normals: Floats, options: VisibilityOptions) -> Floats:
@@ -135,15 +126,16 @@ def depth_fields(head: Head) -> dict[str, Callable[[Floats], Floats]]:
 
     The table's means are interpolated with the radial kernel r, which passes through them.
     """
-    rows = _read_table("soft_tissue_depths.csv")
     fields: dict[str, Callable[[Floats], Floats]] = {}
     for bone in ("cranium", "mandible"):
-        sites, depths = [], []
-        for row in (row for row in rows if row["bone"] == bone):
-            for name in sides(head, row["landmark"]):
-                sites.append(head.neutral[head.landmarks[name]])
-                depths.append(float(row["depth_mm"]))
-        fields[bone] = RBFInterpolator(np.array(sites), np.array(depths), kernel="linear")
+        depths = {
+            head.landmarks[name]: float(row["depth_mm"])
+            for row in read_table("soft_tissue_depths")
+            if row["bone"] == bone
+            for name in sides(head, row["landmark"])
+        }
+        values = np.array(list(depths.values()))
+        fields[bone] = RBFInterpolator(head.neutral[list(depths)], values, kernel="linear")
     return fields
 
 
@@ -153,7 +145,7 @@ def depth_table(head: Head) -> tuple[Depth, ...]:
     Most were entered from memory of the cited tables: the reference says so until a row has been
     compared with the printed one (``checked``).
     """
-    references = {row["key"]: row["reference"] for row in _read_table("sources.csv")}
+    references = {row["key"]: row["reference"] for row in read_table("sources")}
     return tuple(
         Depth(
             name,
@@ -162,15 +154,10 @@ def depth_table(head: Head) -> tuple[Depth, ...]:
             None,
             references[row["source"]] + UNCHECKED * (row["checked"] == "no"),
         )
-        for row in _read_table("soft_tissue_depths.csv")
+        for row in read_table("soft_tissue_depths")
         if row["source"] != NO_BONE
         for name in sides(head, row["landmark"])
     )
-
-
-def _read_table(name: str) -> list[dict[str, str]]:
-    with resources.files("solver.anatomy.data").joinpath(name).open() as stream:
-        return list(csv.DictReader(stream))
 
 
 def sides(head: Head, landmark: str) -> list[str]:
@@ -215,18 +202,15 @@ class Skull:
 
 def build_skull(head: Head, skin: OuterSkin, options: SkullOptions = SKULL) -> Skull:
     """Build cranium and mandible for the head at rest."""
-    shape = json.loads(resources.files("solver.anatomy.data").joinpath("skull.json").read_text())
+    shape = read_json("skull")
     grid = _HalfGrid(options)
     # The bone behind the ear does not follow its relief.
     smooth = skin.stretched_over(head.ears)
     depth, face, _ = smooth.depth(grid.points)
-    fields = depth_fields(head)
-    at_vertices = {
-        bone: field(smooth.vertices).clip(options.clearance_mm) for bone, field in fields.items()
-    }
-    under = {
-        bone: depth - values[skin.faces[face]].mean(axis=1) for bone, values in at_vertices.items()
-    }
+    under = {}
+    for bone, field in depth_fields(head).items():
+        least = field(smooth.vertices).clip(options.clearance_mm)
+        under[bone] = depth - least[skin.faces[face]].mean(axis=1)
     depth = np.minimum(depth, skin.depth(grid.points)[0])
     bones = {
         "mandible": np.minimum(_mandible(grid.points, shape), under["mandible"]),
@@ -254,8 +238,8 @@ class _HalfGrid:
             np.arange(low, high + side / 2, side) for low, high in zip(LOWEST, HIGHEST, strict=True)
         ]
         left = self.axes[0][self.axes[0] >= -side / 4]
-        self.shape = (len(left), len(self.axes[1]), len(self.axes[2]))
-        self.points = np.stack(np.meshgrid(left, *self.axes[1:], indexing="ij"), -1).reshape(-1, 3)
+        grid = np.stack(np.meshgrid(left, *self.axes[1:], indexing="ij"), -1)
+        self.shape, self.points = grid.shape[:3], grid.reshape(-1, 3)
 
     def surface(self, field: Floats, faces: int) -> Surface:
         """Return the zero surface of the mirrored field's largest solid, decimated."""
@@ -264,15 +248,8 @@ class _HalfGrid:
         whole = np.concatenate([half[:0:-1], half]).clip(-4 * side, 4 * side)
         whole = gaussian_filter(whole, self._options.smoothing_voxels)
         whole = np.pad(whole[1:-1, 1:-1, 1:-1], 1, constant_values=-side)
-        solids, _ = label(whole > 0)
-        largest = np.bincount(solids.ravel())[1:].argmax() + 1
-        whole[(solids > 0) & (solids != largest)] = -side / 2
-        # igl numbers grid points with the first axis fastest.
-        points = np.stack(np.meshgrid(*self.axes, indexing="ij"), -1)
-        points = points.transpose(2, 1, 0, 3).reshape(-1, 3)
-        vertices, triangles, _ = igl.marching_cubes(
-            whole.transpose(2, 1, 0).ravel(), points, *whole.shape, 0.0
-        )
+        whole[(whole > 0) & ~largest_piece(whole > 0)] = -side / 2
+        vertices, triangles = level_set(whole, self.axes, 0.0)
         return _decimate(vertices, triangles[:, ::-1], faces, self._options.relaxations)
 
 
@@ -285,8 +262,8 @@ def _decimate(vertices: Floats, triangles: Ints, faces: int, relaxations: int) -
     kept = np.ascontiguousarray(kept)
     # Where bone is flat, quadrics may put a vertex anywhere, and triangles fold over: even the
     # vertices out on the surface.
-    neighbours = igl.adjacency_matrix(kept).astype(float)
-    count = np.asarray(neighbours.sum(axis=1)).reshape(-1, 1)
+    neighbours = adjacency(kept, len(coarse))
+    count = neighbours.sum(axis=1)[:, None]
     for _ in range(relaxations):
         even = (coarse + neighbours @ coarse / count) / 2
         _, _, coarse = igl.point_mesh_squared_distance(even, fine, fine_faces)
@@ -295,11 +272,10 @@ def _decimate(vertices: Floats, triangles: Ints, faces: int, relaxations: int) -
 
 def _cranium(points: Floats, shape: dict[str, Any], under_skin: Floats) -> Floats:
     x, y, z = points.T
-    limit = shape["lateral_limit"]
+    limit, base = shape["lateral_limit"], np.array(shape["base_height"]["points"])
     side = RegularGridInterpolator(
         (limit["y"], limit["z"]), limit["x"], bounds_error=False, fill_value=None
     )
-    base = np.array(shape["base_height"]["points"])
     solid = np.minimum(under_skin, y - np.interp(z, base[:, 0], base[:, 1]))
     solid = np.minimum(solid, side(np.stack([y, z], -1)) - x)
     solid = np.maximum(solid, _bar(points, np.array(shape["zygomatic_arch"]["points"])))
@@ -316,7 +292,7 @@ def _orbit(points: Floats, orbit: dict[str, Any]) -> Floats:
     sideways = np.array([np.cos(turn), 0, -np.sin(turn)])
     from_rim = points - orbit["rim"]
     local = np.stack([from_rim @ sideways, from_rim[:, 1], (from_rim @ backwards).clip(0)], -1)
-    return _ellipsoid(local, np.zeros(3), orbit["radii"])
+    return _ellipsoid(local, 0.0, orbit["radii"])
 
 
 def _mandible(points: Floats, shape: dict[str, Any]) -> Floats:
@@ -335,19 +311,15 @@ def _thick_patch(points: Floats, controls: Floats, samples: int = 40) -> Floats:
     """Return half thickness minus distance for a smooth patch of (x, y, z, half thickness)."""
     rows, columns = controls.shape[:2]
     u, v = np.linspace(0, rows - 1, samples), np.linspace(0, columns - 1, samples)
+    places, degree = (np.arange(rows), np.arange(columns)), min(3, rows - 1)
     splines = [
-        RectBivariateSpline(
-            np.arange(rows), np.arange(columns), controls[..., i], kx=min(3, rows - 1), ky=2
-        )(u, v)
-        for i in range(4)
+        RectBivariateSpline(*places, controls[..., i], kx=degree, ky=2)(u, v) for i in range(4)
     ]
     patch = np.stack(splines, -1).reshape(-1, 4)
-    first = (np.arange(samples - 1)[:, None] * samples + np.arange(samples - 1)).ravel()
-    quads = np.stack([first, first + 1, first + samples + 1, first + samples], -1)
-    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    vertices = np.ascontiguousarray(patch[:, :3])
-    squared, face, _ = igl.point_mesh_squared_distance(points, vertices, faces)
-    return np.asarray(patch[faces[face], 3].mean(axis=1) - np.sqrt(squared))
+    faces = split_quads(grid_quads(samples, samples)[:, [0, 3, 2, 1]])
+    surface = Surface(np.ascontiguousarray(patch[:, :3]), faces)
+    face, _, distance = barycentric(points, surface)
+    return np.asarray(patch[faces[face], 3].mean(axis=1) - distance)
 
 
 def _bar(points: Floats, controls: Floats) -> Floats:
@@ -363,8 +335,9 @@ def _bar(points: Floats, controls: Floats) -> Floats:
 
 def _ellipsoid(points: Floats, centre: Any, radii: Any) -> Floats:
     """Return about the distance to an ellipsoid, positive inside."""
-    scaled = np.linalg.norm((points - centre) / radii, axis=1)
-    gradient = np.linalg.norm((points - centre) / np.square(radii), axis=1)
+    away = points - centre
+    scaled = np.linalg.norm(away / radii, axis=1)
+    gradient = np.linalg.norm(away / np.square(radii), axis=1)
     return np.asarray((1 - scaled) * scaled / np.maximum(gradient, 1e-9))
 
 
@@ -373,9 +346,8 @@ def _teeth(points: Floats, shape: dict[str, Any], jaw: str) -> Floats:
     arch = np.array(shape["dental_arch"][jaw], dtype=float)
     length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(arch, axis=0), axis=1))]
     curve = CubicSpline(length, arch)
-    crowns = shape["teeth"][jaw]
+    crowns, start = shape["teeth"][jaw], 0.0
     solid = np.full(len(points), -np.inf)
-    start = 0.0
     for width in crowns["widths"]:
         (x, z), (dx, dz) = curve(start + width / 2), curve(start + width / 2, 1)
         along = np.array([dx, 0, dz]) / np.hypot(dx, dz)
@@ -383,6 +355,6 @@ def _teeth(points: Floats, shape: dict[str, Any], jaw: str) -> Floats:
         offset = points - [x, crowns["y"], z]
         local = np.stack([offset @ along, offset[:, 1], offset @ across], -1)
         radii = [0.58 * width, crowns["half_height"], crowns["half_depth"]]
-        solid = np.maximum(solid, _ellipsoid(local, np.zeros(3), radii))
+        solid = np.maximum(solid, _ellipsoid(local, 0.0, radii))
         start += width
     return solid

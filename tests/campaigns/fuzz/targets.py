@@ -13,10 +13,9 @@ from service.errors import Problem
 from service.http import bodies
 from service.uploads.schemas import parse_checksum, parse_metadata
 from solver.errors import InputError
-from solver.meshio.raw import read_raw
+from solver.meshio.raw import mend, read_raw
 from solver.meshio.registered import read_registered
 from solver.registration.landmarks import read_landmarks
-from solver.registration.mend import mend
 from solver.scans.live_link import read_live_link
 from solver.scans.performance import open_performance
 from solver.storage import Archive

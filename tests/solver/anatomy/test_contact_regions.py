@@ -8,7 +8,8 @@ from solver.anatomy.contact_regions import LOWER, UPPER, contact_regions, lips_a
 from solver.errors import InputError
 from solver.surface import Surface, vertex_normals
 from solver.templates import ict_facekit
-from solver.templates.builtin.build import Regions, builtin_head
+from solver.templates.builtin.build import builtin_head
+from solver.templates.builtin.build import named_regions as builtin_regions
 from solver.templates.builtin.skull import OuterSkin
 from solver.templates.ict_template import LANDMARKS, both_sides, named_regions
 from tests.fixtures import data_folder
@@ -24,12 +25,14 @@ def builtin():
     parts |= {f"{side}_eyeball": own[f"{side}_eye"] for side in ("left", "right")}
     flesh = Surface(head.neutral, head.faces[head.part_faces["skin"]])
     sides = lips_apart(flesh, head.landmarks)
-    named = Regions(head, OuterSkin(head), sides).by_name()
+    named = builtin_regions(head, OuterSkin(head).visible_vertices, sides)
+    del named["face"]
     return flesh, sides, parts, head.landmarks, named
 
 
 def ict():
-    skin = ict_facekit.read_facekit(data_folder("ict_facekit")).skin
+    kit = ict_facekit.read_facekit(data_folder("ict_facekit"))
+    skin = kit.skin
     eyes = np.array(ict_facekit.EYEBALLS)
     across = skin.vertices[eyes, 0]
     parts = {
@@ -38,9 +41,7 @@ def ict():
         "left_eyeball": eyes[across > 0],
         "right_eyeball": eyes[across < 0],
     }
-    flesh = Surface(
-        skin.vertices, skin.faces[ict_facekit.faces_within(skin.faces, ict_facekit.FLESH)]
-    )
+    flesh = kit.part(ict_facekit.FLESH)
     landmarks = both_sides(LANDMARKS, skin.vertices)
     sides = lips_apart(flesh, landmarks)
     return flesh, sides, parts, landmarks, named_regions(skin.vertices, sides)

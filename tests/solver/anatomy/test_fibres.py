@@ -4,15 +4,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from solver.anatomy.muscle_weights import (
-    bodyparts3d_muscle,
-    fibre_directions,
-    initial_weights,
-    with_axis,
-)
+from solver.anatomy.muscle_weights import fibre_directions, initial_weights, with_axis
 from solver.anatomy.template import Muscle
 from solver.anatomy.tetrahedra import background_grid, positively_oriented
 from solver.surface import Surface
+from solver.templates.bodyparts3d import with_table_axis
 
 
 def flesh(lo, hi, spacing):
@@ -101,10 +97,10 @@ def test_axes_of_known_muscles_come_from_the_table(side, sign):
     """Temporalis is longer from front to back than it is high: its fibres run down all the same."""
     ball = trimesh.creation.icosphere(3)
     fan = surface(ball.apply_scale([5, 40, 70]))
-    muscle = bodyparts3d_muscle(f"{side} temporalis", fan, np.zeros((1, 3)))
+    muscle = with_table_axis(f"{side} temporalis", fan, np.zeros((1, 3)))
     assert muscle.fibre[1] < -0.8
     assert muscle.fibre[0] * sign < 0
-    ring = bodyparts3d_muscle(f"orbital part of {side} orbicularis oculi", fan, np.zeros((1, 3)))
+    ring = with_table_axis(f"orbital part of {side} orbicularis oculi", fan, np.zeros((1, 3)))
     assert ring.ring
 
 

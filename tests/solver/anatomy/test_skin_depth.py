@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from solver.anatomy.depth_warp import SkinDepth, boundary_edges
+from solver.anatomy.warp import SkinDepth, boundary_edges
 from solver.surface import Surface
 
 

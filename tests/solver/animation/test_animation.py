@@ -19,8 +19,7 @@ from solver.animation.blendshapes import (
     solve_blendshapes,
     unfold,
 )
-from solver.animation.keys import Gaze, HeadKey, PoseKey, from_keys, neck
-from solver.animation.recording import from_recording
+from solver.animation.drives import Gaze, HeadKey, KeyedDrives, PoseKey, RecordedDrives, neck
 from solver.errors import InputError
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import LEAST_STRETCH
@@ -72,7 +71,7 @@ def test_keys_pass_through_their_values_and_never_beyond() -> None:
         PoseKey(1.0, {"smile": 1.0}, {"right": squeezed}, np.array([0.1, 0.0, 0.0, 0.0, 0.0])),
         PoseKey(2.0, {"smile": 1.0, "open": 1.0}),
     ]
-    drives = from_keys(keys, POSES, MODEL, np.arange(60) / 30.0)
+    drives = KeyedDrives(keys, POSES, MODEL, np.arange(60) / 30.0)
     np.testing.assert_array_equal(drives(0.0).a, REST)
     at_key = drives(1.0)
     np.testing.assert_allclose(at_key.a[0], POSES["smile"].a[0])
@@ -81,7 +80,7 @@ def test_keys_pass_through_their_values_and_never_beyond() -> None:
     np.testing.assert_allclose(drives(9.0).jaw[0], 0.2)  # the last key holds
     between = np.array([drives(time).a[0, 0] for time in np.linspace(0.5, 1.0, 30)])
     assert (np.diff(between) <= 0.0).all()
-    linear = from_keys(keys, POSES, MODEL, np.zeros(1), interpolation="linear")
+    linear = KeyedDrives(keys, POSES, MODEL, np.zeros(1), interpolation="linear")
     assert linear(0.75).a[0, 0] == pytest.approx(0.8)
 
 
@@ -97,14 +96,14 @@ def test_keys_pass_through_their_values_and_never_beyond() -> None:
 )
 def test_keys_that_can_not_be(keys: list[PoseKey], code: str, where: str) -> None:
     with pytest.raises(InputError, match=re.escape(where)) as caught:
-        from_keys(keys, POSES, MODEL, np.zeros(1))
+        KeyedDrives(keys, POSES, MODEL, np.zeros(1))
     assert caught.value.code == code
 
 
 def test_the_head_turns_about_the_neck() -> None:
     turn, shift = np.array([0.0, 0.4, 0.0]), np.array([0.0, 0.0, 7.0])
     head = [HeadKey(0.0, np.zeros(3), np.zeros(3)), HeadKey(1.0, turn, shift)]
-    drives = from_keys([], POSES, MODEL, np.zeros(1), head=head)
+    drives = KeyedDrives([], POSES, MODEL, np.zeros(1), head=head)
     np.testing.assert_allclose(drives(0.0).head.rotation, np.eye(3))
     moved = drives(1.0).head
     np.testing.assert_allclose(moved(neck(MODEL)[None])[0], neck(MODEL) + shift)
@@ -130,7 +129,7 @@ def test_a_recording_drives_the_shapes_that_its_weights_are_called_after() -> No
             "jawOpen": Solved(POSES["open"], 0.1),
         },
     )
-    drives = from_recording(take(browInnerUp=0.5, tongueOut=1.0), shapes, MODEL)
+    drives = RecordedDrives(take(browInnerUp=0.5, tongueOut=1.0), shapes, MODEL)
     np.testing.assert_allclose(drives.times, [0.0, 0.04, 0.07])
     np.testing.assert_allclose(drives.weights[1], [0.5, 0.5, 0.0])
     np.testing.assert_array_equal(drives(0.0).a, REST)
@@ -139,11 +138,11 @@ def test_a_recording_drives_the_shapes_that_its_weights_are_called_after() -> No
     np.testing.assert_allclose(half.a[:, 0], 1.0 - 0.075)
     np.testing.assert_allclose(half.eyes, [[0.0, 0.0, 0.0], [-0.05, 0.0, 0.0]])
     np.testing.assert_allclose(Rotation.from_matrix(half.head.rotation).as_rotvec()[1], 0.1)
-    later = from_recording(take(jawOpen=1.0), shapes, MODEL, 1)
+    later = RecordedDrives(take(jawOpen=1.0), shapes, MODEL, 1)
     assert later.times[0] == 0.0
     assert later(0.0).jaw[0] == 0.2
     with pytest.raises(InputError) as caught:
-        from_recording(take(), shapes, MODEL, 2, 4)
+        RecordedDrives(take(), shapes, MODEL, 2, 4)
     assert caught.value.code == "scene.frames"
 
 

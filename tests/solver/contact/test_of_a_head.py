@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from solver.contact.crossing import Gauge, crossing
+from solver.contact.crossing import crossing
 from solver.contact.mouth import Mouth
-from solver.contact.potentials import arches, contact_potentials, eyeballs
-from solver.edits.bones import Bone
+from solver.contact.potentials import Gauge, arches, contact_potentials, eyeballs
+from solver.edits.changes import Bone
 from solver.edits.edit import apply
 from solver.mechanics import jaw
 from solver.mechanics.potential import Boundary
@@ -43,9 +43,9 @@ def test_lips_are_led_out_in_front_of_teeth_wherever_the_jaw_is(head, number):
     assert teeth.value(head.rest) == 0.0
     back = head.rest.copy()
     back[lip, 2] -= 4.0
-    assert len(teeth.behind(back, 0.2)) > 3
+    assert len(teeth.behind(back, closed.jaw, 0.2)) > 3
     assert teeth.gradient(back)[lip, 2].sum() < 0.0
-    assert Gauge(head).at(back, closed.jaw).behind_teeth >= len(teeth.behind(back, 0.2))
+    assert Gauge(head).at(back, closed.jaw).behind_teeth >= len(teeth.behind(back, closed.jaw, 0.2))
     pushed = teeth.value(back)
     # the lower teeth go with the jaw, the upper ones stay
     teeth.place(at(OPEN))

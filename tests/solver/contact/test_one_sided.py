@@ -42,12 +42,12 @@ def test_skin_behind_teeth_comes_out_to_the_front(height):
     points = fan(RADIUS - 5.0, height)
     potential = kept(Arch.of(row_of_teeth()), points)
     potential.place(at(np.zeros(5)))
-    assert len(potential.behind(points, 0.2)) == len(points)
+    assert len(potential.behind(points, np.zeros(5), 0.2)) == len(points)
     x = points
     for _ in range(200):
         x = x - potential.gradient(x) / 14.0
     assert potential.value(x) < 1e-3
-    assert not len(potential.behind(x, 0.2))
+    assert not len(potential.behind(x, np.zeros(5), 0.2))
     # near its border the way out leads over the edge as well
     assert np.all((np.hypot(x[:, 0], x[:, 2]) > RADIUS - 0.1) | (x[:, 1] > HEIGHT / 2 - 0.4))
 
@@ -119,5 +119,5 @@ def test_the_neutral_is_pushed_by_nothing():
     free = free_depths(arch, rest, -OneSidedOptions.margin_mm)
     potential = OneSided(arch, rows, np.zeros_like(rest), free, np.ones(len(rest)))
     assert potential.value(rest) == 0.0
-    assert not len(potential.behind(rest, 0.2))
+    assert not len(potential.behind(rest, np.zeros(5), 0.2))
     assert potential.value(rest - [0.0, 0.0, 1.5]) > 1.0

@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from solver.contact.crossing import Gauge
-from solver.contact.potentials import contact_potentials
+from solver.contact.potentials import Gauge, contact_potentials
 from solver.fitting.face import Face
 from solver.mechanics.flesh import COROTATED_TRACE
 from solver.similarity import IDENTITY
-from solver.simulation.inertia import Drive
+from solver.simulation.forces import Drive
 from solver.simulation.simulator import Simulator
 from tests.fixtures import small_model
 from tests.solver.ball import ball

@@ -5,11 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from solver.edits.bones import Bone
+from solver.edits.changes import (
+    Bone,
+    Density,
+    Fat,
+    Filler,
+    Paralysis,
+    Stiffening,
+    distance_to_path,
+    into_volume,
+    patches,
+    spots,
+    under_skin,
+)
 from solver.edits.edit import DENSITY, apply
-from solver.edits.fat import Density, Fat, Filler, Stiffening, distance_to_path, under_skin
-from solver.edits.maps import into_volume, patches, spots
-from solver.edits.paralysis import Paralysis
 from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.mechanics.flesh import shape_gradients

@@ -23,7 +23,7 @@ def model():
 
 
 def settled(face, pose):
-    return face.continuation(face.rest_state(), pose).x
+    return face.continuation(face.rest, pose).x
 
 
 def test_pinned_flesh_does_not_slide(model):

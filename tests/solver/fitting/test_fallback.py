@@ -5,7 +5,7 @@ import pytest
 
 from solver.errors import SolveError
 from solver.fitting import fallback
-from solver.fitting.activation import ActivationOptions, Resting
+from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from tests.solver.block import block_model
@@ -17,12 +17,11 @@ STOP = ActivationOptions(25, 1e-6)
 def problem():
     """Return what a fit takes, for two contracted muscles and an open jaw."""
     face = Face(block_model())
-    rest = Resting(face)
     a = np.array([[0.8, 0.05, 0.0, 1.1, 0.0, 1.1], [0.9, 0.0, 0.0, 1.05, 0.0, 1.05]])
     pose = Pose(a, np.array([0.1, 0.02, 0.2, -0.5, 0.4]))
-    target = Target.from_points(face.face_points(face.continuation(rest.state, pose).x))
+    target = Target.from_points(face.face_points(face.continuation(face.rest, pose).x))
     regulariser = Regulariser(1e-3, 1e-2, 1e-6, face.rest_pose())
-    return face, SkinDistance(face, target), regulariser, rest, STOP
+    return face, SkinDistance(face, target), regulariser, STOP
 
 
 def test_both_solvers_find_the_same(problem):
@@ -30,8 +29,8 @@ def test_both_solvers_find_the_same(problem):
     assert (reduced.solver, reduced.status, reduced.notices) == ("reduced", "converged", ())
     assert (full.solver, full.status, full.notices) == ("ipopt", "converged", ())
     assert full.objective == pytest.approx(reduced.objective, rel=1e-3)
-    _, data, regulariser, rest, _ = problem
-    assert full.objective < 0.01 * fallback.activation.objective(data, regulariser, rest.state)
+    face, data, regulariser, _ = problem
+    assert full.objective < 0.01 * fallback.activation.objective(data, regulariser, face.rest)
 
 
 @pytest.mark.parametrize("error", [SolveError("solve.far", "too far"), np.linalg.LinAlgError("no")])
@@ -54,11 +53,11 @@ def test_ipopt_takes_over_and_says_why(problem, monkeypatch, error):
 def test_out_of_iterations_the_best_is_kept(problem):
     """One iteration of IPOPT ends nowhere: what is kept is better than rest, and settled."""
     once = fallback.FallbackOptions(iterations=1, heavier=(1.0,))
-    face, data, regulariser, rest, _ = problem
+    face, data, regulariser, _ = problem
     few = ActivationOptions(1, 1e-6)
-    found = fallback.fit_by_ipopt(face, data, regulariser, rest, few, ipopt=once)
+    found = fallback.fit(face, data, regulariser, few, "ipopt", ipopt=once)
     assert found.status == "stopped"
     assert [notice.code for notice in found.notices] == ["ipopt.failed"]
-    assert found.objective < 0.5 * fallback.activation.objective(data, regulariser, rest.state)
+    assert found.objective < 0.5 * fallback.activation.objective(data, regulariser, face.rest)
     assert found.state.equilibrium.residual < 1e-6
     assert face.flesh.inverted(found.state.x) == 0

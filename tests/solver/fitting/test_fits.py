@@ -22,7 +22,7 @@ def face():
 
 
 def target_of(face, pose):
-    return Target.from_points(face.face_points(face.continuation(face.rest_state(), pose).x))
+    return Target.from_points(face.face_points(face.continuation(face.rest, pose).x))
 
 
 def test_round_trip_finds_activations_and_jaw(face):
@@ -30,7 +30,7 @@ def test_round_trip_finds_activations_and_jaw(face):
         target = target_of(face, pose)
         weak = Regulariser(w_a=1e-9, w_v=0.0, w_b=1e-12, prior=face.rest_pose())
         data = SkinDistance(face, target)
-        fitted = activation.fit(face, data, weak, face.rest_state(), CONVERGED)
+        fitted = activation.fit(face, data, weak, face.rest, CONVERGED)
         error = target.distances(face.face_points(fitted.state.x))
         assert error.max() < 1e-3
         np.testing.assert_allclose(fitted.state.pose.a, pose.a, atol=0.02)
@@ -45,7 +45,7 @@ def test_neo_hookean_flesh_is_fitted_too():
     moved = target.distances(face.face_points(face.model.rest))
     weak = Regulariser(w_a=1e-9, w_v=0.0, w_b=1e-12, prior=face.rest_pose())
     data = SkinDistance(face, target)
-    fitted = activation.fit(face, data, weak, face.rest_state(), CONVERGED)
+    fitted = activation.fit(face, data, weak, face.rest, CONVERGED)
     assert moved.max() > 1.0
     assert target.distances(face.face_points(fitted.state.x)).max() < 1e-3
     np.testing.assert_allclose(fitted.state.pose.a, pose.a, atol=0.02)
@@ -64,7 +64,7 @@ def test_an_expression_of_a_ball_is_fitted_with_neo_hookean_flesh():
     target = Target.from_points(raised)
     data = SkinDistance(face, target)
     options = Regulariser(w_a=1e-3, w_v=0.0, w_b=1e-4, prior=face.rest_pose())
-    fitted = activation.fit(face, data, options, face.rest_state())
+    fitted = activation.fit(face, data, options, face.rest)
     before, after = (data.value(x) for x in (model.rest, fitted.state.x))
     assert after < 0.7 * before
     assert face.flesh.inverted(fitted.state.x) == 0
@@ -74,7 +74,7 @@ def test_reduced_solver_agrees_with_ipopt(face):
     pose = poses(1)[0]
     data = SkinDistance(face, target_of(face, pose))
     regulariser = Regulariser(w_a=0.5, w_v=0.1, w_b=1e-4, prior=face.rest_pose())
-    rest = face.rest_state()
+    rest = face.rest
     reduced = activation.fit(face, data, regulariser, rest, CONVERGED)
     full = reference.activations(face, data, regulariser, rest.pose, rest.x)
     assert reduced.objective == pytest.approx(full.objective, rel=1e-6)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from solver.fitting import gauss_newton
-from solver.fitting.activation import Resting
+from solver.fitting import activation
+from solver.fitting.activation import DenseModel, DescentOptions, GaussNewton
 from solver.fitting.face import Face
-from solver.fitting.gauss_newton import GaussNewton
 from solver.fitting.objective import Regulariser, SkinDistance, Target
+from solver.fitting.sensitivity import Sensitivity
 from tests.solver.block import block_model, poses
 
 DAMPING = 1e-3
@@ -17,36 +17,33 @@ DAMPING = 1e-3
 def problem():
     """A face in one pose that is fitted to the skin of another one."""
     face = Face(block_model())
-    rest = Resting(face)
-    here, there = (face.continuation(rest.state, pose) for pose in poses(2))
+    here, there = (face.continuation(face.rest, pose) for pose in poses(2))
     data = SkinDistance(face, Target.from_points(face.face_points(there.x)))
     regulariser = Regulariser(1e-3, 1e-2, 1e-6, face.rest_pose())
-    return face, data, regulariser, here, rest.matrix
+    return face, data, regulariser, here, activation.rest_curvature(face)
 
 
 def exact(face, data, regulariser, state):
-    hessian = gauss_newton.curvature(face, data, state) + regulariser.gauss_newton(state.pose)
-    jacobian = gauss_newton.Sensitivity(face, state).by_pose()
+    hessian = activation.curvature(face, data, state) + regulariser.gauss_newton(state.pose)
+    jacobian = Sensitivity(face, state).by_pose()
     gradient = jacobian.adjoint(data.gradient(state.x)) + regulariser.gradient(state.pose)
-    step = gauss_newton.damped_step(state.pose.layout, hessian, gradient, DAMPING, trust=np.inf)
+    step = DenseModel(state.pose.layout, hessian, gradient).step(DAMPING, np.inf).change
     return hessian, gradient, step
 
 
-def test_step_is_that_of_the_exact_matrix(problem, monkeypatch):
-    monkeypatch.setattr(gauss_newton, "ACCURACY", 1e-6)
+def test_step_is_that_of_the_exact_matrix(problem):
     *parts, matrix = problem
     hessian, gradient, step = exact(*parts)
     # the matrix it begins with leads elsewhere
     wrong = matrix + parts[2].gauss_newton(parts[3].pose)
-    elsewhere = gauss_newton.damped_step(
-        parts[3].pose.layout, wrong, gradient, DAMPING, trust=np.inf
-    )
+    elsewhere = DenseModel(parts[3].pose.layout, wrong, gradient).step(DAMPING, np.inf).change
     assert np.abs(elsewhere - step).max() > 0.05 * np.abs(step).max()
-    found = GaussNewton(*parts, matrix).step(DAMPING, np.inf)
+    found = GaussNewton(*parts, matrix, DescentOptions(accuracy=1e-6)).step(DAMPING, np.inf)
     np.testing.assert_allclose(found.change, step, atol=1e-3 * np.abs(step).max())
     gain = -gradient @ step - 0.5 * step @ hessian @ step
     assert found.gain == pytest.approx(gain, rel=1e-4)
-    response = gauss_newton.Sensitivity(parts[0], parts[3]).flesh_by_pose(found.change)
+    sensitivity = Sensitivity(parts[0], parts[3])
+    response = sensitivity.response.free_motion(sensitivity.pose, found.change)
     np.testing.assert_allclose(found.response, response, rtol=1e-9)
 
 
@@ -58,9 +55,7 @@ def test_matrix_learns_what_the_step_needed(problem):
     known = parts[2].gauss_newton(parts[3].pose)
     layout = parts[3].pose.layout
     errors = [
-        np.abs(
-            gauss_newton.damped_step(layout, each + known, gradient, DAMPING, np.inf) - step
-        ).max()
+        np.abs(DenseModel(layout, each + known, gradient).step(DAMPING, np.inf).change - step).max()
         for each in (matrix, model.matrix)
     ]
     assert errors[1] < 0.5 * errors[0]

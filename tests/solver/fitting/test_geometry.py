@@ -24,7 +24,7 @@ def face():
 
 
 def targets_of(face, count):
-    rest = face.rest_state()
+    rest = face.rest
     return {
         f"pose {k}": Target.from_points(face.face_points(face.continuation(rest, pose).x))
         for k, pose in enumerate(poses(count))
@@ -52,7 +52,7 @@ def test_step_solves_the_dense_system():
         S.data - 0.1 * np.tile([1, 0, -1], len(S.data) // 3),
         structure,
     )
-    states = dict.fromkeys(data, face.rest_state())
+    states = dict.fromkeys(data, face.rest)
     count = face.rest_pose().a.size + 5
     units = np.concatenate([np.ones(count - 5), np.array([1e4, 1e4, 1, 1, 1]) * 1e-3])
     total = S.nnz + len(data) * count
@@ -61,11 +61,12 @@ def test_step_solves_the_dense_system():
     gradient[: S.nnz] = problem.prior_gradient(S.data)
     for number, (name, term) in enumerate(data.items()):
         x = states[name].x
-        response = Sensitivity(face, states[name])
-        jacobian = response.by_pose()
+        sensitivity = Sensitivity(face, states[name])
+        response, weights = sensitivity.response, sensitivity.weights
+        jacobian = sensitivity.by_pose()
         by_all = np.zeros((x.size, total))
         by_all[jacobian.free, : S.nnz] = np.stack(
-            [response.flesh_by_geometry(column) for column in np.eye(S.nnz)], axis=1
+            [response.free_motion(weights, column) for column in np.eye(S.nnz)], axis=1
         )
         own = slice(S.nnz + number * count, S.nnz + (number + 1) * count)
         by_all[jacobian.free, own] = jacobian.flesh
@@ -92,7 +93,7 @@ def test_fit_improves_on_the_wrong_weights_and_stays_on_the_simplex(face):
     targets = targets_of(face, 4)
     start = Face(smeared(face.model))
     data = {name: SkinDistance(start, target) for name, target in targets.items()}
-    rest = start.rest_state()
+    rest = start.rest
     regulariser = Regulariser(1e-3, 1e-3, 1e-6, start.rest_pose())
     alone = {
         name: activation.fit(start, term, regulariser, rest).state for name, term in data.items()

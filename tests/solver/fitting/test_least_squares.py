@@ -1,4 +1,4 @@
-"""The damped descent on Rosenbrock's valley, the damping rules, and a fit of any controls."""
+"""The damped descent on Rosenbrock's valley and the damping rules."""
 
 from dataclasses import dataclass
 
@@ -6,23 +6,18 @@ import numpy as np
 import pytest
 
 from solver.fitting.activation import DescentOptions
-from solver.fitting.face import Face
 from solver.fitting.joint import JointOptions
 from solver.fitting.least_squares import (
     DampingOptions,
     Ending,
     Halving,
-    HalvingOptions,
     LeastSquaresStep,
     StopOptions,
     TrustRegion,
     minimise,
 )
-from solver.fitting.per_tet.damping import Damping
-from solver.fitting.sensitivity import PoseControls
+from solver.fitting.per_tet.descent import Damping
 from solver.fitting.sequence import TrackingOptions
-from solver.fitting.skin_fit import SkinFit
-from tests.solver.block import block_model, poses
 
 START = np.array([-1.2, 1.0])
 
@@ -60,8 +55,8 @@ class Linearised:
 
 
 SEARCHES = [
-    lambda: TrustRegion(DescentOptions().damping, DescentOptions().trust),
-    lambda: Halving(DampingOptions(0.0, least=0.0), HalvingOptions(tries=12)),
+    lambda: TrustRegion(DescentOptions().damping),
+    lambda: Halving(DampingOptions(0.0, least=0.0), tries=12),
 ]
 
 
@@ -85,7 +80,7 @@ def test_the_end_is_told():
     assert (found.ending, found.steps, found.idle) == (Ending.STUCK, 0, True)
     found = minimise(Valley(), np.ones(2), search, StopOptions(9))
     assert (found.ending, found.steps, found.idle) == (Ending.CONVERGED, 0, True)
-    wary = Halving(DampingOptions(0.0, least=0.0), HalvingOptions(least_ratio=2.0))
+    wary = Halving(DampingOptions(0.0, least=0.0), least_ratio=2.0)
     found = minimise(Valley(), START, wary, StopOptions(9))
     assert (found.ending, found.steps) == (Ending.UNRELIABLE, 1)
 
@@ -123,14 +118,3 @@ def test_damping_of_every_tet_follows_its_step():
     refused = damping.after_refusal()
     np.testing.assert_allclose(refused.tets, 16.0 * damping.tets)
     assert (refused.fall, refused.is_hindered, damping.is_hindered) == (0.5, True, False)
-
-
-def test_any_controls_are_fitted_to_a_skin():
-    """Activations of S and the jaw by the path that fibres take."""
-    face = Face(block_model())
-    target = face.face_points(face.continuation(face.rest_state(), poses(1)[0]).x)
-    fit = SkinFit(face, PoseControls(face), target)
-    before = fit.value(fit.settle(face.layout.rest, face.model.rest))
-    found = fit.solve()
-    assert found.value < 0.2 * before
-    assert face.flesh.inverted(found.point.equilibrium.x) == 0

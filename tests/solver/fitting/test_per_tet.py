@@ -11,7 +11,6 @@ from solver.fitting import per_tet, stretches
 from solver.fitting.face import Face, Pose, State
 from solver.fitting.objective import SkinDistance, Target
 from solver.fitting.per_tet import Objective, PerTetOptions, tissue
-from solver.fitting.per_tet.damping import Damping
 from solver.fitting.per_tet.objective import PreferredContraction, contraction
 from solver.fitting.per_tet.saddle import SaddleSolver
 from solver.mechanics.flesh import COROTATED_DET, IDENTITY
@@ -51,7 +50,7 @@ def settled(divided, pose, x):
 
 
 def target_of(divided, pose):
-    face, rest = divided.face, divided.face.rest_state()
+    face, rest = divided.face, divided.face.rest
     state = face.continuation(rest, pose)
     return Target.from_points(face.face_points(state.x))
 
@@ -65,7 +64,7 @@ def posed(divided):
     data = SkinDistance(divided.face, target)
     objective = Objective(divided, data, OPTIONS, np.full(5, 0.01))
     pose = Pose(contracted(divided, rng, 0.5), 0.4 * jaw)
-    rest = divided.face.rest_state()
+    rest = divided.face.rest
     return objective, divided.face.continuation(rest, pose)
 
 
@@ -86,7 +85,7 @@ def test_tissue_shares_every_tets_volume(divided):
 
 def test_reduced_gradient(posed, divided):
     objective, state = posed
-    model = objective.quadratic(state, Damping(np.zeros(len(divided.active)), 0.0))
+    model = objective.quadratic(state, np.zeros(len(divided.active)), 0.0)
     by_a, by_b = state.pose.layout.split(model.gradient)
     rng = np.random.default_rng(5)
     for jaw in (0.0, 1.0):
@@ -109,12 +108,12 @@ def test_reduced_gradient(posed, divided):
 def test_step_solves_the_reduced_system(posed, divided):
     """Conjugate gradients with the saddle point as preconditioner against a dense solve."""
     objective, state = posed
-    model = objective.quadratic(state, Damping(np.full(len(divided.active), 0.1), 0.1))
+    model = objective.quadratic(state, np.full(len(divided.active), 0.1), 0.1)
     count = 6 * len(divided.active) + 5
     matrix = np.array([model.product(unit) for unit in np.eye(count)])
     np.testing.assert_allclose(matrix, matrix.T, atol=1e-9 * np.abs(matrix).max())
     exact = np.linalg.solve(matrix, -model.gradient)
-    step = SaddleSolver(divided, iterations=12, tolerance=1e-10).step(model, state)
+    step = SaddleSolver(divided, iterations=12, tolerance=1e-10).step(model)
     np.testing.assert_allclose(step, exact, atol=1e-6 * np.abs(exact).max())
 
 
@@ -196,6 +195,6 @@ def test_bad_input_is_told(divided):
     with pytest.raises(InputError, match="fibres"):
         per_tet.fit(face, data)
     rest = face.rest_pose()
-    state = State(rest, divided.face.rest_state().equilibrium)
+    state = State(rest, divided.face.rest.equilibrium)
     with pytest.raises(InputError, match="six activations"):
         per_tet.fit(face_with_fibres(), data, state)

@@ -28,7 +28,7 @@ def two_targets(face):
     for name, stretch, hinge in (("wide", (0.75, 0.9), 0.1), ("narrow", (0.95, 0.7), 0.03)):
         a = np.array([[s, 0.05, 0.0, 1.0 / np.sqrt(s), 0.0, 1.0 / np.sqrt(s)] for s in stretch])
         pose = Pose(a, np.array([hinge, 0.02, 0.2, -0.5, 0.4]))
-        state = face.continuation(face.rest_state(), pose)
+        state = face.continuation(face.rest, pose)
         found[name] = SkinDistance(face, Target.from_points(face.face_points(state.x)))
     return found
 
@@ -54,17 +54,17 @@ def test_derivatives_of_the_multi_target_problem(face):
     S = smeared(face)
     problem = FullGeometry(multi_target(face.with_weights(S), two_targets(face), 0.3, 0.2, 0.1), S)
     rng = np.random.default_rng(3)
-    rest = face.rest_state()
+    rest = face.rest
     one = next(iter(problem.parts.values())).start(rest.pose, rest.x)
-    z = np.concatenate([one, one, S.data]) + 0.02 * rng.standard_normal(problem.count)
+    z = np.concatenate([one, one, S.data]) + 0.02 * rng.standard_normal(problem.layout.size)
     rows, columns = problem.jacobianstructure()
-    shape = (len(problem.constraints(z)), problem.count)
+    shape = (len(problem.constraints(z)), problem.layout.size)
     jacobian = sp.coo_array((problem.jacobian(z), (rows, columns)), shape=shape).tocsr()
     # each kind of variable alone: positions, activations, jaw, and S
     size, each = face.flesh.size, len(one)
-    groups = [(0, size), (size, each - 5), (each - 5, each), (2 * each, problem.count)]
+    groups = [(0, size), (size, each - 5), (each - 5, each), (2 * each, problem.layout.size)]
     for first, last in groups:
-        direction = np.zeros(problem.count)
+        direction = np.zeros(problem.layout.size)
         direction[first:last] = rng.standard_normal(last - first)
         numeric = differences(problem.constraints, z, direction)
         assert np.abs(numeric).max() > 1e-3
@@ -85,9 +85,9 @@ def test_the_hessian_is_exact_where_the_residual_vanishes(face):
     z = np.concatenate([x[face.flesh.free].ravel(), face.rest_pose().a.ravel(), b, S.data])
     rows, columns = problem.hessianstructure()
     values = problem.hessian(z, np.zeros(0), 1.0)
-    lower = sp.coo_array((values, (rows, columns)), shape=(problem.count,) * 2).tocsr()
+    lower = sp.coo_array((values, (rows, columns)), shape=(problem.layout.size,) * 2).tocsr()
     hessian = lower + sp.tril(lower, -1).T
-    direction = np.random.default_rng(5).standard_normal(problem.count)
+    direction = np.random.default_rng(5).standard_normal(problem.layout.size)
     numeric = differences(problem.gradient, z, direction)
     assert np.abs(numeric).max() > 1e-2
     np.testing.assert_allclose(hessian @ direction, numeric, atol=1e-6 * np.abs(numeric).max())
@@ -97,7 +97,7 @@ def test_joint_gauss_newton_reaches_the_multi_target_minimum(face):
     """Both minimise the same, to the same weights: one prior of the activations and of S."""
     S, data = smeared(face), two_targets(face)
     problem = multi_target(face.with_weights(S), data, 0.5, 1e-2, 1e-2)
-    rest = face.rest_state()
+    rest = face.rest
     start = dict.fromkeys(data, rest)
     full = reference.geometry(problem, S, start)
     assert full.violation < 1e-6
@@ -130,7 +130,7 @@ def test_per_tet_fit_reaches_the_minimum():
 def test_a_solve_that_is_stopped_tells_where_it_was(face):
     data = two_targets(face)["wide"]
     regulariser = Regulariser(0.1, 1e-2, 1e-6, face.rest_pose())
-    rest = face.rest_state()
+    rest = face.rest
     with pytest.raises(reference.NotConvergedError, match="after 3 iterations") as caught:
         reference.activations(face, data, regulariser, rest.pose, rest.x, max_iterations=3)
     assert caught.value.code == "ipopt.failed"

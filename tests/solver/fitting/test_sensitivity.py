@@ -20,7 +20,7 @@ def posed():
     rng = np.random.default_rng(11)
     a = face.rest_pose().a + 0.3 * rng.standard_normal((2, 6))
     pose = Pose(a, np.array([0.12, 0.05, 0.5, -1.0, 0.8]))
-    state = face.continuation(face.rest_state(), pose)
+    state = face.continuation(face.rest, pose)
     assert np.abs(state.x - face.model.rest).max() > 3.0
     return face, S, state, rng
 
@@ -49,10 +49,12 @@ def test_by_pose(posed):
         jacobian.adjoint(gradient), numeric.T @ gradient.ravel(), rtol=1e-5, atol=1e-5 * scale
     )
     products = Sensitivity(face, state)
-    adjoint = products.by_pose_adjoint(gradient)
+    adjoint = products.response.adjoint(products.pose, gradient)
     np.testing.assert_allclose(adjoint, jacobian.adjoint(gradient), rtol=1e-9)
     change = rng.standard_normal(17)
-    np.testing.assert_allclose(products.flesh_by_pose(change), jacobian.flesh @ change, rtol=1e-9)
+    np.testing.assert_allclose(
+        products.response.free_motion(products.pose, change), jacobian.flesh @ change, rtol=1e-9
+    )
     points = rng.standard_normal((len(face.model.face), 3)) + face.face_points(state.x)
     curvature = SkinDistance(face, Target.from_points(points)).curvature(state.x)
     exact = numeric.T @ (curvature @ numeric)
@@ -61,17 +63,18 @@ def test_by_pose(posed):
 
 def test_by_geometry_and_its_adjoint(posed):
     face, S, state, rng = posed
-    response = Sensitivity(face, state)
+    products = Sensitivity(face, state)
+    response, weights = products.response, products.weights
     change = rng.standard_normal(len(S.data))
     changed = [replace_values(S, S.data + sign * STEP * change) for sign in (1, -1)]
     numeric = differences(
         *(face.with_weights(T).solve_equilibrium(state.pose, state.x) for T in changed)
     )
     numeric = numeric.reshape(-1, 3)[face.flesh.free].ravel()
-    exact = response.flesh_by_geometry(change)
+    exact = response.free_motion(weights, change)
     assert np.abs(numeric).max() > 1e-2
     np.testing.assert_allclose(exact, numeric, atol=1e-6 * np.abs(numeric).max())
     residual = rng.standard_normal(len(exact))
-    adjoint = response.by_geometry_adjoint(residual)
+    adjoint = response.free_adjoint(weights, residual)
     assert np.abs(adjoint).max() > 1e-3
     assert adjoint @ change == pytest.approx(residual @ exact, rel=1e-10)

@@ -33,7 +33,7 @@ def poses():
 def targets(face, poses):
     """The skin of the poses, shaken a little so that no fit is perfect."""
     rng = np.random.default_rng(3)
-    state = face.rest_state()
+    state = face.rest
     found = []
     for pose in poses:
         state = face.continuation(state, pose)
@@ -48,14 +48,14 @@ def regulariser(face):
 
 def test_frames_are_as_good_as_on_their_own(face, targets):
     weights = regulariser(face)
-    tracker = Tracker(face, weights, face.rest_state())
+    tracker = Tracker(face, weights, face.rest)
     tracked, alone = [], []
     for target in targets:
         tracker.fit(target)
         data = SkinDistance(face, target)
         tracked.append(activation.objective(data, weights, tracker.state))
         options = ActivationOptions(30, tolerance=1e-6)
-        rest = face.rest_state()
+        rest = face.rest
         alone.append(activation.fit(face, data, weights, rest, options).objective)
         assert face.flesh.inverted(tracker.state.x) == 0
         settled = face.solve_equilibrium(tracker.state.pose, tracker.state.x)
@@ -67,7 +67,7 @@ def test_frames_are_as_good_as_on_their_own(face, targets):
 def test_a_temporal_weight_holds_the_pose(face, targets):
     moved = []
     for weight in (0.0, 1e3):
-        tracker = Tracker(face, regulariser(face), face.rest_state(), temporal=weight)
+        tracker = Tracker(face, regulariser(face), face.rest, temporal=weight)
         a = []
         for target in targets[10:16]:
             tracker.fit(target)
@@ -78,9 +78,9 @@ def test_a_temporal_weight_holds_the_pose(face, targets):
 
 def test_a_jump_is_fitted_the_long_way(face, targets):
     weights = regulariser(face)
-    tracker = Tracker(face, weights, face.rest_state())
+    tracker = Tracker(face, weights, face.rest)
     for target in (targets[0], targets[1], targets[20]):
         tracker.fit(target)
     data = SkinDistance(face, targets[20])
-    alone = activation.fit(face, data, weights, face.rest_state()).objective
+    alone = activation.fit(face, data, weights, face.rest).objective
     assert activation.objective(data, weights, tracker.state) < 1.05 * alone

@@ -36,7 +36,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     face = Face(MODEL)
     a = np.array([[0.8, 0.02, 0.0, 1.1, 0.0, 1.1], [0.8, -0.02, 0.0, 1.1, 0.0, 1.1]])
     b = np.array([0.04, 0.0, 0.0, 0.0, 0.0])
-    state = face.continuation(face.rest_state(), Pose(a, b))
+    state = face.continuation(face.rest, Pose(a, b))
     skin = face.whole_skin(state.x, b)
     error = np.zeros(len(skin))
     fit = ExpressionFit("wide", "train", a, b, skin, skin, error, 0, 1, 0.0, 0.0, state.x)

@@ -33,7 +33,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     MODEL.save(folder / "model.npz")
     save_weights(folder / "weights.npz", MODEL.weights, MODEL)
     face = Face(MODEL)
-    rest = face.rest_state()
+    rest = face.rest
     for name, stretch, hinge in (("wide", (0.8, 0.95), 0.06), ("narrow", (0.95, 0.8), 0.02)):
         a = np.array([[s, 0.02, 0.0, 1 / np.sqrt(s), 0.0, 1 / np.sqrt(s)] for s in stretch])
         state = face.continuation(rest, Pose(a, np.array([hinge, 0.0, 0.0, 0.0, 0.0])))
@@ -94,8 +94,8 @@ def test_what_neither_solver_can_fit_costs_only_itself(
         calls.append(face)
         if len(calls) <= len(fallback.FallbackOptions.heavier):
             x = np.full_like(MODEL.rest, np.nan)
-            last = Reference(face.rest_pose(), x, np.nan, 3, np.nan)
-            raise NotConvergedError("Invalid number detected", 3, last)
+            last = Reference(np.nan, 3, np.nan, "", face.rest_pose(), x)
+            raise NotConvergedError("Invalid number detected", last)
         return real(face, *args, **more)
 
     monkeypatch.setattr(fallback.activation, "fit", fail)

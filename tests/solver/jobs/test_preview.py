@@ -31,7 +31,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     MODEL.save(folder / "model.npz")
     save_weights(folder / "weights.npz", MODEL.weights, MODEL)
     face = Face(MODEL)
-    rest = face.rest_state()
+    rest = face.rest
     fits = []
     for name, stretch, hinge in (("wide", (0.8, 0.95), 0.06), ("narrow", (0.95, 0.8), 0.02)):
         a = np.array([[s, 0.02, 0.0, 1 / np.sqrt(s), 0.0, 1 / np.sqrt(s)] for s in stretch])

@@ -40,7 +40,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     MODEL.save(folder / "model.npz")
     save_weights(folder / "muscle_weights.npz", MODEL.weights, MODEL)
     face = Face(MODEL)
-    state = face.continuation(face.rest_state(), Pose(WIDE, JAW))
+    state = face.continuation(face.rest, Pose(WIDE, JAW))
     skin = face.whole_skin(state.x, JAW)
     error = np.zeros(len(skin))
     fit = ExpressionFit("wide", "train", WIDE, JAW, skin, skin, error, 0, 1, 0.0, 0.0, state.x)
@@ -80,7 +80,7 @@ def test_a_keyed_expression_is_reached(rig: Path, tmp_path: Path) -> None:
     assert "frame 6 of 6" in [step.message for step in steps]
     assert not film.exists()
     face = Face(MODEL)
-    wide = face.continuation(face.rest_state(), Pose(WIDE, JAW))
+    wide = face.continuation(face.rest, Pose(WIDE, JAW))
     at_rest, grown = volume_ml(MODEL.rest, MODEL.tets), volume_ml(wide.x, MODEL.tets)
     assert report["volume_ml"] == pytest.approx(at_rest, abs=0.01)
     change = 100.0 * (grown / at_rest - 1.0)

@@ -40,7 +40,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     MODEL.save(folder / "model.npz")
     save_weights(folder / "weights.npz", MODEL.weights, MODEL)
     face = Face(MODEL)
-    rest, state = face.rest_pose(), face.rest_state()
+    rest, state = face.rest_pose(), face.rest
     frames = []
     for number in range(FRAMES):
         share = np.array([np.sin(0.4 * number), np.sin(0.3 * number)])
@@ -191,7 +191,7 @@ def test_the_head_s_motion_is_told_from_the_face_s() -> None:
     """The upper face of a real model lies still enough; S and the poses are made up."""
     model = fixture_model("neutral_coarse")
     face = Face(model)
-    rest, state = face.rest_pose(), face.rest_state()
+    rest, state = face.rest_pose(), face.rest
     change = np.random.default_rng(2).normal(0.0, 0.1, rest.a.shape)
     regulariser = Regulariser(w_a=2e-3, w_v=1e-2, w_b=1e-6, prior=rest)
     tracker = Tracker(face, regulariser, state)

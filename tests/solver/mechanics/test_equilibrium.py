@@ -23,7 +23,7 @@ class Counting:
 
 def test_coasting_ends_where_newton_does():
     face = Face(block_model())
-    rest = face.rest_state()
+    rest = face.rest
     pose = rest.pose.toward(poses(1)[0], 0.3)
     near = rest.equilibrium.factor
     near.solve(np.zeros(face.flesh.size))
@@ -65,6 +65,9 @@ def test_what_can_not_be_factorised_says_why(column):
 
     flesh, _, x = column
     for squeeze, code in ((1.0, "solve.singular"), (1e-4, "solve.crushed")):
+        factorization = newton.Factorization(
+            flesh, Hopeless(), x * [1.0, 1.0, squeeze], flesh.passive()
+        )
         with pytest.raises(SolveError) as raised:
-            newton.factorize(flesh, Hopeless(), x * [1.0, 1.0, squeeze], flesh.passive())
+            factorization.solve(flesh.rest)
         assert raised.value.code == code

@@ -17,7 +17,7 @@ def face():
 
 @pytest.mark.parametrize("opening", [0.02, 0.1])
 def test_an_old_stiffness_leads_to_the_equilibrium(face, opening):
-    rest = face.rest_state()
+    rest = face.rest
     pose = Pose(PULLED, np.array([opening, 0.0, 0.0, 0.0, 0.0]))
     settled = face.continuation(rest, pose)
     x = settled.x.copy()

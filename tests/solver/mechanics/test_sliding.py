@@ -5,7 +5,7 @@ import pytest
 
 from solver.mechanics import equilibrium, linear
 from solver.mechanics.flesh import Flesh
-from solver.mechanics.sliding import planes
+from solver.mechanics.terms import planes
 from tests.solver.block import grid
 
 TILTED = np.array([0.0, 0.6, 0.8])

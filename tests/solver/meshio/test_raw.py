@@ -11,8 +11,7 @@ import trimesh
 
 from solver.errors import InputError
 from solver.meshio.obj import write_obj
-from solver.meshio.raw import read_raw
-from solver.registration.mend import mend
+from solver.meshio.raw import mend, read_raw
 from solver.surface import Surface
 
 BALL = trimesh.creation.icosphere(subdivisions=3, radius=90.0)

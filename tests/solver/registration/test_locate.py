@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from solver.anatomy.template import Template
 from solver.errors import InputError, judge_findings
 from solver.meshio.obj import write_obj
-from solver.meshio.raw import RawScan, read_raw
+from solver.meshio.raw import RawScan, mend, read_raw
 from solver.registration.landmarks import landmark_vertices
 from solver.registration.locate import (
     Location,
@@ -24,7 +24,6 @@ from solver.registration.locate import (
     location_findings,
     scan_samples,
 )
-from solver.registration.mend import mend
 from solver.registration.register import find_start
 from solver.registration.units import FRAME
 from solver.scans.check import check

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.corruption import Corruption, corrupted
 from solver.errors import InputError
-from solver.registration.mend import mend
+from solver.meshio.raw import mend
 from solver.registration.register import register
 from solver.registration.report import report
 from solver.registration.topology import topology

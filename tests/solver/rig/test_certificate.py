@@ -34,7 +34,7 @@ def S(face: Face) -> sp.csr_array:
 
 @pytest.fixture(scope="module")
 def state(face: Face) -> State:
-    return face.continuation(face.rest_state(), Pose(PULL, JAW))
+    return face.continuation(face.rest, Pose(PULL, JAW))
 
 
 def fitted(face: Face, state: State, name: str = "smile") -> ExpressionFit:

@@ -9,7 +9,7 @@ from solver.errors import InputError
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.frames import write_chunk
 from solver.rig.motion import MotionFrame, motion_values, read_motion
-from solver.simulation.inertia import Motion
+from solver.simulation.forces import Motion
 from tests.solver.block import block_model
 
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from solver.fitting.activation import Resting
 from solver.fitting.face import Face, Pose
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.preview.sliders import (
@@ -39,28 +38,23 @@ def face() -> Face:
 
 
 @pytest.fixture(scope="module")
-def rest(face: Face) -> Resting:
-    return Resting(face)
-
-
-@pytest.fixture(scope="module")
-def fits(face: Face, rest: Resting) -> list[ExpressionFit]:
+def fits(face: Face) -> list[ExpressionFit]:
     return [
-        fitted(face, rest, name, np.array(a, float), np.array(b, float))
+        fitted(face, name, np.array(a, float), np.array(b, float))
         for name, (a, b) in EXPRESSIONS.items()
     ]
 
 
-def fitted(face: Face, rest: Resting, name: str, a: np.ndarray, b: np.ndarray) -> ExpressionFit:
-    x = face.continuation(rest.state, Pose(a, b)).x
+def fitted(face: Face, name: str, a: np.ndarray, b: np.ndarray) -> ExpressionFit:
+    x = face.continuation(face.rest, Pose(a, b)).x
     skin = face.whole_skin(x, b)
     zero = np.zeros(len(skin))
     return ExpressionFit(name, "train", a, b, skin, skin, zero, 0, 1, 0.0, 0.0, x)
 
 
 @pytest.fixture(scope="module")
-def controls(face: Face, rest: Resting, fits: list[ExpressionFit]) -> Sliders:
-    return controls_of(face, rest, fits)
+def controls(face: Face, fits: list[ExpressionFit]) -> Sliders:
+    return controls_of(face, fits)
 
 
 def test_a_preset_is_the_pose_of_its_fit(controls: Sliders, fits: list[ExpressionFit]) -> None:
@@ -89,9 +83,9 @@ def test_a_muscle_shortens_along_its_fibres_and_keeps_its_volume(controls: Slide
         assert np.linalg.det(stretch) == pytest.approx(1.0)
 
 
-def test_muscles_without_fibres_have_no_slider(face: Face, rest: Resting) -> None:
-    at_rest = fitted(face, rest, "rest", np.tile(IDENTITY, (MODEL.muscle_count, 1)), np.zeros(5))
-    bare = controls_of(Face(BLOCK), rest, [at_rest])
+def test_muscles_without_fibres_have_no_slider(face: Face) -> None:
+    at_rest = fitted(face, "rest", np.tile(IDENTITY, (MODEL.muscle_count, 1)), np.zeros(5))
+    bare = controls_of(Face(BLOCK), [at_rest])
     assert [control.kind for control in bare.each] == ["jaw", "expression"]
 
 
@@ -106,17 +100,15 @@ def test_an_expression_tells_its_contractions_and_no_pushing() -> None:
     assert np.allclose(nearest_amounts(pushing @ contractions.T, contractions, seen)[:, 1], 0.0)
 
 
-def test_slopes_of_the_skin_are_its_differences(
-    face: Face, rest: Resting, controls: Sliders
-) -> None:
+def test_slopes_of_the_skin_are_its_differences(face: Face, controls: Sliders) -> None:
     rng = np.random.default_rng(2)
     modes = rng.normal(size=(3, *MODEL.skin.vertices.shape))
-    simulator = SliderSolver(face, controls, rest.state, {})
+    simulator = SliderSolver(face, controls, face.rest, {})
     slid = next(pose for pose in poses_to_learn(controls, 0) if pose.sort == "plausible")
     (sample,) = simulator.solve([slid], np.inf, lambda _: None)
     slopes = Responses(face, controls, modes).at(sample)
     assert slopes is not None
-    step, start = 1e-2, face.continuation(rest.state, controls.pose(slid.values))
+    step, start = 1e-2, face.continuation(face.rest, controls.pose(slid.values))
     for number, unit in enumerate(np.eye(len(controls))):
         ahead, behind = (
             face.continuation(start, controls.pose(slid.values + way * unit))

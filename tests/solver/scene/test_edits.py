@@ -4,9 +4,7 @@ import jsonschema
 import numpy as np
 import pytest
 
-from solver.edits.bones import Bone
-from solver.edits.fat import Density, Fat, Filler, Stiffening
-from solver.edits.paralysis import Paralysis
+from solver.edits.changes import Bone, Density, Fat, Filler, Paralysis, Stiffening
 from solver.errors import InputError
 from solver.kinds.edits import EDITS
 from solver.kinds.scene import EditScene

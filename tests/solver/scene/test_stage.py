@@ -11,8 +11,7 @@ import pytest
 from solver.errors import InputError
 from solver.kinds.scene import SimulateScene
 from solver.model import SubjectModel
-from solver.scene.document import read_scene
-from solver.scene.keys import drives_of
+from solver.scene.document import drives_of, read_scene
 from solver.scene.places import Places
 from solver.scene.stage import Stage
 from solver.surface import Floats

@@ -8,8 +8,7 @@ import pytest
 from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.similarity import IDENTITY, small_motion
-from solver.simulation.forces import AIR, DRAG, Gravity, Pull, Wind
-from solver.simulation.inertia import Motion, lumped_masses
+from solver.simulation.forces import AIR, DRAG, Gravity, Motion, Pull, Wind, lumped_masses
 from solver.surface import Surface
 from tests.solver.block import head_block
 

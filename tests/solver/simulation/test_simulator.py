@@ -10,8 +10,7 @@ from solver.errors import InputError, SolveError
 from solver.fitting.face import Face
 from solver.mechanics.flesh import COROTATED_TRACE
 from solver.similarity import IDENTITY, Similarity, small_motion
-from solver.simulation.forces import Gravity
-from solver.simulation.inertia import Drive, Inertia, Motion, lumped_masses
+from solver.simulation.forces import Drive, Gravity, Inertia, Motion, lumped_masses
 from solver.simulation.simulator import Simulator
 from tests.solver.block import block_model, poses
 
@@ -72,7 +71,7 @@ def test_quasi_static_steps_end_in_the_equilibria_of_a_fit():
     motion = steps.rest(neutral)
     np.testing.assert_allclose(motion.x, face.model.rest, atol=1e-6)
     stepped = steps.step(motion, neutral, drive(face, pose, 1.0))
-    settled = face.continuation(face.rest_state(), pose)
+    settled = face.continuation(face.rest, pose)
     assert np.abs(settled.x - face.model.rest).max() > 3.0
     np.testing.assert_allclose(stepped.y, settled.x, atol=1e-5)
     assert stepped.inverted == stepped.halvings == 0

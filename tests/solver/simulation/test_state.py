@@ -3,7 +3,7 @@
 import numpy as np
 
 from solver.similarity import small_motion
-from solver.simulation.inertia import Drive
+from solver.simulation.forces import Drive
 
 BEFORE = Drive(
     1.0,

@@ -5,8 +5,8 @@ import zipfile
 import pytest
 
 from solver.errors import InputError
-from solver.templates.builtin import source as builtin_source
-from solver.templates.builtin.source import SourceFiles, fetch_wheel
+from solver.templates.builtin import head as builtin_source
+from solver.templates.builtin.head import SourceFiles, fetch_wheel
 
 
 def test_changed_file_in_the_cache_is_refused(monkeypatch, tmp_path):
@@ -35,7 +35,7 @@ def test_reads_quads_groups_and_targets(tmp_path):
         archive.writestr(builtin_source.BASE_MESH, text)
         archive.writestr(builtin_source.FACE_UNITS + "jawOpen.target", "# note\n2 0 -.5 1\n")
     source = SourceFiles(wheel)
-    assert source.base_mesh.groups["body"].tolist() == [[0, 1, 2], [0, 2, 3]]
+    assert source.base_mesh[1]["body"].tolist() == [[0, 1, 2], [0, 2, 3]]
     assert source.face_unit_names() == ("jawOpen",)
     assert source.face_unit("jawOpen").tolist()[2] == [0, -0.5, 1]
     with pytest.raises(InputError) as error:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from solver.anatomy.depth_warp import SkinDepth
 from solver.anatomy.muscle_weights import enclosed_volume
+from solver.anatomy.warp import SkinDepth
 from solver.errors import InputError
 from solver.surface import Surface
 from solver.templates import bodyparts3d, ict_facekit

@@ -41,7 +41,7 @@ def rig() -> Rig:
     face = Face(model)
     rest = face.rest_pose()
     contracted = rest.a + np.array([-0.25, 0.05, 0.0, 0.15, 0.0, 0.15])
-    state = face.continuation(face.rest_state(), Pose(contracted, JAW))
+    state = face.continuation(face.rest, Pose(contracted, JAW))
     skin = face.whole_skin(state.x, JAW)
     target = skin + 0.25
     target[HIDDEN] = np.nan

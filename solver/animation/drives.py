@@ -1,4 +1,4 @@
-"""Keyframes: expressions, single muscles and the jaw at chosen times."""
+"""Motion of a face over time: between keys of a scene, and of a Live Link Face recording."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
-from solver.animation.blendshapes import Blend, unfold
+from solver.animation.blendshapes import Blend, Blendshapes, unfold
+from solver.contact.one_sided import nearest_sphere
 from solver.errors import InputError
 from solver.fitting.face import Pose
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel
+from solver.scans.live_link import ARKIT_NAMES, LiveLinkTake
 from solver.similarity import Similarity
 from solver.surface import Floats
-
-# One moment of an animation.
+from solver.templates.ict_facekit import arkit_source
 
 
 @dataclass(frozen=True)
@@ -26,8 +27,7 @@ class PosedFrame:
     """Activations ``a`` (m, 6), ``jaw`` (5,), ``head`` into the world (scale 1), ``eyes`` (2, 3).
 
     Eyes, the subject's left one first, are rotation vectors in radians in the head's frame.
-    ``clamped`` counts the muscles that were kept from folding
-    (:mod:`solver.animation.blendshapes`).
+    ``clamped`` counts the muscles that were kept from folding (:func:`unfold`).
     """
 
     a: Floats
@@ -44,9 +44,6 @@ class Drives(Protocol):
 
     def __call__(self, time: float) -> PosedFrame:
         """Return the pose at ``time`` in seconds, between frames too."""
-
-
-# Values over time between keys.
 
 
 # "smooth" is a monotone cubic (Fritsch and Carlson 1980), which goes beyond no key's value
@@ -88,9 +85,6 @@ def check_times(times: Sequence[float], what: str) -> None:
                 f"{what}[{number}] at {time:g} s is not later than the one before",
                 key=number,
             )
-
-
-# The head's motion: keys of its turns and shifts, about a pivot in the neck.
 
 
 # heads turn about the upper neck, so far from the middle of the jaw's condyles
@@ -157,7 +151,13 @@ class PoseKey:
 
 
 class KeyedDrives:
-    """A :class:`~solver.animation.keys.Drives` between keys; see :func:`from_keys`."""
+    """:class:`Drives` by ``keys``, with frames at ``times`` (f,) in s.
+
+    Weights of the expressions ``poses``, activations and jaw are interpolated, each by itself;
+    before the first key they are as there, after the last as there, at rest if there is none. The
+    ``head`` turns about the neck. Raises :class:`InputError`: ``scene.times`` for keys that are not
+    one after the other, ``scene.expression`` and ``scene.muscle`` for names that are not known.
+    """
 
     def __init__(
         self,
@@ -165,60 +165,39 @@ class KeyedDrives:
         poses: Mapping[str, Pose],
         model: SubjectModel,
         times: Floats,
-        head: HeadMotion,
-        interpolation: Interpolation,
+        *,
+        head: Sequence[HeadKey] = (),
+        interpolation: Interpolation = "smooth",
     ) -> None:
         self.times = times
-        self._head = head
+        self._head = HeadMotion(head, neck(model), interpolation)
         _check_names(keys, poses, model)
         used = _names_of(key.expressions for key in keys)
         self._blend = Blend.of({name: poses[name] for name in used}, model.muscle_count)
         moved = _names_of(key.activations for key in keys)
         self._muscles = [model.muscle_names.index(name) for name in moved]
+        values = [
+            np.concatenate(
+                [
+                    [key.expressions.get(name, 0.0) for name in used],
+                    *(key.activations.get(name, IDENTITY) - IDENTITY for name in moved),
+                    key.jaw,
+                ]
+            )
+            for key in keys
+        ]
+        width = len(used) + 6 * len(moved) + 5
         moments = [key.time for key in keys]
-
-        def track_of(values: list[Floats], width: int) -> Track:
-            return track(moments, np.reshape(values, (len(keys), width)), "keys", interpolation)
-
-        self._weights = track_of(
-            [np.array([key.expressions.get(name, 0.0) for name in used]) for key in keys], len(used)
-        )
-        self._moves = track_of(
-            [
-                np.array([key.activations.get(name, IDENTITY) - IDENTITY for name in moved])
-                for key in keys
-            ],
-            6 * len(moved),
-        )
-        self._jaw = track_of([key.jaw for key in keys], 5)
+        self._track = track(moments, np.reshape(values, (len(keys), width)), "keys", interpolation)
 
     def __call__(self, time: float) -> PosedFrame:
-        """See :class:`~solver.animation.keys.Drives`."""
-        pose = self._blend.pose(self._weights(time))
-        a = pose.a
-        a[self._muscles] += self._moves(time).reshape(-1, 6)
-        a, clamped = unfold(a)
-        return PosedFrame(a, pose.b + self._jaw(time), self._head(time), np.zeros((2, 3)), clamped)
-
-
-def from_keys(
-    keys: Sequence[PoseKey],
-    poses: Mapping[str, Pose],
-    model: SubjectModel,
-    times: Floats,
-    *,
-    head: Sequence[HeadKey] = (),
-    interpolation: Interpolation = "smooth",
-) -> KeyedDrives:
-    """Return what ``keys`` say, with frames at ``times`` (f,) in s.
-
-    Weights of the expressions ``poses``, activations and jaw are interpolated, each by itself;
-    before the first key they are as there, after the last as there, at rest if there is none. The
-    ``head`` turns about the neck. Raises :class:`InputError`: ``scene.times`` for keys that are not
-    one after the other, ``scene.expression`` and ``scene.muscle`` for names that are not known.
-    """
-    motion = HeadMotion(head, neck(model), interpolation)
-    return KeyedDrives(keys, poses, model, times, motion, interpolation)
+        """See :class:`Drives`."""
+        count = len(self._blend.names)
+        weights, moves, jaw = np.split(self._track(time), [count, -5])
+        pose = self._blend.pose(weights)
+        pose.a[self._muscles] += moves.reshape(-1, 6)
+        a, clamped = unfold(pose.a)
+        return PosedFrame(a, pose.b + jaw, self._head(time), np.zeros((2, 3)), clamped)
 
 
 def _names_of(mappings: Iterable[Mapping[str, object]]) -> list[str]:
@@ -243,7 +222,54 @@ def _check_names(keys: Sequence[PoseKey], poses: Mapping[str, Pose], model: Subj
                     )
 
 
-# Eyeballs, which no muscle of the face moves: they turn in the head by themselves.
+class RecordedDrives:
+    """:class:`Drives` of a recording of Live Link Face, from frame ``start`` to before ``end``.
+
+    ``weights`` (f, e) are what drives each of the ``shapes`` in these frames. Times begin at 0.
+    Weights and turns between frames lie on straight lines. The recorded head turns about the neck;
+    keys of the ``head`` come on top of that. Raises :class:`InputError` (``scene.frames``) if the
+    recording does not have those frames.
+    """
+
+    def __init__(
+        self,
+        take: LiveLinkTake,
+        shapes: Blendshapes,
+        model: SubjectModel,
+        start: int = 0,
+        end: int | None = None,
+        *,
+        head: Sequence[HeadKey] = (),
+    ) -> None:
+        count = len(take.times)
+        last = count if end is None else end
+        if not 0 <= start < last <= count:
+            raise InputError(
+                "scene.frames",
+                f"the recording has the frames 0 to {count - 1}: start {start} and end {last} are "
+                "not within it",
+                expected=count,
+                start=start,
+                end=last,
+            )
+        frames = slice(start, last)
+        self._blend = shapes.blend
+        columns = [ARKIT_NAMES.index(arkit_source(name)) for name in self._blend.names]
+        self.times: Floats = take.times[frames] - take.times[start]
+        self.weights: Floats = np.clip(take.weights[frames][:, columns], 0.0, 1.0)
+        turns = np.hstack([take.head[frames], take.eyes[frames].reshape(-1, 6)])
+        values = np.hstack([self.weights, turns])
+        self._track = track(self.times, values, "frames", "linear")
+        self._neck = neck(model)
+        self._head = HeadMotion(head, self._neck)
+
+    def __call__(self, time: float) -> PosedFrame:
+        """See :class:`Drives`."""
+        weights, head, eyes = np.split(self._track(time), [-9, -6])
+        pose = self._blend.pose(weights)
+        a, clamped = unfold(pose.a)
+        motion = turn_about(self._neck, head, np.zeros(3)).then(self._head(time))
+        return PosedFrame(a, pose.b, motion, eyes.reshape(2, 3), clamped)
 
 
 SIDES = ("left", "right")
@@ -258,7 +284,7 @@ class Gaze:
     def __init__(self, model: SubjectModel) -> None:
         skin = model.skin.vertices
         regions = [model.regions.get(f"{side}_eyeball", np.zeros(0, int)) for side in SIDES]
-        self._balls = [(ids, _centre(skin[ids])) for ids in regions]
+        self._balls = [(ids, nearest_sphere(skin[ids])[0]) for ids in regions]
 
     def turn(self, skin: Floats, eyes: Floats) -> Floats:
         """Return a skin (V, 3) in the head's frame with eyes turned by vectors (2, 3) in rad."""
@@ -266,9 +292,3 @@ class Gaze:
         for (ids, centre), vector in zip(self._balls, eyes, strict=True):
             turned[ids] = centre + Rotation.from_rotvec(vector).apply(skin[ids] - centre)
         return turned
-
-
-def _centre(points: Floats) -> Floats:
-    """Return the centre (3,) of the sphere nearest to ``points`` (n, 3)."""
-    system = np.column_stack([2.0 * points, np.ones(len(points))])
-    return np.asarray(np.linalg.lstsq(system, np.sum(points**2, axis=1), rcond=None)[0][:3])

@@ -1,0 +1,381 @@
+"""Changes of a person's anatomy: fat, filler, stiffness, density, paralysis, and moved bones.
+
+Where a change applies may be painted on the skin: a map (V,) has a value between 0 and 1 for every
+vertex of the scan topology.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import igl
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
+from scipy.spatial import cKDTree
+
+from solver.anatomy.embedding import LooseSkin
+from solver.edits.edit import Edited
+from solver.errors import InputError
+from solver.mechanics.flesh import shape_gradients
+from solver.model import SubjectModel
+from solver.surface import Floats, Ints, Surface, adjacency, vertex_areas, vertex_normals
+
+MM3_PER_ML = 1000.0  # mm^3 in a ml
+STEEPEST = 8.0 / (3.0 * np.sqrt(3.0))  # the greatest slope of (1 - t^2)^2
+
+
+@dataclass(frozen=True)
+class Fat:
+    """Growth f_i = f_min (1 - s_i0) + f_max s_i0 of F_p = f I, where a map says.
+
+    The equation is in ARCHITECTURE.md (fat).
+
+    Muscle grows by ``f_min``, passive flesh by ``f_max``; s_i0 is S's passive share of a tet.
+    (0.9, 1.0) is slim, (1.0, 1.2) fat. A ``painted`` map (V,) draws f towards 1, and so do the
+    ends of the model's flesh. Where f > 1 the stiffness is divided by f^``softening``, as it is
+    the same tissue in more volume; the exponent is ours.
+    """
+
+    f_min: float
+    f_max: float
+    painted: Floats | None = None
+    softening: float = 3.0
+
+    def __call__(self, before: Edited) -> Edited:
+        """Return the person with it; raises ``scene.fat`` for a growth out of all measure."""
+        options = before.options
+        low, high = options.fat_growth
+        for factor in (self.f_min, self.f_max):
+            if not low <= factor <= high:
+                raise InputError(
+                    "scene.fat",
+                    f"flesh grows by a factor between {low} and {high}, not {factor}",
+                    found=factor,
+                )
+        passive = before.S[:, [0]].toarray()[:, 0]
+        whole = self.f_min * (1.0 - passive) + self.f_max * passive
+        share = into_volume(before.model, self.painted, options.blur_mm)
+        share = share * off_the_ends(before.model, options.fade_mm)
+        growth = 1.0 + (whole - 1.0) * share
+        softer = np.maximum(growth, 1.0) ** -self.softening
+        return replace(
+            before, growth=before.growth * growth, stiffness_factor=before.stiffness_factor * softer
+        )
+
+
+def off_the_ends(model: SubjectModel, fade_mm: float) -> Floats:
+    """Return 0 for tets (n,) where the model ends but the person goes on, 1 from ``fade_mm`` on."""
+    ends = np.vstack([model.rest[model.cut], _border(model)])
+    if not len(ends):
+        return np.ones(len(model.tets))
+    return _smooth(cKDTree(ends).query(_centres(model))[0] / fade_mm)
+
+
+def _border(model: SubjectModel) -> Floats:
+    """Return the skin's points (k, 3) that follow the flesh beside some that do not.
+
+    Of their lines that is the one around the whole face; others lie in mouth, nose and eyes.
+    """
+    follows = np.zeros(len(model.skin.vertices), dtype=bool)
+    follows[model.embedded] = True
+    count = follows[model.skin.faces].sum(axis=1)
+    mixed = model.skin.faces[(count > 0) & (count < 3)]
+    _, part = connected_components(adjacency(mixed, len(follows)), directed=False)
+    lines = [model.skin.vertices[(part == number) & follows] for number in np.unique(part[mixed])]
+    return max(lines, key=lambda line: float(np.ptp(line, axis=0).max()), default=np.zeros((0, 3)))
+
+
+@dataclass(frozen=True)
+class Filler:
+    """So many ``ml``, injected along a needle's ``path`` (k, 3), mm in the person's frame at rest.
+
+    The flesh grows by f of F_p = f I with f^3 = 1 + alpha exp(-d^2 / (2 radius^2)), d being the
+    distance to the path; alpha is such that the flesh, were it free, grew by the given volume.
+    """
+
+    path: Floats
+    ml: float
+    radius_mm: float = 2.5
+
+    def __call__(self, before: Edited) -> Edited:
+        """Return the person with it; raises ``scene.filler`` where there is no room for it."""
+        model, options = before.model, before.options
+        if not (self.ml > 0.0 and self.radius_mm > 0.0 and len(self.path)):
+            raise InputError(
+                "scene.filler", "a filler needs a path, and a volume and a radius above 0"
+            )
+        away = distance_to_path(_centres(model), self.path)
+        shares = np.exp(-0.5 * (away / self.radius_mm) ** 2)
+        volumes = shape_gradients(model.rest, model.tets)[1] * before.growth**3
+        room = float(volumes @ shares)
+        if room < options.least_room_mm3:
+            raise InputError(
+                "scene.filler",
+                f"there is no flesh within {self.radius_mm} mm of the path: lay it under the skin, "
+                "or make the radius larger",
+            )
+        growth = np.cbrt(1.0 + self.ml * MM3_PER_ML / room * shares)
+        if not growth.max() <= options.filler_growth:
+            most = (options.filler_growth**3 - 1.0) * room / MM3_PER_ML / shares.max()
+            raise InputError(
+                "scene.filler",
+                f"{self.ml} ml do not fit into the flesh within {self.radius_mm} mm of the path: "
+                f"at most {most:.2f} ml do; make the path longer or the radius larger",
+                found_ml=self.ml,
+                expected_ml=round(most, 3),
+            )
+        return replace(before, growth=before.growth * growth)
+
+
+def under_skin(model: SubjectModel, points: Floats, depths_mm: Floats) -> Floats:
+    """Return points (k, 3) at depths (k,) under ``points`` (k, 3) of the face."""
+    nearest = model.face[cKDTree(model.skin.vertices[model.face]).query(points)[1]]
+    return np.asarray(points - depths_mm[:, None] * vertex_normals(model.skin)[nearest])
+
+
+def distance_to_path(points: Floats, path: Floats) -> Floats:
+    """Return the distance (n,) of points (n, 3) to a polyline (k, 3); one point is one, too."""
+    starts, ends = path[: max(len(path) - 1, 1)], path[min(1, len(path) - 1) :]
+    nearest = np.full(len(points), np.inf)
+    for start, end in zip(starts, ends, strict=True):
+        along = end - start
+        part = (points - start) @ along / max(float(along @ along), 1e-12)
+        foot = start + np.clip(part, 0.0, 1.0)[:, None] * along
+        nearest = np.minimum(nearest, np.linalg.norm(points - foot, axis=1))
+    return nearest
+
+
+@dataclass(frozen=True)
+class _Scaling:
+    factor: float
+    painted: Floats | None = None
+
+    def _by_tet(self, before: Edited) -> Floats:
+        """Return ``factor``^u (n,); raises ``scene.factor``."""
+        most = before.options.factor
+        if not 1.0 / most <= self.factor <= most:
+            raise InputError(
+                "scene.factor",
+                f"a factor lies between {1.0 / most} and {most:g}, not at {self.factor}",
+                found=self.factor,
+            )
+        share = into_volume(before.model, self.painted, before.options.blur_mm)
+        return np.asarray(self.factor**share)
+
+
+class Stiffening(_Scaling):
+    """Stiffness times ``factor``^u, u being the tet's share of a ``painted`` map (V,)."""
+
+    def __call__(self, before: Edited) -> Edited:
+        """Return the person with it; raises ``scene.factor``."""
+        return replace(before, stiffness_factor=before.stiffness_factor * self._by_tet(before))
+
+
+class Density(_Scaling):
+    """Density times ``factor``^u, u being the tet's share of a ``painted`` map (V,)."""
+
+    def __call__(self, before: Edited) -> Edited:
+        """Return the person with it; raises ``scene.factor``."""
+        return replace(before, density=before.density * self._by_tet(before))
+
+
+@dataclass(frozen=True)
+class Paralysis:
+    """``muscles`` (all by default), on one ``side`` (both), keep this ``strength`` (none).
+
+    Their shares in S are multiplied and the rest becomes passive flesh: s_ij -> g_ij s_ij. A side
+    is the subject's own; it ends smoothly at the mid-plane, as some muscles cross it.
+    """
+
+    muscles: tuple[str, ...] | None = None
+    side: Literal["left", "right"] | None = None
+    strength: float = 0.0
+
+    def __call__(self, before: Edited) -> Edited:
+        """Return the person with it; raises ``scene.muscle`` and ``scene.strength``."""
+        if not 0.0 <= self.strength <= 1.0:
+            raise InputError(
+                "scene.strength",
+                f"a strength lies between 0 and 1, not at {self.strength}",
+                found=self.strength,
+            )
+        S, model = before.S, before.model
+        rows, columns = S.tocoo().coords
+        share = np.isin(columns, self._columns(model.muscle_names)).astype(np.float64)
+        if self.side is not None:
+            x = _centres(model)[:, 0] - model.jaw.origin[0]
+            outward = x if self.side == "left" else -x
+            share *= _smooth(0.5 + 0.5 * outward / before.options.side_mm)[rows]
+        kept = S.data * (1.0 - (1.0 - self.strength) * share)
+        weakened = sp.csr_array((kept, S.indices, S.indptr), shape=S.shape)
+        lost = np.asarray(S.sum(axis=1)) - np.asarray(weakened.sum(axis=1))
+        passive = columns == 0
+        weakened.data[passive] += lost[rows[passive]]
+        return replace(before, S=weakened)
+
+    def _columns(self, names: tuple[str, ...]) -> Ints:
+        """Return the columns of S that lose strength."""
+        if self.muscles is None:
+            return np.arange(1, len(names) + 1)
+        unknown = [name for name in self.muscles if name not in names]
+        if unknown:
+            raise InputError(
+                "scene.muscle",
+                f"the subject has no muscle {unknown[0]!r}; it has {', '.join(names)}",
+                found=unknown,
+                expected=list(names),
+            )
+        return np.array([names.index(name) + 1 for name in self.muscles], dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class Bone:
+    """The part of a ``bone`` around a handle moves by ``move_mm`` (3,), less and less outwards.
+
+    ``at`` (3,) is a point on the bone or on the skin before it: the handle is the bone's nearest
+    point. At a distance d of it the motion is (1 - d^2 / ``radius_mm``^2)^2 ``move_mm``, for the
+    bone, the flesh on it and the teeth in it; eyeballs stay. Positions are those at rest, the jaw
+    closed.
+    """
+
+    bone: Literal["cranium", "mandible"]
+    at: Floats
+    radius_mm: float
+    move_mm: Floats
+
+    def __call__(self, before: Edited) -> Edited:
+        """Return the person with it; raises ``scene.bone``."""
+        model = before.model
+        if self.bone not in model.bones:
+            raise InputError("scene.bone", f"the subject has no bone {self.bone!r}")
+        length = float(np.linalg.norm(self.move_mm))
+        if not STEEPEST * length / max(self.radius_mm, 1e-9) < 1.0:
+            least = STEEPEST * length
+            raise InputError(
+                "scene.bone",
+                f"a motion of {length:.1f} mm within {self.radius_mm} mm "
+                f"folds the bone; the radius must be above {least:.1f} mm",
+                expected_mm=round(least, 1),
+            )
+        surface = model.bones[self.bone]
+        handle = self._handle(surface, before.options.handle_mm)
+
+        def motion(points: Floats) -> Floats:
+            share = _bump(np.linalg.norm(points - handle, axis=1), self.radius_mm)
+            return np.asarray(share[:, None] * self.move_mm)
+
+        of_bone, of_skin = _vertices(model, self.bone)
+        bones, skin = before.bones.copy(), model.skin.vertices.copy()
+        bones[of_bone] += motion(model.rest[of_bone] + bones[of_bone])
+        skin[of_skin] += motion(skin[of_skin])
+        moved = surface.moved(surface.vertices + motion(surface.vertices))
+        anatomy = replace(
+            model, bones={**model.bones, self.bone: moved}, skin=model.skin.moved(skin)
+        )
+        return replace(before, model=anatomy, bones=bones)
+
+    def _handle(self, surface: Surface, near_mm: float) -> Floats:
+        """Return the bone's point (3,) nearest to ``at``."""
+        at = np.ascontiguousarray(self.at, dtype=np.float64)[None]
+        squared, _, nearest = igl.point_mesh_squared_distance(at, surface.vertices, surface.faces)
+        away = float(np.sqrt(squared[0]))
+        if away > near_mm:
+            raise InputError(
+                "scene.bone",
+                f"the handle lies {away:.0f} mm off the {self.bone}, {near_mm:.0f} at most can be",
+                found_mm=round(away, 1),
+                expected_mm=near_mm,
+            )
+        return np.asarray(nearest[0])
+
+
+def _vertices(model: SubjectModel, bone: str) -> tuple[Ints, Ints]:
+    """Return the flesh's vertices on a bone, and the skin's that stay with it."""
+    if bone == "mandible":
+        return model.mandible, model.attached_mandible
+    none = np.empty(0, np.int64)
+    eyes = [model.regions.get(f"{side}_eyeball", none) for side in ("left", "right")]
+    # skin beyond the flesh follows the flesh that the bone moves
+    follows = [model.embedded, LooseSkin(model).ids]
+    others = np.concatenate([*follows, model.attached_mandible, *eyes])
+    with_cranium = np.setdiff1d(np.arange(len(model.skin.vertices)), others)
+    return np.concatenate([model.cranium, model.sliding]), with_cranium
+
+
+def into_volume(model: SubjectModel, painted: Floats | None, blur_mm: float = 2.0) -> Floats:
+    """Return the share (n,) of each tet in what is painted (V,) on the face; None is all of it.
+
+    u on the tets' vertices minimises the integral of |grad u|^2 over the flesh plus that of
+    (u - painted)^2 / ``blur_mm`` over the face's skin: heat that comes from there and leaves
+    nowhere. Raises :class:`InputError` (``scene.map``) for a map of another skin or with values
+    outside of [0, 1].
+    """
+    if painted is None:
+        return np.ones(len(model.tets))
+    _check(model, painted)
+    gradients, volumes = shape_gradients(model.rest, model.tets)
+    count = len(model.rest)
+    entries = np.einsum("t,tid,tjd->tij", volumes, gradients, gradients)
+    pairs = (np.repeat(model.tets, 4, axis=1).ravel(), np.tile(model.tets, 4).ravel())
+    stiffness = sp.csc_array((entries.ravel(), pairs), shape=(count, count))
+    on_face = np.isin(model.embedded, model.face)
+    skin = model.embedding[on_face]
+    area = vertex_areas(model.skin.vertices, model.skin.faces)[model.embedded[on_face]] / blur_mm
+    weighed = skin.T @ sp.diags_array(area)
+    system = stiffness + weighed @ skin
+    # a trace of stiffness for flesh in no contact with the face, which gets none of it
+    system += 1e-9 * system.diagonal().mean() * sp.eye_array(count)
+    u = splu(system.tocsc()).solve(weighed @ painted[model.embedded[on_face]])
+    return np.asarray(np.clip(u, 0.0, 1.0)[model.tets].mean(axis=1))
+
+
+def spots(model: SubjectModel, centres: Floats, radius_mm: float) -> Floats:
+    """Return a map (V,) of soft round spots around points ``centres`` (k, 3), in mm.
+
+    It is (1 - d^2 / radius^2)^2 at a distance d of the nearest centre.
+    """
+    away = model.skin.vertices[:, None] - centres[None]
+    return _bump(np.linalg.norm(away, axis=2).min(axis=1, initial=np.inf), radius_mm)
+
+
+def patches(model: SubjectModel, vertices: Ints) -> Floats:
+    """Return a map (V,) that is 1 on ``vertices`` (k,) and 0 elsewhere."""
+    return np.isin(np.arange(len(model.skin.vertices)), vertices).astype(np.float64)
+
+
+def _check(model: SubjectModel, painted: Floats) -> None:
+    expected = len(model.skin.vertices)
+    if painted.shape != (expected,):
+        raise InputError(
+            "scene.map",
+            f"a map has one value for each of the skin's {expected} vertices, not the shape "
+            f"{painted.shape}",
+            expected=expected,
+            found=list(painted.shape),
+        )
+    wrong = np.flatnonzero(~((painted >= 0.0) & (painted <= 1.0)))
+    if len(wrong):
+        raise InputError(
+            "scene.map",
+            f"a map's values lie between 0 and 1; {len(wrong)} do not, the first is "
+            f"{painted[wrong[0]]} at vertex {wrong[0]}",
+            vertex=int(wrong[0]),
+        )
+
+
+def _centres(model: SubjectModel) -> Floats:
+    return np.asarray(model.rest[model.tets].mean(axis=1))
+
+
+def _bump(away: Floats, radius: float) -> Floats:
+    """Return (1 - d^2 / radius^2)^2 for distances (k,), zero beyond the radius."""
+    return np.asarray(np.maximum(1.0 - (away / radius) ** 2, 0.0) ** 2)
+
+
+def _smooth(t: Floats) -> Floats:
+    """Return the smooth step from 0 at t = 0 to 1 at t = 1."""
+    t = np.clip(t, 0.0, 1.0)
+    return np.asarray(t * t * (3.0 - 2.0 * t))
