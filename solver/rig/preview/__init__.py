@@ -168,10 +168,10 @@ def make_preview(
     simulator = SliderSolver(face, controls, face.rest, known)
 
     def simulate(phase: str, poses: Sequence[Slid], start: float, end: float) -> list[Sample]:
-        def tried(count: int) -> None:
+        def announce(count: int) -> None:
             listen(phase, start + (end - start) * count / len(poses))
 
-        return simulator.solve(poses, begin + end * seconds, tried)
+        return simulator.solve(poses, begin + end * seconds, announce)
 
     samples = simulate("simulate", learning, 0.0, options.learning)
     unseen = simulate("measure", measuring, options.learning, options.measuring)
