@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from solver.drawing.head import DrawnHead
-from solver.drawing.render import DrawnBody, fade, render
+from solver.drawing.render import DrawnBody, render_bust
 from solver.drawing.sheet import HEADER, Sheet
 from solver.fitting.face import Face, State
 from solver.rig.pictures import THREE_QUARTER, WIDTH, face_camera
@@ -47,7 +47,7 @@ def side_by_side(path: Path, face: Face, title: str, rows: Mapping[str, Compared
         for column, (body, caption) in enumerate(zip(bodies, [name, *captions], strict=True)):
             left = column * cell[0]
             camera = face_camera(model.skin.vertices, model.face, YAW)
-            page.panel((left, top), fade(render([body], camera, *cell)))
+            page.panel((left, top), render_bust([body], camera, cell))
             page.text((left + cell[0] // 2, top + cell[1] - 22), caption, 15, anchor="ma")
     page.scale((WIDTH - cell[0] - 80, HEADER + len(rows) * cell[1] + 12), cell[0])
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -22,7 +22,7 @@ from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
 from solver.jobs.build_preview import TOLERANCE
 from solver.mechanics.linear import fastest
-from solver.rig.preview.make import make_preview
+from solver.rig.preview import make_preview
 from solver.rig.result import ExpressionFit
 
 SEED = 0

@@ -23,7 +23,7 @@ from benchmarks.physics.headset import headset
 from solver.contact.crossing import depth_inside
 from solver.contact.potentials import Gauge, Penetration, contact_potentials
 from solver.drawing.head import DrawnHead
-from solver.drawing.render import Camera, DrawnBody, Lit, fade, render
+from solver.drawing.render import Camera, DrawnBody, Lit, render_bust
 from solver.drawing.sheet import HEADER, Sheet
 from solver.edits.edit import DENSITY
 from solver.fitting.face import Face, Pose
@@ -219,7 +219,7 @@ def picture(path: Path, person: Fitted, played: dict[str, tuple[Played, Played]]
             for number, (bodies, yaw) in enumerate(views):
                 camera = Camera(each.scene.centre, each.scene.span, yaw)
                 left = (2 * column + number) * CELL[0]
-                page.panel((left, HEADER + row * CELL[1]), fade(render(bodies, camera, *CELL)))
+                page.panel((left, HEADER + row * CELL[1]), render_bust(bodies, camera, CELL))
             how = "with contact" if each.contact else "without"
             depth = max(found.most for found in each.depths)
             label = f"{each.scene.title}, {how}: {depth:.2f} mm"

@@ -20,7 +20,7 @@ import scipy.sparse as sp
 
 from benchmarks.documents import Figures
 from solver.drawing.head import DrawnHead
-from solver.drawing.render import fade, render
+from solver.drawing.render import render_bust
 from solver.drawing.sheet import HEADER, Sheet
 from solver.edits.edit import Edited, Replay, Replayed, apply
 from solver.errors import SolveError
@@ -150,7 +150,7 @@ def sheet(people: Mapping[str, EditedPerson], path: Path) -> None:
         views += [(each.after.skin, 0.0) for each in person.expressions if each.after is not None]
         for row, (skin, yaw) in enumerate(views):
             camera = face_camera(model.skin.vertices, model.face, yaw)
-            image = fade(render([head.body(head.lit(skin))], camera, width, height))
+            image = render_bust([head.body(head.lit(skin))], camera, (width, height))
             page.panel((left, HEADER + 30 + row * height), image)
     page.save(path)
 

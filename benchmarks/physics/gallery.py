@@ -16,7 +16,7 @@ from benchmarks.physics.jobs import FOLDER
 from solver.jobs.scenes import play, skin_of
 from solver.kinds.scene import SimulateScene
 from solver.progress import silent
-from solver.rig.animation_picture import Filming, Shot, contact_sheet
+from solver.rig.animation import Filming, Shot, contact_sheet
 from solver.scene.document import drives_of, read_scene
 from solver.scene.places import Places
 from solver.scene.stage import Stage

@@ -23,7 +23,7 @@ from myoface.demo.outcome import khronos_validation
 from solver.anatomy.template import ShapeBasis
 from solver.animation.drives import RecordedDrives
 from solver.drawing.head import DrawnHead
-from solver.drawing.render import fade, render
+from solver.drawing.render import render_bust
 from solver.drawing.sheet import HEADER, MARGIN, Sheet
 from solver.jobs.scenes import finish, play, skin_of
 from solver.kinds.scene import SimulateScene
@@ -122,7 +122,7 @@ def picture(path: Path, person: Fitted, played: Played) -> None:
         for row, body in enumerate(
             (head.body(head.lit(shapes)), head.body(lit), head.heat_map(lit, apart))
         ):
-            page.panel((left, HEADER + 30 + row * height), fade(render([body], camera, *CELL)))
+            page.panel((left, HEADER + 30 + row * height), render_bust([body], camera, CELL))
     page.scale((SIDE + 20, HEADER + 30 + 3 * height + 12), 4 * width)
     path.parent.mkdir(parents=True, exist_ok=True)
     page.save(path)

@@ -18,7 +18,7 @@ from solver.anatomy.bones import bone_normals
 from solver.anatomy.domain import boundary
 from solver.drawing import head as drawing_head
 from solver.drawing.head import DrawnHead
-from solver.drawing.render import DrawnBody, Lit, fade, render
+from solver.drawing.render import DrawnBody, Lit, render_bust
 from solver.drawing.sheet import HEADER, Sheet
 from solver.fitting.face import Face, Pose
 from solver.rig.pictures import THREE_QUARTER, WIDTH, face_camera
@@ -101,7 +101,7 @@ def picture(path: Path, person: Fitted) -> None:
         }
         for column, (title, body) in enumerate(bodies.items(), start=2 * number):
             camera = face_camera(model.skin.vertices, model.face, THREE_QUARTER)
-            page.panel((column * cell[0], HEADER), fade(render([body], camera, *cell)))
+            page.panel((column * cell[0], HEADER), render_bust([body], camera, cell))
             page.text((column * cell[0] + cell[0] // 2, HEADER), title, 20, anchor="ma")
     page.scale((WIDTH - cell[0] - 120, HEADER + cell[1] + 12), cell[0], MOST_MM)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -59,18 +59,13 @@ def both_sides(muscle: str) -> str:
     return " ".join(word for word in words if word.lower() not in ("left", "right", "l", "r"))
 
 
-def muscle_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:
-    """Return muscle without side -> sRGB colour: hues by the golden ratio, alike in strength.
-
-    Neighbours in the list get hues far apart, and the two sides of a muscle share one.
-    """
-    kinds = list(dict.fromkeys(both_sides(name) for name in names))
-    colours = {}
-    for number, kind in enumerate(kinds):
-        hue = (0.985 + number * 0.381966) % 1.0
-        lightness = (0.40, 0.56, 0.48, 0.66)[number % 4]
-        colours[kind] = colorsys.hls_to_rgb(hue, lightness, 0.58)
-    return colours
+def muscle_colours(names: tuple[str, ...]) -> dict[str, tuple[float, ...]]:
+    """Return muscle without side -> sRGB colour, of hues far apart for neighbours in the list."""
+    lightness = (0.40, 0.56, 0.48, 0.66)
+    return {
+        kind: colorsys.hls_to_rgb((0.985 + number * 0.381966) % 1.0, lightness[number % 4], 0.58)
+        for number, kind in enumerate(dict.fromkeys(map(both_sides, names)))
+    }
 
 
 # Parts of a scan topology. A subject model does not name them, so they are told apart by shape:
@@ -110,26 +105,24 @@ def _kinds(skin: Surface, label: Ints, sizes: PartSizes) -> list[str]:
     points = [skin.vertices[label == number] for number in range(label.max() + 1)]
     spheres = [_eye_sphere(component, sizes) for component in points]
     eyes = [sphere for sphere in spheres if sphere is not None]
+    extents = [np.ptp(component, axis=0) for component in points]
     largest = int(np.argmax([len(component) for component in points]))
-    kinds = []
-    for number, component in enumerate(points):
-        centre = component.mean(axis=0)
+
+    def kind(number: int) -> str:
+        centre = points[number].mean(axis=0)
         if number == largest:
-            kinds.append("skin")
-        elif spheres[number] is not None:
-            kinds.append("eyes")
-        elif any(np.linalg.norm(centre - eye) < sizes.near_eye * radius for eye, radius in eyes):
-            kinds.append("lashes")
-        elif np.ptp(component, axis=0).max() < sizes.tooth_mm:
-            kinds.append("teeth")
-        else:
-            kinds.append("mouth")
+            return "skin"
+        if spheres[number] is not None:
+            return "eyes"
+        if any(np.linalg.norm(centre - eye) < sizes.near_eye * radius for eye, radius in eyes):
+            return "lashes"
+        return "teeth" if extents[number].max() < sizes.tooth_mm else "mouth"
+
+    kinds = [kind(number) for number in range(len(points))]
     if "teeth" not in kinds:  # rows of teeth in one piece: wider than deep, as no tongue is
-        extents = [np.ptp(component, axis=0) for component in points]
-        kinds = [
-            "teeth" if kind == "mouth" and extent[0] > extent[2] else kind
-            for kind, extent in zip(kinds, extents, strict=True)
-        ]
+        for number, (across, _, deep) in enumerate(extents):
+            if kinds[number] == "mouth" and across > deep:
+                kinds[number] = "teeth"
     return kinds
 
 
@@ -142,12 +135,10 @@ def _eye_sphere(points: Floats, sizes: PartSizes) -> tuple[Floats, float] | None
     centre = solution[:3]
     distance = np.linalg.norm(points - centre, axis=1)
     radius = float(distance.mean())
-    round_enough = distance.std() < sizes.roundness * radius
-    whole = np.ptp(points, axis=0).min() > 1.6 * radius
+    is_round = distance.std() < sizes.roundness * radius
+    is_whole = np.ptp(points, axis=0).min() > 1.6 * radius
     least, most = sizes.eye_radius_mm
-    if least < radius < most and round_enough and whole:
-        return centre, radius
-    return None
+    return (centre, radius) if least < radius < most and is_round and is_whole else None
 
 
 # The head as it is drawn.
@@ -181,10 +172,7 @@ class DrawnHead:
             self._colour = np.vstack([self._colour, _eye_colour(fine)])
 
     def lit(self, vertices: Floats, light: Floats | None = None) -> Lit:
-        """Return the whole head with its topology at ``vertices`` (v, 3), for the bodies below.
-
-        ``light`` is that of the head in another pose, if it is to be had.
-        """
+        """Return the head at ``vertices`` (v, 3); ``light`` may be that of another pose."""
         if len(self.eyes):
             eyes = vertices[self._eye_vertices]
             fine, _ = igl.upsample(eyes, self._eye_faces, EYE_SUBDIVISIONS)
@@ -202,6 +190,13 @@ class DrawnHead:
         measured = np.flatnonzero(np.isfinite(error_mm))
         colour[measured] = linear(heat(error_mm[measured], most_mm))
         return DrawnBody(lit, colour, gloss=0.04)
+
+    def compare(
+        self, first: Floats, second: Floats, error_mm: Floats, most_mm: float = HEAT_MAX_MM
+    ) -> list[DrawnBody]:
+        """Return the head at ``first`` and at ``second`` (v, 3), and a heat map on the latter."""
+        lit = self.lit(second)
+        return [self.body(self.lit(first)), self.body(lit), self.heat_map(lit, error_mm, most_mm)]
 
 
 def _eye_colour(points: Floats) -> Floats:

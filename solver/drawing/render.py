@@ -69,11 +69,8 @@ def _gather(
     lift_mm: float,
     bias_pixels: float,
 ) -> Floats:
-    """Return the light (n, 3) from all directions; ``axes`` (k, 3, 3) are those of their maps.
-
-    ``vertices`` lie within ``radius`` of the origin. (No matrix products: BLAS threads would take
-    longer to wake than these take.)
-    """
+    """Return the light (n, 3) along ``axes`` (k, 3, 3) on what lies within ``radius``."""
+    # no matrix products: BLAS threads would take longer to wake than these take
     light = np.zeros((len(vertices), 3))
     places = np.empty((len(vertices), 3))
     scale = map_pixels / (2 * radius)
@@ -100,10 +97,7 @@ def _gather(
 
 @njit(cache=True)
 def _depth_map(places: Floats, faces: Ints, pixels: int) -> Floats:
-    """Return the greatest third coordinate in each pixel of triangles seen along the third axis.
-
-    ``places`` (n, 3) are in pixels of the map.
-    """
+    """Return the greatest third coordinate of triangles at ``places`` (n, 3), in pixels."""
     nearest = np.full((pixels, pixels), -np.inf)
     for face in range(len(faces)):
         ax, ay, az = places[faces[face, 0]]
@@ -324,11 +318,18 @@ def render(bodies: list[DrawnBody], camera: Camera, width: int, height: int) -> 
     return np.asarray(np.clip(image, 0, 1) ** (1 / GAMMA), np.float32)
 
 
-def fade(image: Pixels, start: float = 0.85, end: float = 0.96) -> Pixels:
-    """Return a bust whose lower end, where scans are cut off, runs out into the background.
+def render_bust(
+    bodies: list[DrawnBody],
+    camera: Camera,
+    size: tuple[int, int],
+    start: float = 0.85,
+    end: float = 0.96,
+) -> Pixels:
+    """Return :func:`render` of ``size`` (width, height), run out below where scans are cut off.
 
     It begins to fade at ``start`` and is gone at ``end``, parts of the height from above.
     """
+    image = render(bodies, camera, *size)
     rows = np.linspace(0, 1, len(image), dtype=np.float32)
     part = np.clip((rows - start) / (end - start), 0, 1)[:, None, None]
     part = part * part * (3 - 2 * part)

@@ -10,12 +10,12 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from solver.drawing.head import HEAT_MAX_MM, heat
-from solver.drawing.render import Pixels
+from solver.drawing.render import Camera, DrawnBody, Pixels, render_bust
 
 INK, GREY, PAPER = (38, 40, 46), (112, 116, 124), (249, 249, 250)  # sRGB bytes
 MARGIN, HEADER, SWATCH = 24, 84, 14  # pixels: left of text, above the first picture, of a square
 
-Colour = tuple[float, float, float]
+Colour = tuple[float, ...]
 
 
 class Sheet:
@@ -24,6 +24,24 @@ class Sheet:
     def __init__(self, width: int, height: int) -> None:
         self.image = Image.new("RGB", (width, height), PAPER)
         self.draw = ImageDraw.Draw(self.image)
+
+    @classmethod
+    def with_legend(
+        cls, title: str, detail: str, legend: dict[str, Colour], width: int, top: int
+    ) -> Sheet:
+        """Return a page with its heading, and named colours in columns from ``top`` on."""
+        across = width - 2 * MARGIN
+        columns = max(1, across // 300)
+        rows, high = -(-len(legend) // columns), SWATCH + 9
+        page = cls(width, top + rows * high + MARGIN)
+        page.heading(title, detail)
+        for number, (name, colour) in enumerate(legend.items()):
+            x = MARGIN + number // rows * (across // columns)
+            y = top + number % rows * high
+            fill = tuple(round(255 * value) for value in colour)
+            page.draw.rectangle([x, y, x + SWATCH, y + SWATCH], fill=fill)
+            page.text((x + SWATCH + 8, y - 2), name, 15)
+        return page
 
     def heading(self, title: str, detail: str) -> None:
         """Write the title and a line of figures across the top."""
@@ -59,30 +77,9 @@ class Sheet:
             self.draw.line([(x, top + SWATCH), (x, top + SWATCH + 4)], fill=GREY)
             self.text((x, top + SWATCH + 7), words, 15, GREY, "ma")
 
-    def swatches(self, place: tuple[int, int], entries: dict[str, Colour], width: int) -> None:
-        """Draw named colours in columns that fill ``width``."""
-        columns = swatch_columns(width)
-        rows = -(-len(entries) // columns)
-        for number, (name, colour) in enumerate(entries.items()):
-            x = place[0] + number // rows * (width // columns)
-            y = place[1] + number % rows * swatch_height()
-            fill = tuple(round(255 * value) for value in colour)
-            self.draw.rectangle([x, y, x + SWATCH, y + SWATCH], fill=fill)
-            self.text((x + SWATCH + 8, y - 2), name, 15)
-
     def save(self, path: Path) -> None:
         """Write the page as PNG."""
         self.image.save(path)
-
-
-def swatch_columns(width: int) -> int:
-    """Return how many columns of swatches fit into ``width``."""
-    return max(1, width // 300)
-
-
-def swatch_height() -> int:
-    """Return the height of a row of swatches."""
-    return SWATCH + 9
 
 
 # Contact sheets: columns of images under captions, in named rows, over a colour scale.
@@ -96,6 +93,13 @@ class Column:
 
     caption: str
     images: Sequence[Pixels]
+
+    @classmethod
+    def of(
+        cls, caption: str, bodies: Sequence[DrawnBody], camera: Camera, layout: SheetLayout
+    ) -> Column:
+        """Return the pictures of bodies, each by itself."""
+        return cls(caption, [render_bust([each], camera, layout.cell) for each in bodies])
 
 
 @dataclass(frozen=True)

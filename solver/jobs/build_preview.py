@@ -13,7 +13,7 @@ from solver.kinds.build_preview import BuildPreview
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.progress import Step
-from solver.rig.preview.make import make_preview, preview_picture, write_preview
+from solver.rig.preview import make_preview, preview_picture, write_preview
 from solver.rig.result import load_activations, load_weights
 
 # Residual of an equilibrium: within a thousandth of a millimetre, and far below the error.

@@ -14,8 +14,7 @@ from solver.jobs.task import Task
 from solver.kinds import edits as described
 from solver.kinds.edit import Edit
 from solver.progress import Progress, Step
-from solver.rig.animation_picture import edit_picture
-from solver.rig.edit_report import Compared, EditedPerson, edit_report, write_edit
+from solver.rig.edit_report import Compared, EditedPerson, edit_picture, edit_report, write_edit
 from solver.rig.result import ExpressionFit, load_activations
 from solver.scene.stage import Physics, edits_of, physics_of
 

@@ -26,9 +26,9 @@ from solver.model import SubjectModel
 from solver.progress import Progress, Step
 from solver.registration.confidence import head_motion
 from solver.rig.animation_gltf import AnimatedSkin
-from solver.rig.animation_picture import SequenceShot, sequence_picture
 from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter
 from solver.rig.motion import SequenceFrame, Status, read_frames, sequence_report, write_sequence
+from solver.rig.pictures import SequenceShot, sequence_picture
 from solver.rig.result import load_weights
 from solver.scans.performance import Performance, open_performance
 from solver.similarity import IDENTITY, Similarity, weighted_motion

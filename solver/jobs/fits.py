@@ -23,7 +23,7 @@ from solver.meshio.registered import RegisteredScan, read_registered
 from solver.model import SubjectModel
 from solver.progress import Progress, Step
 from solver.rig.certificate import certify, with_round_trips
-from solver.rig.export import write_rig
+from solver.rig.exporters import write_rig
 from solver.rig.result import ExpressionFit
 from solver.rig.rig import Rig
 

@@ -24,8 +24,7 @@ from solver.errors import SolveError
 from solver.jobs.task import Task
 from solver.model import SubjectModel
 from solver.progress import Progress, Step
-from solver.rig.animation import write_animation
-from solver.rig.animation_picture import Filming
+from solver.rig.animation import Filming, write_animation
 from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter
 from solver.rig.motion import MotionFrame, motion_report, motion_values, read_motion
 from solver.rig.result import load_weights

@@ -6,7 +6,7 @@ All files are documented in docs/guide/simulation.md.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from fractions import Fraction
 from importlib.util import find_spec
@@ -16,17 +16,19 @@ from zipfile import ZIP_DEFLATED, ZipFile
 
 import numpy as np
 
-from solver.drawing.render import Pixels
+from solver.drawing.head import DrawnHead
+from solver.drawing.render import DrawnBody, Lit, Pixels, render_bust
+from solver.drawing.sheet import MARGIN, Column, SheetLayout, draw_sheet
 from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.rig.animation_gltf import write_animation_glb
-from solver.rig.animation_picture import Filming, Shot, contact_sheet
 from solver.rig.gltf import Solid
 from solver.rig.motion import MotionFrame
+from solver.rig.pictures import THREE_QUARTER, face_camera
 from solver.rig.skin_basis import Singles
 from solver.scene.objects import SceneObject
 from solver.similarity import small_motion
-from solver.surface import Floats, Ints
+from solver.surface import Floats, Ints, Surface
 
 # ``animation.npz``: an animation as arrays; docs/guide/simulation.md describes it.
 
@@ -65,6 +67,71 @@ def write_animation_npz(
                 stream.write(placed.astype("<f4").tobytes())
 
 
+# Frames as pictures, with what the face meets.
+
+# linear colour and opacity of what the face meets
+OBJECT, OBJECT_OPACITY = (0.35, 0.45, 0.52), 0.3
+
+
+class Filming:
+    """Draws a subject's skins, all from where the neutral is seen."""
+
+    def __init__(self, model: SubjectModel) -> None:
+        self._head = DrawnHead(model.skin)
+        self._cameras = {
+            yaw: face_camera(model.skin.vertices, model.face, yaw) for yaw in (0.0, THREE_QUARTER)
+        }
+
+    def light(self, skin: Floats) -> Floats:
+        """Return the light on a skin (v, 3), for pictures of it and of skins that are alike."""
+        return self._head.lit(skin).light
+
+    def picture(
+        self,
+        skin: Floats,
+        light: Floats,
+        size: tuple[int, int],
+        *,
+        objects: Sequence[Surface] = (),
+        yaw: float = 0.0,
+    ) -> Pixels:
+        """Return a skin (v, 3) in the world, mm, with objects half transparent before it.
+
+        ``size`` is (width, height); ``yaw`` is 0 for a look from the front, :data:`THREE_QUARTER`
+        for one from the side.
+        """
+        bodies = [self._head.body(self._head.lit(skin, light))]
+        for each in objects:
+            colour = np.broadcast_to(OBJECT, each.vertices.shape)
+            bodies.append(DrawnBody(Lit(each), colour, opacity=OBJECT_OPACITY))
+        return render_bust(bodies, self._cameras[yaw], size)
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A moment of an animation: its ``caption``, skin (v, 3) and objects in the world, mm."""
+
+    caption: str
+    skin: Floats
+    objects: tuple[Surface, ...] = ()
+
+
+def contact_sheet(
+    filming: Filming, shots: Sequence[Shot], title: str, detail: str, path: Path
+) -> None:
+    """Draw shots in rows of four, each from the front and from the side."""
+    layout = SheetLayout(cell=(300, 360), label=MARGIN, columns=4, foot=MARGIN)
+    columns = []
+    for shot in shots:
+        light = filming.light(shot.skin)
+        images = [
+            filming.picture(shot.skin, light, layout.cell, objects=shot.objects, yaw=yaw)
+            for yaw in (0.0, THREE_QUARTER)
+        ]
+        columns.append(Column(shot.caption, images))
+    draw_sheet(path, title, detail, ("", ""), columns, layout, scale_mm=None)
+
+
 # ``animation.mp4``: frames as a film, by PyAV (the extra ``video``).
 
 
@@ -82,10 +149,7 @@ def check_video() -> None:
 
 
 def write_video(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], fps: float) -> None:
-    """Write sRGB ``pictures`` (h, w, 3) from 0 to 1 at ``fps``; ``size`` is (w, h), even numbers.
-
-    Raises as :func:`check_video`.
-    """
+    """Write sRGB ``pictures`` (h, w, 3) from 0 to 1, w and h even; see :func:`check_video`."""
     check_video()
     import av
 
@@ -145,57 +209,40 @@ def write_animation(
     figures = {**report, "glb": {**asdict(written), "bytes": glb.stat().st_size}}
     table.write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     filming = Filming(model)
+
+    def shot(number: int) -> Shot:
+        frame = frames[number]
+        skin = frame.into_world(skins[number].astype(np.float64))
+        return Shot(f"{frame.time:.2f} s", skin, tuple(each.at(frame.time) for each in objects))
+
     shown = np.unique(np.linspace(0, len(frames) - 1, options.shots).round().astype(int))
-    shots = [_shot(frames[number], skins[number], objects) for number in shown]
-    contact_sheet(filming, shots, title, _detail(frames, times), sheet)
+    detail = (
+        f"{len(frames)} frames in {times[-1] - times[0]:.1f} s, "
+        f"{sum(frame.inverted for frame in frames)} inverted tets, "
+        f"skin at most {max(frame.penetration_mm for frame in frames):.2f} mm in what it meets"
+    )
+    contact_sheet(filming, [shot(number) for number in shown], title, detail, sheet)
     files = [table, glb, arrays, sheet]
     film = out / "animation.mp4"
     film.unlink(missing_ok=True)  # one of another scene is not to stay beside the new files
     if video:
         files.append(film)
-        pictures = _film(filming, frames, skins, objects, options)
-        write_video(film, pictures, options.size, _fps(times, options))
+        pictures = _film(filming, len(frames), shot, options)
+        usual = 1.0 / float(np.median(np.diff(times))) if len(times) > 1 else options.single_fps
+        fps = max(options.least_fps, round(usual, 2))
+        write_video(film, pictures, options.size, fps)
     return files
 
 
-def _shot(frame: MotionFrame, skin: Singles, objects: Sequence[SceneObject]) -> Shot:
-    placed = frame.into_world(skin.astype(np.float64))
-    return Shot(f"{frame.time:.2f} s", placed, tuple(each.at(frame.time) for each in objects))
-
-
 def _film(
-    filming: Filming,
-    frames: Sequence[MotionFrame],
-    skins: Singles,
-    objects: Sequence[SceneObject],
-    options: FilmOptions,
+    filming: Filming, count: int, shot: Callable[[int], Shot], options: FilmOptions
 ) -> Iterator[Pixels]:
     """Draw all frames; light, which takes longest, is interpolated between some of them."""
-
-    def shot(number: int) -> Shot:
-        return _shot(frames[number], skins[number], objects)
-
     light = filming.light(shot(0).skin)
-    for first in range(0, len(frames), options.lit_every):
-        begin, end = light, min(first + options.lit_every, len(frames) - 1)
+    for first in range(0, count, options.lit_every):
+        begin, end = light, min(first + options.lit_every, count - 1)
         light = filming.light(shot(end).skin)
-        for number in range(first, min(first + options.lit_every, len(frames))):
+        for number in range(first, min(first + options.lit_every, count)):
             share = (number - first) / max(end - first, 1)
             now, here = shot(number), begin + share * (light - begin)
             yield filming.picture(now.skin, here, options.size, objects=now.objects)
-
-
-def _detail(frames: Sequence[MotionFrame], times: Floats) -> str:
-    inverted = sum(frame.inverted for frame in frames)
-    deepest = max(frame.penetration_mm for frame in frames)
-    return (
-        f"{len(frames)} frames in {times[-1] - times[0]:.1f} s, {inverted} inverted tets, "
-        f"skin at most {deepest:.2f} mm in what it meets"
-    )
-
-
-def _fps(times: Floats, options: FilmOptions) -> float:
-    """Return the usual number of frames a second."""
-    if len(times) < 2:
-        return options.single_fps
-    return max(options.least_fps, round(1.0 / float(np.median(np.diff(times))), 2))

@@ -40,30 +40,23 @@ from solver.rig.skin_basis import (
 )
 from solver.surface import Floats, Ints, Surface
 
-# Fewer keys: frames that lie between others, as near as can be seen, are left out.
-
-
 # how far frames (k,) between two others are off, mm, where those two are the only keys
 Error = Callable[[int, int, Ints], Floats]
 
 
 def needed_keys(frames: int, error: Error, within_mm: float) -> Ints:
     """Return the frames (k,) that keep all others within so much (Douglas and Peucker 1973)."""
-    if frames < 3:
-        return np.arange(frames)
-    kept = {0, frames - 1}
-    open_ends = [(0, frames - 1)]
-    while open_ends:
-        first, last = open_ends.pop()
+    kept = {0, frames - 1} if frames else set()
+    gaps = [(0, frames - 1)]
+    while gaps:
+        first, last = gaps.pop()
         between = np.arange(first + 1, last)
-        if not len(between):
-            continue
-        off = error(first, last, between)
+        off = error(first, last, between) if len(between) else np.zeros(1)
         if off.max() > within_mm:
             worst = int(between[off.argmax()])
             kept.add(worst)
-            open_ends += [(first, worst), (worst, last)]
-    return np.array(sorted(kept))
+            gaps += [(first, worst), (worst, last)]
+    return np.array(sorted(kept), np.int64)
 
 
 QUANTISATION = "KHR_mesh_quantization"  # glTF's extension for whole numbers
@@ -107,7 +100,9 @@ def write_animation_glb(
     basis = span_skins(neutral, skins, options.basis)
     normals = normal_shapes(neutral, skins, basis, options.basis)
     stretch = np.clip(1.0 / np.maximum(_greatest(normals), 1e-9), 1.0, options.most_stretch)
-    rounded = _round_shapes(basis, stretch)
+    steps = SHORT * METRES * stretch[:, None, None]
+    read_back = (np.rint(basis.shapes * steps) / steps).astype(np.float32)
+    rounded = replace(basis, shapes=read_back)
     keys = needed_keys(len(times), _skin_error(rounded, times), options.keys_mm)
 
     def rigid(buffer: Buffer, shape: Surface, places: Floats) -> Tracks:
@@ -138,12 +133,6 @@ def write_animation_glb(
     return AnimatedGlb(len(names), len(keys), error)
 
 
-def _round_shapes(basis: Basis, stretch: Floats) -> Basis:
-    """Return the basis as it reads back."""
-    steps = SHORT * METRES * stretch[:, None, None]
-    return replace(basis, shapes=(np.rint(basis.shapes * steps) / steps).astype(np.float32))
-
-
 def _skin_error(basis: Basis, times: Floats) -> Error:
     shapes = basis.shapes.reshape(len(basis.shapes), -1)
 
@@ -157,10 +146,7 @@ def _skin_error(basis: Basis, times: Floats) -> Error:
 
 
 def _rigid_error(shape: Surface, places: Floats, times: Floats) -> Error:
-    """Return the error of what turns and moves from frame to frame, seen at its box's corners.
-
-    By glTF it turns steadily (slerp); Blender draws quaternions' entries as lines. Both count.
-    """
+    """Return the error at the corners of the box of what turns and moves from frame to frame."""
     box = np.array([shape.vertices.min(axis=0), shape.vertices.max(axis=0)])
     corners = np.stack(np.meshgrid(*box.T), axis=-1).reshape(-1, 3)
     turns = Rotation.from_rotvec(places[:, :3])
@@ -170,6 +156,7 @@ def _rigid_error(shape: Surface, places: Floats, times: Floats) -> Error:
         shifts = _between(places[[first, last], 3:], ends, now) - places[frames, 3:]
         quaternions = turns[[first, last]].as_quat()
         quaternions[1] *= np.copysign(1.0, quaternions[0] @ quaternions[1])
+        # by glTF it turns steadily, Blender draws quaternions' entries as lines: both count
         steady = Slerp(ends, turns[[first, last]])(now)
         straight = Rotation.from_quat(_between(quaternions, ends, now))
         apart = [
@@ -228,21 +215,17 @@ class AnimatedSkin:
                     shapes[name] = self._neutral.vertices + (way * most * shape).reshape(-1, 3)
                     tracks.append(one_way[:, None] / most)
 
+        times = np.array([frame.frame / fps for frame in self._frames])
+        heads = np.array([frame.head for frame in self._frames]).reshape(-1, 6)
+        table = np.hstack(tracks)
+
         def animate(buffer: Buffer, _count: int) -> gl.Animation | None:
-            return _animation(buffer, self._frames, np.hstack(tracks), fps)
+            moved = {}
+            if table.size:
+                at_frames = buffer.dense(times, gl.SCALAR, bounds=True)
+                moved[gl.WEIGHTS] = at_frames, buffer.dense(table.ravel(), gl.SCALAR)
+            if heads.any():
+                moved |= rigid_tracks(buffer, times, heads)
+            return animation("sequence", moved) if moved else None
 
         write_face(path, self._neutral, shapes, animate)
-
-
-def _animation(
-    buffer: Buffer, frames: Sequence[SequenceFrame], weights: Floats, fps: float
-) -> gl.Animation | None:
-    heads = np.array([frame.head for frame in frames]).reshape(-1, 6)
-    times = np.array([frame.frame / fps for frame in frames])
-    tracks = {}
-    if weights.size:
-        at_frames = buffer.dense(times, gl.SCALAR, bounds=True)
-        tracks[gl.WEIGHTS] = at_frames, buffer.dense(weights.ravel(), gl.SCALAR)
-    if heads.any():
-        tracks |= rigid_tracks(buffer, times, heads)
-    return animation("sequence", tracks) if tracks else None

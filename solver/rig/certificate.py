@@ -1,4 +1,4 @@
-"""Checks of a rig's expressions beyond their distance to the scans."""
+"""Figures of a rig's expressions: skin, muscles, jaw, flesh, contact, round trip and solve."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from solver.mechanics.newton import Factorization
 from solver.model import SubjectModel
 from solver.rig.result import ExpressionFit
 from solver.rig.rig import Rig
-from solver.rig.round_trip import round_trip
+from solver.rig.round_trip import RoundTrip, round_trip
 from solver.surface import Floats, Ints
 
 # Muscles and jaw of a fit against those of a living face.
@@ -65,18 +65,15 @@ class Muscles:
             return []
         least, most = self.shortest[muscle], self.longest[muscle]
         fibres, volume = self.fibres[muscle], self.volume[muscle]
-        faults = []
-        if least <= 0.0:
-            faults.append("is turned inside out")
-        elif least < limits.shortest:
-            faults.append(f"shrinks to {100 * least:.0f} % in one direction")
-        if most > limits.longest:
-            faults.append(f"stretches to {100 * most:.0f} % in one direction")
-        if fibres > limits.longest_fibre:
-            faults.append(f"pushes: its fibres lengthen to {100 * fibres:.0f} %")
-        if least > 0.0 and not limits.volumes[0] <= volume <= limits.volumes[1]:
-            faults.append(f"has {100 * volume:.0f} % of its volume")
-        return faults
+        low, high = limits.volumes
+        faults = (
+            (least <= 0.0, "is turned inside out"),
+            (0.0 < least < limits.shortest, f"shrinks to {100 * least:.0f} % in one direction"),
+            (most > limits.longest, f"stretches to {100 * most:.0f} % in one direction"),
+            (fibres > limits.longest_fibre, f"pushes: its fibres lengthen to {100 * fibres:.0f} %"),
+            (least > 0.0 and not low <= volume <= high, f"has {100 * volume:.0f} % of its volume"),
+        )
+        return [words for is_so, words in faults if is_so]
 
     @property
     def inside_out(self) -> Ints:
@@ -88,21 +85,11 @@ class Muscles:
 def muscles(model: SubjectModel, volumes: Floats, S: sp.csr_array, a: Floats) -> Muscles:
     """Return the figures of activations ``a`` (m, 6); ``volumes`` (n,) are the tets' at rest."""
     tensors = matrices(a)
-    stretches = np.linalg.eigvalsh(tensors)
+    shortest, _, longest = np.asarray(np.linalg.eigvalsh(tensors), np.float64).T
     fibres = np.einsum("jkl,jkl->j", fibre_tensors(model, volumes, S), tensors)
-    flesh = np.bincount(S.indices, S.data * _by_entry(volumes, S), minlength=len(a) + 1)[1:]
-    return Muscles(
-        np.asarray(stretches[:, 0], np.float64),
-        np.asarray(stretches[:, 2], np.float64),
-        determinants(a),
-        fibres,
-        np.asarray(flesh, np.float64),
-    )
-
-
-def _by_entry(of_tets: Floats, S: sp.csr_array) -> Floats:
-    """Return a value of every tet (n,) for each stored entry of S."""
-    return np.asarray(np.repeat(of_tets, np.diff(S.indptr)))
+    of_entries = S.data * np.repeat(volumes, np.diff(S.indptr))
+    flesh = np.asarray(np.bincount(S.indices, of_entries, len(a) + 1)[1:], np.float64)
+    return Muscles(shortest, longest, determinants(a), fibres, flesh)
 
 
 # from rest, in degrees and mm; see JAW_SOURCE
@@ -147,12 +134,12 @@ class JawMotion:
 
     def faults(self) -> list[str]:
         """Return in plain words what the jaw does that jaws cannot do."""
-        faults = []
-        for name, (low, high) in JAW_RANGES.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                faults.append(JAW_WORDS[name][value > 0].format(abs(value)))
-        return faults
+        motion = {name: getattr(self, name) for name in JAW_RANGES}
+        return [
+            JAW_WORDS[name][value > 0].format(abs(value))
+            for name, value in motion.items()
+            if not JAW_RANGES[name][0] <= value <= JAW_RANGES[name][1]
+        ]
 
 
 def jaw_motion(model: SubjectModel, b: Floats) -> JawMotion:
@@ -223,15 +210,13 @@ def with_round_trips(
     face: Face, fits: tuple[ExpressionFit, ...], listen: Listener | None = None
 ) -> tuple[ExpressionFit, ...]:
     """Return the fits with their round trips; those that have one keep it."""
-    done = []
+    done = list(fits)
     for number, fit in enumerate(fits):
         if fit.round_trip is None:
             if listen:
                 listen(fit.name, number)
             pose, skin = Pose(fit.activations, fit.jaw), fit.skin[face.model.face]
-            done.append(replace(fit, round_trip=round_trip(face, pose, skin)))
-        else:
-            done.append(fit)
+            done[number] = replace(fit, round_trip=round_trip(face, pose, skin))
     return tuple(done)
 
 
@@ -248,16 +233,13 @@ def certify(face: Face, rig: Rig, settings: dict[str, Any]) -> Certificate:
 def _check(
     face: Face, fit: ExpressionFit, mouth: Mouth | None, linear: LinearSolver
 ) -> ExpressionCheck:
-    model = face.model
-    whole = np.isfinite(fit.target).all()
+    a = face.tet_activations(fit.activations)
     return ExpressionCheck(
-        muscles(model, face.flesh.volumes, face.S, fit.activations),
-        jaw_motion(model, fit.jaw),
-        None
-        if fit.x is None
-        else check_flesh(face, face.tet_activations(fit.activations), fit.x, linear),
+        muscles(face.model, face.flesh.volumes, face.S, fit.activations),
+        jaw_motion(face.model, fit.jaw),
+        None if fit.x is None else check_flesh(face, a, fit.x, linear),
         None if mouth is None else crossing(mouth, fit.skin),
-        None if mouth is None or not whole else crossing(mouth, fit.target),
+        crossing(mouth, fit.target) if mouth and np.isfinite(fit.target).all() else None,
     )
 
 
@@ -277,3 +259,127 @@ def check_flesh(face: Face, a: Floats, x: Floats, linear: LinearSolver) -> Flesh
         residual=float(residual),
         minimum=share == 0,
     )
+
+
+# What the checks of :mod:`solver.rig.checks` judge: one figure of an expression by each code.
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A check's figure for one expression, with ``detail`` in words where there is more to say."""
+
+    value: float
+    detail: str = ""
+
+
+def measured_regions(model: SubjectModel, fit: ExpressionFit) -> dict[str, tuple[Ints, Floats]]:
+    """Return the face's regions of which the scan shows something: vertices and errors in mm."""
+    on_face = {name: np.intersect1d(ids, model.face) for name, ids in model.regions.items()}
+    found = {name: (ids, fit.measured_error(ids)) for name, ids in on_face.items()}
+    return {name: (ids, seen) for name, (ids, seen) in found.items() if len(seen)}
+
+
+def measures(rig: Rig, fit: ExpressionFit, check: ExpressionCheck) -> dict[str, Measure]:
+    """Return code -> figure of one expression."""
+    notices = (*rig.notices, *fit.notices)
+    return {
+        **_skin(rig.model, fit),
+        **_flesh(fit, check.flesh),
+        **_muscles_and_jaw(rig.model, check),
+        **_contact(check.crossing, check.scan_crossing),
+        **_trip(fit.round_trip),
+        **_solve(fit),
+        "solver.warnings": Measure(len(notices), "; ".join(each.message for each in notices)),
+    }
+
+
+def _skin(model: SubjectModel, fit: ExpressionFit) -> dict[str, Measure]:
+    error = fit.measured_error(model.face)
+    found = {
+        "skin.mean": Measure(error.mean()),
+        "skin.p95": Measure(np.percentile(error, 95)),
+        "skin.coverage": Measure(100.0 * len(error) / len(model.face)),
+    }
+    means = {name: seen.mean() for name, (_, seen) in measured_regions(model, fit).items()}
+    if means:
+        worst = max(means, key=lambda name: means[name])
+        found["skin.region"] = Measure(means[worst], worst.replace("_", " "))
+    return found
+
+
+def _flesh(fit: ExpressionFit, flesh: FleshCheck | None) -> dict[str, Measure]:
+    found = {"flesh.inverted": Measure(fit.inverted)}
+    if flesh is not None:
+        found |= {
+            "flesh.flattest": Measure(flesh.det_least, f"tet {flesh.flattest}"),
+            "flesh.volume": Measure(abs(flesh.volume_percent), f"{flesh.volume_percent:+.2f} %"),
+            "flesh.residual": Measure(flesh.residual),
+            "flesh.minimum": Measure(0 if flesh.minimum else 1),
+        }
+    return found
+
+
+def _muscles_and_jaw(model: SubjectModel, check: ExpressionCheck) -> dict[str, Measure]:
+    names = model.muscle_names
+    faults = [
+        f"{name} {', '.join(faults)}"
+        for number, name in enumerate(names)
+        if (faults := check.muscles.faults(number))
+    ]
+    inside_out = [names[muscle] for muscle in check.muscles.inside_out]
+    return {
+        code: Measure(len(found), between.join(found))
+        for code, found, between in (
+            ("muscles.inside_out", inside_out, ", "),
+            ("muscles.beyond", faults, "; "),
+            ("jaw.range", check.jaw.faults(), ", "),
+        )
+    }
+
+
+def _contact(fitted: Crossing | None, scan: Crossing | None) -> dict[str, Measure]:
+    """Return code -> depth; the detail is the depth in the scan."""
+    scanned = _depths(scan)
+    return {
+        code: Measure(depth, f"{scanned[code]:.2f} mm in the scan" if code in scanned else "")
+        for code, depth in _depths(fitted).items()
+    }
+
+
+def _depths(found: Crossing | None) -> dict[str, float]:
+    if found is None:
+        return {}
+    depths: dict[str, list[float | None]] = {
+        "contact.lips": [found.lips],
+        "contact.teeth": [found.upper_teeth, found.lower_teeth],
+        "contact.bite": [found.bite],
+    }
+    known = {code: [each for each in some if each is not None] for code, some in depths.items()}
+    return {code: max(each) for code, each in known.items() if each}
+
+
+def _trip(trip: RoundTrip | None) -> dict[str, Measure]:
+    if trip is None:
+        return {}
+    found = {}
+    if not trip.is_reached:
+        found["trip.skin"] = Measure(trip.skin_mean_mm, "the pose cannot be reached from rest")
+    else:
+        failed = "" if np.isfinite(trip.refit_mean_mm) else "the new fit did not come to rest"
+        found["trip.skin"] = Measure(trip.skin_mean_mm)
+        found["trip.snap"] = Measure(trip.skin_max_mm)
+        found["trip.refit"] = Measure(trip.refit_mean_mm, failed)
+    if np.isfinite(trip.activation_error):
+        found["trip.activations"] = Measure(100.0 * trip.activation_error)
+    return found
+
+
+def _solve(fit: ExpressionFit) -> dict[str, Measure]:
+    """Return how the solve went, unless the rig is from before that was kept."""
+    if fit.status == "unknown":
+        return {}
+    how = f"after {fit.iterations} steps by {fit.solver}"
+    return {
+        f"solver.{end}": Measure(1, how) if fit.status == end else Measure(0)
+        for end in ("failed", "stopped")
+    }

@@ -12,9 +12,12 @@ import numpy as np
 
 from solver.anatomy.tetrahedra import ML, volume_ml, volumes
 from solver.contact.potentials import Gauge
+from solver.drawing.head import DrawnHead
+from solver.drawing.sheet import Column, SheetLayout, draw_sheet
 from solver.edits.edit import Edited, Replayed
 from solver.model import SubjectModel
 from solver.rig.gltf import in_turn, write_face
+from solver.rig.pictures import SIDE, THREE_QUARTER, face_camera
 from solver.storage import csr_arrays
 from solver.surface import Floats, vertex_areas, vertex_normals
 
@@ -23,10 +26,7 @@ FORMAT = 1  # of edit.json and edit.npz
 
 @dataclass(frozen=True)
 class Compared:
-    """One expression of the rig: ``before`` and ``after`` the edits, and as ``fitted`` (V, 3).
-
-    None where the flesh found no rest.
-    """
+    """One expression ``before`` and ``after`` edits (None: no rest found), as ``fitted`` (V, 3)."""
 
     name: str
     before: Replayed | None
@@ -119,31 +119,23 @@ def write_edit(person: EditedPerson, report: dict[str, Any], out: Path) -> list[
 def _volume(person: EditedPerson) -> dict[str, float]:
     tets = person.unedited.tets
     before, after = (volume_ml(pose.x, tets) for pose in (person.before, person.after))
-    return {
-        "before_ml": before,
-        "after_ml": after,
-        "change_ml": after - before,
-        "change_percent": 100.0 * (after / before - 1.0),
-    }
+    change, percent = after - before, 100.0 * (after / before - 1.0)
+    return {"before_ml": before, "after_ml": after, "change_ml": change, "change_percent": percent}
 
 
 def _flesh(edited: Edited, unedited: SubjectModel) -> dict[str, Any]:
     """Return the range of what the edits ask of the flesh, and how much muscle is left."""
-    size = volumes(unedited.rest, unedited.tets)
-
-    def muscle_ml(S: Any) -> float:
-        return float(size @ np.asarray(S[:, 1:].sum(axis=1)).ravel()) * ML
-
-    ranges = {
-        name: [float(values.min()), float(values.max())]
-        for name, values in (
-            ("growth", edited.growth),
-            ("stiffness", edited.stiffness_factor),
-            ("density", edited.density),
-        )
+    asked = {
+        "growth": edited.growth,
+        "stiffness": edited.stiffness_factor,
+        "density": edited.density,
     }
-    bones = float(np.linalg.norm(edited.bones, axis=1).max())
-    return {**ranges, "bones_mm": bones, "muscle_ml": muscle_ml(edited.S)}
+    muscle = np.asarray(edited.S[:, 1:].sum(axis=1)).ravel()
+    return {
+        **{name: [float(each.min()), float(each.max())] for name, each in asked.items()},
+        "bones_mm": float(np.linalg.norm(edited.bones, axis=1).max()),
+        "muscle_ml": float(volumes(unedited.rest, unedited.tets) @ muscle) * ML,
+    }
 
 
 def _regions(person: EditedPerson) -> dict[str, dict[str, float]]:
@@ -152,15 +144,15 @@ def _regions(person: EditedPerson) -> dict[str, dict[str, float]]:
     before = model.skin.moved(person.before.skin)
     outward = ((person.after.skin - before.vertices) * vertex_normals(before)).sum(axis=1)
     swept = outward * vertex_areas(before.vertices, before.faces) * ML
-    found = {}
-    for name, vertices in model.regions.items():
-        seen = np.intersect1d(vertices, model.face)
-        if len(seen):
-            found[name] = {
-                "moved_mm": float(person.moved_mm[seen].mean()),
-                "outward_ml": float(swept[seen].sum()),
-            }
-    return found
+    seen = {name: np.intersect1d(ids, model.face) for name, ids in model.regions.items()}
+    return {
+        name: {
+            "moved_mm": float(person.moved_mm[ids].mean()),
+            "outward_ml": float(swept[ids].sum()),
+        }
+        for name, ids in seen.items()
+        if len(ids)
+    }
 
 
 def _expression(person: EditedPerson, compared: Compared, gauge: Gauge) -> dict[str, Any]:
@@ -190,3 +182,54 @@ def _pose_figures(pose: Replayed, gauge: Gauge) -> dict[str, Any]:
 
 def _mean(motion: Floats) -> float:
     return float(np.linalg.norm(motion, axis=1).mean())
+
+
+# A sheet of an edited person: before, after, and how far the skin has moved.
+
+
+@dataclass(frozen=True)
+class EditSheetOptions:
+    """Amount of an edited person that a sheet shows."""
+
+    expressions: int = 4  # columns beside those at rest, at most
+    # ends of the colours' scale: the least that holds nearly all of the motion
+    scales_mm: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0)
+    nearly_all: float = 99.5  # percent of the face's vertices
+
+
+View = tuple[str, float, Floats, Floats]  # name, camera's angle, skins before and after
+
+
+def edit_picture(
+    person: EditedPerson,
+    title: str,
+    detail: str,
+    path: Path,
+    options: EditSheetOptions = EditSheetOptions(),
+) -> None:
+    """Draw the person at rest from three sides and in up to four expressions, in columns.
+
+    Where there are more, or some found no rest, the heading says how many are shown.
+    """
+    still = person.before.skin, person.after.skin
+    sides = (("at rest", 0.0), ("three quarters", THREE_QUARTER), ("left side", SIDE))
+    expressions: list[View] = [
+        (each.name.replace("_", " "), 0.0, each.before.skin, each.after.skin)
+        for each in person.expressions
+        if each.before is not None and each.after is not None
+    ][: options.expressions]
+    views = [*((name, yaw, *still) for name, yaw in sides), *expressions]
+    if len(expressions) < (there := len(person.expressions)):
+        detail = f"{detail}; {len(expressions)} of {there} expressions are shown"
+    moved = [np.linalg.norm(after - before, axis=1) for _, _, before, after in views]
+    model = person.unedited
+    usual = np.percentile([each[model.face] for each in moved], options.nearly_all)
+    ends = options.scales_mm
+    most = next((end for end in ends if end >= usual), ends[-1])
+    head, layout = DrawnHead(model.skin), SheetLayout()
+    columns = []
+    for (name, yaw, before, after), motion in zip(views, moved, strict=True):
+        camera = face_camera(model.skin.vertices, model.face, yaw)
+        bodies = head.compare(before, after, motion, most)
+        columns.append(Column.of(name, bodies, camera, layout))
+    draw_sheet(path, title, detail, ("Before", "After", "Moved"), columns, layout, most)

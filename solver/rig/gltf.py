@@ -42,10 +42,14 @@ class ShapeOptions:
     move_seconds: float = 0.6  # from the neutral to a shape, and back
     hold_seconds: float = 0.4
 
-    @property
-    def period(self) -> float:
-        """Return the time in s that each shape has."""
-        return 2 * self.move_seconds + self.hold_seconds
+    def keys(self, count: int) -> tuple[Floats, Floats]:
+        """Return times (k,) in s and weights (k, count): neutral, shape, neutral, one by one."""
+        period = 2 * self.move_seconds + self.hold_seconds
+        steps = np.array([self.move_seconds, self.move_seconds + self.hold_seconds, period])
+        times = (period * np.arange(count)[:, None] + steps).ravel()
+        shapes = np.eye(count)
+        rows = np.stack([shapes, shapes, np.zeros_like(shapes)], axis=1).reshape(3 * count, count)
+        return np.append(0.0, times), np.vstack([np.zeros((1, count)), rows])
 
 
 DEFAULTS = ShapeOptions()  # every expression whole, a second and a half each
@@ -53,10 +57,7 @@ DEFAULTS = ShapeOptions()  # every expression whole, a second and a half each
 
 @dataclass(frozen=True)
 class Solid:
-    """A rigid thing beside the face: its ``shape`` in mm, and its ``places`` (f, 6) in the world.
-
-    They are rotation vectors in rad and shifts in mm, frame by frame.
-    """
+    """A rigid ``shape`` (mm) and its ``places`` (f, 6): rotation vectors in rad, shifts in mm."""
 
     name: str
     shape: Surface
@@ -119,7 +120,9 @@ def write_morphed(
         setattr(of_vertices, name, buffer.dense(values, gl.SCALAR, gl.ARRAY_BUFFER))
     targets = make_targets(buffer, normals)
     animation = animate(buffer, len(names))
-    parts = _parts_in_order(neutral)
+    # Blender numbers vertices by primitives: so it keeps their order where parts do not mix
+    by_vertex = sorted(skin_parts(neutral).items(), key=lambda part: neutral.faces[part[1]].min())
+    parts = dict(by_vertex)
     materials = [*parts, "object"] if solids else list(parts)
     document = gl.GLTF2(
         asset=gl.Asset(version="2.0", generator=GENERATOR),
@@ -183,21 +186,10 @@ def _node(solid: Solid, mesh: int) -> gl.Node:
     )
 
 
-def _parts_in_order(skin: Surface) -> dict[str, Ints]:
-    """Return part -> face numbers, by their first vertices.
-
-    Blender numbers vertices by primitives, so this keeps their order where parts do not mix.
-    """
-    parts = skin_parts(skin)
-    return dict(sorted(parts.items(), key=lambda part: int(skin.faces[part[1]].min())))
-
-
 def worst_error(expressions: Sequence[ExpressionFit], vertices: int) -> Floats:
     """Return the greatest distance (v,) to the scans, mm; 0 where nothing was measured."""
-    worst = np.zeros(vertices)
-    for fit in expressions:
-        worst = np.fmax(worst, fit.error_mm)
-    return worst
+    errors = [np.zeros(vertices), *(fit.error_mm for fit in expressions)]
+    return np.asarray(np.fmax.reduce(errors))
 
 
 def _material(part: str) -> gl.Material:
@@ -214,28 +206,22 @@ def _material(part: str) -> gl.Material:
 
 
 def in_turn(buffer: Buffer, count: int, options: ShapeOptions = DEFAULTS) -> gl.Animation | None:
-    """Return neutral -> expression -> neutral for one after the other; None if there is none."""
+    """Return an animation of all shapes one after the other; None if there is none."""
     if not count:
         return None
-    period, shown = options.period, options.move_seconds + options.hold_seconds
-    times = [0.0]
-    weights = [np.zeros(count)]
-    for number, shape in enumerate(np.eye(count)):
-        start = number * period
-        times += [start + options.move_seconds, start + shown, start + period]
-        weights += [shape, shape, np.zeros(count)]
-    at_keys = buffer.dense(np.array(times), gl.SCALAR, bounds=True)
-    values = buffer.dense(np.concatenate(weights), gl.SCALAR)
-    return animation("expressions", {gl.WEIGHTS: (at_keys, values)})
+    times, weights = options.keys(count)
+    at_keys = buffer.dense(times, gl.SCALAR, bounds=True)
+    return animation(
+        "expressions", {gl.WEIGHTS: (at_keys, buffer.dense(weights.ravel(), gl.SCALAR))}
+    )
 
 
 def rigid_tracks(buffer: Buffer, times: Floats, places: Floats) -> Tracks:
-    """Add a rigid motion, ``places`` (f, 6) at ``times`` (f,), for :func:`animation`.
-
-    They are rotation vectors in rad and shifts in mm.
-    """
+    """Add a rigid motion, ``places`` (f, 6) as of :class:`Solid`, for :func:`animation`."""
     turns = Rotation.from_rotvec(places[:, :3]).as_quat()
-    turns *= _same_side(turns)[:, None]
+    # each on the side of the one before
+    flips = np.where(np.sum(turns[1:] * turns[:-1], axis=1) < 0, -1.0, 1.0)
+    turns *= np.cumprod(np.concatenate([[1.0], flips]))[:, None]
     at_keys = buffer.dense(times, gl.SCALAR, bounds=True)
     return {
         gl.ROTATION: (at_keys, buffer.dense(turns, gl.VEC4)),
@@ -244,10 +230,7 @@ def rigid_tracks(buffer: Buffer, times: Floats, places: Floats) -> Tracks:
 
 
 def animation(name: str, *tracks: Tracks) -> gl.Animation:
-    """Return an animation of node 0, 1 ... by the ``tracks`` of each.
-
-    Values between two times lie on a straight line.
-    """
+    """Return an animation of node 0, 1 ... by the ``tracks`` of each, linear between two times."""
     moved = [(node, path, each[path]) for node, each in enumerate(tracks) for path in each]
     return gl.Animation(
         name=name,
@@ -264,20 +247,13 @@ def animation(name: str, *tracks: Tracks) -> gl.Animation:
     )
 
 
-def _same_side(quaternions: Floats) -> Floats:
-    """Return signs (f,) that keep each quaternion (f, 4) on the side of the one before."""
-    turned = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0
-    return np.asarray(np.cumprod(np.concatenate([[1.0], np.where(turned, -1.0, 1.0)])))
-
-
 @dataclass(frozen=True)
 class SparsePlaces:
-    """Numbers of the ``count`` vertices among ``of`` that sparse values are of: a buffer view."""
+    """Numbers of the vertices, among ``of``, that sparse values are of."""
 
-    view: int
+    indices: gl.AccessorSparseIndices
     count: int
     of: int
-    component: int
 
 
 class Buffer:
@@ -294,16 +270,12 @@ class Buffer:
         """Add values as 32-bit floats and return the accessor's number."""
         stored = np.ascontiguousarray(values, dtype="<f4")
         view = self._view(stored, target)
-        accessor = self._accessor(gl.FLOAT, len(stored), kind, bufferView=view)
-        if bounds:
-            _set_bounds(accessor, stored)
-        return len(self.accessors) - 1
+        return self._add(gl.FLOAT, len(stored), kind, stored if bounds else None, view)
 
     def indices(self, faces: Ints) -> int:
         """Add triangles and return the accessor's number."""
         view = self._view(np.ascontiguousarray(faces, "<u4"), gl.ELEMENT_ARRAY_BUFFER)
-        self._accessor(gl.UNSIGNED_INT, faces.size, gl.SCALAR, bufferView=view)
-        return len(self.accessors) - 1
+        return self._add(gl.UNSIGNED_INT, faces.size, gl.SCALAR, None, view)
 
     def morph(self, change: Floats, still: float, *, bounds: bool = False) -> int:
         """Add a change (v, 3) of an attribute, sparse where that is smaller."""
@@ -313,28 +285,16 @@ class Buffer:
         if len(moving) == 0:
             moving = np.zeros(1, np.int64)  # glTF wants at least one sparse entry
         values = np.ascontiguousarray(change[moving], "<f4")
-        short = len(change) <= 2**16
-        accessor = self._accessor(gl.FLOAT, len(change), gl.VEC3, bufferView=None)
-        accessor.sparse = gl.Sparse(
-            count=len(moving),
-            indices=gl.AccessorSparseIndices(
-                bufferView=self._view(moving.astype("<u2" if short else "<u4")),
-                componentType=gl.UNSIGNED_SHORT if short else gl.UNSIGNED_INT,
-            ),
-            values=gl.AccessorSparseValues(bufferView=self._view(values)),
-        )
-        if bounds:
-            whole = np.vstack([values, np.zeros((1, 3), "<f4")])
-            _set_bounds(accessor, values if len(values) == len(change) else whole)
-        return len(self.accessors) - 1
+        return self._sparse(gl.FLOAT, values, self.places(moving, len(change)), bounds)
 
     def places(self, moving: Ints, count: int) -> SparsePlaces:
         """Add the numbers (k,) of the vertices of ``count`` that sparse values are of."""
         short = count <= 2**16
-        view = self._view(moving.astype("<u2" if short else "<u4"))
-        return SparsePlaces(
-            view, len(moving), count, gl.UNSIGNED_SHORT if short else gl.UNSIGNED_INT
+        indices = gl.AccessorSparseIndices(
+            bufferView=self._view(moving.astype("<u2" if short else "<u4")),
+            componentType=gl.UNSIGNED_SHORT if short else gl.UNSIGNED_INT,
         )
+        return SparsePlaces(indices, len(moving), count)
 
     def quantise(
         self, values: Floats, places: SparsePlaces, bits: Literal[8, 16], *, bounds: bool = False
@@ -345,20 +305,23 @@ class Buffer:
         """
         most = 2 ** (bits - 1) - 1
         stored = np.rint(np.clip(values, -1.0, 1.0) * most).astype(f"<i{bits // 8}")
-        component = gl.BYTE if bits == 8 else gl.SHORT
-        accessor = self._accessor(component, places.of, gl.VEC3, bufferView=None)
-        accessor.normalized = True
-        accessor.sparse = gl.Sparse(
+        number = self._sparse(gl.BYTE if bits == 8 else gl.SHORT, stored, places, bounds)
+        self.accessors[number].normalized = True
+        return number
+
+    def _sparse(
+        self, component: int, stored: np.ndarray, places: SparsePlaces, bounds: bool
+    ) -> int:
+        """Add vectors at ``places``, zero elsewhere."""
+        still = np.zeros((0 if places.count == places.of else 1, 3), stored.dtype)
+        bounded = np.vstack([stored, still]) if bounds else None
+        number = self._add(component, places.of, gl.VEC3, bounded)
+        self.accessors[number].sparse = gl.Sparse(
             count=places.count,
-            indices=gl.AccessorSparseIndices(
-                bufferView=places.view, componentType=places.component
-            ),
+            indices=places.indices,
             values=gl.AccessorSparseValues(bufferView=self._view(stored)),
         )
-        if bounds:
-            still = np.zeros((0 if places.count == places.of else 1, 3), stored.dtype)
-            _set_bounds(accessor, np.vstack([stored, still]))
-        return len(self.accessors) - 1
+        return number
 
     def _view(self, stored: np.ndarray, target: int | None = None) -> int:
         self.content += b"\0" * (-len(self.content) % 4)
@@ -369,22 +332,25 @@ class Buffer:
         self.views.append(view)
         return len(self.views) - 1
 
-    def _accessor(
-        self, component: int, count: int, kind: str, *, bufferView: int | None
-    ) -> gl.Accessor:
+    def _add(
+        self,
+        component: int,
+        count: int,
+        kind: str,
+        bounded: np.ndarray | None,
+        view: int | None = None,
+    ) -> int:
+        """Add an accessor with min and max, as glTF demands for positions and key times."""
         accessor = gl.Accessor(
-            bufferView=bufferView,
-            byteOffset=0 if bufferView is not None else None,
+            bufferView=view,
+            byteOffset=None if view is None else 0,
             componentType=component,
             count=count,
             type=kind,
         )
+        if bounded is not None:
+            table = bounded.reshape(len(bounded), -1)
+            accessor.min = table.min(axis=0).astype(float).tolist()
+            accessor.max = table.max(axis=0).astype(float).tolist()
         self.accessors.append(accessor)
-        return accessor
-
-
-def _set_bounds(accessor: gl.Accessor, stored: np.ndarray) -> None:
-    """Set min and max, as glTF demands for positions and key times."""
-    table = stored.reshape(len(stored), -1)
-    accessor.min = table.min(axis=0).astype(float).tolist()
-    accessor.max = table.max(axis=0).astype(float).tolist()
+        return len(self.accessors) - 1

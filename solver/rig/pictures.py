@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import colorsys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import igl
 import numpy as np
 from scipy.spatial import cKDTree
 
+from solver.anatomy.domain import join_surfaces
 from solver.anatomy.template import Template
 from solver.drawing.head import COLOURS, DrawnHead, both_sides, linear, muscle_colours
-from solver.drawing.render import GAMMA, Camera, DrawnBody, Lit, fade, render
-from solver.drawing.sheet import HEADER, INK, MARGIN, Colour, Sheet, swatch_columns, swatch_height
+from solver.drawing.render import GAMMA, Camera, DrawnBody, Lit, render, render_bust
+from solver.drawing.sheet import HEADER, INK, MARGIN, Colour, Column, Sheet, SheetLayout, draw_sheet
 from solver.model import SubjectModel
+from solver.rig.motion import SequenceFrame
 from solver.rig.result import ROLES, ExpressionFit
 from solver.surface import Floats, Ints, Surface, vertex_normals
-
-# Short threads along the fibres of muscles, for pictures.
 
 
 @dataclass(frozen=True)
@@ -42,48 +44,46 @@ def fibre_threads(
     if model.fibres is None:
         return {}
     entries = model.weights.tocoo()
-    centres = model.rest[model.tets].mean(axis=1)
+    points = model.rest[model.tets].mean(axis=1)[entries.row]
     threads = {}
     for column, name in enumerate(model.muscle_names, start=1):
-        own = np.flatnonzero((entries.col == column) & (entries.data >= options.least_share))
-        if len(own):
-            points = centres[entries.row[own]]
-            threads[name] = _tubes(_trace(points, model.fibres[own], options), options)
+        own = (entries.col == column) & (entries.data >= options.least_share)
+        if own.any():
+            threads[name] = _tubes(_trace(points[own], model.fibres[own], options), options)
     return threads
 
 
 def _trace(points: Floats, directions: Floats, options: ThreadOptions) -> Floats:
     """Return polylines (k, 2 steps + 1, 3) through the points of a field."""
     tree = cKDTree(points)
-    count = min(options.neighbours, len(points))
-    halves = []
-    for sign in (-1.0, 1.0):
-        place, ahead, line = points, directions, []
+    nearest = range(1, min(options.neighbours, len(points)) + 1)
+
+    def follow(step_mm: float) -> list[Floats]:
+        line = [points]
         for _ in range(options.steps):
-            near = tree.query(place, k=range(1, count + 1))[1]
-            ahead = directions[near].mean(axis=1)
-            ahead = ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
-            place = place + sign * options.step_mm * ahead
-            line.append(place)
-        halves.append(line)
-    return np.stack([*halves[0][::-1], points, *halves[1]], axis=1)
+            ahead = _unit(directions[tree.query(line[-1], k=nearest)[1]].mean(axis=1))
+            line.append(line[-1] + step_mm * ahead)
+        return line[1:]
+
+    back, forth = follow(-options.step_mm), follow(options.step_mm)
+    return np.stack([*back[::-1], points, *forth], axis=1)
+
+
+def _unit(vectors: Floats) -> Floats:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9))
 
 
 def _tubes(lines: Floats, options: ThreadOptions) -> Surface:
     """Return triangles around polylines (k, s, 3), thinner towards both ends."""
     count, steps, _ = lines.shape
     sides = options.sides
-    along = np.gradient(lines, axis=1)
-    along /= np.maximum(np.linalg.norm(along, axis=2, keepdims=True), 1e-9)
-    least = np.eye(3)[np.abs(along).argmin(axis=2)]
-    across = np.cross(along, least)
-    across /= np.linalg.norm(across, axis=2, keepdims=True)
+    along = _unit(np.gradient(lines, axis=1))
+    across = _unit(np.cross(along, np.eye(3)[np.abs(along).argmin(axis=2)]))
     other = np.cross(along, across)
     width = options.radius_mm * np.sin(np.linspace(0.15, np.pi - 0.15, steps)) ** 0.5
     angle = 2 * np.pi * np.arange(sides) / sides
-    circle = (
-        np.cos(angle)[:, None] * across[:, :, None] + np.sin(angle)[:, None] * other[:, :, None]
-    )
+    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    circle = cosine * across[:, :, None] + sine * other[:, :, None]
     vertices = lines[:, :, None] + width[:, None, None] * circle
     number: Ints = np.arange(count * steps * sides).reshape(count, steps, sides)
     a, b = number[:, :-1], number[:, 1:]
@@ -92,39 +92,31 @@ def _tubes(lines: Floats, options: ThreadOptions) -> Surface:
     return Surface(vertices.reshape(-1, 3), faces.reshape(-1, 3))
 
 
-WIDTH = 1600  # of a picture, pixels
+WIDTH, VIEW_HEIGHT = 1600, 640  # of a picture and of what it shows of an anatomy, pixels
 THREE_QUARTER, SECTION, SIDE = np.radians(38.0), np.radians(62.0), np.radians(88.0)
 
 
 def fit_picture(model: SubjectModel, fit: ExpressionFit, path: Path) -> None:
     """Draw scan, fit and error (mm, on ``model.face``) side by side, from two cameras."""
     error = fit.measured_error(model.face)
-    head = DrawnHead(model.skin)
-    scan, solved = head.lit(fit.target), head.lit(fit.skin)
-    bodies = {
-        "Scan": head.body(scan),
-        "Fit": head.body(solved),
-        "Error": head.heat_map(solved, fit.error_mm),
-    }
-    cell, footer = (WIDTH // 3, 520), 64
-    page = Sheet(WIDTH, HEADER + 2 * cell[1] + footer)
+    bodies = DrawnHead(model.skin).compare(fit.target, fit.skin, fit.error_mm)
+    cell = width, height = WIDTH // 3, 520
+    foot = HEADER + 2 * height
+    page = Sheet(WIDTH, foot + 64)
+    role = f"{ROLES[fit.role]} expression" if fit.role in ROLES else fit.role
     page.heading(
         fit.name.replace("_", " "),
-        f"{_role_words(fit.role)}    mean {error.mean():.2f} mm    "
+        f"{role}    mean {error.mean():.2f} mm    "
         f"95 % below {np.percentile(error, 95):.2f} mm    greatest {error.max():.2f} mm",
     )
-    for column, (title, body) in enumerate(bodies.items()):
-        left = column * cell[0]
+    for column, (title, body) in enumerate(zip(("Scan", "Fit", "Error"), bodies, strict=True)):
+        left = column * width
         for row, yaw in enumerate((0.0, THREE_QUARTER)):
-            image = fade(render([body], face_camera(model.skin.vertices, model.face, yaw), *cell))
-            page.panel((left, HEADER + row * cell[1]), image)
-        page.text((left + cell[0] // 2, HEADER), title, 20, anchor="ma")
-    page.scale((WIDTH - cell[0] + 60, HEADER + 2 * cell[1] + 12), cell[0] - 130)
+            image = render_bust([body], face_camera(model.skin.vertices, model.face, yaw), cell)
+            page.panel((left, HEADER + row * height), image)
+        page.text((left + width // 2, HEADER), title, 20, anchor="ma")
+    page.scale((WIDTH - width + 60, foot + 12), width - 130)
     page.save(path)
-
-
-def _role_words(role: str) -> str:
-    return f"{ROLES[role]} expression" if role in ROLES else role
 
 
 @dataclass(frozen=True)
@@ -137,13 +129,21 @@ class _Anatomy:
     muscles: dict[str, Surface]
     middle: float
 
+    @classmethod
+    def of(cls, model: SubjectModel, muscles: dict[str, Surface]) -> _Anatomy:
+        return cls(model.skin, model.face, model.bones, muscles, float(model.jaw.origin[0]))
+
 
 def anatomy_picture(model: SubjectModel, path: Path) -> None:
     """Draw bones and muscles inside the skin: half cut open, and through transparent skin."""
-    middle = float(model.jaw.origin[0])
-    anatomy = _Anatomy(model.skin, model.face, model.bones, model.muscles, middle)
     detail = f"{model.muscle_count} muscles, {len(model.tets)} tets, {len(model.rest)} vertices"
-    _draw_anatomy(anatomy, path, "Anatomy", detail)
+    _draw_anatomy(_Anatomy.of(model, model.muscles), path, "Anatomy", detail)
+
+
+def fibres_picture(model: SubjectModel, path: Path) -> None:
+    """Draw the muscles' fibres over the bones, as :func:`anatomy_picture` draws the muscles."""
+    detail = "each thread lies along the fibres of the muscle of its colour, which pulls that way"
+    _draw_anatomy(_Anatomy.of(model, fibre_threads(model)), path, "Fibres", detail)
 
 
 def template_picture(template: Template, path: Path) -> None:
@@ -173,15 +173,7 @@ def _draw_anatomy(anatomy: _Anatomy, path: Path, title: str, detail: str) -> Non
         ("three quarters", THREE_QUARTER, [inside, glass]),
         ("left side", SIDE, [inside, glass]),
     ]
-    _views_with_legend(path, anatomy.skin.vertices, anatomy.face, views, title, detail, palette)
-
-
-def fibres_picture(model: SubjectModel, path: Path) -> None:
-    """Draw the muscles' fibres over the bones, as :func:`anatomy_picture` draws the muscles."""
-    middle = float(model.jaw.origin[0])
-    anatomy = _Anatomy(model.skin, model.face, model.bones, fibre_threads(model), middle)
-    detail = "each thread lies along the fibres of the muscle of its colour, which pulls that way"
-    _draw_anatomy(anatomy, path, "Fibres", detail)
+    _draw_views(path, title, detail, palette, (anatomy.skin.vertices, anatomy.face), views)
 
 
 def tets_picture(model: SubjectModel, path: Path) -> None:
@@ -195,38 +187,31 @@ def tets_picture(model: SubjectModel, path: Path) -> None:
         ("section left of the middle", SECTION, centre[:, 0] < 14.0),
         ("section half way to the jaw joint", 0.0, centre[:, 2] < 0.55 * front),
     ]
-    shown = [(title, yaw, [_tet_body(model, keep, colour)]) for title, yaw, keep in views]
-    _views_with_legend(
-        path,
-        model.skin.vertices,
-        model.face,
-        shown,
-        "Tetrahedra",
+    detail = (
         f"{len(model.tets)} tets, {len(model.rest)} vertices; colour: muscle with the greatest "
-        "share, fat where none has any",
-        {**palette, "fat and passive flesh": _srgb(COLOURS["fat"])},
+        "share, fat where none has any"
     )
+    fat: Colour = tuple(value ** (1 / GAMMA) for value in COLOURS["fat"])
+    legend = {**palette, "fat and passive flesh": fat}
+    shown = [(title, yaw, [_tet_body(model, keep, colour)]) for title, yaw, keep in views]
+    _draw_views(path, "Tetrahedra", detail, legend, (model.skin.vertices, model.face), shown)
 
 
-def _views_with_legend(
+def _draw_views(
     path: Path,
-    skin: Floats,
-    face: Ints,
-    views: list[tuple[str, float, list[DrawnBody]]],
     title: str,
     detail: str,
     legend: dict[str, Colour],
+    face: tuple[Floats, Ints],
+    views: list[tuple[str, float, list[DrawnBody]]],
 ) -> None:
-    cell = (WIDTH // len(views), 640)
-    rows = -(-len(legend) // swatch_columns(WIDTH - 2 * MARGIN))
-    page = Sheet(WIDTH, HEADER + cell[1] + 48 + rows * swatch_height() + MARGIN)
-    page.heading(title, detail)
+    """Draw views of a ``face``, each a name, the camera's angle and bodies, over a legend."""
+    page = Sheet.with_legend(title, detail, legend, WIDTH, HEADER + VIEW_HEIGHT + 48)
+    width = WIDTH // len(views)
     for column, (name, yaw, bodies) in enumerate(views):
-        image = fade(render(bodies, face_camera(skin, face, yaw), *cell))
-        page.panel((column * cell[0], HEADER), image)
-        place = (column * cell[0] + cell[0] // 2, HEADER + cell[1] + 6)
-        page.text(place, name, 17, anchor="ma")
-    page.swatches((MARGIN, HEADER + cell[1] + 48), legend, WIDTH - 2 * MARGIN)
+        image = render_bust(bodies, face_camera(*face, yaw), (width, VIEW_HEIGHT))
+        page.panel((column * width, HEADER), image)
+        page.text((column * width + width // 2, HEADER + VIEW_HEIGHT + 6), name, 17, anchor="ma")
     page.save(path)
 
 
@@ -248,14 +233,8 @@ def _inside(anatomy: _Anatomy, palette: dict[str, Colour], organs: DrawnBody) ->
     pieces += [(bone, np.array([COLOURS["bone"]])) for bone in anatomy.bones.values()]
     for name, muscle in anatomy.muscles.items():
         pieces.append((muscle, linear(np.array([palette[both_sides(name)]]))))
-    counts = [len(piece.vertices) for piece, _ in pieces]
-    starts = np.cumsum(counts) - counts
-    surface = Surface(
-        np.vstack([piece.vertices for piece, _ in pieces]),
-        np.vstack([piece.faces + start for (piece, _), start in zip(pieces, starts, strict=True)]),
-    )
     colour = [np.broadcast_to(colour, piece.vertices.shape) for piece, colour in pieces]
-    return DrawnBody(Lit(surface), np.vstack(colour))
+    return DrawnBody(Lit(join_surfaces([piece for piece, _ in pieces])), np.vstack(colour))
 
 
 def _tet_colours(model: SubjectModel, palette: dict[str, Colour]) -> Floats:
@@ -271,28 +250,16 @@ def _tet_colours(model: SubjectModel, palette: dict[str, Colour]) -> Floats:
 
 def _tet_body(model: SubjectModel, keep: np.ndarray, colour: Floats) -> DrawnBody:
     """Return the outside of the kept tets, every triangle flat and in its tet's colour."""
-    tets = model.tets[keep]
-    faces = tets[:, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]].reshape(-1, 3)
-    owner = np.repeat(np.flatnonzero(keep), 4)
-    _, first, count = np.unique(
-        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
-    )
-    outside = first[count == 1]
-    corners = model.rest[faces[outside]].reshape(-1, 3)
+    faces, owners, _ = igl.boundary_facets(model.tets[keep])
+    corners = model.rest[faces].reshape(-1, 3)
     triangles: Ints = np.arange(len(corners)).reshape(-1, 3)
-    shades = np.repeat(colour[owner[outside]], 3, axis=0)
+    shades = np.repeat(colour[keep][owners], 3, axis=0)
     return DrawnBody(Lit(Surface(corners, triangles)), shades, gloss=0.0, edges=True)
-
-
-def _srgb(colour: Colour) -> Colour:
-    red, green, blue = (float(value) ** (1 / GAMMA) for value in colour)
-    return red, green, blue
 
 
 # A picture of a template's skin: its regions in colours, its landmarks by number.
 
-
-VIEWS = (("front", 0.0), ("left", np.radians(55.0)))
+YAWS = (0.0, np.radians(55.0))  # of its views
 
 
 @dataclass(frozen=True)
@@ -309,34 +276,31 @@ def skin_picture(
     template: Template, path: Path, options: SkinSheetOptions = SkinSheetOptions()
 ) -> None:
     """Draw the skin from the front and the left, with a list of regions and landmarks."""
-    palette = _palette(list(template.regions))
-    legend = {**palette, **_number_landmarks(template)}
-    across = options.width - 2 * MARGIN
-    rows = -(-len(legend) // swatch_columns(across))
-    height = HEADER + options.height + MARGIN + rows * swatch_height() + MARGIN
-    page = Sheet(options.width, height)
-    page.heading(
-        f"Skin of template {template.name} {template.version}",
-        f"{len(template.regions)} regions, {len(template.landmarks)} landmarks",
-    )
-    body = _body(template, palette)
-    width = options.width // len(VIEWS)
-    for column, (_, yaw) in enumerate(VIEWS):
-        camera = _camera(template, yaw)
-        corner = (column * width, HEADER)
-        page.panel(corner, render([body], camera, width, options.height))
-        _mark(page, template, camera, corner, width, options)
-    page.swatches((MARGIN, HEADER + options.height + MARGIN), legend, across)
-    page.save(path)
-
-
-def _body(template: Template, palette: dict[str, Colour]) -> DrawnBody:
+    # pale sRGB colours, hues by the golden ratio
+    palette: dict[str, Colour] = {
+        name: colorsys.hls_to_rgb((0.04 + number * 0.381966) % 1.0, 0.72, 0.55)
+        for number, name in enumerate(template.regions)
+    }
+    ink: Colour = tuple(value / 255 for value in INK)
+    marks = {f"{number}  {name}": ink for number, name in enumerate(template.landmarks, start=1)}
+    title = f"Skin of template {template.name} {template.version}"
+    detail = f"{len(template.regions)} regions, {len(template.landmarks)} landmarks"
+    legend = {**palette, **marks}
+    page = Sheet.with_legend(title, detail, legend, options.width, HEADER + options.height + MARGIN)
     head = DrawnHead(template.skin)
     lit = head.lit(template.skin.vertices)
     colour = head.body(lit).colour.copy()
     for name, vertices in template.regions.items():
         colour[vertices] = linear(np.array(palette[name]))
-    return DrawnBody(lit, colour, gloss=0.0)
+    face: Floats = template.skin.vertices[template.face_vertices]
+    low, high = face.min(axis=0), face.max(axis=0)
+    size = width, _ = options.width // len(YAWS), options.height
+    for column, yaw in enumerate(YAWS):
+        camera = Camera((low + high) / 2, span=1.3 * float(high[1] - low[1]), yaw=yaw)
+        corner = (column * width, HEADER)
+        page.panel(corner, render([DrawnBody(lit, colour, gloss=0.0)], camera, *size))
+        _mark(page, template, camera, corner, size, options)
+    page.save(path)
 
 
 def _mark(
@@ -344,39 +308,48 @@ def _mark(
     template: Template,
     camera: Camera,
     corner: tuple[int, int],
-    width: int,
+    size: tuple[int, int],
     options: SkinSheetOptions,
 ) -> None:
     """Put a dot and the number of each landmark that faces the camera."""
-    dot = options.dot
-    if not template.landmarks:
-        return
-    vertices = np.array(list(template.landmarks.values()))
-    points = template.skin.vertices[vertices]
+    vertices = np.array(list(template.landmarks.values()), np.int64)
     flesh = Surface(template.skin.vertices, template.skin.faces[template.flesh_faces])
     facing = vertex_normals(flesh)[vertices] @ camera.axes[2]
-    for number, (x, y, _) in enumerate(camera.project(points, width, options.height), start=1):
-        if facing[number - 1] > options.facing:
-            place = (corner[0] + round(x), corner[1] + round(y))
-            box = [place[0] - dot, place[1] - dot, place[0] + dot, place[1] + dot]
-            page.draw.ellipse(box, fill=INK)
-            page.text((place[0] + dot + 2, place[1]), str(number), 13, anchor="lm")
+    places = camera.project(template.skin.vertices[vertices], *size)[:, :2].round().astype(int)
+    for number in np.flatnonzero(facing > options.facing).tolist():
+        x, y = (corner + places[number]).tolist()
+        dot = options.dot
+        page.draw.ellipse([x - dot, y - dot, x + dot, y + dot], fill=INK)
+        page.text((x + dot + 2, y), str(number + 1), 13, anchor="lm")
 
 
-def _number_landmarks(template: Template) -> dict[str, Colour]:
-    ink: Colour = (INK[0] / 255, INK[1] / 255, INK[2] / 255)
-    return {f"{number}  {name}": ink for number, name in enumerate(template.landmarks, start=1)}
+# A contact sheet of a sequence: some of its frames as seen, as fitted, and the error.
 
 
-def _palette(names: list[str]) -> dict[str, Colour]:
-    """Return pale sRGB colours, hues by the golden ratio."""
-    return {
-        name: colorsys.hls_to_rgb((0.04 + number * 0.381966) % 1.0, 0.72, 0.55)
-        for number, name in enumerate(names)
-    }
+@dataclass(frozen=True)
+class SequenceShot:
+    """A fitted frame: ``seen`` and ``skin`` (v, 3) on the scan topology, and ``error_mm`` (v,).
+
+    ``error_mm`` is NaN where nothing was seen; there ``seen`` is the fitted skin.
+    """
+
+    frame: SequenceFrame
+    seen: Floats
+    skin: Floats
+    error_mm: Floats
 
 
-def _camera(template: Template, yaw: float) -> Camera:
-    face: Floats = template.skin.vertices[template.face_vertices]
-    low, high = face.min(axis=0), face.max(axis=0)
-    return Camera((low + high) / 2, span=1.3 * float(high[1] - low[1]), yaw=yaw)
+def sequence_picture(
+    model: SubjectModel, shots: Sequence[SequenceShot], title: str, detail: str, path: Path
+) -> None:
+    """Draw the frames in columns: seen, fitted, error in mm; heads without their motion."""
+    head, layout = DrawnHead(model.skin), SheetLayout()
+    camera = face_camera(model.skin.vertices, model.face, 0.0)
+    columns = []
+    for shot in shots:
+        bodies = head.compare(shot.seen, shot.skin, shot.error_mm)
+        caption = f"frame {shot.frame.frame}, mean {shot.frame.mean_mm:.2f} mm"
+        columns.append(
+            Column(caption, [render_bust([each], camera, layout.cell) for each in bodies])
+        )
+    draw_sheet(path, title, detail, ("Seen", "Fit", "Error"), columns, layout)

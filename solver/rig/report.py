@@ -1,4 +1,4 @@
-"""``report.json``: the certificate's figures, as docs/reference/rig-format.md describes them."""
+"""The certificate's figures, ``report.json`` (docs/reference/rig-format.md), and their words."""
 
 from __future__ import annotations
 
@@ -15,13 +15,27 @@ import scipy.sparse as sp
 
 from solver.contact.crossing import Crossing
 from solver.model import SubjectModel
-from solver.rig.certificate import Certificate, ExpressionCheck, FleshCheck, Muscles
+from solver.rig.certificate import (
+    Certificate,
+    ExpressionCheck,
+    FleshCheck,
+    JawMotion,
+    Muscles,
+    measured_regions,
+)
 from solver.rig.checks import Judgement, Verdict, judge, overall, use
 from solver.rig.result import ExpressionFit
 from solver.rig.rig import Rig
+from solver.rig.round_trip import RoundTrip
 from solver.surface import Floats
 
 PACKAGES = ("myoface", "numpy", "scipy", "numba")
+CONTACTS = {
+    "lips_mm": "lips in each other",
+    "upper_teeth_mm": "lips in upper teeth",
+    "lower_teeth_mm": "lips in lower teeth",
+    "bite_mm": "teeth in teeth",
+}
 
 
 def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
@@ -34,7 +48,7 @@ def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
     model = rig.model
     judgements = judge(rig, certificate)
     noticed: list[Verdict] = ["usable"] if rig.notices else []
-    verdict = overall([judgement.verdict for judgement in judgements] + noticed)
+    verdict = overall([*(judgement.verdict for judgement in judgements), *noticed])
     expressions = {
         fit.name: _expression(model, fit, certificate.expressions[fit.name], judgements)
         for fit in rig.expressions
@@ -70,29 +84,28 @@ def write_report(path: Path, figures: dict[str, Any]) -> None:
 
 def weights_hash(S: sp.csr_array) -> str:
     """Return the sha256 of S (n, m + 1)."""
-    digest = hashlib.sha256(np.ascontiguousarray(S.indptr, dtype="<i8").tobytes())
-    digest.update(np.ascontiguousarray(S.indices, dtype="<i8").tobytes())
-    digest.update(np.ascontiguousarray(S.data, dtype="<f8").tobytes())
+    digest = hashlib.sha256()
+    for array, kind in ((S.indptr, "<i8"), (S.indices, "<i8"), (S.data, "<f8")):
+        digest.update(np.ascontiguousarray(array, dtype=kind).tobytes())
     return digest.hexdigest()
 
 
 def _judgement(judgement: Judgement, settings: dict[str, Any]) -> dict[str, Any]:
-    check = judgement.check
+    check, limits = judgement.check, judgement.check.limits
     worst = judgement.measures[judgement.worst]
-    failed = [name for name in judgement.measures if judgement.of(name) != "good"]
     return {
         "code": check.code,
         "group": check.group,
         "title": check.title,
         "verdict": judgement.verdict,
         "value": float(f"{worst.value:.4g}") if math.isfinite(worst.value) else None,
-        "unit": check.unit,
-        "good": check.good,
-        "usable": None if math.isinf(check.usable) else check.usable,
-        "least": check.least,
+        "unit": limits.unit,
+        "good": limits.good,
+        "usable": None if math.isinf(limits.usable) else limits.usable,
+        "least": limits.least,
         "worst": judgement.worst,
         "detail": worst.detail,
-        "failed": failed,
+        "failed": [name for name in judgement.measures if judgement.of(name) != "good"],
         "meaning": check.meaning,
         "advice": check.advise(settings),
     }
@@ -102,17 +115,14 @@ def _expression(
     model: SubjectModel, fit: ExpressionFit, check: ExpressionCheck, judgements: list[Judgement]
 ) -> dict[str, Any]:
     error = fit.measured_error(model.face)
-    regions = {
-        name: (ids, fit.measured_error(ids))
-        for name, every in model.regions.items()
-        if len(fit.measured_error(ids := np.intersect1d(every, model.face)))
-    }
+    regions = measured_regions(model, fit)
     mine = [judgement for judgement in judgements if fit.name in judgement.measures]
+    flesh, trip = check.flesh, fit.round_trip
     return {
         "role": fit.role,
         "verdict": overall([judgement.of(fit.name) for judgement in mine]),
         "failed": [each.check.code for each in mine if each.of(fit.name) != "good"],
-        "coverage": _figure(len(error) / len(model.face)),
+        "coverage": _round(len(error) / len(model.face)),
         **_distances(error),
         "inverted": fit.inverted,
         "solver": fit.solver,
@@ -121,78 +131,59 @@ def _expression(
         "iterations": fit.iterations,
         "seconds": round(fit.seconds, 3),
         "jaw": [round(float(value), 6) for value in fit.jaw],
-        "regions": {name: _figure(seen.mean()) for name, (_, seen) in regions.items()},
+        "regions": {name: _round(seen.mean()) for name, (_, seen) in regions.items()},
         "by_region": {
-            name: {"coverage": _figure(len(seen) / len(ids)), **_distances(seen)}
+            name: {"coverage": _round(len(seen) / len(ids)), **_distances(seen)}
             for name, (ids, seen) in regions.items()
         },
-        "flesh": None if check.flesh is None else _flesh(check.flesh),
+        "flesh": flesh and {**_plain_fields(flesh), "residual": float(f"{flesh.residual:.3e}")},
         "crossing": _crossing(check.crossing),
         "scan_crossing": _crossing(check.scan_crossing),
-        "jaw_motion": {
-            **{name: _plain(value) for name, value in asdict(check.jaw).items()},
-            "faults": check.jaw.faults(),
-        },
+        "jaw_motion": {**_plain_fields(check.jaw), "faults": check.jaw.faults()},
         "muscles": _muscles(model, check.muscles),
-        "round_trip": None
-        if fit.round_trip is None
-        else {
-            "reached": fit.round_trip.is_reached,
-            **{name: _figure(value) for name, value in asdict(fit.round_trip).items()},
-        },
+        "round_trip": trip and {"reached": trip.is_reached, **_plain_fields(trip)},
     }
 
 
 def _distances(error: Floats) -> dict[str, float | None]:
     return {
-        "mean_mm": _figure(error.mean()),
-        "p95_mm": _figure(np.percentile(error, 95)),
-        "max_mm": _figure(error.max()),
-    }
-
-
-def _flesh(flesh: FleshCheck) -> dict[str, Any]:
-    return {name: _plain(value) for name, value in asdict(flesh).items()} | {
-        "residual": float(f"{flesh.residual:.3e}")
+        "mean_mm": _round(error.mean()),
+        "p95_mm": _round(np.percentile(error, 95)),
+        "max_mm": _round(error.max()),
     }
 
 
 def _crossing(found: Crossing | None) -> dict[str, float | None] | None:
     if found is None:
         return None
-    depths = (found.lips, found.upper_teeth, found.lower_teeth, found.bite)
-    return {
-        f"{name}_mm": None if depth is None else _figure(depth)
-        for name, depth in zip(("lips", "upper_teeth", "lower_teeth", "bite"), depths, strict=True)
-    }
+    depths = {name.removesuffix("_mm"): name for name in CONTACTS}
+    return {key: _plain(getattr(found, name)) for name, key in depths.items()}
 
 
 def _muscles(model: SubjectModel, found: Muscles) -> dict[str, dict[str, Any]]:
+    columns = ("fibres", "shortest", "longest", "volume", "flesh_mm3")
     return {
-        name: {
-            "fibres": _figure(found.fibres[number]),
-            "shortest": _figure(found.shortest[number]),
-            "longest": _figure(found.longest[number]),
-            "volume": _figure(found.volume[number]),
-            "flesh_mm3": _figure(found.flesh_mm3[number]),
-            "faults": found.faults(number),
-        }
+        name: {column: _round(getattr(found, column)[number]) for column in columns}
+        | {"faults": found.faults(number)}
         for number, name in enumerate(model.muscle_names)
     }
 
 
 def _role_mean(rig: Rig, role: str) -> float | None:
-    means = [
-        fit.measured_error(rig.model.face).mean() for fit in rig.expressions if fit.role == role
-    ]
-    return _figure(np.mean(means)) if means else None
+    face = rig.model.face
+    means = [fit.measured_error(face).mean() for fit in rig.expressions if fit.role == role]
+    return _round(np.mean(means)) if means else None
 
 
-def _plain(value: float | str) -> Any:
-    return _figure(value) if isinstance(value, float) else value
+def _plain(value: Any) -> Any:
+    return _round(value) if isinstance(value, float) else value
 
 
-def _figure(value: float | np.floating) -> float | None:
+def _plain_fields(found: FleshCheck | JawMotion | RoundTrip) -> dict[str, Any]:
+    return {name: _plain(value) for name, value in asdict(found).items()}
+
+
+def _round(value: float | np.floating) -> float | None:
     """Return a figure with four decimals; None for what is not finite."""
     return round(float(value), 4) if math.isfinite(value) else None
 
@@ -202,3 +193,93 @@ def _version(package: str) -> str | None:
         return version(package)
     except PackageNotFoundError:
         return None
+
+
+# Figures in words.
+
+SOLVERS = {"reduced": "Reduced solver,", "ipopt": "IPOPT,"}
+ENDINGS = {"converged": "converged", "stopped": "out of steps", "failed": "broke down"}
+JAW_WAYS = (  # figure of its motion, words where it is positive and negative, what follows it
+    ("opening_deg", ("opens", "closes"), "°,"),
+    ("opening_mm", ("down", "up"), " mm at the {point},"),
+    ("sideways_mm", ("left", "right"), " mm; condyles"),
+    ("condyles_forward_mm", ("forward", "back"), " mm,"),
+    ("condyles_down_mm", ("down", "up"), " mm"),
+)
+
+
+def figure(value: float | None, decimals: int | None = None) -> str:
+    """Return a figure in words, with three digits or so many decimals; None is ``not known``."""
+    if value is None:
+        return "not known"
+    if decimals is not None:
+        return f"{value:,.{decimals}f}"
+    if value != 0.0 and abs(value) < 1e-3:
+        return f"{value:.0e}".replace("e-0", "e-")
+    return f"{value:,.3g}"
+
+
+def millimetres(found: dict[str, Any]) -> list[str]:
+    """Return mean, 95 % and greatest distance in words."""
+    return [f"{found[name]:.2f}" for name in ("mean_mm", "p95_mm", "max_mm")]
+
+
+def expression_words(found: dict[str, Any]) -> dict[str, str]:
+    """Return what is known of an expression, heading -> text."""
+    jaw = found["jaw_motion"]
+    motion = " ".join(
+        f"{words[jaw[name] < 0]} {abs(jaw[name]):.1f}{unit.format(**jaw)}"
+        for name, words, unit in JAW_WAYS
+    )
+    if jaw["faults"]:
+        motion += f". Not anatomical: {', '.join(jaw['faults'])}"
+    mean, p95, most = millimetres(found)
+    facts = {
+        "Skin": f"mean {mean} mm, 95 % below {p95} mm, greatest {most} mm; "
+        f"{100 * found['coverage']:.0f} % of the face seen",
+        "Flesh": _flesh_words(found["flesh"], found["inverted"]),
+        "Jaw": motion,
+        "Contact": _contact_words(found["crossing"], found["scan_crossing"]),
+        "Round trip": _trip_words(found["round_trip"]),
+        "Solver": f"{SOLVERS[found['solver']]} {ENDINGS.get(found['status'], 'ending not known')}; "
+        f"{found['iterations']} steps, {found['seconds']:.1f} s",
+    }
+    if found["warnings"]:
+        facts["Warnings"] = "; ".join(warning["message"] for warning in found["warnings"])
+    return facts
+
+
+def _flesh_words(flesh: dict[str, Any] | None, inverted: int) -> str:
+    if flesh is None:
+        return f"{inverted} inverted tets; more is not known, the rig is from an older version"
+    return (
+        f"{inverted} inverted tets; volume {flesh['volume_percent']:+.2f} %; tets between "
+        f"{figure(flesh['det_least'])} and {figure(flesh['det_most'])} of their volume; residual "
+        f"force {flesh['residual']:.0e}, {'stable' if flesh['minimum'] else 'unstable'}"
+    )
+
+
+def _contact_words(fit: dict[str, Any] | None, scan: dict[str, Any] | None) -> str:
+    if fit is None:
+        return "not known, the model names no lips"
+    parts = []
+    for name, words in CONTACTS.items():
+        if fit[name] is not None:
+            scanned = "" if scan is None else f" ({scan[name]:.1f} in the scan)"
+            parts.append(f"{words} {fit[name]:.1f} mm{scanned}")
+    return "; ".join(parts)
+
+
+def _trip_words(trip: dict[str, Any] | None) -> str:
+    if trip is None:
+        return "not tried"
+    if not trip["reached"]:
+        return "the pose cannot be reached from rest"
+    words = (
+        f"simulated from rest: mean {figure(trip['skin_mean_mm'], 3)} mm, greatest "
+        f"{figure(trip['skin_max_mm'], 3)} mm away; fitted again: mean "
+        f"{figure(trip['refit_mean_mm'], 3)} mm"
+    )
+    if (error := trip["activation_error"]) is not None:
+        words += f", activations of the excited muscles within {100 * error:.1f} %"
+    return words

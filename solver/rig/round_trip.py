@@ -69,8 +69,7 @@ def round_trip(
     points = face.face_points(simulated.x)
     apart = np.linalg.norm(points - fitted_face, axis=1)
     there = RoundTrip(float(apart.mean()), float(apart.max()))
-    weights = {"w_a": options.w_a, "w_v": options.w_v, "w_b": options.w_b}
-    regulariser = Regulariser(**weights, prior=face.rest_pose())
+    regulariser = Regulariser(options.w_a, options.w_v, options.w_b, prior=face.rest_pose())
     data = SkinDistance(face, Target.from_points(points))
     try:
         again = activation.fit(face, data, regulariser, options=options.stop).state

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from solver.rig.view.format import write_container
+from solver.rig.container import write_container
 from solver.surface import Floats, Ints, Surface, adjacency, vertex_normals
 from solver.templates.builtin.build import builtin_capture_set, builtin_template
 from solver.templates.export import CaptureSet

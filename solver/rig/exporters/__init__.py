@@ -8,12 +8,18 @@ from __future__ import annotations
 
 import pkgutil
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, cast
 
 from solver.errors import InputError
+from solver.rig.certificate import Certificate
+from solver.rig.pictures import fit_picture
+from solver.rig.report import report, write_report
+from solver.rig.result import save_activations, save_weights
 from solver.rig.rig import Rig
+from solver.rig.web_page import write_page
 
 
 class Exporter(Protocol):
@@ -36,6 +42,14 @@ class Exporter(Protocol):
 
     def write(self, rig: Rig, path: Path, options: Any) -> None:
         """Write the rig as ``path``; raises :class:`InputError` where it cannot."""
+
+
+@dataclass(frozen=True)
+class NoOptions:
+    """Options of an exporter with nothing to choose."""
+
+
+NO_OPTIONS = NoOptions()
 
 
 EXPORTERS: Mapping[str, str] = {
@@ -78,15 +92,38 @@ def export(
 
 
 def write_all(rig: Rig, folder: Path) -> list[Path]:
-    """Write what belongs to every rig into its folder, and return the files."""
-    chosen = [(name, module) for name in EXPORTERS if (module := _find_offer(name))]
-    return [export(rig, name, folder / module.FILE) for name, module in chosen]
+    """Write what belongs to every rig into its folder, unless its extra is missing."""
+    files = []
+    for name in EXPORTERS:
+        try:
+            module = exporter(name)
+        except InputError:
+            continue
+        if module.WITH_EVERY_RIG:
+            files.append(export(rig, name, folder / module.FILE))
+    return files
 
 
-def _find_offer(name: str) -> Exporter | None:
-    """Return an exporter if each fit writes it; one whose extra is not there is left out."""
-    try:
-        module = exporter(name)
-    except InputError:
-        return None
-    return module if module.WITH_EVERY_RIG else None
+# All files of a rig.
+
+
+def write_rig(rig: Rig, certificate: Certificate, out: Path) -> list[Path]:
+    """Write the rig into the folder ``out`` and return the paths of its files.
+
+    These are those of all exporters that belong to every rig (``rig.npz``, ``rig.glb`` ...), the
+    parts ``activations.npz`` and ``muscle_weights.npz`` of ``rig.npz`` for programs that read them,
+    ``report.json``, ``report.html`` and ``fit_<expression>.png``.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    figures = report(rig, certificate)
+    names = ("activations.npz", "muscle_weights.npz", "report.json", "report.html")
+    files = activations, weights, figures_file, page = [out / name for name in names]
+    save_activations(activations, rig.expressions, rig.model)
+    save_weights(weights, rig.weights, rig.model)
+    write_report(figures_file, figures)
+    exported = write_all(replace(rig, figures=figures), out)
+    pictures = {fit.name: out / f"fit_{fit.name}.png" for fit in rig.expressions}
+    for fit in rig.expressions:
+        fit_picture(rig.model, fit, pictures[fit.name])
+    write_page(page, figures)
+    return [*exported, *files, *pictures.values()]

@@ -6,7 +6,6 @@ up to 16 mm and 0.016 mm up to 64 mm.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import igl
@@ -17,25 +16,15 @@ from solver.anatomy.embedding import barycentric
 from solver.anatomy.tetrahedra import barycentric_in_tets
 from solver.mechanics import jaw
 from solver.model import JawFrame, SubjectModel
+from solver.rig.container import write_container
+from solver.rig.exporters import NO_OPTIONS
+from solver.rig.exporters import NoOptions as Options
 from solver.rig.rig import Rig
-from solver.rig.view.format import half_precision, write_container
 from solver.surface import Floats, Ints, Surface
 
 FILE = "inside.bin"
 MEDIA_TYPE = "application/octet-stream"
 WITH_EVERY_RIG = True
-
-
-@dataclass(frozen=True)
-class Options:
-    """There is nothing to choose."""
-
-
-# Points in and about the flesh follow its tets.
-
-
-# the face of a tet opposite each of its corners
-OPPOSITE = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
 def bind(points: Floats, vertices: Floats, tets: Ints) -> tuple[Ints, Floats]:
@@ -49,10 +38,10 @@ def bind(points: Floats, vertices: Floats, tets: Ints) -> tuple[Ints, Floats]:
     tree.init(vertices, tets)
     tet = np.array(igl.in_element(vertices, tets, points, tree), np.int64)
     weights = np.empty((len(points), 4))
-    inside, outside = np.flatnonzero(tet >= 0), np.flatnonzero(tet < 0)
+    inside, outside = tet >= 0, tet < 0
     weights[inside] = barycentric_in_tets(points[inside], vertices[tets[tet[inside]]])
-    if len(outside):
-        faces, owners = _outer_faces(tets)
+    if outside.any():
+        faces, owners, _ = igl.boundary_facets(tets)
         nearest, shares, _ = barycentric(points[outside], Surface(vertices, faces))
         tet[outside] = owners[nearest]
         same = tets[owners[nearest]][:, :, None] == faces[nearest][:, None, :]
@@ -60,20 +49,12 @@ def bind(points: Floats, vertices: Floats, tets: Ints) -> tuple[Ints, Floats]:
     return tet, weights
 
 
-def _outer_faces(tets: Ints) -> tuple[Ints, Ints]:
-    """Return the faces (f, 3) that belong to one tet only, and that tet's number (f,)."""
-    faces = np.sort(tets[:, OPPOSITE].reshape(-1, 3), axis=1)
-    unique, first, count = np.unique(faces, axis=0, return_index=True, return_counts=True)
-    outer = count == 1
-    return unique[outer], first[outer] // len(OPPOSITE)
-
-
 NO_MUSCLE = 255  # the number for none, in a byte
 NO_SURFACE = Surface(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
 Arrays = dict[str, np.ndarray]
 
 
-def write(rig: Rig, path: Path, _options: Options = Options()) -> None:
+def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
     """Write the tets in every expression, and the bones and muscles that move with them.
 
     ``at/k`` is left out for an expression whose tets the rig does not hold. Muscles are numbered as
@@ -95,11 +76,10 @@ def write(rig: Rig, path: Path, _options: Options = Options()) -> None:
     }
     for k, fit in enumerate(rig.expressions):
         if fit.x is not None:
-            arrays[f"at/{k}"] = half_precision(fit.x - model.rest)
+            arrays[f"at/{k}"] = (fit.x - model.rest).astype(np.float16)
     for i, bone in enumerate(model.bones.values()):
         arrays |= _surface(f"bone/{i}", bone)
-    arrays |= _muscles(model)
-    write_container(path, header, arrays)
+    write_container(path, header, arrays | _muscles(model))
 
 
 def _surface(name: str, surface: Surface) -> Arrays:
@@ -125,12 +105,10 @@ def _muscles(model: SubjectModel) -> Arrays:
 
 
 def _main_muscles(S: sp.csr_array) -> np.ndarray:
-    """Return the number (n,) of the muscle with the greatest share of each tet.
-
-    :data:`NO_MUSCLE` where passive flesh is the greater part, and beyond so many muscles.
-    """
+    """Return the number (n,) of the muscle with the greatest share of each tet."""
     main = np.asarray(S[:, 1:].tocsr().argmax(axis=1)).ravel()
     passive = np.asarray(S[:, [0]].todense()).ravel()
+    # none where passive flesh is the greater part, and beyond what a byte counts
     return np.where((passive < 0.5) & (main < NO_MUSCLE), main, NO_MUSCLE).astype(np.uint8)
 
 

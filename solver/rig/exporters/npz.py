@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
+from solver.rig.exporters import NO_OPTIONS
+from solver.rig.exporters import NoOptions as Options
 from solver.rig.rig import FILE as FILE
 from solver.rig.rig import Rig
 
@@ -12,11 +13,6 @@ MEDIA_TYPE = "application/x-npz"
 WITH_EVERY_RIG = True
 
 
-@dataclass(frozen=True)
-class Options:
-    """There is nothing to choose."""
-
-
-def write(rig: Rig, path: Path, _options: Options = Options()) -> None:
+def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
     """Write model, S, expressions and figures."""
     rig.save(path)

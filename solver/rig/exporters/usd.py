@@ -68,22 +68,16 @@ def write(rig: Rig, path: Path, options: Options = DEFAULTS) -> None:
     _skeleton(stage, model)
     _skin(stage, model.skin, expressions, options.still_mm)
     for name, bone in model.bones.items():
-        _bone(stage, name, bone)
-    names = [fit.name for fit in expressions]
-    jaws = np.array([fit.jaw for fit in expressions]).reshape(-1, 5)
-    _animation(stage, model, names, jaws, options)
-    root.CreateExtentAttr(_extent(_swept(model, expressions)))
+        joint = JAW if name == "mandible" else HEAD
+        _mesh(stage, name, bone, joint).CreatePurposeAttr(UsdGeom.Tokens.guide)
+    _animation(stage, model, expressions, options)
+    places = [surface.vertices for surface in (model.skin, *model.bones.values())]
+    for fit in expressions:
+        places.append(fit.skin)
+        if "mandible" in model.bones:
+            places.append(jaw.move(model.jaw, model.bones["mandible"].vertices, fit.jaw))
+    root.CreateExtentAttr(_extent(np.vstack(places)))
     stage.GetRootLayer().Export(str(path))
-
-
-def _swept(model: SubjectModel, expressions: Sequence[ExpressionFit]) -> Floats:
-    """Return all points (., 3) where skin and bones come in any expression."""
-    points = [model.skin.vertices, *(fit.skin for fit in expressions)]
-    for name, bone in model.bones.items():
-        points.append(bone.vertices)
-        if name == "mandible":
-            points += [jaw.move(model.jaw, bone.vertices, fit.jaw) for fit in expressions]
-    return np.vstack(points)
 
 
 def _skeleton(stage: Usd.Stage, model: SubjectModel) -> None:
@@ -127,11 +121,6 @@ def _skin(
     binding.CreateBlendShapeTargetsRel().SetTargets(shapes)
 
 
-def _bone(stage: Usd.Stage, name: str, bone: Surface) -> None:
-    mesh = _mesh(stage, name, bone, joint=JAW if name == "mandible" else HEAD)
-    mesh.CreatePurposeAttr(UsdGeom.Tokens.guide)
-
-
 def _mesh(stage: Usd.Stage, name: str, surface: Surface, joint: str) -> UsdGeom.Mesh:
     """Define triangles that move rigidly with a joint."""
     mesh = UsdGeom.Mesh.Define(stage, _free(stage, ROOT, name))
@@ -166,39 +155,29 @@ def _materials(stage: Usd.Stage, mesh: UsdGeom.Mesh, skin: Surface) -> None:
 
 
 def _animation(
-    stage: Usd.Stage, model: SubjectModel, names: list[str], jaws: Floats, options: Options
+    stage: Usd.Stage, model: SubjectModel, expressions: Sequence[ExpressionFit], options: Options
 ) -> None:
-    """Move shapes and jaw: from neutral to an expression, hold it, and back, one after the other.
-
-    ``jaws`` (q, 5) are the expressions' b.
-    """
+    """Move shapes and jaw: from neutral to an expression, hold it, and back, one by one."""
     animation = UsdSkel.Animation.Define(stage, ROOT.AppendChild("Animation"))
     animation.CreateJointsAttr(JOINTS)
-    animation.CreateBlendShapesAttr(names)
+    animation.CreateBlendShapesAttr([fit.name for fit in expressions])
     animation.CreateScalesAttr([Gf.Vec3h(1.0)] * len(JOINTS))
     weights = animation.CreateBlendShapeWeightsAttr()
     translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
 
-    def key(seconds: float, shown: Floats, b: Floats) -> None:
-        time = Usd.TimeCode(round(seconds * FRAMES_PER_SECOND))
+    jaws = np.array([fit.jaw for fit in expressions]).reshape(-1, jaw.DEGREES_OF_FREEDOM)
+    times, rows = options.keys(len(expressions))
+    for seconds, shown in zip(times.tolist(), rows, strict=True):
+        time, b = Usd.TimeCode(round(seconds * FRAMES_PER_SECOND)), shown @ jaws
         x, y, z, w = Rotation.from_matrix(jaw.rotation(model.jaw, b)).as_quat().tolist()
         place = jaw.move(model.jaw, model.jaw.origin[None], b)[0]
         weights.Set(Vt.FloatArray.FromNumpy(shown.astype(np.float32)), time)
         translations.Set([Gf.Vec3f(0.0), Gf.Vec3f(*place.tolist())], time)
         rotations.Set([Gf.Quatf(1.0), Gf.Quatf(w, x, y, z)], time)
-
-    still, closed = np.zeros(len(names)), np.zeros(jaw.DEGREES_OF_FREEDOM)
-    period, held = options.period, options.move_seconds + options.hold_seconds
-    key(0.0, still, closed)
-    for number, (shown, b) in enumerate(zip(np.eye(len(names)), jaws, strict=True)):
-        start = number * period
-        key(start + options.move_seconds, shown, b)
-        key(start + held, shown, b)
-        key(start + period, still, closed)
     stage.SetTimeCodesPerSecond(FRAMES_PER_SECOND)
     stage.SetFramesPerSecond(FRAMES_PER_SECOND)
     stage.SetStartTimeCode(0.0)
-    stage.SetEndTimeCode(round(len(names) * period * FRAMES_PER_SECOND))
+    stage.SetEndTimeCode(round(times[-1] * FRAMES_PER_SECOND))
 
 
 def _free(stage: Usd.Stage, parent: Sdf.Path, name: str) -> Sdf.Path:

@@ -6,25 +6,21 @@ docs/reference/rig-format.md describes it. Displacements are in half precision, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from solver.rig.container import write_container
+from solver.rig.exporters import NO_OPTIONS
+from solver.rig.exporters import NoOptions as Options
 from solver.rig.rig import Rig
-from solver.rig.view.format import half_precision, write_container
 
 FILE = "view.bin"
 MEDIA_TYPE = "application/octet-stream"
 WITH_EVERY_RIG = True
 
 
-@dataclass(frozen=True)
-class Options:
-    """There is nothing to choose."""
-
-
-def write(rig: Rig, path: Path, _options: Options = Options()) -> None:
+def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
     """Write the skin in every expression, the scans and the distances between them."""
     figures = rig.known_figures()
     neutral = rig.model.skin.vertices
@@ -44,7 +40,7 @@ def write(rig: Rig, path: Path, _options: Options = Options()) -> None:
         "activation": np.array(stretches, np.float32).reshape(len(told), len(names)),
     }
     for k, fit in enumerate(rig.expressions):
-        arrays[f"skin/{k}"] = half_precision(fit.skin - neutral)
-        arrays[f"scan/{k}"] = half_precision(fit.target - neutral)
-        arrays[f"error/{k}"] = half_precision(fit.error_mm)
+        arrays[f"skin/{k}"] = (fit.skin - neutral).astype(np.float16)
+        arrays[f"scan/{k}"] = (fit.target - neutral).astype(np.float16)
+        arrays[f"error/{k}"] = fit.error_mm.astype(np.float16)
     write_container(path, header, arrays)

@@ -1,1 +1,291 @@
-"""Sliders in a browser: a reduced basis of simulated equilibria, with its error."""
+"""The preview of a fitted face: sliders, reduced skin, and how far it is off the simulation."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from solver.drawing.head import DrawnHead
+from solver.drawing.sheet import Column, SheetLayout, draw_sheet
+from solver.errors import InputError, SolveError
+from solver.fitting.face import Face
+from solver.model import SubjectModel
+from solver.rig.container import write_container
+from solver.rig.pictures import face_camera
+from solver.rig.preview.sliders import (
+    Responses,
+    Sample,
+    SampleOptions,
+    Slid,
+    SliderOptions,
+    Sliders,
+    SliderSolver,
+    controls_of,
+    poses_to_learn,
+    poses_to_measure,
+)
+from solver.rig.result import ExpressionFit
+from solver.rig.skin_basis import (
+    ReducedSkin,
+    ReductionOptions,
+    modes_of,
+    quadratic_map,
+    reduce_skin,
+)
+from solver.surface import Floats, Ints
+
+# Distance between the reduced skin and the simulated one, on poses it was not made from.
+
+
+@dataclass(frozen=True)
+class Distances:
+    """Distances in mm over ``poses``; ``moved`` is the simulated skin's from the neutral."""
+
+    moved: float
+    mean: float
+    p95: float
+    max: float
+    poses: int
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures as JSON values, with four decimals."""
+        return {name: round(value, 4) for name, value in asdict(self).items()}
+
+
+class PreviewError:
+    """Distances ``off`` (s, k), mm, of ``samples`` on the ``face`` (k,) of ``neutral`` (n, 3)."""
+
+    def __init__(
+        self, skin: ReducedSkin, samples: Sequence[Sample], neutral: Floats, face: Ints
+    ) -> None:
+        self.samples = samples
+        self.off: Floats = np.empty((len(samples), len(face)))
+        self._moved = np.empty_like(self.off)
+        for row, sample in enumerate(samples):
+            motion = (sample.skin - neutral)[face]
+            away = skin.motion(sample.slid.values)[face] - motion
+            self.off[row] = np.linalg.norm(away, axis=1)
+            self._moved[row] = np.linalg.norm(motion, axis=1)
+
+    @property
+    def overall(self) -> Distances:
+        """Return the distances of all samples, of which there has to be one."""
+        return self._over(np.arange(len(self.samples)))
+
+    def of_sorts(self) -> dict[str, Distances]:
+        """Return the distances of every sort of pose."""
+        sorts = np.array([sample.slid.sort for sample in self.samples])
+        names = dict.fromkeys(sorts.tolist())
+        return {sort: self._over(np.flatnonzero(sorts == sort)) for sort in names}
+
+    def mean_about(self, name: str) -> float | None:
+        """Return the mean distance, mm, of the poses about a control or an expression."""
+        rows = [row for row, sample in enumerate(self.samples) if sample.slid.about == name]
+        return round(float(self.off[rows].mean()), 4) if rows else None
+
+    def _over(self, rows: Ints) -> Distances:
+        off = self.off[rows]
+        figures = (self._moved[rows].mean(), off.mean(), np.percentile(off, 95), off.max())
+        moved, mean, p95, most = map(float, figures)
+        return Distances(moved, mean, p95, most, len(rows))
+
+
+# called with what is being done and how much of all is ready, in [0, 1]
+Listener = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class PreviewOptions:
+    """Weights and times of a preview's making."""
+
+    off_face: float = 0.1  # weight of a skin vertex off the face, where nothing is measured
+    learning: float = 0.6  # part of the time by which the poses to learn from are done
+    measuring: float = 0.85  # part of the time by which those to measure with are done
+    sliders: SliderOptions = field(default_factory=SliderOptions)
+    samples: SampleOptions = field(default_factory=SampleOptions)
+    reduction: ReductionOptions = field(default_factory=ReductionOptions)
+
+
+@dataclass(frozen=True)
+class Preview:
+    """The sliders of a rig, as ``preview.bin`` holds them.
+
+    ``unseen`` tells the error on poses that ``skin`` was not made from, ``fitted`` that at the
+    fitted expressions. ``learned`` of the ``planned`` poses to learn from were simulated; the
+    others, and ``dropped`` of those to measure with, are out of reach or out of time.
+    """
+
+    controls: Sliders
+    skin: ReducedSkin
+    unseen: PreviewError
+    fitted: PreviewError
+    planned: int
+    learned: int
+    dropped: int
+
+    def figures(self) -> dict[str, Any]:
+        """Return what is told of it, as JSON values; lengths in mm."""
+        overall, by_sort = self.unseen.overall, self.unseen.of_sorts()
+        return {
+            "controls": len(self.controls),
+            "modes": len(self.skin.basis),
+            "poses": {"planned": self.planned, "learned": self.learned, "dropped": self.dropped},
+            "error_mm": overall.as_dict(),
+            "error_by_sort_mm": {sort: each.as_dict() for sort, each in by_sort.items()},
+            "presets_mm": {name: self.fitted.mean_about(name) for name in self.controls.presets},
+        }
+
+
+def make_preview(
+    face: Face,
+    fits: Sequence[ExpressionFit],
+    *,
+    seed: int,
+    seconds: float,
+    listen: Listener,
+    options: PreviewOptions = PreviewOptions(),
+) -> Preview:
+    """Make the preview of a face with its fitted expressions.
+
+    The same ``seed`` gives the same preview unless it takes longer than about ``seconds``: then
+    it is made of those poses that were ready. Raises :class:`InputError` (``preview.nothing``) for
+    a rig without a fitted expression, :class:`SolveError` (``preview.unreachable``) if no pose to
+    learn from or none to measure with can be simulated.
+    """
+    if not fits:
+        raise InputError("preview.nothing", "the rig has no fitted expression to make sliders from")
+    begin = time.monotonic()
+    listen("controls", 0.0)
+    controls = controls_of(face, fits, options.sliders)
+    learning = poses_to_learn(controls, seed, options.samples)
+    measuring = poses_to_measure(controls, seed, options.samples)
+    known = {fit.name: fit.x for fit in fits if fit.x is not None}
+    simulator = SliderSolver(face, controls, face.rest, known)
+
+    def simulate(phase: str, poses: Sequence[Slid], start: float, end: float) -> list[Sample]:
+        def announce(count: int) -> None:
+            listen(phase, start + (end - start) * count / len(poses))
+
+        return simulator.solve(poses, begin + end * seconds, announce)
+
+    samples = simulate("simulate", learning, 0.0, options.learning)
+    unseen = simulate("measure", measuring, options.learning, options.measuring)
+    if not samples or not unseen:
+        message = "too few poses of the sliders could be simulated to make and to measure them"
+        raise SolveError("preview.unreachable", message, learned=len(samples), measured=len(unseen))
+    skin = _learn(face, controls, samples, begin + seconds, listen, options)
+    neutral, shown = face.model.skin.vertices, face.model.face
+    presets = [
+        sample
+        for sample in samples
+        if sample.slid.sort == "expression"
+        and np.array_equal(sample.slid.values, controls.presets[str(sample.slid.about)])
+    ]
+    return Preview(
+        controls,
+        skin,
+        PreviewError(skin, unseen, neutral, shown),
+        PreviewError(skin, presets, neutral, shown),
+        planned=len(learning),
+        learned=len(samples),
+        dropped=len(measuring) - len(unseen),
+    )
+
+
+def _learn(
+    face: Face,
+    controls: Sliders,
+    samples: Sequence[Sample],
+    deadline: float,
+    listen: Listener,
+    options: PreviewOptions,
+) -> ReducedSkin:
+    """Return the reduced skin of samples; slopes are left out after the ``deadline``."""
+    motions = np.array([sample.skin for sample in samples]) - face.model.skin.vertices
+    weights = np.full(motions.shape[1], options.off_face)
+    weights[face.model.face] = 1.0
+    weights /= weights.sum()
+    modes = modes_of(motions, weights, options.reduction)
+    measure = modes * weights[:, None]
+    responses = Responses(face, controls, measure)
+    slopes: list[Floats | None] = []
+    for number, sample in enumerate(samples):
+        part = number / len(samples)
+        listen("slopes", options.measuring + (1.0 - options.measuring) * part)
+        # a control alone says nothing that mixed poses do not
+        is_wanted = sample.slid.sort != "alone" and time.monotonic() < deadline
+        slopes.append(responses.at(sample) if is_wanted else None)
+    values = np.array([sample.slid.values for sample in samples])
+    amounts = np.einsum("rnc,snc->sr", measure, motions, optimize=True)
+    return reduce_skin(modes, quadratic_map(values, amounts, slopes, options.reduction))
+
+
+# ``preview.bin``: what a page evaluates when a slider moves (docs/guide/preview.md).
+
+
+def write_preview(path: Path, preview: Preview) -> None:
+    """Write sliders, reduced skin and error; a mean that was not measured is null."""
+    skin, controls, figures = preview.skin, preview.controls, preview.figures()
+    header = {
+        "controls": [asdict(control) for control in controls.each],
+        "error_mm": {
+            **figures["error_mm"],
+            "by_sort": figures["error_by_sort_mm"],
+            "per_control": [preview.unseen.mean_about(each.name) for each in controls.each],
+        },
+        "presets": [
+            {
+                "name": name,
+                "values": [round(float(value), 6) for value in values],
+                "mean_mm": figures["presets_mm"][name],
+            }
+            for name, values in controls.presets.items()
+        ],
+    }
+    arrays = {"basis": skin.basis, "linear": skin.linear, "quadratic": skin.quadratic}
+    write_container(path, header, arrays)
+
+
+# Simulated and previewed skin of poses that the preview was not made from, side by side.
+
+
+LEGEND = (
+    "colour of the bottom row: distance between the two skins above it, mm",
+    "grey: no part of the face, not compared",
+    "plausible: a random pose of a few muscles; variation: an expression with one slider changed;",
+    "blend: a mixture of two expressions; pair: two sliders that an expression moves together",
+)
+
+
+def preview_picture(model: SubjectModel, preview: Preview, path: Path, poses: int = 4) -> None:
+    """Draw some unseen ``poses``, from the middle one by their error to the worst."""
+    unseen, neutral = preview.unseen, model.skin.vertices
+    overall = unseen.overall
+    # the controls alone say nothing that mixed poses do not
+    mixed = [row for row, sample in enumerate(unseen.samples) if sample.slid.sort != "alone"]
+    order = sorted(mixed, key=lambda row: float(unseen.off[row].mean()))
+    places = np.linspace(0.5, 1.0, poses if order else 0) * (len(order) - 1)
+    chosen = dict.fromkeys(order[round(place)] for place in places)
+    head = DrawnHead(model.skin)
+    camera = face_camera(neutral, model.face, 0.0)
+    layout = SheetLayout(cell=(330, 420), label=110, foot=160, notes=LEGEND)
+    columns = []
+    for number in chosen:
+        sample = unseen.samples[number]
+        shown = neutral + preview.skin.motion(sample.slid.values)
+        error = np.full(len(neutral), np.nan)
+        error[model.face] = unseen.off[number]
+        bodies = head.compare(sample.skin, shown, error)
+        words = f"{sample.slid.sort}, mean {unseen.off[number].mean():.2f} mm"
+        columns.append(Column.of(words, bodies, camera, layout))
+    detail = (
+        f"{overall.poses} poses    mean {overall.mean:.2f} mm    "
+        f"95 % below {overall.p95:.2f} mm    greatest {overall.max:.2f} mm"
+    )
+    rows = ("Simulated", "Sliders", "Error, mm")
+    draw_sheet(path, "Sliders on poses they were not made from", detail, rows, columns, layout)

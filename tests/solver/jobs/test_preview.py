@@ -15,8 +15,8 @@ from solver.fitting.face import Face, Pose
 from solver.jobs import run_job
 from solver.mechanics.flesh import IDENTITY
 from solver.progress import Step
+from solver.rig.container import read_container
 from solver.rig.result import ExpressionFit, load_activations, save_activations, save_weights
-from solver.rig.view.format import read_container
 from tests.solver.block import head_block
 
 pytestmark = pytest.mark.long

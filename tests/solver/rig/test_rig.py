@@ -18,9 +18,8 @@ from solver.fitting.face import Face
 from solver.meshio.registered import read_registered
 from solver.model import SubjectModel
 from solver.rig.certificate import Certificate, certify
-from solver.rig.export import write_rig
 from solver.rig.exporters import csv as csv_exporter
-from solver.rig.exporters import glb
+from solver.rig.exporters import glb, write_rig
 from solver.rig.gltf_check import validate_glb
 from solver.rig.report import report, write_report
 from solver.rig.result import (

@@ -81,3 +81,9 @@ def test_a_rig_without_figures_has_no_table(rig: Rig, tmp_path: Path) -> None:
     with pytest.raises(InputError) as raised:
         export(replace(rig, figures=None), "csv", tmp_path / "a.csv")
     assert raised.value.code == "export.figures"
+
+
+@pytest.mark.parametrize("name", [each for each in available() if each in ("glb", "usd")])
+def test_a_rig_without_expressions_is_its_neutral(name: str, rig: Rig, tmp_path: Path) -> None:
+    file = export(replace(rig, expressions=()), name, tmp_path / exporter(name).FILE)
+    assert file.stat().st_size > 0

@@ -43,14 +43,12 @@ def write_container(
     header here. Raises :class:`ValueError` for another dtype and for NaN in the header.
     """
     stored = {name: _store(name, array) for name, array in arrays.items()}
-    text, begin = _header(header, stored)
+    text, places = _header(header, stored)
     with path.open("wb") as stream:
         stream.write(PREFIX.pack(MAGIC, len(text)) + text)
-        place = begin
-        for array in stored.values():
-            stream.write(bytes(_align(place) - place))
+        for array, place in zip(stored.values(), places, strict=True):
+            stream.write(bytes(place - stream.tell()))
             stream.write(array.data)
-            place = _align(place) + array.nbytes
 
 
 def read_container(path: str | Path) -> Container:
@@ -79,44 +77,28 @@ def read_container(path: str | Path) -> Container:
     return Container(header, arrays)
 
 
-def half_precision(values: np.ndarray) -> np.ndarray:
-    """Return displacements in half precision."""
-    return values.astype(np.float16)
-
-
 def _store(name: str, array: np.ndarray) -> np.ndarray:
     if array.dtype.name not in DTYPES:
         raise ValueError(f"{name} has dtype {array.dtype}; a view holds {', '.join(DTYPES)}")
     return np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
 
 
-def _header(header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[bytes, int]:
-    """Return the header's bytes and where the arrays begin.
-
-    The places of the arrays are part of the header, and their digits of its length: the beginning
-    moves on until the header fits before it.
-    """
-    begin = 0
+def _header(header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[bytes, list[int]]:
+    """Return the header's bytes and where each array begins."""
+    sizes = [_align(array.nbytes) for array in arrays.values()]
+    begin = 0  # moves on until the header fits: its places are in it, and their digits count
     while True:
-        text = json.dumps(
-            {"format": FORMAT, "unit": "mm", **header, "arrays": _table(arrays, begin)},
-            allow_nan=False,
-            separators=(",", ":"),
-        ).encode()
+        places = [begin + sum(sizes[:number]) for number in range(len(sizes))]
+        table = {
+            name: {"dtype": array.dtype.name, "shape": list(array.shape), "offset": place}
+            for (name, array), place in zip(arrays.items(), places, strict=True)
+        }
+        content = {"format": FORMAT, "unit": "mm", **header, "arrays": table}
+        text = json.dumps(content, allow_nan=False, separators=(",", ":")).encode()
         needed = _align(PREFIX.size + len(text))
         if needed <= begin:
-            return text.ljust(begin - PREFIX.size), begin
+            return text.ljust(begin - PREFIX.size), places
         begin = needed
-
-
-def _table(arrays: Mapping[str, np.ndarray], begin: int) -> dict[str, Any]:
-    table = {}
-    place = begin
-    for name, array in arrays.items():
-        place = _align(place)
-        table[name] = {"dtype": array.dtype.name, "shape": list(array.shape), "offset": place}
-        place += array.nbytes
-    return table
 
 
 def _parse(content: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
