@@ -9,6 +9,8 @@ A + dA, but it never leaves the positive definite matrices.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy.sparse as sp
 
@@ -44,7 +46,8 @@ def determinant_gradients(a: Floats) -> Floats:
 
 
 def _cofactors(a: Floats) -> Floats:
-    return np.stack(symmetric_cofactor.py_func(a.T), axis=1)
+    of_columns: Any = symmetric_cofactor.py_func
+    return np.stack(of_columns(a.T), axis=1)
 
 
 def metric(a: Floats) -> Floats:
