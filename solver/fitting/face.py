@@ -225,11 +225,9 @@ class Face:
         return self.solve_equilibrium(pose, guess)
 
     def _guess(self, state: State, response: Floats, pose: Pose, a: Floats) -> Floats:
-        """Return where to start at ``pose`` with activations ``a`` (n, 6): least energy on a line.
+        """Return the x of least energy on the way from ``state`` to its estimate and ``response``.
 
-        The line leads from ``state`` to its estimate and along the ``response``, the mandible
-        being where ``pose`` says. The whole response often flattens a few tets, from where Newton
-        takes long to come back.
+        The whole way often flattens a few tets, from where Newton takes long to come back.
         """
         motion = response + (state.estimate - state.x)[self.flesh.free].ravel()
         base = state.x.copy()
@@ -263,10 +261,9 @@ class Face:
             return self._along(state, pose, self.options.smallest_in_fit, settled=False)
 
     def _along(self, start: State, pose: Pose, smallest: float, *, settled: bool) -> State:
-        """Go to a pose along the straight line, in steps of at least the ``smallest`` fraction.
+        """Go to a pose in steps, a ``smallest`` fraction at least, whose response flattens no tet.
 
-        A step is as long as the flesh's linear response flattens no tet; its end is only
-        approached, and the last one's ``settled`` if asked for.
+        Their ends are only approached, the last one's ``settled`` if asked for.
         """
         done, fraction = 0.0, 1.0
         state, narrow = start, self.options.min_ratio

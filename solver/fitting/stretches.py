@@ -66,9 +66,6 @@ def move(a: Floats, step: Floats) -> Floats:
     return np.asarray((half @ half.transpose(0, 2, 1))[:, ROW, COLUMN])
 
 
-# Volume-preserving activation for a given fibre stretch.
-
-
 def fibre_tensors(model: SubjectModel, volumes: Floats, S: sp.csr_array) -> Floats:
     """Return the mean of d d^T over every muscle's flesh, (m, 3, 3), d being unit fibre directions.
 

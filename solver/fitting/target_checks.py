@@ -257,9 +257,6 @@ def _notice(
     return Notice(code, message, {"expression": name, "region": _where(model, vertex), **figures})
 
 
-# Models that a fit cannot use, or not wholly: flesh that is held by nothing, idle muscles.
-
-
 def check_held(face: Face) -> None:
     """Raise ``model.floating`` if a part of the flesh can move without being deformed.
 

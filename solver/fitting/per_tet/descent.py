@@ -133,10 +133,7 @@ class TetStep:
         return Pose(stretches.move(before.a, fraction * self.a), before.b + fraction * self.b)
 
     def descend(self, objective: Objective, tries: int) -> tuple[State, Damping] | None:
-        """Return the first state along the step, halved and halved, with a lower f, and a damping.
-
-        None if there is none in so many ``tries``.
-        """
+        """Return the first state along the step and its halves with a lower f, and a damping."""
         for halving in range(tries):
             try:
                 trial = self._reach(objective.tissue.face, self.pose(0.5**halving))
@@ -147,11 +144,8 @@ class TetStep:
         return None
 
     def _reach(self, face: Face, pose: Pose) -> State:
-        """Go to the equilibrium of a pose nearby; raises :class:`SolveError`.
-
-        Approaching is not enough here: single tets are so soft that the flesh may buckle on the
-        rest of the way, and the derivatives would be those of another equilibrium.
-        """
+        # approaching is not enough: single tets are so soft that the flesh may buckle on the rest
+        # of the way, and the derivatives would be those of another equilibrium
         change, sensitivity = pose.vector() - self.state.pose.vector(), self.model.sensitivity
         motion = sensitivity.response.free_motion(sensitivity.pose, change)
         near = face.newton_predict(self.state, motion, pose)
@@ -232,10 +226,7 @@ class Descent:
         return True
 
     def _snap(self, step: TetStep) -> tuple[State, Damping] | None:
-        """Return the equilibrium at the end of a step, however far that is, if f is not too high.
-
-        Half the step is tried where the whole one leads nowhere.
-        """
+        """Return the equilibrium at the end of a step, or of its half, where f is not too high."""
         face, most = self._objective.tissue.face, self._options.snap_iterations
         for fraction in (1.0, 0.5):
             try:
@@ -271,9 +262,9 @@ def creep(
     steps: int,
     options: TetDescentOptions,
 ) -> tuple[State, int]:
-    """Go through viscous flesh: an equilibrium near the target, and the steps to it.
+    """Return an equilibrium near the target, ``start`` at worst, and the steps to it.
 
-    There are ``steps`` with each viscosity. It is ``start`` where nothing better is found.
+    They lead through viscous flesh, ``steps`` with each viscosity.
     """
     flesh = tissue.face.flesh
     drags = flesh.drags()
