@@ -19,9 +19,9 @@ from solver.fitting.activation import ActivationOptions, rest_curvature
 from solver.fitting.face import Face, State
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.joint import GeometryProblem, Iterate
+from solver.fitting.least_squares import Listener as StepListener
 from solver.fitting.objective import Regulariser, Target, Term
 from solver.fitting.reference import NotConvergedError
-from solver.fitting.reference.common import Listener as IpoptListener
 from solver.fitting.simplex import replace_values
 
 WHOLE_ROUNDS = 5  # at the end, which see all terms
@@ -55,12 +55,15 @@ class GeometryOptions:
 
 @dataclass(frozen=True)
 class GeometryFit:
-    """S (n, m + 1), and every expression's state, number of steps, and how it was settled."""
+    """S (n, m + 1), and every expression as it was settled, all steps being counted."""
 
     S: sp.csr_array
-    states: dict[str, State]
-    iterations: dict[str, int]
     endings: dict[str, FallbackFit]
+
+    @property
+    def states(self) -> dict[str, State]:
+        """Return every expression's state."""
+        return {name: ending.state for name, ending in self.endings.items()}
 
 
 # called as a round (from 0) begins, with the states so far
@@ -139,13 +142,11 @@ def _finish(
     steps: int,
 ) -> GeometryFit:
     """Settle states that were only approached, together with a last fit of the activations."""
-    endings = {
-        name: fallback.fit(face, term, regulariser, LAST, start=states[name])
-        for name, term in data.items()
-    }
-    states = {name: ending.state for name, ending in endings.items()}
-    iterations = {name: steps + ending.iterations for name, ending in endings.items()}
-    return GeometryFit(face.S, states, iterations, endings)
+    endings = {}
+    for name, term in data.items():
+        ending = fallback.fit(face, term, regulariser, LAST, start=states[name])
+        endings[name] = replace(ending, iterations=steps + ending.iterations)
+    return GeometryFit(face.S, endings)
 
 
 def mean_error(face: Face, targets: Mapping[str, Target], states: Mapping[str, State]) -> float:
@@ -186,7 +187,7 @@ def fit_by_ipopt(
     face: Face,
     data: Mapping[str, Term],
     options: GeometryOptions,
-    listen: IpoptListener | None = None,
+    listen: StepListener | None = None,
     *,
     start: sp.csr_array | None = None,
     structure: sp.csr_array | None = None,

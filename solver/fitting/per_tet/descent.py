@@ -10,7 +10,7 @@ where f may at first be higher. The best state of all is kept.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
@@ -20,7 +20,7 @@ from solver.errors import InputError, SolveError
 from solver.fitting import stretches
 from solver.fitting.controls import JAW_UNITS
 from solver.fitting.face import Face, Pose, State
-from solver.fitting.least_squares import DampingOptions
+from solver.fitting.least_squares import DampingOptions, Listener
 from solver.fitting.objective import Term
 from solver.fitting.per_tet import tissue as tissues
 from solver.fitting.per_tet.objective import Objective, PerTetOptions
@@ -153,10 +153,6 @@ class TetStep:
         return face.solve_equilibrium(pose, near.x, max_iterations=corrections)
 
 
-# called after each accepted step with the iteration and the least objective so far
-Listener = Callable[[int, float], None]
-
-
 class Status(StrEnum):
     """Why a fit ended."""
 
@@ -168,7 +164,7 @@ class Status(StrEnum):
 class Descent:
     """Minimises f from ``state``, iterations being counted from ``taken``.
 
-    ``best`` is the state of the least f, and that.
+    ``best`` is the state of the least f, and that; ``listen`` hears of the least f so far.
     """
 
     def __init__(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -11,13 +10,11 @@ import numpy as np
 
 from solver.errors import Notice, SolveError
 from solver.fitting.face import Pose
+from solver.fitting.least_squares import Listener
 from solver.surface import Floats
 
 SUCCESS = (0, 1)  # IPOPT's Solve_Succeeded and Solved_To_Acceptable_Level
 UNBOUNDED = 2e19  # IPOPT's infinity
-
-# called at each of IPOPT's iterations with its number and the objective
-Listener = Callable[[int, float], None]
 
 
 @dataclass(frozen=True)

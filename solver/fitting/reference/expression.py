@@ -13,10 +13,11 @@ import scipy.sparse as sp
 
 from solver.fitting.controls import Block, Layout
 from solver.fitting.face import Face, Pose
+from solver.fitting.least_squares import Listener
 from solver.fitting.objective import Regulariser, Term
 from solver.fitting.per_tet import PerTetOptions, PerTetPriors
 from solver.fitting.per_tet import tissue as tissues
-from solver.fitting.reference.common import IpoptProblem, Listener, Reference, finite, solve
+from solver.fitting.reference.common import IpoptProblem, Reference, finite, solve
 from solver.fitting.sensitivity import PoseRates, TetForces, coordinates
 from solver.surface import Floats, Ints
 

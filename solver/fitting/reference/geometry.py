@@ -17,7 +17,8 @@ import scipy.sparse as sp
 from solver.fitting.controls import Block, Layout
 from solver.fitting.face import Pose, State
 from solver.fitting.joint import GeometryProblem
-from solver.fitting.reference.common import IpoptProblem, Listener, Solution, solve
+from solver.fitting.least_squares import Listener
+from solver.fitting.reference.common import IpoptProblem, Solution, solve
 from solver.fitting.reference.expression import Expression
 from solver.fitting.sensitivity import TetForces, WeightRates
 from solver.fitting.simplex import replace_values
