@@ -185,10 +185,14 @@ class Face:
         """
         x = x.copy()
         x[self.flesh.held] = self.held_positions(pose.b)
-        a = self.tet_activations(pose.a)
-        flesh, linear, tolerance, most = self.flesh, self.linear, self.tolerance, max_iterations
         found = solve_equilibrium(
-            flesh, linear, x, a, tolerance=tolerance, max_iterations=most, near=near
+            self.flesh,
+            self.linear,
+            x,
+            self.tet_activations(pose.a),
+            tolerance=self.tolerance,
+            max_iterations=max_iterations,
+            near=near,
         )
         return State(pose, found)
 
