@@ -110,7 +110,7 @@ def fit(
 
     ``matrix`` (6 m + 5, 6 m + 5) is f's Gauss-Newton matrix without its priors, or one like it: of
     a state nearby or of other data. Without it that of ``start`` is made, which takes as long as a
-    few iterations, or that of the neutral face is used.
+    few iterations.
 
     Where the descent gets stuck, or the flesh buckles as it settles or does not settle at all, the
     fit goes on from the best that did settle, else from the neutral face; in the last case every

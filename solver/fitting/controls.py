@@ -115,15 +115,10 @@ class Layout:
 
 
 class FitControls(Protocol):
-    """Variables of a fit: q (size,) in ``layout``, and what they make of the flesh."""
+    """Variables of a fit: q (size,) in ``layout``, and what they make of the ``flesh``."""
 
-    @property
-    def layout(self) -> Layout:
-        """Return the blocks of q."""
-
-    @property
-    def flesh(self) -> Flesh:
-        """Return the flesh, which takes :meth:`flesh_controls`."""
+    layout: Layout
+    flesh: Flesh
 
     def flesh_controls(self, q: Floats) -> Floats:
         """Return what drives the flesh: activations (n, 6) of its tets, or its term's own."""

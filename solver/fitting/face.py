@@ -13,8 +13,13 @@ from solver.anatomy.bones import bone_normals
 from solver.anatomy.embedding import LooseSkin
 from solver.errors import SolveError
 from solver.fitting.controls import Layout, pose_layout
-from solver.mechanics import equilibrium, jaw
-from solver.mechanics.equilibrium import Equilibrium, PredictorOptions
+from solver.mechanics import jaw
+from solver.mechanics.equilibrium import (
+    Equilibrium,
+    PredictorOptions,
+    newton_predict,
+    solve_equilibrium,
+)
 from solver.mechanics.flesh import COROTATED_TRACE, IDENTITY, Flesh, Material
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import Factorization, NewtonOptions
@@ -180,17 +185,16 @@ class Face:
         """
         x = x.copy()
         x[self.flesh.held] = self.held_positions(pose.b)
-        a = self.tet_activations(pose.a)
-        result = equilibrium.solve_equilibrium(
+        found = solve_equilibrium(
             self.flesh,
             self.linear,
             x,
-            a,
+            self.tet_activations(pose.a),
             tolerance=self.tolerance,
             max_iterations=max_iterations,
             near=near,
         )
-        return State(pose, result)
+        return State(pose, found)
 
     def settle(self, pose: Pose, x: Floats, near: Factorization | None = None) -> State | None:
         """Do as :meth:`solve_equilibrium`; return None where there is none near by."""
@@ -217,7 +221,7 @@ class Face:
         a = self.tet_activations(pose.a)
         x = self._guess(state, response, pose, a)
         options = PredictorOptions(settled_mm=settled_mm)
-        return State(pose, equilibrium.newton_predict(self.flesh, self.linear, x, a, options))
+        return State(pose, newton_predict(self.flesh, self.linear, x, a, options))
 
     def predict_and_solve(self, state: State, response: Floats, pose: Pose) -> State:
         """Do as :meth:`newton_predict`, but solve to the end."""
@@ -225,19 +229,16 @@ class Face:
         return self.solve_equilibrium(pose, guess)
 
     def _guess(self, state: State, response: Floats, pose: Pose, a: Floats) -> Floats:
-        """Return where to start at ``pose`` with activations ``a`` (n, 6): least energy on a line.
+        """Return the x of least energy on the way from ``state`` to its estimate and ``response``.
 
-        The line leads from ``state`` to its estimate and along the ``response``, the mandible
-        being where ``pose`` says. The whole response often flattens a few tets, from where Newton
-        takes long to come back.
+        The whole way often flattens a few tets, from where Newton takes long to come back.
         """
-        motion = response.reshape(-1, 3) + (state.estimate - state.x)[self.flesh.free]
+        motion = response + (state.estimate - state.x)[self.flesh.free].ravel()
         base = state.x.copy()
         base[self.model.mandible] = self.mandible(pose.b)
         best, least = base, np.inf
         for fraction in self.options.guesses:
-            x = base.copy()
-            x[self.flesh.free] += fraction * motion
+            x = self.flesh.moved(base, fraction * motion)
             energy = self.flesh.energy(x, a)
             if energy > least:
                 break
@@ -264,20 +265,19 @@ class Face:
             return self._along(state, pose, self.options.smallest_in_fit, settled=False)
 
     def _along(self, start: State, pose: Pose, smallest: float, *, settled: bool) -> State:
-        """Go to a pose along the straight line, in steps of at least the ``smallest`` fraction.
+        """Go to a pose in steps, a ``smallest`` fraction at least, whose response flattens no tet.
 
-        A step is as long as the flesh's linear response flattens no tet; its end is only
-        approached, and the last one's ``settled`` if asked for.
+        Their ends are only approached, the last one's ``settled`` if asked for.
         """
         done, fraction = 0.0, 1.0
-        state = start
+        state, narrow = start, self.options.min_ratio
         while done < 1.0:
             goal = min(1.0, done + fraction)
             target = start.pose.toward(pose, goal) if goal < 1.0 else pose
             x = self.predict(state, target)
             ratio = self.flesh.min_jacobian_ratio(state.x, x)
             least = fraction <= smallest
-            if ratio >= self.options.min_ratio or least:
+            if ratio >= narrow or least:
                 try:
                     state = self._reach(state, target, x, settled=settled and goal == 1.0)
                     done = goal
@@ -286,7 +286,7 @@ class Face:
                         raise
                     ratio = -np.inf
             # as a tet narrows about linearly, this is the longest step that flattens none
-            fit = 0.9 * (1.0 - self.options.min_ratio) / max(1.0 - ratio, 0.1)
+            fit = 0.9 * (1.0 - narrow) / max(1.0 - ratio, 0.1)
             fraction = max(fraction * min(max(fit, 0.25), 2.0), smallest)
         return state
 
@@ -294,13 +294,13 @@ class Face:
         """Find the state of ``target`` from ``x`` (p, 3), near ``state``."""
         if settled:
             return self.solve_equilibrium(target, x, state.equilibrium.factor)
-        a = self.tet_activations(target.a)
         rough = PredictorOptions(settled_mm=PredictorOptions.reach_mm)
-        reached = equilibrium.newton_predict(self.flesh, self.linear, x, a, rough)
+        a = self.tet_activations(target.a)
+        reached = newton_predict(self.flesh, self.linear, x, a, rough)
         # where flesh buckles a linear response leads nowhere
-        return (
-            State(target, reached) if reached.minimum else self.solve_equilibrium(target, reached.x)
-        )
+        if reached.minimum:
+            return State(target, reached)
+        return self.solve_equilibrium(target, reached.x)
 
     def mandible(self, b: Floats) -> Floats:
         """Return where the mandible's vertices are for b, (k, 3)."""

@@ -92,15 +92,13 @@ def _fit_in_full(
     listen: Listener | None,
     ipopt: FallbackOptions,
 ) -> FallbackFit:
-    """Do as :func:`fit` by IPOPT; its answer is settled, and compared with the resting face.
-
-    Where IPOPT does not converge, it tries again with heavier priors of the activations, each time
-    from the best state so far: there the flesh does not buckle, and the answer is nearby.
-    """
+    """Do as :func:`fit` by IPOPT: the best of its answers, settled, and the resting face."""
     neutral = activation.objective(data, regulariser, face.rest)
     best = FallbackFit(face.rest, neutral, 0, "ipopt", "failed")
     done = 0
     trouble: dict[str, Notice] = {}
+    # where IPOPT does not converge it tries with heavier priors, each time from the best state:
+    # there the flesh does not buckle, and the answer is nearby
     for heavier in ipopt.heavier:
         start, before = best.state, done
 

@@ -8,7 +8,7 @@ start.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -19,9 +19,9 @@ from solver.fitting.activation import ActivationOptions, rest_curvature
 from solver.fitting.face import Face, State
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.joint import GeometryProblem, Iterate
+from solver.fitting.least_squares import Listener as StepListener
 from solver.fitting.objective import Regulariser, Target, Term
 from solver.fitting.reference import NotConvergedError
-from solver.fitting.reference.common import Listener as IpoptListener
 from solver.fitting.simplex import replace_values
 
 WHOLE_ROUNDS = 5  # at the end, which see all terms
@@ -55,12 +55,15 @@ class GeometryOptions:
 
 @dataclass(frozen=True)
 class GeometryFit:
-    """S (n, m + 1), and every expression's state, number of steps, and how it was settled."""
+    """S (n, m + 1), and every expression as it was settled, all steps being counted."""
 
     S: sp.csr_array
-    states: dict[str, State]
-    iterations: dict[str, int]
     endings: dict[str, FallbackFit]
+
+    @property
+    def states(self) -> dict[str, State]:
+        """Return every expression's state."""
+        return {name: ending.state for name, ending in self.endings.items()}
 
 
 # called as a round (from 0) begins, with the states so far
@@ -88,43 +91,47 @@ def fit(
     """
     options = options or GeometryOptions()
     first_terms = data if first_terms is None else first_terms
-    S = face.model.weights if start is None else start
-    structure = sp.csr_array((0, S.nnz)) if structure is None else structure
-    face = face.with_weights(S)
-    steps = dict.fromkeys(data, options.first_iterations)
-
-    def regulariser(w_a: float) -> Regulariser:
-        return Regulariser(w_a, options.w_v, options.w_b, face.rest_pose())
-
-    first = ActivationOptions(options.first_iterations)
-    begin, known = regulariser(options.w_a[0]), rest_curvature(face)
+    face = face.with_weights(face.model.weights if start is None else start)
+    first, known = ActivationOptions(options.first_iterations), rest_curvature(face)
+    begin = _problem(face, first_terms, options, 0, structure).regulariser
     states = {
         name: activation.improve(
             face, term, begin, face.rest, first, go=Face.newton_predict, matrix=known
         ).state
         for name, term in first_terms.items()
     }
-    now = Iterate(S, states)
-    prior = S.data
-    idle, number = 0, 0
+    now = Iterate(face.S, states)
+    idle, number, steps = 0, 0, options.first_iterations
     whole = max(options.rounds - WHOLE_ROUNDS, 0)
     while number < options.rounds:
         if listen:
             listen(number, now.states)
-        w_a, w_s = options.weights(number)
         terms = data if number >= whole else first_terms
-        problem = GeometryProblem(face, terms, regulariser(w_a), w_s, prior, structure)
+        problem = _problem(face, terms, options, number, structure)
         before = problem.value(now.S, now.states)
         now = joint.step(problem, now)
         gain = before - problem.value(now.S, now.states)
-        steps = {name: count + 1 for name, count in steps.items()}
         idle = idle + 1 if gain < options.tolerance * before else 0
-        number += 1
+        number, steps = number + 1, steps + 1
         if idle == 2:
             # what is left of this stage gains nothing: on to the whole rounds, or to the end
             number, idle = (whole, 0) if number < whole else (options.rounds, 0)
-    face = face.with_weights(now.S)
-    return _finish(face, data, regulariser(options.w_a[1]), now.states, steps)
+    last = replace(begin, w_a=options.w_a[1])
+    return _finish(face.with_weights(now.S), data, last, now.states, steps)
+
+
+def _problem(
+    face: Face,
+    data: Mapping[str, Term],
+    options: GeometryOptions,
+    number: int,
+    structure: sp.csr_array | None,
+) -> GeometryProblem:
+    """Return the problem of round ``number``; S of ``face`` is its prior."""
+    w_a, w_s = options.weights(number)
+    regulariser = Regulariser(w_a, options.w_v, options.w_b, face.rest_pose())
+    structure = sp.csr_array((0, face.S.nnz)) if structure is None else structure
+    return GeometryProblem(face, data, regulariser, w_s, face.S.data, structure)
 
 
 def _finish(
@@ -132,19 +139,14 @@ def _finish(
     data: Mapping[str, Term],
     regulariser: Regulariser,
     states: Mapping[str, State],
-    steps: Mapping[str, int],
+    steps: int,
 ) -> GeometryFit:
     """Settle states that were only approached, together with a last fit of the activations."""
-    endings = {
-        name: fallback.fit(face, term, regulariser, LAST, start=states[name])
-        for name, term in data.items()
-    }
-    return GeometryFit(
-        face.S,
-        {name: ending.state for name, ending in endings.items()},
-        {name: steps[name] + ending.iterations for name, ending in endings.items()},
-        endings,
-    )
+    endings = {}
+    for name, term in data.items():
+        ending = fallback.fit(face, term, regulariser, LAST, start=states[name])
+        endings[name] = replace(ending, iterations=steps + ending.iterations)
+    return GeometryFit(face.S, endings)
 
 
 def mean_error(face: Face, targets: Mapping[str, Target], states: Mapping[str, State]) -> float:
@@ -157,7 +159,6 @@ def mean_error(face: Face, targets: Mapping[str, Target], states: Mapping[str, S
 
 
 # The multi-target problem by IPOPT, for jobs: small meshes only.
-
 
 MOST_TETS = 2000  # times expressions: beyond, a solve takes hours and gigabytes
 TOLERANCE = 1e-4  # IPOPT's
@@ -186,7 +187,7 @@ def fit_by_ipopt(
     face: Face,
     data: Mapping[str, Term],
     options: GeometryOptions,
-    listen: IpoptListener | None = None,
+    listen: StepListener | None = None,
     *,
     start: sp.csr_array | None = None,
     structure: sp.csr_array | None = None,
@@ -197,17 +198,12 @@ def fit_by_ipopt(
     :class:`InputError` (:func:`check_size`).
     """
     check_size(face, len(data))
-    S = face.model.weights if start is None else start
-    structure = sp.csr_array((0, S.nnz)) if structure is None else structure
-    face = face.with_weights(S)
-    w_a, w_s = options.weights(options.rounds - 1)
-    regulariser = Regulariser(w_a, options.w_v, options.w_b, face.rest_pose())
-    problem = GeometryProblem(face, data, regulariser, w_s, S.data, structure)
+    face = face.with_weights(face.model.weights if start is None else start)
+    problem = _problem(face, data, options, options.rounds - 1, structure)
     notices: tuple[Notice, ...] = ()
     try:
         found = reference.geometry(
             problem,
-            S,
             dict.fromkeys(data, face.rest),
             tolerance=TOLERANCE,
             max_iterations=most_iterations(options),
@@ -216,9 +212,8 @@ def fit_by_ipopt(
     except NotConvergedError as error:
         found = error.last
         notices = (error.notice("the best result so far is kept"),)
-    rest = face.rest
     # IPOPT keeps the simplex to its tolerance only
-    face = face.with_weights(replace_values(S, simplex.project(found.S.data, S.indptr)))
-    states = {name: face.settle(found.poses[name], found.x[name]) or rest for name in data}
-    steps = dict.fromkeys(data, found.iterations)
-    return _finish(face, data, regulariser, states, steps), notices
+    S = replace_values(face.S, simplex.project(found.S.data, face.S.indptr))
+    fitted = face.with_weights(S)
+    states = {name: fitted.settle(found.poses[name], found.x[name]) or face.rest for name in data}
+    return _finish(fitted, data, problem.regulariser, states, found.iterations), notices

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -120,17 +120,17 @@ class StopOptions:
     gained: float = 0.0  # by the step that was taken
 
 
+# a better point with its f, None if there is none; and the end, None if the fit goes on from here
+Trial: TypeAlias = tuple[Point | None, float, Ending | None]
+
+
 class StepSearch(Protocol):
     """Finds a step that lowers f; it may keep what it learns for the next one."""
 
     def descend(
         self, problem: LeastSquaresProblem[Point], point: Point, value: float, stop: StopOptions
-    ) -> tuple[Point | None, float, Ending | None]:
-        """Take the model's steps at a point where f is ``value``.
-
-        Returns a better point with its f, None if there is none; and the end, None if the fit goes
-        on from here.
-        """
+    ) -> Trial[Point]:
+        """Take the model's steps at a point where f is ``value``."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,8 @@ def minimise(
     """Lower f step by step from ``start``."""
     point, value = start, problem.value(start)
     for number in range(stop.iterations):
-        better, reached, ending = search.descend(problem, point, value, stop)
+        found = search.descend(problem, point, value, stop)
+        better, reached, ending = found
         if better is None:
             return LeastSquaresSolution(point, value, number, ending or Ending.STUCK, idle=True)
         point, value = better, reached
@@ -183,7 +184,7 @@ class TrustRegion:
 
     def descend(
         self, problem: LeastSquaresProblem[Point], point: Point, value: float, stop: StopOptions
-    ) -> tuple[Point | None, float, Ending | None]:
+    ) -> Trial[Point]:
         """See :class:`StepSearch`."""
         model = problem.linearise(point)
         for trial in range(self.tries):
@@ -230,7 +231,7 @@ class Halving:
 
     def descend(
         self, problem: LeastSquaresProblem[Point], point: Point, value: float, stop: StopOptions
-    ) -> tuple[Point | None, float, Ending | None]:
+    ) -> Trial[Point]:
         """See :class:`StepSearch`."""
         step = problem.linearise(point).step(self.damping, 1.0)
         if step.gain <= stop.promised * value:

@@ -83,14 +83,9 @@ class PoseRates:
         direct = face.mandible_jacobian(pose.b)
         # the free gradient's derivative by b (size, 5)
         self.by_jaw = face.flesh.coupling(forces.x, forces.tet_a, direct)
-        moving = coordinates(face.model.mandible)
-        values = direct.reshape(-1, direct.shape[2])[moving]
-        columns = np.broadcast_to(np.arange(self._layout.size)[self._layout["jaw"]], values.shape)
-        rows = np.broadcast_to(moving[:, None], values.shape)
-        self.held = sp.csr_array(
-            (values.ravel(), (rows.ravel(), columns.ravel())),
-            shape=(direct.shape[0] * 3, self._layout.size),
-        )
+        by_jaw = sp.csr_array(direct.reshape(face.model.rest.size, -1))
+        ahead = sp.csr_array((len(direct) * 3, self._layout["jaw"].start))
+        self.held = sp.hstack([ahead, by_jaw], format="csr")
 
     def columns(self) -> Floats:
         """Return d(grad_x E)/d(a, b), (size, 6 m + 5)."""
@@ -103,8 +98,8 @@ class PoseRates:
         """Return the free gradient's change (size,) for one of (a, b)."""
         by_a, by_b = self._layout.split(change)
         pull = self.by_jaw @ by_b
-        columns = np.vstack([np.zeros_like(IDENTITY), by_a])
-        _forces_by_weights(*self._forces.pattern, columns, self._S.data, pull)
+        by_tet_a = self._S @ np.vstack([np.zeros_like(IDENTITY), by_a])
+        _forces_by_activations(self._forces.by_tet, self._forces.numbers, by_tet_a, pull)
         return np.asarray(pull)
 
     def adjoint(self, motion: Floats) -> Floats:
@@ -139,8 +134,9 @@ class WeightRates:
 
     def product(self, change: Floats) -> Floats:
         """Return the free gradient's change (size,) for one of S's values (nnz,)."""
-        out = np.zeros(self._size)
-        _forces_by_weights(*self._forces.pattern, self._forces.columns, change, out)
+        out, S = np.zeros(self._size), self._forces.face.S
+        by_tet_a = sp.csr_array((change, S.indices, S.indptr), shape=S.shape) @ self._forces.columns
+        _forces_by_activations(self._forces.by_tet, self._forces.numbers, by_tet_a, out)
         return out
 
     def adjoint(self, motion: Floats) -> Floats:
@@ -202,27 +198,10 @@ def _activations_by_forces(by_tet: Floats, number: Ints, forces: Floats, out: Fl
 
 
 @nb.njit(cache=True, nogil=True)
-def _forces_by_weights(
-    by_tet: Floats,
-    number: Ints,
-    indptr: Ints,
-    indices: Ints,
-    columns: Floats,
-    change: Floats,
-    out: Floats,
-) -> None:
-    """Add the forces (size,) of a change of A_i = sum_j s_ij a_j, tet by tet.
-
-    ``change`` (nnz,) is that of S's values and ``columns`` (m + 1, 6) are the a_j, or the other way
-    round.
-    """
-    by_a = np.empty(6)
+def _forces_by_activations(by_tet: Floats, number: Ints, by_a: Floats, out: Floats) -> None:
+    """Add the forces (size,) of a change (n, 6) of the tets' activations."""
     for tet in range(len(by_tet)):
-        by_a[:] = 0.0
-        for entry in range(indptr[tet], indptr[tet + 1]):
-            for q in range(6):
-                by_a[q] += change[entry] * columns[indices[entry], q]
-        if not by_a.any():
+        if not by_a[tet].any():
             continue
         for v in range(4):
             row = 3 * number[tet, v]
@@ -230,7 +209,7 @@ def _forces_by_weights(
                 continue
             for i in range(3):
                 for q in range(6):
-                    out[row + i] += by_tet[tet, v, i, q] * by_a[q]
+                    out[row + i] += by_tet[tet, v, i, q] * by_a[tet, q]
 
 
 @nb.njit(cache=True, nogil=True)
@@ -243,7 +222,7 @@ def _weights_by_forces(
     forces: Floats,
     out: Floats,
 ) -> None:
-    """Fill ``out`` (nnz,) with the transpose of :func:`_forces_by_weights` applied to forces."""
+    """Fill ``out`` (nnz,): the forces (size,) times their derivatives by S's values."""
     by_tet_a = np.empty((len(by_tet), columns.shape[1]))
     _activations_by_forces(by_tet, number, forces, by_tet_a)
     for tet in range(len(by_tet)):

@@ -184,9 +184,6 @@ class _FrameProblem:
         return None if found is None else State(pose, found)
 
 
-# How still each point of the face lies on the skull, by the model's own mechanics.
-
-
 @dataclass(frozen=True)
 class UsualMotion:
     """Changes of the pose that count as usual, and a motion that makes a point mobile."""

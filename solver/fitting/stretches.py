@@ -9,6 +9,8 @@ A + dA, but it never leaves the positive definite matrices.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy.sparse as sp
 
@@ -44,7 +46,8 @@ def determinant_gradients(a: Floats) -> Floats:
 
 
 def _cofactors(a: Floats) -> Floats:
-    return np.stack(symmetric_cofactor.py_func(a.T), axis=1)
+    of_columns: Any = symmetric_cofactor.py_func
+    return np.stack(of_columns(a.T), axis=1)
 
 
 def metric(a: Floats) -> Floats:
@@ -61,9 +64,6 @@ def move(a: Floats, step: Floats) -> Floats:
     rate, axes = np.linalg.eigh(inverse @ matrices(step) @ inverse)
     half = root @ axes * np.exp(0.5 * rate)[:, None]
     return np.asarray((half @ half.transpose(0, 2, 1))[:, ROW, COLUMN])
-
-
-# Volume-preserving activation for a given fibre stretch.
 
 
 def fibre_tensors(model: SubjectModel, volumes: Floats, S: sp.csr_array) -> Floats:

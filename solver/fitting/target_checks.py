@@ -63,17 +63,14 @@ def check_replaced(
     limits: TargetLimits = TargetLimits(),
 ) -> list[Notice]:
     """Return whether ``scan`` is another one than ``before`` (V, 3), whose name it takes."""
-    face = _seen(model, scan)
-    away = np.linalg.norm(scan.vertices[face] - before[face], axis=1)
-    if away.max(initial=0.0) <= limits.residual_mm:
+    vertex, away = _farthest(scan.vertices, before, _seen(model, scan))
+    if away <= limits.residual_mm:
         return []
-    vertex = int(face[away.argmax()])
-    where = _where(model, vertex)
     message = (
         f"{name} takes the place of the rig's expression of that name, whose scan lies "
-        f"{away.max():.1f} mm away at vertex {vertex} ({where})"
+        f"{away:.1f} mm away at vertex {vertex} ({_where(model, vertex)})"
     )
-    return [_notice("target.replaced", message, name, model, vertex, away.max())]
+    return [_notice("target.replaced", message, name, model, vertex, away)]
 
 
 def after_fit(
@@ -139,15 +136,14 @@ def _find_same_name(
         if other == name:
             continue
         both = np.intersect1d(_seen(model, scan), _seen(model, scans[other]))
-        away = np.linalg.norm(scan.vertices[both] - scans[other].vertices[both], axis=1)
-        if away.max(initial=0.0) > limits.residual_mm:
-            vertex = int(both[away.argmax()])
+        vertex, away = _farthest(scan.vertices, scans[other].vertices, both)
+        if away > limits.residual_mm:
             message = (
-                f"{name} and {other} have one name but lie {away.max():.1f} mm apart at vertex "
+                f"{name} and {other} have one name but lie {away:.1f} mm apart at vertex "
                 f"{vertex} ({_where(model, vertex)}): the fit will find each its own activations"
             )
             found.append(
-                _notice("target.conflict", message, name, model, vertex, away.max(), other=other)
+                _notice("target.conflict", message, name, model, vertex, away, other=other)
             )
     return found
 
@@ -228,6 +224,12 @@ def _seen(model: SubjectModel, scan: RegisteredScan) -> Ints:
     return model.face[scan.confidence[model.face] > 0.0]
 
 
+def _farthest(first: Floats, second: Floats, ids: Ints) -> tuple[int, float]:
+    """Return where two skins (V, 3) are farthest apart among ``ids``, and how far, else 0."""
+    away = np.linalg.norm(first[ids] - second[ids], axis=1)
+    return (int(ids[away.argmax()]), float(away.max())) if len(ids) else (-1, 0.0)
+
+
 def _edges(model: SubjectModel) -> Ints:
     return np.unique(np.sort(directed_edges(model.skin.faces), axis=1), axis=0)
 
@@ -255,9 +257,6 @@ def _notice(
 ) -> Notice:
     figures = {"vertex": vertex, "mm": round(float(distance), 2), **more}
     return Notice(code, message, {"expression": name, "region": _where(model, vertex), **figures})
-
-
-# Models that a fit cannot use, or not wholly: flesh that is held by nothing, idle muscles.
 
 
 def check_held(face: Face) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +60,6 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     seconds = time.perf_counter() - begin
     expressions = []
     for name, ending in fitted.endings.items():
-        ending = replace(ending, iterations=fitted.iterations[name])
         expression = describe_fit(
             face, name, "train", scans[name], targets[name], ending, seconds / len(targets)
         )

@@ -10,7 +10,7 @@ where f may at first be higher. The best state of all is kept.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
@@ -20,7 +20,7 @@ from solver.errors import InputError, SolveError
 from solver.fitting import stretches
 from solver.fitting.controls import JAW_UNITS
 from solver.fitting.face import Face, Pose, State
-from solver.fitting.least_squares import DampingOptions
+from solver.fitting.least_squares import DampingOptions, Listener
 from solver.fitting.objective import Term
 from solver.fitting.per_tet import tissue as tissues
 from solver.fitting.per_tet.objective import Objective, PerTetOptions
@@ -133,10 +133,7 @@ class TetStep:
         return Pose(stretches.move(before.a, fraction * self.a), before.b + fraction * self.b)
 
     def descend(self, objective: Objective, tries: int) -> tuple[State, Damping] | None:
-        """Return the first state along the step, halved and halved, with a lower f, and a damping.
-
-        None if there is none in so many ``tries``.
-        """
+        """Return the first state along the step and its halves with a lower f, and a damping."""
         for halving in range(tries):
             try:
                 trial = self._reach(objective.tissue.face, self.pose(0.5**halving))
@@ -147,20 +144,13 @@ class TetStep:
         return None
 
     def _reach(self, face: Face, pose: Pose) -> State:
-        """Go to the equilibrium of a pose nearby; raises :class:`SolveError`.
-
-        Approaching is not enough here: single tets are so soft that the flesh may buckle on the
-        rest of the way, and the derivatives would be those of another equilibrium.
-        """
+        # approaching is not enough: single tets are so soft that the flesh may buckle on the rest
+        # of the way, and the derivatives would be those of another equilibrium
         change, sensitivity = pose.vector() - self.state.pose.vector(), self.model.sensitivity
         motion = sensitivity.response.free_motion(sensitivity.pose, change)
         near = face.newton_predict(self.state, motion, pose)
         corrections = self.lowered.options.corrections
         return face.solve_equilibrium(pose, near.x, max_iterations=corrections)
-
-
-# called after each accepted step with the iteration and the least objective so far
-Listener = Callable[[int, float], None]
 
 
 class Status(StrEnum):
@@ -174,7 +164,7 @@ class Status(StrEnum):
 class Descent:
     """Minimises f from ``state``, iterations being counted from ``taken``.
 
-    ``best`` is the state of the least f, and that.
+    ``best`` is the state of the least f, and that; ``listen`` hears of the least f so far.
     """
 
     def __init__(
@@ -232,10 +222,7 @@ class Descent:
         return True
 
     def _snap(self, step: TetStep) -> tuple[State, Damping] | None:
-        """Return the equilibrium at the end of a step, however far that is, if f is not too high.
-
-        Half the step is tried where the whole one leads nowhere.
-        """
+        """Return the equilibrium at the end of a step, or of its half, where f is not too high."""
         face, most = self._objective.tissue.face, self._options.snap_iterations
         for fraction in (1.0, 0.5):
             try:
@@ -271,9 +258,9 @@ def creep(
     steps: int,
     options: TetDescentOptions,
 ) -> tuple[State, int]:
-    """Go through viscous flesh: an equilibrium near the target, and the steps to it.
+    """Return an equilibrium near the target, ``start`` at worst, and the steps to it.
 
-    There are ``steps`` with each viscosity. It is ``start`` where nothing better is found.
+    They lead through viscous flesh, ``steps`` with each viscosity.
     """
     flesh = tissue.face.flesh
     drags = flesh.drags()

@@ -26,23 +26,16 @@ LEAST_FRACTION = 0.05  # of a tet: with less muscle it is passive
 class Tissue:
     """A face whose active tets have activations of their own.
 
-    face
-        The face with a flesh of elements: first all tets, those with muscle standing for their
-        fraction of it, then the passive rest of these. Its S (elements, n_active + 1) has one 1 a
-        row: every active tet is a muscle by itself.
-    active
-        (n_active,) the tets with muscle.
-    fractions
-        (n_active, m) CSR: v_im, the part of all muscle volume that is muscle m in active tet i; the
-        sum is one.
-    fibres
-        (nnz, 3) unit fibre directions, one for each stored entry of ``fractions``.
+    ``face`` has a flesh of elements: first all tets, those with muscle standing for their fraction
+    of it, then the passive rest of these. Its S (elements, n_active + 1) has one 1 a row: every
+    active tet is a muscle by itself.
     """
 
     face: Face
-    active: Ints
+    active: Ints  # (n_active,) the tets with muscle
+    # (n_active, m): v_im, the part of all muscle volume that is muscle m in tet i; the sum is one
     fractions: sp.csr_array
-    fibres: Floats
+    fibres: Floats  # (nnz, 3) unit directions, one for each stored entry of ``fractions``
 
     @property
     def volumes(self) -> Floats:

@@ -1,8 +1,7 @@
-"""Common to IPOPT's problems: the call of IPOPT, and a target's part of the objective."""
+"""Common to IPOPT's problems: the call of IPOPT, and its answers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -10,16 +9,12 @@ import cyipopt
 import numpy as np
 
 from solver.errors import Notice, SolveError
-from solver.fitting.face import Face, Pose
-from solver.fitting.objective import Term
-from solver.fitting.sensitivity import coordinates
-from solver.surface import Floats, Ints
+from solver.fitting.face import Pose
+from solver.fitting.least_squares import Listener
+from solver.surface import Floats
 
 SUCCESS = (0, 1)  # IPOPT's Solve_Succeeded and Solved_To_Acceptable_Level
 UNBOUNDED = 2e19  # IPOPT's infinity
-
-# called at each of IPOPT's iterations with its number and the objective
-Listener = Callable[[int, float], None]
 
 
 @dataclass(frozen=True)
@@ -117,47 +112,3 @@ def finite(value: float) -> float:
     if not np.isfinite(value):
         raise cyipopt.CyIpoptEvaluationError
     return value
-
-
-class Data:
-    """A term's derivatives by (x of the free vertices, b), b being the variables ``jaw``.
-
-    The pattern of the term's curvature is that at rest: what is curved elsewhere only, as contact
-    is, has its gradient alone, which slows IPOPT but moves no minimum.
-    """
-
-    def __init__(self, face: Face, term: Term, jaw: Ints) -> None:
-        self._face, self._term = face, term
-        self._free = face.flesh.free_coordinates
-        self._riding = coordinates(face.model.mandible)
-        curvature = term.curvature(face.model.rest)
-        by_free = curvature[self._free][:, self._free].tocoo()
-        lower = by_free.col <= by_free.row
-        self._rows, self._columns = by_free.row[lower], by_free.col[lower]
-        self._crossed = np.unique(curvature[self._riding][:, self._free].tocoo().col)
-        self._square = np.tril_indices(len(jaw))
-        self.structure = (
-            np.concatenate([self._rows, np.repeat(jaw, len(self._crossed)), jaw[self._square[0]]]),
-            np.concatenate([self._columns, np.tile(self._crossed, len(jaw)), jaw[self._square[1]]]),
-        )
-
-    def gradient(self, x: Floats, b: Floats) -> tuple[Floats, Floats]:
-        """Return the derivatives by the free coordinates (size,) and by b (5,)."""
-        flat = self._term.gradient(x).ravel()
-        return flat[self._free], self._jaw_motion(b).T @ flat[self._riding]
-
-    def hessian(self, x: Floats, b: Floats) -> Floats:
-        """Return the Gauss-Newton Hessian's entries, in the order of ``structure``."""
-        curvature = self._term.curvature(x)
-        moving = self._jaw_motion(b)
-        by_free = curvature[self._free][:, self._free]
-        riding = curvature[self._riding]
-        cross = moving.T @ riding[:, self._free][:, self._crossed]
-        square = moving.T @ (riding[:, self._riding] @ moving)
-        lower = np.asarray(by_free[self._rows, self._columns])
-        return np.concatenate([lower.ravel(), np.asarray(cross).ravel(), square[self._square]])
-
-    def _jaw_motion(self, b: Floats) -> Floats:
-        """Return the mandible's coordinates by b, (k, 5)."""
-        direct = self._face.mandible_jacobian(b)[self._face.model.mandible]
-        return direct.reshape(-1, direct.shape[2])

@@ -13,11 +13,12 @@ import scipy.sparse as sp
 
 from solver.fitting.controls import Block, Layout
 from solver.fitting.face import Face, Pose
+from solver.fitting.least_squares import Listener
 from solver.fitting.objective import Regulariser, Term
 from solver.fitting.per_tet import PerTetOptions, PerTetPriors
 from solver.fitting.per_tet import tissue as tissues
-from solver.fitting.reference.common import Data, IpoptProblem, Listener, Reference, finite, solve
-from solver.fitting.sensitivity import PoseRates, TetForces
+from solver.fitting.reference.common import IpoptProblem, Reference, finite, solve
+from solver.fitting.sensitivity import PoseRates, TetForces, coordinates
 from solver.surface import Floats, Ints
 
 
@@ -54,7 +55,6 @@ class Expression(IpoptProblem):
         self.layout = Layout((Block("x", flesh.rest[flesh.free]), *face.layout.blocks))
         muscles, jaw = self.layout.places("activations"), self.layout.places("jaw")
         self._data = data
-        self._by_data = Data(face, data, jaw)
         self._priors = priors
         self._pose_entries = self._find_touched(face.S if candidates is None else candidates)
         pattern = flesh.hessian(flesh.rest, flesh.passive())
@@ -64,7 +64,12 @@ class Expression(IpoptProblem):
             np.concatenate([pattern.indices, flesh.size + self._pose_entries[1]]),
         )
         self._block = np.tril_indices(muscles.shape[1])
-        rows, columns = self._by_data.structure
+        # the pattern at rest: what is curved elsewhere only, as contact is, has its gradient alone,
+        # which slows IPOPT but moves no minimum
+        touched = data.curvature(flesh.rest).copy()
+        touched.data[:] = 1.0
+        ones = self._motion(np.ones((3 * len(face.model.mandible), len(jaw))))
+        self._curved = rows, columns = sp.tril(ones.T @ touched @ ones).coords
         self._hessian_structure: tuple[Ints, Ints] = (
             np.concatenate([rows, muscles[:, self._block[0]].ravel(), jaw]),
             np.concatenate([columns, muscles[:, self._block[1]].ravel(), jaw]),
@@ -98,10 +103,9 @@ class Expression(IpoptProblem):
     def gradient(self, z: Floats) -> Floats:
         """Return f's derivative (n,)."""
         pose = self.pose(z)
-        by_free, by_jaw = self._by_data.gradient(self.place(z), pose.b)
-        out = np.concatenate([by_free, self._priors.gradient(pose)])
-        out[self.layout["jaw"]] += by_jaw
-        return out
+        out = self._motion_at(pose).T @ self._data.gradient(self.place(z)).ravel()
+        out[self.flesh.size :] += self._priors.gradient(pose)
+        return np.asarray(out)
 
     def hessianstructure(self) -> tuple[Ints, Ints]:
         """See :class:`IpoptProblem`."""
@@ -111,7 +115,9 @@ class Expression(IpoptProblem):
         """See :class:`IpoptProblem`."""
         pose = self.pose(z)
         blocks, jaw = self._priors.curvature(pose)
-        by_data = self._by_data.hessian(self.place(z), pose.b)
+        motion = self._motion_at(pose)
+        whole = motion.T @ self._data.curvature(self.place(z)) @ motion
+        by_data = np.asarray(sp.csr_array(whole)[self._curved]).ravel()
         lower = blocks[:, self._block[0], self._block[1]]
         return factor * np.concatenate([by_data, lower.ravel(), jaw])
 
@@ -133,6 +139,20 @@ class Expression(IpoptProblem):
         by_x = self.flesh.hessian(x, face.tet_activations(pose.a)).data
         by_pose = PoseRates(TetForces(face, pose, x)).columns()
         return np.concatenate([by_x, by_pose[self._pose_entries]])
+
+    def _motion_at(self, pose: Pose) -> sp.csr_array:
+        mandible = self.face.model.mandible
+        rates = self.face.mandible_jacobian(pose.b)[mandible]
+        return self._motion(rates.reshape(3 * len(mandible), -1))
+
+    def _motion(self, by_jaw: Floats) -> sp.csr_array:
+        """Return dx/dz (3 p, n) with ``by_jaw`` (k, 5) the mandible's coordinates by b."""
+        free, riding = self.flesh.free_coordinates, coordinates(self.face.model.mandible)
+        rows = np.concatenate([free, np.repeat(riding, by_jaw.shape[1])])
+        columns = [np.arange(len(free)), np.tile(self.layout.places("jaw"), len(riding))]
+        values = np.concatenate([np.ones(len(free)), by_jaw.ravel()])
+        shape = self.flesh.rest.size, self.layout.size
+        return sp.csr_array((values, (rows, np.concatenate(columns))), shape=shape)
 
     def _find_touched(self, candidates: sp.csr_array) -> tuple[Ints, Ints]:
         """Return the pairs of a force (size,) and an entry of (a, b) that can change it."""

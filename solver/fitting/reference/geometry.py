@@ -17,7 +17,8 @@ import scipy.sparse as sp
 from solver.fitting.controls import Block, Layout
 from solver.fitting.face import Pose, State
 from solver.fitting.joint import GeometryProblem
-from solver.fitting.reference.common import IpoptProblem, Listener, Solution, solve
+from solver.fitting.least_squares import Listener
+from solver.fitting.reference.common import IpoptProblem, Solution, solve
 from solver.fitting.reference.expression import Expression
 from solver.fitting.sensitivity import TetForces, WeightRates
 from solver.fitting.simplex import replace_values
@@ -35,18 +36,17 @@ class GeometryReference(Solution):
 
 def geometry(
     problem: GeometryProblem,
-    S: sp.csr_array,
     start: Mapping[str, State],
     *,
     tolerance: float = 1e-7,
     max_iterations: int = 1000,
     listen: Listener | None = None,
 ) -> GeometryReference:
-    """Minimise over S and all expressions, from ``S`` and the ``start`` states.
+    """Minimise over S and all expressions, from the face's S and the ``start`` states.
 
     Raises :class:`NotConvergedError` (``ipopt.failed``) with IPOPT's message.
     """
-    full = FullGeometry(problem, S, listen)
+    full, S = FullGeometry(problem, listen), problem.face.S
     begin = [part.start(start[name].pose, start[name].x) for name, part in full.parts.items()]
     constants = [np.zeros(len(full.parts) * problem.face.flesh.size), np.ones(S.shape[0])]
     z, found = solve(
@@ -66,11 +66,10 @@ def geometry(
 class FullGeometry(IpoptProblem):
     """Variables (z_1, ..., z_K, values of S); every expression's forces, then the rows' sums."""
 
-    def __init__(
-        self, problem: GeometryProblem, S: sp.csr_array, listen: Listener | None = None
-    ) -> None:
+    def __init__(self, problem: GeometryProblem, listen: Listener | None = None) -> None:
         super().__init__(listen)
-        self._problem, self._S, self._face = problem, S, problem.face
+        self._problem, self._face = problem, problem.face
+        self._S = S = problem.face.S
         candidates = replace_values(S, np.ones(S.nnz))
         self.parts = {
             name: Expression(problem.face, term, problem.regulariser, candidates)

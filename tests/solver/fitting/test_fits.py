@@ -108,6 +108,14 @@ def test_regulariser_derivatives_match_finite_differences(face):
     np.testing.assert_allclose(exact, numeric, atol=1e-7 * np.abs(numeric).max())
 
 
+def test_a_face_keeps_its_rest_for_its_own_weights(face):
+    other = face.with_weights(face.S)
+    assert face.rest is face.rest
+    assert other.rest is not face.rest
+    np.testing.assert_allclose(other.rest.x, face.model.rest, atol=1e-6)
+    assert activation.rest_curvature(face) is activation.rest_curvature(face)
+
+
 def test_points_that_are_missing_have_no_weight():
     points = np.ones((4, 3))
     points[2] = np.nan
