@@ -141,12 +141,9 @@ def eyeballs(
     return kept
 
 
-# How deep a face in motion lies in what it touches: the figure that contact is judged by.
-
-
 @dataclass(frozen=True)
 class Penetration:
-    """Depths in mm, and how many of the lips' vertices are behind teeth.
+    """Depths in mm that contact is judged by, and how many of the lips' vertices are behind teeth.
 
     ``lips`` is a lip's depth in the other lip, ``teeth`` a lip's in teeth, ``objects`` that of skin
     in objects or of objects in the flesh; zero where nothing crosses, or there is nothing to cross.

@@ -126,8 +126,9 @@ class Factorization:
             matrix = flesh.hessian(self.x, self._a, project=projections[number])
             if number:
                 # a projected element may be semi-definite: a trace of it all keeps the sum definite
-                mean = matrix.data[flesh.diagonal].mean()
-                matrix.data[flesh.diagonal] += 1e-6 * projections[number] * mean
+                diagonal = flesh.block_sum.diagonal
+                mean = matrix.data[diagonal].mean()
+                matrix.data[diagonal] += 1e-6 * projections[number] * mean
             try:
                 return self._linear.factor(matrix.data), number
             except NotPositiveDefiniteError:

@@ -7,6 +7,7 @@ import pytest
 
 from solver.contact.crossing import crossing
 from solver.contact.mouth import Mouth
+from solver.contact.one_sided import Arch
 from solver.contact.potentials import Gauge, arches, contact_potentials, eyeballs
 from solver.edits.changes import Bone
 from solver.edits.edit import apply
@@ -51,6 +52,16 @@ def test_lips_are_led_out_in_front_of_teeth_wherever_the_jaw_is(head, number):
     teeth.place(at(OPEN))
     beside = back if number == 0 else jaw.move(head.jaw, back, OPEN)
     assert teeth.value(beside) == pytest.approx(pushed)
+
+
+def test_unedited_teeth_are_tabulated_once(head, monkeypatch):
+    tabulated, of = [], Arch.of
+    monkeypatch.setattr(Arch, "of", lambda *given: tabulated.append(given) or of(*given))
+    potentials = contact_potentials(head, 3000.0, lips=False)
+    assert len(tabulated) == 2
+    again, closed = Gauge(head, None, potentials), np.zeros(5)
+    assert len(tabulated) == 2
+    assert again.at(head.rest, closed) == Gauge(head).at(head.rest, closed)
 
 
 @pytest.mark.parametrize("number", [0, 1])
