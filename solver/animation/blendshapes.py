@@ -226,14 +226,10 @@ def solve_blendshapes(
             except (SolveError, np.linalg.LinAlgError):
                 state, settled = face.rest, False
             off = target.distances(face.face_points(state.x))
-            pose = _beyond(state.pose, found.get(CORRECTED.get(name, "")))
+            pose, corrected = state.pose, found.get(CORRECTED.get(name, ""))
+            if corrected is not None:
+                a, b = corrected.pose.a, corrected.pose.b
+                pose = Pose(IDENTITY + pose.a - a, pose.b - b)
             found[name] = Solved(pose, float(off.mean()), settled)
             listen(name, found[name])
     return Blendshapes(face.model.muscle_names, {name: found[name] for name in targets})
-
-
-def _beyond(pose: Pose, corrected: Solved | None) -> Pose:
-    """Return what a pose has beyond that of the shape it corrects, added to rest."""
-    if corrected is None:
-        return pose
-    return Pose(IDENTITY + pose.a - corrected.pose.a, pose.b - corrected.pose.b)

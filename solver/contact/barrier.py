@@ -15,11 +15,10 @@ import ipctk
 import numba as nb
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from solver.contact.surface import ContactSurface, collision_mesh
 from solver.mechanics.potential import Boundary, BoundaryRates
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Floats, Surface
 
 
 @dataclass(frozen=True)
@@ -218,16 +217,11 @@ def _join(
         np.vstack([part.vertices for part in parts]),
         np.vstack([part.faces + start for part, start in zip(parts, starts, strict=True)]),
     )
+    # vertices of one patch do not meet
+    patches = np.arange(1, sizes.sum() + 1) if itself else np.repeat(np.arange(len(sizes)), sizes)
+    if itself:
+        patches[: len(surface.skin)][surface.crossed] = 0
     # filters of the library's: one in Python would wait for ever on its threads
-    patches = ipctk.make_vertex_patches_filter(_patches(surface, sizes, itself=itself))
-    mesh.can_collide = ipctk.make_static_obstacle_filter(len(surface.skin)) & patches
+    apart = ipctk.make_vertex_patches_filter(patches.astype(np.int32))
+    mesh.can_collide = ipctk.make_static_obstacle_filter(len(surface.skin)) & apart
     return mesh
-
-
-def _patches(surface: ContactSurface, sizes: Ints, *, itself: bool) -> NDArray[np.int32]:
-    """Return numbers of the vertices: those with the same one do not meet."""
-    if not itself:
-        return np.repeat(np.arange(len(sizes)), sizes).astype(np.int32)
-    patches = np.arange(1, sizes.sum() + 1, dtype=np.int32)
-    patches[: len(surface.skin)][surface.crossed] = 0
-    return patches

@@ -114,7 +114,8 @@ def check_objects(model: SubjectModel, objects: Mapping[str, Surface]) -> None:
         :meth:`ContactSurface.of`.
     """
     for name, each in objects.items():
-        if not _is_closed(each):
+        # closed: every edge has two triangles, one to either side, that look outward
+        if not trimesh.Trimesh(each.vertices, each.faces, process=False).is_volume:
             raise InputError(
                 "scene.object_open",
                 f"{name} is not a closed surface whose triangles look outward",
@@ -143,8 +144,3 @@ def check_objects(model: SubjectModel, objects: Mapping[str, Surface]) -> None:
                 object=name,
                 depth_mm=round(depth, 2),
             )
-
-
-def _is_closed(surface: Surface) -> bool:
-    """Tell whether every edge has two triangles, one to either side, that look outward."""
-    return bool(trimesh.Trimesh(surface.vertices, surface.faces, process=False).is_volume)
