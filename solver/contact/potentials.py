@@ -10,7 +10,8 @@ import numpy as np
 from solver.contact.barrier import Barrier
 from solver.contact.crossing import crossing_at, depth_inside
 from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
-from solver.contact.one_sided import Arch, Eyeball, OneSided, OneSidedOptions, free_depths
+from solver.contact.obstacles import Arch, Eyeball
+from solver.contact.one_sided import OneSided, OneSidedOptions, free_depths
 from solver.contact.surface import ContactSurface
 from solver.mechanics import jaw
 from solver.mechanics.potential import Potential

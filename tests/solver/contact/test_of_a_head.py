@@ -7,7 +7,7 @@ import pytest
 
 from solver.contact.crossing import crossing
 from solver.contact.mouth import Mouth
-from solver.contact.one_sided import Arch
+from solver.contact.obstacles import Arch
 from solver.contact.potentials import Gauge, arches, contact_potentials, eyeballs
 from solver.edits.changes import Bone
 from solver.edits.edit import apply

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from solver.contact.one_sided import Arch, Eyeball, OneSided, OneSidedOptions, free_depths
+from solver.contact.obstacles import Arch, Eyeball
+from solver.contact.one_sided import OneSided, OneSidedOptions, free_depths
 from solver.mechanics import jaw
 from solver.mechanics.potential import Boundary, BoundaryRates
 from solver.model import JawFrame

@@ -5,7 +5,8 @@ import pytest
 import scipy.sparse as sp
 
 from solver.contact.barrier import Barrier
-from solver.contact.one_sided import Eyeball, OneSided
+from solver.contact.obstacles import Eyeball
+from solver.contact.one_sided import OneSided
 from solver.contact.surface import ContactSurface
 from solver.errors import InputError
 from solver.fitting.face import Face
