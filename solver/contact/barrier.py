@@ -17,7 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.contact.surface import ContactSurface, collision_mesh
-from solver.mechanics.potential import Boundary, BoundaryRates
+from solver.mechanics.boundary import Boundary, BoundaryRates
 from solver.surface import Floats, Surface
 
 
@@ -57,7 +57,7 @@ class _Friction:
 
 
 class Barrier:
-    """A :class:`solver.mechanics.potential.Potential` of the skin and of objects.
+    """A :class:`solver.mechanics.boundary.Potential` of the skin and of objects.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ class Barrier:
         self._mesh = _join(surface, objects, itself=itself)
 
     def begin(self, x: Floats, now: Boundary, seconds: float) -> None:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         self.place(now)
         if not self._friction:
             return
@@ -106,12 +106,12 @@ class Barrier:
         self._lagged = _Friction(here.points, lagged, seconds)
 
     def place(self, boundary: Boundary) -> None:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         self._objects = list(boundary.objects)
         self._last = None
 
     def value(self, x: Floats) -> float:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         now, lagged = self._touching(x), self._lagged
         value = float(self._barrier(now.collisions, self._mesh, now.points))
         if lagged is not None:
@@ -120,7 +120,7 @@ class Barrier:
         return value
 
     def gradient(self, x: Floats) -> Floats:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         now, lagged = self._touching(x), self._lagged
         force = self._barrier.gradient(now.collisions, self._mesh, now.points)
         if lagged is not None:
@@ -129,15 +129,15 @@ class Barrier:
         return self._on_flesh(force)
 
     def hessian(self, x: Floats) -> sp.csr_array:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         return self._by_flesh(self._second(x, ipctk.PSDProjectionMethod.CLAMP))
 
     def curvature(self, x: Floats) -> sp.csr_array:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         return self._by_flesh(self._second(x, ipctk.PSDProjectionMethod.NONE))
 
     def by_boundary(self, x: Floats, rates: BoundaryRates) -> Floats:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         out = np.zeros((*x.shape, rates.count))
         if rates.objects:
             own = self._skin_size
@@ -147,7 +147,7 @@ class Barrier:
         return out
 
     def pull(self, x: Floats, goal: Boundary) -> Floats:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         if not self._objects:
             return np.zeros_like(x)
         motion = np.vstack(goal.objects) - np.vstack(self._objects)
@@ -156,7 +156,7 @@ class Barrier:
         return self._on_flesh(matrix[:own, own:] @ motion.ravel())
 
     def longest(self, x: Floats, y: Floats, goal: Boundary) -> float:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         start = self._points(x, self._objects)
         motion = self._points(y, goal.objects) - start
         far = float(np.linalg.norm(motion, axis=1).max(initial=0.0))

@@ -14,8 +14,14 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.contact.obstacles import DepthField
-from solver.mechanics import jaw
-from solver.mechanics.potential import Boundary, BoundaryRates
+from solver.mechanics.boundary import (
+    JAW_FREEDOM,
+    Boundary,
+    BoundaryRates,
+    jaw_jacobian,
+    jaw_rotation,
+    move_jaw_back,
+)
 from solver.model import JawFrame
 from solver.surface import Floats, Ints
 
@@ -70,7 +76,7 @@ class Excess:
 
 
 class OneSided:
-    """A :class:`solver.mechanics.potential.Potential` of skin vertices and one obstacle.
+    """A :class:`solver.mechanics.boundary.Potential` of skin vertices and one obstacle.
 
     Parameters
     ----------
@@ -101,37 +107,37 @@ class OneSided:
         self._offset = offset
         self._stiffness = stiffness
         self._carried = carried
-        self._jaw = np.zeros(jaw.DEGREES_OF_FREEDOM)
+        self._jaw = np.zeros(JAW_FREEDOM)
         self._last: tuple[Floats, tuple[Floats, Floats]] | None = None
 
     def begin(self, x: Floats, now: Boundary, seconds: float) -> None:  # noqa: ARG002 - nothing lags
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         self.place(now)
 
     def place(self, boundary: Boundary) -> None:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         self._jaw = boundary.jaw
         self._last = None
 
     def value(self, x: Floats) -> float:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         h, _ = self._depths(x)
         return 0.5 * float(self._stiffness @ h**2)
 
     def gradient(self, x: Floats) -> Floats:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         h, slope = self._depths(x)
         return np.asarray(self._rows.T @ ((self._stiffness * h)[:, None] * slope))
 
     def hessian(self, x: Floats) -> sp.csr_array:
-        """See :class:`solver.mechanics.potential.Potential`: by Gauss and Newton."""
+        """See :class:`solver.mechanics.boundary.Potential`: by Gauss and Newton."""
         h, slope = self._depths(x)
         deep = np.flatnonzero(h)
         by_x = along(sp.csr_array(self._rows[deep]), slope[deep])
         return sp.csr_array(by_x.T @ (sp.diags_array(self._stiffness[deep]) @ by_x))
 
     def curvature(self, x: Floats) -> sp.csr_array:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         deep, blocks = self._second(x)
         if not len(deep):
             return sp.csr_array((x.size, x.size))
@@ -140,7 +146,7 @@ class OneSided:
         return sp.csr_array(rows.T @ (sp.bsr_array((blocks, places[:-1], places)) @ rows))
 
     def by_boundary(self, x: Floats, rates: BoundaryRates) -> Floats:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         out = np.zeros((*x.shape, rates.count))
         deep, blocks = self._second(x)
         if self._carried is None or not len(deep):
@@ -148,8 +154,8 @@ class OneSided:
         h, slope = self._depths(x)
         # the obstacle moves under the vertex by the jaw's motion there, and its directions turn
         frame = self._carried
-        moved = jaw.jacobian(frame, self._seen_at(x)[deep], self._jaw)
-        turned = jaw.jacobian(frame, frame.origin + slope[deep] @ self._turn, self._jaw)
+        moved = jaw_jacobian(frame, self._seen_at(x)[deep], self._jaw)
+        turned = jaw_jacobian(frame, frame.origin + slope[deep] @ self._turn, self._jaw)
         turned[:, :, 2:] = 0.0
         by_jaw = (self._stiffness * h)[deep, None, None] * turned
         by_jaw -= np.einsum("kij,kjb->kib", blocks, moved)
@@ -158,7 +164,7 @@ class OneSided:
         return out
 
     def pull(self, x: Floats, goal: Boundary) -> Floats:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         if self._carried is None:
             return np.zeros_like(x)
         _, slope = self._depths(x)
@@ -169,7 +175,7 @@ class OneSided:
         return np.asarray(self._rows.T @ ((self._stiffness * nearer)[:, None] * slope))
 
     def longest(self, x: Floats, y: Floats, goal: Boundary) -> float:  # noqa: ARG002 - no bounds
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         return 1.0
 
     def behind(self, x: Floats, b: Floats, tolerance: float) -> Ints:
@@ -202,12 +208,12 @@ class OneSided:
 
     def _seen(self, points: Floats, b: Floats) -> Floats:
         """Return points (k, 3) of the head in the obstacle's frame, with the jaw at b (5,)."""
-        return points if self._carried is None else jaw.move_back(self._carried, points, b)
+        return points if self._carried is None else move_jaw_back(self._carried, points, b)
 
     @property
     def _turn(self) -> Floats:
         """Return the rotation (3, 3) from the obstacle's frame into the head's."""
-        return np.eye(3) if self._carried is None else jaw.rotation(self._carried, self._jaw)
+        return np.eye(3) if self._carried is None else jaw_rotation(self._carried, self._jaw)
 
 
 def along(rows: sp.csr_array, directions: Floats) -> sp.csr_array:

@@ -13,8 +13,7 @@ from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
 from solver.contact.obstacles import Arch, Eyeball
 from solver.contact.one_sided import OneSided, OneSidedOptions, free_depths
 from solver.contact.surface import ContactSurface
-from solver.mechanics import jaw
-from solver.mechanics.potential import Potential
+from solver.mechanics.boundary import Potential, move_jaw
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints, Surface, vertex_areas
 
@@ -217,5 +216,5 @@ class Gauge:
         on_flesh = np.isin(mouth.skin, model.embedded)
         on_jaw = np.isin(mouth.skin, model.attached_mandible)
         points[on_flesh] = mouth.points(x)[on_flesh]
-        points[on_jaw] = jaw.move(model.jaw, points[on_jaw], b)
+        points[on_jaw] = move_jaw(model.jaw, points[on_jaw], b)
         return points

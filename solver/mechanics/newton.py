@@ -21,9 +21,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.errors import SolveError
+from solver.mechanics.boundary import Boundary, Potential
 from solver.mechanics.flesh import Flesh
 from solver.mechanics.linear import Factor, GrowingSolver, LinearSolver, NotPositiveDefiniteError
-from solver.mechanics.potential import Boundary, Potential
 from solver.surface import Floats
 
 

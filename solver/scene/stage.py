@@ -15,9 +15,9 @@ from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.kinds import edits as described
 from solver.kinds import scene as scenes
+from solver.mechanics.boundary import Potential
 from solver.mechanics.flesh import COROTATED_DET, COROTATED_TRACE, IDENTITY, NEO_HOOKEAN, Material
 from solver.mechanics.linear import fastest
-from solver.mechanics.potential import Potential
 from solver.scene.objects import check_objects, objects_of
 from solver.scene.places import Places
 from solver.simulation.fibres import fibre_activations, nearest_fibre

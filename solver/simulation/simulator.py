@@ -14,10 +14,10 @@ import numpy as np
 
 from solver.errors import InputError, SolveError
 from solver.fitting.face import Face
+from solver.mechanics.boundary import Boundary, Potential
 from solver.mechanics.flesh import Flesh
 from solver.mechanics.linear import GrowingSolver, fastest
 from solver.mechanics.newton import Energy, Factorization, NewtonOptions, Search
-from solver.mechanics.potential import Boundary, Potential
 from solver.similarity import Similarity
 from solver.simulation.forces import Drive, Force, Inertia, Motion, lumped_masses
 from solver.surface import Floats

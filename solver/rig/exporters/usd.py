@@ -28,7 +28,7 @@ except ModuleNotFoundError as error:
 
 from solver.drawing.head import skin_parts
 from solver.errors import InputError
-from solver.mechanics import jaw
+from solver.mechanics.boundary import JAW_FREEDOM, jaw_rotation, move_jaw
 from solver.model import SubjectModel
 from solver.rig.gltf import DEFAULTS, MATERIALS, worst_error
 from solver.rig.gltf import ShapeOptions as Options
@@ -82,7 +82,7 @@ def _swept(model: SubjectModel, expressions: Sequence[ExpressionFit]) -> Floats:
     for name, bone in model.bones.items():
         points.append(bone.vertices)
         if name == "mandible":
-            points += [jaw.move(model.jaw, bone.vertices, fit.jaw) for fit in expressions]
+            points += [move_jaw(model.jaw, bone.vertices, fit.jaw) for fit in expressions]
     return np.vstack(points)
 
 
@@ -181,13 +181,13 @@ def _animation(
 
     def key(seconds: float, shown: Floats, b: Floats) -> None:
         time = Usd.TimeCode(round(seconds * FRAMES_PER_SECOND))
-        x, y, z, w = Rotation.from_matrix(jaw.rotation(model.jaw, b)).as_quat().tolist()
-        place = jaw.move(model.jaw, model.jaw.origin[None], b)[0]
+        x, y, z, w = Rotation.from_matrix(jaw_rotation(model.jaw, b)).as_quat().tolist()
+        place = move_jaw(model.jaw, model.jaw.origin[None], b)[0]
         weights.Set(Vt.FloatArray.FromNumpy(shown.astype(np.float32)), time)
         translations.Set([Gf.Vec3f(0.0), Gf.Vec3f(*place.tolist())], time)
         rotations.Set([Gf.Quatf(1.0), Gf.Quatf(w, x, y, z)], time)
 
-    still, closed = np.zeros(len(names)), np.zeros(jaw.DEGREES_OF_FREEDOM)
+    still, closed = np.zeros(len(names)), np.zeros(JAW_FREEDOM)
     period, held = options.period, options.move_seconds + options.hold_seconds
     key(0.0, still, closed)
     for number, (shown, b) in enumerate(zip(np.eye(len(names)), jaws, strict=True)):

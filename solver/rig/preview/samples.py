@@ -12,7 +12,7 @@ from solver.drawing.head import both_sides
 from solver.errors import SolveError
 from solver.fitting.face import Face, State
 from solver.fitting.sensitivity import Sensitivity
-from solver.mechanics import jaw
+from solver.mechanics.boundary import JAW_FREEDOM, jaw_jacobian
 from solver.mechanics.equilibrium import Equilibrium
 from solver.mechanics.newton import Factorization
 from solver.rig.preview.controls import Sliders
@@ -234,5 +234,5 @@ class Responses:
         by_x = Sensitivity(face, state).motions_along(controls.directions)
         out = self._of_x @ by_x.reshape(self._of_x.shape[1], -1)
         points = model.skin.vertices[model.attached_mandible]
-        attached = jaw.jacobian(model.jaw, points, b).reshape(-1, jaw.DEGREES_OF_FREEDOM)
+        attached = jaw_jacobian(model.jaw, points, b).reshape(-1, JAW_FREEDOM)
         return np.asarray(out + self._of_mandible @ (attached @ by_jaw))
