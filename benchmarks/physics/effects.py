@@ -33,7 +33,7 @@ from solver.rig.pictures import THREE_QUARTER, face_camera
 from solver.rig.result import ExpressionFit, load_activations, load_weights
 from solver.scene.document import read_scene
 from solver.scene.places import Places
-from solver.scene.stage import Physics, edits_of, physics_of
+from solver.scene.stage import Physics, edits_of
 from solver.simulation.fibres import fit_fibres
 from solver.surface import Floats
 
@@ -71,7 +71,7 @@ class Subject:
 
 def run(subject: Subject, names: Sequence[str] = EFFECTS) -> dict[str, EditedPerson]:
     """Make the edits of the scenes with these names."""
-    physics = physics_of(FleshEntry())
+    physics = Physics(FleshEntry())
     before, all_before = poses(Edited.nothing(subject.model, subject.S), physics, subject.fits)
     people = {}
     for name in names:
@@ -98,9 +98,9 @@ def fibres(subject: Subject) -> Figures:
     the fibres, ``fibre_mm`` contractions and jaw fitted anew.
     """
     model, nothing = subject.model, Edited.nothing(subject.model, subject.S)
-    blended = physics_of(NO_CONTACT)
-    as_fitted = poses(nothing, blended, subject.fits)[1]
-    projected = poses(nothing, replace(blended, fibre_muscles=True), subject.fits)[1]
+    by_fibres = NO_CONTACT.model_copy(update={"activation_model": "fibre"})
+    as_fitted = poses(nothing, Physics(NO_CONTACT), subject.fits)[1]
+    projected = poses(nothing, Physics(by_fibres), subject.fits)[1]
     face = Face(model, linear=fastest(), tolerance=FIT_TOLERANCE)
     found = {}
     for fit, one, other in zip(subject.fits, as_fitted, projected, strict=True):

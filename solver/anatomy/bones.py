@@ -15,7 +15,7 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 
 from solver.anatomy.embedding import at_nearest, inside
-from solver.mechanics import jaw
+from solver.mechanics.boundary import JAW_FREEDOM, jaw_jacobian, move_jaw
 from solver.model import JawFrame
 from solver.similarity import fit_similarity
 from solver.surface import Floats, Ints, Surface, vertex_normals
@@ -191,13 +191,13 @@ def jaw_residual(frame: JawFrame, rest: Floats, moved: Floats) -> JawResidual:
     """Fit the jaw to points ``rest`` (k, 3) that moved to ``moved`` (k, 3), in mm."""
     rotation = fit_similarity(rest, moved).rotation
     rigid = (rest - rest.mean(axis=0)) @ rotation.T + moved.mean(axis=0)
-    freedom = jaw.DEGREES_OF_FREEDOM
+    freedom = JAW_FREEDOM
     fit = least_squares(
-        lambda b: (jaw.move(frame, rest, b) - rigid).ravel(),
+        lambda b: (move_jaw(frame, rest, b) - rigid).ravel(),
         np.zeros(freedom),
-        lambda b: jaw.jacobian(frame, rest, b).reshape(-1, freedom),
+        lambda b: jaw_jacobian(frame, rest, b).reshape(-1, freedom),
     )
-    missed = np.linalg.norm(jaw.move(frame, rest, fit.x) - rigid, axis=1)
+    missed = np.linalg.norm(move_jaw(frame, rest, fit.x) - rigid, axis=1)
     return JawResidual(
         b=fit.x,
         rms=float(np.sqrt(np.mean(missed**2))),

@@ -33,19 +33,15 @@ from solver.storage import Archive, Arrays
 from solver.surface import Floats
 from solver.templates.ict_facekit import arkit_source
 
-# Linear blending of poses, as published for blendshape-driven animation (Phace, SIGGRAPH 2017).
-#
-#     a(w) = a_I + sum_e w_e (a_e - a_I),    b(w) = sum_e w_e b_e
-#
-# a_e and b_e are the activations and the jaw of an expression, solved once, a_I those of rest.
-# Where expressions add up, a muscle may come out so short that its S(a) folds its flesh: its
-# eigenvalues are kept from falling below what fits keep to. A weight below 0 or above 1 counts as
-# that.
-
 
 @dataclass(frozen=True)
 class Blend:
-    """Expressions ``names``: ``activations`` (e, m, 6) and ``jaw`` (e, 5)."""
+    """Expressions ``names``: ``activations`` (e, m, 6) and ``jaw`` (e, 5), blended linearly.
+
+        a(w) = a_I + sum_e w_e (a_e - a_I),    b(w) = sum_e w_e b_e
+
+    as published for blendshape-driven animation (Phace, SIGGRAPH 2017), a_I being those of rest.
+    """
 
     names: tuple[str, ...]
     activations: Floats
@@ -59,16 +55,17 @@ class Blend:
         return cls(tuple(poses), a, b)
 
     def pose(self, weights: Floats) -> Pose:
-        """Return the blend by ``weights`` (e,), which may still fold muscles."""
+        """Return the blend by ``weights`` (e,), cut to 0 to 1; it may still fold muscles."""
         share = np.clip(weights, 0.0, 1.0)
         a = IDENTITY + np.tensordot(share, self.activations - IDENTITY, 1)
         return Pose(np.asarray(a), np.asarray(share @ self.jaw))
 
 
 def unfold(a: Floats) -> tuple[Floats, int]:
-    """Return activations (m, 6) with every eigenvalue at least what fits keep to, and the changed.
+    """Return activations (m, 6) with every eigenvalue at least what fits keep to.
 
-    The second value counts the muscles that had a smaller one.
+    Where expressions add up, a muscle may come out so short that its S(a) folds its flesh. The
+    second value counts these.
     """
     values, axes = np.linalg.eigh(matrices(a))
     folded = np.flatnonzero(values[:, 0] < LEAST_STRETCH)
@@ -174,10 +171,8 @@ def expression_targets(model: SubjectModel, basis: ShapeBasis | None) -> dict[st
     ``basis``) knows no expressions that ARKit drives, ``blendshapes.topology`` if they are of
     another skin.
     """
-    if basis is None:
-        raise _no_expressions(model)
     vertices = len(model.skin.vertices)
-    if basis.expressions.shape[1] != vertices:
+    if basis is not None and basis.expressions.shape[1] != vertices:
         raise InputError(
             "blendshapes.topology",
             f"the template's expressions have {basis.expressions.shape[1]} vertices, the subject "
@@ -185,27 +180,26 @@ def expression_targets(model: SubjectModel, basis: ShapeBasis | None) -> dict[st
             expected=vertices,
             found=basis.expressions.shape[1],
         )
+    shapes = (
+        {} if basis is None else dict(zip(basis.expression_names, basis.expressions, strict=True))
+    )
     motions = {}
-    for name, shape in zip(basis.expression_names, basis.expressions, strict=True):
+    for name, shape in shapes.items():
         motion = shape[model.face].astype(np.float64)
         moves = np.linalg.norm(motion, axis=1).max() > LEAST_MOTION_MM
         if moves and arkit_source(name) in ARKIT_NAMES:
             motions[name] = motion
     if not motions:
-        raise _no_expressions(model)
+        raise InputError(
+            "blendshapes.none",
+            f"the template {model.template.get('name', '')} has no expressions that a recording "
+            "could drive",
+        )
     neutral = model.skin.vertices[model.face]
     targets = {name: neutral + motion for name, motion in motions.items() if name not in CORRECTED}
     for name in motions.keys() - targets.keys():
         targets[name] = neutral + motions[name] + motions.get(CORRECTED[name], 0.0)
     return targets
-
-
-def _no_expressions(model: SubjectModel) -> InputError:
-    return InputError(
-        "blendshapes.none",
-        f"the template {model.template.get('name', '')} has no expressions that a recording "
-        "could drive",
-    )
 
 
 def solve_blendshapes(
@@ -232,14 +226,10 @@ def solve_blendshapes(
             except (SolveError, np.linalg.LinAlgError):
                 state, settled = face.rest, False
             off = target.distances(face.face_points(state.x))
-            pose = _beyond(state.pose, found.get(CORRECTED.get(name, "")))
+            pose, corrected = state.pose, found.get(CORRECTED.get(name, ""))
+            if corrected is not None:
+                a, b = corrected.pose.a, corrected.pose.b
+                pose = Pose(IDENTITY + pose.a - a, pose.b - b)
             found[name] = Solved(pose, float(off.mean()), settled)
             listen(name, found[name])
     return Blendshapes(face.model.muscle_names, {name: found[name] for name in targets})
-
-
-def _beyond(pose: Pose, corrected: Solved | None) -> Pose:
-    """Return what a pose has beyond that of the shape it corrects, added to rest."""
-    if corrected is None:
-        return pose
-    return Pose(IDENTITY + pose.a - corrected.pose.a, pose.b - corrected.pose.b)

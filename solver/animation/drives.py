@@ -11,7 +11,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
 from solver.animation.blendshapes import Blend, Blendshapes, unfold
-from solver.contact.one_sided import nearest_sphere
+from solver.contact.obstacles import nearest_sphere
 from solver.errors import InputError
 from solver.fitting.face import Pose
 from solver.mechanics.flesh import IDENTITY

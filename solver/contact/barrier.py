@@ -15,11 +15,10 @@ import ipctk
 import numba as nb
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from solver.contact.surface import ContactSurface, collision_mesh
-from solver.mechanics.potential import Boundary, BoundaryRates
-from solver.surface import Floats, Ints, Surface
+from solver.mechanics.boundary import Boundary, BoundaryRates
+from solver.surface import Floats, Surface
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ class _Friction:
 
 
 class Barrier:
-    """A :class:`solver.mechanics.potential.Potential` of the skin and of objects.
+    """A :class:`solver.mechanics.boundary.Potential` of the skin and of objects.
 
     Parameters
     ----------
@@ -98,7 +97,7 @@ class Barrier:
         self._mesh = _join(surface, objects, itself=itself)
 
     def begin(self, x: Floats, now: Boundary, seconds: float) -> None:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         self.place(now)
         if not self._friction:
             return
@@ -107,12 +106,12 @@ class Barrier:
         self._lagged = _Friction(here.points, lagged, seconds)
 
     def place(self, boundary: Boundary) -> None:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         self._objects = list(boundary.objects)
         self._last = None
 
     def value(self, x: Floats) -> float:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         now, lagged = self._touching(x), self._lagged
         value = float(self._barrier(now.collisions, self._mesh, now.points))
         if lagged is not None:
@@ -121,7 +120,7 @@ class Barrier:
         return value
 
     def gradient(self, x: Floats) -> Floats:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         now, lagged = self._touching(x), self._lagged
         force = self._barrier.gradient(now.collisions, self._mesh, now.points)
         if lagged is not None:
@@ -130,15 +129,15 @@ class Barrier:
         return self._on_flesh(force)
 
     def hessian(self, x: Floats) -> sp.csr_array:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         return self._by_flesh(self._second(x, ipctk.PSDProjectionMethod.CLAMP))
 
     def curvature(self, x: Floats) -> sp.csr_array:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         return self._by_flesh(self._second(x, ipctk.PSDProjectionMethod.NONE))
 
     def by_boundary(self, x: Floats, rates: BoundaryRates) -> Floats:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         out = np.zeros((*x.shape, rates.count))
         if rates.objects:
             own = self._skin_size
@@ -148,7 +147,7 @@ class Barrier:
         return out
 
     def pull(self, x: Floats, goal: Boundary) -> Floats:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         if not self._objects:
             return np.zeros_like(x)
         motion = np.vstack(goal.objects) - np.vstack(self._objects)
@@ -157,7 +156,7 @@ class Barrier:
         return self._on_flesh(matrix[:own, own:] @ motion.ravel())
 
     def longest(self, x: Floats, y: Floats, goal: Boundary) -> float:
-        """See :class:`solver.mechanics.potential.Potential`."""
+        """See :class:`solver.mechanics.boundary.Potential`."""
         start = self._points(x, self._objects)
         motion = self._points(y, goal.objects) - start
         far = float(np.linalg.norm(motion, axis=1).max(initial=0.0))
@@ -218,16 +217,11 @@ def _join(
         np.vstack([part.vertices for part in parts]),
         np.vstack([part.faces + start for part, start in zip(parts, starts, strict=True)]),
     )
+    # vertices of one patch do not meet
+    patches = np.arange(1, sizes.sum() + 1) if itself else np.repeat(np.arange(len(sizes)), sizes)
+    if itself:
+        patches[: len(surface.skin)][surface.crossed] = 0
     # filters of the library's: one in Python would wait for ever on its threads
-    patches = ipctk.make_vertex_patches_filter(_patches(surface, sizes, itself=itself))
-    mesh.can_collide = ipctk.make_static_obstacle_filter(len(surface.skin)) & patches
+    apart = ipctk.make_vertex_patches_filter(patches.astype(np.int32))
+    mesh.can_collide = ipctk.make_static_obstacle_filter(len(surface.skin)) & apart
     return mesh
-
-
-def _patches(surface: ContactSurface, sizes: Ints, *, itself: bool) -> NDArray[np.int32]:
-    """Return numbers of the vertices: those with the same one do not meet."""
-    if not itself:
-        return np.repeat(np.arange(len(sizes)), sizes).astype(np.int32)
-    patches = np.arange(1, sizes.sum() + 1, dtype=np.int32)
-    patches[: len(surface.skin)][surface.crossed] = 0
-    return patches

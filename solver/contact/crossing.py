@@ -61,17 +61,6 @@ class Overlap:
         return Overlap(*(part[mask] for part in astuple(self)))
 
 
-def inside_lips(mouth: Mouth, points: Floats, normals: Floats, outside_mm: float) -> Ints:
-    """Return those vertices of the lips (h,) that lie in flesh not under their own skin.
-
-    By the generalised winding number (Jacobson et al. 2013) of the skin around the mouth, an open
-    surface: it is above one in the flesh of two lips, and well below a half outside.
-    """
-    lips = np.flatnonzero(mouth.label == LIPS)
-    beside = np.ascontiguousarray(points[lips] + outside_mm * normals[lips])
-    return lips[is_inside(beside, Surface(points, mouth.flesh))]
-
-
 def between_lips(
     mouth: Mouth, points: Floats, options: OverlapOptions = OverlapOptions()
 ) -> Overlap:
@@ -80,8 +69,11 @@ def between_lips(
     Of all skin that is inside, the nearest that faces a vertex: skins in contact have opposed
     normals, which keeps a vertex's own surroundings out.
     """
-    normals = mouth.normals(points)
-    inside = inside_lips(mouth, points, normals, options.outside_mm)
+    normals, lips = mouth.normals(points), np.flatnonzero(mouth.label == LIPS)
+    # the winding number of the skin around the mouth, an open surface, is above one in the flesh
+    # of two lips, and well below a half outside
+    just_outside = points[lips] + options.outside_mm * normals[lips]
+    inside = lips[is_inside(just_outside, Surface(points, mouth.flesh))]
     if not len(inside):
         nothing = np.empty((0, 3))
         return Overlap.at(points, inside, nothing.astype(np.int64), nothing)

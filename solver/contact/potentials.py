@@ -10,10 +10,10 @@ import numpy as np
 from solver.contact.barrier import Barrier
 from solver.contact.crossing import crossing_at, depth_inside
 from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
-from solver.contact.one_sided import Arch, Eyeball, OneSided, OneSidedOptions, free_depths
+from solver.contact.obstacles import Arch, Eyeball
+from solver.contact.one_sided import OneSided, OneSidedOptions, free_depths
 from solver.contact.surface import ContactSurface
-from solver.mechanics import jaw
-from solver.mechanics.potential import Potential
+from solver.mechanics.boundary import Potential, move_jaw
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints, Surface, vertex_areas
 
@@ -141,12 +141,9 @@ def eyeballs(
     return kept
 
 
-# How deep a face in motion lies in what it touches: the figure that contact is judged by.
-
-
 @dataclass(frozen=True)
 class Penetration:
-    """Depths in mm, and how many of the lips' vertices are behind teeth.
+    """Depths in mm that contact is judged by, and how many of the lips' vertices are behind teeth.
 
     ``lips`` is a lip's depth in the other lip, ``teeth`` a lip's in teeth, ``objects`` that of skin
     in objects or of objects in the flesh; zero where nothing crosses, or there is nothing to cross.
@@ -219,5 +216,5 @@ class Gauge:
         on_flesh = np.isin(mouth.skin, model.embedded)
         on_jaw = np.isin(mouth.skin, model.attached_mandible)
         points[on_flesh] = mouth.points(x)[on_flesh]
-        points[on_jaw] = jaw.move(model.jaw, points[on_jaw], b)
+        points[on_jaw] = move_jaw(model.jaw, points[on_jaw], b)
         return points

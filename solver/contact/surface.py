@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import igl
 import ipctk
 import numpy as np
 import scipy.sparse as sp
@@ -20,11 +19,11 @@ from numpy.typing import NDArray
 
 from solver.anatomy.embedding import rows_of
 from solver.anatomy.tetrahedra import barycentric_in_tets
-from solver.contact.crossing import INSIDE, between_lips
+from solver.contact.crossing import between_lips, is_inside
 from solver.contact.mouth import Mouth, area_weighted_normals
 from solver.errors import InputError
 from solver.model import SubjectModel
-from solver.surface import Floats, Ints, adjacency
+from solver.surface import Floats, Ints, Surface, adjacency
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,11 @@ class ContactSurface:
         rows, offset = sp.csr_array(model.embedding[number]), model.offset[number]
         points = np.asarray(rows @ model.rest + offset)
         normals = area_weighted_normals(points, own)
-        shift = _apart(mouth, model, skin, options) - options.inset_mm * normals
+        apart = np.zeros_like(model.skin.vertices)
+        if mouth is not None:
+            lips = mouth.points(model.rest)
+            apart[mouth.skin] = part_lips(mouth, lips, options) - lips
+        shift = apart[skin] - options.inset_mm * normals
         moved = points + shift
         crossed = _mark_crossed(moved, own, normals, options.beside_mm)
         if crossed[own].any(axis=1).mean() > options.most_crossed:
@@ -138,20 +141,9 @@ def _mark_crossed(
     """
     marks = np.zeros(len(points), dtype=np.bool_)
     if ipctk.has_intersections(collision_mesh(points, faces), np.asfortranarray(points)):
-        beside = np.ascontiguousarray(points + beside_mm * normals)
-        winding = np.asarray(igl.fast_winding_number(points, faces, beside))
-        marks = winding > INSIDE
+        marks = is_inside(points + beside_mm * normals, Surface(points, faces))
         marks[crossing_vertices(points, faces)] = True
     return marks
-
-
-def _apart(mouth: Mouth | None, model: SubjectModel, skin: Ints, options: SurfaceOptions) -> Floats:
-    """Return how far skin vertices (s,) are moved where a mouth's lips are moved apart, (s, 3)."""
-    moves = np.zeros_like(model.skin.vertices)
-    if mouth is not None:
-        points = mouth.points(model.rest)
-        moves[mouth.skin] = part_lips(mouth, points, options) - points
-    return moves[skin]
 
 
 def crossing_vertices(points: Floats, faces: Ints) -> Ints:

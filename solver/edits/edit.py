@@ -12,7 +12,7 @@ import scipy.sparse as sp
 
 from solver.errors import InputError
 from solver.fitting.face import Face
-from solver.mechanics.potential import Potential
+from solver.mechanics.boundary import Potential
 from solver.model import SubjectModel
 from solver.similarity import IDENTITY as NO_MOTION
 from solver.simulation.forces import Drive

@@ -4,7 +4,7 @@
 
 over the lips' vertices p: d_p is how deep p lies in the other lip, less than the slack s being
 free, and h_p how deep behind a row of teeth, beyond what is free. Teeth are the fields that
-simulations have (:mod:`solver.contact.one_sided`), so a lip comes out to the front from any depth.
+simulations have (:mod:`solver.contact.obstacles`), so a lip comes out to the front from any depth.
 Between lips simulations have a barrier; it allows no crossing, and scans, and so fits on their way,
 have lips that cross. What a vertex has crossed there is found anew at every x; c is continuous
 where that begins, as it begins within the slack.
@@ -21,7 +21,8 @@ import scipy.sparse as sp
 from solver.anatomy.embedding import rows_of
 from solver.contact.crossing import between_lips
 from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mandible, Mouth
-from solver.contact.one_sided import Arch, Excess, along, free_depths
+from solver.contact.obstacles import Arch
+from solver.contact.one_sided import Excess, along, free_depths
 from solver.errors import SolveError
 from solver.fitting.face import Face
 from solver.fitting.objective import SumTerm, Target, Term, distances

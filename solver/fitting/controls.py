@@ -16,8 +16,8 @@ from typing import Protocol
 import numpy as np
 
 from solver.mechanics import response
+from solver.mechanics.boundary import JAW_FREEDOM
 from solver.mechanics.flesh import IDENTITY, Flesh
-from solver.mechanics.jaw import DEGREES_OF_FREEDOM
 from solver.surface import Floats, Ints
 
 # D: a radian of jaw counts as 100 mm, its motion at the chin
@@ -138,7 +138,7 @@ JAW_DAMPING = 1e-3  # weight of D^2
 def jaw_block() -> Block:
     """Return the block of the jaw b (5,): two angles, rad, and a translation, mm."""
     reach = np.array([TURN_REACH, TURN_REACH, np.inf, np.inf, np.inf])
-    return Block("jaw", np.zeros(DEGREES_OF_FREEDOM), JAW_UNITS**2 * JAW_DAMPING, reach)
+    return Block("jaw", np.zeros(JAW_FREEDOM), JAW_UNITS**2 * JAW_DAMPING, reach)
 
 
 @cache

@@ -13,7 +13,7 @@ from solver.anatomy.bones import bone_normals
 from solver.anatomy.embedding import LooseSkin
 from solver.errors import SolveError
 from solver.fitting.controls import Layout, pose_layout
-from solver.mechanics import jaw
+from solver.mechanics.boundary import JAW_FREEDOM, jaw_jacobian, move_jaw
 from solver.mechanics.equilibrium import (
     Equilibrium,
     PredictorOptions,
@@ -304,7 +304,7 @@ class Face:
 
     def mandible(self, b: Floats) -> Floats:
         """Return where the mandible's vertices are for b, (k, 3)."""
-        return jaw.move(self.model.jaw, self._held_rest[self.model.mandible], b)
+        return move_jaw(self.model.jaw, self._held_rest[self.model.mandible], b)
 
     def held_positions(self, b: Floats) -> Floats:
         """Return where the held vertices are for b, (h, 3) in the order of ``flesh.held``."""
@@ -314,9 +314,9 @@ class Face:
 
     def mandible_jacobian(self, b: Floats) -> Floats:
         """Return dx/db of all vertices as far as it is direct: (p, 3, 5), zero off the mandible."""
-        out = np.zeros((*self.model.rest.shape, jaw.DEGREES_OF_FREEDOM))
+        out = np.zeros((*self.model.rest.shape, JAW_FREEDOM))
         points = self._held_rest[self.model.mandible]
-        out[self.model.mandible] = jaw.jacobian(self.model.jaw, points, b)
+        out[self.model.mandible] = jaw_jacobian(self.model.jaw, points, b)
         return out
 
     def face_points(self, x: Floats) -> Floats:
@@ -331,7 +331,7 @@ class Face:
         model = self.model
         skin = model.skin.vertices.copy()
         attached = model.attached_mandible
-        skin[attached] = jaw.move(model.jaw, skin[attached], b)
+        skin[attached] = move_jaw(model.jaw, skin[attached], b)
         skin[model.embedded] = model.embedding @ x + model.offset
         skin[self._loose_skin.ids] += self._loose_skin.follow(skin - model.skin.vertices)
         return skin

@@ -16,7 +16,7 @@ from solver.kinds.edit import Edit
 from solver.progress import Progress, Step
 from solver.rig.edit_report import Compared, EditedPerson, edit_picture, edit_report, write_edit
 from solver.rig.result import ExpressionFit, load_activations
-from solver.scene.stage import Physics, edits_of, physics_of
+from solver.scene.stage import Physics, edits_of
 
 
 def run(task: Task[Edit]) -> list[Path]:
@@ -31,7 +31,7 @@ def run(task: Task[Edit]) -> list[Path]:
     out, progress = task.out, task.progress
     known = read_person(task)
     fits = load_activations(task.inputs["rig"], known.model)
-    physics = physics_of(scene)
+    physics = Physics(scene)
     entries = scene.edits
     unedited = Edited.nothing(known.model, known.S)
     edited = apply(edits_of(entries, known.places), known.model, known.S)

@@ -59,27 +59,20 @@ class BlockSum:
         pattern = into.pattern if into else sp.csr_array(sp.kron(graph, np.ones((3, 3)), "csr"))
         pattern.sort_indices()
         self.pattern: sp.csr_array = pattern
-        self.diagonal: Ints = into.diagonal if into else _diagonal(pattern)
+        self.diagonal: Ints = np.flatnonzero(np.equal(*pattern.tocoo().coords))
         length = np.diff(graph.indptr).astype(np.int64)
         keys = np.repeat(np.arange(count), length) * count + graph.indices
         within = np.arange(graph.nnz) - np.repeat(graph.indptr[:-1], length)
         start = 9 * np.repeat(graph.indptr[:-1].astype(np.int64), length) + 3 * within
-        self._slots = np.stack(
-            [
-                start[np.searchsorted(keys, entries)],
-                start[np.searchsorted(keys, columns * count + rows)],
-            ],
-            axis=1,
-        )
+        both = np.stack([entries, columns * count + rows], axis=1)
+        self._slots = start[np.searchsorted(keys, both)]
         self._lengths = 3 * np.stack([length[rows], length[columns]], axis=1)
 
     def __call__(self, blocks: Floats) -> sp.csr_array:
         """Return the sum of ``blocks`` (n, PAIRS, 3, 3), those of the pairs u <= v of each tet."""
-        data = np.empty(len(self.pattern.indices))
+        pattern, data = self.pattern, np.empty(len(self.pattern.indices))
         self._sum(blocks, data)
-        return sp.csr_array(
-            (data, self.pattern.indices, self.pattern.indptr), shape=self.pattern.shape
-        )
+        return sp.csr_array((data, pattern.indices, pattern.indptr), shape=pattern.shape)
 
     def add(self, blocks: Floats, data: Floats) -> None:
         """Add the sum of ``blocks`` (n, v (v + 1) / 2, 3, 3) to the pattern's ``data``."""
@@ -126,12 +119,6 @@ def _graph(rows: Ints, columns: Ints, count: int) -> sp.csr_array:
     graph = sp.csr_array((np.ones(len(places[0])), places), shape=(count, count))
     graph.sort_indices()
     return graph
-
-
-def _diagonal(pattern: sp.csr_array) -> Ints:
-    """Return where the diagonal is in the CSR data."""
-    row_of = np.repeat(np.arange(pattern.shape[0]), np.diff(pattern.indptr))
-    return np.flatnonzero(pattern.indices == row_of)
 
 
 def _group(labels: Ints, count: int) -> tuple[Ints, Ints]:

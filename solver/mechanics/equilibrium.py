@@ -48,8 +48,8 @@ class Equilibrium:
     ``estimate`` (p, 3) is that step's end: the equilibrium to second order, x itself where that is
     solved. ``factor`` is the Hessian's at x, or where it served last on the way: about
     :attr:`PredictorOptions.reach_mm` away at most, ``same_mm`` where solved (:func:`correct`
-    has its own from further away). ``residual`` is |grad E| over the nodal forces at unit strain,
-    ``iterations`` counts Newton steps.
+    has its own from further away). ``residual`` is :meth:`Energy.residual`, ``iterations`` counts
+    Newton steps.
     """
 
     x: Floats

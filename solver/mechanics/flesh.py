@@ -106,14 +106,10 @@ class Flesh:
 
     Parameters
     ----------
-    rest
-        (p, 3) rest vertices, mm.
-    tets
-        (n, 4) vertex numbers with positive rest volumes.
+    rest, tets
+        (p, 3) rest vertices, mm, and (n, 4) vertex numbers with positive rest volumes.
     held
         Numbers of the vertices that do not move freely.
-    material
-        One material for all tets.
     shares
         (n,) the part of its volume that each tet stands for, all of it by default: a tet of two
         tissues is listed twice.
@@ -242,9 +238,10 @@ class Flesh:
             gradient += each.vertex_sum(each.term.forces(x, a))
         return gradient
 
-    def scatter(self, per_tet: Floats) -> Floats:
-        """Sum (n, 4, 3, ...) over the tets of each free vertex: (size, ...)."""
-        return self._vertex_sum(per_tet)
+    @cached_property
+    def scatter(self) -> VertexSum:
+        """Return what sums (n, 4, 3, ...) over the tets of each free vertex: (size, ...)."""
+        return VertexSum(self.free_numbers[self.tets], len(self.free))
 
     def hessian(self, x: Floats, a: Floats, *, project: float = 0.0) -> sp.csr_array:
         """Return d2E/dx2 by the free coordinates; ``project`` is :meth:`EnergyTerm.blocks`'."""
@@ -252,11 +249,6 @@ class Flesh:
         for each in self._others:
             each.block_sum.add(each.term.blocks(x, a, project=project), matrix.data)
         return matrix
-
-    @property
-    def diagonal(self) -> Ints:
-        """Return where the Hessian's diagonal is in its CSR data, (size,)."""
-        return self.block_sum.diagonal
 
     def assemble(self, blocks: Floats) -> sp.csr_array:
         """Sum every tet's blocks (n, 4, 4, 3, 3), of which those with u <= v are read."""
@@ -304,10 +296,6 @@ class Flesh:
     def inverted(self, x: Floats) -> int:
         """Return how many tets have det F <= 0."""
         return int((self.jacobians(x) <= 0.0).sum())
-
-    @cached_property
-    def _vertex_sum(self) -> VertexSum:
-        return VertexSum(self.free_numbers[self.tets], len(self.free))
 
     @cached_property
     def block_sum(self) -> BlockSum:

@@ -21,9 +21,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.errors import SolveError
+from solver.mechanics.boundary import Boundary, Potential
 from solver.mechanics.flesh import Flesh
 from solver.mechanics.linear import Factor, GrowingSolver, LinearSolver, NotPositiveDefiniteError
-from solver.mechanics.potential import Boundary, Potential
 from solver.surface import Floats
 
 
@@ -126,8 +126,9 @@ class Factorization:
             matrix = flesh.hessian(self.x, self._a, project=projections[number])
             if number:
                 # a projected element may be semi-definite: a trace of it all keeps the sum definite
-                mean = matrix.data[flesh.diagonal].mean()
-                matrix.data[flesh.diagonal] += 1e-6 * projections[number] * mean
+                diagonal = flesh.block_sum.diagonal
+                mean = matrix.data[diagonal].mean()
+                matrix.data[diagonal] += 1e-6 * projections[number] * mean
             try:
                 return self._linear.factor(matrix.data), number
             except NotPositiveDefiniteError:

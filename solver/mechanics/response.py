@@ -18,9 +18,9 @@ from typing import Protocol
 import numpy as np
 import scipy.sparse as sp
 
+from solver.mechanics.boundary import BoundaryRates, Potential
 from solver.mechanics.flesh import Flesh
 from solver.mechanics.linear import Factor, GrowingSolver, LinearSolver, NotPositiveDefiniteError
-from solver.mechanics.potential import BoundaryRates, Potential
 from solver.surface import Floats
 
 

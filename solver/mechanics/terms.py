@@ -4,7 +4,7 @@ A term is a sum over entries (a tet and its law, a tet with a fibre of a muscle,
 spring or a plane), each of the vertices of one tet or of one vertex alone, so that the Hessian
 keeps the tets' pattern. All terms of a flesh see the same controls and take what is theirs:
 activations of the tets (n, 6) or of muscles (m,). What meets skin or objects has no fixed pattern
-and is a :class:`solver.mechanics.potential.Potential`.
+and is a :class:`solver.mechanics.boundary.Potential`.
 """
 
 from __future__ import annotations

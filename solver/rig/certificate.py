@@ -13,7 +13,7 @@ from solver.contact.crossing import Crossing, crossing
 from solver.contact.mouth import Mouth
 from solver.fitting.face import Face, Pose
 from solver.fitting.stretches import determinants, fibre_tensors, matrices
-from solver.mechanics import jaw
+from solver.mechanics.boundary import move_jaw
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import Factorization
 from solver.model import SubjectModel
@@ -147,7 +147,7 @@ def jaw_motion(model: SubjectModel, b: Floats) -> JawMotion:
     teeth = np.intersect1d(model.regions.get("lower_teeth", []), model.attached_mandible)
     bone = model.skin.vertices[teeth.astype(np.int64)] if len(teeth) else model.rest[model.mandible]
     front = bone[(bone @ model.jaw.axes[2]).argmax()][None]
-    motion = (jaw.move(model.jaw, front, b) - front)[0] @ model.jaw.axes.T
+    motion = (move_jaw(model.jaw, front, b) - front)[0] @ model.jaw.axes.T
     return JawMotion(
         point="lower incisors" if len(teeth) else "chin",
         opening_deg=float(np.degrees(b[0])),

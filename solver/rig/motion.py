@@ -16,7 +16,7 @@ import numpy as np
 
 from solver.anatomy.tetrahedra import volume_ml
 from solver.errors import InputError
-from solver.mechanics.jaw import DEGREES_OF_FREEDOM
+from solver.mechanics.boundary import JAW_FREEDOM
 from solver.model import SubjectModel
 from solver.rig.frames import ChunkReader, FrameRecord, pack, unpack
 from solver.rig.result import ENTRIES
@@ -256,7 +256,7 @@ def _write_table(
     path: Path, frames: Sequence[SequenceFrame], muscles: Sequence[str], fps: float
 ) -> None:
     """Write a row a frame; spreadsheets and animation tools read it."""
-    jaw = [f"jaw.{number}" for number in range(1, DEGREES_OF_FREEDOM + 1)]
+    jaw = [f"jaw.{number}" for number in range(1, JAW_FREEDOM + 1)]
     head = ["head.rx", "head.ry", "head.rz", "head.tx", "head.ty", "head.tz"]
     entries = [f"{muscle}.{entry}" for muscle in muscles for entry in ENTRIES]
     with path.open("w", newline="", encoding="utf-8") as stream:

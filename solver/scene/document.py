@@ -62,12 +62,12 @@ def drives_of(
     ``poses`` are the rig's expressions. Frames come ``fps`` a second, from 0 on. Raises
     :class:`InputError`: as :class:`KeyedDrives`, and ``scene.jaw`` where no jaw can be.
     """
-    muscles = _Muscles(model, S)
+    tensors = fibre_tensors(model, shape_gradients(model.rest, model.tets)[1], S)
     keys = [
         PoseKey(
             entry.time,
             entry.expressions,
-            {name: muscles.activation(name, how) for name, how in entry.muscles.items()},
+            {name: _activation(model, tensors, name, how) for name, how in entry.muscles.items()},
             jaw_of(entry.jaw),
         )
         for entry in scene.keys
@@ -112,24 +112,18 @@ def check_jaw(b: Floats, where: str) -> None:
             )
 
 
-class _Muscles:
-    """Activations (6,) of single muscles, as keys give them."""
-
-    def __init__(self, model: SubjectModel, S: sp.csr_array) -> None:
-        self._model = model
-        volumes = shape_gradients(model.rest, model.tets)[1]
-        self._tensors = fibre_tensors(model, volumes, S)
-
-    def activation(self, name: str, how: float | Sequence[float]) -> Floats:
-        """Return the activation of a muscle; six numbers are one, one is its fibres' stretch."""
-        if not isinstance(how, int | float):
-            return np.array(how, np.float64)
-        names = self._model.muscle_names
-        tensor = self._tensors[names.index(name)] if name in names else np.eye(3)
-        if np.isnan(tensor).any():
-            raise InputError(
-                "scene.muscle",
-                f"the muscle {name!r} has no fibres in this rig: give six numbers instead",
-                found=name,
-            )
-        return shorten(tensor, how)
+def _activation(
+    model: SubjectModel, tensors: Floats, name: str, how: float | Sequence[float]
+) -> Floats:
+    """Return a muscle's activation (6,): six numbers are one, one is its fibres' stretch."""
+    if not isinstance(how, int | float):
+        return np.array(how, np.float64)
+    names = model.muscle_names
+    tensor = tensors[names.index(name)] if name in names else np.eye(3)
+    if np.isnan(tensor).any():
+        raise InputError(
+            "scene.muscle",
+            f"the muscle {name!r} has no fibres in this rig: give six numbers instead",
+            found=name,
+        )
+    return shorten(tensor, how)

@@ -21,7 +21,7 @@ from solver.meshio.raw import read_raw
 from solver.model import SubjectModel
 from solver.scene.places import Places
 from solver.similarity import small_motion
-from solver.surface import Surface, directed_edges
+from solver.surface import Surface
 
 MOST_VERTICES = 20_000  # of one object: contact looks at every triangle in every step
 BALL_SUBDIVISIONS = 3  # of an icosahedron, for a round enough ball
@@ -102,9 +102,6 @@ def _surface(mesh: trimesh.Trimesh) -> Surface:
     return Surface(np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int64))
 
 
-# Objects from outside: what they have to be before a face can meet them.
-
-
 def check_objects(model: SubjectModel, objects: Mapping[str, Surface]) -> None:
     """Refuse objects, in the head's frame where they begin, that contact cannot start with.
 
@@ -117,7 +114,8 @@ def check_objects(model: SubjectModel, objects: Mapping[str, Surface]) -> None:
         :meth:`ContactSurface.of`.
     """
     for name, each in objects.items():
-        if not _is_closed(each):
+        # closed: every edge has two triangles, one to either side, that look outward
+        if not trimesh.Trimesh(each.vertices, each.faces, process=False).is_volume:
             raise InputError(
                 "scene.object_open",
                 f"{name} is not a closed surface whose triangles look outward",
@@ -146,13 +144,3 @@ def check_objects(model: SubjectModel, objects: Mapping[str, Surface]) -> None:
                 object=name,
                 depth_mm=round(depth, 2),
             )
-
-
-def _is_closed(surface: Surface) -> bool:
-    """Tell whether every edge has two triangles, one to either side, that look outward."""
-    corners = surface.vertices[surface.faces]
-    volume = np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
-    edges = directed_edges(surface.faces)
-    ways, there = np.unique(edges, axis=0, return_counts=True)
-    back = np.unique(edges[:, ::-1], axis=0)
-    return bool(volume > 0.0 and (there == 1).all() and np.array_equal(ways, back))

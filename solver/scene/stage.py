@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,9 +15,9 @@ from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.kinds import edits as described
 from solver.kinds import scene as scenes
+from solver.mechanics.boundary import Potential
 from solver.mechanics.flesh import COROTATED_DET, COROTATED_TRACE, IDENTITY, NEO_HOOKEAN, Material
 from solver.mechanics.linear import fastest
-from solver.mechanics.potential import Potential
 from solver.scene.objects import check_objects, objects_of
 from solver.scene.places import Places
 from solver.simulation.fibres import fibre_activations, nearest_fibre
@@ -80,32 +79,21 @@ LAWS: Mapping[str, Material] = {
 }
 
 
-@dataclass(frozen=True)
 class Physics:
-    """Material of a scene's flesh, and what it meets.
+    """Flesh of a ``scene``, and what it meets, as its document says."""
 
-    ``material`` is in Pa. Flesh slides on the skull with ``sliding``; ``lips`` is contact of skin
-    with itself, ``teeth`` of lips with teeth, ``eyes`` of lids with eyeballs, ``friction`` its
-    coefficient. With ``fibre_muscles`` these contract along their fibres only
-    (:mod:`solver.simulation.fibres`).
-    """
-
-    material: Material
-    sliding: bool = True
-    lips: bool = True
-    teeth: bool = True
-    eyes: bool = True
-    friction: float = 0.0
-    fibre_muscles: bool = False
+    def __init__(self, scene: scenes.FleshEntry) -> None:
+        self._scene = scene
+        self._material = LAWS[scene.material.law].in_pascal(scene.material.stiffness_pa)
 
     def face(self, edited: Edited) -> Face:
         """Return an edited person's face."""
         return Face(
             edited.model,
             edited.S,
-            material=self.material,
+            material=self._material,
             linear=fastest(),
-            pinned=not self.sliding,
+            pinned=not self._scene.sliding,
             stiffness_factor=edited.stiffness_factor,
             growth=edited.growth,
             bones=edited.bones,
@@ -113,37 +101,24 @@ class Physics:
 
     def contacts(self, edited: Edited, objects: Sequence[Surface] = ()) -> list[Potential]:
         """Return what keeps the skin out of itself, of teeth, eyeballs and ``objects``."""
+        contact = self._scene.contact
         return contact_potentials(
             edited.model,
-            self.material.mu,
+            self._material.mu,
             unedited=edited.unedited,
-            lips=self.lips,
-            teeth=self.teeth,
-            eyes=self.eyes,
+            lips=contact.lips,
+            teeth=contact.teeth,
+            eyes=contact.eyes,
             objects=objects,
-            friction=self.friction,
+            friction=contact.friction,
         )
 
     def activations(self, edited: Edited, a: Floats) -> Floats:
         """Return the activations (n, 6) of the tets for those of the muscles, ``a`` (m, 6)."""
         S = edited.S
-        if self.fibre_muscles:
+        if self._scene.activation_model == "fibre":
             return fibre_activations(edited.model, S, nearest_fibre(edited.model, S, a))
         return np.ascontiguousarray(S @ np.vstack([IDENTITY, a]))
-
-
-def physics_of(scene: scenes.FleshEntry) -> Physics:
-    """Return the physics of a scene."""
-    contact = scene.contact
-    return Physics(
-        material=LAWS[scene.material.law].in_pascal(scene.material.stiffness_pa),
-        sliding=scene.sliding,
-        lips=contact.lips,
-        teeth=contact.teeth,
-        eyes=contact.eyes,
-        friction=contact.friction,
-        fibre_muscles=scene.activation_model == "fibre",
-    )
 
 
 # of a scene: ten minutes at 30 a second, and a few gigabytes while its files are written
@@ -167,9 +142,16 @@ class Stage:
         drives: Drives,
         linear: str | None = None,
     ) -> None:
-        _check_length(drives)
+        frames = len(drives.times)
+        if frames > MOST_FRAMES:
+            raise InputError(
+                "scene.long",
+                f"the scene has {frames} frames; at most {MOST_FRAMES} can be simulated in one job",
+                found=frames,
+                expected=MOST_FRAMES,
+            )
         self.drives = drives
-        self._physics = physics_of(scene)
+        self._physics = Physics(scene)
         self._edited = apply(edits_of(scene.edits, places), places.model, S)
         self.model = self._edited.model
         self._face = self._physics.face(self._edited)
@@ -222,14 +204,3 @@ class Stage:
             each.shape.moved(into(vertices))
             for each, vertices in zip(self.objects, drive.objects, strict=True)
         ]
-
-
-def _check_length(drives: Drives) -> None:
-    frames = len(drives.times)
-    if frames > MOST_FRAMES:
-        raise InputError(
-            "scene.long",
-            f"the scene has {frames} frames; at most {MOST_FRAMES} can be simulated in one job",
-            found=frames,
-            expected=MOST_FRAMES,
-        )

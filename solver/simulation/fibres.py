@@ -21,8 +21,8 @@ from solver.fitting.controls import Block, Layout, jaw_block
 from solver.fitting.face import Face
 from solver.fitting.skin_fit import SkinFit
 from solver.fitting.stretches import COLUMN, FROBENIUS, ROW
+from solver.mechanics.boundary import BoundaryRates
 from solver.mechanics.flesh import IDENTITY, Flesh
-from solver.mechanics.potential import BoundaryRates
 from solver.mechanics.response import SparseControls
 from solver.mechanics.terms import ElasticTerm
 from solver.model import SubjectModel

@@ -24,8 +24,8 @@ from scipy.spatial.transform import Rotation
 
 from solver.errors import InputError
 from solver.fitting.face import Face
+from solver.mechanics.boundary import straight
 from solver.mechanics.flesh import Flesh
-from solver.mechanics.potential import straight
 from solver.mechanics.terms import Springs
 from solver.model import SubjectModel
 from solver.similarity import Similarity

@@ -14,10 +14,10 @@ import numpy as np
 
 from solver.errors import InputError, SolveError
 from solver.fitting.face import Face
+from solver.mechanics.boundary import Boundary, Potential
 from solver.mechanics.flesh import Flesh
 from solver.mechanics.linear import GrowingSolver, fastest
 from solver.mechanics.newton import Energy, Factorization, NewtonOptions, Search
-from solver.mechanics.potential import Boundary, Potential
 from solver.similarity import Similarity
 from solver.simulation.forces import Drive, Force, Inertia, Motion, lumped_masses
 from solver.surface import Floats
@@ -290,11 +290,13 @@ class _Newton:
         held = self._flesh.held
         old, steps, jams = self._factor is not None, 0, 0
         while not now.same_as(goal, options.same):
-            factor = self._factor or self._factorize(energy, x)
+            if self._factor is None:
+                self._factor = energy.factorization(x, max(self._projection - 1, 0))
+                self._projection = self._factor.projection
             motion = np.zeros_like(x)
             motion[held] = goal.held - x[held]
             force = energy.gradient(x) + self._pull(energy, x, motion, goal)
-            y = self._flesh.moved(x + motion, -factor.solve(force))
+            y = self._flesh.moved(x + motion, -self._factor.solve(force))
             part = energy.longest(x, y, self._options)
             if part < 1.0 and old:
                 # an old factor knows nothing of what is in the way now
@@ -310,11 +312,6 @@ class _Newton:
             if part < 1.0:
                 self._factor = None
         return x, steps
-
-    def _factorize(self, energy: Energy, x: Floats) -> Factorization:
-        self._factor = energy.factorization(x, max(self._projection - 1, 0))
-        self._projection = self._factor.projection
-        return self._factor
 
     def _pull(self, energy: Energy, x: Floats, motion: Floats, goal: Boundary) -> Floats:
         """Return how the gradient changes as held vertices move by ``motion`` and all else goes."""

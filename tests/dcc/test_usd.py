@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from solver.mechanics import jaw
+from solver.mechanics.boundary import move_jaw
 from solver.rig.result import ExpressionFit, save_activations, save_weights
 from solver.rig.rig import Rig
 from solver.surface import Floats, Surface, vertex_normals
@@ -105,7 +105,7 @@ def test_extents_hold_all_expressions(rig: Rig, path: Path) -> None:
     stage = Usd.Stage.Open(str(path))
     low, high = np.array(UsdSkel.Root(stage.GetDefaultPrim()).GetExtentAttr().Get())
     for fit in rig.expressions:
-        mandible = jaw.move(rig.model.jaw, rig.model.bones["mandible"].vertices, fit.jaw)
+        mandible = move_jaw(rig.model.jaw, rig.model.bones["mandible"].vertices, fit.jaw)
         for points in (fit.skin, mandible):
             assert (points >= low - 1e-4).all()
             assert (points <= high + 1e-4).all()
@@ -127,7 +127,7 @@ def test_played_by_the_library_it_is_the_rig(rig: Rig, path: Path) -> None:
     np.testing.assert_allclose(points("Skin", 9.0), (neutral + smile) / 2, atol=2e-3)
     for fit in rig.expressions:
         np.testing.assert_allclose(points("Skin", HELD[fit.name]), fit.skin, atol=2e-3)
-        mandible = jaw.move(rig.model.jaw, rig.model.bones["mandible"].vertices, fit.jaw)
+        mandible = move_jaw(rig.model.jaw, rig.model.bones["mandible"].vertices, fit.jaw)
         np.testing.assert_allclose(points("mandible", HELD[fit.name]), mandible, atol=1e-3)
         cranium = rig.model.bones["cranium"].vertices
         np.testing.assert_allclose(points("cranium", HELD[fit.name]), cranium, atol=1e-4)

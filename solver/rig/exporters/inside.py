@@ -14,7 +14,7 @@ import scipy.sparse as sp
 
 from solver.anatomy.embedding import barycentric
 from solver.anatomy.tetrahedra import barycentric_in_tets
-from solver.mechanics import jaw
+from solver.mechanics.boundary import jaw_rotation, move_jaw
 from solver.model import JawFrame, SubjectModel
 from solver.rig.container import write_container
 from solver.rig.exporters import NO_OPTIONS
@@ -115,6 +115,6 @@ def _main_muscles(S: sp.csr_array) -> np.ndarray:
 def _rigid(frame: JawFrame, b: Floats) -> Floats:
     """Return the mandible's motion (4, 4) for b (5,), as a matrix of columns (x, y, z, 1) in mm."""
     motion = np.eye(4)
-    motion[:3, :3] = jaw.rotation(frame, b)
-    motion[:3, 3] = jaw.move(frame, np.zeros((1, 3)), b)[0]
+    motion[:3, :3] = jaw_rotation(frame, b)
+    motion[:3, 3] = move_jaw(frame, np.zeros((1, 3)), b)[0]
     return motion

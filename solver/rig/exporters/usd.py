@@ -28,7 +28,7 @@ except ModuleNotFoundError as error:
 
 from solver.drawing.head import skin_parts
 from solver.errors import InputError
-from solver.mechanics import jaw
+from solver.mechanics.boundary import JAW_FREEDOM, jaw_rotation, move_jaw
 from solver.model import SubjectModel
 from solver.rig.gltf import DEFAULTS, MATERIALS, worst_error
 from solver.rig.gltf import ShapeOptions as Options
@@ -75,7 +75,7 @@ def write(rig: Rig, path: Path, options: Options = DEFAULTS) -> None:
     for fit in expressions:
         places.append(fit.skin)
         if "mandible" in model.bones:
-            places.append(jaw.move(model.jaw, model.bones["mandible"].vertices, fit.jaw))
+            places.append(move_jaw(model.jaw, model.bones["mandible"].vertices, fit.jaw))
     root.CreateExtentAttr(_extent(np.vstack(places)))
     stage.GetRootLayer().Export(str(path))
 
@@ -165,12 +165,12 @@ def _animation(
     weights = animation.CreateBlendShapeWeightsAttr()
     translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
 
-    jaws = np.array([fit.jaw for fit in expressions]).reshape(-1, jaw.DEGREES_OF_FREEDOM)
+    jaws = np.array([fit.jaw for fit in expressions]).reshape(-1, JAW_FREEDOM)
     times, rows = options.keys(len(expressions))
     for seconds, shown in zip(times.tolist(), rows, strict=True):
         time, b = Usd.TimeCode(round(seconds * FRAMES_PER_SECOND)), shown @ jaws
-        x, y, z, w = Rotation.from_matrix(jaw.rotation(model.jaw, b)).as_quat().tolist()
-        place = jaw.move(model.jaw, model.jaw.origin[None], b)[0]
+        x, y, z, w = Rotation.from_matrix(jaw_rotation(model.jaw, b)).as_quat().tolist()
+        place = move_jaw(model.jaw, model.jaw.origin[None], b)[0]
         weights.Set(Vt.FloatArray.FromNumpy(shown.astype(np.float32)), time)
         translations.Set([Gf.Vec3f(0.0), Gf.Vec3f(*place.tolist())], time)
         rotations.Set([Gf.Quatf(1.0), Gf.Quatf(w, x, y, z)], time)

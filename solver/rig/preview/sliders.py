@@ -25,7 +25,7 @@ from solver.fitting.controls import JAW_UNITS
 from solver.fitting.face import Face, Pose, State
 from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.stretches import FROBENIUS, fibre_tensors, shorten
-from solver.mechanics import jaw
+from solver.mechanics.boundary import JAW_FREEDOM, jaw_jacobian
 from solver.mechanics.equilibrium import Equilibrium
 from solver.mechanics.flesh import IDENTITY
 from solver.mechanics.newton import Factorization
@@ -392,5 +392,5 @@ class Responses:
         by_x = Sensitivity(face, state).motions_along(controls.directions)
         out = self._of_x @ by_x.reshape(self._of_x.shape[1], -1)
         points = model.skin.vertices[model.attached_mandible]
-        attached = jaw.jacobian(model.jaw, points, b).reshape(-1, jaw.DEGREES_OF_FREEDOM)
+        attached = jaw_jacobian(model.jaw, points, b).reshape(-1, JAW_FREEDOM)
         return np.asarray(out + self._of_mandible @ (attached @ by_jaw))

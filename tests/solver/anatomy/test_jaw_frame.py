@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from solver.anatomy.bones import jaw_frame, jaw_residual
-from solver.mechanics import jaw
+from solver.mechanics.boundary import move_jaw
 from solver.templates import ict_facekit
 from tests.fixtures import data_folder
 
@@ -22,7 +22,7 @@ def test_known_motion_is_found_and_stretch_counts_as_not_rigid():
     frame = jaw_frame(CONDYLES)
     teeth = np.random.default_rng(0).uniform([-25, -50, 70], [25, -40, 110], (200, 3))
     b = np.array([0.4, 0.03, 1.0, -9.0, 8.0])
-    moved = jaw.move(frame, teeth, b)
+    moved = move_jaw(frame, teeth, b)
     found = jaw_residual(frame, teeth, moved)
     np.testing.assert_allclose(found.b, b, atol=1e-6)
     assert found.greatest < 1e-6

@@ -19,7 +19,7 @@ from solver.contact.surface import (
     part_lips,
 )
 from solver.errors import InputError
-from solver.mechanics.potential import Boundary, BoundaryRates
+from solver.mechanics.boundary import Boundary, BoundaryRates
 from solver.scene.objects import check_objects
 from solver.surface import Surface
 from tests.fixtures import small_model

@@ -7,11 +7,11 @@ import pytest
 
 from solver.contact.crossing import crossing
 from solver.contact.mouth import Mouth
+from solver.contact.obstacles import Arch
 from solver.contact.potentials import Gauge, arches, contact_potentials, eyeballs
 from solver.edits.changes import Bone
 from solver.edits.edit import apply
-from solver.mechanics import jaw
-from solver.mechanics.potential import Boundary
+from solver.mechanics.boundary import Boundary, move_jaw
 from tests.solver.builtin_head import builtin_head
 
 UPPER_LIP = "upper_lip", "upper_lip_lining"
@@ -49,8 +49,18 @@ def test_lips_are_led_out_in_front_of_teeth_wherever_the_jaw_is(head, number):
     pushed = teeth.value(back)
     # the lower teeth go with the jaw, the upper ones stay
     teeth.place(at(OPEN))
-    beside = back if number == 0 else jaw.move(head.jaw, back, OPEN)
+    beside = back if number == 0 else move_jaw(head.jaw, back, OPEN)
     assert teeth.value(beside) == pytest.approx(pushed)
+
+
+def test_unedited_teeth_are_tabulated_once(head, monkeypatch):
+    tabulated, of = [], Arch.of
+    monkeypatch.setattr(Arch, "of", lambda *given: tabulated.append(given) or of(*given))
+    potentials = contact_potentials(head, 3000.0, lips=False)
+    assert len(tabulated) == 2
+    again, closed = Gauge(head, None, potentials), np.zeros(5)
+    assert len(tabulated) == 2
+    assert again.at(head.rest, closed) == Gauge(head).at(head.rest, closed)
 
 
 @pytest.mark.parametrize("number", [0, 1])
@@ -115,11 +125,11 @@ def test_depths_are_in_the_teeth_of_an_edited_jaw(head):
     lip = flesh(model, *LOWER_LIP)
     x[lip, 2] -= 4.0
     for moving in (lip, model.mandible):
-        x[moving] = jaw.move(model.jaw, x[moving], OPEN)
+        x[moving] = move_jaw(model.jaw, x[moving], OPEN)
     skin = model.skin.vertices.copy()
     skin[model.embedded] = x[: len(model.embedded)]
     teeth = model.attached_mandible
-    skin[teeth] = jaw.move(model.jaw, skin[teeth], OPEN)
+    skin[teeth] = move_jaw(model.jaw, skin[teeth], OPEN)
     found = crossing(Mouth.of(model), skin)
     assert found.lower_teeth > 0.5
     expected = max(found.upper_teeth, found.lower_teeth)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from solver.contact.one_sided import Arch, Eyeball, OneSided, OneSidedOptions, free_depths
-from solver.mechanics import jaw
-from solver.mechanics.potential import Boundary, BoundaryRates
+from solver.contact.obstacles import Arch, Eyeball
+from solver.contact.one_sided import OneSided, OneSidedOptions, free_depths
+from solver.mechanics.boundary import Boundary, BoundaryRates, move_jaw
 from solver.model import JawFrame
 from tests.solver.ball import ball
 from tests.solver.teeth import HEIGHT, RADIUS, fan, row_of_teeth
@@ -58,7 +58,7 @@ def test_derivatives_of_teeth_match_differences(height, carried):
     b = np.array([0.05, 0.02, 0.4, -0.3, 0.2])
     points = fan(RADIUS - 2.0, height)
     if carried is not None:
-        points = jaw.move(JAW, points, b)
+        points = move_jaw(JAW, points, b)
     check_derivatives(kept(Arch.of(row_of_teeth()), points, carried), points, b)
 
 

@@ -10,7 +10,7 @@ from solver.contact.crossing import crossing
 from solver.contact.mouth import AROUND, LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
 from solver.errors import InputError, SolveError
 from solver.fitting.contact import Contact, LipContactOptions, Teeth
-from solver.mechanics import jaw
+from solver.mechanics.boundary import move_jaw, move_jaw_back
 from solver.model import JawFrame
 from solver.surface import Surface
 from tests.solver.ball import ball
@@ -134,8 +134,8 @@ def behind(deep):
     mouth = Mouth(np.arange(count), label, faces, rows, np.zeros((count, 3)))
     model = replace(block_model(), rest=points, mandible=np.arange(count, len(points)), jaw=JAW)
     x = points.copy()
-    x[: len(lips)] = jaw.move(JAW, lips, B)
-    x[count:] = jaw.move(JAW, mandible, B)
+    x[: len(lips)] = move_jaw(JAW, lips, B)
+    x[count:] = move_jaw(JAW, mandible, B)
     return contact(model, mouth), x, len(lips)
 
 
@@ -148,7 +148,7 @@ def test_a_lip_behind_the_teeth_of_a_moved_jaw_comes_out_to_the_front(deep):
         gradient = term.gradient(x)
         gradient[count:] = 0.0
         x = x - gradient / stiffness
-    seen = jaw.move_back(JAW, x[:count], B)
+    seen = move_jaw_back(JAW, x[:count], B)
     radius = np.hypot(seen[:, 0], seen[:, 2])
     assert np.all((radius > RADIUS - LipContactOptions.teeth_slack_mm - 0.2) & (radius < RADIUS))
 
@@ -174,9 +174,9 @@ def closed(model, angle):
     line = skin[model.regions["lower_lip"], 1].max()
     moving = (model.rest[:, 1] < line) | (np.arange(len(model.rest)) >= len(model.embedded))
     x = model.rest.copy()
-    x[moving] = jaw.move(model.jaw, model.rest[moving], b)
+    x[moving] = move_jaw(model.jaw, model.rest[moving], b)
     whole = skin.copy()
-    whole[model.attached_mandible] = jaw.move(model.jaw, skin[model.attached_mandible], b)
+    whole[model.attached_mandible] = move_jaw(model.jaw, skin[model.attached_mandible], b)
     whole[model.embedded] = x[: len(model.embedded)]
     return x, whole
 

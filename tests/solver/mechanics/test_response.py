@@ -5,14 +5,14 @@ import pytest
 import scipy.sparse as sp
 
 from solver.contact.barrier import Barrier
-from solver.contact.one_sided import Eyeball, OneSided
+from solver.contact.obstacles import Eyeball
+from solver.contact.one_sided import OneSided
 from solver.contact.surface import ContactSurface
 from solver.errors import InputError
 from solver.fitting.face import Face
-from solver.mechanics import jaw
+from solver.mechanics.boundary import Boundary, BoundaryRates, move_jaw_back
 from solver.mechanics.flesh import Flesh
 from solver.mechanics.linear import SOLVERS, analyse
-from solver.mechanics.potential import Boundary, BoundaryRates
 from solver.mechanics.response import Response, SparseControls, curvature
 from tests.solver.ball import ball
 from tests.solver.block import block_model, grid
@@ -54,7 +54,7 @@ class Driven:
                 front, faces, own[front], np.zeros((30, 3)), model.rest[front], np.zeros(30, bool)
             )
             b = self.by_jaw @ Q
-            centre = jaw.move_back(model.jaw, pressed[None] + [0.5, 0.2, 8.0], b)[0]
+            centre = move_jaw_back(model.jaw, pressed[None] + [0.5, 0.2, 8.0], b)[0]
             eye = Eyeball(centre, 8.5)
             pushed = OneSided(
                 eye, own[front], np.zeros((30, 3)), np.full(30, -0.1), np.full(30, 50.0), model.jaw

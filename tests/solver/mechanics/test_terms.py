@@ -5,9 +5,9 @@ import pytest
 import scipy.sparse as sp
 
 from solver.mechanics import equilibrium
+from solver.mechanics.boundary import BoundaryRates
 from solver.mechanics.flesh import Flesh
 from solver.mechanics.linear import analyse
-from solver.mechanics.potential import BoundaryRates
 from solver.mechanics.response import Response, SparseControls
 from solver.mechanics.terms import force_columns
 from tests.solver.block import block_model

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from solver.fitting.face import Face, Pose
-from solver.mechanics import jaw
+from solver.mechanics.boundary import move_jaw
 from solver.rig.certificate import certify
 from solver.rig.container import Container, read_container
 from solver.rig.exporters import inside as inside_exporter
@@ -106,7 +106,7 @@ def test_bones_move_with_the_jaw_or_stay(rig: Rig, inside: Container) -> None:
     points = inside.arrays["bone/1/vertices"]
     motion = inside.arrays["jaw"][0]
     moved = points @ motion[:3, :3].T + motion[:3, 3]
-    np.testing.assert_allclose(moved, jaw.move(rig.model.jaw, points, JAW), atol=1e-4)
+    np.testing.assert_allclose(moved, move_jaw(rig.model.jaw, points, JAW), atol=1e-4)
 
 
 def test_muscles_hang_in_the_flesh(rig: Rig, inside: Container) -> None:
