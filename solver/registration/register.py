@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from solver.anatomy.template import Template
 from solver.errors import InputError
 from solver.meshio.raw import RawScan
 from solver.progress import Progress, Step, silent
-from solver.registration.confidence import Trust, head_motion, trust
 from solver.registration.landmarks import find_landmarks, landmark_vertices
 from solver.registration.locate import (
-    face_points,
+    FRAME,
     face_surface,
     locate_face,
     location_findings,
@@ -25,11 +25,11 @@ from solver.registration.locate import (
 )
 from solver.registration.nonrigid import FROM_AFAR, REFINE, folded_triangles, free_form, unfold
 from solver.registration.scan_surface import ScanSurface, check_size, scan_surface
+from solver.registration.search import face_points
 from solver.registration.shape_fit import Pins, align, expressions, fit_shapes, pair, persons
 from solver.registration.topology import Topology, carry_hidden
-from solver.registration.units import FRAME
-from solver.similarity import IDENTITY, Similarity
-from solver.surface import Floats, Ints, Surface, vertex_normals
+from solver.similarity import IDENTITY, Similarity, weighted_motion
+from solver.surface import Floats, Ints, Surface, adjacency, vertex_normals
 
 Marks = tuple[Floats, Ints]  # points (k, 3) in the scan's own frame, vertices (k,)
 
@@ -239,3 +239,86 @@ def _own_size(
         return rest.vertices, motion
     resize = Similarity(before / motion.scale, IDENTITY.rotation, IDENTITY.shift)
     return resize(rest.vertices), motion.then(resize)
+
+
+# Confidence in registered vertices, their distances to the scan, and the head's motion.
+
+
+@dataclass(frozen=True)
+class ConfidenceOptions:
+    """Limits of what a scan says of a registered vertex."""
+
+    covered_mm: float = 10.0  # farther there is no data
+    covered_cosine: float = 0.5  # of the normals, at least
+    trusted_mm: float = 2.0  # distance at which confidence has fallen to 1/e
+
+
+@dataclass(frozen=True)
+class Trust:
+    """Per skin vertex: ``confidence`` (n,) in [0, 1], ``covered`` (n,), ``distance_mm`` (n,).
+
+    A vertex is covered where the scan has data: outer skin whose closest scan point is not on an
+    edge of the scan, within 10 mm, and faces the same way. Elsewhere the confidence is 0 and the
+    distance NaN.
+    """
+
+    confidence: Floats
+    covered: NDArray[np.bool_]
+    distance_mm: Floats
+
+
+def trust(
+    scan: ScanSurface,
+    motion: Similarity,
+    skin: Surface,
+    outer: Ints,
+    options: ConfidenceOptions = ConfidenceOptions(),
+) -> Trust:
+    """Compare a registered ``skin`` with the scan that ``motion`` takes to it.
+
+    Confidence is the product of a term of distance, one of the angle between the normals, and the
+    share of neighbours that are covered, so that it fades towards holes.
+    """
+    count = len(skin.vertices)
+    normals = vertex_normals(skin)[outer]
+    found = scan.closest(motion.inverse()(skin.vertices[outer]))
+    distance = found.distance * motion.scale
+    cosine = np.einsum("nd,nd->n", normals, motion.turn(found.normals))
+    seen = ~found.at_edge & (distance < options.covered_mm) & (cosine > options.covered_cosine)
+    covered = np.zeros(count, dtype=bool)
+    covered[outer] = seen
+    near = np.zeros(count)
+    near[outer] = np.exp(-((distance / options.trusted_mm) ** 2)) * np.clip(
+        (cosine - options.covered_cosine) / (0.9 - options.covered_cosine), 0.0, 1.0
+    )
+    apart = np.full(count, np.nan)
+    apart[outer[seen]] = distance[seen]
+    graph = adjacency(skin.faces, count)
+    have, every = covered.astype(float), np.zeros(count)
+    every[outer] = 1.0
+    for _ in range(2):  # neighbours within two edges
+        have, every = graph @ have + have, graph @ every + every
+    return Trust(np.where(covered, near * have / np.maximum(every, 1e-12), 0.0), covered, apart)
+
+
+STEPS = 6  # of reweighting
+SLACK_MM = 0.5  # a vertex that moves by more on its own loses its say
+
+
+def head_motion(registered: Floats, expected: Floats, weights: Floats) -> Similarity:
+    """Return the rigid motion that takes ``registered`` (n, 3) back onto ``expected`` (n, 3).
+
+    ``weights`` (n,) say how still and how well seen each vertex is; vertices that move on their
+    own by more than about :data:`SLACK_MM` lose their say. This is rigid stabilisation after Beeler
+    & Bradley, "Rigid stabilization of facial expressions" (SIGGRAPH 2014), with the expression's
+    fitted shapes, instead of a skull, telling skin motion from head motion.
+    """
+    used = np.flatnonzero(weights > 1e-3)
+    if len(used) < 10:
+        return IDENTITY
+    motion = IDENTITY
+    for _ in range(STEPS):
+        away = np.linalg.norm(motion(registered[used]) - expected[used], axis=1)
+        robust = weights[used] / (1 + (away / SLACK_MM) ** 2) ** 2
+        motion = weighted_motion(registered[used], expected[used], robust)
+    return motion
