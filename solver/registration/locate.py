@@ -224,13 +224,7 @@ class UnitOptions:
 
     extent_mm: tuple[float, float] = (90.0, 1100.0)  # a bare face to two people's shoulders
     slips: tuple[float, ...] = (0.001, 0.1, 10.0, 1000.0)  # factors of a unit that is mixed up
-    ladder_mm: tuple[float, ...] = (
-        310.0,
-        230.0,
-        420.0,
-        170.0,
-        570.0,
-    )  # of scans, likely ones first
+    ladder_mm: tuple[float, ...] = (310.0, 230.0, 420.0, 170.0, 570.0)  # scans, likely ones first
     face_sizes: tuple[float, float] = (0.77, 1.3)  # of persons, by the template's face
 
 
@@ -239,22 +233,17 @@ UNIT_OPTIONS = UnitOptions()
 
 def check_frame(frame: Mapping[str, Any]) -> None:
     """Raise :class:`InputError` (``options.unit``, ``options.axes``) for what does not exist."""
-    unit = str(frame["unit"])
-    if unit != "auto" and unit not in UNITS:
-        raise InputError(
-            "options.unit",
-            f"unit is {unit!r}, not one of auto, {', '.join(UNITS)}",
-            expected=["auto", *UNITS],
-        )
-    given = [str(frame[name]) for name in ("up", "forward")]
-    for name, axis in zip(("up", "forward"), given, strict=True):
-        if axis != "auto" and axis not in AXES:
-            raise InputError(
-                "options.axes",
-                f"{name} is {axis!r}, not one of auto, {', '.join(AXES)}",
-                expected=["auto", *AXES],
-            )
-    if "auto" not in given and given[0].lstrip("-") == given[1].lstrip("-"):
+    for name, known, code in (
+        ("unit", UNITS, "options.unit"),
+        ("up", AXES, "options.axes"),
+        ("forward", AXES, "options.axes"),
+    ):
+        given = str(frame[name])
+        if given != "auto" and given not in known:
+            message = f"{name} is {given!r}, not one of auto, {', '.join(known)}"
+            raise InputError(code, message, expected=["auto", *known])
+    up, forward = str(frame["up"]), str(frame["forward"])
+    if "auto" not in (up, forward) and up.lstrip("-") == forward.lstrip("-"):
         raise InputError("options.axes", "up and forward must be two different axes")
 
 
@@ -277,8 +266,8 @@ def candidate_scales(
     ``declared`` is the mm per unit of the file's format. Known units come first, then those that
     are wrong by a decimal slip, then sizes of heads whatever the unit.
     """
-    first = UNITS.get(unit, declared)
     low, high = options.extent_mm
+    first = UNITS.get(unit, declared)
     known = [first] if first is not None else list(UNITS.values())
     slips = {(first or 1.0) * factor for factor in options.slips}
     odd = sorted((slips | set(UNITS.values())) - set(known))

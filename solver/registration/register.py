@@ -23,10 +23,25 @@ from solver.registration.locate import (
     location_findings,
     scan_samples,
 )
-from solver.registration.nonrigid import FROM_AFAR, REFINE, folded_triangles, free_form, unfold
+from solver.registration.nonrigid import (
+    FROM_AFAR,
+    REFINE,
+    Round,
+    folded_triangles,
+    free_form,
+    unfold,
+)
 from solver.registration.scan_surface import ScanSurface, check_size, scan_surface
 from solver.registration.search import face_points
-from solver.registration.shape_fit import Pins, align, expressions, fit_shapes, pair, persons
+from solver.registration.shape_fit import (
+    Pins,
+    ShapeFit,
+    align,
+    expressions,
+    fit_shapes,
+    pair,
+    persons,
+)
 from solver.registration.topology import Topology, carry_hidden
 from solver.similarity import IDENTITY, Similarity, weighted_motion
 from solver.surface import Floats, Ints, Surface, adjacency, vertex_normals
@@ -161,52 +176,62 @@ def _find_pins(start: Start, topology: Topology, model: Path) -> Pins | None:
 def _register_neutral(
     start: Start, topology: Topology, pins: Pins | None, progress: Progress
 ) -> RegisteredFace:
-    scan, motion, template = start.scan, start.motion, topology.template
-    match = partial(pair, scan)
-    rest, basis = template.skin, template.shapes
-    open_size = not start.size_known
+    scan, basis, open_size = start.scan, topology.template.shapes, not start.size_known
+    rest = topology.template.skin.vertices
     progress(Step("shape", 0.3))
     if basis is not None and len(basis.identity):
-        fit = fit_shapes(match, motion, persons(topology, basis), pins, sizes=open_size)
-        shape, motion, weights, schedule = fit.vertices, fit.motion, fit.weights, REFINE
+        match, schedule = partial(pair, scan), REFINE
+        fit = fit_shapes(match, start.motion, persons(topology, basis), pins, sizes=open_size)
     else:
-        shape, motion = _own_size(scan, motion, topology, open_size=open_size)
-        weights, schedule = np.zeros(0), FROM_AFAR
+        shape, motion = _own_size(scan, start.motion, topology, open_size=open_size)
+        fit, schedule = ShapeFit(np.zeros(0), shape, motion), FROM_AFAR
     progress(Step("free form", 0.6))
-    fitted = free_form(scan, motion, shape, topology, schedule, pins)
-    fitted = unfold(rest.vertices, fitted, topology.flesh)
-    skin = rest.moved(carry_hidden(topology.groups, shape, shape, fitted, topology.outer))
-    seen = trust(scan, motion, skin, topology.outer)
-    folds = folded_triangles(rest.vertices, skin.vertices, topology.flesh)
-    return RegisteredFace(start, skin, seen, motion, weights, folds)
+    skin, seen = _lay_freely(scan, topology, fit, (rest, fit.vertices), schedule, pins)
+    folds = folded_triangles(rest, skin.vertices, topology.flesh)
+    return RegisteredFace(start, skin, seen, fit.motion, fit.weights, folds)
 
 
 def _register_expression(
     start: Start, topology: Topology, neutral: Floats, pins: Pins | None, progress: Progress
 ) -> RegisteredFace:
-    scan, template = start.scan, topology.template
-    match = partial(pair, scan)
-    rest, basis = template.skin.moved(neutral), template.shapes
-    open_size = not start.size_known
+    scan, basis, open_size = start.scan, topology.template.shapes, not start.size_known
     progress(Step("shape", 0.3))
     still = np.flatnonzero(topology.stable > STILL)
-    normals = vertex_normals(rest)[still]
+    normals = vertex_normals(topology.template.skin.moved(neutral))[still]
     share = topology.stable[still]
     motion = align(scan, start.motion, neutral[still], normals, share, sizes=open_size)
-    shape, weights, schedule = neutral, np.zeros(0), FROM_AFAR
+    fit, schedule = ShapeFit(np.zeros(0), neutral, motion), FROM_AFAR
     if basis is not None and len(basis.expressions):
+        match, schedule = partial(pair, scan), REFINE
         shapes = expressions(neutral, topology, basis)
         fit = fit_shapes(match, motion, shapes, pins, sizes=open_size)
-        shape, motion, weights, schedule = fit.vertices, fit.motion, fit.weights, REFINE
     progress(Step("free form", 0.6))
-    fitted = free_form(scan, motion, shape, topology, schedule, pins)
-    fitted = unfold(neutral, fitted, topology.flesh)
-    skin = rest.moved(carry_hidden(topology.groups, neutral, shape, fitted, topology.outer))
-    seen = trust(scan, motion, skin, topology.outer)
-    back = head_motion(skin.vertices, shape, topology.stable * seen.confidence)
+    skin, seen = _lay_freely(scan, topology, fit, (neutral, neutral), schedule, pins)
+    back = head_motion(skin.vertices, fit.vertices, topology.stable * seen.confidence)
     skin = skin.moved(back(skin.vertices))
     folds = folded_triangles(neutral, skin.vertices, topology.flesh)
-    return RegisteredFace(start, skin, seen, motion.then(back), weights, folds)
+    return RegisteredFace(start, skin, seen, fit.motion.then(back), fit.weights, folds)
+
+
+def _lay_freely(
+    scan: ScanSurface,
+    topology: Topology,
+    fit: ShapeFit,
+    before: tuple[Floats, Floats],
+    schedule: tuple[Round, ...],
+    pins: Pins | None,
+) -> tuple[Surface, Trust]:
+    """Return the skin laid on the scan, and the trust in it.
+
+    ``before`` (n, 3) are its vertices when it had no folds, and when its hidden parts were in
+    place.
+    """
+    unfolded, placed = before
+    fitted = free_form(scan, fit.motion, fit.vertices, topology, schedule, pins)
+    fitted = unfold(unfolded, fitted, topology.flesh)
+    vertices = carry_hidden(topology.groups, placed, fit.vertices, fitted, topology.outer)
+    skin = topology.template.skin.moved(vertices)
+    return skin, trust(scan, fit.motion, skin, topology.outer)
 
 
 def _check(file: str, found: RegisteredFace, topology: Topology) -> None:

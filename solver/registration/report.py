@@ -29,10 +29,9 @@ class ReportLimits:
     unusual_shape: float = 2.0  # times the expected length of the identity weights
 
 
-LIMITS = ReportLimits()
-
-
-def report(registered: RegisteredFace, topology: Topology) -> dict[str, Any]:
+def report(
+    registered: RegisteredFace, topology: Topology, limits: ReportLimits = ReportLimits()
+) -> dict[str, Any]:
     """Return the figures and findings as plain JSON values; lengths in mm.
 
     Distances are from registered vertices to the scan's surface, over the covered outer face;
@@ -64,17 +63,19 @@ def report(registered: RegisteredFace, topology: Topology) -> dict[str, Any]:
             "translation": np.round(motion.shift, 6).tolist(),
         },
         "shape_weights": np.round(registered.shape_weights, 4).tolist(),
-        "findings": findings(registered, topology, seen),
+        "findings": findings(registered, topology, seen, limits),
     }
 
 
-def findings(registered: RegisteredFace, topology: Topology, seen: Ints) -> list[dict[str, Any]]:
+def findings(
+    registered: RegisteredFace, topology: Topology, seen: Ints, limits: ReportLimits
+) -> list[dict[str, Any]]:
     """Return what an operator should know, each with code, severity, message and advice."""
     found: list[Finding] = []
     coverage = len(seen) / len(topology.face)
     distance = registered.trust.distance_mm[seen]
-    if coverage < LIMITS.much_cover:
-        severity: Severity = "warning" if coverage < LIMITS.little_cover else "info"
+    if coverage < limits.much_cover:
+        severity: Severity = "warning" if coverage < limits.little_cover else "info"
         message = (
             f"The scan shows {coverage:.0%} of the face; the rest is filled in smoothly and does "
             "not count in the fits."
@@ -82,7 +83,7 @@ def findings(registered: RegisteredFace, topology: Topology, seen: Ints) -> list
         advice = "Fill large holes by another take, if they lie where the face moves."
         found.append(Finding("registration.holes", severity, message, advice))
     mean, p95 = (distance.mean(), np.percentile(distance, 95)) if len(seen) else (0.0, 0.0)
-    if mean > LIMITS.mean_mm or p95 > LIMITS.p95_mm:
+    if mean > limits.mean_mm or p95 > limits.p95_mm:
         message = (
             f"The registered face lies {mean:.2f} mm off the scan on average, 95 % of it within "
             f"{p95:.2f} mm."
@@ -96,7 +97,7 @@ def findings(registered: RegisteredFace, topology: Topology, seen: Ints) -> list
         advice = "State the unit, so that the subject gets the true size."
         found.append(Finding("registration.unit", "warning", message, advice))
     regions = _regions(registered, topology).items()
-    unseen = sorted(name for name, each in regions if each["coverage"] < LIMITS.little_cover)
+    unseen = sorted(name for name, each in regions if each["coverage"] < limits.little_cover)
     if unseen:
         message = f"Mostly not in the scan: {', '.join(unseen).replace('_', ' ')}."
         advice = "Their shape is the likeliest one, not a measured one."
@@ -104,7 +105,7 @@ def findings(registered: RegisteredFace, topology: Topology, seen: Ints) -> list
     shapes, weights = topology.template.shapes, registered.shape_weights
     if shapes is not None and len(weights) == len(shapes.identity):
         length = float(np.linalg.norm(weights) / np.sqrt(max(len(weights), 1)))
-        if length > LIMITS.unusual_shape:
+        if length > limits.unusual_shape:
             message = "The face differs much from those the template knows."
             advice = "Check distance.png; give landmarks if eyes or mouth are in the wrong place."
             found.append(Finding("registration.unusual_shape", "info", message, advice))

@@ -24,18 +24,14 @@ NEIGHBOURS = 12  # of a point of a cloud, on a plane
 class ScanSurfaceOptions:
     """Preparing a scan for closest points; lengths in mm."""
 
-    max_vertices: int = (
-        120_000  # more is thinned: a 1.5 mm grid on a head, below a template's edges
-    )
+    # more is thinned: a 1.5 mm grid on a head, below a template's edges
+    max_vertices: int = 120_000
     least_vertices: int = 100  # of a scan
     normal_radius: float = 2.5  # of the mean, as noise turns small triangles
     small_piece: float = 0.01  # share of the area under which a piece is debris
     cloud_neighbours: int = NEIGHBOURS  # of a point, on a plane
     turn: float = 20.0  # a turn by a radian counts as this distance
     alike_neighbours: int = 3  # that are averaged
-
-
-SURFACE = ScanSurfaceOptions()
 
 
 @dataclass(frozen=True)
@@ -66,29 +62,32 @@ class ScanSurface(Protocol):
         """Return scan points that are close and face the same way as ``normals`` (n, 3)."""
 
 
-def scan_surface(scan: RawScan, mm_per_unit: float) -> ScanSurface:
+def scan_surface(
+    scan: RawScan, mm_per_unit: float, options: ScanSurfaceOptions = ScanSurfaceOptions()
+) -> ScanSurface:
     """Return a mended scan in mm ready for registration: thinned, no debris, normals outward.
 
     Raises :class:`InputError` (``scan.empty``) if next to nothing is left.
     """
     vertices = mm_per_unit * scan.vertices
     if len(scan.faces):
-        surface = _drop_debris(_thin(Surface(vertices, scan.faces)))
-        check_size(len(surface.vertices), scan.file)
-        return MeshScan(_turn_outward(surface))
-    points = _thin_points(vertices)
-    check_size(len(points), scan.file)
-    return CloudScan(points)
+        thin = _thin(Surface(vertices, scan.faces), options.max_vertices)
+        surface = _drop_debris(thin, options.small_piece)
+        check_size(len(surface.vertices), scan.file, options)
+        return MeshScan(_turn_outward(surface), options)
+    points = _thin_points(vertices, options.max_vertices)
+    check_size(len(points), scan.file, options)
+    return CloudScan(points, options)
 
 
 class MeshScan:
     """A triangle mesh; see :class:`ScanSurface`."""
 
-    def __init__(self, surface: Surface) -> None:
+    def __init__(self, surface: Surface, options: ScanSurfaceOptions) -> None:
         self.vertices, self.faces = surface.vertices, surface.faces
-        self.normals = _smooth_normals(surface)
+        self.normals = _smooth_normals(surface, options.normal_radius)
         self._edge_opposite, self._edge_vertex = _boundary(surface)
-        self._alike = Alike(self.vertices, self.normals)
+        self._alike = Alike(self.vertices, self.normals, options)
         self._tree = igl.AABB()
         self._tree.init(self.vertices, self.faces)
 
@@ -111,18 +110,19 @@ class MeshScan:
 class CloudScan:
     """Points without triangles; see :class:`ScanSurface`."""
 
-    def __init__(self, points: Floats) -> None:
+    def __init__(self, points: Floats, options: ScanSurfaceOptions) -> None:
+        self._neighbours = options.cloud_neighbours
         self.vertices, self.faces = points, np.zeros((0, 3), np.int64)
         self._tree = cKDTree(points)
-        distance, near = self._tree.query(points, SURFACE.cloud_neighbours)
+        distance, near = self._tree.query(points, self._neighbours)
         self._spacing = float(np.median(distance[:, -1]))
         samples = orient_outward(Samples(points, estimated_normals(points, points), False))
         self.normals = unit_rows(samples.normals[near].mean(axis=1))
-        self._alike = Alike(points, self.normals)
+        self._alike = Alike(points, self.normals, options)
 
     def closest(self, points: Floats) -> Matches:
         """See :class:`ScanSurface`; the points lie on planes through neighbours."""
-        distance, near = self._tree.query(points, SURFACE.cloud_neighbours)
+        distance, near = self._tree.query(points, self._neighbours)
         weights = 1 / (distance**2 + (0.3 * self._spacing) ** 2)
         weights /= weights.sum(axis=1, keepdims=True)
         centre = np.einsum("nk,nkd->nd", weights, self.vertices[near])
@@ -142,15 +142,14 @@ class CloudScan:
 class Alike:
     """Closest points in place and direction together, as in White et al. (Sci. Rep. 2019)."""
 
-    def __init__(self, vertices: Floats, normals: Floats) -> None:
-        self._vertices, self._normals = vertices, normals
-        self._tree = cKDTree(np.hstack([vertices, SURFACE.turn * normals]))
+    def __init__(self, vertices: Floats, normals: Floats, options: ScanSurfaceOptions) -> None:
+        self._vertices, self._normals, self._options = vertices, normals, options
+        self._tree = cKDTree(np.hstack([vertices, options.turn * normals]))
 
     def __call__(self, points: Floats, normals: Floats) -> tuple[Matches, Ints]:
         """Return means of the most alike vertices, none at an edge, and their numbers (n, k)."""
-        apart, near = self._tree.query(
-            np.hstack([points, SURFACE.turn * normals]), SURFACE.alike_neighbours
-        )
+        places = np.hstack([points, self._options.turn * normals])
+        apart, near = self._tree.query(places, self._options.alike_neighbours)
         weights = 1 / (apart + 0.5) ** 2
         weights /= weights.sum(axis=1, keepdims=True)
         place = np.einsum("nk,nkd->nd", weights, self._vertices[near])
@@ -159,26 +158,26 @@ class Alike:
         return Matches(place, direction, distance, np.zeros(len(points), dtype=bool)), near
 
 
-def check_size(count: int, file: str) -> None:
+def check_size(count: int, file: str, options: ScanSurfaceOptions = ScanSurfaceOptions()) -> None:
     """Raise :class:`InputError` (``scan.empty``) for a scan of next to nothing."""
-    if count < SURFACE.least_vertices:
+    if count < options.least_vertices:
         message = f"{file} holds only {count} usable points; a face needs thousands"
         raise InputError("scan.empty", message, file=file, found=count)
 
 
-def _thin(surface: Surface) -> Surface:
-    """Cluster vertices on a grid, as fine as ``max_vertices`` allows (Rossignac 1993)."""
-    if len(surface.vertices) <= SURFACE.max_vertices:
+def _thin(surface: Surface, most: int) -> Surface:
+    """Cluster vertices on a grid, as fine as ``most`` vertices allow (Rossignac 1993)."""
+    if len(surface.vertices) <= most:
         return surface
     area = float(igl.doublearea(surface.vertices, surface.faces).sum()) / 2
-    cell = 1.2 * np.sqrt(area / SURFACE.max_vertices)
+    cell = 1.2 * np.sqrt(area / most)
     _, number = cells(surface.vertices, cell)
     return _compact(mean_by_cell(surface.vertices, number), number[surface.faces])
 
 
-def _thin_points(points: Floats) -> Floats:
-    cell = float(np.ptp(points, axis=0).max()) / 400 if len(points) > SURFACE.max_vertices else 0.0
-    while len(points) > SURFACE.max_vertices:
+def _thin_points(points: Floats, most: int) -> Floats:
+    cell = float(np.ptp(points, axis=0).max()) / 400 if len(points) > most else 0.0
+    while len(points) > most:
         points, cell = mean_by_cell(points, cells(points, cell)[1]), 1.2 * cell
     return points
 
@@ -205,13 +204,13 @@ def _compact(vertices: Floats, faces: Ints) -> Surface:
     return Surface(vertices[used], numbers.reshape(-1, 3).astype(np.int64))
 
 
-def _drop_debris(surface: Surface) -> Surface:
+def _drop_debris(surface: Surface, least_share: float) -> Surface:
     count = len(surface.vertices)
     label = connected_components(adjacency(surface.faces, count), directed=False)[1]
     area = np.nan_to_num(igl.doublearea(surface.vertices, surface.faces))
     owner = label[surface.faces[:, 0]]
     share = np.bincount(owner, area) / max(float(area.sum()), 1e-12)
-    return _compact(surface.vertices, surface.faces[share[owner] >= SURFACE.small_piece])
+    return _compact(surface.vertices, surface.faces[share[owner] >= least_share])
 
 
 def _turn_outward(surface: Surface) -> Surface:
@@ -223,14 +222,14 @@ def _turn_outward(surface: Surface) -> Surface:
     return Surface(surface.vertices, np.ascontiguousarray(surface.faces[:, ::-1]))
 
 
-def _smooth_normals(surface: Surface) -> Floats:
+def _smooth_normals(surface: Surface, radius: float) -> Floats:
     corners = surface.vertices[surface.faces]
     normal = area_normals(surface.vertices, surface.faces)
     count = len(surface.vertices)
     sums = np.zeros((count, 3))
     np.add.at(sums, surface.faces.T, normal)
     edge = float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)))
-    steps = int(np.clip((SURFACE.normal_radius / edge) ** 2, 0, 30))
+    steps = int(np.clip((radius / edge) ** 2, 0, 30))
     mean = adjacency(surface.faces, count) + sp.eye_array(count, format="csr")
     for _ in range(steps):
         sums = unit_rows(mean @ sums)

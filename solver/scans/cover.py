@@ -210,11 +210,9 @@ def _holes(
     graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(missing), len(missing)))
     count, label = connected_components(graph, directed=False)
     holes = []
-    for number in range(count):
-        chosen = label == number
-        members = missing[chosen]
-        centre, ends = members.mean(axis=0), bool(at_rim[chosen].any())
-        size = float(np.pi * (np.sqrt(len(members) * area / np.pi) + edge) ** 2)
+    for chosen in (label == number for number in range(count)):
+        centre, ends = missing[chosen].mean(axis=0), bool(at_rim[chosen].any())
+        size = float(np.pi * (np.sqrt(chosen.sum() * area / np.pi) + edge) ** 2)
         holes.append(Hole(size, centre, _region(centre, skin, template), ends))
     return sorted(holes, key=lambda hole: -hole.area_mm2)
 
@@ -255,16 +253,11 @@ class PartOptions:
     other_share: float = 0.08  # of the scan outside the head that may hold another
 
 
-def parts_of(face: Surface) -> dict[str, FacePoints]:
+def _halves(face: Surface) -> dict[str, FacePoints]:
     """Return the ``left``, ``right``, ``upper`` and ``lower`` halves of a template's face."""
-    centre = face.vertices[face.faces].mean(axis=1)
-    middle = np.median(centre[:, 1])
-    halves = {
-        "left": centre[:, 0] > 0,
-        "right": centre[:, 0] < 0,
-        "upper": centre[:, 1] > middle,
-        "lower": centre[:, 1] < middle,
-    }
+    x, y, _ = face.vertices[face.faces].mean(axis=1).T
+    middle = np.median(y)
+    halves = {"left": x > 0, "right": x < 0, "upper": y > middle, "lower": y < middle}
     return {
         name: face_points(Surface(face.vertices, face.faces[kept])) for name, kept in halves.items()
     }
@@ -274,7 +267,7 @@ def visible_part(
     scan: Samples, face: Surface, scales: list[float], options: PartOptions = PartOptions()
 ) -> str | None:
     """Return which half of a face a scan shows that shows no whole one; else None."""
-    parts, scan = parts_of(face), orient_outward(scan)
+    parts, scan = _halves(face), orient_outward(scan)
     best: tuple[str, FacePose] | None = None
     for name, part in parts.items():
         pose = find_pose(part, scan, scales)
