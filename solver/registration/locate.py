@@ -84,24 +84,13 @@ def locate_face(
 ) -> Location:
     """Find the best place of the face in a scan, however bad, and with it unit and axes.
 
-    Parameters
-    ----------
-    scan
-        Mended, in its own unit and axes.
-    samples
-        Of it (:func:`scan_samples`).
-    face
-        The template's.
-    frame
-        The options ``unit``, ``up`` and ``forward``, as :data:`~solver.registration.locate.FRAME`.
-    marks
-        Landmarks: points (k, 3) of the scan and of the template. They replace the search, and who
-        sets them has seen a face.
+    ``scan`` is mended, in its own unit and axes, ``samples`` are of it (:func:`scan_samples`),
+    ``face`` is the template's; ``frame`` holds the options ``unit``, ``up`` and ``forward``, as
+    :data:`FRAME`. Landmarks (``marks``), points (k, 3) of the scan and of the template, replace the
+    search: who sets them has seen a face.
 
-    Raises
-    ------
-    InputError
-        ``options.unit``, ``options.axes``; ``scan.unit_unknown`` for a scan without extent.
+    Raises :class:`InputError`: ``options.unit``, ``options.axes``; ``scan.unit_unknown`` for a scan
+    without extent.
     """
     check_frame(frame)
     extent = _extent(samples)

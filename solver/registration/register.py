@@ -127,22 +127,12 @@ def register(
 ) -> RegisteredFace:
     """Register a mended scan: a neutral, or an expression if ``neutral`` (n, 3) is given.
 
-    Parameters
-    ----------
-    neutral
-        Vertices of the person's registered neutral.
-    frame
-        The options ``unit``, ``up`` and ``forward`` of the scan.
-    landmarks
-        Points (k, 3) in the scan's own unit and axes, and the vertices (k,) they mark.
-    landmarker
-        Model file with which landmarks are found if none are given.
+    ``frame`` holds the options ``unit``, ``up`` and ``forward`` of the scan; ``landmarks`` are
+    points (k, 3) in its own unit and axes and the vertices (k,) they mark. If none are given, they
+    are found with the model file ``landmarker``.
 
-    Raises
-    ------
-    InputError
-        ``scan.not_a_face``, ``scan.scale``, ``scan.unit_unknown``, ``scan.empty``,
-        ``options.unit``, ``options.axes``, ``landmarks.extra``, ``landmarks.model``.
+    Raises :class:`InputError`: ``scan.not_a_face``, ``scan.scale``, ``scan.unit_unknown``,
+    ``scan.empty``, ``options.unit``, ``options.axes``, ``landmarks.extra``, ``landmarks.model``.
     """
     progress(Step("pose", 0.1))
     start = find_start(raw, topology.template, frame, landmarks)
