@@ -74,12 +74,16 @@ class Finding:
         named = {"code": self.code, "severity": self.severity, "message": self.message}
         return {**named, "advice": self.advice, **self.context}
 
+    def as_dict(self) -> dict[str, Any]:
+        """Return a warning without advice as plain JSON values, as errors are written."""
+        return {"code": self.code, "message": self.message, **self.context}
+
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Finding:
-        """Return the finding that :meth:`to_dict` wrote."""
-        context = dict(values)
-        code, severity, message = (context.pop(key) for key in ("code", "severity", "message"))
-        return cls(code, severity, message, context.pop("advice", ""), context)
+        """Return the finding that :meth:`to_dict` or :meth:`as_dict` wrote."""
+        known = {"severity": "warning", "advice": "", **values}
+        code, severity, message = (known.pop(key) for key in ("code", "severity", "message"))
+        return cls(code, severity, message, known.pop("advice"), known)
 
 
 def judge_findings(findings: Iterable[Finding]) -> Verdict:
@@ -90,26 +94,9 @@ def judge_findings(findings: Iterable[Finding]) -> Verdict:
     return "usable" if "warning" in severities else "good"
 
 
-# What a fit has to tell besides its result: things that are wrong but did not stop it.
+def make_warning(code: str, message: str, context: dict[str, Any] | None = None) -> Finding:
+    """Return a finding of a fit: something is wrong that did not stop it, no advice belongs to it.
 
-
-@dataclass(frozen=True)
-class Notice:
-    """One warning: a stable ``code``, one plain sentence, and figures that say where and how much.
-
-    ``context`` holds plain JSON values; ``expression`` is among them where it is about one.
+    ``expression`` is in the ``context`` where it is about one.
     """
-
-    code: str
-    message: str
-    context: dict[str, Any] = field(default_factory=dict)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the notice as plain JSON values."""
-        return {"code": self.code, "message": self.message, **self.context}
-
-    @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> Notice:
-        """Return the notice that :meth:`as_dict` wrote."""
-        context = {key: value for key, value in values.items() if key not in ("code", "message")}
-        return cls(values["code"], values["message"], context)
+    return Finding(code, "warning", message, context=context or {})

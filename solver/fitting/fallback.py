@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from solver.errors import Notice, SolveError
+from solver.errors import Finding, SolveError, make_warning
 from solver.fitting import activation, reference
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, State
@@ -34,7 +34,7 @@ class FallbackOptions:
     slow_vertices: int = 3000  # from which on an expression takes minutes
 
 
-UNSETTLED = Notice(
+UNSETTLED = make_warning(
     "ipopt.unsettled", "what IPOPT found does not come to rest; the best result is kept"
 )
 
@@ -52,7 +52,7 @@ class FallbackFit:
     iterations: int
     solver: Solver
     status: Status
-    notices: tuple[Notice, ...] = ()
+    notices: tuple[Finding, ...] = ()
 
 
 def fit(
@@ -70,7 +70,7 @@ def fit(
 
     The reduced solver begins at ``start``, if given, which may be no more than approached.
     """
-    reasons: tuple[Notice, ...] = ()
+    reasons: tuple[Finding, ...] = ()
     if solver == "reduced":
         try:
             found = activation.fit(face, data, regulariser, start, options, listen)
@@ -79,7 +79,7 @@ def fit(
         except (SolveError, np.linalg.LinAlgError) as error:
             message = f"the reduced solver failed ({error}); IPOPT took over"
             context = {"reason": getattr(error, "code", "solve.singular")}
-            reasons = (Notice("solve.fallback", message, context),)
+            reasons = (make_warning("solve.fallback", message, context),)
     instead = _fit_in_full(face, data, regulariser, options, listen, ipopt)
     return replace(instead, notices=(*reasons, *instead.notices))
 
@@ -96,7 +96,7 @@ def _fit_in_full(
     neutral = activation.objective(data, regulariser, face.rest)
     best = FallbackFit(face.rest, neutral, 0, "ipopt", "failed")
     done = 0
-    trouble: dict[str, Notice] = {}
+    trouble: dict[str, Finding] = {}
     # where IPOPT does not converge it tries with heavier priors, each time from the best state:
     # there the flesh does not buckle, and the answer is nearby
     for heavier in ipopt.heavier:
@@ -135,10 +135,10 @@ def _fit_in_full(
     return replace(best, iterations=done, notices=tuple(trouble.values()))
 
 
-def warn_of_slowness(face: Face, options: FallbackOptions = FallbackOptions()) -> list[Notice]:
+def warn_of_slowness(face: Face, options: FallbackOptions = FallbackOptions()) -> list[Finding]:
     """Return a warning if IPOPT will take minutes for an expression of ``face``."""
     vertices = len(face.model.rest)
     if vertices <= options.slow_vertices:
         return []
     message = f"solver ipopt takes minutes for an expression on a mesh of {vertices} vertices"
-    return [Notice("solver.slow", message, {"found": vertices})]
+    return [make_warning("solver.slow", message, {"found": vertices})]

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 
-from solver.errors import InputError, Notice
+from solver.errors import Finding, InputError
 from solver.fitting import activation, fallback, joint, reference, simplex
 from solver.fitting.activation import ActivationOptions, rest_curvature
 from solver.fitting.face import Face, State
@@ -191,7 +191,7 @@ def fit_by_ipopt(
     *,
     start: sp.csr_array | None = None,
     structure: sp.csr_array | None = None,
-) -> tuple[GeometryFit, tuple[Notice, ...]]:
+) -> tuple[GeometryFit, tuple[Finding, ...]]:
     """Fit S, activations and jaws with the last round's weights, as :func:`geometry.fit` does.
 
     Where IPOPT stops early, what it had is settled and kept, and a notice says why. Raises
@@ -200,7 +200,7 @@ def fit_by_ipopt(
     check_size(face, len(data))
     face = face.with_weights(face.model.weights if start is None else start)
     problem = _problem(face, data, options, options.rounds - 1, structure)
-    notices: tuple[Notice, ...] = ()
+    notices: tuple[Finding, ...] = ()
     try:
         found = reference.geometry(
             problem,

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from solver.errors import InputError, Notice
+from solver.errors import Finding, InputError, make_warning
 from solver.fitting.face import Face
 from solver.meshio.registered import RegisteredScan
 from solver.model import SubjectModel
@@ -43,7 +43,7 @@ class TargetLimits:
 
 def before_fit(
     model: SubjectModel, scans: Mapping[str, RegisteredScan], limits: TargetLimits = TargetLimits()
-) -> list[Notice]:
+) -> list[Finding]:
     """Return what is odd about scans by name, each a registered scan of ``model``'s topology."""
     found = [*_find_repeated(model, scans, limits), *_find_same_name(model, scans, limits)]
     for name, scan in scans.items():
@@ -61,7 +61,7 @@ def check_replaced(
     before: Floats,
     scan: RegisteredScan,
     limits: TargetLimits = TargetLimits(),
-) -> list[Notice]:
+) -> list[Finding]:
     """Return whether ``scan`` is another one than ``before`` (V, 3), whose name it takes."""
     vertex, away = _farthest(scan.vertices, before, _seen(model, scan))
     if away <= limits.residual_mm:
@@ -75,7 +75,7 @@ def check_replaced(
 
 def after_fit(
     model: SubjectModel, name: str, error_mm: Floats, limits: TargetLimits = TargetLimits()
-) -> list[Notice]:
+) -> list[Finding]:
     """Return where an expression stays away from its scan; ``error_mm`` (V,), NaN where unseen.
 
     One notice for each of the worst connected patches of the face whose error stands out.
@@ -108,7 +108,7 @@ def after_fit(
 
 def _find_repeated(
     model: SubjectModel, scans: Mapping[str, RegisteredScan], limits: TargetLimits
-) -> list[Notice]:
+) -> list[Finding]:
     """Find scans that are the neutral, or each other."""
     known = {"the neutral": model.skin.vertices}
     found = []
@@ -118,7 +118,9 @@ def _find_repeated(
             if np.abs(scan.vertices[face] - vertices[face]).max(initial=0.0) > limits.same_mm:
                 continue
             message = f"{name} and {other} are the same scan: one of them was sent for another"
-            found.append(Notice("target.repeated", message, {"expression": name, "other": other}))
+            found.append(
+                make_warning("target.repeated", message, {"expression": name, "other": other})
+            )
             break
         known[name] = scan.vertices
     return found
@@ -126,7 +128,7 @@ def _find_repeated(
 
 def _find_same_name(
     model: SubjectModel, scans: Mapping[str, RegisteredScan], limits: TargetLimits
-) -> list[Notice]:
+) -> list[Finding]:
     """Find names that differ only in case or spaces though the scans are of different faces."""
     first: dict[str, str] = {}
     found = []
@@ -150,19 +152,21 @@ def _find_same_name(
 
 def _check_coverage(
     model: SubjectModel, name: str, scan: RegisteredScan, limits: TargetLimits
-) -> list[Notice]:
+) -> list[Finding]:
     coverage = len(_seen(model, scan)) / len(model.face)
     if coverage >= limits.coverage:
         return []
     message = (
         f"{name} shows only {100 * coverage:.0f} % of the face; the rest of the fit is a guess"
     )
-    return [Notice("target.coverage", message, {"expression": name, "found": round(coverage, 3)})]
+    return [
+        make_warning("target.coverage", message, {"expression": name, "found": round(coverage, 3)})
+    ]
 
 
 def _check_head(
     model: SubjectModel, name: str, scan: RegisteredScan, limits: TargetLimits
-) -> list[Notice]:
+) -> list[Finding]:
     """Find motion of the whole head, which a fit would take for expression."""
     motion = _head_motion(model, scan)
     centre = model.skin.vertices.mean(0)
@@ -174,7 +178,7 @@ def _check_head(
         f"{shift:.0f} mm against the neutral; the fit takes that for expression: align the skulls"
     )
     context = {"expression": name, "degrees": round(motion.degrees, 1), "mm": round(shift, 1)}
-    return [Notice("target.turned", message, context)]
+    return [make_warning("target.turned", message, context)]
 
 
 def _head_motion(
@@ -198,7 +202,7 @@ def _head_motion(
 
 def _check_edges(
     model: SubjectModel, name: str, scan: RegisteredScan, limits: TargetLimits
-) -> list[Notice]:
+) -> list[Finding]:
     edges = _edges(model)
     edges = edges[np.isin(edges, _seen(model, scan)).all(axis=1)]
     before, now = (
@@ -254,9 +258,11 @@ def _notice(
     vertex: int,
     distance: float,
     **more: float | str,
-) -> Notice:
+) -> Finding:
     figures = {"vertex": vertex, "mm": round(float(distance), 2), **more}
-    return Notice(code, message, {"expression": name, "region": _where(model, vertex), **figures})
+    return make_warning(
+        code, message, {"expression": name, "region": _where(model, vertex), **figures}
+    )
 
 
 def check_held(face: Face) -> None:
@@ -283,7 +289,7 @@ def check_held(face: Face) -> None:
         )
 
 
-def idle_muscles(face: Face) -> list[Notice]:
+def idle_muscles(face: Face) -> list[Finding]:
     """Return the muscles that have no share of any tet: their activations stay at rest."""
     shares = np.asarray(face.S.sum(axis=0)).ravel()[1:]
     candidates = np.bincount(face.S.indices, minlength=face.S.shape[1])[1:]
@@ -292,8 +298,8 @@ def idle_muscles(face: Face) -> list[Notice]:
     for name, count, share in zip(face.model.muscle_names, candidates, shares, strict=True):
         if count == 0:
             message = f"{name} has no flesh within reach: {end}"
-            found.append(Notice("muscle.no_candidates", message, {"muscle": name}))
+            found.append(make_warning("muscle.no_candidates", message, {"muscle": name}))
         elif share <= 0.0:
             message = f"{name} has no share of any tetrahedron: {end}"
-            found.append(Notice("muscle.no_share", message, {"muscle": name}))
+            found.append(make_warning("muscle.no_share", message, {"muscle": name}))
     return found

@@ -11,8 +11,7 @@ from solver.errors import InputError, judge_findings
 from solver.jobs.task import Task
 from solver.kinds.check_scan import CheckScan
 from solver.progress import Step
-from solver.scans.check import check
-from solver.scans.check_picture import check_picture
+from solver.scans.check import check, check_picture
 from solver.templates.builtin.build import builtin_template
 
 ROLES = ("unknown", "neutral", "expression")

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from solver.errors import InputError, Notice
+from solver.errors import Finding, InputError
 from solver.fitting import target_checks
 from solver.fitting.objective import Target
 from solver.kinds.options import Distance
@@ -88,15 +88,15 @@ class Telling:
     def __init__(self, model: SubjectModel, progress: Progress) -> None:
         self._model = model
         self._progress = progress
-        self._notices: list[Notice] = []
+        self._notices: list[Finding] = []
 
-    def tell(self, fraction: float, notices: Iterable[Notice]) -> None:
+    def tell(self, fraction: float, notices: Iterable[Finding]) -> None:
         """Tell notices when ``fraction`` of the job is done."""
         for notice in notices:
             self._notices.append(notice)
             self._progress(Step("warning", fraction, message=notice.message))
 
-    def about(self, fit: ExpressionFit, fraction: float, solve: Iterable[Notice]) -> ExpressionFit:
+    def about(self, fit: ExpressionFit, fraction: float, solve: Iterable[Finding]) -> ExpressionFit:
         """Return a fit with all that was told of it, what its solve says and what it leaves."""
         own = {"expression": fit.name}
         left = target_checks.after_fit(self._model, fit.name, fit.error_mm)
@@ -106,6 +106,6 @@ class Telling:
         return replace(fit, notices=tuple(mine))
 
     @property
-    def general(self) -> tuple[Notice, ...]:
+    def general(self) -> tuple[Finding, ...]:
         """Return the notices that are about no expression."""
         return tuple(each for each in self._notices if "expression" not in each.context)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from solver.errors import Notice
+from solver.errors import Finding
 from solver.fitting import fallback, target_checks
 from solver.fitting.activation import UNSEEN, UNSEEN_STOP, unseen_regulariser
 from solver.fitting.contact import terms
@@ -85,7 +85,7 @@ def _geometry_seconds(carried: Sequence[ExpressionFit]) -> dict[str, float]:
 
 def _replacements(
     model: SubjectModel, carried: Sequence[ExpressionFit], scans: Mapping[str, RegisteredScan]
-) -> list[Notice]:
+) -> list[Finding]:
     """Return which expressions of the parent rig are replaced by another face."""
     return [
         notice

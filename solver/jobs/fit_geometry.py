@@ -10,7 +10,7 @@ from typing import Any
 
 import scipy.sparse as sp
 
-from solver.errors import Notice
+from solver.errors import Finding, make_warning
 from solver.fitting import geometry
 from solver.fitting.contact import terms
 from solver.fitting.face import Face, State
@@ -117,11 +117,11 @@ def _mirror(subject: SubjectModel, symmetry: float) -> sp.csr_array | None:
     return mirror_structure(subject, symmetry) if symmetry > 0.0 else None
 
 
-def _too_few(scans: Mapping[str, RegisteredScan]) -> list[Notice]:
+def _too_few(scans: Mapping[str, RegisteredScan]) -> list[Finding]:
     if len(scans) > 1:
         return []
     message = (
         "the muscle geometry is fitted to one expression: it will follow that one and say little "
         "of others; use three or more that differ"
     )
-    return [Notice("fit.one_target", message)]
+    return [make_warning("fit.one_target", message)]

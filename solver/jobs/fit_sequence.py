@@ -24,7 +24,7 @@ from solver.mechanics.linear import fastest
 from solver.meshio.registered import PLAUSIBLE, RegisteredScan
 from solver.model import SubjectModel
 from solver.progress import Progress, Step
-from solver.registration.confidence import head_motion
+from solver.registration.register import head_motion
 from solver.rig.animation_gltf import AnimatedSkin
 from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter
 from solver.rig.motion import SequenceFrame, Status, read_frames, sequence_report, write_sequence

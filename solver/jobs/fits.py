@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from solver.errors import InputError, Notice, SolveError
+from solver.errors import Finding, InputError, SolveError
 from solver.fitting import target_checks
 from solver.fitting.face import Face
 from solver.fitting.fallback import FallbackFit
@@ -55,7 +55,7 @@ def read_scans(
     return face, scans
 
 
-def find_oddities(face: Face, scans: Mapping[str, RegisteredScan]) -> list[Notice]:
+def find_oddities(face: Face, scans: Mapping[str, RegisteredScan]) -> list[Finding]:
     """Return what is odd about a face and scans before they are fitted."""
     return [*idle_muscles(face), *target_checks.before_fit(face.model, scans)]
 

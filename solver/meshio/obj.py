@@ -40,22 +40,12 @@ MOST_UNUSED = 0.05  # of the vertices in no face: beyond, a file without a last 
 def read_obj(file: str, content: bytes, *, strict: bool = False) -> Mesh:
     """Return the mesh of OBJ ``content``; without faces it is a point cloud.
 
-    Parameters
-    ----------
-    file
-        The file's name, for errors.
-    content
-        Its bytes.
-    strict
-        For registered scans: coordinates must be finite and no line may be continued, and of the
-        rest only faces are checked. Otherwise continued lines are joined, a file that was cut off
-        is ``scan.truncated``, and normals, colours and empty groups are returned.
+    For registered scans (``strict``) coordinates must be finite and no line may be continued, and
+    of the rest only faces are checked. Otherwise continued lines are joined, a file that was cut
+    off is ``scan.truncated``, and normals, colours and empty groups are returned.
 
-    Raises
-    ------
-    InputError
-        ``scan.empty``, ``scan.unreadable``, ``scan.truncated``, ``scan.format`` or ``scan.nan``,
-        with the ``line`` of the first fault.
+    Raises :class:`InputError`: ``scan.empty``, ``scan.unreadable``, ``scan.truncated``,
+    ``scan.format`` or ``scan.nan``, with the ``line`` of the first fault; ``file`` names it.
     """
     if strict:
         if b"\\" in content:

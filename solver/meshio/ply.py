@@ -83,21 +83,11 @@ def _length(name: str) -> str:
 def read_ply(file: str, content: bytes, *, strict: bool = False) -> Mesh:
     """Return the mesh of PLY ``content``; without faces it is a point cloud.
 
-    Parameters
-    ----------
-    file
-        The file's name, for errors.
-    content
-        Its bytes.
-    strict
-        For registered scans: the vertices must be the first element, without lists, and nothing
-        else is read; in text they must be finite. Otherwise blank lines of text do not count.
+    For registered scans (``strict``) the vertices must be the first element, without lists, and
+    nothing else is read; in text they must be finite. Otherwise blank lines of text do not count.
 
-    Raises
-    ------
-    InputError
-        ``scan.empty``, ``scan.unreadable``, ``scan.truncated``, ``scan.format`` or ``scan.nan``,
-        with the ``line`` of the fault in text.
+    Raises :class:`InputError`: ``scan.empty``, ``scan.unreadable``, ``scan.truncated``,
+    ``scan.format`` or ``scan.nan``, with the ``line`` of the fault in text; ``file`` names it.
     """
     form, elements, start = read_header(file, content)
     if strict and (not elements or elements[0].name != "vertex" or elements[0].items):

@@ -1,7 +1,7 @@
-"""Landmarks of a scan found by MediaPipe's face landmarker on pictures of it (optional extra).
+"""Landmarks of a raw scan: from a file, or found on pictures of it.
 
-The scan is drawn from a few sides; what the landmarker sees in the pictures is carried back to the
-surface. It runs offline, with the model file ``face_landmarker*.task`` that the user points to.
+Landmarks carry a template's names (``sellion``, ``cheilion_l``; ``_l`` is the subject's left). The
+68 points of the iBUG scheme (Sagonas et al. 2013) and MediaPipe's face mesh are named by tables.
 """
 
 from __future__ import annotations
@@ -20,13 +20,6 @@ from solver.drawing.render import Camera, DrawnBody, Lit, Pixels, Visible, look,
 from solver.errors import InputError, quote, quote_names
 from solver.similarity import fit_similarity
 from solver.surface import Floats, Ints, Surface
-
-# Landmarks of a raw scan from a file: JSON, CSV or the 68 points of an ``ljson``.
-#
-# Landmarks carry a template's names (``sellion``, ``cheilion_l``; ``_l`` is the subject's left).
-# The 68 points of the iBUG scheme (Sagonas et al. 2013) and MediaPipe's face mesh are named by
-# tables.
-
 
 # Point of the 68-point scheme, from 0 -> name.
 IBUG_68 = {
@@ -100,12 +93,10 @@ def read_landmarks(path: Path) -> Points:
     if suffix == ".csv":
         return _csv(path, text)
     if suffix not in (".json", ".ljson"):
+        message = f"{path.name}: landmarks are a .json, .ljson or .csv file"
+        expected = [".json", ".ljson", ".csv"]
         raise InputError(
-            "landmarks.format",
-            f"{path.name}: landmarks are a .json, .ljson or .csv file",
-            file=path.name,
-            expected=[".json", ".ljson", ".csv"],
-            found=suffix,
+            "landmarks.format", message, file=path.name, expected=expected, found=suffix
         )
     try:
         content = json.loads(text)
@@ -148,39 +139,29 @@ def match(file: str, points: Points, template: Template) -> tuple[Floats, Ints]:
     named = {SYNONYMS.get(name, name): point for name, point in points.items()}
     names = sorted(named.keys() & known.keys())
     if len(names) < LEAST_LANDMARKS:
-        raise InputError(
-            "landmarks.unknown",
+        expected, found = sorted(known), quote_names(sorted(points))
+        message = (
             f"{file}: the template knows {len(names)} of these landmarks, at least "
-            f"{LEAST_LANDMARKS} are needed; it knows {', '.join(sorted(known))}",
-            file=file,
-            expected=sorted(known),
-            found=quote_names(sorted(points)),
+            f"{LEAST_LANDMARKS} are needed; it knows {', '.join(expected)}"
         )
+        raise InputError("landmarks.unknown", message, file=file, expected=expected, found=found)
     rest = template.skin.vertices
     given = np.array([named[name] for name in names])
     if np.ptp(given, axis=0).max() == 0:
-        raise InputError(
-            "landmarks.misplaced", f"{file}: all landmarks lie in one place", file=file
-        )
+        message = f"{file}: all landmarks lie in one place"
+        raise InputError("landmarks.misplaced", message, file=file)
     vertices = np.array([known[name] for name in names])
     swapped = np.array([known.get(_other_side(name), known[name]) for name in names])
     error, swapped_error = _misfit(given, rest[vertices]), _misfit(given, rest[swapped])
     if swapped_error.mean() < 0.6 * error.mean():
-        raise InputError(
-            "landmarks.swapped",
-            f"{file}: left and right are exchanged; _l means the subject's left",
-            file=file,
-        )
+        message = f"{file}: left and right are exchanged; _l means the subject's left"
+        raise InputError("landmarks.swapped", message, file=file)
     worst = int(np.argmax(error))
-    if error[worst] > MISPLACED_MM:
-        raise InputError(
-            "landmarks.misplaced",
-            f"{file}: {names[worst]} lies {error[worst]:.0f} mm from where a face has it",
-            file=file,
-            landmark=names[worst],
-            found=float(error[worst]),
-            expected=MISPLACED_MM,
-        )
+    name, off = names[worst], float(error[worst])
+    if off > MISPLACED_MM:
+        message = f"{file}: {name} lies {off:.0f} mm from where a face has it"
+        about = {"file": file, "landmark": name, "found": off, "expected": MISPLACED_MM}
+        raise InputError("landmarks.misplaced", message, **about)
     return given, vertices
 
 
@@ -243,6 +224,9 @@ def _unreadable(path: Path, reason: str, **where: Any) -> InputError:
     )
 
 
+# Landmarks found by MediaPipe's face landmarker (optional extra), which runs offline: the scan is
+# drawn from a few sides, and what is seen in the pictures is carried back to the surface.
+
 PIXELS = 512  # of a picture's side
 YAWS = np.radians([0.0, -25.0, 25.0])  # of the pictures
 GREY = (0.5, 0.5, 0.5)  # of the skin
@@ -253,20 +237,10 @@ AGREE_MM = 6.0
 def find_landmarks(scan: Surface, face: Floats, model: Path) -> Points:
     """Return name -> point (3,) of those landmarks that two views agree on.
 
-    Parameters
-    ----------
-    scan
-        In mm, upright, the face forward; with triangles.
-    face
-        (k, 3) points about where the face is, for the camera.
-    model
-        The landmarker's ``.task`` file.
-
-    Raises
-    ------
-    InputError
-        ``landmarks.extra`` if MediaPipe is not installed, ``landmarks.model`` if the file is
-        missing or no such model.
+    ``scan`` has triangles and lies in mm, upright, the face forward; ``face`` (k, 3) are points
+    about where the face is, for the camera; ``model`` is the landmarker's file
+    ``face_landmarker*.task``. Raises :class:`InputError`: ``landmarks.extra`` if MediaPipe is not
+    installed, ``landmarks.model`` if the file is missing or no such model.
     """
     landmarker = _landmarker(model)
     low, high = face.min(axis=0), face.max(axis=0)
@@ -287,24 +261,20 @@ def find_landmarks(scan: Surface, face: Floats, model: Path) -> Points:
 
 def _landmarker(model: Path) -> Any:
     if importlib.util.find_spec("mediapipe") is None:
-        raise InputError(
-            "landmarks.extra", "finding landmarks needs the extra: pip install 'myoface[mediapipe]'"
-        )
+        message = "finding landmarks needs the extra: pip install 'myoface[mediapipe]'"
+        raise InputError("landmarks.extra", message)
     if not model.is_file():
-        raise InputError(
-            "landmarks.model", f"there is no face landmarker file {model}", file=str(model)
-        )
+        message = f"there is no face landmarker file {model}"
+        raise InputError("landmarks.model", message, file=str(model))
     from mediapipe.tasks.python import BaseOptions, vision
 
-    options = vision.FaceLandmarkerOptions(
-        base_options=BaseOptions(model_asset_buffer=model.read_bytes())
-    )
+    base = BaseOptions(model_asset_buffer=model.read_bytes())
     try:
+        options = vision.FaceLandmarkerOptions(base_options=base)
         return vision.FaceLandmarker.create_from_options(options)
     except (RuntimeError, ValueError) as error:
-        raise InputError(
-            "landmarks.model", f"{model.name} is no face landmarker: {error}", file=str(model)
-        ) from error
+        message = f"{model.name} is no face landmarker: {error}"
+        raise InputError("landmarks.model", message, file=str(model)) from error
 
 
 def _detect(landmarker: Any, image: Pixels) -> dict[str, tuple[float, float]]:

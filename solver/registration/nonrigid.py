@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import igl
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
@@ -44,9 +45,6 @@ class FreeFormOptions:
     touch_fades_mm: float = 1.5  # lips may be apart in the start and still be closed
     lip_strength: float = 5.0  # k of a touching pair, by the weight of a vertex in the scan
     pin_mm2: float = 20.0  # area of skin that a landmark speaks for
-
-
-FREE_FORM = FreeFormOptions()
 
 
 @dataclass(frozen=True)
@@ -83,12 +81,13 @@ FROM_AFAR = (
 class Skin:
     """The deforming part of a template at ``start`` (n, 3), ready to be smoothed."""
 
-    def __init__(self, start: Floats, topology: Topology) -> None:
+    def __init__(self, start: Floats, topology: Topology, options: FreeFormOptions) -> None:
+        self._options = options
         self.vertices, numbers = np.unique(topology.flesh, return_inverse=True)
         self.faces: Ints = numbers.reshape(-1, 3).astype(np.int64)
         self.start = start[self.vertices]
         self.outer = np.searchsorted(self.vertices, topology.outer)
-        self._membrane, self.area = _laplacian(Surface(self.start, self.faces))
+        self._membrane, self.area = _laplacian(Surface(self.start, self.faces), options)
         self._bending = self._membrane @ sp.diags_array(1 / self.area) @ self._membrane
         self._touch, self._closing = self._lips(topology)
         pattern = sp.csr_array(abs(self._bending) + abs(self._membrane) + abs(self._touch))
@@ -104,7 +103,7 @@ class Skin:
         data = weights * self.area
         stiffness = (
             length**4 * self._bending
-            + FREE_FORM.membrane * length**2 * self._membrane
+            + self._options.membrane * length**2 * self._membrane
             + self._touch
         )
         # adding 0 x pattern keeps the entries of all parts
@@ -119,8 +118,8 @@ class Skin:
         rest = topology.template.skin.vertices[self.vertices]
         one, other = np.searchsorted(self.vertices, topology.touching).T
         closing = rest[one] - rest[other] - (self.start[one] - self.start[other])
-        strength = np.exp(-np.sum((closing / FREE_FORM.touch_fades_mm) ** 2, axis=1))
-        strength *= FREE_FORM.lip_strength * np.minimum(self.area[one], self.area[other])
+        strength = np.exp(-np.sum((closing / self._options.touch_fades_mm) ** 2, axis=1))
+        strength *= self._options.lip_strength * np.minimum(self.area[one], self.area[other])
         rows = np.tile(np.arange(len(one)), 2)
         ends = (rows, np.concatenate([one, other]))
         signs = np.repeat([1.0, -1.0], len(one))
@@ -136,19 +135,14 @@ def free_form(
     topology: Topology,
     schedule: tuple[Round, ...],
     pins: Pins | None = None,
+    options: FreeFormOptions = FreeFormOptions(),
 ) -> Floats:
     """Return the vertices (n, 3) of ``start`` (n, 3) moved onto the scan.
 
-    Parameters
-    ----------
-    motion
-        Takes the scan into the frame of ``start``.
-    schedule
-        The rounds, coarse to fine.
-    pins
-        Landmarks; they guide the rounds that follow points alike.
+    ``motion`` takes the scan into the frame of ``start``, ``schedule`` has the rounds, coarse to
+    fine. Landmarks (``pins``) guide the rounds that follow points alike.
     """
-    skin = Skin(start, topology)
+    skin = Skin(start, topology, options)
     moved = np.zeros_like(skin.start)
     for stage in schedule:
         current = skin.start + moved
@@ -164,35 +158,26 @@ def free_form(
         if pins is not None and stage.alike:
             numbers = np.searchsorted(skin.vertices, pins.vertices)
             goals[numbers] = motion(pins.points) - skin.start[numbers]
-            weights[numbers] = FREE_FORM.pin_mm2 / skin.area[numbers]
+            weights[numbers] = options.pin_mm2 / skin.area[numbers]
         moved = skin.smooth(goals, weights, stage.length)
     result = start.copy()
     result[skin.vertices] += moved
     return result
 
 
-def _laplacian(surface: Surface) -> tuple[sp.csr_array, Floats]:
+def _laplacian(surface: Surface, options: FreeFormOptions) -> tuple[sp.csr_array, Floats]:
     """Return the cotangent Laplacian (positive) with bounded weights, and vertex areas (mm^2)."""
-    count = len(surface.vertices)
-    corners = surface.vertices[surface.faces]
-    rows, columns, values = [], [], []
-    for corner in range(3):
-        a, b, c = (corners[:, (corner + k) % 3] for k in range(3))
-        u, v = b - a, c - a
-        cross = np.linalg.norm(np.cross(u, v), axis=1)
-        cotangent = np.einsum("nd,nd->n", u, v) / (2 * cross + 1e-12)
-        rows.append(surface.faces[:, (corner + 1) % 3])
-        columns.append(surface.faces[:, (corner + 2) % 3])
-        values.append(cotangent)
-    half = sp.csr_array(
-        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))),
-        shape=(count, count),
-    )
-    weights = sp.csr_array(half + half.T)
-    weights.data = np.clip(weights.data, *FREE_FORM.cotangent)
-    laplacian = sp.csr_array(sp.diags_array(weights.sum(axis=1)) - weights)
+    entries = sp.coo_array(igl.cotmatrix(surface.vertices, surface.faces))
+    off = entries.row != entries.col
+    values = np.clip(entries.data[off], *options.cotangent)
     area = vertex_areas(surface.vertices, surface.faces)
-    return laplacian, np.maximum(area, 0.02 * np.median(area))
+    ends = (entries.row[off], entries.col[off])
+    weights = sp.csr_array((values, ends), shape=entries.shape)
+    return _from_weights(weights), np.maximum(area, 0.02 * np.median(area))
+
+
+def _from_weights(weights: sp.csr_array) -> sp.csr_array:
+    return sp.csr_array(sp.diags_array(weights.sum(axis=1)) - weights)
 
 
 # Triangles that registration has turned over, and laying them flat again.
@@ -247,7 +232,7 @@ def _bending(vertices: Floats, graph: sp.csr_array) -> sp.csr_array:
     weights = sp.csr_array(
         (1 / (squared + SHORTEST_MM**2), (edges.row, edges.col)), shape=graph.shape
     )
-    laplacian = sp.csr_array(sp.diags_array(weights.sum(axis=1)) - weights)
+    laplacian = _from_weights(weights)
     return sp.csr_array(laplacian @ laplacian)
 
 

@@ -9,27 +9,42 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from solver.anatomy.template import Template
 from solver.errors import InputError
 from solver.meshio.raw import RawScan
 from solver.progress import Progress, Step, silent
-from solver.registration.confidence import Trust, head_motion, trust
 from solver.registration.landmarks import find_landmarks, landmark_vertices
 from solver.registration.locate import (
-    face_points,
+    FRAME,
     face_surface,
     locate_face,
     location_findings,
     scan_samples,
 )
-from solver.registration.nonrigid import FROM_AFAR, REFINE, folded_triangles, free_form, unfold
+from solver.registration.nonrigid import (
+    FROM_AFAR,
+    REFINE,
+    Round,
+    folded_triangles,
+    free_form,
+    unfold,
+)
 from solver.registration.scan_surface import ScanSurface, check_size, scan_surface
-from solver.registration.shape_fit import Pins, align, expressions, fit_shapes, pair, persons
+from solver.registration.search import face_points
+from solver.registration.shape_fit import (
+    Pins,
+    ShapeFit,
+    align,
+    expressions,
+    fit_shapes,
+    pair,
+    persons,
+)
 from solver.registration.topology import Topology, carry_hidden
-from solver.registration.units import FRAME
-from solver.similarity import IDENTITY, Similarity
-from solver.surface import Floats, Ints, Surface, vertex_normals
+from solver.similarity import IDENTITY, Similarity, weighted_motion
+from solver.surface import Floats, Ints, Surface, adjacency, vertex_normals
 
 Marks = tuple[Floats, Ints]  # points (k, 3) in the scan's own frame, vertices (k,)
 
@@ -112,22 +127,12 @@ def register(
 ) -> RegisteredFace:
     """Register a mended scan: a neutral, or an expression if ``neutral`` (n, 3) is given.
 
-    Parameters
-    ----------
-    neutral
-        Vertices of the person's registered neutral.
-    frame
-        The options ``unit``, ``up`` and ``forward`` of the scan.
-    landmarks
-        Points (k, 3) in the scan's own unit and axes, and the vertices (k,) they mark.
-    landmarker
-        Model file with which landmarks are found if none are given.
+    ``frame`` holds the options ``unit``, ``up`` and ``forward`` of the scan; ``landmarks`` are
+    points (k, 3) in its own unit and axes and the vertices (k,) they mark. If none are given, they
+    are found with the model file ``landmarker``.
 
-    Raises
-    ------
-    InputError
-        ``scan.not_a_face``, ``scan.scale``, ``scan.unit_unknown``, ``scan.empty``,
-        ``options.unit``, ``options.axes``, ``landmarks.extra``, ``landmarks.model``.
+    Raises :class:`InputError`: ``scan.not_a_face``, ``scan.scale``, ``scan.unit_unknown``,
+    ``scan.empty``, ``options.unit``, ``options.axes``, ``landmarks.extra``, ``landmarks.model``.
     """
     progress(Step("pose", 0.1))
     start = find_start(raw, topology.template, frame, landmarks)
@@ -161,52 +166,62 @@ def _find_pins(start: Start, topology: Topology, model: Path) -> Pins | None:
 def _register_neutral(
     start: Start, topology: Topology, pins: Pins | None, progress: Progress
 ) -> RegisteredFace:
-    scan, motion, template = start.scan, start.motion, topology.template
-    match = partial(pair, scan)
-    rest, basis = template.skin, template.shapes
-    open_size = not start.size_known
+    scan, basis, open_size = start.scan, topology.template.shapes, not start.size_known
+    rest = topology.template.skin.vertices
     progress(Step("shape", 0.3))
     if basis is not None and len(basis.identity):
-        fit = fit_shapes(match, motion, persons(topology, basis), pins, sizes=open_size)
-        shape, motion, weights, schedule = fit.vertices, fit.motion, fit.weights, REFINE
+        match, schedule = partial(pair, scan), REFINE
+        fit = fit_shapes(match, start.motion, persons(topology, basis), pins, sizes=open_size)
     else:
-        shape, motion = _own_size(scan, motion, topology, open_size=open_size)
-        weights, schedule = np.zeros(0), FROM_AFAR
+        shape, motion = _own_size(scan, start.motion, topology, open_size=open_size)
+        fit, schedule = ShapeFit(np.zeros(0), shape, motion), FROM_AFAR
     progress(Step("free form", 0.6))
-    fitted = free_form(scan, motion, shape, topology, schedule, pins)
-    fitted = unfold(rest.vertices, fitted, topology.flesh)
-    skin = rest.moved(carry_hidden(topology.groups, shape, shape, fitted, topology.outer))
-    seen = trust(scan, motion, skin, topology.outer)
-    folds = folded_triangles(rest.vertices, skin.vertices, topology.flesh)
-    return RegisteredFace(start, skin, seen, motion, weights, folds)
+    skin, seen = _lay_freely(scan, topology, fit, (rest, fit.vertices), schedule, pins)
+    folds = folded_triangles(rest, skin.vertices, topology.flesh)
+    return RegisteredFace(start, skin, seen, fit.motion, fit.weights, folds)
 
 
 def _register_expression(
     start: Start, topology: Topology, neutral: Floats, pins: Pins | None, progress: Progress
 ) -> RegisteredFace:
-    scan, template = start.scan, topology.template
-    match = partial(pair, scan)
-    rest, basis = template.skin.moved(neutral), template.shapes
-    open_size = not start.size_known
+    scan, basis, open_size = start.scan, topology.template.shapes, not start.size_known
     progress(Step("shape", 0.3))
     still = np.flatnonzero(topology.stable > STILL)
-    normals = vertex_normals(rest)[still]
+    normals = vertex_normals(topology.template.skin.moved(neutral))[still]
     share = topology.stable[still]
     motion = align(scan, start.motion, neutral[still], normals, share, sizes=open_size)
-    shape, weights, schedule = neutral, np.zeros(0), FROM_AFAR
+    fit, schedule = ShapeFit(np.zeros(0), neutral, motion), FROM_AFAR
     if basis is not None and len(basis.expressions):
+        match, schedule = partial(pair, scan), REFINE
         shapes = expressions(neutral, topology, basis)
         fit = fit_shapes(match, motion, shapes, pins, sizes=open_size)
-        shape, motion, weights, schedule = fit.vertices, fit.motion, fit.weights, REFINE
     progress(Step("free form", 0.6))
-    fitted = free_form(scan, motion, shape, topology, schedule, pins)
-    fitted = unfold(neutral, fitted, topology.flesh)
-    skin = rest.moved(carry_hidden(topology.groups, neutral, shape, fitted, topology.outer))
-    seen = trust(scan, motion, skin, topology.outer)
-    back = head_motion(skin.vertices, shape, topology.stable * seen.confidence)
+    skin, seen = _lay_freely(scan, topology, fit, (neutral, neutral), schedule, pins)
+    back = head_motion(skin.vertices, fit.vertices, topology.stable * seen.confidence)
     skin = skin.moved(back(skin.vertices))
     folds = folded_triangles(neutral, skin.vertices, topology.flesh)
-    return RegisteredFace(start, skin, seen, motion.then(back), weights, folds)
+    return RegisteredFace(start, skin, seen, fit.motion.then(back), fit.weights, folds)
+
+
+def _lay_freely(
+    scan: ScanSurface,
+    topology: Topology,
+    fit: ShapeFit,
+    before: tuple[Floats, Floats],
+    schedule: tuple[Round, ...],
+    pins: Pins | None,
+) -> tuple[Surface, Trust]:
+    """Return the skin laid on the scan, and the trust in it.
+
+    ``before`` (n, 3) are its vertices when it had no folds, and when its hidden parts were in
+    place.
+    """
+    unfolded, placed = before
+    fitted = free_form(scan, fit.motion, fit.vertices, topology, schedule, pins)
+    fitted = unfold(unfolded, fitted, topology.flesh)
+    vertices = carry_hidden(topology.groups, placed, fit.vertices, fitted, topology.outer)
+    skin = topology.template.skin.moved(vertices)
+    return skin, trust(scan, fit.motion, skin, topology.outer)
 
 
 def _check(file: str, found: RegisteredFace, topology: Topology) -> None:
@@ -239,3 +254,86 @@ def _own_size(
         return rest.vertices, motion
     resize = Similarity(before / motion.scale, IDENTITY.rotation, IDENTITY.shift)
     return resize(rest.vertices), motion.then(resize)
+
+
+# Confidence in registered vertices, their distances to the scan, and the head's motion.
+
+
+@dataclass(frozen=True)
+class ConfidenceOptions:
+    """Limits of what a scan says of a registered vertex."""
+
+    covered_mm: float = 10.0  # farther there is no data
+    covered_cosine: float = 0.5  # of the normals, at least
+    trusted_mm: float = 2.0  # distance at which confidence has fallen to 1/e
+
+
+@dataclass(frozen=True)
+class Trust:
+    """Per skin vertex: ``confidence`` (n,) in [0, 1], ``covered`` (n,), ``distance_mm`` (n,).
+
+    A vertex is covered where the scan has data: outer skin whose closest scan point is not on an
+    edge of the scan, within 10 mm, and faces the same way. Elsewhere the confidence is 0 and the
+    distance NaN.
+    """
+
+    confidence: Floats
+    covered: NDArray[np.bool_]
+    distance_mm: Floats
+
+
+def trust(
+    scan: ScanSurface,
+    motion: Similarity,
+    skin: Surface,
+    outer: Ints,
+    options: ConfidenceOptions = ConfidenceOptions(),
+) -> Trust:
+    """Compare a registered ``skin`` with the scan that ``motion`` takes to it.
+
+    Confidence is the product of a term of distance, one of the angle between the normals, and the
+    share of neighbours that are covered, so that it fades towards holes.
+    """
+    count = len(skin.vertices)
+    normals = vertex_normals(skin)[outer]
+    found = scan.closest(motion.inverse()(skin.vertices[outer]))
+    distance = found.distance * motion.scale
+    cosine = np.einsum("nd,nd->n", normals, motion.turn(found.normals))
+    seen = ~found.at_edge & (distance < options.covered_mm) & (cosine > options.covered_cosine)
+    covered = np.zeros(count, dtype=bool)
+    covered[outer] = seen
+    near = np.zeros(count)
+    near[outer] = np.exp(-((distance / options.trusted_mm) ** 2)) * np.clip(
+        (cosine - options.covered_cosine) / (0.9 - options.covered_cosine), 0.0, 1.0
+    )
+    apart = np.full(count, np.nan)
+    apart[outer[seen]] = distance[seen]
+    graph = adjacency(skin.faces, count)
+    have, every = covered.astype(float), np.zeros(count)
+    every[outer] = 1.0
+    for _ in range(2):  # neighbours within two edges
+        have, every = graph @ have + have, graph @ every + every
+    return Trust(np.where(covered, near * have / np.maximum(every, 1e-12), 0.0), covered, apart)
+
+
+STEPS = 6  # of reweighting
+SLACK_MM = 0.5  # a vertex that moves by more on its own loses its say
+
+
+def head_motion(registered: Floats, expected: Floats, weights: Floats) -> Similarity:
+    """Return the rigid motion that takes ``registered`` (n, 3) back onto ``expected`` (n, 3).
+
+    ``weights`` (n,) say how still and how well seen each vertex is; vertices that move on their
+    own by more than about :data:`SLACK_MM` lose their say. This is rigid stabilisation after Beeler
+    & Bradley, "Rigid stabilization of facial expressions" (SIGGRAPH 2014), with the expression's
+    fitted shapes, instead of a skull, telling skin motion from head motion.
+    """
+    used = np.flatnonzero(weights > 1e-3)
+    if len(used) < 10:
+        return IDENTITY
+    motion = IDENTITY
+    for _ in range(STEPS):
+        away = np.linalg.norm(motion(registered[used]) - expected[used], axis=1)
+        robust = weights[used] / (1 + (away / SLACK_MM) ** 2) ** 2
+        motion = weighted_motion(registered[used], expected[used], robust)
+    return motion

@@ -11,6 +11,7 @@ import numpy as np
 from solver.drawing.head import DrawnHead
 from solver.drawing.render import Camera, DrawnBody, Lit, render
 from solver.drawing.sheet import HEADER, Sheet
+from solver.errors import Finding, Severity
 from solver.registration.register import RegisteredFace
 from solver.registration.scan_surface import ScanSurface
 from solver.registration.topology import Topology
@@ -28,10 +29,9 @@ class ReportLimits:
     unusual_shape: float = 2.0  # times the expected length of the identity weights
 
 
-LIMITS = ReportLimits()
-
-
-def report(registered: RegisteredFace, topology: Topology) -> dict[str, Any]:
+def report(
+    registered: RegisteredFace, topology: Topology, limits: ReportLimits = ReportLimits()
+) -> dict[str, Any]:
     """Return the figures and findings as plain JSON values; lengths in mm.
 
     Distances are from registered vertices to the scan's surface, over the covered outer face;
@@ -63,74 +63,57 @@ def report(registered: RegisteredFace, topology: Topology) -> dict[str, Any]:
             "translation": np.round(motion.shift, 6).tolist(),
         },
         "shape_weights": np.round(registered.shape_weights, 4).tolist(),
-        "findings": findings(registered, topology, seen),
+        "findings": findings(registered, topology, seen, limits),
     }
 
 
-def findings(registered: RegisteredFace, topology: Topology, seen: Ints) -> list[dict[str, str]]:
+def findings(
+    registered: RegisteredFace, topology: Topology, seen: Ints, limits: ReportLimits
+) -> list[dict[str, Any]]:
     """Return what an operator should know, each with code, severity, message and advice."""
-    found = []
-
-    def note(code: str, severity: str, message: str, advice: str) -> None:
-        found.append({"code": code, "severity": severity, "message": message, "advice": advice})
-
+    found: list[Finding] = []
     coverage = len(seen) / len(topology.face)
     distance = registered.trust.distance_mm[seen]
-    if coverage < LIMITS.much_cover:
-        note(
-            "registration.holes",
-            "warning" if coverage < LIMITS.little_cover else "info",
+    if coverage < limits.much_cover:
+        severity: Severity = "warning" if coverage < limits.little_cover else "info"
+        message = (
             f"The scan shows {coverage:.0%} of the face; the rest is filled in smoothly and does "
-            "not count in the fits.",
-            "Fill large holes by another take, if they lie where the face moves.",
+            "not count in the fits."
         )
-    if len(seen) and (
-        distance.mean() > LIMITS.mean_mm or np.percentile(distance, 95) > LIMITS.p95_mm
-    ):
-        note(
-            "registration.far",
-            "warning",
-            f"The registered face lies {distance.mean():.2f} mm off the scan on average, 95 % of "
-            f"it within {np.percentile(distance, 95):.2f} mm.",
-            "Look at distance.png: hair, a beard, glasses or spikes show in dark red.",
+        advice = "Fill large holes by another take, if they lie where the face moves."
+        found.append(Finding("registration.holes", severity, message, advice))
+    mean, p95 = (distance.mean(), np.percentile(distance, 95)) if len(seen) else (0.0, 0.0)
+    if mean > limits.mean_mm or p95 > limits.p95_mm:
+        message = (
+            f"The registered face lies {mean:.2f} mm off the scan on average, 95 % of it within "
+            f"{p95:.2f} mm."
         )
+        advice = "Look at distance.png: hair, a beard, glasses or spikes show in dark red."
+        found.append(Finding("registration.far", "warning", message, advice))
     if not registered.start.size_known:
-        note(
-            "registration.unit",
-            "warning",
-            "The scan's size fits no unit; it was given the size of the template or the neutral.",
-            "State the unit, so that the subject gets the true size.",
+        message = (
+            "The scan's size fits no unit; it was given the size of the template or the neutral."
         )
-    regions = _regions(registered, topology)
-    unseen = sorted(
-        name for name, figures in regions.items() if figures["coverage"] < LIMITS.little_cover
-    )
+        advice = "State the unit, so that the subject gets the true size."
+        found.append(Finding("registration.unit", "warning", message, advice))
+    regions = _regions(registered, topology).items()
+    unseen = sorted(name for name, each in regions if each["coverage"] < limits.little_cover)
     if unseen:
-        note(
-            "registration.unseen_regions",
-            "info",
-            f"Mostly not in the scan: {', '.join(name.replace('_', ' ') for name in unseen)}.",
-            "Their shape is the likeliest one, not a measured one.",
-        )
-    shapes = topology.template.shapes
-    weights = registered.shape_weights
+        message = f"Mostly not in the scan: {', '.join(unseen).replace('_', ' ')}."
+        advice = "Their shape is the likeliest one, not a measured one."
+        found.append(Finding("registration.unseen_regions", "info", message, advice))
+    shapes, weights = topology.template.shapes, registered.shape_weights
     if shapes is not None and len(weights) == len(shapes.identity):
         length = float(np.linalg.norm(weights) / np.sqrt(max(len(weights), 1)))
-        if length > LIMITS.unusual_shape:
-            note(
-                "registration.unusual_shape",
-                "info",
-                "The face differs much from those the template knows.",
-                "Check distance.png; give landmarks if eyes or mouth are in the wrong place.",
-            )
+        if length > limits.unusual_shape:
+            message = "The face differs much from those the template knows."
+            advice = "Check distance.png; give landmarks if eyes or mouth are in the wrong place."
+            found.append(Finding("registration.unusual_shape", "info", message, advice))
     if len(registered.folded):
-        note(
-            "registration.folded",
-            "warning",
-            f"{len(registered.folded)} triangles of the registered skin are turned over.",
-            "Check distance.png where the skin is creased.",
-        )
-    return found
+        message = f"{len(registered.folded)} triangles of the registered skin are turned over."
+        advice = "Check distance.png where the skin is creased."
+        found.append(Finding("registration.folded", "warning", message, advice))
+    return [finding.to_dict() for finding in found]
 
 
 def _regions(registered: RegisteredFace, topology: Topology) -> dict[str, dict[str, Any]]:

@@ -15,25 +15,23 @@ from scipy.spatial import KDTree, cKDTree
 from solver.errors import InputError
 from solver.meshio.raw import RawScan
 from solver.similarity import Similarity
-from solver.surface import Floats, Ints, Surface, adjacency, area_normals
+from solver.surface import Floats, Ints, Surface, adjacency, area_normals, directed_edges
+
+NEIGHBOURS = 12  # of a point of a cloud, on a plane
 
 
 @dataclass(frozen=True)
 class ScanSurfaceOptions:
     """Preparing a scan for closest points; lengths in mm."""
 
-    max_vertices: int = (
-        120_000  # more is thinned: a 1.5 mm grid on a head, below a template's edges
-    )
+    # more is thinned: a 1.5 mm grid on a head, below a template's edges
+    max_vertices: int = 120_000
     least_vertices: int = 100  # of a scan
     normal_radius: float = 2.5  # of the mean, as noise turns small triangles
     small_piece: float = 0.01  # share of the area under which a piece is debris
-    cloud_neighbours: int = 12  # of a point, on a plane
+    cloud_neighbours: int = NEIGHBOURS  # of a point, on a plane
     turn: float = 20.0  # a turn by a radian counts as this distance
     alike_neighbours: int = 3  # that are averaged
-
-
-SURFACE = ScanSurfaceOptions()
 
 
 @dataclass(frozen=True)
@@ -64,29 +62,32 @@ class ScanSurface(Protocol):
         """Return scan points that are close and face the same way as ``normals`` (n, 3)."""
 
 
-def scan_surface(scan: RawScan, mm_per_unit: float) -> ScanSurface:
+def scan_surface(
+    scan: RawScan, mm_per_unit: float, options: ScanSurfaceOptions = ScanSurfaceOptions()
+) -> ScanSurface:
     """Return a mended scan in mm ready for registration: thinned, no debris, normals outward.
 
     Raises :class:`InputError` (``scan.empty``) if next to nothing is left.
     """
     vertices = mm_per_unit * scan.vertices
     if len(scan.faces):
-        surface = _drop_debris(_thin(Surface(vertices, scan.faces)))
-        check_size(len(surface.vertices), scan.file)
-        return MeshScan(_turn_outward(surface))
-    points = _thin_points(vertices)
-    check_size(len(points), scan.file)
-    return CloudScan(points)
+        thin = _thin(Surface(vertices, scan.faces), options.max_vertices)
+        surface = _drop_debris(thin, options.small_piece)
+        check_size(len(surface.vertices), scan.file, options)
+        return MeshScan(_turn_outward(surface), options)
+    points = _thin_points(vertices, options.max_vertices)
+    check_size(len(points), scan.file, options)
+    return CloudScan(points, options)
 
 
 class MeshScan:
     """A triangle mesh; see :class:`ScanSurface`."""
 
-    def __init__(self, surface: Surface) -> None:
+    def __init__(self, surface: Surface, options: ScanSurfaceOptions) -> None:
         self.vertices, self.faces = surface.vertices, surface.faces
-        self.normals = _smooth_normals(surface)
+        self.normals = _smooth_normals(surface, options.normal_radius)
         self._edge_opposite, self._edge_vertex = _boundary(surface)
-        self._alike = Alike(self.vertices, self.normals)
+        self._alike = Alike(self.vertices, self.normals, options)
         self._tree = igl.AABB()
         self._tree.init(self.vertices, self.faces)
 
@@ -95,8 +96,7 @@ class MeshScan:
         squared, face, near = self._tree.squared_distance(self.vertices, self.faces, points)
         corners = self.faces[face]
         weights = _barycentric(near, self.vertices[corners])
-        normals = np.einsum("nk,nkd->nd", weights, self.normals[corners])
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12
+        normals = unit_rows(np.einsum("nk,nkd->nd", weights, self.normals[corners]))
         on_edge = (self._edge_opposite[face] & (weights < 1e-4)).any(axis=1)
         at_vertex = (self._edge_vertex[corners] & (weights > 1 - 1e-4)).any(axis=1)
         return Matches(near, normals, np.sqrt(squared), on_edge | at_vertex)
@@ -110,30 +110,23 @@ class MeshScan:
 class CloudScan:
     """Points without triangles; see :class:`ScanSurface`."""
 
-    def __init__(self, points: Floats) -> None:
+    def __init__(self, points: Floats, options: ScanSurfaceOptions) -> None:
+        self._neighbours = options.cloud_neighbours
         self.vertices, self.faces = points, np.zeros((0, 3), np.int64)
         self._tree = cKDTree(points)
-        distance, near = self._tree.query(points, SURFACE.cloud_neighbours)
+        distance, near = self._tree.query(points, self._neighbours)
         self._spacing = float(np.median(distance[:, -1]))
-        centred = points[near] - points[near].mean(axis=1, keepdims=True)
-        normals = np.linalg.svd(centred, full_matrices=False)[2][:, 2]
-        outward = points - np.median(points, axis=0)
-        normals *= np.sign(np.einsum("nd,nd->n", normals, outward) + 1e-12)[:, None]
-        for _ in range(8):
-            mean = normals[near].mean(axis=1)
-            normals *= np.sign(np.einsum("nd,nd->n", normals, mean) + 1e-12)[:, None]
-        mean = normals[near].mean(axis=1)
-        self.normals = mean / (np.linalg.norm(mean, axis=1, keepdims=True) + 1e-12)
-        self._alike = Alike(points, self.normals)
+        samples = orient_outward(Samples(points, estimated_normals(points, points), False))
+        self.normals = unit_rows(samples.normals[near].mean(axis=1))
+        self._alike = Alike(points, self.normals, options)
 
     def closest(self, points: Floats) -> Matches:
         """See :class:`ScanSurface`; the points lie on planes through neighbours."""
-        distance, near = self._tree.query(points, SURFACE.cloud_neighbours)
+        distance, near = self._tree.query(points, self._neighbours)
         weights = 1 / (distance**2 + (0.3 * self._spacing) ** 2)
         weights /= weights.sum(axis=1, keepdims=True)
         centre = np.einsum("nk,nkd->nd", weights, self.vertices[near])
-        normals = np.einsum("nk,nkd->nd", weights, self.normals[near])
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12
+        normals = unit_rows(np.einsum("nk,nkd->nd", weights, self.normals[near]))
         height = np.einsum("nd,nd->n", points - centre, normals)
         foot = points - height[:, None] * normals
         beside = np.linalg.norm(foot - centre, axis=1)
@@ -149,59 +142,57 @@ class CloudScan:
 class Alike:
     """Closest points in place and direction together, as in White et al. (Sci. Rep. 2019)."""
 
-    def __init__(self, vertices: Floats, normals: Floats) -> None:
-        self._vertices, self._normals = vertices, normals
-        self._tree = cKDTree(np.hstack([vertices, SURFACE.turn * normals]))
+    def __init__(self, vertices: Floats, normals: Floats, options: ScanSurfaceOptions) -> None:
+        self._vertices, self._normals, self._options = vertices, normals, options
+        self._tree = cKDTree(np.hstack([vertices, options.turn * normals]))
 
     def __call__(self, points: Floats, normals: Floats) -> tuple[Matches, Ints]:
         """Return means of the most alike vertices, none at an edge, and their numbers (n, k)."""
-        apart, near = self._tree.query(
-            np.hstack([points, SURFACE.turn * normals]), SURFACE.alike_neighbours
-        )
+        places = np.hstack([points, self._options.turn * normals])
+        apart, near = self._tree.query(places, self._options.alike_neighbours)
         weights = 1 / (apart + 0.5) ** 2
         weights /= weights.sum(axis=1, keepdims=True)
         place = np.einsum("nk,nkd->nd", weights, self._vertices[near])
-        direction = np.einsum("nk,nkd->nd", weights, self._normals[near])
-        direction /= np.linalg.norm(direction, axis=1, keepdims=True) + 1e-12
+        direction = unit_rows(np.einsum("nk,nkd->nd", weights, self._normals[near]))
         distance = np.linalg.norm(points - place, axis=1)
         return Matches(place, direction, distance, np.zeros(len(points), dtype=bool)), near
 
 
-def check_size(count: int, file: str) -> None:
+def check_size(count: int, file: str, options: ScanSurfaceOptions = ScanSurfaceOptions()) -> None:
     """Raise :class:`InputError` (``scan.empty``) for a scan of next to nothing."""
-    if count < SURFACE.least_vertices:
-        raise InputError(
-            "scan.empty",
-            f"{file} holds only {count} usable points; a face needs thousands",
-            file=file,
-            found=count,
-        )
+    if count < options.least_vertices:
+        message = f"{file} holds only {count} usable points; a face needs thousands"
+        raise InputError("scan.empty", message, file=file, found=count)
 
 
-def _thin(surface: Surface) -> Surface:
-    """Cluster vertices on a grid, as fine as ``max_vertices`` allows (Rossignac 1993)."""
-    if len(surface.vertices) <= SURFACE.max_vertices:
+def _thin(surface: Surface, most: int) -> Surface:
+    """Cluster vertices on a grid, as fine as ``most`` vertices allow (Rossignac 1993)."""
+    if len(surface.vertices) <= most:
         return surface
     area = float(igl.doublearea(surface.vertices, surface.faces).sum()) / 2
-    cell = 1.2 * np.sqrt(area / SURFACE.max_vertices)
-    points, number = _cluster(surface.vertices, cell)
-    return _compact(points, number[surface.faces])
+    cell = 1.2 * np.sqrt(area / most)
+    _, number = cells(surface.vertices, cell)
+    return _compact(mean_by_cell(surface.vertices, number), number[surface.faces])
 
 
-def _thin_points(points: Floats) -> Floats:
-    cell = float(np.ptp(points, axis=0).max()) / 400 if len(points) > SURFACE.max_vertices else 0.0
-    while len(points) > SURFACE.max_vertices:
-        points, cell = _cluster(points, cell)[0], 1.2 * cell
+def _thin_points(points: Floats, most: int) -> Floats:
+    cell = float(np.ptp(points, axis=0).max()) / 400 if len(points) > most else 0.0
+    while len(points) > most:
+        points, cell = mean_by_cell(points, cells(points, cell)[1]), 1.2 * cell
     return points
 
 
-def _cluster(points: Floats, cell: float) -> tuple[Floats, Ints]:
-    """Return the means of the points in each cell, and the cell of every point."""
-    keys = np.floor((points - points.min(axis=0)) / cell).astype(np.int64)
-    _, number, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
-    number = number.reshape(-1)
-    sums = np.stack([np.bincount(number, points[:, axis]) for axis in range(3)], axis=1)
-    return sums / count[:, None], number
+def cells(points: Floats, size: float) -> tuple[Ints, Ints]:
+    """Return the first point of every cell of a grid, and the cell of every point."""
+    keys = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
+    _, first, number = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    return first, number.reshape(-1)
+
+
+def mean_by_cell(values: Floats, number: Ints) -> Floats:
+    """Return the means (c, 3) of the values (n, 3) in each cell, given the cell of each."""
+    sums = np.stack([np.bincount(number, column) for column in values.T], axis=1)
+    return np.asarray(sums / np.bincount(number)[:, None])
 
 
 def _compact(vertices: Floats, faces: Ints) -> Surface:
@@ -213,13 +204,13 @@ def _compact(vertices: Floats, faces: Ints) -> Surface:
     return Surface(vertices[used], numbers.reshape(-1, 3).astype(np.int64))
 
 
-def _drop_debris(surface: Surface) -> Surface:
+def _drop_debris(surface: Surface, least_share: float) -> Surface:
     count = len(surface.vertices)
     label = connected_components(adjacency(surface.faces, count), directed=False)[1]
     area = np.nan_to_num(igl.doublearea(surface.vertices, surface.faces))
     owner = label[surface.faces[:, 0]]
     share = np.bincount(owner, area) / max(float(area.sum()), 1e-12)
-    return _compact(surface.vertices, surface.faces[share[owner] >= SURFACE.small_piece])
+    return _compact(surface.vertices, surface.faces[share[owner] >= least_share])
 
 
 def _turn_outward(surface: Surface) -> Surface:
@@ -231,26 +222,23 @@ def _turn_outward(surface: Surface) -> Surface:
     return Surface(surface.vertices, np.ascontiguousarray(surface.faces[:, ::-1]))
 
 
-def _smooth_normals(surface: Surface) -> Floats:
+def _smooth_normals(surface: Surface, radius: float) -> Floats:
     corners = surface.vertices[surface.faces]
     normal = area_normals(surface.vertices, surface.faces)
     count = len(surface.vertices)
     sums = np.zeros((count, 3))
-    for corner in range(3):
-        np.add.at(sums, surface.faces[:, corner], normal)
+    np.add.at(sums, surface.faces.T, normal)
     edge = float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)))
-    steps = int(np.clip((SURFACE.normal_radius / edge) ** 2, 0, 30))
+    steps = int(np.clip((radius / edge) ** 2, 0, 30))
     mean = adjacency(surface.faces, count) + sp.eye_array(count, format="csr")
     for _ in range(steps):
-        sums = mean @ sums
-        sums /= np.linalg.norm(sums, axis=1, keepdims=True) + 1e-12
-    return np.asarray(sums / (np.linalg.norm(sums, axis=1, keepdims=True) + 1e-12))
+        sums = unit_rows(mean @ sums)
+    return unit_rows(sums)
 
 
 def _boundary(surface: Surface) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return per face and corner whether the edge opposite has one face, and boundary vertices."""
-    edges = np.stack([surface.faces[:, [1, 2]], surface.faces[:, [2, 0]], surface.faces[:, [0, 1]]])
-    edges = np.sort(edges, axis=2).reshape(-1, 2)
+    edges = np.sort(directed_edges(np.roll(surface.faces, -1, axis=1)), axis=1)
     keys = edges[:, 0] * len(surface.vertices) + edges[:, 1]
     _, number, count = np.unique(keys, return_inverse=True, return_counts=True)
     single = count[number.reshape(-1)] == 1
@@ -272,9 +260,6 @@ def _barycentric(points: Floats, corners: Floats) -> Floats:
 
 
 # Points spread evenly over a scan, with normals: what poses and fits are found from.
-
-
-NEIGHBOURS = 12  # of a point of a cloud, on a plane
 
 
 @dataclass(frozen=True)
@@ -304,7 +289,7 @@ def sample(
     chosen = _spread(vertices, count, rng)
     points = vertices[chosen]
     if normals is not None:
-        return Samples(points, _unit(normals[chosen]), True)
+        return Samples(points, unit_rows(normals[chosen]), True)
     return Samples(points, estimated_normals(points, vertices), False)
 
 
@@ -321,7 +306,7 @@ def _on_triangles(vertices: Floats, faces: Ints, count: int, rng: np.random.Gene
     beyond = u + v > 1
     u, v = np.where(beyond, 1 - u, u), np.where(beyond, 1 - v, v)
     points = a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]
-    return Samples(points, _unit(cross[chosen]), True)
+    return Samples(points, unit_rows(cross[chosen]), True)
 
 
 def _spread(points: Floats, count: int, rng: np.random.Generator) -> Ints:
@@ -344,12 +329,27 @@ def _spread(points: Floats, count: int, rng: np.random.Generator) -> Ints:
 
 def estimated_normals(points: Floats, cloud: Floats) -> Floats:
     """Return normals (n, 3), of either sign, of planes through the neighbours in ``cloud``."""
-    tree = KDTree(cloud)
-    _, near = tree.query(points, k=min(NEIGHBOURS, len(cloud)))
+    _, near = KDTree(cloud).query(points, k=min(NEIGHBOURS, len(cloud)))
     offsets = cloud[near] - cloud[near].mean(axis=1, keepdims=True)
     _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))
     return np.asarray(axes[:, :, 0])
 
 
-def _unit(vectors: Floats) -> Floats:
-    return np.asarray(vectors / (np.linalg.norm(vectors, axis=1, keepdims=True) + 1e-30))
+def orient_outward(samples: Samples) -> Samples:
+    """Return the samples with normals that point outwards, whatever the scan's winding is."""
+    points, normals = samples.points, samples.normals.copy()
+    away = points - np.median(points, axis=0)
+    height = np.einsum("nd,nd->n", normals, away)
+    if samples.oriented:
+        return samples if height.sum() >= 0 else Samples(points, -normals, True)
+    normals *= np.sign(height + 1e-12)[:, None]
+    near = KDTree(points).query(points, NEIGHBOURS)[1]
+    for _ in range(8):
+        mean = normals[near].mean(axis=1)
+        normals *= np.sign(np.einsum("nd,nd->n", normals, mean) + 1e-12)[:, None]
+    return Samples(points, normals, False)
+
+
+def unit_rows(vectors: Floats) -> Floats:
+    """Return vectors (..., 3) of length 1; those of no length stay."""
+    return np.asarray(vectors / (np.linalg.norm(vectors, axis=-1, keepdims=True) + 1e-30))

@@ -25,9 +25,6 @@ from solver.registration.topology import Topology
 from solver.similarity import Similarity, small_motion
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
-# Pairs of model points and scan points, with the weight each pair deserves.
-
-
 # Normals further apart are not of the same place: of a scan's surface, of its samples.
 MIN_COSINE, LEAST_COSINE = 0.5, 0.6
 

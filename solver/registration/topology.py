@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,6 @@ from solver.similarity import weighted_motion
 from solver.surface import Floats, Ints
 
 # Parts that no scan shows: eyeballs, teeth, gums and tongue go where the skin takes them.
-
 
 GUIDES = 500  # points of the outer skin that carry what is hidden
 SMOOTHING_MM = 5.0  # of the warp between them
@@ -69,25 +69,18 @@ class ViewOptions:
     pitches: tuple[int, ...] = (-35, 0, 35)  # degrees
 
 
-VIEWS = ViewOptions()
-
-
-def outer_skin(template: Template) -> NDArray[np.bool_]:
+def outer_skin(template: Template, options: ViewOptions = ViewOptions()) -> NDArray[np.bool_]:
     """Return which skin vertices (n,) of the template's flesh are seen from outside."""
-    skin = template.skin
+    skin, pixels = template.skin, options.pixels
     centre = (skin.vertices.min(axis=0) + skin.vertices.max(axis=0)) / 2
     span = 1.2 * float(np.ptp(skin.vertices, axis=0).max())
     seen = np.zeros(len(skin.faces), dtype=bool)
-    for yaw in np.radians(VIEWS.yaws):
-        for pitch in np.radians(VIEWS.pitches):
-            triangle = look(
-                Camera(centre, span, yaw, pitch), skin, VIEWS.pixels, VIEWS.pixels
-            ).triangle
-            seen[np.unique(triangle[triangle >= 0])] = True
-    flesh = np.zeros(len(skin.faces), dtype=bool)
-    flesh[template.flesh_faces] = True
+    for yaw, pitch in product(np.radians(options.yaws), np.radians(options.pitches)):
+        triangle = look(Camera(centre, span, yaw, pitch), skin, pixels, pixels).triangle
+        seen[np.unique(triangle[triangle >= 0])] = True
+    flesh = template.flesh_faces
     outer = np.zeros(len(skin.vertices), dtype=bool)
-    outer[skin.faces[seen & flesh]] = True
+    outer[skin.faces[flesh][seen[flesh]]] = True
     return outer
 
 
@@ -100,9 +93,6 @@ class RestOptions:
     below_tip: float = 8.0  # of the nose, skin is not firm
     parted_share: float = 0.3  # of the widest parting by which lips come apart
     mobile: float = 0.4  # root mean square move that halves a vertex's stability
-
-
-REST = RestOptions()
 
 
 @dataclass(frozen=True)
@@ -137,35 +127,29 @@ class Topology:
     stable: Floats
 
 
-def topology(template: Template) -> Topology:
+def topology(template: Template, options: RestOptions = RestOptions()) -> Topology:
     """Find outer skin, lips that touch, rigid parts and stable skin of a template."""
     outer = np.flatnonzero(outer_skin(template))
     flesh = template.skin.faces[template.flesh_faces]
     face = np.intersect1d(template.face_vertices, outer)
-    firm = _firm(template, face)
-    return Topology(
-        template=template,
-        flesh=flesh,
-        outer=outer,
-        face=face,
-        firm=firm,
-        touching=_touching(template, np.unique(flesh)),
-        groups=rigid_groups(template),
-        stable=_stable(template, outer, firm),
-    )
+    firm = _firm(template, face, options)
+    touching = _touching(template, np.unique(flesh), options)
+    stable = _stable(template, outer, firm, options)
+    groups = rigid_groups(template)
+    return Topology(template, flesh, outer, face, firm, touching, groups, stable)
 
 
-def _touching(template: Template, vertices: Ints) -> Ints:
+def _touching(template: Template, vertices: Ints, options: RestOptions) -> Ints:
     """Pair every lip vertex with the closest one that parting takes away from it, each once."""
     rest = template.skin.vertices
     parted = rest + template.parting
-    pairs = vertices[cKDTree(rest[vertices]).query_pairs(REST.touching, output_type="ndarray")]
+    pairs = vertices[cKDTree(rest[vertices]).query_pairs(options.touching, output_type="ndarray")]
     gap, opened = (
         np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
         for points in (rest, parted)
     )
     opened -= gap
-    apart = np.flatnonzero(opened > REST.parted_share * opened.max(initial=0.0))
+    apart = np.flatnonzero(opened > options.parted_share * opened.max(initial=0.0))
     chosen: list[Ints] = []
     taken: set[int] = set()
     for pair in pairs[apart[np.argsort(gap[apart], kind="stable")]]:
@@ -175,22 +159,22 @@ def _touching(template: Template, vertices: Ints) -> Ints:
     return np.array(chosen, dtype=np.int64).reshape(-1, 2)
 
 
-def _firm(template: Template, face: Ints) -> Ints:
+def _firm(template: Template, face: Ints, options: RestOptions) -> Ints:
     """Leave out what moves farther than ``far``; without shapes, what is below the nose."""
     if template.shapes is not None and len(template.shapes.expressions):
         moves = np.linalg.norm(template.shapes.expressions[:, face], axis=2).max(axis=0)
-        return np.asarray(face[moves < REST.far])
+        return np.asarray(face[moves < options.far])
     points = template.skin.vertices[face]
     tip = points[np.argmax(points[:, 2])]
-    return np.asarray(face[points[:, 1] > tip[1] - REST.below_tip])
+    return np.asarray(face[points[:, 1] > tip[1] - options.below_tip])
 
 
-def _stable(template: Template, outer: Ints, firm: Ints) -> Floats:
+def _stable(template: Template, outer: Ints, firm: Ints, options: RestOptions) -> Floats:
     """Weigh by how little the expressions move a vertex; without shapes the upper face counts."""
     weights = np.zeros(len(template.skin.vertices))
     if template.shapes is not None and len(template.shapes.expressions):
         squares = np.sum(template.shapes.expressions[:, outer].astype(float) ** 2, axis=2)
-        weights[outer] = 1 / (1 + squares.mean(axis=0) / REST.mobile**2) ** 2
+        weights[outer] = 1 / (1 + squares.mean(axis=0) / options.mobile**2) ** 2
     else:
         weights[firm] = 1.0
     return weights

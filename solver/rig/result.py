@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from solver.errors import InputError, Notice
+from solver.errors import Finding, InputError
 from solver.model import SubjectModel
 from solver.rig.round_trip import RoundTrip
 from solver.storage import Arrays, read_arrays, with_prefix
@@ -77,7 +77,7 @@ class ExpressionFit:
     round_trip: RoundTrip | None = None
     solver: str = "reduced"
     status: str = "converged"
-    notices: tuple[Notice, ...] = ()
+    notices: tuple[Finding, ...] = ()
 
     def measured_error(self, vertices: Ints) -> Floats:
         """Return the errors (k,) in mm of those ``vertices`` that the scan shows."""
@@ -215,7 +215,7 @@ def _known(data: dict[str, np.ndarray], array: str, k: int) -> Floats | None:
     return np.asarray(data[array][k], np.float64)
 
 
-def _notices_text(notices: tuple[Notice, ...]) -> str:
+def _notices_text(notices: tuple[Finding, ...]) -> str:
     return json.dumps([notice.as_dict() for notice in notices], allow_nan=False)
 
 
@@ -223,7 +223,7 @@ def _solve(data: dict[str, np.ndarray], k: int) -> dict[str, Any]:
     """Return solver, status and notices of an expression; older rigs do not have them."""
     if "status" not in data:
         return {"status": "unknown"}
-    notices = tuple(Notice.from_dict(each) for each in json.loads(str(data["notices"][k])))
+    notices = tuple(Finding.from_dict(each) for each in json.loads(str(data["notices"][k])))
     return {"solver": str(data["solver"][k]), "status": str(data["status"][k]), "notices": notices}
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import scipy.sparse as sp
 
-from solver.errors import InputError, Notice
+from solver.errors import Finding, InputError
 from solver.model import SubjectModel
 from solver.rig.result import (
     ExpressionFit,
@@ -37,7 +37,7 @@ class Rig:
     weights: sp.csr_array
     expressions: tuple[ExpressionFit, ...]
     seconds: dict[str, float] = field(default_factory=dict)
-    notices: tuple[Notice, ...] = ()
+    notices: tuple[Finding, ...] = ()
     figures: dict[str, Any] | None = None
 
     def save(self, path: Path) -> None:
@@ -88,7 +88,7 @@ class Rig:
             load_weights(file, model),
             load_activations(file, model),
             archive.header["seconds"],
-            tuple(Notice.from_dict(each) for each in archive.header["notices"]),
+            tuple(Finding.from_dict(each) for each in archive.header["notices"]),
             archive.header["figures"],
         )
 

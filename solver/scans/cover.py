@@ -13,14 +13,12 @@ from scipy.spatial import KDTree
 
 from solver.anatomy.template import Template
 from solver.drawing.render import Camera, look
-from solver.registration.locate import FacePoints, FacePose, face_points, find_pose, orient_outward
-from solver.registration.scan_surface import Samples, sample
+from solver.registration.scan_surface import Samples, orient_outward, sample
+from solver.registration.search import FacePoints, FacePose, face_points, find_pose
 from solver.surface import Floats, Ints, Surface
 
-# The face seen from the front as a map of heights: what is foremost at each place.
-
-
 FAR_MM = 4000.0  # so far away that the view is nearly parallel
+SIDE_MM = 8.0  # from the middle begins a side of the face
 
 
 @dataclass(frozen=True)
@@ -66,21 +64,12 @@ class CoverOptions:
     opening: float = 4.0  # so near lids, lips and nostrils, scans may be torn
     hidden: float = 2.0  # behind what is seen from the front
     least_gap: float = 3.5  # to the scan from a point in a hole, or four spacings
-    side: float = 8.0  # from the middle begins a side
     rim: float = 5.0  # a hole this near the border is the scan's end
     misfit: float = 15.0  # of a fitted face along its normals
     slides: int = 4  # along the normal to the height of the scan
-    nearby: tuple[float, ...] = (
-        -6.0,
-        -3.0,
-        3.0,
-        6.0,
-    )  # heights where a slide may swing between layers
+    nearby: tuple[float, ...] = (-6.0, -3.0, 3.0, 6.0)  # where a slide may swing between layers
     mouth: float = 32.0  # radius of the mouth
     behind: tuple[float, ...] = (8.0, 14.0, 20.0, 26.0, 32.0)  # depths of teeth and tongue
-
-
-COVER = CoverOptions()
 
 
 @dataclass(frozen=True)
@@ -112,48 +101,57 @@ class Cover:
         middle = np.median(self.points[:, 1])
         chosen = {
             "all": np.ones(len(self.points), bool),
-            "left": self.points[:, 0] > COVER.side,
-            "right": self.points[:, 0] < -COVER.side,
+            "left": self.points[:, 0] > SIDE_MM,
+            "right": self.points[:, 0] < -SIDE_MM,
             "upper": self.points[:, 1] > middle,
             "lower": self.points[:, 1] <= middle,
         }[side]
         return float(self.covered[chosen].mean())
 
 
-def cover(scan: Samples, skin: Floats, template: Template, face: Surface) -> Cover:
+def cover(
+    scan: Samples,
+    skin: Floats,
+    template: Template,
+    face: Surface,
+    options: CoverOptions = CoverOptions(),
+) -> Cover:
     """Return what ``scan``, in the template's frame, covers of the fitted ``skin`` (n, 3).
 
     ``face`` is the part of the template's skin that is fitted, in its numbers.
     """
     fitted = Surface(skin, face.faces)
-    samples = sample(skin, face.faces, None, COVER.points)
-    seen = _seen_from_front(fitted, samples)
-    inner = ~_near_rims(samples.points, fitted)
-    points = samples.points[seen & inner]
-    area = _area(fitted) / COVER.points
+    samples = sample(skin, face.faces, None, options.points)
+    rim, *openings = (KDTree(skin[loop]) for loop in _loops(fitted))
+    looked_for = _seen_from_front(fitted, samples.points, options.hidden)
+    looked_for &= rim.query(samples.points)[0] >= options.border
+    for opening in openings:
+        looked_for &= opening.query(samples.points)[0] >= options.opening
+    points, normals = samples.points[looked_for], samples.normals[looked_for]
+    area = float(igl.doublearea(skin, face.faces).sum() / 2) / options.points
     tree = KDTree(scan.points)
     spacing = float(np.median(tree.query(scan.points[::7], k=2)[0][:, 1]))
-    gap = _sideways_gap(
-        points, samples.normals[seen & inner], _at_mouth(points, skin, template), tree
-    )
-    limit = max(COVER.least_gap, 4 * spacing)
+    gap = _sideways_gap(points, normals, _at_mouth(points, skin, template, options), tree, options)
+    limit = max(options.least_gap, 4 * spacing)
     covered = np.asarray(gap < limit)
     missing = points[~covered]
-    at_rim = _rim_gap(missing, fitted) < COVER.border + COVER.rim
+    at_rim = rim.query(missing)[0] < options.border + options.rim
     return Cover(points, covered, _holes(missing, at_rim, (area, limit), skin, template))
 
 
-def _at_mouth(points: Floats, skin: Floats, template: Template) -> NDArray[np.bool_]:
+def _at_mouth(
+    points: Floats, skin: Floats, template: Template, options: CoverOptions
+) -> NDArray[np.bool_]:
     lips = [template.landmarks.get(f"stomion_{lip}us") for lip in ("superi", "inferi")]
     known = [lip for lip in lips if lip is not None]
     if not known:
         return np.zeros(len(points), bool)
     away = np.linalg.norm(points - skin[known].mean(axis=0), axis=1)
-    return np.asarray(away < COVER.mouth)
+    return np.asarray(away < options.mouth)
 
 
 def _sideways_gap(
-    points: Floats, normals: Floats, mouth: NDArray[np.bool_], tree: KDTree
+    points: Floats, normals: Floats, mouth: NDArray[np.bool_], tree: KDTree, options: CoverOptions
 ) -> Floats:
     """Return how far (n,) the scan is beside each point's normal: in a hole, not where it misfits.
 
@@ -163,47 +161,28 @@ def _sideways_gap(
     """
     height = np.zeros(len(points))
     gap = np.full(len(points), np.inf)
-    for _ in range(COVER.slides):
+    for _ in range(options.slides):
         beside, near = tree.query(points + height[:, None] * normals)
         gap = np.minimum(gap, beside)
-        height = (
-            ((tree.data[near] - points) * normals).sum(axis=1).clip(-COVER.misfit, COVER.misfit)
-        )
-    for depth in COVER.nearby:  # where a slide swings between two layers, as lashes and brow
+        height = ((tree.data[near] - points) * normals).sum(axis=1)
+        height = height.clip(-options.misfit, options.misfit)
+    for depth in options.nearby:  # where a slide swings between two layers, as lashes and brow
         gap = np.minimum(gap, tree.query(points - depth * normals)[0])
-    for depth in COVER.behind:
+    for depth in options.behind:
         gap[mouth] = np.minimum(gap[mouth], tree.query((points - depth * normals)[mouth])[0])
     return np.asarray(gap)
 
 
-def _area(surface: Surface) -> float:
-    return float(igl.doublearea(surface.vertices, surface.faces).sum() / 2)
-
-
-def _seen_from_front(fitted: Surface, samples: Samples) -> NDArray[np.bool_]:
-    """Return which samples neither lie in a fold nor face sideways, where few scanners see."""
+def _seen_from_front(fitted: Surface, points: Floats, hidden: float) -> NDArray[np.bool_]:
+    """Return which points neither lie in a fold nor face sideways, where few scanners see."""
     used = fitted.vertices[np.unique(fitted.faces)]
     low, high = used.min(axis=0), used.max(axis=0)
-    size = high - low + 4.0
-    front = relief(fitted, (low + high) / 2, (float(size[0]), float(size[1])), 1.0)
-    column = np.clip(np.rint(samples.points[:, 0] - front.x[0]), 0, len(front.x) - 1)
-    row = np.clip(np.rint(front.y[0] - samples.points[:, 1]), 0, len(front.y) - 1)
-    height = front.height[row.astype(int), column.astype(int)]
-    return np.asarray(samples.points[:, 2] > np.nan_to_num(height, nan=-1e9) - COVER.hidden)
-
-
-def _near_rims(points: Floats, fitted: Surface) -> NDArray[np.bool_]:
-    """Return which points lie near the outer rim of the face or near one of its openings."""
-    near = _rim_gap(points, fitted) < COVER.border
-    for opening in _loops(fitted)[1:]:
-        near |= KDTree(fitted.vertices[opening]).query(points)[0] < COVER.opening
-    return near
-
-
-def _rim_gap(points: Floats, fitted: Surface) -> Floats:
-    """Return how far (n,) points lie from the outer rim of the face."""
-    rim = _loops(fitted)[0]
-    return np.asarray(KDTree(fitted.vertices[rim]).query(points)[0])
+    width, height, _ = high - low + 4.0
+    front = relief(fitted, (low + high) / 2, (float(width), float(height)), 1.0)
+    column = np.clip(np.rint(points[:, 0] - front.x[0]), 0, len(front.x) - 1)
+    row = np.clip(np.rint(front.y[0] - points[:, 1]), 0, len(front.y) - 1)
+    foremost = front.height[row.astype(int), column.astype(int)]
+    return np.asarray(points[:, 2] > np.nan_to_num(foremost, nan=-1e9) - hidden)
 
 
 def _loops(fitted: Surface) -> list[Ints]:
@@ -231,11 +210,9 @@ def _holes(
     graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(missing), len(missing)))
     count, label = connected_components(graph, directed=False)
     holes = []
-    for number in range(count):
-        chosen = label == number
-        members = missing[chosen]
-        centre, ends = members.mean(axis=0), bool(at_rim[chosen].any())
-        size = float(np.pi * (np.sqrt(len(members) * area / np.pi) + edge) ** 2)
+    for chosen in (label == number for number in range(count)):
+        centre, ends = missing[chosen].mean(axis=0), bool(at_rim[chosen].any())
+        size = float(np.pi * (np.sqrt(chosen.sum() * area / np.pi) + edge) ** 2)
         holes.append(Hole(size, centre, _region(centre, skin, template), ends))
     return sorted(holes, key=lambda hole: -hole.area_mm2)
 
@@ -250,7 +227,7 @@ def _region(place: Floats, skin: Floats, template: Template) -> str:
     if not nearest:
         return "face"
     name = min(nearest, key=lambda region: nearest[region]).replace("_", " ")
-    side = "left " if place[0] > COVER.side else "right " if place[0] < -COVER.side else ""
+    side = "left " if place[0] > SIDE_MM else "right " if place[0] < -SIDE_MM else ""
     return side + name
 
 
@@ -276,49 +253,45 @@ class PartOptions:
     other_share: float = 0.08  # of the scan outside the head that may hold another
 
 
-PARTS = PartOptions()
-
-
-def parts_of(face: Surface) -> dict[str, FacePoints]:
+def _halves(face: Surface) -> dict[str, FacePoints]:
     """Return the ``left``, ``right``, ``upper`` and ``lower`` halves of a template's face."""
-    centre = face.vertices[face.faces].mean(axis=1)
-    middle = np.median(centre[:, 1])
-    halves = {
-        "left": centre[:, 0] > 0,
-        "right": centre[:, 0] < 0,
-        "upper": centre[:, 1] > middle,
-        "lower": centre[:, 1] < middle,
-    }
+    x, y, _ = face.vertices[face.faces].mean(axis=1).T
+    middle = np.median(y)
+    halves = {"left": x > 0, "right": x < 0, "upper": y > middle, "lower": y < middle}
     return {
         name: face_points(Surface(face.vertices, face.faces[kept])) for name, kept in halves.items()
     }
 
 
-def visible_part(scan: Samples, face: Surface, scales: list[float]) -> str | None:
+def visible_part(
+    scan: Samples, face: Surface, scales: list[float], options: PartOptions = PartOptions()
+) -> str | None:
     """Return which half of a face a scan shows that shows no whole one; else None."""
-    parts, scan = parts_of(face), orient_outward(scan)
+    parts, scan = _halves(face), orient_outward(scan)
     best: tuple[str, FacePose] | None = None
     for name, part in parts.items():
         pose = find_pose(part, scan, scales)
-        is_part = pose.coverage > PARTS.share and pose.cost < PARTS.cost
+        is_part = pose.coverage > options.share and pose.cost < options.cost
         is_better = best is None or pose.cost < best[1].cost
-        if is_part and is_better and _is_absent(parts[OPPOSITE[name]], scan, pose):
+        if is_part and is_better and _is_absent(parts[OPPOSITE[name]], scan, pose, options):
             best = name, pose
     return None if best is None else best[0]
 
 
-def _is_absent(part: FacePoints, scan: Samples, pose: FacePose) -> bool:
+def _is_absent(part: FacePoints, scan: Samples, pose: FacePose, options: PartOptions) -> bool:
     """Return whether most of a part of the face has nothing of the scan about it."""
     gap, _ = KDTree(pose.motion(scan.points)).query(part.points)
-    return bool((gap > PARTS.nothing).mean() > 0.5)
+    return bool((gap > options.nothing).mean() > 0.5)
 
 
-def has_second_face(scan: Samples, face: FacePoints, pose: FacePose) -> bool:
+def has_second_face(
+    scan: Samples, face: FacePoints, pose: FacePose, options: PartOptions = PartOptions()
+) -> bool:
     """Return whether there is another face in the scan than the one at ``pose``."""
     scan = orient_outward(scan)
     there = pose.motion(scan.points) - face.points.mean(axis=0)
     outside = ((there < HEAD_MM[0]) | (there > HEAD_MM[1])).any(axis=1)
-    if outside.sum() < PARTS.other_share * len(outside):
+    if outside.sum() < options.other_share * len(outside):
         return False
     rest = Samples(scan.points[outside], scan.normals[outside], scan.oriented)
     return find_pose(face, rest, [pose.motion.scale]).is_face()

@@ -15,12 +15,12 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from solver.anatomy.template import Template
-from solver.errors import Finding, InputError, Severity, quote
+from solver.errors import MOST_NAMES, Finding, InputError, Severity, quote
 from solver.meshio.raw import WELDED_SHARE, Mending, RawScan
 from solver.registration.landmarks import match, read_landmarks
-from solver.registration.locate import JUDGE, FacePoints, Location
+from solver.registration.locate import Location, choose_unit
 from solver.registration.scan_surface import Samples
-from solver.registration.units import choose_unit
+from solver.registration.search import JUDGE, FacePoints
 from solver.scans.cover import Cover
 from solver.scans.mouth import Roughness
 from solver.similarity import fit_similarity
@@ -109,9 +109,6 @@ class FaceLimits:
     lips_apart_mm: float = 3.0  # an open mouth
 
 
-FACE = FaceLimits()
-
-
 @dataclass(frozen=True)
 class Features:
     """Mouth and eyes: the gap between the lips in mm and which eyes are surely closed."""
@@ -120,27 +117,27 @@ class Features:
     closed: dict[str, bool]
 
 
-def cover_findings(cover: Cover, features: Features) -> list[Finding]:
+def cover_findings(
+    cover: Cover, features: Features, limits: FaceLimits = FaceLimits()
+) -> list[Finding]:
     """Return what is missing of a face: a side, its end, or holes; open lips are no hole."""
     found = []
     shares = {side: cover.share(side) for side in ("left", "right", "upper", "lower")}
     worst = min(shares, key=lambda side: shares[side])
     whole = cover.share()
-    if whole < FACE.least_cover or shares[worst] < FACE.least_side:
-        message = f"{1 - whole:.0%} of the face is missing, most of it on the {worst} side."
-        if worst in ("upper", "lower"):
-            message = f"{1 - whole:.0%} of the face is missing, most of it in the {worst} half."
+    if whole < limits.least_cover or shares[worst] < limits.least_side:
+        place = f"in the {worst} half" if worst in ("upper", "lower") else f"on the {worst} side"
+        message = f"{1 - whole:.0%} of the face is missing, most of it {place}."
         found.append(make_finding("scan.coverage", "error", message, covered=round(whole, 3)))
-    cut = [hole for hole in cover.holes if hole.at_rim and hole.area_mm2 > FACE.cut_off_mm2]
+    cut = [hole for hole in cover.holes if hole.at_rim and hole.area_mm2 > limits.cut_off_mm2]
     if cut and not found:
         area = sum(hole.area_mm2 for hole in cut)
         regions = ", ".join(dict.fromkeys(hole.region for hole in cut))
         message = f"The scan ends before the face does: {area / 100:.0f} cm2 miss at the {regions}."
         found.append(make_finding("scan.cut_off", "warning", message, area_mm2=round(area)))
-    holes = [hole for hole in cover.holes if not hole.at_rim and hole.area_mm2 > FACE.hole_mm2]
-    if (
-        features.lip_gap_mm >= FACE.lips_apart_mm
-    ):  # a rough fit may have the chin where the mouth is
+    holes = [hole for hole in cover.holes if not hole.at_rim and hole.area_mm2 > limits.hole_mm2]
+    # a rough fit may have the chin where the mouth is
+    if features.lip_gap_mm >= limits.lips_apart_mm:
         holes = [hole for hole in holes if not hole.region.endswith(("lip", "chin"))]
     if holes:
         largest = holes[0]
@@ -154,26 +151,30 @@ def cover_findings(cover: Cover, features: Features) -> list[Finding]:
     return found
 
 
-def roughness_findings(rough: Roughness, spikes: int) -> list[Finding]:
+def roughness_findings(
+    rough: Roughness, spikes: int, limits: FaceLimits = FaceLimits()
+) -> list[Finding]:
     """Return whether a face is noisy, spiky or coarse."""
     found = []
-    limit = FACE.noise_mm + FACE.coarse_noise * max(rough.spacing_mm - 3.0, 0.0)
+    limit = limits.noise_mm + limits.coarse_noise * max(rough.spacing_mm - 3.0, 0.0)
     if rough.noise_mm > limit:
-        severity: Severity = "error" if rough.noise_mm > limit + FACE.much_noise_mm else "warning"
+        severity: Severity = "error" if rough.noise_mm > limit + limits.much_noise_mm else "warning"
         message = f"The surface is noisy: {rough.noise_mm:.1f} mm; a good scan has below 0.3 mm."
-        figures = {"found": round(rough.noise_mm, 2), "expected": FACE.noise_mm}
+        figures = {"found": round(rough.noise_mm, 2), "expected": limits.noise_mm}
         found.append(make_finding("scan.noise", severity, message, **figures))
-    if rough.spacing_mm > FACE.coarse_mm:
+    if rough.spacing_mm > limits.coarse_mm:
         message = f"The scan is coarse: a vertex every {rough.spacing_mm:.0f} mm on the face."
-        figures = {"found": round(rough.spacing_mm, 1), "expected": FACE.coarse_mm}
+        figures = {"found": round(rough.spacing_mm, 1), "expected": limits.coarse_mm}
         found.append(make_finding("scan.coarse", "warning", message, **figures))
-    if spikes >= FACE.spikes:
+    if spikes >= limits.spikes:
         message = f"{spikes} spikes stick out on or around the face."
         found.append(make_finding("scan.spikes", "warning", message, found=spikes))
     return found
 
 
-def feature_findings(features: Features, role: str) -> list[Finding]:
+def feature_findings(
+    features: Features, role: str, limits: FaceLimits = FaceLimits()
+) -> list[Finding]:
     """Return whether the mouth is open or the eyes are closed, which a neutral may not have.
 
     In a scan of unknown ``role`` they are only mentioned, in an expression not at all.
@@ -182,7 +183,7 @@ def feature_findings(features: Features, role: str) -> list[Finding]:
         return []
     severity: Severity = "error" if role == "neutral" else "info"
     found = []
-    if features.lip_gap_mm >= FACE.lips_apart_mm:
+    if features.lip_gap_mm >= limits.lips_apart_mm:
         message = f"The mouth is open: the lips are {features.lip_gap_mm:.0f} mm apart."
         gap = features.lip_gap_mm
         found.append(make_finding("scan.mouth_open", severity, message, found=gap))
@@ -209,10 +210,26 @@ class FileLimits:
     dense: int = 400_000  # vertices, not a share
 
 
-FILE = FileLimits()
+# What is counted in a file: the sentence, and its subject with a verb for one and for many.
+COUNTED = {
+    "scan.duplicate_vertices": (
+        "{} exactly in the place of another.",
+        ("vertex lies", "vertices lie"),
+    ),
+    "scan.zero_area_faces": ("{} no area.", ("triangle has", "triangles have")),
+    "scan.repeated_faces": ("{} there twice.", ("triangle is", "triangles are")),
+    "scan.unused_vertices": ("{} in no triangle.", ("vertex is", "vertices are")),
+    "scan.non_manifold": ("At {} three or more triangles meet.", ("edge", "edges")),
+    "scan.inconsistent_normals": (
+        "{} the other way than the surface around.",
+        ("triangle faces", "triangles face"),
+    ),
+}
 
 
-def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
+def file_findings(
+    raw: RawScan, mending: Mending, limits: FileLimits = FileLimits()
+) -> list[Finding]:
     """Return what is wrong with a scan as it was stored, given what was mended in it."""
     vertices, triangles = len(raw.vertices), max(len(raw.faces), 1)
     found: list[Finding] = []
@@ -221,95 +238,48 @@ def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
         found.append(make_finding(code, severity, message, **figures))
 
     if raw.format != raw.suffix_format:
-        add(
-            "scan.wrong_extension",
-            "warning",
+        message = (
             f"{raw.file} holds {raw.format.upper()}, not {raw.suffix_format.upper()} as its "
-            "suffix says; it was read as what it holds.",
-            expected=raw.suffix_format,
-            found=raw.format,
+            "suffix says; it was read as what it holds."
         )
-    if mending.not_finite:
-        share = mending.not_finite / vertices
-        add(
-            "scan.nan",
-            "error" if share > FILE.not_finite else "warning",
-            f"{_count(mending.not_finite, 'vertex', 'vertices')} of {vertices} "
-            f"{'is' if mending.not_finite == 1 else 'are'} not a number; the first is vertex "
-            f"{mending.first_not_finite} (counted from 0).",
-            vertex=mending.first_not_finite,
-            found=mending.not_finite,
+        expected = raw.suffix_format
+        add("scan.wrong_extension", "warning", message, expected=expected, found=raw.format)
+    lost, first = mending.not_finite, mending.first_not_finite
+    if lost:
+        severity: Severity = "error" if lost > limits.not_finite * vertices else "warning"
+        message = (
+            f"{_count(lost, 'vertex', 'vertices')} of {vertices} {'is' if lost == 1 else 'are'} "
+            f"not a number; the first is vertex {first} (counted from 0)."
         )
-    if mending.duplicate:
-        welded = mending.duplicate > WELDED_SHARE * vertices
-        usual = raw.format in ("glb", "stl")  # which cannot share vertices across a seam
-        add(
-            "scan.duplicate_vertices",
-            "warning" if welded and not usual else "info",
-            f"{_count(mending.duplicate, 'vertex lies', 'vertices lie')} exactly in the place of "
-            "another.",
-            found=mending.duplicate,
-        )
-    if mending.flat:
-        add(
-            "scan.zero_area_faces",
-            "warning" if mending.flat > FILE.flat * triangles else "info",
-            f"{_count(mending.flat, 'triangle has', 'triangles have')} no area.",
-            found=mending.flat,
-        )
-    if mending.repeated:
-        add(
-            "scan.repeated_faces",
-            "warning" if mending.repeated > FILE.flat * triangles else "info",
-            f"{_count(mending.repeated, 'triangle is', 'triangles are')} there twice.",
-            found=mending.repeated,
-        )
-    if mending.unused:
-        add(
-            "scan.unused_vertices",
-            "warning" if mending.unused > FILE.unused * vertices else "info",
-            f"{_count(mending.unused, 'vertex is', 'vertices are')} in no triangle.",
-            found=mending.unused,
-        )
-    if mending.non_manifold:
-        usual = raw.format == "stl" or mending.duplicate > WELDED_SHARE * vertices
-        few = usual and mending.non_manifold < FILE.touching * 1.5 * triangles
-        add(
-            "scan.non_manifold",
-            "info" if few else "warning",
-            f"At {_count(mending.non_manifold, 'edge', 'edges')} three or more triangles meet.",
-            found=mending.non_manifold,
-        )
-    if mending.flipped:
-        add(
-            "scan.inconsistent_normals",
-            "warning" if mending.flipped > FILE.flipped * triangles else "info",
-            f"{_count(mending.flipped, 'triangle faces', 'triangles face')} the other way than "
-            "the surface around.",
-            found=mending.flipped,
-        )
+        add("scan.nan", severity, message, vertex=first, found=lost)
+    is_welded = mending.duplicate > WELDED_SHARE * vertices
+    seams = raw.format in ("glb", "stl")  # which cannot share vertices across a seam
+    touches = raw.format == "stl" or is_welded
+    many_touch = mending.non_manifold >= limits.touching * 1.5 * triangles
+    flat, flipped = limits.flat * triangles, limits.flipped * triangles
+    counts = {
+        "scan.duplicate_vertices": (mending.duplicate, is_welded and not seams),
+        "scan.zero_area_faces": (mending.flat, mending.flat > flat),
+        "scan.repeated_faces": (mending.repeated, mending.repeated > flat),
+        "scan.unused_vertices": (mending.unused, mending.unused > limits.unused * vertices),
+        "scan.non_manifold": (mending.non_manifold, many_touch or not touches),
+        "scan.inconsistent_normals": (mending.flipped, mending.flipped > flipped),
+    }
+    for code, (number, is_worth_a_look) in counts.items():
+        if number:
+            sentence, subjects = COUNTED[code]
+            message = sentence.format(_count(number, *subjects))
+            add(code, "warning" if is_worth_a_look else "info", message, found=number)
     if raw.empty_groups:
-        names = ", ".join(raw.empty_groups[:5])
-        add(
-            "scan.empty_groups",
-            "warning",
-            f"{_count(len(raw.empty_groups), 'group holds', 'groups hold')} no triangle: {names}.",
-            groups=list(raw.empty_groups[:20]),
-        )
+        groups, names = len(raw.empty_groups), ", ".join(raw.empty_groups[:5])
+        message = f"{_count(groups, 'group holds', 'groups hold')} no triangle: {names}."
+        add("scan.empty_groups", "warning", message, groups=list(raw.empty_groups[:MOST_NAMES]))
     if len(raw.faces) == 0 and raw.normals is None:
-        add(
-            "scan.no_normals",
-            "warning",
-            f"{raw.file} is a point cloud without normals; they are found from neighbours.",
-        )
-    if vertices > FILE.dense:
-        add(
-            "scan.dense",
-            "warning",
-            f"{vertices:,} vertices are more than a registration can use.",
-            found=vertices,
-            expected=FILE.dense,
-        )
+        message = f"{raw.file} is a point cloud without normals; they are found from neighbours."
+        add("scan.no_normals", "warning", message)
+    if vertices > limits.dense:
+        message = f"{vertices:,} vertices are more than a registration can use."
+        add("scan.dense", "warning", message, found=vertices, expected=limits.dense)
     return found
 
 
@@ -341,16 +311,10 @@ def landmark_findings(
     worst = int(np.argmax(gap))
     if gap[worst] <= OFF_SURFACE_MM:
         return [], (places, rest)
-    name = quote(list(points)[worst])
-    finding = make_finding(
-        "landmarks.off_surface",
-        "error",
-        f"{path.name}: {name} lies {gap[worst]:.0f} mm off the scan.",
-        landmark=name,
-        found=float(gap[worst]),
-        expected=OFF_SURFACE_MM,
-    )
-    return [finding], None
+    name, found = quote(list(points)[worst]), float(gap[worst])
+    message = f"{path.name}: {name} lies {found:.0f} mm off the scan."
+    figures = {"landmark": name, "found": found, "expected": OFF_SURFACE_MM}
+    return [make_finding("landmarks.off_surface", "error", message, **figures)], None
 
 
 # Findings about how a scan lies: its axes and winding.
@@ -389,27 +353,22 @@ def winding_findings(
     if inward < MOST_INWARD:
         message = f"{inward:.0%} of the face's surface is inside out."
         return [make_finding("scan.inverted_normals", "warning", message, **figures)]
-    stored = None
-    if scan.normals is not None and len(scan.faces):
-        stored = _share_inward(_read_stored(scan), face, place)
     message = "The whole surface is inside out."
     inverted = make_finding("scan.inverted_normals", "warning", message, **figures)
-    if stored is not None and stored < 0.5:
-        message = "The scan is mirrored: its triangles face inwards, its normals outwards."
-        return [make_finding("scan.mirrored", "error", message, **figures)]
-    if stored is not None or not len(scan.faces):
+    if not len(scan.faces):
         return [inverted]
-    message = (
-        "The scan may be mirrored: its triangles face inwards, as mirroring makes them. "
-        "Compare a mole or the parting with the person."
-    )
-    return [inverted, make_finding("scan.mirrored", "warning", message, **figures)]
-
-
-def _read_stored(scan: RawScan) -> Samples:
-    assert scan.normals is not None
+    if scan.normals is None:
+        message = (
+            "The scan may be mirrored: its triangles face inwards, as mirroring makes them. "
+            "Compare a mole or the parting with the person."
+        )
+        return [inverted, make_finding("scan.mirrored", "warning", message, **figures)]
     chosen = np.random.default_rng(0).permutation(len(scan.vertices))[:20000]
-    return Samples(scan.vertices[chosen], np.nan_to_num(scan.normals[chosen]), True)
+    stored = Samples(scan.vertices[chosen], np.nan_to_num(scan.normals[chosen]), True)
+    if _share_inward(stored, face, place) >= 0.5:
+        return [inverted]
+    message = "The scan is mirrored: its triangles face inwards, its normals outwards."
+    return [make_finding("scan.mirrored", "error", message, **figures)]
 
 
 def _share_inward(samples: Samples, face: FacePoints, place: Location) -> float:

@@ -43,8 +43,8 @@ ANGLES = {
     for bone in ("head", "leftEye", "rightEye")
 }
 
-# Beyond it an angle is in degrees, or nothing.
-MOST_TURN = 2.0 * np.pi
+# Beyond them an angle is in degrees, or nothing.
+ANGLE = (-2.0 * np.pi, 2.0 * np.pi)
 
 # The last part of a timecode counts sixtieths of a second, whatever the frame rate is.
 TICKS = 60
@@ -92,19 +92,20 @@ def read_live_link(path: Path) -> LiveLinkTake:
             weights: list[list[float]] = []
             angles: list[list[float]] = []
             for row in rows:
+                line = rows.line_num
                 if row:
-                    times.append(_time(path, rows.line_num, row, clock, times))
-                    weights.append(_weights(path, rows.line_num, row, columns))
-                    angles.append(_angles(path, rows.line_num, row, angled))
+                    times.append(_time(path, line, row, clock, times))
+                    weights.append(
+                        _numbers(path, line, row, columns, WEIGHTS, "weight from 0 to 1")
+                    )
+                    angles.append(_numbers(path, line, row, angled, ANGLE, "angle in radians"))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(
-            "live_link.unreadable", f"{path.name} cannot be read: {error}", file=path.name
-        ) from error
+        message = f"{path.name} cannot be read: {error}"
+        raise InputError("live_link.unreadable", message, file=path.name) from error
     if not times:
         raise InputError("live_link.unreadable", f"{path.name} has no frames", file=path.name)
-    turns = dict(
-        zip(turning, np.array(angles).reshape(len(times), -1, 3).swapaxes(0, 1), strict=True)
-    )
+    by_bone = np.array(angles).reshape(len(times), -1, 3).swapaxes(0, 1)
+    turns = dict(zip(turning, by_bone, strict=True))
     head, left, right = (_rotations(turns.get(bone), len(times)) for bone in ANGLES)
     eyes = np.stack([left, right], axis=1)
     return LiveLinkTake(np.array(times) - times[0], np.array(weights), head, eyes)
@@ -119,14 +120,11 @@ def _arkit(name: str) -> str:
 def _check_columns(path: Path, header: Sequence[str]) -> None:
     missing = [name for name in (TIMECODE, *ARKIT_NAMES) if name not in header]
     if missing:
-        raise InputError(
-            "live_link.columns",
+        message = (
             f"{path.name} is not a recording of Live Link Face: it has no column "
-            f"{', '.join(missing[:4])}{' ...' if len(missing) > 4 else ''}",
-            file=path.name,
-            line=1,
-            missing=missing,
+            f"{', '.join(missing[:4])}{' ...' if len(missing) > 4 else ''}"
         )
+        raise InputError("live_link.columns", message, file=path.name, line=1, missing=missing)
 
 
 def _time(path: Path, line: int, row: list[str], column: int, before: Sequence[float]) -> float:
@@ -148,33 +146,26 @@ def _time(path: Path, line: int, row: list[str], column: int, before: Sequence[f
     return time
 
 
-def _weights(path: Path, line: int, row: list[str], columns: Mapping[str, int]) -> list[float]:
-    weights = []
+def _numbers(
+    path: Path,
+    line: int,
+    row: list[str],
+    columns: Mapping[str, int],
+    bounds: tuple[float, float],
+    noun: str,
+) -> list[float]:
+    """Return the fields of a frame, all within ``bounds``, where ``noun`` says what they are."""
+    numbers = []
     for name, column in columns.items():
-        weight, text = _number(path, line, row, name, column)
-        if not WEIGHTS[0] <= weight <= WEIGHTS[1]:
-            _refuse(path, line, "value", f"{name} is {quote(text)}, which is no weight from 0 to 1")
-        weights.append(weight)
-    return weights
-
-
-def _angles(path: Path, line: int, row: list[str], columns: Mapping[str, int]) -> list[float]:
-    angles = []
-    for name, column in columns.items():
-        angle, text = _number(path, line, row, name, column)
-        if not abs(angle) <= MOST_TURN:
-            _refuse(path, line, "value", f"{name} is {quote(text)}, which is no angle in radians")
-        angles.append(angle)
-    return angles
-
-
-def _number(path: Path, line: int, row: list[str], name: str, column: int) -> tuple[float, str]:
-    """Return a field as a number, which may be NaN, and as it stands there."""
-    text = row[column] if column < len(row) else ""
-    try:
-        return float(text), text
-    except ValueError:
-        _refuse(path, line, "value", f"{name} is '{quote(text)}', not a number")
+        text = row[column] if column < len(row) else ""
+        try:
+            number = float(text)
+        except ValueError:
+            _refuse(path, line, "value", f"{name} is '{quote(text)}', not a number")
+        if not bounds[0] <= number <= bounds[1]:
+            _refuse(path, line, "value", f"{name} is {quote(text)}, which is no {noun}")
+        numbers.append(number)
+    return numbers
 
 
 def _rotations(angles: Floats | None, count: int) -> Floats:

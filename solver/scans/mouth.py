@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 
 from solver.anatomy.template import Template
 from solver.registration.landmarks import landmark_vertices
+from solver.registration.scan_surface import unit_rows
 from solver.scans.cover import relief
 from solver.surface import Floats, Ints, Surface
 
@@ -29,10 +30,7 @@ class LipOptions:
     near: float = 11.0  # of the deepest place to the template's lips
 
 
-LIPS = LipOptions()
-
-
-def lip_gap(scan: Surface, template: Template) -> float:
+def lip_gap(scan: Surface, template: Template, options: LipOptions = LipOptions()) -> float:
     """Return the height in mm of the gap between the lips, 0 if they are closed.
 
     ``scan`` lies in the template's frame. Down the middle of the mouth, a gap is where the profile
@@ -43,9 +41,9 @@ def lip_gap(scan: Surface, template: Template) -> float:
     if upper is None or lower is None:
         return 0.0
     centre = (template.skin.vertices[upper] + template.skin.vertices[lower]) / 2
-    top, bottom = centre[1] + LIPS.above, centre[1] - LIPS.below
+    top, bottom = centre[1] + options.above, centre[1] - options.below
     middle = np.array([centre[0], (top + bottom) / 2, centre[2]])
-    front = relief(scan, middle, (LIPS.strip, top - bottom), LIPS.step)
+    front = relief(scan, middle, (options.strip, top - bottom), options.step)
     known = np.isfinite(front.height).sum(axis=1) * 2 > len(front.x)
     if known.sum() < len(known) / 2:
         return 0.0
@@ -53,28 +51,27 @@ def lip_gap(scan: Surface, template: Template) -> float:
         [np.nanmedian(row) if ok else 0.0 for row, ok in zip(front.height, known, strict=True)]
     )
     profile = np.interp(front.y[::-1], front.y[known][::-1], profile[known][::-1])[::-1]
-    return _gap(front.y - centre[1], profile)
+    return _gap(front.y - centre[1], profile, options)
 
 
-def _gap(height: Floats, profile: Floats) -> float:
+def _gap(height: Floats, profile: Floats, options: LipOptions) -> float:
     """Return the height in mm of the gap in a profile (n,) of rows from top to bottom."""
-    rows = round(LIPS.widest / LIPS.step)
+    rows = round(options.widest / options.step)
     depth = grey_closing(profile, rows, mode="nearest") - profile
-    deep = (depth > LIPS.deep) & (np.abs(height) < LIPS.above + LIPS.widest)
-    near = deep & (np.abs(height) < LIPS.near)
+    deep = (depth > options.deep) & (np.abs(height) < options.above + options.widest)
+    near = deep & (np.abs(height) < options.near)
     if not near.any():
         return 0.0
-    start = end = int(np.argmax(np.where(near, depth, 0)))
-    while start > 0 and deep[start - 1]:
-        start -= 1
-    while end + 1 < len(deep) and deep[end + 1]:
-        end += 1
+    deepest = int(np.argmax(np.where(near, depth, 0)))
+    shallow = np.flatnonzero(~np.concatenate([[False], deep, [False]])) - 1
+    after = int(np.searchsorted(shallow, deepest))
+    start, end = int(shallow[after - 1]) + 1, int(shallow[after]) - 1
     edge = slice(max(start - 4, 0), end + 5)
     falls = np.abs(profile[edge][2:] - profile[edge][:-2])
-    return float((end - start + 1) * LIPS.step) if falls.max(initial=0) > LIPS.steep else 0.0
+    return float((end - start + 1) * options.step) if falls.max(initial=0) > options.steep else 0.0
 
 
-# Whether the eyes are closed, by where the lids' edge lies in the scan itself.
+# Closed eyes, by where the lids' edge lies in the scan itself.
 #
 # Seen from the front the surface falls back sharply under the edge of an upper lid. Of an open eye
 # this edge lies above the line between the corners of the eye; of a closed one it has come down to
@@ -85,6 +82,7 @@ def _gap(height: Floats, profile: Floats) -> float:
 class LidOptions:
     """The edge of an upper lid; lengths in mm."""
 
+    step: float = 0.5  # of rows and columns
     above: float = 15.0  # the eye's corners
     below: float = 22.0  # the eye's corners
     middle: float = 0.5  # share of the eye's width that is looked at
@@ -102,10 +100,9 @@ class LidOptions:
     fewest: int = 60  # vertices about an eye
 
 
-LIDS = LidOptions()
-
-
-def closed_eyes(scan: Surface, skin: Floats, template: Template) -> dict[str, bool]:
+def closed_eyes(
+    scan: Surface, skin: Floats, template: Template, options: LidOptions = LidOptions()
+) -> dict[str, bool]:
     """Return ``left`` and ``right`` -> whether that eye is surely closed.
 
     ``scan`` lies in the frame of ``skin`` (n, 3), the template's skin fitted to it. An eye that is
@@ -117,27 +114,27 @@ def closed_eyes(scan: Surface, skin: Floats, template: Template) -> dict[str, bo
         names = [f"{corner}canthion_{side[0]}" for corner in ("endo", "exo")]
         if all(name in known for name in names):
             corners = skin[[known[name] for name in names]]
-            found[side] = _is_closed(scan, corners)
+            found[side] = _is_closed(scan, corners, options)
     return found
 
 
-def _is_closed(scan: Surface, corners: Floats) -> bool:
+def _is_closed(scan: Surface, corners: Floats, options: LidOptions) -> bool:
     middle = corners.mean(axis=0)
-    if _spacing(scan.vertices, middle) > LIDS.coarse:
+    if _spacing(scan.vertices, middle, options) > options.coarse:
         return False
-    width = LIDS.middle * abs(float(corners[0, 0] - corners[1, 0]))
-    centre = middle + np.array([0.0, (LIDS.above - LIDS.below) / 2, 0.0])
-    front = relief(scan, centre, (width, LIDS.above + LIDS.below), LIPS.step)
+    width = options.middle * abs(float(corners[0, 0] - corners[1, 0]))
+    centre = middle + np.array([0.0, (options.above - options.below) / 2, 0.0])
+    front = relief(scan, centre, (width, options.above + options.below), options.step)
     if np.isfinite(front.height).mean() < 0.5:
         return False
-    fall, height = _falls(front.height), front.y - middle[1]
-    upper = _within(fall, height, LIDS.upper)
-    lower = _within(fall, height, LIDS.lower)
+    fall, height = _falls(front.height, options), front.y - middle[1]
+    upper = _within(fall, height, options.upper)
+    lower = _within(fall, height, options.lower)
     sharp = height[fall > 0.5 * fall.max()]
-    return bool(lower > max(LIDS.sharp, LIDS.ahead * upper) and np.ptp(sharp) < LIDS.thin)
+    return bool(lower > max(options.sharp, options.ahead * upper) and np.ptp(sharp) < options.thin)
 
 
-def _falls(height: Floats) -> Floats:
+def _falls(height: Floats, options: LidOptions) -> Floats:
     """Return how steeply (rows,) the surface falls downwards, sharper than brow and cheek do."""
     rows = np.arange(len(height))
     filled = np.zeros_like(height)
@@ -145,10 +142,12 @@ def _falls(height: Floats) -> Floats:
         known = np.isfinite(values)
         if known.any():
             filled[:, column] = np.interp(rows, rows[known], values[known])
-    smooth = gaussian_filter(filled, LIDS.smooth / LIPS.step)
-    sharp = smooth - gaussian_filter(smooth, (LIDS.wide / LIPS.step, 0.0))
-    fall = -np.gradient(sharp, LIPS.step, axis=0)
-    arched = maximum_filter1d(fall.clip(0, LIDS.steepest), round(LIDS.arch / LIPS.step), axis=0)
+    smooth = gaussian_filter(filled, options.smooth / options.step)
+    sharp = smooth - gaussian_filter(smooth, (options.wide / options.step, 0.0))
+    fall = -np.gradient(sharp, options.step, axis=0)
+    arched = maximum_filter1d(
+        fall.clip(0, options.steepest), round(options.arch / options.step), axis=0
+    )
     return np.asarray(np.median(arched, axis=1))
 
 
@@ -156,10 +155,10 @@ def _within(fall: Floats, height: Floats, band: tuple[float, float]) -> float:
     return float(fall[(height > band[0]) & (height < band[1])].max())
 
 
-def _spacing(vertices: Floats, centre: Floats) -> float:
+def _spacing(vertices: Floats, centre: Floats, options: LidOptions) -> float:
     """Return the median distance of neighbouring vertices about an eye."""
-    near = vertices[np.linalg.norm(vertices - centre, axis=1) < LIDS.near]
-    if len(near) < LIDS.fewest:
+    near = vertices[np.linalg.norm(vertices - centre, axis=1) < options.near]
+    if len(near) < options.fewest:
         return float("inf")
     return float(np.median(KDTree(near).query(near, k=2)[0][:, 1]))
 
@@ -180,9 +179,6 @@ class RoughOptions:
     unknowns: int = 6  # of a quadratic height field
 
 
-ROUGH = RoughOptions()
-
-
 @dataclass(frozen=True)
 class Roughness:
     """``noise_mm`` of the face (median over places, NaN if too coarse to tell) and its spacing.
@@ -194,51 +190,53 @@ class Roughness:
     spacing_mm: float
 
 
-def roughness(points: Floats, places: Floats, seed: int = 0) -> Roughness:
+def roughness(points: Floats, places: Floats, options: RoughOptions = RoughOptions()) -> Roughness:
     """Return the roughness of the vertices (n, 3) of a scan at ``places`` (k, 3) of a face, in mm.
 
     At some of the places a quadratic height field is fitted to the neighbours in a radius (larger
     in a coarse scan); what it leaves is noise, as skin is smooth at that size.
     """
-    chosen = np.random.default_rng(seed).permutation(len(places))[: ROUGH.probes]
+    chosen = np.random.default_rng(0).permutation(len(places))[: options.probes]
     tree = KDTree(points)
     centres = points[tree.query(places[chosen])[1]]
-    distance, near = tree.query(centres, k=min(ROUGH.neighbours, len(points)))
+    distance, near = tree.query(centres, k=min(options.neighbours, len(points)))
     spacing = float(np.median(distance[:, 1]))
-    radius = max(ROUGH.radius, 2.5 * spacing)
-    dense = (distance < radius).sum(axis=1) >= 2 * ROUGH.unknowns
+    radius = max(options.radius, 2.5 * spacing)
+    dense = (distance < radius).sum(axis=1) >= 2 * options.unknowns
     if dense.sum() < len(chosen) / 8:
         return Roughness(float("nan"), spacing)
-    rms = [_misfit(points[near[k][distance[k] < radius]]) for k in np.flatnonzero(dense).tolist()]
+    rms = [
+        _misfit(points[near[k][distance[k] < radius]], options.unknowns)
+        for k in np.flatnonzero(dense).tolist()
+    ]
     return Roughness(float(np.median(rms)), spacing)
 
 
-def _misfit(points: Floats) -> float:
+def _misfit(points: Floats, unknowns: int) -> float:
     """Return the standard deviation of points (n, 3) about a quadratic height field."""
     offsets = points - points.mean(axis=0)
     _, _, axes = np.linalg.svd(offsets, full_matrices=False)
     u, v, height = (offsets @ axes.T).T
     columns = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
     fitted = columns @ np.linalg.lstsq(columns, height, rcond=None)[0]
-    return float(np.sqrt(((height - fitted) ** 2).sum() / max(len(u) - ROUGH.unknowns, 1)))
+    return float(np.sqrt(((height - fitted) ** 2).sum() / max(len(u) - unknowns, 1)))
 
 
-def spikes(vertices: Floats, faces: Ints) -> NDArray[np.bool_]:
+def spikes(
+    vertices: Floats, faces: Ints, options: RoughOptions = RoughOptions()
+) -> NDArray[np.bool_]:
     """Return which vertices (n,) in mm stick out as spikes.
 
     A spike stands far from the middle of its neighbours, also by the scan's edges,
     and its triangles leave it within a narrow cone.
     """
     ends = vertices[np.roll(faces, -1, axis=1)] - vertices[faces]
-    lengths = np.linalg.norm(ends, axis=2)
-    unit = ends / (lengths[:, :, None] + 1e-30)
+    lengths, unit = np.linalg.norm(ends, axis=2), unit_rows(ends)
     cosine = -(unit * np.roll(unit, 1, axis=1)).sum(axis=2)
     corners, count = faces.ravel(), len(vertices)
     angle = np.bincount(corners, np.arccos(cosine.clip(-1, 1)).ravel(), minlength=count)
     degree = np.maximum(np.bincount(corners, minlength=count), 1)
-    away = np.empty((count, 3))
-    for axis in range(3):
-        away[:, axis] = np.bincount(corners, ends[:, :, axis].ravel(), minlength=count) / degree
-    height = np.linalg.norm(away, axis=1)
-    limit = max(ROUGH.spike_edges * float(np.median(lengths)), ROUGH.spike)
-    return np.asarray((height > limit) & (angle < ROUGH.spike_angle) & (angle > 0))
+    sums = [np.bincount(corners, side.ravel(), minlength=count) for side in ends.T.swapaxes(1, 2)]
+    height = np.linalg.norm(sums, axis=0) / degree
+    limit = max(options.spike_edges * float(np.median(lengths)), options.spike)
+    return np.asarray((height > limit) & (angle < options.spike_angle) & (angle > 0))

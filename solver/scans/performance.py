@@ -58,12 +58,8 @@ def open_performance(path: Path, neutral: Surface, face: Ints) -> Performance:
     if path.is_dir():
         return _Folder.open(path, neutral, face)
     if path.suffix.lower() not in FORMATS:
-        raise InputError(
-            "performance.format",
-            f"{path.name}: a performance is a .npy file or a folder of registered scans",
-            file=path.name,
-            expected=list(FORMATS),
-        )
+        message = f"{path.name}: a performance is a .npy file or a folder of registered scans"
+        raise InputError("performance.format", message, file=path.name, expected=list(FORMATS))
     return _Array.open(path, neutral, face)
 
 
@@ -87,33 +83,30 @@ class _Array:
 
     @classmethod
     def open(cls, path: Path, neutral: Surface, face: Ints) -> _Array:
+        file = path.name
         try:
             points = map_array(path)
         except ValueError as error:
-            raise InputError(
-                "performance.unreadable",
-                f"{path.name} is not a whole array of numbers: {error}",
-                file=path.name,
-            ) from error
+            message = f"{file} is not a whole array of numbers: {error}"
+            raise InputError("performance.unreadable", message, file=file) from error
         whole, part = len(neutral.vertices), len(face)
         is_array = points.ndim == 3 and points.shape[2] == 3 and points.dtype.kind == "f"
         if not is_array or points.shape[1] not in (whole, part):
-            raise InputError(
-                "performance.shape",
-                f"{path.name} holds {points.dtype} of shape {points.shape}; a performance holds "
+            message = (
+                f"{file} holds {points.dtype} of shape {points.shape}; a performance holds "
                 f"floats of shape (frames, {whole}, 3), all skin vertices, or (frames, {part}, 3), "
-                "the face's",
-                file=path.name,
-                expected=[whole, part],
-                found=list(points.shape),
+                "the face's"
+            )
+            found = list(points.shape)
+            raise InputError(
+                "performance.shape", message, file=file, expected=[whole, part], found=found
             )
         if not points.flags.c_contiguous:
-            raise InputError(
-                "performance.order",
-                f"{path.name} is stored in Fortran order, its frames are scattered over the file; "
-                "write it with numpy.ascontiguousarray",
-                file=path.name,
+            message = (
+                f"{file} is stored in Fortran order, its frames are scattered over the file; "
+                "write it with numpy.ascontiguousarray"
             )
+            raise InputError("performance.order", message, file=file)
         _check_any(path, len(points))
         columns = face if points.shape[1] == whole else slice(None)
         return cls(path.name, points, columns, neutral.vertices[face])
@@ -127,13 +120,10 @@ class _Array:
         if beyond.any():
             first = int(np.argmax(beyond))
             vertex = int(np.arange(self.points.shape[1])[self.columns][first])
-            raise InputError(
-                "performance.bounds",
-                f"{self.name}, frame {number}: point {vertex} lies at {points[first].tolist()} mm",
-                file=self.name,
-                frame=number,
-                vertex=vertex,
-            )
+            place = points[first].tolist()
+            message = f"{self.name}, frame {number}: point {vertex} lies at {place} mm"
+            about = {"file": self.name, "frame": number, "vertex": vertex}
+            raise InputError("performance.bounds", message, **about)
         seen = np.asarray(np.isfinite(points).all(axis=1))
         if 2 * seen.sum() > len(seen):
             _check_size(self.name, number, points[seen], self.rest[seen])
@@ -179,11 +169,8 @@ def _check_size(file: str, number: int, points: Floats, rest: Floats) -> None:
     """Raise ``performance.unit`` unless the points (s, 3) spread about as far as at ``rest``."""
     size = float(np.linalg.norm(points.std(axis=0)) / np.linalg.norm(rest.std(axis=0)))
     if not SIZES[0] <= size <= SIZES[1]:
-        raise InputError(
-            "performance.unit",
+        message = (
             f"{file}, frame {number}: the points spread {size:.3g} times as far as the neutral's; "
-            "a performance is in mm, in the template's vertex order",
-            file=file,
-            frame=number,
-            found=size,
+            "a performance is in mm, in the template's vertex order"
         )
+        raise InputError("performance.unit", message, file=file, frame=number, found=size)

@@ -8,7 +8,7 @@ from typing import Any, Self
 import cyipopt
 import numpy as np
 
-from solver.errors import Notice, SolveError
+from solver.errors import Finding, SolveError, make_warning
 from solver.fitting.face import Pose
 from solver.fitting.least_squares import Listener
 from solver.surface import Floats
@@ -49,9 +49,9 @@ class NotConvergedError(SolveError):
         super().__init__("ipopt.failed", text, iterations=last.iterations)
         self.last = last
 
-    def notice(self, kept: str) -> Notice:
+    def notice(self, kept: str) -> Finding:
         """Return it as a notice that says what is ``kept``."""
-        return Notice(self.code, f"{self.message}; {kept}", self.context)
+        return make_warning(self.code, f"{self.message}; {kept}", self.context)
 
 
 class IpoptProblem:

@@ -17,15 +17,15 @@ from solver.meshio.obj import write_obj
 from solver.meshio.raw import RawScan, mend, read_raw
 from solver.registration.landmarks import landmark_vertices
 from solver.registration.locate import (
+    FRAME,
     Location,
-    face_points,
     face_surface,
     locate_face,
     location_findings,
     scan_samples,
 )
 from solver.registration.register import find_start
-from solver.registration.units import FRAME
+from solver.registration.search import face_points
 from solver.scans.check import check
 from solver.similarity import Similarity, fit_similarity
 from solver.surface import Floats, Surface

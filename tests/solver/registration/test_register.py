@@ -8,10 +8,10 @@ import pytest
 from benchmarks.corruption import Corruption, corrupted
 from solver.errors import InputError
 from solver.meshio.raw import mend
+from solver.registration.locate import FRAME
 from solver.registration.register import register
 from solver.registration.report import report
 from solver.registration.topology import topology
-from solver.registration.units import FRAME
 from solver.templates.builtin.build import builtin_template
 
 pytestmark = pytest.mark.long

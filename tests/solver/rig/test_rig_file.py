@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from solver.errors import InputError, Notice
+from solver.errors import InputError, make_warning
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel
 from solver.rig.report import weights_hash
@@ -33,7 +33,7 @@ def rig() -> Rig:
     fit = ExpressionFit(
         "smile", "train", a, np.arange(5.0), skin, skin, error, 0, 3, 0.5, 0.1, x=model.rest + 0.25
     )
-    notice = Notice("model.odd", "something is odd")
+    notice = make_warning("model.odd", "something is odd")
     return Rig(model, model.weights, (fit,), {"fit": 1.5}, (notice,), {"verdict": "good"})
 
 

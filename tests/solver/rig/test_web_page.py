@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from solver.errors import Notice
+from solver.errors import make_warning
 from solver.fitting.face import Face
 from solver.rig.certificate import certify
 from solver.rig.report import report
@@ -68,8 +68,10 @@ def fit(face: Face, name: str, error: float) -> ExpressionFit:
 def page(tmp_path_factory: pytest.TempPathFactory) -> Reader:
     folder = tmp_path_factory.mktemp("rig")
     face = Face(block_model())
-    told = (Notice("muscle.no_share", "left has <no> flesh"),)
-    noticed = replace(fit(face, "ah", 0.2), status="stopped", notices=(Notice("x", "half & half"),))
+    told = (make_warning("muscle.no_share", "left has <no> flesh"),)
+    noticed = replace(
+        fit(face, "ah", 0.2), status="stopped", notices=(make_warning("x", "half & half"),)
+    )
     fits = (fit(face, EVIL, 0.7), noticed)
     rig = Rig(face.model, face.model.weights, fits, {}, told)
     Image.new("RGB", (1600, 1188)).save(folder / "fit_ah.png")

@@ -13,7 +13,7 @@ from benchmarks.bad_scans import BAD_SCANS, Subject
 from benchmarks.ingest import builtin_subject
 from solver.errors import judge_findings
 from solver.meshio.obj import write_obj
-from solver.registration.units import FRAME
+from solver.registration.locate import FRAME
 from solver.scans.check import ScanCheck, check
 from solver.scans.findings import ADVICE
 from solver.surface import Surface
