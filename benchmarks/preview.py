@@ -23,7 +23,7 @@ from solver.fitting.geometry import GeometryOptions
 from solver.jobs.build_preview import TOLERANCE
 from solver.mechanics.linear import fastest
 from solver.rig.preview import make_preview
-from solver.rig.result import ExpressionFit
+from solver.rig.rig import ExpressionFit
 
 SEED = 0
 QUICK_ROUNDS = 4

@@ -1,6 +1,6 @@
 """Anatomy, scans, mechanics, fitting and the rig: numbers only, and the library's front door.
 
-from solver import Face, SubjectModel, load_weights
+from solver import Face, Rig, SubjectModel
 
 The names of ``__all__`` are imported when they are first asked for: ``import solver`` is fast, and
 each room still imports no more than it needs.
@@ -24,9 +24,6 @@ if TYPE_CHECKING:
     from solver.jobs import run_job as run_job
     from solver.meshio.registered import write_registered as write_registered
     from solver.model import SubjectModel as SubjectModel
-    from solver.rig.result import load_activations as load_activations
-    from solver.rig.result import load_weights as load_weights
-    from solver.rig.result import save_weights as save_weights
     from solver.rig.rig import Rig as Rig
 
 # Read when the first kernel starts its threads. Else these wait busily for the next kernel, which
@@ -43,10 +40,7 @@ __all__ = [
     "Template",
     "expression_terms",
     "fit_expression",
-    "load_activations",
-    "load_weights",
     "run_job",
-    "save_weights",
     "unseen_regulariser",
     "write_registered",
 ]
@@ -61,10 +55,7 @@ _PLACES = {
     "Template": "solver.anatomy.template:Template",
     "expression_terms": "solver.fitting.contact:terms",
     "fit_expression": "solver.fitting.fallback:fit",
-    "load_activations": "solver.rig.result:load_activations",
-    "load_weights": "solver.rig.result:load_weights",
     "run_job": "solver.jobs:run_job",
-    "save_weights": "solver.rig.result:save_weights",
     "unseen_regulariser": "solver.fitting.activation:unseen_regulariser",
     "write_registered": "solver.meshio.registered:write_registered",
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Protocol
 
 
@@ -35,3 +35,8 @@ class Progress(Protocol):
 
 def silent(_step: Step, /) -> None:
     """Listen to nothing."""
+
+
+def part_of(progress: Progress, start: float, end: float = 1.0) -> Progress:
+    """Return a progress for a part of the whole: its way from 0 to 1 is [start, end] there."""
+    return lambda step, /: progress(replace(step, fraction=start + step.fraction * (end - start)))

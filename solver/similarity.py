@@ -40,6 +40,11 @@ class Similarity:
         )
 
     @property
+    def twist(self) -> Floats:
+        """Return rotation vector and shift (6,), as :func:`small_motion` takes them."""
+        return np.concatenate([Rotation.from_matrix(self.rotation).as_rotvec(), self.shift])
+
+    @property
     def degrees(self) -> float:
         """Return the angle of the rotation in degrees."""
         return float(np.degrees(Rotation.from_matrix(self.rotation).magnitude()))
@@ -57,10 +62,8 @@ def fit_similarity(source: Floats, target: Floats) -> Similarity:
     """Return the best motion of ``source`` (n, 3) onto ``target`` (n, 3) (Umeyama 1991)."""
     source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
     a, b = source - source_mean, target - target_mean
-    u, sigma, vt = np.linalg.svd(b.T @ a)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    rotation = (u * signs) @ vt
-    scale = float(np.sum(sigma * signs) / np.sum(a**2))
+    rotation, trace = _nearest_rotation(b.T @ a)
+    scale = trace / float(np.sum(a**2))
     return Similarity(scale, rotation, target_mean - scale * rotation @ source_mean)
 
 
@@ -71,7 +74,12 @@ def weighted_motion(source: Floats, target: Floats, weights: Floats) -> Similari
     """
     share = weights / weights.sum()
     centre, goal = share @ source, share @ target
-    u, _, vt = np.linalg.svd((target - goal).T @ ((source - centre) * share[:, None]))
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    rotation = (u * signs) @ vt
+    rotation, _ = _nearest_rotation((target - goal).T @ ((source - centre) * share[:, None]))
     return Similarity(1.0, rotation, goal - rotation @ centre)
+
+
+def _nearest_rotation(moments: Floats) -> tuple[Floats, float]:
+    """Return the rotation R with the greatest tr(R^T moments), and that trace."""
+    u, sigma, vt = np.linalg.svd(moments)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    return (u * signs) @ vt, float(np.sum(sigma * signs))

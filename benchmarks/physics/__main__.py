@@ -24,6 +24,7 @@ from myoface.client import Client
 from solver.anatomy.template import Template
 from solver.animation.drives import RecordedDrives
 from solver.model import SubjectModel
+from solver.rig.rig import Rig
 from solver.scans.live_link import read_live_link
 
 SHOWS = ("checks", "contact", "sliding", "speed", "effects", "performance", "jobs")
@@ -35,8 +36,7 @@ def main() -> None:
     parser = report.parser(__doc__ or "")
     subjects.add_options(parser)
     parser.add_argument("--show", action="append", choices=SHOWS, help="default: all there is to")
-    parser.add_argument("--model", type=Path, help="model.npz")
-    parser.add_argument("--rig", type=Path, help="folder of a fitted rig")
+    parser.add_argument("--rig", type=Path, help="rig.npz, or a rig's folder")
     parser.add_argument("--template", type=Path, help="the model's")
     parser.add_argument("--blendshapes", type=Path, help="blendshapes.npz of the rig")
     parser.add_argument("--recording", type=Path, help="CSV of Live Link Face")
@@ -75,23 +75,23 @@ def _possible(options: argparse.Namespace) -> list[str]:
     """Return the shows for which everything is given."""
     needs = {
         "checks": (),
-        "contact": ("model", "rig", "blendshapes"),
-        "sliding": ("model", "rig", "blendshapes"),
-        "speed": ("model", "rig", "blendshapes", "recording"),
-        "effects": ("model", "rig", "template"),
-        "performance": ("model", "rig", "blendshapes", "recording", "template"),
+        "contact": ("rig", "blendshapes"),
+        "sliding": ("rig", "blendshapes"),
+        "speed": ("rig", "blendshapes", "recording"),
+        "effects": ("rig", "template"),
+        "performance": ("rig", "blendshapes", "recording", "template"),
         "jobs": ("url", "rig_id"),
     }
     return [show for show, names in needs.items() if all(getattr(options, n) for n in names)]
 
 
 def _person(options: argparse.Namespace) -> Fitted:
-    return Fitted.load(options.model, options.rig, options.blendshapes)
+    return Fitted.load(options.rig, options.blendshapes)
 
 
 def _checks(options: argparse.Namespace) -> Figures:
-    if options.model:
-        model = SubjectModel.load(options.model)
+    if options.rig:
+        model = Rig.load(options.rig).model
     else:
         model, _ = subjects.load(options, COARSE_EDGE_MM if options.quick else EDGE_MM)
     figures = checks.run(model)
@@ -128,7 +128,7 @@ def _speed(options: argparse.Namespace) -> Figures:
 
 
 def _effects(options: argparse.Namespace) -> Figures:
-    subject = effects.Subject.load(options.model, options.rig, options.template)
+    subject = effects.Subject.load(options.rig, options.template)
     people = effects.run(subject)
     effects.sheet(people, options.out / "effects.png")
     return {"edits": effects.figures(people), "fibres": effects.fibres(subject)}

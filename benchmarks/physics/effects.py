@@ -30,7 +30,7 @@ from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.rig.edit_report import Compared, EditedPerson, edit_report
 from solver.rig.pictures import THREE_QUARTER, face_camera
-from solver.rig.result import ExpressionFit, load_activations, load_weights
+from solver.rig.rig import ExpressionFit, Rig
 from solver.scene.document import read_scene
 from solver.scene.places import Places
 from solver.scene.stage import Physics, edits_of
@@ -55,17 +55,14 @@ class Subject:
     places: Places
 
     @classmethod
-    def load(
-        cls, model: Path, rig: Path, template: Path | None, names: Sequence[str] = EXPRESSIONS
-    ) -> Subject:
-        """Read a model, the folder of a rig and the model's template."""
-        person = SubjectModel.load(model)
-        fits = load_activations(rig / "activations.npz", person)
+    def load(cls, rig: Path, template: Path | None, names: Sequence[str] = EXPRESSIONS) -> Subject:
+        """Read a rig, or its folder, and the model's template."""
+        found = Rig.load(rig)
         return cls(
-            person,
-            load_weights(rig / "muscle_weights.npz", person),
-            [fit for fit in fits if fit.name in names],
-            Places.of(person, template, {}),
+            found.model,
+            found.weights,
+            [fit for fit in found.expressions if fit.name in names],
+            Places.of(found.model, template, {}),
         )
 
 

@@ -13,7 +13,7 @@ from solver.fitting.face import Face, Pose
 from solver.kinds.scene import STIFFNESS_PA
 from solver.mechanics.flesh import COROTATED_TRACE
 from solver.model import SubjectModel
-from solver.rig.result import load_activations, load_weights
+from solver.rig.rig import Rig
 from solver.similarity import IDENTITY, Similarity
 from solver.simulation.forces import Drive
 
@@ -28,16 +28,14 @@ class Fitted:
     shapes: Blendshapes
 
     @classmethod
-    def load(cls, model: Path, rig: Path, shapes: Path) -> Fitted:
-        """Read the files of jobs: a model, the folder of a rig, and blendshapes."""
-        person = SubjectModel.load(model)
-        S = load_weights(rig / "muscle_weights.npz", person)
-        fits = load_activations(rig / "activations.npz", person)
+    def load(cls, rig: Path, shapes: Path) -> Fitted:
+        """Read the files of jobs: a rig, or its folder, and blendshapes."""
+        found = Rig.load(rig)
         return cls(
-            person,
-            S,
-            {fit.name: Pose(fit.activations, fit.jaw) for fit in fits},
-            Blendshapes.load(shapes, person, S),
+            found.model,
+            found.weights,
+            {fit.name: Pose(fit.activations, fit.jaw) for fit in found.expressions},
+            Blendshapes.load(shapes, found.model, found.weights),
         )
 
     def face(self, *, pinned: bool = False) -> Face:

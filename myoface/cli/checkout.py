@@ -6,7 +6,6 @@ import logging
 
 from myoface.cli.assets import assets
 from myoface.cli.demo import demo
-from myoface.cli.export import export_rig
 from myoface.cli.offline import solve
 from myoface.cli.service import admin_key, backup, doctor, restore, up
 from myoface.cli.template import template
@@ -16,7 +15,6 @@ from solver.errors import InputError, SolveError
 
 COMMANDS = (up, demo, doctor, admin_key, backup, restore)
 GROUPS = {"tenants": tenants, "template": template, "assets": assets, "solve": solve}
-solve.command("export")(export_rig)
 FAULTS = (InputError, SolveError)
 
 

@@ -24,17 +24,14 @@ SceneFile = Annotated[
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="go on after the frames in the folder")]
 
+RIG = "rig.npz, or a rig's folder; to one of 0.1 copy its model.npz"
+
 # What each input of a contract is on the command line.
 ARGUMENTS: Mapping[str, Mapping[str, Any]] = {
     "capture": {"scan": RawScan},
     "neutral": {"neutral": Scan},
     "model": {"model": Model},
-    "rig": {
-        "model": Model,
-        "rig": Annotated[
-            Path, typer.Argument(exists=True, help="rig.npz, or a fitted rig's folder")
-        ],
-    },
+    "rig": {"rig": Annotated[Path, typer.Argument(exists=True, help=RIG)]},
     "captures": {
         "scans": Annotated[
             list[Path], typer.Argument(exists=True, dir_okay=False, help="expression scans")
@@ -87,12 +84,11 @@ OPTIONS: Mapping[str, Mapping[str, tuple[Any, Any]]] = {
         )
     },
     "start": {
-        "first": (
+        "start_rig": (
             Annotated[
-                tuple[Path, Path] | None,
+                Path | None,
                 typer.Option(
-                    "--start",
-                    help="muscle_weights.npz and model.npz to start from, also of another person",
+                    "--start", exists=True, help="rig to start from, also of another person"
                 ),
             ],
             None,
@@ -167,14 +163,23 @@ def _option(name: str, rules: Mapping[str, Any]) -> Any:
         kind: Any = Literal[choices]
         may_be_none = None in rules["enum"]
     else:
-        known = {"boolean": bool, "integer": int, "number": float, "string": str}
+        known = {"boolean": bool, "integer": int, "number": float, "string": str, "object": dict}
         kind = next(known[each] for each in types if each in known)
         may_be_none = "null" in types
     bounds: dict[str, Any] = {"min": rules.get("minimum"), "max": rules.get("maximum")}
     if kind not in (int, float):
         bounds = {}
+    if kind is dict:
+        bounds = {"parser": _read_object, "metavar": "JSON"}
     made = typer.Option(flag, help=words, **bounds)
     return Annotated[kind | None if may_be_none else kind, made]
+
+
+def _read_object(given: str | dict[str, Any]) -> dict[str, Any]:
+    found = json.loads(given) if isinstance(given, str) else given
+    if not isinstance(found, dict):
+        raise ValueError(f"{given} is no JSON object")
+    return found
 
 
 def _run(kind: Kind, given: dict[str, Any]) -> None:
@@ -188,12 +193,11 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
         name: given.get(name)
         for name in ("scan", "landmarks", "neutral", "template", "model", "performance")
     }
-    inputs["blendshapes"] = given.get("blendshapes")
-    if (rig := given.get("rig")) is not None:
-        inputs["weights"] = rig if rig.is_file() else rig / "muscle_weights.npz"
-        inputs["rig"] = rig if rig.is_file() else rig / "activations.npz"
-    if given.get("first") is not None:
-        inputs["start_weights"], inputs["start_model"] = given["first"]
+    inputs |= {"blendshapes": given.get("blendshapes"), "start": given.get("start_rig")}
+    if "rig" in given:
+        from solver.rig.rig import find_files
+
+        inputs |= find_files(given["rig"])
     with JobView(_name(kind)) as view, _made(folder):
         run_job(
             kind.name,
@@ -244,6 +248,10 @@ def _show_edit(report: Mapping[str, Any], _given: Mapping[str, Any]) -> None:
     )
 
 
+def _show_export(report: Mapping[str, Any], given: Mapping[str, Any]) -> None:
+    out.print(f"{given['output'] / report['file']}, {report['bytes']} bytes", markup=False)
+
+
 # What is said of a job, by what it leaves.
 SUMMARIES: Mapping[str, Callable[[Mapping[str, Any], Mapping[str, Any]], None]] = {
     "check": _show_check,
@@ -251,6 +259,7 @@ SUMMARIES: Mapping[str, Callable[[Mapping[str, Any], Mapping[str, Any]], None]] 
     "sequence": _show_sequence,
     "animation": _show_animation,
     "edit": _show_edit,
+    "export": _show_export,
 }
 
 

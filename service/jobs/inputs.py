@@ -133,16 +133,13 @@ def _template(session: Session, kind: Kind, new: NewJob) -> list[Input]:
 
 def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
     """Return a model, the rig if ``kind`` reads one, and what to fit or to play."""
-    files = []
     if "rig" in kind.reads:
         rig = _parent(session, new)
         model = repository.get(session, rig.model_job_id)
-        files.append(_artifact(session, rig.job_id, "weights", "muscle_weights.npz"))
-        if "performance" not in kind.reads:
-            files.append(_artifact(session, rig.job_id, "rig", "activations.npz"))
+        files = _files_of_rig(session, rig)
     else:
         model = _newest_model(session, new)
-    files.append(_artifact(session, model.id, "model", "model.npz"))
+        files = [_artifact(session, model.id, "model", "model.npz")]
     if "performance" in kind.reads:
         files.append(_performance(session, new))
     elif "captures" in kind.reads:
@@ -153,6 +150,20 @@ def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
     if "blendshapes" in kind.reads:
         files += _blendshapes(session, rig)
     return Inputs(files, model_job_id=model.id)
+
+
+def _files_of_rig(session: Session, rig: Rig) -> list[Input]:
+    """Return a rig's one file, or those of a rig of 0.1."""
+    left = {artifact.name for artifact in repository.get(session, rig.job_id).artifacts}
+    if rigs.RIG_FILE in left:
+        return [_artifact(session, rig.job_id, "rig", rigs.RIG_FILE)]
+    parts = {"weights": "muscle_weights.npz", "rig": "activations.npz"}
+    if "report.json" in left:
+        parts["report"] = "report.json"
+    return [
+        *(_artifact(session, rig.job_id, role, name) for role, name in parts.items()),
+        _artifact(session, rig.model_job_id, "model", "model.npz"),
+    ]
 
 
 def _performance(session: Session, new: NewJob) -> Input:

@@ -11,6 +11,8 @@ from service.paging import Slice
 from service.queue.states import State
 from service.store.models import PREVIEW_FILE, Artifact, Job, Rig, is_preview_of
 
+RIG_FILE = "rig.npz"  # the whole rig: the model, S and the expressions
+
 
 def get(session: Session, rig_id: str) -> Rig:
     """Return a rig."""

@@ -25,6 +25,10 @@ from service.store.retention import own_days
 router = APIRouter(prefix="/v1", tags=["rigs"])
 
 
+FILES_OF_0_1 = ("activations.npz", "muscle_weights.npz")
+# RFC 9745: since when, in seconds of the epoch (2026-11-22)
+FILES_DEPRECATED = "@1795305600"
+
 Signing = Annotated[Signer, Depends(part("signer"))]
 Downloads = Annotated[ConnectionLimit, Depends(part("downloads"))]
 
@@ -89,9 +93,17 @@ def show(rig_id: Id, session: ReadSession, settings: SettingsDep) -> RigView:
 def download_by_name(
     rig_id: Id, name: FileName, session: ReadSession, store: ReadStore, request: Request
 ) -> Response:
-    """Download for example `rig.glb`; `Range`, `If-Range` and `If-None-Match` work."""
+    """Download for example `rig.npz`; `Range`, `If-Range` and `If-None-Match` work.
+
+    `activations.npz` and `muscle_weights.npz` beside a `rig.npz` are deprecated: it holds both.
+    """
     rig = repository.get(session, rig_id)
-    return send(repository.artifact_of_rig(session, rig, name), store.files, request)
+    response = send(repository.artifact_of_rig(session, rig, name), store.files, request)
+    if name in FILES_OF_0_1 and any(each.name == repository.RIG_FILE for each in rig.artifacts):
+        whole = f"/v1/rigs/{rig.id}/artifacts/{repository.RIG_FILE}"
+        response.headers["Deprecation"] = FILES_DEPRECATED
+        response.headers["Link"] = f'<{whole}>; rel="successor-version"'
+    return response
 
 
 @router.head(

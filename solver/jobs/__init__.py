@@ -4,6 +4,90 @@ Each reads files, writes what it leaves into a folder and reports progress. A wo
 process of its own, the offline command line directly.
 """
 
-from solver.jobs.task import Task, run_job
+from __future__ import annotations
 
-__all__ = ["Task", "run_job"]
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from solver.errors import InputError
+from solver.kinds import KINDS, JobOptions, Kind, OptionsError
+from solver.progress import Progress, silent
+
+Given = TypeVar("Given", bound=JobOptions)
+
+
+@dataclass(frozen=True)
+class Task(Generic[Given]):
+    """The order of a job, for the ``run`` of its kind's module.
+
+    out
+        The folder for what it leaves.
+    options
+        The options of its kind, with their defaults.
+    inputs
+        Its files by name: ``scan`` with its ``landmarks``, ``neutral``, ``template``, ``model``,
+        ``rig`` (of 0.1 with its ``model``, ``weights`` and ``report``: ``Rig.load`` reads either),
+        ``start`` (another rig), ``performance``, ``blendshapes``.
+    captures
+        Registered scans, or a scene's assets, by their own names.
+    role
+        What its scan is meant to be: ``neutral``, ``expression`` or ``unknown``.
+    resume
+        Whether to go on after what an earlier attempt left in ``out``.
+    progress
+        Whom to tell.
+    """
+
+    out: Path
+    options: Given
+    inputs: Mapping[str, Path] = field(default_factory=dict)
+    captures: Mapping[str, Path] = field(default_factory=dict)
+    role: str = "unknown"
+    resume: bool = False
+    progress: Progress = silent
+
+
+def run_job(
+    kind: str,
+    out: Path,
+    *,
+    options: Mapping[str, Any] | None = None,
+    captures: Mapping[str, Path] | None = None,
+    role: str = "unknown",
+    resume: bool = False,
+    progress: Progress = silent,
+    jobs: str = "solver.jobs",
+    **inputs: Path | None,
+) -> list[Path]:
+    """Do a job of a kind and return the files that it leaves; see :class:`Task`.
+
+    ``jobs`` is the package with a module for each kind. Raises :class:`InputError` for options
+    (``options.*``, ``scene.schema``) and files that cannot be used, and
+    :class:`~solver.errors.SolveError` where there is no solution.
+    """
+    given = read_options(KINDS[kind], options or {})
+    files = {name: path for name, path in inputs.items() if path is not None}
+    out.mkdir(parents=True, exist_ok=True)
+    task = Task(out, given, files, captures or {}, role, resume, progress)
+    left: list[Path] = import_module(f"{jobs}.{kind}").run(task)
+    return left
+
+
+def read_options(kind: Kind, given: Mapping[str, Any]) -> JobOptions:
+    """Return options with their defaults; raises :class:`InputError` for the first fault."""
+    try:
+        return kind.read(given)
+    except OptionsError as error:
+        first = error.faults[0]
+        known = sorted(kind.options.model_fields)
+        option = str(first.path[0]) if first.path else ""
+        if option == "scene":
+            where = first.where.removeprefix("options.")
+            message = f"{where}: {first.message}"
+            raise InputError("scene.schema", message, where=where) from error
+        if option not in known:
+            raise InputError("options.unknown", str(error), expected=known) from error
+        raise InputError(f"options.{option}", str(error)) from error

@@ -11,12 +11,13 @@ from solver.animation.blendshapes import Blendshapes, Solved, expression_targets
 from solver.animation.drives import RecordedDrives
 from solver.fitting.face import Face
 from solver.fitting.target_checks import check_held
-from solver.jobs.scenes import EXPORT, READ, Person, fingerprint, finish, play, read_person
-from solver.jobs.task import Task
+from solver.jobs import Task
+from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_person
 from solver.kinds.animate import Animate
 from solver.mechanics.linear import fastest
 from solver.progress import Step
 from solver.rig.animation import check_video
+from solver.rig.rig import Rig
 from solver.scans.live_link import read_live_link
 from solver.scene.document import head_of
 from solver.scene.stage import Stage
@@ -40,23 +41,24 @@ def run(task: Task[Animate]) -> list[Path]:
         check_video()
     scene = given.scene
     person = read_person(task)
+    model, S = person.rig.model, person.rig.weights
     recording = scene.recording
     recorded = read_live_link(person.places.asset(recording.asset))
 
     def stage_of(shapes: Blendshapes) -> Stage:
         head = head_of(scene.head)
         start, end = recording.start, recording.end
-        drives = RecordedDrives(recorded, shapes, person.model, start, end, head=head)
-        return Stage(scene, person.places, person.S, drives, given.linear_solver)
+        drives = RecordedDrives(recorded, shapes, model, start, end, head=head)
+        return Stage(scene, person.places, S, drives, given.linear_solver)
 
     kept = out / "blendshapes.npz"
     if "blendshapes" in task.inputs:
-        shapes = Blendshapes.load(task.inputs["blendshapes"], person.model, person.S)
+        shapes = Blendshapes.load(task.inputs["blendshapes"], model, S)
     else:
         # the shapes take minutes: what is wrong with the scene is told before
-        stage_of(Blendshapes(person.model.muscle_names, {}))
-        shapes = _solve_shapes(person, kept, task)
-    shapes.save(kept, person.model, person.S)
+        stage_of(Blendshapes(model.muscle_names, {}))
+        shapes = _solve_shapes(person.rig, kept, task)
+    shapes.save(kept, model, S)
     stage, share = stage_of(shapes), (SOLVED, EXPORT)
     frames = play(stage, out, fingerprint(task), progress, resume=task.resume, share=share)
     solved = shapes.shapes
@@ -69,27 +71,27 @@ def run(task: Task[Animate]) -> list[Path]:
     return [*written, kept]
 
 
-def _solve_shapes(person: Person, kept: Path, task: Task[Animate]) -> Blendshapes:
+def _solve_shapes(rig: Rig, kept: Path, task: Task[Animate]) -> Blendshapes:
     """Solve the person's blendshapes; they are ``kept`` in a file as they come.
 
     With ``resume`` those in the file are taken as they are.
     """
-    model, template = person.model, task.inputs.get("template")
+    model, S, template = rig.model, rig.weights, task.inputs.get("template")
     anatomy = builtin_template() if template is None else Template.load(template)
     targets = expression_targets(model, anatomy.shapes)
     done: dict[str, Solved] = {}
     if task.resume and kept.is_file():
-        done.update(Blendshapes.load(kept, model, person.S).shapes)
+        done.update(Blendshapes.load(kept, model, S).shapes)
 
     def report(name: str, solved: Solved) -> None:
         done[name] = solved
         if len(done) % SAVED_EVERY == 0:
-            Blendshapes(model.muscle_names, done).save(kept, model, person.S)
+            Blendshapes(model.muscle_names, done).save(kept, model, S)
         fraction = READ + (SOLVED - READ) * len(done) / len(targets)
         words = f"{name}, {len(done)} of {len(targets)}"
         error = solved.mean_mm
         task.progress(Step("blendshapes", fraction, len(done), mean_error_mm=error, message=words))
 
-    face = Face(model, person.S, linear=fastest())
+    face = Face(model, S, linear=fastest())
     check_held(face)
     return solve_blendshapes(face, targets, dict(done), report)

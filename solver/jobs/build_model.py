@@ -8,11 +8,10 @@ from pathlib import Path
 from solver.anatomy.build import build_subject_model, model_summary
 from solver.anatomy.meshing import find_or_make_mesh
 from solver.anatomy.template import Template
-from solver.jobs.common import within
-from solver.jobs.task import Task
+from solver.jobs import Task
 from solver.kinds.build_model import BuildModel
 from solver.meshio.registered import read_registered
-from solver.progress import Step
+from solver.progress import Step, part_of
 from solver.rig.pictures import anatomy_picture, fibres_picture, tets_picture
 from solver.templates.builtin.build import builtin_template
 
@@ -30,9 +29,9 @@ def run(task: Task[BuildModel]) -> list[Path]:
     progress(Step("read", 0.0, message=neutral.name))
     anatomy = builtin_template() if template is None else Template.load(template)
     vertices = read_registered(neutral, anatomy.skin.faces, len(anatomy.skin.vertices)).vertices
-    anatomy = find_or_make_mesh(anatomy, edge_mm, lambda step: progress(within(step, 0.02, 0.7)))
+    anatomy = find_or_make_mesh(anatomy, edge_mm, part_of(progress, 0.02, 0.7))
     model = build_subject_model(
-        anatomy, vertices, edge_mm=edge_mm, progress=lambda step: progress(within(step, 0.7, 0.93))
+        anatomy, vertices, edge_mm=edge_mm, progress=part_of(progress, 0.7, 0.93)
     )
     names = ("model.npz", "model.json", "anatomy.png", "tets.png", "fibres.png")
     files = [task.out / name for name in names]

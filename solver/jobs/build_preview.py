@@ -8,13 +8,12 @@ from pathlib import Path
 
 from solver.fitting.face import Face
 from solver.fitting.target_checks import check_held
-from solver.jobs.task import Task
+from solver.jobs import Task
 from solver.kinds.build_preview import BuildPreview
 from solver.mechanics.linear import fastest
-from solver.model import SubjectModel
 from solver.progress import Step
 from solver.rig.preview import make_preview, preview_picture, write_preview
-from solver.rig.result import load_activations, load_weights
+from solver.rig.rig import Rig
 
 # Residual of an equilibrium: within a thousandth of a millimetre, and far below the error.
 TOLERANCE = 1e-5
@@ -29,13 +28,12 @@ def run(task: Task[BuildPreview]) -> list[Path]:
     and for a rig without a fitted expression, :class:`solver.errors.SolveError` if too little can
     be simulated.
     """
-    rig, out, progress = task.inputs["rig"], task.out, task.progress
-    progress(Step("read", 0.0, message=rig.name))
+    out, progress = task.out, task.progress
+    progress(Step("read", 0.0, message=task.inputs["rig"].name))
     begin = time.perf_counter()
-    subject = SubjectModel.load(task.inputs["model"])
-    S = load_weights(task.inputs["weights"], subject)
-    fits = [fit for fit in load_activations(rig, subject) if fit.status != "failed"]
-    face = Face(subject, S, linear=fastest(), tolerance=TOLERANCE)
+    rig = Rig.load(task.inputs)
+    fits = [fit for fit in rig.expressions if fit.status != "failed"]
+    face = Face(rig.model, rig.weights, linear=fastest(), tolerance=TOLERANCE)
     check_held(face)
     preview = make_preview(
         face,
@@ -47,7 +45,7 @@ def run(task: Task[BuildPreview]) -> list[Path]:
     files = [out / "preview.bin", out / "preview.json", out / "preview.png"]
     write_preview(files[0], preview)
     progress(Step("pictures", 0.96))
-    preview_picture(subject, preview, files[2])
+    preview_picture(rig.model, preview, files[2])
     figures = {**preview.figures(), "seconds": round(time.perf_counter() - begin, 1)}
     files[1].write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     progress(Step("done", 1.0))

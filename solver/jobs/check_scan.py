@@ -8,7 +8,7 @@ from pathlib import Path
 
 from solver.anatomy.template import Template
 from solver.errors import InputError, judge_findings
-from solver.jobs.task import Task
+from solver.jobs import Task
 from solver.kinds.check_scan import CheckScan
 from solver.progress import Step
 from solver.scans.check import check, check_picture

@@ -9,13 +9,13 @@ from typing import Any
 from solver.edits.edit import Edited, Replay, Replayed, apply
 from solver.errors import SolveError
 from solver.fitting.target_checks import check_held
+from solver.jobs import Task
 from solver.jobs.scenes import read_person
-from solver.jobs.task import Task
-from solver.kinds import edits as described
+from solver.kinds import scene as described
 from solver.kinds.edit import Edit
 from solver.progress import Progress, Step
 from solver.rig.edit_report import Compared, EditedPerson, edit_picture, edit_report, write_edit
-from solver.rig.result import ExpressionFit, load_activations
+from solver.rig.rig import ExpressionFit
 from solver.scene.stage import Physics, edits_of
 
 
@@ -29,12 +29,12 @@ def run(task: Task[Edit]) -> list[Path]:
     """
     scene = task.options.scene
     out, progress = task.out, task.progress
-    known = read_person(task)
-    fits = load_activations(task.inputs["rig"], known.model)
+    person = read_person(task)
+    rig, fits = person.rig, person.rig.expressions
     physics = Physics(scene)
     entries = scene.edits
-    unedited = Edited.nothing(known.model, known.S)
-    edited = apply(edits_of(entries, known.places), known.model, known.S)
+    unedited = Edited.nothing(rig.model, rig.weights)
+    edited = apply(edits_of(entries, person.places), rig.model, rig.weights)
     before, all_before = _replay(unedited, physics, fits, "before the edits", 0.05, progress)
     after, all_after = _replay(edited, physics, fits, "after the edits", 0.45, progress)
     compared = [

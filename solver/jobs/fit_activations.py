@@ -11,40 +11,40 @@ from solver.errors import Finding
 from solver.fitting import fallback, target_checks
 from solver.fitting.activation import UNSEEN, UNSEEN_STOP, unseen_regulariser
 from solver.fitting.contact import terms
-from solver.jobs.common import Telling
+from solver.fitting.face import Face
+from solver.fitting.target_checks import check_held
+from solver.jobs import Task
 from solver.jobs.fits import (
+    Targets,
+    Telling,
     describe_fit,
-    export_rig,
     find_oddities,
+    leave_rig,
     read_scans,
     refuse_failures,
-    rest_of,
-    targets_of,
 )
-from solver.jobs.task import Task
 from solver.kinds.fit_activations import FitActivations
 from solver.mechanics.linear import fastest
 from solver.meshio.registered import RegisteredScan
 from solver.model import SubjectModel
-from solver.progress import Step
-from solver.rig.result import ExpressionFit, load_activations, load_weights
-from solver.rig.rig import Rig
+from solver.progress import Step, part_of
+from solver.rig.rig import ExpressionFit, Rig
 
 
 def run(task: Task[FitActivations]) -> list[Path]:
-    """Fit activations and jaw of new expressions with the S of ``weights``; write the rig's files.
+    """Fit activations and jaw of new expressions with the S of ``rig``; write the new rig's files.
 
-    The expressions of ``rig``, if it is given, are carried over; a new capture of the same name
-    replaces the old. An expression that the reduced solver cannot fit is given to IPOPT; one that
-    neither can fit stays at rest, unless all do.
+    The rig's expressions are carried over; a new capture of the same name replaces the old. An
+    expression that the reduced solver cannot fit is given to IPOPT; one that neither can fit stays
+    at rest, unless all do.
     """
-    given, inputs, progress = task.options, task.inputs, task.progress
-    face, scans = read_scans(
-        inputs["model"], task.captures, given.linear_solver or fastest(), progress
-    )
-    subject = face.model
-    face = face.with_weights(load_weights(inputs["weights"], subject))
-    carried = load_activations(inputs["rig"], subject) if "rig" in inputs else ()
+    given, progress = task.options, task.progress
+    progress(Step("read", 0.0, message=f"{len(task.captures)} scans"))
+    parent = Rig.load(task.inputs)
+    subject, carried = parent.model, parent.expressions
+    scans = read_scans(subject, task.captures)
+    face = Face(subject, parent.weights, linear=given.linear_solver or fastest())
+    check_held(face)
     told = Telling(subject, progress)
     told.tell(0.02, find_oddities(face, scans))
     told.tell(0.02, _replacements(subject, carried, scans))
@@ -52,7 +52,7 @@ def run(task: Task[FitActivations]) -> list[Path]:
         told.tell(0.02, fallback.warn_of_slowness(face))
     regulariser = unseen_regulariser(face)
     stop = replace(UNSEEN_STOP, max_iterations=given.max_iterations)
-    targets = targets_of(subject, scans, given.distance)
+    targets = Targets(subject, given.distance).of_scans(scans)
     data = terms(face, targets)
     fitted = []
     begin = time.perf_counter()
@@ -74,7 +74,7 @@ def run(task: Task[FitActivations]) -> list[Path]:
     settings = {**UNSEEN, **asdict(stop), **chosen_options}
     seconds = {**_geometry_seconds(carried), "activations": time.perf_counter() - begin}
     whole = Rig(subject, face.S, (*kept, *fitted), seconds, told.general)
-    return export_rig(face, whole, settings, task.out, rest_of(progress, 0.5))
+    return leave_rig(face, whole, settings, task.out, part_of(progress, 0.5))
 
 
 def _geometry_seconds(carried: Sequence[ExpressionFit]) -> dict[str, float]:

@@ -17,41 +17,47 @@ from solver.fitting.face import Face, State
 from solver.fitting.geometry import GeometryFit, GeometryOptions
 from solver.fitting.objective import Target, distances
 from solver.fitting.simplex import mirror_structure, transfer
-from solver.jobs.common import Telling
+from solver.fitting.target_checks import check_held
+from solver.jobs import Task
 from solver.jobs.fits import (
+    Targets,
+    Telling,
     describe_fit,
-    export_rig,
     find_oddities,
+    leave_rig,
     read_scans,
     refuse_failures,
-    rest_of,
-    targets_of,
 )
-from solver.jobs.task import Task
 from solver.kinds.fit_geometry import FitGeometry
 from solver.meshio.registered import RegisteredScan
 from solver.model import SubjectModel
-from solver.progress import Progress, Step
-from solver.rig.result import load_weights
+from solver.progress import Progress, Step, part_of
 from solver.rig.rig import Rig
 
 
 def run(task: Task[FitGeometry]) -> list[Path]:
     """Fit S, activations and jaw to several registered expression scans; write the rig's files.
 
-    The inputs ``start_weights`` and ``start_model`` are a fitted ``muscle_weights.npz`` and the
-    model it belongs to, this one's or another subject's, for S to begin with.
+    The input ``start`` is a rig, of this subject or another, whose S the fit begins with.
     """
     given, progress = task.options, task.progress
-    face, scans = read_scans(task.inputs["model"], task.captures, given.linear_solver, progress)
-    subject = face.model
+    progress(Step("read", 0.0, message=f"{len(task.captures)} scans"))
+    subject = SubjectModel.load(task.inputs["model"])
+    scans = read_scans(subject, task.captures)
+    face = Face(subject, linear=given.linear_solver)
+    check_held(face)
     schedule = GeometryOptions(rounds=given.rounds)
     if given.solver == "ipopt":
         geometry.check_size(face, len(scans))
-    priors = {"start": _start(subject, task), "structure": _mirror(subject, given.symmetry)}
+    priors: dict[str, sp.csr_array | None] = {"start": None, "structure": None}
+    if "start" in task.inputs:
+        start = Rig.load(task.inputs["start"])
+        priors["start"] = transfer(start.weights, start.model, subject)
+    if given.symmetry > 0.0:
+        priors["structure"] = mirror_structure(subject, given.symmetry)
     told = Telling(subject, progress)
     told.tell(0.02, [*find_oddities(face, scans), *_too_few(scans)])
-    targets = targets_of(subject, scans, given.distance)
+    targets = Targets(subject, given.distance).of_scans(scans)
     begin = time.perf_counter()
     if given.solver == "ipopt":
         fitted = _geometry_by_ipopt(face, targets, schedule, priors, told, progress)
@@ -68,7 +74,7 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     chosen_options = given.model_dump(include={"symmetry", "distance", "solver"})
     settings = {**asdict(schedule), **chosen_options}
     rig = Rig(subject, fitted.S, tuple(expressions), {"geometry": seconds}, told.general)
-    return export_rig(face, rig, settings, task.out, rest_of(progress, 0.8))
+    return leave_rig(face, rig, settings, task.out, part_of(progress, 0.8))
 
 
 def _geometry(
@@ -103,18 +109,6 @@ def _geometry_by_ipopt(
     fitted, notices = geometry.fit_by_ipopt(face, data, schedule, listen, **priors)
     told.tell(0.8, notices)
     return fitted
-
-
-def _start(subject: SubjectModel, task: Task[FitGeometry]) -> sp.csr_array | None:
-    """Return the S that a fit begins with, None for the model's own."""
-    if "start_weights" not in task.inputs:
-        return None
-    source = SubjectModel.load(task.inputs["start_model"])
-    return transfer(load_weights(task.inputs["start_weights"], source), source, subject)
-
-
-def _mirror(subject: SubjectModel, symmetry: float) -> sp.csr_array | None:
-    return mirror_structure(subject, symmetry) if symmetry > 0.0 else None
 
 
 def _too_few(scans: Mapping[str, RegisteredScan]) -> list[Finding]:

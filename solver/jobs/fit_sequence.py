@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from solver.errors import InputError, SolveError
 from solver.fitting.activation import unseen_regulariser
@@ -17,8 +16,8 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Target
 from solver.fitting.sequence import Tracker, stillness
 from solver.fitting.target_checks import check_held
-from solver.jobs.common import Targets
-from solver.jobs.task import Task
+from solver.jobs import Task
+from solver.jobs.fits import Targets
 from solver.kinds.fit_sequence import FitSequence
 from solver.mechanics.linear import fastest
 from solver.meshio.registered import PLAUSIBLE, RegisteredScan
@@ -29,9 +28,9 @@ from solver.rig.animation_gltf import AnimatedSkin
 from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter
 from solver.rig.motion import SequenceFrame, Status, read_frames, sequence_report, write_sequence
 from solver.rig.pictures import SequenceShot, sequence_picture
-from solver.rig.result import load_weights
+from solver.rig.rig import Rig
 from solver.scans.performance import Performance, open_performance
-from solver.similarity import IDENTITY, Similarity, weighted_motion
+from solver.similarity import IDENTITY, Similarity, small_motion, weighted_motion
 from solver.surface import Floats
 
 # From one frame of a performance to the next: the head is placed, the face fitted.
@@ -82,7 +81,7 @@ class Follower:
                 "the head's motion cannot be told from the face's: muscles or the jaw move every "
                 "point of the model's face",
             )
-        self._head = IDENTITY if last is None else _motion(last.head)
+        self._head = IDENTITY if last is None else small_motion(last.head)
         self._target: Target | None = None
 
     def fit(self, number: int, scan: RegisteredScan) -> SequenceFrame:
@@ -165,7 +164,7 @@ class Follower:
             status=status,
             activations=state.pose.a.round(DECIMALS),
             jaw=state.pose.b.round(DECIMALS),
-            head=_six(self._head).round(DECIMALS),
+            head=self._head.twist.round(DECIMALS),
             mean_mm=mean,
             p95_mm=p95,
             max_mm=greatest,
@@ -176,14 +175,6 @@ class Follower:
         )
 
 
-def _motion(six: Floats) -> Similarity:
-    return Similarity(1.0, Rotation.from_rotvec(six[:3]).as_matrix(), six[3:])
-
-
-def _six(motion: Similarity) -> Floats:
-    return np.concatenate([Rotation.from_matrix(motion.rotation).as_rotvec(), motion.shift])
-
-
 CHUNKS = ChunkOptions(frames=30)
 # Mean distance that says that a performance is not this person's: a fit leaves less than 2.
 UNLIKE_MM = 5.0
@@ -192,7 +183,7 @@ MOST_SHOTS = 6
 
 
 def run(task: Task[FitSequence]) -> list[Path]:
-    """Fit the frames of a performance with the S of ``weights``, each from the one before.
+    """Fit the frames of a performance with the S of ``rig``, each from the one before.
 
     ``performance`` is read as :func:`~solver.scans.performance.open_performance` says. Frames that
     are ready are in ``out/frames``, 30 a file; with ``resume`` those that are there already are
@@ -205,13 +196,13 @@ def run(task: Task[FitSequence]) -> list[Path]:
     given, out, progress = task.options, task.out, task.progress
     performance = task.inputs["performance"]
     progress(Step("read", 0.0, message=performance.name))
-    subject = SubjectModel.load(task.inputs["model"])
-    S = load_weights(task.inputs["weights"], subject)
+    rig = Rig.load(task.inputs)
+    subject = rig.model
     source = open_performance(performance, subject.skin, subject.face)
     numbers = _chosen(source, given)
     if not given.head_motion:
         _check_place(source, numbers[0], subject)
-    face = Face(subject, S, linear=given.linear_solver or fastest())
+    face = Face(subject, rig.weights, linear=given.linear_solver or fastest())
     check_held(face)
     if not task.resume:
         shutil.rmtree(out / FRAMES, ignore_errors=True)

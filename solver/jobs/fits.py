@@ -1,9 +1,9 @@
-"""Shared by the fits of expressions: reading scans, describing fits, writing the rig."""
+"""Shared by the fits of expressions: scans, targets, warnings, and the rig that is left."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,27 +15,22 @@ from solver.fitting import target_checks
 from solver.fitting.face import Face
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.objective import Target
-from solver.fitting.target_checks import check_held, idle_muscles
-from solver.jobs.common import Targets, refuse
-from solver.kinds.options import Distance
+from solver.fitting.target_checks import idle_muscles
+from solver.kinds.kind import Distance
 from solver.mechanics.flesh import IDENTITY
 from solver.meshio.registered import RegisteredScan, read_registered
 from solver.model import SubjectModel
 from solver.progress import Progress, Step
 from solver.rig.certificate import certify, with_round_trips
 from solver.rig.exporters import write_rig
-from solver.rig.result import ExpressionFit
-from solver.rig.rig import Rig
+from solver.rig.rig import ExpressionFit, Rig
+from solver.surface import Floats, Ints, Surface, vertex_normals
 
 
-def read_scans(
-    model: Path, captures: Mapping[str, Path], linear: str | None, progress: Progress
-) -> tuple[Face, dict[str, RegisteredScan]]:
-    """Read the model and the registered scans; all are checked before any work begins."""
+def read_scans(subject: SubjectModel, captures: Mapping[str, Path]) -> dict[str, RegisteredScan]:
+    """Read registered scans; what is wrong with any is told at once, so that all can be mended."""
     if not captures:
         raise InputError("fit.no_captures", "a fit needs at least one expression scan")
-    progress(Step("read", 0.0, message=f"{len(captures)} scans"))
-    subject = SubjectModel.load(model)
     skin = subject.skin
     scans: dict[str, RegisteredScan] = {}
     faults: list[InputError] = []
@@ -49,10 +44,16 @@ def read_scans(
             scans[name] = scan
         except InputError as fault:
             faults.append(fault)
-    refuse(faults)
-    face = Face(subject, linear=linear)
-    check_held(face)
-    return face, scans
+    if len(faults) > 1:
+        messages = "; ".join(fault.message for fault in faults)
+        raise InputError(
+            "scan.several",
+            f"{len(faults)} scans cannot be used: {messages}",
+            faults=[fault.as_dict() for fault in faults],
+        )
+    if faults:
+        raise faults[0]
+    return scans
 
 
 def find_oddities(face: Face, scans: Mapping[str, RegisteredScan]) -> list[Finding]:
@@ -68,14 +69,6 @@ def refuse_failures(fits: Sequence[ExpressionFit]) -> None:
             f"{fit.name}: {notice.message}" for fit in fits for notice in fit.notices
         )
         raise SolveError("fit.failed", f"no expression could be fitted ({reasons})")
-
-
-def targets_of(
-    model: SubjectModel, scans: Mapping[str, RegisteredScan], distance: Distance
-) -> dict[str, Target]:
-    """Return the scans as targets."""
-    targets = Targets(model, distance)
-    return {name: targets.of_scan(scan) for name, scan in scans.items()}
 
 
 def describe_fit(
@@ -112,18 +105,18 @@ def describe_fit(
     )
 
 
-def export_rig(
+def leave_rig(
     face: Face, rig: Rig, settings: dict[str, Any], out: Path, progress: Progress
 ) -> list[Path]:
     """Check what was fitted and write the rig's files; ``progress`` counts from 0 to 1 here."""
-    fits = rig.expressions
 
     def listen(name: str, number: int) -> None:
-        progress(Step("round_trip", 0.85 * number / len(fits), number + 1, message=name))
+        part = 0.85 * number / len(rig.expressions)
+        progress(Step("round_trip", part, number + 1, message=name))
 
     start = time.perf_counter()
     face = face.with_weights(rig.weights)
-    fits = with_round_trips(face, fits, listen)
+    fits = with_round_trips(face, rig.expressions, listen)
     seconds = {**rig.seconds, "round_trip": time.perf_counter() - start}
     rig = replace(rig, expressions=fits, seconds=seconds)
     progress(Step("export", 0.85, message="certificate, exports and pictures"))
@@ -132,6 +125,78 @@ def export_rig(
     return files
 
 
-def rest_of(progress: Progress, begin: float) -> Progress:
-    """Return a progress whose way from 0 to 1 is the rest of the job from ``begin``."""
-    return lambda step, /: progress(replace(step, fraction=begin + (1.0 - begin) * step.fraction))
+# Registered scans as targets: the distance to their points, or to their surface.
+
+
+class Targets:
+    """Makes targets of the scans of one person.
+
+    Along the surface the distance ``plane`` lets the skin slide: registration is least certain in
+    that direction.
+    """
+
+    def __init__(self, model: SubjectModel, distance: Distance) -> None:
+        self._face, self._distance = model.face, distance
+        self._triangles = _face_triangles(model)
+
+    def of_scans(self, scans: Mapping[str, RegisteredScan]) -> dict[str, Target]:
+        """Return the targets of scans of the whole topology by their names."""
+        face = self._face
+        return {
+            name: self.of_points(scan.vertices[face], scan.confidence[face])
+            for name, scan in scans.items()
+        }
+
+    def of_points(self, points: Floats, confidence: Floats) -> Target:
+        """Return the target of the face's points (k, 3), NaN where nothing was seen."""
+        if self._distance == "point":
+            return Target.from_points(points, confidence)
+        return Target.from_points(points, confidence, _normals(points, self._triangles))
+
+
+def _face_triangles(model: SubjectModel) -> Ints:
+    """Return the skin's triangles within the face, (f, 3), by numbers of the face's points."""
+    number = np.full(len(model.skin.vertices), -1)
+    number[model.face] = np.arange(len(model.face))
+    triangles = number[model.skin.faces]
+    return np.asarray(triangles[(triangles >= 0).all(axis=1)])
+
+
+def _normals(points: Floats, triangles: Ints) -> Floats:
+    """Return the unit normals (k, 3) of what is seen; NaN at a point of no triangle."""
+    whole = triangles[np.isfinite(points[triangles]).all(axis=(1, 2))]
+    normals = vertex_normals(Surface(np.nan_to_num(points), whole))
+    normals[np.bincount(whole.ravel(), minlength=len(points)) == 0] = np.nan
+    return normals
+
+
+# The warnings of a job: told while it runs, and kept for its report.
+
+
+class Telling:
+    """Notices are sent as steps of the phase ``warning`` and sorted by expression."""
+
+    def __init__(self, model: SubjectModel, progress: Progress) -> None:
+        self._model = model
+        self._progress = progress
+        self._notices: list[Finding] = []
+
+    def tell(self, fraction: float, notices: Iterable[Finding]) -> None:
+        """Tell notices when ``fraction`` of the job is done."""
+        for notice in notices:
+            self._notices.append(notice)
+            self._progress(Step("warning", fraction, message=notice.message))
+
+    def about(self, fit: ExpressionFit, fraction: float, solve: Iterable[Finding]) -> ExpressionFit:
+        """Return a fit with all that was told of it, what its solve says and what it leaves."""
+        own = {"expression": fit.name}
+        left = target_checks.after_fit(self._model, fit.name, fit.error_mm)
+        self.tell(fraction, [replace(each, context={**own, **each.context}) for each in solve])
+        self.tell(fraction, left)
+        mine = [each for each in self._notices if each.context.get("expression") == fit.name]
+        return replace(fit, notices=tuple(mine))
+
+    @property
+    def general(self) -> tuple[Finding, ...]:
+        """Return the notices that are about no expression."""
+        return tuple(each for each in self._notices if "expression" not in each.context)

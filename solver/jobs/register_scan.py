@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from solver.anatomy.template import Template
-from solver.jobs.task import Task
+from solver.jobs import Task
 from solver.kinds.register_scan import RegisterScan
 from solver.meshio.raw import mend, read_raw
 from solver.meshio.registered import read_registered, write_registered

@@ -15,23 +15,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from PIL import Image
-from scipy.spatial.transform import Rotation
 
 from solver.animation.drives import PosedFrame
 from solver.errors import SolveError
-from solver.jobs.task import Task
-from solver.model import SubjectModel
+from solver.jobs import Task
 from solver.progress import Progress, Step
 from solver.rig.animation import Filming, write_animation
 from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter
 from solver.rig.motion import MotionFrame, motion_report, motion_values, read_motion
-from solver.rig.result import load_weights
+from solver.rig.rig import Rig
 from solver.scene.document import document_of
 from solver.scene.places import Places
 from solver.scene.stage import Stage
-from solver.similarity import Similarity
 from solver.simulation.forces import Drive, Motion
 from solver.simulation.simulator import Stepped
 from solver.surface import Floats
@@ -41,20 +37,17 @@ from solver.surface import Floats
 
 @dataclass(frozen=True)
 class Person:
-    """A fitted face with its S (n, m + 1), and the places on it."""
+    """A fitted face, and the places on it."""
 
-    model: SubjectModel
-    S: sp.csr_array
+    rig: Rig
     places: Places
 
 
 def read_person(task: Task[Any]) -> Person:
     """Return the person of a scene; raises as its files' readers, and ``scene.template``."""
-    inputs = task.inputs
-    task.progress(Step("read", 0.0, message=inputs["model"].name))
-    model = SubjectModel.load(inputs["model"])
-    S = load_weights(inputs["weights"], model)
-    return Person(model, S, Places.of(model, inputs.get("template"), task.captures))
+    task.progress(Step("read", 0.0, message=task.inputs["rig"].name))
+    rig = Rig.load(task.inputs)
+    return Person(rig, Places.of(rig.model, task.inputs.get("template"), task.captures))
 
 
 def fingerprint(task: Task[Any]) -> str:
@@ -206,7 +199,7 @@ def _frame(
         time=goal.time,
         activations=pose.a,
         jaw=pose.jaw,
-        head=_place(goal.head),
+        head=goal.head.twist,
         eyes=pose.eyes,
         moved=stepped.y - stage.model.rest,
         penetration_mm=round(found.most, 4),
@@ -217,12 +210,6 @@ def _frame(
         residual=stepped.residual,
         seconds=round(stepped.seconds, 4),
     )
-
-
-def _place(head: Similarity) -> Floats:
-    """Return rotation vector and shift (6,) of a motion."""
-    turn = Rotation.from_matrix(head.rotation).as_rotvec()
-    return np.concatenate([turn, head.shift])
 
 
 class _Beside:

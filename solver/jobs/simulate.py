@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from solver.fitting.face import Pose
+from solver.jobs import Task
 from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_person
-from solver.jobs.task import Task
 from solver.kinds.simulate import Simulate
 from solver.rig.animation import check_video
-from solver.rig.result import load_activations
 from solver.scene.document import drives_of
 from solver.scene.stage import Stage
 
@@ -29,10 +28,10 @@ def run(task: Task[Simulate]) -> list[Path]:
     if given.video:
         check_video()
     person = read_person(task)
-    fits = load_activations(task.inputs["rig"], person.model)
-    poses = {fit.name: Pose(fit.activations, fit.jaw) for fit in fits}
-    drives = drives_of(given.scene, poses, person.model, person.S)
-    stage = Stage(given.scene, person.places, person.S, drives, given.linear_solver)
+    rig = person.rig
+    poses = {fit.name: Pose(fit.activations, fit.jaw) for fit in rig.expressions}
+    drives = drives_of(given.scene, poses, rig.model, rig.weights)
+    stage = Stage(given.scene, person.places, rig.weights, drives, given.linear_solver)
     share = (READ, EXPORT)
     frames = play(stage, out, fingerprint(task), progress, resume=task.resume, share=share)
     return finish(stage, frames, out, progress, title="Simulation", video=given.video, more={})

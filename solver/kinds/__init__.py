@@ -10,7 +10,7 @@ from dataclasses import replace
 from importlib import import_module
 from pkgutil import iter_modules
 
-from solver.kinds.faults import Fault
+from solver.kinds.document import Fault
 from solver.kinds.kind import JobOptions, Kind, OptionsError
 
 __all__ = ["KINDS", "Fault", "JobOptions", "Kind", "OptionsError"]

@@ -2,17 +2,14 @@
 
 from pydantic import Field
 
-from solver.kinds.kind import JobOptions, Kind
-from solver.kinds.options import LinearSolver, Video
+from solver.kinds.kind import Kind, PlayOptions
 from solver.kinds.scene import AnimateScene
 
 
-class Animate(JobOptions):
+class Animate(PlayOptions):
     """Options of an animation."""
 
     scene: AnimateScene = Field(description="what is animated, see docs/guide/simulation.md")
-    video: Video = False
-    linear_solver: LinearSolver = None
 
 
 KIND = Kind(

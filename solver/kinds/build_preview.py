@@ -2,8 +2,8 @@
 
 from pydantic import Field
 
+from solver.kinds.document import Whole
 from solver.kinds.kind import JobOptions, Kind
-from solver.kinds.values import Whole
 
 
 class BuildPreview(JobOptions):

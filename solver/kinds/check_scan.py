@@ -1,7 +1,6 @@
 """Check a raw scan while the person is still in the chair."""
 
-from solver.kinds.kind import Kind
-from solver.kinds.options import FrameOptions
+from solver.kinds.kind import FrameOptions, Kind
 
 
 class CheckScan(FrameOptions):

@@ -4,12 +4,11 @@ from typing import Literal
 
 from pydantic import Field
 
-from solver.kinds.kind import JobOptions, Kind
-from solver.kinds.options import Distance, LinearSolver
-from solver.kinds.values import Whole
+from solver.kinds.document import Whole
+from solver.kinds.kind import FitOptions, Kind, LinearSolver
 
 
-class FitActivations(JobOptions):
+class FitActivations(FitOptions):
     """Options of a fit of activations."""
 
     max_iterations: Whole = Field(
@@ -19,7 +18,6 @@ class FitActivations(JobOptions):
         description="Gauss-Newton iterations per expression at most; IPOPT may take four of its "
         "own for each",
     )
-    distance: Distance = "point"
     solver: Literal["reduced", "ipopt"] = Field(
         default="reduced",
         description="reduced: positions are eliminated, and IPOPT steps in where that fails; "

@@ -4,12 +4,11 @@ from typing import Literal
 
 from pydantic import Field
 
-from solver.kinds.kind import JobOptions, Kind
-from solver.kinds.options import Distance, DoubleSolver
-from solver.kinds.values import Whole
+from solver.kinds.document import Whole
+from solver.kinds.kind import DoubleSolver, FitOptions, Kind
 
 
-class FitGeometry(JobOptions):
+class FitGeometry(FitOptions):
     """Options of a fit of S, activations and jaw."""
 
     rounds: Whole = Field(
@@ -25,7 +24,6 @@ class FitGeometry(JobOptions):
         description="weight of the mirror prior on the changes of S, which makes left and right "
         "alike; 0: none, 1e-3: much",
     )
-    distance: Distance = "point"
     solver: Literal["reduced", "ipopt"] = Field(
         default="reduced",
         description="reduced: positions are eliminated; ipopt: the full-space reference, for small "

@@ -4,12 +4,11 @@ from typing import Annotated
 
 from pydantic import Field
 
-from solver.kinds.kind import JobOptions, Kind
-from solver.kinds.options import Distance, LinearSolver
-from solver.kinds.values import Integral, Whole
+from solver.kinds.document import Integral, Whole
+from solver.kinds.kind import FitOptions, Kind, LinearSolver
 
 
-class FitSequence(JobOptions):
+class FitSequence(FitOptions):
     """Options of a fit of frames."""
 
     fps: float = Field(
@@ -27,7 +26,6 @@ class FitSequence(JobOptions):
         description="weight of the activations' change from frame to frame, beside 0.001 for "
         "their size; 0: none",
     )
-    distance: Distance = "point"
     head_motion: bool = Field(
         default=False, description="solve the rigid motion of the head and take it out"
     )

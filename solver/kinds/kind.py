@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
-from solver.kinds.faults import Fault, find_faults
-from solver.kinds.schema import json_schema
-from solver.kinds.values import Document
+from solver.kinds.document import Document, Fault, find_faults, json_schema
 
 Queue = Literal["ingest", "short", "long"]
 Input = Literal[
@@ -50,11 +48,11 @@ class Kind:
         Its inputs. A service looks them up at submission: ``capture`` is one scan as it was
         uploaded, with its landmarks; ``neutral`` and ``captures`` are registered scans, the
         subject's neutral and chosen expressions; ``performance`` is one capture of that role,
-        ``assets`` any number of theirs; ``template`` is the subject's, ``model`` its newest or the
-        rig's, ``blendshapes`` are those that an earlier job of the rig solved.
+        ``assets`` any number of theirs; ``template`` is the subject's, ``model`` its newest,
+        ``rig`` a fitted person, ``blendshapes`` are those that an earlier job of the rig solved.
     asks
         What only a command line asks for: the ``role`` of a capture, which a service knows, and
-        the ``start`` of a fit.
+        the ``start`` of a fit, another rig.
     leaves
         What it makes, in a word: jobs with the same word leave the same files.
     report
@@ -114,3 +112,58 @@ class Kind:
             *sorted(strangers, key=lambda fault: fault.where),
             *sorted(others, key=lambda fault: fault.where),
         ]
+
+
+# Options that several kinds share.
+
+
+Axis = Literal["auto", "x", "-x", "y", "-y", "z", "-z"]
+Distance = Literal["point", "plane"]
+LinearSolver = Annotated[
+    Literal["rslab", "rslab-single", "cholmod", "superlu", None],
+    Field(
+        description="factorisation of the tangent stiffness; null: the fastest that is installed, "
+        "in single precision"
+    ),
+]
+DoubleSolver = Annotated[
+    Literal["rslab", "cholmod", "superlu", None],
+    Field(
+        description="factorisation of the tangent stiffness; null: the fastest that is installed, "
+        "in double precision"
+    ),
+]
+
+
+class FitOptions(JobOptions):
+    """Options of every fit to scans."""
+
+    distance: Distance = Field(
+        default="point",
+        description="what is made small: point, the distance to the scan's vertices; plane, its "
+        "part along the scan's normals, so that the skin may slide along the scan",
+    )
+
+
+class PlayOptions(JobOptions):
+    """Options of every scene that is played."""
+
+    video: bool = Field(default=False, description="write a film, animation.mp4, too")
+    linear_solver: LinearSolver = None
+
+
+class FrameOptions(JobOptions):
+    """Unit and axes of a raw scan."""
+
+    unit: Literal["auto", "mm", "cm", "m", "inch"] = Field(
+        default="auto",
+        description="unit of the file's coordinates; auto: what the format says, else what makes "
+        "it a head",
+    )
+    up: Axis = Field(
+        default="auto",
+        description="the file's axis that points to the top of the head; auto: found",
+    )
+    forward: Axis = Field(
+        default="auto", description="the file's axis that points out of the face; auto: found"
+    )

@@ -1,7 +1,6 @@
 """Register a raw scan: the template's vertices on it."""
 
-from solver.kinds.kind import Kind
-from solver.kinds.options import FrameOptions
+from solver.kinds.kind import FrameOptions, Kind
 
 
 class RegisterScan(FrameOptions):

@@ -7,16 +7,16 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag
 
-from solver.kinds.edits import Edits
-from solver.kinds.values import (
+from solver.kinds.document import (
     Document,
     Integral,
     Name,
     Place,
     Vector,
     Whole,
+    by_member,
     find_kind,
-    form_by_member,
+    tell_forms,
 )
 
 MOST_KEYS = 10000  # of one track of a scene
@@ -31,9 +31,6 @@ Turn = Annotated[
         description="a rotation vector in degrees: its length is the angle, about its direction",
     ),
 ]
-
-
-# --- flesh ----------------------------------------------------------------------------------------
 
 
 class MaterialEntry(Document):
@@ -76,9 +73,6 @@ class FleshEntry(Document):
     contact: ContactEntry = Field(default_factory=ContactEntry)
 
 
-# --- keys -----------------------------------------------------------------------------------------
-
-
 class Jaw(Document):
     """The jaw's pose, on top of the expressions'."""
 
@@ -103,11 +97,7 @@ Muscle = Annotated[
         Field(min_length=6, max_length=6),
         Tag("<activation>"),
     ],
-    Discriminator(
-        _form_of_muscle,
-        custom_error_type="no_such_form",
-        custom_error_message="is not a number or a list of six",
-    ),
+    tell_forms(_form_of_muscle, "is not a number or a list of six"),
 ]
 
 
@@ -142,9 +132,6 @@ class Recording(Document):
     end: Annotated[int, Field(ge=1), Integral] | None = Field(
         default=None, description="the frame after the last; null: to the end"
     )
-
-
-# --- forces ---------------------------------------------------------------------------------------
 
 
 class GravityEntry(Document):
@@ -182,8 +169,6 @@ Force = Annotated[
     Discriminator(find_kind),
 ]
 
-# --- objects --------------------------------------------------------------------------------------
-
 
 class AssetMesh(Document):
     """A mesh of a file."""
@@ -213,10 +198,9 @@ class Object(Document):
         Annotated[AssetMesh, Tag("<asset>")]
         | Annotated[Box, Tag("<box_mm>")]
         | Annotated[Ball, Tag("<ball_mm>")],
-        Discriminator(
-            form_by_member("asset", "box_mm", "ball_mm"),
-            custom_error_type="no_such_form",
-            custom_error_message="is not an object with asset, box_mm or ball_mm",
+        tell_forms(
+            by_member("asset", "box_mm", "ball_mm"),
+            "is not an object with asset, box_mm or ball_mm",
         ),
     ]
     at: Place = Field(
@@ -229,7 +213,135 @@ class Object(Document):
     )
 
 
-# --- scenes ---------------------------------------------------------------------------------------
+# Edits of the anatomy, by maps on the skin and at places.
+
+
+class AssetMap(Document):
+    """A map in a file."""
+
+    asset: str = Field(description="an NPY file with a number for every skin vertex")
+
+
+class RegionMap(Document):
+    """A map of whole regions."""
+
+    regions: list[str] = Field(
+        min_length=1, max_length=64, description="regions of the template, such as cheeks"
+    )
+
+
+class SpotMap(Document):
+    """A map of soft round spots."""
+
+    spots: list[Place] = Field(min_length=1, max_length=64, description="their centres")
+    radius_mm: float = Field(gt=0, le=200)
+
+
+SkinMap = Annotated[
+    Annotated[AssetMap, Tag("<asset>")]
+    | Annotated[RegionMap, Tag("<regions>")]
+    | Annotated[SpotMap, Tag("<spots>")],
+    tell_forms(
+        by_member("asset", "regions", "spots"),
+        "is not null or an object with asset, regions or spots",
+    ),
+]
+Everywhere = Field(
+    default=None,
+    description="where on the skin, from 0 (not at all) to 1 (wholly); null is everywhere",
+)
+
+
+Factor = Annotated[
+    float, Field(ge=0.01, le=100, description="of the flesh's own, where the map is 1")
+]
+
+
+class FatEntry(Document):
+    """Fatter or slimmer."""
+
+    kind: Literal["fat"]
+    f_min: float = Field(ge=0.6, le=1.5, description="by which muscle grows in length")
+    f_max: float = Field(ge=0.6, le=1.5, description="by which passive flesh grows in length")
+    softening: float = Field(
+        default=3.0, ge=0, le=10, description="flesh that grows by f gets softer by f to this power"
+    )
+    map: SkinMap | None = Everywhere
+
+
+class Stop(Document):
+    """A point of a needle's path."""
+
+    at: Place
+    depth_mm: float = Field(default=0.0, ge=0, le=50, description="under the skin")
+
+
+class FillerEntry(Document):
+    """Filler along the path of a needle."""
+
+    kind: Literal["filler"]
+    path: list[Stop] = Field(min_length=1, max_length=64)
+    ml: float = Field(gt=0, le=100)
+    radius_mm: float = Field(
+        default=2.5, gt=0, le=50, description="how far it spreads from the path"
+    )
+
+
+class BoneEntry(Document):
+    """A part of a bone, moved."""
+
+    kind: Literal["bone"]
+    bone: Literal["cranium", "mandible"]
+    at: Place
+    radius_mm: float = Field(gt=0, le=200)
+    move_mm: Vector
+
+
+class StiffnessEntry(Document):
+    """Stiffer or softer."""
+
+    kind: Literal["stiffness"]
+    factor: Factor
+    map: SkinMap | None = Everywhere
+
+
+class DensityEntry(Document):
+    """Heavier or lighter."""
+
+    kind: Literal["density"]
+    factor: Factor
+    map: SkinMap | None = Everywhere
+
+
+class ParalysisEntry(Document):
+    """Muscles, or a side, that contract less."""
+
+    kind: Literal["paralysis"]
+    muscles: Annotated[list[str], Field(min_length=1, max_length=256)] | None = Field(
+        default=None, description="their names; null: all of them"
+    )
+    side: Literal["left", "right", None] = Field(
+        default=None, description="the subject's own; null: both"
+    )
+    strength: float = Field(default=0.0, ge=0, le=1, description="what is left of the muscles")
+
+
+EDITS = (FatEntry, FillerEntry, BoneEntry, StiffnessEntry, DensityEntry, ParalysisEntry)
+Edit = Annotated[
+    Annotated[FatEntry, Tag("<fat>")]
+    | Annotated[FillerEntry, Tag("<filler>")]
+    | Annotated[BoneEntry, Tag("<bone>")]
+    | Annotated[StiffnessEntry, Tag("<stiffness>")]
+    | Annotated[DensityEntry, Tag("<density>")]
+    | Annotated[ParalysisEntry, Tag("<paralysis>")],
+    Discriminator(find_kind),
+]
+Edits = Annotated[
+    list[Edit], Field(max_length=32, description="of the anatomy, made one after the other")
+]
+
+
+# Scenes of each kind of job.
 
 
 class PlayedScene(FleshEntry):

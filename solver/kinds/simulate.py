@@ -2,17 +2,14 @@
 
 from pydantic import Field
 
-from solver.kinds.kind import JobOptions, Kind
-from solver.kinds.options import LinearSolver, Video
+from solver.kinds.kind import Kind, PlayOptions
 from solver.kinds.scene import SimulateScene
 
 
-class Simulate(JobOptions):
+class Simulate(PlayOptions):
     """Options of a simulation."""
 
     scene: SimulateScene = Field(description="what is simulated, see docs/guide/simulation.md")
-    video: Video = False
-    linear_solver: LinearSolver = None
 
 
 KIND = Kind(

@@ -17,8 +17,7 @@ from solver.mechanics.boundary import move_jaw
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import Factorization
 from solver.model import SubjectModel
-from solver.rig.result import ExpressionFit
-from solver.rig.rig import Rig
+from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import RoundTrip, round_trip
 from solver.surface import Floats, Ints
 

@@ -13,7 +13,7 @@ import pygltflib as gl
 from scipy.spatial.transform import Rotation
 
 from solver.drawing.head import skin_parts
-from solver.rig.result import ExpressionFit
+from solver.rig.rig import ExpressionFit
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
 METRES = 1e-3  # a mm, glTF's unit is the metre

@@ -19,7 +19,7 @@ from solver.errors import InputError
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.model import SubjectModel
 from solver.rig.frames import ChunkReader, FrameRecord, pack, unpack
-from solver.rig.result import ENTRIES
+from solver.rig.rig import ENTRIES
 from solver.similarity import IDENTITY, Similarity, small_motion
 from solver.simulation.forces import Motion
 from solver.surface import Floats

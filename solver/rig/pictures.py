@@ -18,7 +18,7 @@ from solver.drawing.render import GAMMA, Camera, DrawnBody, Lit, render, render_
 from solver.drawing.sheet import HEADER, INK, MARGIN, Colour, Column, Sheet, SheetLayout, draw_sheet
 from solver.model import SubjectModel
 from solver.rig.motion import SequenceFrame
-from solver.rig.result import ROLES, ExpressionFit
+from solver.rig.rig import ROLES, ExpressionFit
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
 

@@ -24,8 +24,7 @@ from solver.rig.certificate import (
     measured_regions,
 )
 from solver.rig.checks import Judgement, Verdict, judge, overall, use
-from solver.rig.result import ExpressionFit
-from solver.rig.rig import Rig
+from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import RoundTrip
 from solver.surface import Floats
 

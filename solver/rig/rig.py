@@ -1,27 +1,95 @@
-"""A rig: a fitted person, self-contained in one file ``rig.npz``."""
+"""A rig: a fitted person with its expressions, self-contained in one file ``rig.npz``.
+
+docs/reference/rig-format.md has its arrays, and the files of 0.1 that are read for one release.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import astuple, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import scipy.sparse as sp
 
 from solver.errors import Finding, InputError
 from solver.model import SubjectModel
-from solver.rig.result import (
-    ExpressionFit,
-    activation_arrays,
-    load_activations,
-    load_weights,
-    weight_arrays,
-)
-from solver.storage import Archive
+from solver.rig.round_trip import RoundTrip
+from solver.storage import Archive, Arrays, read_arrays, with_prefix
+from solver.surface import Floats, Ints
 
-FORMAT = 1  # of rig.npz
+FORMAT = 1  # of rig.npz, and of activations.npz and muscle_weights.npz
 FILE = "rig.npz"
+ENTRIES = ("xx", "xy", "xz", "yy", "yz", "zz")  # of an activation, in the order of its columns
+ROLES = {"train": "training", "test": "unseen"}  # of an expression's scan, in words
+# files of a rig of 0.1, by the roles that they have in a job; the report may be missing
+FILES_OF_0_1 = {
+    "model": "model.npz",
+    "weights": "muscle_weights.npz",
+    "rig": "activations.npz",
+    "report": "report.json",
+}
+
+
+@dataclass(frozen=True)
+class ExpressionFit:
+    """One expression, fitted.
+
+    name, role
+        What the capture was called; ``train`` (its scan shaped S) or ``test`` (activations only).
+    activations
+        (m, 6) symmetric contraction of every muscle in the order xx, xy, xz, yy, yz, zz; a relaxed
+        muscle is (1, 0, 0, 1, 0, 1).
+    jaw
+        (5,) b of :class:`solver.model.JawFrame`, rad and mm.
+    skin, target
+        (v, 3) the whole scan topology in mm: as solved and as scanned.
+    error_mm
+        (v,) distance between them on the face's vertices, along the scan's normals if the fit was
+        to planes; NaN elsewhere and where the scan has no confidence.
+    inverted
+        Number of tets with det F <= 0.
+    iterations, seconds
+        How the solve went.
+    objective
+        Mean square of that distance over the face, mm^2.
+    x
+        (p, 3) tet vertices as solved, mm; None in rigs made before they were kept.
+    round_trip
+        What came back when the activations were simulated and fitted again; None if not tried.
+    solver, status
+        ``reduced`` or ``ipopt``, and how it ended: ``converged``, ``stopped`` (out of steps, or
+        stuck) or ``failed`` (the best of what there was); ``unknown`` in rigs made before it was
+        kept.
+    notices
+        What was odd about the scan or the solve.
+    """
+
+    name: str
+    role: str
+    activations: Floats
+    jaw: Floats
+    skin: Floats
+    target: Floats
+    error_mm: Floats
+    inverted: int
+    iterations: int
+    seconds: float
+    objective: float
+    x: Floats | None = None
+    round_trip: RoundTrip | None = None
+    solver: str = "reduced"
+    status: str = "converged"
+    notices: tuple[Finding, ...] = ()
+
+    def measured_error(self, vertices: Ints) -> Floats:
+        """Return the errors (k,) in mm of those ``vertices`` that the scan shows."""
+        error = self.error_mm[vertices]
+        return error[np.isfinite(error)]
 
 
 @dataclass(frozen=True)
@@ -40,8 +108,16 @@ class Rig:
     notices: tuple[Finding, ...] = ()
     figures: dict[str, Any] | None = None
 
+    def known_figures(self) -> dict[str, Any]:
+        """Return the figures; raises :class:`InputError` (``export.figures``) if there are none."""
+        if self.figures is None:
+            raise InputError(
+                "export.figures", "the rig has no figures: its report.json is not beside it"
+            )
+        return self.figures
+
     def save(self, path: Path) -> None:
-        """Write ``rig.npz``: the model, S and the expressions, without pickles."""
+        """Write ``rig.npz``: lengths in mm, surfaces and errors in single precision."""
         model = self.model.archive()
         header = {
             "format": FORMAT,
@@ -52,59 +128,227 @@ class Rig:
         }
         parts = {
             "model": model.arrays,
-            "weights": weight_arrays(self.weights, self.model),
-            "activations": activation_arrays(self.expressions, self.model),
+            "weights": _weight_arrays(self.weights, self.model),
+            "activations": _expression_arrays(self.expressions, self.model),
         }
         arrays = {
             f"{part}_{name}": array for part, held in parts.items() for name, array in held.items()
         }
         Archive(header, arrays).write(path)
 
-    def known_figures(self) -> dict[str, Any]:
-        """Return the figures; raises :class:`InputError` (``export.figures``) if there are none."""
-        if self.figures is None:
-            raise InputError(
-                "export.figures", "the rig has no figures: its report.json is not beside it"
-            )
-        return self.figures
+    def save_as_0_1(self, folder: Path) -> list[Path]:
+        """Write ``muscle_weights.npz`` and ``activations.npz``, for programs that read those."""
+        parts = {
+            folder / FILES_OF_0_1["weights"]: _weight_arrays(self.weights, self.model),
+            folder / FILES_OF_0_1["rig"]: _expression_arrays(self.expressions, self.model),
+        }
+        for path, arrays in parts.items():
+            with path.open("wb") as stream:
+                np.savez_compressed(stream, allow_pickle=False, **arrays)
+        return list(parts)
 
     @classmethod
-    def load(cls, path: Path) -> Rig:
-        """Read a rig: its ``rig.npz``, or a folder with it or with the four files of 0.1.
+    def load(cls, files: Path | Mapping[str, Path]) -> Rig:
+        """Read a rig: its ``rig.npz``, its folder, or a job's files by their roles.
 
-        These are ``model.npz``, ``muscle_weights.npz``, ``activations.npz`` and, if it is there,
-        ``report.json``. Raises :class:`InputError` as their readers, ``rig.unreadable`` for what is
-        no rig.
+        Raises :class:`InputError`: ``rig.unreadable`` for what is no rig, ``rig.format``,
+        ``rig.model`` for files of 0.1 that are not of one model, and as :meth:`SubjectModel.load`.
         """
-        if path.is_dir() and not (path / FILE).exists():
-            return cls._load_folder(path)
-        file = path / FILE if path.is_dir() else path
-        archive = Archive.read(file, "rig", "a rig", FORMAT)
+        given = find_files(files) if isinstance(files, Path) else files
+        if "weights" in given:
+            return cls._load_0_1(given)
+        path = given["rig"]
+        archive = Archive.read(path, "rig", "a rig", FORMAT)
         if "model" not in archive.header:
-            raise _no_rig(file)
-        model = SubjectModel.load(file)
-        return cls(
-            model,
-            load_weights(file, model),
-            load_activations(file, model),
-            archive.header["seconds"],
-            tuple(Finding.from_dict(each) for each in archive.header["notices"]),
-            archive.header["figures"],
-        )
+            raise _no_rig(path)
+        with _reading(path):
+            model = SubjectModel.from_archive(archive.part("model"))
+            return cls(
+                model,
+                _weights_from(with_prefix(archive.arrays, "weights_"), model, path),
+                _expressions_from(with_prefix(archive.arrays, "activations_"), model, path),
+                archive.header["seconds"],
+                tuple(Finding.from_dict(each) for each in archive.header["notices"]),
+                archive.header["figures"],
+            )
 
     @classmethod
-    def _load_folder(cls, folder: Path) -> Rig:
-        for name in ("model.npz", "muscle_weights.npz", "activations.npz"):
-            if not (folder / name).exists():
-                raise _no_rig(folder)
-        model = SubjectModel.load(folder / "model.npz")
-        figures = folder / "report.json"
-        return cls(
-            model,
-            load_weights(folder / "muscle_weights.npz", model),
-            load_activations(folder / "activations.npz", model),
-            figures=json.loads(figures.read_text(encoding="utf-8")) if figures.exists() else None,
+    def _load_0_1(cls, files: Mapping[str, Path]) -> Rig:
+        """Read the files of 0.1; a sequence was fitted without the expressions."""
+        weights, subject = files["weights"], SubjectModel.load(files["model"])
+        expressions: tuple[ExpressionFit, ...] = ()
+        with _reading(weights):
+            S = _weights_from(read_arrays(weights), subject, weights)
+        if (path := files.get("rig")) is not None:
+            with _reading(path):
+                expressions = _expressions_from(read_arrays(path), subject, path)
+        report = files.get("report")
+        figures = json.loads(report.read_text(encoding="utf-8")) if report else None
+        return cls(subject, S, expressions, figures=figures)
+
+
+def find_files(rig: Path) -> dict[str, Path]:
+    """Return the files of a rig by their roles in a job: its ``rig.npz``, else those of 0.1.
+
+    ``rig`` is the file or a folder. Raises :class:`InputError` (``rig.unreadable``).
+    """
+    if not rig.is_dir():
+        return {"rig": rig}
+    if (rig / FILE).exists():
+        return {"rig": rig / FILE}
+    found = {role: rig / name for role, name in FILES_OF_0_1.items() if (rig / name).exists()}
+    if not found.keys() >= FILES_OF_0_1.keys() - {"report"}:
+        raise _no_rig(rig)
+    return found
+
+
+# The arrays of S and of the expressions: those of the files of 0.1, and prefixed in rig.npz.
+
+
+def _weight_arrays(weights: sp.csr_array, model: SubjectModel) -> Arrays:
+    """Return S as CSR, explicit zeros kept."""
+    return {
+        "format": np.array(FORMAT),
+        "muscles": np.array(model.muscle_names, dtype=np.str_),
+        "model": np.array(_model_hash(model)),
+        "data": weights.data,
+        "indices": weights.indices,
+        "indptr": weights.indptr,
+        "shape": np.array(weights.shape),
+    }
+
+
+def _weights_from(data: Arrays, model: SubjectModel, path: Path) -> sp.csr_array:
+    _check_format(path, data)
+    if str(data["model"]) != _model_hash(model):
+        raise _other_model(path)
+    parts = (data["data"], data["indices"], data["indptr"])
+    return sp.csr_array(parts, shape=tuple(data["shape"].tolist()))
+
+
+def _model_hash(model: SubjectModel) -> str:
+    """Return the sha256 of what S depends on: the tets at rest and the muscles' names."""
+    digest = hashlib.sha256("\n".join(model.muscle_names).encode())
+    digest.update(np.ascontiguousarray(model.rest, dtype="<f8").tobytes())
+    digest.update(np.ascontiguousarray(model.tets, dtype="<i8").tobytes())
+    return digest.hexdigest()
+
+
+def _expression_arrays(expressions: tuple[ExpressionFit, ...], model: SubjectModel) -> Arrays:
+    muscles, vertices = model.muscle_count, len(model.skin.vertices)
+
+    def column(field: str, shape: tuple[int, ...], dtype: type = np.float64) -> np.ndarray:
+        rows: np.ndarray = np.array([getattr(fit, field) for fit in expressions], dtype=dtype)
+        return rows.reshape(len(expressions), *shape)
+
+    def texts(values: Iterable[str]) -> np.ndarray:
+        return np.array(list(values), dtype=np.str_)
+
+    x = np.full((len(expressions), *model.rest.shape), np.nan)
+    trips = np.full((len(expressions), len(fields(RoundTrip))), np.nan)
+    for k, fit in enumerate(expressions):
+        if fit.x is not None:
+            x[k] = fit.x
+        if fit.round_trip is not None:
+            trips[k] = astuple(fit.round_trip)
+
+    return {
+        "format": np.array(FORMAT),
+        "muscles": texts(model.muscle_names),
+        "names": texts(fit.name for fit in expressions),
+        "roles": texts(fit.role for fit in expressions),
+        "activations": column("activations", (muscles, 6)),
+        "jaw": column("jaw", (5,)),
+        "skin": column("skin", (vertices, 3), np.float32),
+        "target": column("target", (vertices, 3), np.float32),
+        "error_mm": column("error_mm", (vertices,), np.float32),
+        "inverted": column("inverted", (), np.int64),
+        "iterations": column("iterations", (), np.int64),
+        "seconds": column("seconds", ()),
+        "objective": column("objective", ()),
+        "x": x,
+        "round_trip": trips,
+        "solver": texts(fit.solver for fit in expressions),
+        "status": texts(fit.status for fit in expressions),
+        "notices": texts(
+            json.dumps([each.as_dict() for each in fit.notices], allow_nan=False)
+            for fit in expressions
+        ),
+    }
+
+
+def _expressions_from(data: Arrays, model: SubjectModel, path: Path) -> tuple[ExpressionFit, ...]:
+    _check_format(path, data)
+    if (
+        tuple(data["muscles"].tolist()) != model.muscle_names
+        or data["skin"].shape[1:] != model.skin.vertices.shape
+    ):
+        raise _other_model(path)
+    return tuple(
+        ExpressionFit(
+            name=str(data["names"][k]),
+            role=str(data["roles"][k]),
+            activations=data["activations"][k],
+            jaw=data["jaw"][k],
+            skin=data["skin"][k].astype(np.float64),
+            target=data["target"][k].astype(np.float64),
+            error_mm=data["error_mm"][k].astype(np.float64),
+            inverted=int(data["inverted"][k]),
+            iterations=int(data["iterations"][k]),
+            seconds=float(data["seconds"][k]),
+            objective=float(data["objective"][k]),
+            x=_known(data, "x", k),
+            round_trip=None
+            if (trip := _known(data, "round_trip", k)) is None
+            else RoundTrip(*map(float, trip)),
+            **_solve(data, k),
         )
+        for k in range(len(data["names"]))
+    )
+
+
+def _known(data: dict[str, np.ndarray], array: str, k: int) -> Floats | None:
+    """Return a row of an array that older rigs do not have; None too where all of it is NaN."""
+    if array not in data or np.isnan(data[array][k]).all():
+        return None
+    return np.asarray(data[array][k], np.float64)
+
+
+def _solve(data: dict[str, np.ndarray], k: int) -> dict[str, Any]:
+    """Return solver, status and notices of an expression; older rigs do not have them."""
+    if "status" not in data:
+        return {"status": "unknown"}
+    notices = tuple(Finding.from_dict(each) for each in json.loads(str(data["notices"][k])))
+    return {"solver": str(data["solver"][k]), "status": str(data["status"][k]), "notices": notices}
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except InputError:
+        raise
+    except (LookupError, TypeError, ValueError) as error:
+        raise InputError(
+            "rig.unreadable", f"{path.name} is not part of a rig: {error}", file=path.name
+        ) from error
+
+
+def _check_format(path: Path, data: dict[str, np.ndarray]) -> None:
+    if int(data["format"]) != FORMAT:
+        raise InputError(
+            "rig.format",
+            f"{path.name} has rig format {int(data['format'])}, not {FORMAT}",
+            file=path.name,
+            expected=FORMAT,
+            found=int(data["format"]),
+        )
+
+
+def _other_model(path: Path) -> InputError:
+    return InputError(
+        "rig.model", f"{path.name} belongs to a rig of another subject model", file=path.name
+    )
 
 
 def _no_rig(path: Path) -> InputError:

@@ -16,7 +16,7 @@ from solver.drawing.head import both_sides
 from solver.rig.certificate import JAW_RANGES, JAW_SOURCE, MUSCLE_SOURCE
 from solver.rig.checks import overall
 from solver.rig.report import expression_words, figure, millimetres
-from solver.rig.result import ROLES
+from solver.rig.rig import ROLES
 
 WORDS = {"good": "Good", "usable": "Usable", "bad": "Look at it"}
 SHAPES = {  # told apart by shape, not by colour alone

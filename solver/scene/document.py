@@ -13,9 +13,8 @@ from solver.animation.drives import HeadKey, KeyedDrives, PoseKey
 from solver.errors import InputError
 from solver.fitting.face import Pose
 from solver.fitting.stretches import fibre_tensors, shorten
-from solver.kinds.faults import find_faults
+from solver.kinds.document import Document, find_faults
 from solver.kinds.scene import Jaw, MotionKey, SimulateScene
-from solver.kinds.values import Document
 from solver.mechanics.flesh import shape_gradients
 from solver.model import SubjectModel
 from solver.surface import Floats

@@ -14,7 +14,7 @@ import numpy as np
 from solver.anatomy.template import Template
 from solver.edits.changes import patches, spots
 from solver.errors import InputError
-from solver.kinds.edits import AssetMap, RegionMap, SkinMap
+from solver.kinds.scene import AssetMap, RegionMap, SkinMap
 from solver.model import SubjectModel
 from solver.registration.landmarks import landmark_vertices
 from solver.storage import map_array

@@ -13,7 +13,7 @@ from solver.edits.changes import Bone, Density, Fat, Filler, Paralysis, Stiffeni
 from solver.edits.edit import Change, Edited, apply
 from solver.errors import InputError
 from solver.fitting.face import Face
-from solver.kinds import edits as described
+from solver.kinds import scene as described
 from solver.kinds import scene as scenes
 from solver.mechanics.boundary import Potential
 from solver.mechanics.flesh import COROTATED_DET, COROTATED_TRACE, IDENTITY, NEO_HOOKEAN, Material

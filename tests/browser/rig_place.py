@@ -34,7 +34,7 @@ FLAGS = (
     "--enable-unsafe-swiftshader",
 )
 PARTS = ("view.bin", "inside.bin", "preview.bin")
-SOLVED = ("model.npz", "muscle_weights.npz", "activations.npz")
+SOLVED = ("model.npz", "rig.npz")
 SECONDS = 30.0
 CERTIFICATE = {
     "verdict": "usable",

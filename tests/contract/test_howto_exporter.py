@@ -1,7 +1,7 @@
 """The how-to for a new exporter, followed to the letter in a copy of the tree.
 
-Its two files are written out of its code blocks; then a rig is written by the command line, and by
-what each fit calls.
+Its two files are written out of its code blocks; then a rig is written by the command line, by a
+job as the API offers and a worker does it, and by what each fit calls.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ import numpy as np
 import pytest
 
 from solver.mechanics.flesh import IDENTITY
-from solver.rig.result import ExpressionFit
-from solver.rig.rig import Rig
+from solver.rig.rig import ExpressionFit, Rig
 from tests.solver.block import block_model
 
 ROOT = Path(__file__).parents[2]
@@ -26,6 +25,20 @@ HOWTO = ROOT / "docs" / "develop" / "add-an-exporter.md"
 ROOMS = ("solver", "service", "worker", "myoface", "tests/solver")
 FILE = re.compile(r"`([\w/.]+)`:\n\n```python\n(.*?)```", re.DOTALL)
 COMMAND = "from myoface.cli import main; main()"
+BY_A_JOB = """
+import json
+from pathlib import Path
+from service.system.schemas import KindView
+from solver.kinds import KINDS
+from worker.solve import solve
+offered = KindView.of(KINDS["export_rig"]).options["properties"]["format"]["enum"]
+rig = {"role": "rig", "name": "rig.npz", "path": "rig.npz"}
+job = {"kind": "export_rig", "inputs": [rig], "options": {"format": "pc2"}, "resume": False}
+Path("attempt").mkdir()
+Path("attempt", "job.json").write_text(json.dumps(job))
+told = solve(Path("attempt"), lambda step: None)["summary"]
+print("pc2" in offered, told["file"], told["bytes"])
+"""
 AFTER_A_FIT = """
 from pathlib import Path
 from solver.rig.exporters import write_all
@@ -62,16 +75,18 @@ def test_its_test_passes(copy: Path) -> None:
     _run(copy, "-m", "pytest", "-q", "tests/solver/rig/exporters/test_pc2.py")
 
 
-def test_the_command_line_and_each_fit_write_the_file(copy: Path) -> None:
+def test_the_command_line_a_job_and_each_fit_write_the_file(copy: Path) -> None:
     [line] = [
         line.strip()
         for line in HOWTO.read_text(encoding="utf-8").splitlines()
-        if line.startswith("    myoface solve export")
+        if line.startswith("    myoface solve export-rig")
     ]
     arguments = [part.strip("'") for part in re.findall(r"'[^']*'|\S+", line)[1:]]
     _run(copy, "-c", COMMAND, *arguments)
-    made = (copy / "smile.pc2").read_bytes()
+    made = (copy / "smile" / "rig.pc2").read_bytes()
     assert made.startswith(b"POINTCACHE2\0")
+    offered, file, size = _run(copy, "-c", BY_A_JOB).splitlines()[-1].split()
+    assert (offered, file, int(size)) == ("True", "rig.pc2", len(made))
     listed = _run(copy, "-c", AFTER_A_FIT).split()
     assert {"rig.pc2", "rig.glb", "rig.npz"} <= set(listed)
     assert len((copy / "made" / "rig.pc2").read_bytes()) == len(made)

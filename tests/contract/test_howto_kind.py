@@ -102,12 +102,8 @@ def ask_in_all_ways(folder: Path) -> None:
         shown = CliRunner(env=shell).invoke(app, ["jobs", "kinds", "measure_rig"])
         assert "skin that moves by less does not count" in " ".join(shown.output.split())
 
-    names = ("model.npz", "muscle_weights.npz", "activations.npz")
-    for name in names:
-        (folder / "rig").mkdir(exist_ok=True)
-        shutil.copy(folder / name, folder / "rig" / name)
     out = folder / "measured"
-    solve = ["solve", "measure-rig", str(folder / "model.npz"), str(folder / "rig")]
+    solve = ["solve", "measure-rig", str(folder / "rig.npz")]
     made = CliRunner().invoke(app, [*solve, "--least-mm", "1", "-o", str(out)])
     assert made.exit_code == 0, made.output
     measured = json.loads((out / "measurement.json").read_text(encoding="utf-8"))
@@ -120,7 +116,7 @@ KINDS_ROUTE = "/v1/kinds"
 def put_rig(settings: object, folder: Path, served: object) -> tuple[str, str]:
     """Put a subject with a model and a rig into a service that stands; return their ids."""
     from solver.mechanics.flesh import IDENTITY
-    from solver.rig.result import ExpressionFit, save_activations, save_weights
+    from solver.rig.rig import ExpressionFit, Rig
     from tests.solver.block import head_block
 
     model = head_block()
@@ -128,8 +124,7 @@ def put_rig(settings: object, folder: Path, served: object) -> tuple[str, str]:
     a, none = np.tile(IDENTITY, (model.muscle_count, 1)), np.zeros(len(skin))
     fit = ExpressionFit("smile", "train", a, np.zeros(5), skin, skin, none, 0, 1, 0.0, 0.0)
     model.save(folder / "model.npz")
-    save_weights(folder / "muscle_weights.npz", model.weights, model)
-    save_activations(folder / "activations.npz", (fit,), model)
+    Rig(model, model.weights, (fit,)).save(folder / "rig.npz")
     with served(settings) as studio:  # type: ignore[operator]
         subject = studio.subject()
         smile = studio.capture(subject, "smile")
@@ -141,8 +136,7 @@ def put_rig(settings: object, folder: Path, served: object) -> tuple[str, str]:
         made = studio.submit("build_model", subject)
         studio.pretend(made, stored("model.npz"))
         job = studio.submit("fit_geometry", subject, captures=[smile])
-        left = stored("muscle_weights.npz", "activations.npz")
-        studio.pretend(job, left, rig={"subject_id": subject, "model_job_id": made})
+        studio.pretend(job, stored("rig.npz"), rig={"subject_id": subject, "model_job_id": made})
         return subject, str(studio.job(job)["result"]["rig_id"])
 
 

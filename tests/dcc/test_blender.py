@@ -21,8 +21,7 @@ from solver.rig.animation_gltf import AnimatedSkin, AnimationOptions, write_anim
 from solver.rig.exporters import glb
 from solver.rig.gltf import Solid
 from solver.rig.motion import SequenceFrame
-from solver.rig.result import ExpressionFit
-from solver.rig.rig import Rig
+from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.skin_basis import SEQUENCE_BASIS
 from solver.surface import Floats, Surface, vertex_normals
 from solver.templates.builtin.build import builtin_expression

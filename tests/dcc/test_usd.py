@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from solver.mechanics.boundary import move_jaw
-from solver.rig.result import ExpressionFit, save_activations, save_weights
-from solver.rig.rig import Rig
+from solver.rig.rig import ExpressionFit, Rig
 from solver.surface import Floats, Surface, vertex_normals
 from solver.templates.builtin.build import builtin_expression
 from tests.solver.block import block_model
@@ -145,15 +144,13 @@ def test_shapes_turn_the_normals_too(rig: Rig, path: Path) -> None:
 
 
 def test_the_command_converts_a_rig_s_folder(rig: Rig, tmp_path: Path) -> None:
-    rig.model.save(tmp_path / "model.npz")
-    save_activations(tmp_path / "activations.npz", rig.expressions, rig.model)
-    save_weights(tmp_path / "muscle_weights.npz", rig.weights, rig.model)
+    rig.save(tmp_path / "rig.npz")
     run = "from myoface.cli import main; main()"
-    command = [sys.executable, "-c", run, "solve", "export", str(tmp_path), "usd"]
-    command += ["-o", str(tmp_path / "rig.usda")]
+    command = [sys.executable, "-c", run, "solve", "export-rig", str(tmp_path), "--format", "usd"]
+    command += ["-o", str(tmp_path), "--file", "rig.usda"]
     subprocess.run(command, cwd=ROOT, check=True, timeout=60)
     assert faults(Usd.Stage.Open(str(tmp_path / "rig.usda"))) == []
-    command[-1] = str(tmp_path / "rig.fbx")
+    command[-1] = "rig.fbx"
     child = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
     assert child.returncode == 1
     assert "rig.fbx does not end in .usdc, .usda, .usd" in child.stderr

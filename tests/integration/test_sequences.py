@@ -18,7 +18,7 @@ from service.store.models import DEFAULT_TENANT
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.frames import write_chunk
 from solver.rig.motion import SequenceFrame
-from solver.rig.result import save_weights
+from solver.rig.rig import Rig
 from tests.service_client import Studio, eventually
 from tests.solver.block import block_model
 from worker.attempt import AttemptFolder
@@ -95,17 +95,12 @@ def test_a_scan_is_no_performance(studio: Studio, rigged: tuple[str, str]) -> No
 def test_the_real_solver_goes_on_in_an_attempt_s_folder(tmp_path: Path) -> None:
     """What the worker hands over is what the pipeline takes, and its frames what the API shows."""
     model, store = block_model(), FolderFiles(tmp_path / "files")
-    model.save(tmp_path / "model.npz")
-    save_weights(tmp_path / "weights.npz", model.weights, model)
+    Rig(model, model.weights, ()).save(tmp_path / "rig.npz")
     still = model.skin.vertices[model.face]
     np.save(tmp_path / "take.npy", [still, still + 0.1, still, still])
     inputs = [
         {"role": name, "name": name, "filename": file, "sha256": store.put(tmp_path / file).sha256}
-        for name, file in (
-            ("model", "model.npz"),
-            ("weights", "weights.npz"),
-            ("performance", "take.npy"),
-        )
+        for name, file in (("rig", "rig.npz"), ("performance", "take.npy"))
     ]
     before = SequenceFrame(
         frame=0,

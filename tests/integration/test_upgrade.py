@@ -82,6 +82,18 @@ def test_a_batch_goes_on(upgraded: Upgraded) -> None:
     assert upgraded.studio.get(f"/v1/rigs/{batch['fit']['rig_id']}")["expressions"] == ["smile"]
 
 
+def test_a_rig_of_its_four_files_is_fitted_and_played(upgraded: Upgraded) -> None:
+    ids, studio = upgraded.expected["ids"], upgraded.studio
+    names = {each["name"] for each in studio.get(f"/v1/rigs/{ids['rig']}")["artifacts"]}
+    assert names >= {"activations.npz", "muscle_weights.npz"}
+    assert "rig.npz" not in names
+    fit = {"captures": [ids["smile"]], "rig_id": ids["rig"]}
+    child = studio.done("fit_activations", ids["subject"], **fit)["result"]["rig_id"]
+    assert {"smile", "frown"} <= set(studio.get(f"/v1/rigs/{child}")["expressions"])
+    for rig in (ids["rig"], child):
+        studio.done("build_preview", ids["subject"], rig_id=rig)
+
+
 def test_the_other_tenants_job_ends(upgraded: Upgraded) -> None:
     mine = upgraded.studio.http.headers["Authorization"]
     other = Studio(upgraded.studio.http, (upgraded.data / "other.key").read_text())

@@ -28,6 +28,7 @@ def test_scans_become_a_rig_and_a_child_rig(studio: Studio) -> None:
         "report.html",
         "report.json",
         "rig.glb",
+        "rig.npz",
     ]
     assert [a["outcome"] for a in first["attempts"]] == ["succeeded"]
     parent = first["result"]["rig_id"]

@@ -19,7 +19,7 @@ from solver.anatomy.template import ShapeBasis
 from solver.jobs import run_job
 from solver.jobs.animate import SAVED_EVERY
 from solver.model import SubjectModel
-from solver.rig.result import ExpressionFit, save_activations, save_weights
+from solver.rig.rig import ExpressionFit, Rig
 from solver.scans.live_link import ARKIT_NAMES
 from tests.service_client import QUICK, ROOT, Studio, eventually, served
 from tests.solver.ball import ball_template
@@ -73,9 +73,7 @@ def test_killed_processes_cost_no_frame_and_the_animation_ends_once(
         content = http.get(f"/v1/artifacts/{arrays['id']}").content
     with np.load(io.BytesIO(content)) as data:
         pieced = data["skin"]
-    files = {"model": "model.npz", "weights": "muscle_weights.npz", "rig": "activations.npz"}
-    given = {name: tmp_path / file for name, file in files.items()}
-    run_job("simulate", tmp_path / "whole", options={"scene": SWAY}, **given)
+    run_job("simulate", tmp_path / "whole", options={"scene": SWAY}, rig=tmp_path / "rig.npz")
     with np.load(tmp_path / "whole" / "animation.npz") as data:
         assert np.abs(data["skin"][40] - data["skin"][0]).max() > 2.0
         np.testing.assert_allclose(pieced, data["skin"], atol=0.05)
@@ -160,8 +158,7 @@ def fitted(
     skin, error = model.skin.vertices, np.zeros(len(model.skin.vertices))
     fit = ExpressionFit("wide", "train", wide, np.zeros(5), skin, skin, error, 0, 1, 0.0, 0.0)
     model.save(folder / "model.npz")
-    save_weights(folder / "muscle_weights.npz", model.weights, model)
-    save_activations(folder / "activations.npz", (fit,), model)
+    Rig(model, model.weights, (fit,)).save(folder / "rig.npz")
     with served(settings) as studio:
         made_with = {}
         if template is not None:
@@ -180,6 +177,7 @@ def fitted(
         made = studio.submit("build_model", subject)
         studio.pretend(made, stored("model.npz"))
         fit_job = studio.submit("fit_geometry", subject, captures=[smile])
-        left = stored("muscle_weights.npz", "activations.npz")
-        studio.pretend(fit_job, left, rig={"subject_id": subject, "model_job_id": made})
+        studio.pretend(
+            fit_job, stored("rig.npz"), rig={"subject_id": subject, "model_job_id": made}
+        )
         return subject, str(studio.job(fit_job)["result"]["rig_id"])

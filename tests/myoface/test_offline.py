@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from myoface.cli import app
 from solver.errors import InputError
-from solver.rig.result import save_activations, save_weights
+from solver.rig.rig import Rig
 from tests.solver.block import head_block
 
 
@@ -30,18 +30,16 @@ def test_a_refused_scan_leaves_no_empty_folder(existed: bool, tmp_path: Path) ->
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A model and a rig without expressions."""
+    """A folder with a rig without expressions."""
     folder, model = tmp_path_factory.mktemp("rig"), head_block((7, 5, 1))
-    model.save(folder / "model.npz")
-    save_weights(folder / "muscle_weights.npz", model.weights, model)
-    save_activations(folder / "activations.npz", (), model)
+    Rig(model, model.weights, ()).save(folder / "rig.npz")
     np.save(folder / "map.npy", np.ones(len(model.skin.vertices)))
     return folder
 
 
 def played(command: str, rig: Path, scene: str, out: Path, *more: str) -> Result:
     (rig / "scene.json").write_text(scene)
-    files = [str(rig / "model.npz"), str(rig), str(rig / "scene.json")]
+    files = [str(rig), str(rig / "scene.json")]
     return CliRunner().invoke(app, ["solve", command, *files, "-o", str(out), *more])
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from solver.errors import InputError
 from solver.model import SubjectModel
-from solver.rig.result import load_activations, load_weights
+from solver.rig.rig import Rig
 from solver.scans.performance import open_performance
 from solver.storage import map_array, read_arrays
 from tests.solver.block import block_model
@@ -195,15 +195,13 @@ def test_callers_name_the_file(tmp_path: Path) -> None:
     cases = {
         "performance.unreadable": lambda: open_performance(zipped, model.skin, face),
         "model.unreadable": lambda: SubjectModel.load(plain),
-        "rig.unreadable": lambda: load_activations(plain, model),
+        "rig.unreadable": lambda: Rig.load(plain),
     }
     for code, read in cases.items():
         with pytest.raises(InputError) as caught:
             read()
         assert caught.value.code == code
         assert caught.value.context["file"] == ("take.npy" if "perf" in code else "a.npz")
-    with pytest.raises(InputError, match=r"a\.npz"):
-        load_weights(plain, model)
 
 
 def test_nothing_else_in_the_solver_reads_arrays() -> None:

@@ -13,7 +13,7 @@ from solver.animation.blendshapes import Blendshapes, Solved
 from solver.fitting.face import Pose
 from solver.mechanics.flesh import IDENTITY
 from solver.progress import silent
-from solver.rig.result import save_activations, save_weights
+from solver.rig.rig import Rig
 from solver.scans.live_link import ARKIT_NAMES
 from tests.solver.block import head_block
 from worker.solve import solve
@@ -27,12 +27,10 @@ TAKE = {"recording": {"asset": "take"}}
 def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Role, or the name of an asset -> file."""
     folder = tmp_path_factory.mktemp("files")
-    names = ("model", "weights", "rig", "soft", "take", "blendshapes")
+    names = ("rig", "soft", "take", "blendshapes")
     files = {name: folder / name for name in names}
     files = {**files, "soft": folder / "map.npy", "take": folder / "take.csv"}
-    MODEL.save(files["model"])
-    save_weights(files["weights"], MODEL.weights, MODEL)
-    save_activations(files["rig"], (), MODEL)
+    Rig(MODEL, MODEL.weights, ()).save(files["rig"])
     np.save(files["soft"], np.ones(len(MODEL.skin.vertices)))
     rows = [["Timecode", *ARKIT_NAMES], ["00:00:00:00", *(["0"] * len(ARKIT_NAMES))]]
     files["take"].write_text("\n".join(map(",".join, rows)))
@@ -61,7 +59,7 @@ def test_a_scene_gets_its_person_and_its_assets(
     items = [
         {"role": "asset" if name in ("soft", "take") else name, "name": name, "path": str(path)}
         for name, path in inputs.items()
-        if name in ("model", "weights", "rig", *roles)
+        if name in ("rig", *roles)
     ]
     job = {"kind": kind, "inputs": items, "options": {"scene": scene}, "resume": False}
     (tmp_path / "out").mkdir()

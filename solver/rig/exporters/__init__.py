@@ -6,18 +6,19 @@ need an extra.
 
 from __future__ import annotations
 
-import pkgutil
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, cast
 
+from pydantic import TypeAdapter, ValidationError
+
 from solver.errors import InputError
+from solver.kinds.export_rig import FORMATS
 from solver.rig.certificate import Certificate
 from solver.rig.pictures import fit_picture
 from solver.rig.report import report, write_report
-from solver.rig.result import save_activations, save_weights
 from solver.rig.rig import Rig
 from solver.rig.web_page import write_page
 
@@ -52,22 +53,17 @@ class NoOptions:
 NO_OPTIONS = NoOptions()
 
 
-EXPORTERS: Mapping[str, str] = {
-    each.name: f"{__name__}.{each.name}" for each in pkgutil.iter_modules(__path__)
-}
-
-
 def exporter(name: str) -> Exporter:
     """Return an exporter; raises :class:`InputError` (``export.unknown``, ``export.extra``)."""
-    if name not in EXPORTERS:
+    if name not in FORMATS:
         raise InputError(
             "export.unknown",
-            f"there is no exporter {name!r}; there are {', '.join(EXPORTERS)}",
+            f"there is no exporter {name!r}; there are {', '.join(FORMATS)}",
             found=name,
-            expected=list(EXPORTERS),
+            expected=list(FORMATS),
         )
     try:
-        return cast(Exporter, import_module(EXPORTERS[name]))
+        return cast(Exporter, import_module(f"{__name__}.{name}"))
     except ModuleNotFoundError as error:
         raise InputError("export.extra", str(error), found=name) from error
 
@@ -84,7 +80,8 @@ def export(
     file = path or Path(chosen.FILE)
     try:
         given = chosen.Options(**(options or {}))
-    except TypeError as error:
+        TypeAdapter(chosen.Options).validate_python(asdict(given))
+    except (TypeError, ValidationError) as error:
         raise InputError("export.options", f"options of {name}: {error}") from error
     file.parent.mkdir(parents=True, exist_ok=True)
     chosen.write(rig, file, given)
@@ -94,7 +91,7 @@ def export(
 def write_all(rig: Rig, folder: Path) -> list[Path]:
     """Write what belongs to every rig into its folder, unless its extra is missing."""
     files = []
-    for name in EXPORTERS:
+    for name in FORMATS:
         try:
             module = exporter(name)
         except InputError:
@@ -111,19 +108,16 @@ def write_rig(rig: Rig, certificate: Certificate, out: Path) -> list[Path]:
     """Write the rig into the folder ``out`` and return the paths of its files.
 
     These are those of all exporters that belong to every rig (``rig.npz``, ``rig.glb`` ...), the
-    parts ``activations.npz`` and ``muscle_weights.npz`` of ``rig.npz`` for programs that read them,
+    parts ``activations.npz`` and ``muscle_weights.npz`` for programs that read those of 0.1,
     ``report.json``, ``report.html`` and ``fit_<expression>.png``.
     """
     out.mkdir(parents=True, exist_ok=True)
     figures = report(rig, certificate)
-    names = ("activations.npz", "muscle_weights.npz", "report.json", "report.html")
-    files = activations, weights, figures_file, page = [out / name for name in names]
-    save_activations(activations, rig.expressions, rig.model)
-    save_weights(weights, rig.weights, rig.model)
+    figures_file, page = out / "report.json", out / "report.html"
     write_report(figures_file, figures)
-    exported = write_all(replace(rig, figures=figures), out)
+    exported = [*write_all(replace(rig, figures=figures), out), *rig.save_as_0_1(out)]
     pictures = {fit.name: out / f"fit_{fit.name}.png" for fit in rig.expressions}
     for fit in rig.expressions:
         fit_picture(rig.model, fit, pictures[fit.name])
     write_page(page, figures)
-    return [*exported, *files, *pictures.values()]
+    return [*exported, figures_file, page, *pictures.values()]

@@ -6,8 +6,7 @@ import csv
 from dataclasses import dataclass
 from pathlib import Path
 
-from solver.rig.result import ENTRIES
-from solver.rig.rig import Rig
+from solver.rig.rig import ENTRIES, Rig
 
 FILE = "activations.csv"
 MEDIA_TYPE = "text/csv"

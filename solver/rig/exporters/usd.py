@@ -32,8 +32,7 @@ from solver.mechanics.boundary import JAW_FREEDOM, jaw_rotation, move_jaw
 from solver.model import SubjectModel
 from solver.rig.gltf import DEFAULTS, MATERIALS, worst_error
 from solver.rig.gltf import ShapeOptions as Options
-from solver.rig.result import ExpressionFit
-from solver.rig.rig import Rig
+from solver.rig.rig import ExpressionFit, Rig
 from solver.surface import Floats, Surface, vertex_normals
 
 FILE = "rig.usdc"

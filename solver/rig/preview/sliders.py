@@ -29,7 +29,7 @@ from solver.mechanics.boundary import JAW_FREEDOM, jaw_jacobian
 from solver.mechanics.equilibrium import Equilibrium
 from solver.mechanics.flesh import IDENTITY
 from solver.mechanics.newton import Factorization
-from solver.rig.result import ExpressionFit
+from solver.rig.rig import ExpressionFit
 from solver.surface import Floats
 
 # What a muscle's slider does: the muscle shortens along its fibres, as muscles do.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from solver.fitting.face import Face, Pose
 from solver.jobs import run_job
 from solver.progress import Step
 from solver.rig.gltf_check import validate_glb
-from solver.rig.result import ExpressionFit, load_activations, save_activations, save_weights
+from solver.rig.rig import ExpressionFit, Rig
 from tests.solver.block import head_block
 
 pytestmark = pytest.mark.long
@@ -29,10 +28,8 @@ FAT = {"kind": "fat", "f_min": 1.0, "f_max": 1.2}
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A model, its S and an expression of both sides."""
-    folder = tmp_path_factory.mktemp("rig")
-    MODEL.save(folder / "model.npz")
-    save_weights(folder / "muscle_weights.npz", MODEL.weights, MODEL)
+    """A rig with an expression of both sides."""
+    file = tmp_path_factory.mktemp("rig") / "rig.npz"
     face = Face(MODEL)
     a = np.array([[0.8, 0.02, 0.0, 1.1, 0.0, 1.1], [0.8, -0.02, 0.0, 1.1, 0.0, 1.1]])
     b = np.array([0.04, 0.0, 0.0, 0.0, 0.0])
@@ -40,19 +37,14 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     skin = face.whole_skin(state.x, b)
     error = np.zeros(len(skin))
     fit = ExpressionFit("wide", "train", a, b, skin, skin, error, 0, 1, 0.0, 0.0, state.x)
-    save_activations(folder / "activations.npz", (fit,), MODEL)
-    return folder
-
-
-def files_of(rig: Path) -> dict[str, Path]:
-    names = {"model": "model.npz", "weights": "muscle_weights.npz", "rig": "activations.npz"}
-    return {name: rig / file for name, file in names.items()}
+    Rig(MODEL, MODEL.weights, (fit,)).save(file)
+    return file
 
 
 def run(rig: Path, out: Path, *edits: dict[str, object], **scene: object) -> list[Step]:
     steps: list[Step] = []
     options = {"scene": {"edits": list(edits), **scene}}
-    files = run_job("edit", out, options=options, progress=steps.append, **files_of(rig))
+    files = run_job("edit", out, options=options, progress=steps.append, rig=rig)
     assert all(file.stat().st_size > 0 for file in files)
     return steps
 
@@ -98,11 +90,10 @@ def test_the_picture_says_how_many_expressions_it_leaves_out(
     monkeypatch.setattr(Sheet, "heading", lambda _page, _title, detail: headings.append(detail))
     run(rig, tmp_path / "one", PALSY)
     assert "expressions are shown" not in headings[0]
-    shutil.copytree(rig, tmp_path / "rig")
-    [wide] = load_activations(rig / "activations.npz", MODEL)
-    many = [replace(wide, name=f"wide_{number}") for number in range(5)]
-    save_activations(tmp_path / "rig" / "activations.npz", many, MODEL)
-    run(tmp_path / "rig", tmp_path / "many", PALSY)
+    [wide] = Rig.load(rig).expressions
+    many = tuple(replace(wide, name=f"wide_{number}") for number in range(5))
+    Rig(MODEL, MODEL.weights, many).save(tmp_path / "rig.npz")
+    run(tmp_path / "rig.npz", tmp_path / "many", PALSY)
     assert headings[1].endswith("; 4 of 5 expressions are shown")
 
 

@@ -17,7 +17,7 @@ from solver.jobs import run_job
 from solver.meshio.obj import write_obj
 from solver.meshio.registered import read_registered
 from solver.progress import Step
-from solver.rig.result import load_activations, save_weights
+from solver.rig.rig import Rig
 from solver.surface import Floats, Surface
 from tests.solver.block import head_block
 
@@ -28,10 +28,10 @@ MODEL = head_block((7, 5, 1))
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A model, its S, two simulated expressions, and one of them with a bump on the skin."""
+    """A model, a rig of it, two simulated expressions, and one of them with a bump."""
     folder = tmp_path_factory.mktemp("subject")
     MODEL.save(folder / "model.npz")
-    save_weights(folder / "weights.npz", MODEL.weights, MODEL)
+    Rig(MODEL, MODEL.weights, ()).save(folder / "rig.npz")
     face = Face(MODEL)
     rest = face.rest
     for name, stretch, hinge in (("wide", (0.8, 0.95), 0.06), ("narrow", (0.95, 0.8), 0.02)):
@@ -56,7 +56,7 @@ def activations(
     """Fit the expressions; return the report and the steps that were told."""
     steps: list[Step] = []
     scans = {name: files / f"{name}.obj" for name in names}
-    given = {"model": files / "model.npz", "weights": files / "weights.npz", **more}
+    given = {"rig": files / "rig.npz", **more}
     run_job("fit_activations", out, captures=scans, progress=steps.append, **given)
     return json.loads((out / "report.json").read_text()), steps
 
@@ -75,7 +75,7 @@ def test_an_artifact_is_named_with_region_and_vertex(files: Path, tmp_path: Path
     assert report["expressions"]["narrow"]["warnings"] == []
     assert report["expressions"]["narrow"]["status"] == "converged"
     # a rig that carries the expression over still says so
-    again, _ = activations(files, tmp_path / "next", "wide", rig=tmp_path)
+    again, _ = activations(files, tmp_path / "next", "wide", rig=tmp_path / "rig.npz")
     assert again["expressions"]["bump"]["warnings"] == [warning]
 
 
@@ -127,7 +127,7 @@ def test_geometry_by_ipopt_from_one_target(
     assert [warning["code"] for warning in report["warnings"]] == ["fit.one_target"]
     assert report["expressions"]["wide"]["mean_mm"] < 0.1
     assert report["inverted"] == 0
-    before = tmp_path / "rig" / "activations.npz"
+    before = tmp_path / "rig" / "rig.npz"
     after, _ = activations(files, tmp_path / "next", "narrow", rig=before)
     assert after["seconds"]["geometry"] == pytest.approx(report["seconds"]["geometry"], abs=2e-3)
     monkeypatch.setattr(geometry, "MOST_TETS", 400)
@@ -140,7 +140,7 @@ def test_geometry_by_ipopt_from_one_target(
 def test_a_flipped_scan_is_called_so(files: Path, tmp_path: Path) -> None:
     turned = np.array([-1.0, 1.0, 1.0]) * MODEL.skin.vertices
     scans = {"flipped": write(tmp_path / "flipped.obj", turned), "wide": files / "wide.obj"}
-    given = {"model": files / "model.npz", "weights": files / "weights.npz"}
+    given = {"rig": files / "rig.npz"}
     with pytest.raises(InputError, match=r"flipped.obj .* 180 degrees") as caught:
         run_job("fit_activations", tmp_path / "rig", captures=scans, **given)
     assert caught.value.code == "scan.misaligned"
@@ -150,7 +150,7 @@ def test_a_fit_to_planes_is_not_misled_by_vertices_that_slid(files: Path, tmp_pa
     faces, count = MODEL.skin.faces, len(MODEL.skin.vertices)
     true = read_registered(files / "narrow.obj", faces, count).vertices
     scans = {"slid": write(tmp_path / "slid.obj", true + np.array([4.0, 0.0, 0.0]))}
-    given = {"model": files / "model.npz", "weights": files / "weights.npz"}
+    given = {"rig": files / "rig.npz"}
     away = {}
     for distance in ("point", "plane"):
         out = tmp_path / distance
@@ -158,7 +158,7 @@ def test_a_fit_to_planes_is_not_misled_by_vertices_that_slid(files: Path, tmp_pa
         run_job("fit_activations", out, options=options, captures=scans, **given)
         report = json.loads((out / "report.json").read_text())
         assert (report["settings"]["distance"], report["inverted"]) == (distance, 0)
-        skin = load_activations(out / "activations.npz", MODEL)[0].skin
+        skin = Rig.load(out).expressions[0].skin
         away[distance] = np.linalg.norm(skin - true, axis=1).mean()
     assert away["plane"] < 1.0 < 3.0 < away["point"]
 

@@ -16,7 +16,7 @@ from solver.jobs import run_job
 from solver.mechanics.flesh import IDENTITY
 from solver.progress import Step
 from solver.rig.container import read_container
-from solver.rig.result import ExpressionFit, load_activations, save_activations, save_weights
+from solver.rig.rig import ExpressionFit, Rig
 from tests.solver.block import head_block
 
 pytestmark = pytest.mark.long
@@ -26,10 +26,8 @@ MODEL = head_block((7, 5, 1))
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A model, its S and two simulated expressions."""
+    """A folder with a rig of two simulated expressions."""
     folder = tmp_path_factory.mktemp("rig")
-    MODEL.save(folder / "model.npz")
-    save_weights(folder / "weights.npz", MODEL.weights, MODEL)
     face = Face(MODEL)
     rest = face.rest
     fits = []
@@ -40,13 +38,12 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
         skin = face.whole_skin(state.x, b)
         error = np.zeros(len(skin))
         fits.append(ExpressionFit(name, "train", a, b, skin, skin, error, 0, 1, 0.0, 0.0, state.x))
-    save_activations(folder / "activations.npz", tuple(fits), MODEL)
+    Rig(MODEL, MODEL.weights, tuple(fits)).save(folder / "rig.npz")
     return folder
 
 
-def build(files: Path, out: Path, rig: str = "activations.npz", **more: object) -> list[Path]:
-    given = {"model": files / "model.npz", "weights": files / "weights.npz", "rig": files / rig}
-    return run_job("build_preview", out, **given, **more)  # type: ignore[arg-type]
+def build(files: Path, out: Path, **more: object) -> list[Path]:
+    return run_job("build_preview", out, rig=files / "rig.npz", **more)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +60,7 @@ def test_a_page_that_evaluates_the_file_shows_the_fits(
     held = read_container(out / "preview.bin")
     controls, arrays = held.header["controls"], held.arrays
     first, second = np.triu_indices(len(controls))
-    fits = {fit.name: fit for fit in load_activations(files / "activations.npz", MODEL)}
+    fits = {fit.name: fit for fit in Rig.load(files).expressions}
     for preset in held.header["presets"]:
         c = np.array(preset["values"])
         q = arrays["linear"] @ c + arrays["quadratic"] @ (c[first] * c[second])
@@ -109,7 +106,7 @@ def test_a_rig_without_a_fit_is_refused(files: Path, tmp_path: Path) -> None:
     failed = ExpressionFit(
         "wide", "test", a, b, skin, skin, np.zeros(len(skin)), 0, 0, 0.0, 0.0, status="failed"
     )
-    save_activations(tmp_path / "failed.npz", (failed,), MODEL)
+    Rig(MODEL, MODEL.weights, (failed,)).save(tmp_path / "rig.npz")
     with pytest.raises(InputError) as caught:
-        build(files, tmp_path / "out", rig=str(tmp_path / "failed.npz"))
+        build(tmp_path, tmp_path / "out")
     assert caught.value.code == "preview.nothing"

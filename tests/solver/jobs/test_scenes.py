@@ -20,7 +20,7 @@ from solver.jobs import run_job
 from solver.mechanics.flesh import IDENTITY
 from solver.progress import Step
 from solver.rig.gltf_check import validate_glb
-from solver.rig.result import ExpressionFit, save_activations, save_weights
+from solver.rig.rig import ExpressionFit, Rig
 from solver.scans.live_link import ARKIT_NAMES
 from tests.solver.block import head_block
 
@@ -35,29 +35,22 @@ GLASS = {"name": "glass", "mesh": {"box_mm": [60, 60, 4]}, "at": [75, 60, 80]}
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A model, its S and an expression of both sides."""
-    folder = tmp_path_factory.mktemp("rig")
-    MODEL.save(folder / "model.npz")
-    save_weights(folder / "muscle_weights.npz", MODEL.weights, MODEL)
+    """A rig with an expression of both sides."""
+    file = tmp_path_factory.mktemp("rig") / "rig.npz"
     face = Face(MODEL)
     state = face.continuation(face.rest, Pose(WIDE, JAW))
     skin = face.whole_skin(state.x, JAW)
     error = np.zeros(len(skin))
     fit = ExpressionFit("wide", "train", WIDE, JAW, skin, skin, error, 0, 1, 0.0, 0.0, state.x)
-    save_activations(folder / "activations.npz", (fit,), MODEL)
-    return folder
-
-
-def files_of(rig: Path) -> dict[str, Path]:
-    names = {"model": "model.npz", "weights": "muscle_weights.npz", "rig": "activations.npz"}
-    return {name: rig / file for name, file in names.items()}
+    Rig(MODEL, MODEL.weights, (fit,)).save(file)
+    return file
 
 
 def play(
     rig: Path, out: Path, scene: dict[str, Any], assets: dict[str, Path] | None = None, **how: Any
 ) -> dict[str, Any]:
     options = {"scene": scene}
-    files = run_job("simulate", out, options=options, captures=assets, **files_of(rig), **how)
+    files = run_job("simulate", out, options=options, captures=assets, rig=rig, **how)
     assert all(file.stat().st_size > 0 for file in files)
     report: dict[str, Any] = json.loads((out / "animation.json").read_text())
     return report
@@ -216,7 +209,7 @@ def test_a_recording_is_played_by_the_muscles(rig: Path, tmp_path: Path) -> None
         options={"scene": {"recording": {"asset": "take"}}},
         captures={"take": take},
         blendshapes=tmp_path / "shapes.npz",
-        **files_of(rig),
+        rig=rig,
     )
     report = json.loads((tmp_path / "out/animation.json").read_text())
     assert (report["frames"], report["blendshapes"]) == (4, 1)
@@ -247,6 +240,6 @@ def test_bad_scenes_are_refused_before_blendshapes_are_solved(
     how = {"options": {"scene": scene}, "captures": {"take": take, "mesh": tmp_path / "mesh.obj"}}
     steps: list[Step] = []
     with pytest.raises(InputError) as raised:
-        run_job("animate", tmp_path / "out", progress=steps.append, **how, **files_of(rig))
+        run_job("animate", tmp_path / "out", progress=steps.append, **how, rig=rig)
     assert raised.value.code == code
     assert [step.phase for step in steps] == ["read"]

@@ -15,13 +15,13 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, Target
 from solver.fitting.sequence import Tracker, stillness
 from solver.jobs import run_job
-from solver.jobs.common import Targets
 from solver.jobs.fit_sequence import Follower
+from solver.jobs.fits import Targets
 from solver.meshio.registered import RegisteredScan
 from solver.progress import Step
 from solver.rig.frames import ChunkOptions
 from solver.rig.motion import read_frames
-from solver.rig.result import save_weights
+from solver.rig.rig import Rig
 from tests.fixtures import fixture_model
 from tests.solver.block import block_model
 
@@ -35,10 +35,9 @@ CONTRACTED = np.array([-0.25, 0.05, 0.0, 0.15, 0.0, 0.15])
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A model, its S and a performance: the muscles contract in turns while the jaw opens."""
+    """A rig and a performance: the muscles contract in turns while the jaw opens."""
     folder = tmp_path_factory.mktemp("take")
-    MODEL.save(folder / "model.npz")
-    save_weights(folder / "weights.npz", MODEL.weights, MODEL)
+    Rig(MODEL, MODEL.weights, ()).save(folder / "rig.npz")
     face = Face(MODEL)
     rest, state = face.rest_pose(), face.rest
     frames = []
@@ -56,8 +55,7 @@ def fit(files: Path, out: Path, take: str = "take.npy", *, resume: bool = False,
 
 
 def inputs_of(files: Path, take: str = "take.npy") -> dict[str, Path]:
-    names = {"model": "model.npz", "weights": "weights.npz", "performance": take}
-    return {name: files / file for name, file in names.items()}
+    return {"rig": files / "rig.npz", "performance": files / take}
 
 
 def test_a_simulated_performance_is_followed(files: Path, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from solver.jobs.common import Targets
+from solver.jobs.fits import Targets
 from tests.solver.block import head_block
 
 MODEL = head_block((4, 3, 1))

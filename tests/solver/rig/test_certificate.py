@@ -13,8 +13,7 @@ from solver.mechanics.flesh import IDENTITY
 from solver.rig.certificate import certify, check_flesh, with_round_trips
 from solver.rig.checks import CHECKS, RigCheck, judge
 from solver.rig.report import report
-from solver.rig.result import ExpressionFit
-from solver.rig.rig import Rig
+from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import activation_error
 from tests.solver.block import block_model
 

@@ -19,7 +19,7 @@ from solver.rig.preview.sliders import (
     poses_to_learn,
     poses_to_measure,
 )
-from solver.rig.result import ExpressionFit
+from solver.rig.rig import ExpressionFit
 from solver.rig.skin_basis import feature_slopes, features
 from tests.solver.block import head_block
 

@@ -13,7 +13,6 @@ import pytest
 import scipy.sparse as sp
 
 from solver.drawing.head import skin_parts
-from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.meshio.registered import read_registered
 from solver.model import SubjectModel
@@ -22,14 +21,7 @@ from solver.rig.exporters import csv as csv_exporter
 from solver.rig.exporters import glb, write_rig
 from solver.rig.gltf_check import validate_glb
 from solver.rig.report import report, write_report
-from solver.rig.result import (
-    ExpressionFit,
-    load_activations,
-    load_weights,
-    save_activations,
-    save_weights,
-)
-from solver.rig.rig import Rig
+from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import RoundTrip
 from solver.surface import Surface
 from tests.fixtures import ict_capture, small_capture, small_model
@@ -80,61 +72,30 @@ def _fit(model: SubjectModel, name: str, rng: np.random.Generator) -> Expression
     )
 
 
-def test_activations_come_back(rig: Rig, tmp_path: Path) -> None:
-    path = tmp_path / "activations.npz"
-    save_activations(path, rig.expressions, rig.model)
-    loaded = load_activations(path, rig.model)
+def test_flesh_and_round_trips_come_back(rig: Rig, tmp_path: Path) -> None:
+    trip = RoundTrip(0.01, 0.2, 0.02, 0.3, np.nan)
+    first, *others = rig.expressions
+    known = replace(first, x=rig.model.rest + 1e-9, round_trip=trip)
+    replace(rig, expressions=(known, *others)).save(tmp_path / "rig.npz")
+    loaded = Rig.load(tmp_path / "rig.npz").expressions
     for before, after in zip(rig.expressions, loaded, strict=True):
         assert (before.name, before.role, before.inverted) == (after.name, after.role, 1)
         np.testing.assert_array_equal(before.activations, after.activations)
         np.testing.assert_array_equal(before.jaw, after.jaw)
         np.testing.assert_allclose(before.skin, after.skin, atol=1e-4)
         np.testing.assert_allclose(before.error_mm, after.error_mm, atol=1e-5)
-
-
-def test_flesh_and_round_trips_come_back_and_older_rigs_load(rig: Rig, tmp_path: Path) -> None:
-    path = tmp_path / "activations.npz"
-    trip = RoundTrip(0.01, 0.2, 0.02, 0.3, np.nan)
-    first, *others = rig.expressions
-    known = replace(first, x=rig.model.rest + 1e-9, round_trip=trip)
-    save_activations(path, (known, *others), rig.model)
-    loaded = load_activations(path, rig.model)
     np.testing.assert_array_equal(loaded[0].x, known.x)
     np.testing.assert_array_equal(astuple(loaded[0].round_trip), astuple(trip))
     assert loaded[1].x is loaded[1].round_trip is None
-    with np.load(path) as file:
-        old = {name: file[name] for name in file.files if name not in ("x", "round_trip")}
-    np.savez(path, **old)
-    assert load_activations(path, rig.model)[0].x is None
 
 
 def test_weights_come_back_with_their_zeros(rig: Rig, tmp_path: Path) -> None:
-    path = tmp_path / "muscle_weights.npz"
-    save_weights(path, rig.weights, rig.model)
-    loaded = load_weights(path, rig.model)
+    rig.save(tmp_path / "rig.npz")
+    loaded = Rig.load(tmp_path).weights
     assert isinstance(loaded, sp.csr_array)
     assert loaded.shape == rig.weights.shape
     assert loaded.nnz == rig.weights.nnz
     assert abs(loaded - rig.weights).max() == 0
-
-
-def test_files_of_another_model_or_of_none_are_refused(rig: Rig, tmp_path: Path) -> None:
-    weights, activations = tmp_path / "muscle_weights.npz", tmp_path / "activations.npz"
-    save_weights(weights, rig.weights, rig.model)
-    save_activations(activations, rig.expressions, rig.model)
-    moved = replace(rig.model, rest=rig.model.rest + 1.0)
-    other = replace(rig.model, muscle_names=rig.model.muscle_names[::-1])
-    for load in (
-        lambda: load_weights(weights, moved),
-        lambda: load_activations(activations, other),
-    ):
-        with pytest.raises(InputError) as caught:
-            load()
-        assert caught.value.code == "rig.model"
-    weights.write_bytes(weights.read_bytes()[:1000])
-    with pytest.raises(InputError) as caught:
-        load_weights(weights, rig.model)
-    assert caught.value.code == "rig.unreadable"
 
 
 def test_report_means_are_over_the_face_and_strict_json(

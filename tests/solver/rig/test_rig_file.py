@@ -13,14 +13,7 @@ from solver.errors import InputError, make_warning
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel
 from solver.rig.report import weights_hash
-from solver.rig.result import (
-    ExpressionFit,
-    load_activations,
-    load_weights,
-    save_activations,
-    save_weights,
-)
-from solver.rig.rig import Rig
+from solver.rig.rig import ExpressionFit, Rig
 from tests.solver.block import block_model
 
 
@@ -57,31 +50,73 @@ def test_a_rig_comes_back_from_its_file_and_from_its_folder(rig: Rig, tmp_path: 
         assert (found.seconds, found.notices) == (rig.seconds, rig.notices)
 
 
-def test_a_folder_of_the_release_before_is_a_rig(rig: Rig, tmp_path: Path) -> None:
-    rig.model.save(tmp_path / "model.npz")
-    save_weights(tmp_path / "muscle_weights.npz", rig.weights, rig.model)
-    save_activations(tmp_path / "activations.npz", rig.expressions, rig.model)
-    check_same(replace(rig, figures=None), Rig.load(tmp_path))
-    (tmp_path / "report.json").write_text('{"verdict": "good"}')
-    check_same(rig, Rig.load(tmp_path))
+@pytest.fixture
+def old(rig: Rig, tmp_path: Path) -> Path:
+    """Return the folder of a rig of 0.1, with the model of its subject beside it."""
+    folder = tmp_path / "old"
+    folder.mkdir()
+    rig.model.save(folder / "model.npz")
+    rig.save_as_0_1(folder)
+    return folder
 
 
-def test_the_file_is_read_wherever_one_of_its_parts_is_asked_for(rig: Rig, tmp_path: Path) -> None:
-    file = tmp_path / "rig.npz"
-    rig.save(file)
-    model = SubjectModel.load(file)
-    assert model.sha256 == rig.model.sha256
-    assert weights_hash(load_weights(file, rig.model)) == weights_hash(rig.weights)
-    assert load_activations(file, rig.model)[0].name == "smile"
-    other = replace(rig.model, rest=rig.model.rest + 1.0)
-    with pytest.raises(InputError) as raised:
-        load_weights(file, other)
-    assert raised.value.code == "rig.model"
+def roles_of(folder: Path) -> dict[str, Path]:
+    names = {"model": "model.npz", "weights": "muscle_weights.npz", "rig": "activations.npz"}
+    return {role: folder / name for role, name in names.items()}
+
+
+def test_a_rig_of_the_release_before_is_read_from_its_four_files(rig: Rig, old: Path) -> None:
+    files = roles_of(old)
+    check_same(replace(rig, figures=None), Rig.load(old))
+    check_same(replace(rig, figures=None), Rig.load(files))
+    sequence = {role: files[role] for role in ("model", "weights")}  # as sequences got it
+    check_same(replace(rig, figures=None, expressions=()), Rig.load(sequence))
+    report = old / "report.json"
+    report.write_text('{"verdict": "good"}')
+    check_same(rig, Rig.load(old))
+    check_same(rig, Rig.load({**files, "report": report}))
+
+
+def test_arrays_that_came_later_may_be_missing(old: Path) -> None:
+    file = old / "activations.npz"
+    with np.load(file) as data:
+        kept = [name for name in data.files if name not in ("x", "round_trip", "status")]
+        arrays = {name: data[name] for name in kept}
+    np.savez(file, **arrays)
+    [fit] = Rig.load(old).expressions
+    assert fit.x is fit.round_trip is None
+    assert (fit.status, fit.notices) == ("unknown", ())
+
+
+def test_files_of_two_models_are_no_rig(rig: Rig, old: Path) -> None:
+    for change in ({"rest": rig.model.rest + 1.0}, {"muscle_names": rig.model.muscle_names[::-1]}):
+        replace(rig.model, **change).save(old / "model.npz")
+        with pytest.raises(InputError) as caught:
+            Rig.load(old)
+        assert caught.value.code == "rig.model"
+
+
+def test_half_a_file_is_no_rig(rig: Rig, old: Path) -> None:
+    whole = old / "whole.npz"
+    rig.save(whole)
+    for name in ("muscle_weights.npz", "activations.npz", "whole.npz"):
+        content = (old / name).read_bytes()
+        (old / name).write_bytes(content[:1000])
+        with pytest.raises(InputError) as caught:
+            Rig.load(old if name != "whole.npz" else whole)
+        assert caught.value.code == "rig.unreadable"
+        (old / name).write_bytes(content)
+
+
+def test_a_model_is_read_from_its_rig(rig: Rig, tmp_path: Path) -> None:
+    rig.save(tmp_path / "rig.npz")
+    assert SubjectModel.load(tmp_path / "rig.npz").sha256 == rig.model.sha256
 
 
 def test_what_is_no_rig_is_refused(rig: Rig, tmp_path: Path) -> None:
     rig.model.save(tmp_path / "model.npz")
-    save_weights(tmp_path / "muscle_weights.npz", rig.weights, rig.model)
+    rig.save_as_0_1(tmp_path)
+    (tmp_path / "activations.npz").unlink()
     junk = shutil.copy(__file__, tmp_path / "junk.npz")
     for path in (tmp_path, tmp_path / "model.npz", tmp_path / "muscle_weights.npz", Path(junk)):
         with pytest.raises(InputError) as raised:

@@ -15,8 +15,7 @@ from solver.errors import make_warning
 from solver.fitting.face import Face
 from solver.rig.certificate import certify
 from solver.rig.report import report
-from solver.rig.result import ExpressionFit
-from solver.rig.rig import Rig
+from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.web_page import write_page
 from tests.solver.block import block_model
 

@@ -4,8 +4,8 @@ import jsonschema
 import pytest
 
 from solver.errors import InputError
+from solver.kinds.document import json_schema
 from solver.kinds.scene import AnimateScene, EditScene, SimulateScene
-from solver.kinds.schema import json_schema
 from solver.scene.document import document_of, read_scene
 
 EVERYTHING = {

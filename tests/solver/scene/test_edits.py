@@ -6,9 +6,8 @@ import pytest
 
 from solver.edits.changes import Bone, Density, Fat, Filler, Paralysis, Stiffening
 from solver.errors import InputError
-from solver.kinds.edits import EDITS
-from solver.kinds.scene import EditScene
-from solver.kinds.schema import json_schema
+from solver.kinds.document import json_schema
+from solver.kinds.scene import EDITS, EditScene
 from solver.scene.document import read_scene
 from solver.scene.places import Places
 from solver.scene.stage import edits_of

@@ -8,6 +8,7 @@ from pathlib import Path
 from solver.jobs import Task
 from solver.progress import Step
 from tests.standin.orders import SHOW, draw
+from tests.standin.rig import read_rig
 
 MOTION = {
     "activations": [[1, 0, 0, 1, 0, 1]],
@@ -26,8 +27,7 @@ MOTION = {
 
 
 def run(task: Task) -> None:
-    assert task.inputs["model"].name == "model.npz"
-    assert task.inputs["weights"].name == "muscle_weights.npz"
+    read_rig(task.inputs)
     scene, folder = task.options.scene, task.out / "frames"
     folder.mkdir(exist_ok=True)
     total = int(scene.duration * scene.fps)

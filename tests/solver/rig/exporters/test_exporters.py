@@ -11,12 +11,12 @@ import pytest
 
 from solver.errors import InputError
 from solver.fitting.face import Face
+from solver.kinds.export_rig import FORMATS
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.certificate import certify
-from solver.rig.exporters import EXPORTERS, export, exporter, write_all
+from solver.rig.exporters import export, exporter, write_all
 from solver.rig.report import report
-from solver.rig.result import ExpressionFit
-from solver.rig.rig import Rig
+from solver.rig.rig import ExpressionFit, Rig
 from tests.solver.block import block_model
 from worker.attempt import MEDIA_TYPES
 
@@ -36,7 +36,7 @@ def rig() -> Rig:
 
 
 def available() -> list[str]:
-    return [name for name in EXPORTERS if name != "usd" or find_spec("pxr")]
+    return [name for name in FORMATS if name != "usd" or find_spec("pxr")]
 
 
 @pytest.mark.parametrize("name", available())

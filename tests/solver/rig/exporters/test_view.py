@@ -18,8 +18,7 @@ from solver.rig.exporters import inside as inside_exporter
 from solver.rig.exporters import view as view_exporter
 from solver.rig.exporters.inside import NO_MUSCLE, bind
 from solver.rig.report import report
-from solver.rig.result import ExpressionFit
-from solver.rig.rig import Rig
+from solver.rig.rig import ExpressionFit, Rig
 from solver.surface import Surface
 from tests.fixtures import fixture_model
 from tests.solver.block import block_model, grid

@@ -1,20 +1,91 @@
-"""Sentences for what is wrong with a document: the place, the value and its bounds."""
+"""Strict documents: their values, sentences for what is wrong with them, and their JSON Schemas."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cache
+from typing import Annotated, Any
 
-from pydantic import ValidationError
-from pydantic_core import ErrorDetails
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+)
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core import ErrorDetails, core_schema
 
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
 LONGEST = 200  # characters of a value in a sentence: it may be a file's worth
 PLAIN_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 MARK = "<"  # begins the tags of a union's choices, which pydantic puts into an error's place
 
-Place = Sequence[str | int]
+Path = Sequence[str | int]  # of an error in a document
+
+
+class Document(BaseModel):
+    """An object of JSON that has no members but its own; values are not converted."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, defer_build=True)
+
+
+def _whole(value: Any) -> Any:
+    """Return a number without a fraction as an integer: to JSON 5.0 is one."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+Integral = BeforeValidator(_whole)  # after the bounds, or these are left out of JSON Schemas
+Whole = Annotated[int, Integral]
+Vector = Annotated[
+    list[Annotated[float, Field(ge=-10000, le=10000)]], Field(min_length=3, max_length=3)
+]
+Name = Annotated[str, Field(min_length=1, max_length=64)]
+
+
+def tell_forms(find: Callable[[Any], str | None], otherwise: str) -> Discriminator:
+    """Tell forms of a value apart by the tags that ``find`` returns."""
+    return Discriminator(find, custom_error_type="no_such_form", custom_error_message=otherwise)
+
+
+def _form_of_place(value: Any) -> str | None:
+    if isinstance(value, bool):
+        return None
+    forms = {str: "<name>", int: "<vertex>", float: "<vertex>", list: "<point>"}
+    return forms.get(type(value))
+
+
+Place = Annotated[
+    Annotated[Name, Tag("<name>")]
+    | Annotated[int, Field(ge=0), Integral, Tag("<vertex>")]
+    | Annotated[Vector, Tag("<point>")],
+    tell_forms(_form_of_place, "is not a landmark's name, a vertex's number or a point"),
+    Field(description="a landmark's name, the number of a skin vertex, or a point [x, y, z] in mm"),
+]
+
+
+def find_kind(value: Any) -> str | None:
+    """Return the tag of an object that its member ``kind`` tells from others."""
+    if isinstance(value, Mapping):
+        return f"<{value['kind']}>" if "kind" in value else None
+    return f"<{value.kind}>" if isinstance(value, Document) and hasattr(value, "kind") else None
+
+
+def by_member(*members: str) -> Callable[[Any], str | None]:
+    """Return what finds the tag of an object by the first of the members that it has."""
+
+    def find_form(value: Any) -> str | None:
+        names = value if isinstance(value, Mapping) else getattr(value, "__dict__", ())
+        return next((f"<{member}>" for member in members if member in names), None)
+
+    return find_form
+
+
+# Faults: the place, the value and its bounds, in a sentence.
 
 
 @dataclass(frozen=True)
@@ -60,7 +131,7 @@ def _fault(detail: ErrorDetails, document: Any, name: str) -> Fault:
     return Fault(_text(path, name), message, tuple(path))
 
 
-def _path(place: Place, document: Any) -> list[str | int]:
+def _path(place: Path, document: Any) -> list[str | int]:
     """Return an error's place without the tags of unions."""
     path: list[str | int] = []
     for part in place:
@@ -73,7 +144,7 @@ def _path(place: Place, document: Any) -> list[str | int]:
     return path
 
 
-def _text(path: Place, name: str) -> str:
+def _text(path: Path, name: str) -> str:
     """Return a place as a JSON path."""
     for part in path:
         if isinstance(part, int):
@@ -137,4 +208,38 @@ _WORDS = {
     "string_too_long": "is too long",
     "finite_number": "is not finite",
     "literal_error": "is not one of {expected}",
+    "string_pattern_mismatch": "does not match {pattern}",
 }
+
+
+# JSON Schemas, as clients, the page and OpenAPI read them.
+
+
+class _Printed(GenerateJsonSchema):
+    """Writes what may be null as one more type, and no titles that only repeat a name."""
+
+    def field_title_should_be_set(self, _schema: Any) -> bool:
+        return False
+
+    def literal_schema(self, schema: core_schema.LiteralSchema) -> JsonSchemaValue:
+        found = super().literal_schema(schema)
+        if "enum" in found:
+            found.pop("type", None)
+        return found
+
+    def nullable_schema(self, schema: core_schema.NullableSchema) -> JsonSchemaValue:
+        found = self.generate_inner(schema["schema"])
+        if "enum" in found:
+            return {**found, "enum": [*found["enum"], None]}
+        if isinstance(found.get("type"), str):
+            return {**found, "type": [found["type"], "null"]}
+        return super().nullable_schema(schema)
+
+
+@cache
+def json_schema(model: type[BaseModel]) -> dict[str, Any]:
+    """Return the JSON Schema of a document; its members' order is the model's."""
+    found = model.model_json_schema(schema_generator=_Printed)
+    for name in ("title", "description"):  # of the class: the kind has better ones
+        found.pop(name, None)
+    return {"$schema": DIALECT, **found}

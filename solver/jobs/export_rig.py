@@ -1,0 +1,31 @@
+"""The job that writes a rig in the format of another program."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from solver.jobs import Task
+from solver.kinds.export_rig import ExportRig
+from solver.progress import Step
+from solver.rig.exporters import export, exporter
+from solver.rig.rig import Rig
+
+
+def run(task: Task[ExportRig]) -> list[Path]:
+    """Write the rig by the exporter ``format``, and ``export.json`` with the name of its file.
+
+    Raises :class:`solver.errors.InputError` (``export.*``) as
+    :func:`solver.rig.exporters.export`, and as the exporter.
+    """
+    given, progress = task.options, task.progress
+    file = given.file or exporter(given.format).FILE
+    progress(Step("read", 0.0, message=task.inputs["rig"].name))
+    rig = Rig.load(task.inputs)
+    progress(Step("export", 0.3, message=given.format))
+    made, report = task.out / file, task.out / "export.json"
+    export(rig, given.format, made, given.settings)
+    figures = {"format": given.format, "file": file, "bytes": made.stat().st_size}
+    report.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    progress(Step("done", 1.0))
+    return [made, report]
