@@ -25,8 +25,16 @@ from solver.model import SubjectModel
 from solver.progress import Progress, Step
 from solver.registration.register import head_motion
 from solver.rig.animation_gltf import AnimatedSkin
-from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter
-from solver.rig.motion import SequenceFrame, Status, read_frames, sequence_report, write_sequence
+from solver.rig.frames import (
+    FRAMES,
+    ChunkOptions,
+    ChunkWriter,
+    SequenceFrame,
+    Status,
+    read_frames,
+    sequence_report,
+    write_sequence,
+)
 from solver.rig.pictures import SequenceShot, sequence_picture
 from solver.rig.rig import Rig
 from solver.scans.performance import Performance, open_performance

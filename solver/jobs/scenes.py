@@ -22,8 +22,15 @@ from solver.errors import SolveError
 from solver.jobs import Task
 from solver.progress import Progress, Step
 from solver.rig.animation import Filming, write_animation
-from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter
-from solver.rig.motion import MotionFrame, motion_report, motion_values, read_motion
+from solver.rig.frames import (
+    FRAMES,
+    ChunkOptions,
+    ChunkWriter,
+    MotionFrame,
+    motion_report,
+    motion_values,
+    read_motion,
+)
 from solver.rig.rig import Rig
 from solver.scene.document import document_of
 from solver.scene.places import Places
@@ -67,13 +74,16 @@ def _hash(path: Path) -> str:
 
 
 CHUNKS = ChunkOptions(frames=10)
-# Part of a job after which its files are written.
-EXPORT = 0.9
-# Part of a job after which its files are read.
-READ = 0.02
-PICTURE_SIZE, PICTURE_QUALITY = (240, 300), 85
-# A file of frames has a picture if none had for so long.
-PICTURE_SECONDS = 10.0
+READ, EXPORT = 0.02, 0.9  # parts of a job after which its files are read, and those left written
+
+
+@dataclass(frozen=True)
+class PictureOptions:
+    """Pictures beside the frames."""
+
+    size: tuple[int, int] = (240, 300)  # pixels
+    quality: int = 85  # of the JPEG, at most 95
+    seconds: float = 10.0  # a file has one if none had for so long
 
 
 def play(
@@ -94,8 +104,7 @@ def play(
     """
     if not resume:
         shutil.rmtree(out / FRAMES, ignore_errors=True)
-    ready = read_motion(out / FRAMES, scene, stage.model.rest)
-    done, motion = ready.frames, ready.motion
+    done, motion = read_motion(out / FRAMES, scene, stage.model.rest)
     times = stage.drives.times
     beside = _Beside(scene, stage, motion)
     chunks = ChunkWriter(out / FRAMES, len(done), CHUNKS, beside)
@@ -215,8 +224,10 @@ def _frame(
 class _Beside:
     """Values beside the frames of a file: the motion to go on from, and at times a picture."""
 
-    def __init__(self, scene: str, stage: Stage, motion: Motion) -> None:
-        self._scene, self._stage = scene, stage
+    def __init__(
+        self, scene: str, stage: Stage, motion: Motion, options: PictureOptions = PictureOptions()
+    ) -> None:
+        self._scene, self._stage, self._options = scene, stage, options
         self._pictured = -np.inf
         self._filming = Filming(stage.model)
         self.motion = motion
@@ -229,14 +240,14 @@ class _Beside:
 
     def _draw(self, frame: MotionFrame) -> bytes | None:
         """Return a JPEG of a frame, if there has been none for a while."""
-        if time.monotonic() - self._pictured < PICTURE_SECONDS:
+        if time.monotonic() - self._pictured < self._options.seconds:
             return None
         skin = frame.into_world(skin_of(self._stage, frame))
         objects = [each.at(frame.time) for each in self._stage.objects]
         light = self._filming.light(skin)
-        pixels = self._filming.picture(skin, light, PICTURE_SIZE, objects=objects)
+        pixels = self._filming.picture(skin, light, self._options.size, objects=objects)
         content = io.BytesIO()
         image = Image.fromarray((pixels * 255 + 0.5).astype(np.uint8))
-        image.save(content, "JPEG", quality=PICTURE_QUALITY)
+        image.save(content, "JPEG", quality=self._options.quality)
         self._pictured = time.monotonic()
         return content.getvalue()

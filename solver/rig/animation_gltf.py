@@ -17,6 +17,7 @@ import numpy as np
 import pygltflib as gl
 from scipy.spatial.transform import Rotation, Slerp
 
+from solver.rig.frames import SequenceFrame
 from solver.rig.gltf import (
     METRES,
     Buffer,
@@ -27,7 +28,6 @@ from solver.rig.gltf import (
     write_face,
     write_morphed,
 )
-from solver.rig.motion import SequenceFrame
 from solver.rig.skin_basis import (
     SEQUENCE_BASIS,
     Basis,

@@ -1,27 +1,34 @@
-"""Frames on disk as they come: one record, one file format, one writer and one reader.
+"""Frames of a face over time, simulated or fitted: their files as they come, and what is left.
 
 A folder ``frames`` holds JSON files: ``000010-000019.json`` has the 11th to the 20th frame, and
 beside them what its kind of job needs to go on. A file is whole or not there, and files follow on
-one another; docs/guide/sequences.md and docs/guide/simulation.md describe their values.
+one another; docs/guide/sequences.md and docs/guide/simulation.md describe all files and values.
 """
 
 from __future__ import annotations
 
 import base64
+import csv
 import json
 import time
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, ClassVar, Generic, Self, TypeVar
+from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
 
 import numpy as np
 
+from solver.anatomy.tetrahedra import volume_ml
 from solver.errors import InputError
+from solver.mechanics.boundary import JAW_FREEDOM
+from solver.model import SubjectModel
+from solver.rig.rig import ENTRIES
+from solver.similarity import IDENTITY, Similarity, small_motion
+from solver.simulation.forces import Motion
 from solver.surface import Floats
 
-FORMAT = 1  # of files of frames
+FORMAT = 1  # of files of frames, of reports and of sequence.npz
 FRAMES = "frames"  # name of the folder
 
 
@@ -76,24 +83,10 @@ class FrameRecord:
 Record = TypeVar("Record", bound=FrameRecord)
 
 
-def pack(values: Floats, kind: str) -> str:
-    """Return an array (., 3) as text: zlib of its bytes as ``kind``, in base 64."""
-    return base64.b64encode(zlib.compress(values.astype(kind).tobytes(), 1)).decode()
-
-
-def unpack(text: str, kind: str) -> Floats:
-    """Return the array (., 3) that :func:`pack` gave a text of."""
-    content = zlib.decompress(base64.b64decode(text))
-    return np.frombuffer(content, kind).reshape(-1, 3).astype(np.float64)
-
-
 def write_chunk(
     folder: Path, first: int, frames: Sequence[FrameRecord], beside: Mapping[str, Any]
 ) -> Path:
-    """Write frames, the ``first``-th of the folder and on, whole or not at all.
-
-    ``beside`` are more JSON values of the file.
-    """
+    """Write frames, the ``first``-th and on, and values ``beside`` them; whole or not at all."""
     folder.mkdir(parents=True, exist_ok=True)
     content = {"format": FORMAT, **beside, "frames": [frame.as_dict() for frame in frames]}
     path = folder / _name(first, len(frames))
@@ -144,59 +137,264 @@ class ChunkWriter(Generic[Record]):
         self._frames, self._since = [], time.monotonic()
 
 
-@dataclass(frozen=True)
-class ChunkReader(Generic[Record]):
-    """Reads the frames of a folder.
+def read_chunks(
+    folder: Path,
+    record: type[Record],
+    code: str,
+    fits: Callable[[Record], bool],
+    take: Callable[[Mapping[str, Any], Sequence[Record]], None] = lambda _values, _frames: None,
+) -> list[Record]:
+    """Return the frames of a folder in their order, none if it is not there.
 
-    record
-        The class of its frames.
-    code
-        Of the error for what is no frame, or leaves a gap.
-    fits
-        Says whether a frame is of this model.
-    take
-        Is called with each file's values and frames, before they are looked at: for the values
-        beside the frames. It may raise an :class:`InputError` of its own.
+    ``fits`` says whether a frame is of this model. ``take`` is called with each file's values and
+    frames before they are looked at, for the values beside the frames; it may raise an
+    :class:`InputError` of its own. Raises :class:`InputError` (``code``) if there is a gap, what is
+    no frame, or another model's.
     """
-
-    record: type[Record]
-    code: str
-    fits: Callable[[Record], bool]
-    take: Callable[[Mapping[str, Any], Sequence[Record]], None] = lambda _values, _frames: None
-
-    def read(self, folder: Path) -> list[Record]:
-        """Return the frames of a folder in their order, none if it is not there.
-
-        Raises :class:`InputError` if there is a gap, what is no frame, or another model's.
-        """
-        frames: list[Record] = []
-        for path in sorted(folder.glob("*.json")):
-            read = self._read_file(path)
-            if path.name != _name(len(frames), len(read)) or not all(map(self.fits, read)):
-                raise InputError(
-                    self.code,
-                    f"{path.name} does not follow on the {len(frames)} frames before it",
-                    file=path.name,
-                )
-            frames += read
-        return frames
-
-    def _read_file(self, path: Path) -> list[Record]:
+    frames: list[Record] = []
+    for path in sorted(folder.glob("*.json")):
         try:
             content = json.loads(path.read_bytes())
             if content["format"] != FORMAT:
                 raise ValueError(f"their format is {content['format']}, not {FORMAT}")
-            read = [self.record.of(each) for each in content["frames"]]
-            self.take(content, read)
+            read = [record.of(each) for each in content["frames"]]
+            take(content, read)
         except InputError as error:
             error.context["file"] = path.name
             raise
         except (OSError, ValueError, LookupError, TypeError, zlib.error) as error:
-            raise InputError(
-                self.code, f"{path.name} holds no frames: {error}", file=path.name
-            ) from error
-        return read
+            message = f"{path.name} holds no frames: {error}"
+            raise InputError(code, message, file=path.name) from error
+        if path.name != _name(len(frames), len(read)) or not all(map(fits, read)):
+            message = f"{path.name} does not follow on the {len(frames)} frames before it"
+            raise InputError(code, message, file=path.name)
+        frames += read
+    return frames
 
 
 def _name(first: int, count: int) -> str:
     return f"{first:06d}-{first + count - 1:06d}.json"
+
+
+def pack(values: Floats, kind: str) -> str:
+    """Return an array (., 3) as text: zlib of its bytes as ``kind``, in base 64."""
+    return base64.b64encode(zlib.compress(values.astype(kind).tobytes(), 1)).decode()
+
+
+def unpack(text: str, kind: str) -> Floats:
+    """Return the array (., 3) that :func:`pack` gave a text of."""
+    content = zlib.decompress(base64.b64decode(text))
+    return np.frombuffer(content, kind).reshape(-1, 3).astype(np.float64)
+
+
+# Simulations.
+
+
+@dataclass(frozen=True)
+class MotionFrame(FrameRecord):
+    """One frame of a simulation.
+
+    time
+        In s.
+    eyes
+        (2, 3) rotation vectors in the head's frame, the subject's left eye first.
+    moved
+        (p, 3) in mm: how far the flesh's vertices are off their rest, in the head's frame.
+    penetration_mm, behind_teeth
+        How deep skin is in teeth, in other skin or in objects, at the worst, and the number of the
+        lips' vertices behind teeth, see :class:`~solver.contact.crossing.Penetration`.
+    halvings, residual
+        How the solve went, see :class:`~solver.simulation.simulator.Stepped`.
+    """
+
+    time: float
+    eyes: Floats
+    moved: Floats
+    penetration_mm: float
+    behind_teeth: int
+    halvings: int
+    residual: float
+
+    ARRAYS: ClassVar[tuple[str, ...]] = (*FrameRecord.ARRAYS, "eyes")
+    PACKED: ClassVar[Mapping[str, str]] = {"moved": "x"}
+
+    @property
+    def into_world(self) -> Similarity:
+        """Return the head's motion into the world."""
+        return small_motion(self.head)
+
+
+def motion_values(scene: str, motion: Motion, picture: str | None) -> dict[str, Any]:
+    """Return the values beside the frames of a file.
+
+    ``scene`` is the hash of all that is simulated, ``motion`` where the last frame ended,
+    ``picture`` a JPEG of it in base 64.
+    """
+    state = {"x": pack(motion.x, "<f8"), "v": pack(motion.v, "<f8")}
+    return {"scene": scene, "state": state, "picture": picture}
+
+
+def read_motion(folder: Path, scene: str, rest: Floats) -> tuple[list[MotionFrame], Motion]:
+    """Return the frames of a folder and where they ended; none, at rest, if it is not there.
+
+    Raises :class:`InputError`: ``simulate.frames`` if there is a gap or what is no frame,
+    ``simulate.other_scene`` if the frames are another scene's.
+    """
+    motions = [Motion(rest, np.zeros_like(rest), IDENTITY)]
+
+    def take(values: Mapping[str, Any], frames: Sequence[MotionFrame]) -> None:
+        x, v = (unpack(values["state"][name], "<f8") for name in ("x", "v"))
+        motions.append(Motion(x, v, frames[-1].into_world))
+        if values["scene"] != scene:
+            raise InputError(
+                "simulate.other_scene",
+                "the frames that are ready belong to another scene, person or rig: begin anew",
+            )
+
+    def fits(frame: MotionFrame) -> bool:
+        return frame.moved.shape == rest.shape
+
+    frames = read_chunks(folder, MotionFrame, "simulate.frames", fits, take)
+    return frames, motions[-1]
+
+
+def motion_report(frames: Sequence[MotionFrame], model: SubjectModel) -> dict[str, Any]:
+    """Return the figures of a simulation; lengths in mm, times in s or ms, volumes in ml.
+
+    The flesh's volume is compared with that of the ``model`` at rest.
+    """
+    seconds = [frame.seconds for frame in frames]
+    at_rest = volume_ml(model.rest, model.tets)
+    volumes = [volume_ml(model.rest + frame.moved, model.tets) for frame in frames]
+    changes = [100.0 * (volume / at_rest - 1.0) for volume in volumes]
+    furthest = [float(np.linalg.norm(frame.moved, axis=1).max()) for frame in frames]
+    return {
+        "format": FORMAT,
+        "frames": len(frames),
+        "duration": frames[-1].time - frames[0].time,
+        "penetration_max_mm": max(frame.penetration_mm for frame in frames),
+        "behind_teeth": max(frame.behind_teeth for frame in frames),
+        "inverted": max(frame.inverted for frame in frames),
+        "moved_max_mm": round(max(furthest), 3),
+        "volume_ml": round(at_rest, 2),
+        "volume_change_percent": [round(min(changes), 3), round(max(changes), 3)],
+        "iterations": round(float(np.mean([frame.iterations for frame in frames])), 2),
+        "halvings": sum(frame.halvings for frame in frames),
+        "frame_ms": round(1e3 * float(np.median(seconds)), 1),
+        "frame_max_ms": round(1e3 * max(seconds), 1),
+        "seconds": round(sum(seconds), 2),
+    }
+
+
+# Fitted performances.
+
+Status = Literal["fitted", "kept", "unseen"]
+
+
+@dataclass(frozen=True)
+class SequenceFrame(FrameRecord):
+    """One frame of a performance, fitted; its number is the performance's.
+
+    The head is in the studio, zero where it was not asked for.
+
+    status
+        ``fitted``; ``kept``: the fit failed and the pose is the frame before's; ``unseen``: too
+        little of the face was seen, the pose is kept too.
+    mean_mm, p95_mm, max_mm
+        Distance between fit and frame over the face's points that were seen, None without any.
+    coverage
+        Share of the face's points that were seen.
+    """
+
+    status: Status
+    mean_mm: float | None
+    p95_mm: float | None
+    max_mm: float | None
+    coverage: float
+
+
+def read_frames(folder: Path, muscles: int) -> list[SequenceFrame]:
+    """Return the frames of a sequence in a folder, none if it is not there.
+
+    Raises :class:`InputError` (``sequence.frames``) if there is a gap or another model's frames.
+    """
+
+    def fits(frame: SequenceFrame) -> bool:
+        return frame.activations.shape == (muscles, 6)
+
+    return read_chunks(folder, SequenceFrame, "sequence.frames", fits)
+
+
+def write_sequence(
+    out: Path,
+    frames: Sequence[SequenceFrame],
+    muscles: Sequence[str],
+    fps: float,
+    report: dict[str, Any],
+) -> list[Path]:
+    """Write ``sequence.npz``, ``activations.csv`` and ``sequence.json``; returns their paths."""
+    files = [out / "sequence.npz", out / "activations.csv", out / "sequence.json"]
+    _write_arrays(files[0], frames, muscles, fps)
+    _write_table(files[1], frames, muscles, fps)
+    files[2].write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    return files
+
+
+def sequence_report(frames: Sequence[SequenceFrame], fps: float, name: str) -> dict[str, Any]:
+    """Return the figures of a sequence; distances in mm over frames, times in seconds or ms."""
+    fitted = [frame for frame in frames if frame.status == "fitted"]
+    errors = [frame.mean_mm for frame in fitted if frame.mean_mm is not None]
+    seconds = [frame.seconds for frame in fitted]
+    worst = max(fitted, key=lambda frame: frame.mean_mm or 0.0, default=None)
+    return {
+        "performance": name,
+        "frames": len(frames),
+        "fitted": len(fitted),
+        "kept": [frame.frame for frame in frames if frame.status == "kept"],
+        "unseen": [frame.frame for frame in frames if frame.status == "unseen"],
+        "fps": fps,
+        "mean_mm": _round(np.mean, errors),
+        "median_mm": _round(np.median, errors),
+        "p95_mm": _round(lambda values: np.percentile(values, 95), errors),
+        "worst_frame": worst.frame if worst else None,
+        "max_mm": max((frame.max_mm for frame in fitted if frame.max_mm is not None), default=None),
+        "inverted": sum(frame.inverted for frame in frames),
+        "iterations": _round(np.mean, [frame.iterations for frame in fitted]),
+        "frame_ms": _round(np.median, [1e3 * each for each in seconds]),
+        "frames_per_second": round(len(seconds) / sum(seconds), 2) if sum(seconds) else None,
+    }
+
+
+def _round(statistic: Any, values: Sequence[float]) -> float | None:
+    return round(float(statistic(values)), 4) if values else None
+
+
+def _write_arrays(
+    path: Path, frames: Sequence[SequenceFrame], muscles: Sequence[str], fps: float
+) -> None:
+    kinds = {"frame": np.int64, "status": np.str_, "inverted": np.int64, "iterations": np.int64}
+    columns = {
+        name: np.array([getattr(frame, name) for frame in frames], kinds.get(name, np.float64))
+        for name in (each.name for each in fields(SequenceFrame))
+    }
+    whole = {"format": FORMAT, "muscles": list(muscles), "fps": fps, "time": columns["frame"] / fps}
+    with path.open("wb") as stream:
+        np.savez_compressed(stream, allow_pickle=False, **whole, **columns)
+
+
+def _write_table(
+    path: Path, frames: Sequence[SequenceFrame], muscles: Sequence[str], fps: float
+) -> None:
+    jaw = [f"jaw.{number}" for number in range(1, JAW_FREEDOM + 1)]
+    head = ["head.rx", "head.ry", "head.rz", "head.tx", "head.ty", "head.tz"]
+    entries = [f"{muscle}.{entry}" for muscle in muscles for entry in ENTRIES]
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        rows = csv.writer(stream)
+        rows.writerow(["frame", "time", "status", "mean_mm", *jaw, *head, *entries])
+        for frame in frames:
+            values = [*frame.jaw, *frame.head, *frame.activations.ravel()]
+            error = "" if frame.mean_mm is None else f"{frame.mean_mm:.4f}"
+            rows.writerow(
+                [frame.frame, f"{frame.frame / fps:.4f}", frame.status, error]
+                + [f"{value:.6f}" for value in values]
+            )

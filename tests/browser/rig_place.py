@@ -20,7 +20,7 @@ from service.settings import Settings
 from service.store.database import Store
 from service.store.models import DEFAULT_TENANT, Artifact, Job, Rig, Subject
 from solver.rig.animation_gltf import AnimatedSkin
-from solver.rig.motion import SequenceFrame
+from solver.rig.frames import SequenceFrame
 from solver.surface import Floats
 from tests.browser.sample_rig import Sample, write_sample
 from tests.browser.stage import CHROMIUM

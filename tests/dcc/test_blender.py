@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from solver.rig.animation_gltf import AnimatedSkin, AnimationOptions, write_animation_glb
 from solver.rig.exporters import glb
+from solver.rig.frames import SequenceFrame
 from solver.rig.gltf import Solid
-from solver.rig.motion import SequenceFrame
 from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.skin_basis import SEQUENCE_BASIS
 from solver.surface import Floats, Surface, vertex_normals

@@ -16,8 +16,7 @@ from service.queue.table import Claim
 from service.store.files import FolderFiles
 from service.store.models import DEFAULT_TENANT
 from solver.mechanics.flesh import IDENTITY
-from solver.rig.frames import write_chunk
-from solver.rig.motion import SequenceFrame
+from solver.rig.frames import SequenceFrame, write_chunk
 from solver.rig.rig import Rig
 from tests.service_client import Studio, eventually
 from tests.solver.block import block_model

@@ -19,8 +19,7 @@ from solver.jobs.fit_sequence import Follower
 from solver.jobs.fits import Targets
 from solver.meshio.registered import RegisteredScan
 from solver.progress import Step
-from solver.rig.frames import ChunkOptions
-from solver.rig.motion import read_frames
+from solver.rig.frames import ChunkOptions, read_frames
 from solver.rig.rig import Rig
 from tests.fixtures import fixture_model
 from tests.solver.block import block_model

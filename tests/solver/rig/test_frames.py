@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError
-from solver.rig.frames import ChunkOptions, ChunkReader, ChunkWriter, FrameRecord
-from solver.rig.motion import MotionFrame, read_frames, read_motion
+from solver.rig.frames import (
+    ChunkOptions,
+    ChunkWriter,
+    FrameRecord,
+    MotionFrame,
+    read_chunks,
+    read_frames,
+    read_motion,
+)
 
 BEFORE = Path(__file__).parent / "frames_of_0_1"
 
@@ -16,8 +23,10 @@ def record(number):
     return FrameRecord(number, np.ones((2, 6)), np.zeros(5), np.arange(6.0), 0, 3, 0.5)
 
 
-def reader(code="sequence.frames", muscles=2):
-    return ChunkReader(FrameRecord, code, lambda frame: frame.activations.shape == (muscles, 6))
+def read(folder, code="sequence.frames", muscles=2):
+    return read_chunks(
+        folder, FrameRecord, code, lambda frame: frame.activations.shape == (muscles, 6)
+    )
 
 
 def test_sequences_of_the_release_before_are_read():
@@ -30,13 +39,13 @@ def test_sequences_of_the_release_before_are_read():
 
 def test_simulations_of_the_release_before_are_read():
     rest = np.arange(12.0).reshape(4, 3)
-    ready = read_motion(BEFORE / "motion", "the scene", rest)
-    assert [type(frame) for frame in ready.frames] == [MotionFrame, MotionFrame]
-    assert (ready.frames[1].time, ready.frames[1].behind_teeth) == (0.04, 1)
-    np.testing.assert_array_equal(ready.frames[1].moved, np.full((4, 3), 0.5))
-    np.testing.assert_array_equal(ready.motion.x, rest + 1.0)
-    np.testing.assert_array_equal(ready.motion.v, rest - 2.0)
-    np.testing.assert_allclose(ready.motion.head.shift, [1.0, 2.0, 3.0])
+    frames, motion = read_motion(BEFORE / "motion", "the scene", rest)
+    assert [type(frame) for frame in frames] == [MotionFrame, MotionFrame]
+    assert (frames[1].time, frames[1].behind_teeth) == (0.04, 1)
+    np.testing.assert_array_equal(frames[1].moved, np.full((4, 3), 0.5))
+    np.testing.assert_array_equal(motion.x, rest + 1.0)
+    np.testing.assert_array_equal(motion.v, rest - 2.0)
+    np.testing.assert_allclose(motion.head.shift, [1.0, 2.0, 3.0])
 
 
 def test_files_are_written_when_they_are_full_and_at_the_end(tmp_path):
@@ -52,8 +61,8 @@ def test_files_are_written_when_they_are_full_and_at_the_end(tmp_path):
     names = ["000000-000001.json", "000002-000003.json", "000004-000004.json"]
     assert sorted(path.name for path in tmp_path.iterdir()) == names
     assert beside == [1, 3, 4]
-    read = reader().read(tmp_path)
-    assert [frame.as_dict() for frame in read] == [record(n).as_dict() for n in range(5)]
+    found = read(tmp_path)
+    assert [frame.as_dict() for frame in found] == [record(n).as_dict() for n in range(5)]
 
 
 def test_files_are_written_when_they_are_overdue(tmp_path):
@@ -67,11 +76,11 @@ def test_gaps_and_other_models_are_refused(tmp_path):
     for number in range(3):
         writer.add(record(number))
     with pytest.raises(InputError, match="does not follow") as raised:
-        reader("simulate.frames", muscles=3).read(tmp_path)
+        read(tmp_path, "simulate.frames", muscles=3)
     assert raised.value.code == "simulate.frames"
     (tmp_path / "000001-000001.json").unlink()
     with pytest.raises(InputError, match="does not follow on the 1 frames"):
-        reader().read(tmp_path)
+        read(tmp_path)
     (tmp_path / "000001-000001.json").write_text('{"format": 2}')
     with pytest.raises(InputError, match="holds no frames: their format is 2"):
-        reader().read(tmp_path)
+        read(tmp_path)

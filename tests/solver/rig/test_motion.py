@@ -7,8 +7,7 @@ import pytest
 
 from solver.errors import InputError
 from solver.mechanics.flesh import IDENTITY
-from solver.rig.frames import write_chunk
-from solver.rig.motion import MotionFrame, motion_values, read_motion
+from solver.rig.frames import MotionFrame, motion_values, read_motion, write_chunk
 from solver.simulation.forces import Motion
 from tests.solver.block import block_model
 
@@ -48,21 +47,21 @@ def test_what_was_written_is_read(tmp_path, rest):
     write_chunk(tmp_path, 0, written[:2], beside)
     path = write_chunk(tmp_path, 2, written[2:], beside)
     assert path.name == "000002-000002.json"
-    ready = read_motion(tmp_path, "scene", rest)
-    for one, other in zip(ready.frames, written, strict=True):
+    found, end = read_motion(tmp_path, "scene", rest)
+    for one, other in zip(found, written, strict=True):
         np.testing.assert_allclose(one.moved, other.moved, atol=1e-6)
         same = replace(one, moved=other.moved).as_dict()
         assert same == other.as_dict()
-    np.testing.assert_array_equal(ready.motion.x, motion.x)
-    np.testing.assert_array_equal(ready.motion.v, motion.v)
-    np.testing.assert_allclose(ready.motion.head.rotation, motion.head.rotation)
+    np.testing.assert_array_equal(end.x, motion.x)
+    np.testing.assert_array_equal(end.v, motion.v)
+    np.testing.assert_allclose(end.head.rotation, motion.head.rotation)
 
 
 def test_a_folder_without_frames_is_rest(tmp_path, rest):
-    ready = read_motion(tmp_path / "frames", "scene", rest)
-    assert ready.frames == []
-    np.testing.assert_array_equal(ready.motion.x, rest)
-    assert not ready.motion.v.any()
+    found, end = read_motion(tmp_path / "frames", "scene", rest)
+    assert found == []
+    np.testing.assert_array_equal(end.x, rest)
+    assert not end.v.any()
 
 
 def test_frames_of_another_scene_or_after_a_gap_are_refused(tmp_path, rest):

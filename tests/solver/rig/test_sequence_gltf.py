@@ -10,8 +10,8 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from solver.rig.animation_gltf import AnimatedSkin
+from solver.rig.frames import SequenceFrame
 from solver.rig.gltf_check import validate_glb
-from solver.rig.motion import SequenceFrame
 from solver.rig.skin_basis import SEQUENCE_BASIS
 from solver.surface import Floats, Surface
 
