@@ -15,6 +15,19 @@ from solver.storage import Archive, Arrays, csr_arrays, csr_from, with_prefix
 from solver.surface import Floats, Ints, Surface
 
 FORMAT = 1  # of the file
+# fields of a model that are arrays, stored as they are
+ARRAYS = (
+    "rest",
+    "tets",
+    "cranium",
+    "mandible",
+    "cut",
+    "sliding",
+    "embedded",
+    "offset",
+    "attached_mandible",
+    "face",
+)
 
 
 @dataclass(frozen=True)
@@ -133,20 +146,11 @@ class SubjectModel:
     def archive(self) -> Archive:
         """Return all that the model holds, to be stored."""
         arrays: Arrays = {
-            "rest": self.rest,
-            "tets": self.tets,
-            "cranium": self.cranium,
-            "mandible": self.mandible,
-            "cut": self.cut,
-            "sliding": self.sliding,
+            **{name: getattr(self, name) for name in ARRAYS},
             **csr_arrays("weights", self.weights),
+            **csr_arrays("embedding", self.embedding),
             "skin_vertices": self.skin.vertices,
             "skin_faces": self.skin.faces,
-            "embedded": self.embedded,
-            **csr_arrays("embedding", self.embedding),
-            "offset": self.offset,
-            "attached_mandible": self.attached_mandible,
-            "face": self.face,
             "jaw_origin": self.jaw.origin,
             "jaw_axes": self.jaw.axes,
         }
@@ -181,20 +185,11 @@ class SubjectModel:
 
         names = tuple(header["muscle_names"])
         return cls(
-            rest=data["rest"],
-            tets=data["tets"],
-            cranium=data["cranium"],
-            mandible=data["mandible"],
-            cut=data["cut"],
-            sliding=data["sliding"],
+            **{name: data[name] for name in ARRAYS},
             muscle_names=names,
             weights=csr_from("weights", data, len(names) + 1),
             skin=Surface(data["skin_vertices"], data["skin_faces"]),
-            embedded=data["embedded"],
             embedding=csr_from("embedding", data, len(data["rest"])),
-            offset=data["offset"],
-            attached_mandible=data["attached_mandible"],
-            face=data["face"],
             jaw=JawFrame(data["jaw_origin"], data["jaw_axes"]),
             muscles=surfaces("muscle"),
             bones=surfaces("bone"),

@@ -1,4 +1,4 @@
-"""Named arrays and a JSON header in one NPZ file without pickles, with a hash of what is in it."""
+"""Files: named arrays with a JSON header in one NPZ without pickles, and readable JSON."""
 
 from __future__ import annotations
 
@@ -230,6 +230,11 @@ def with_prefix(arrays: Arrays, prefix: str) -> Arrays:
         for name, array in arrays.items()
         if name.startswith(prefix)
     }
+
+
+def write_json(path: Path, values: Any) -> None:
+    """Write JSON values for people as well as programs: indented, all of them finite."""
+    path.write_text(json.dumps(values, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def cache_directory() -> Path:

@@ -15,7 +15,6 @@ from benchmarks.physics.headset import headset
 from benchmarks.physics.jobs import FOLDER
 from solver.jobs.scenes import play, skin_of
 from solver.kinds.scene import SimulateScene
-from solver.progress import silent
 from solver.rig.animation import Filming, Shot, contact_sheet
 from solver.scene.document import drives_of, read_scene
 from solver.scene.places import Places
@@ -67,7 +66,7 @@ def _end(
     played = read_scene(scene, SimulateScene)
     drives = drives_of(played, person.poses, person.model, person.S)
     stage = Stage(played, places, person.S, drives)
-    last = play(stage, folder / title, title, silent, resume=False, share=(0.0, 1.0))[-1]
+    last = play(stage, folder / title, title)[-1]
     return Shot(
         title,
         last.into_world(skin_of(stage, last)),

@@ -76,7 +76,7 @@ def run(
     out.mkdir(parents=True, exist_ok=True)
     drives = RecordedDrives(take, person.shapes, person.model, start, start + frames)
     stage = Stage(SimulateScene(), Places(person.model, {}), person.S, drives)
-    done = play(stage, out, TITLE, silent, resume=False, share=(0.0, 1.0))
+    done = play(stage, out, TITLE)
     skins = np.array([skin_of(stage, frame) for frame in done])
     played = Played(done, skins, _direct(person, basis, drives))
     off = played.distances(person).mean(axis=1)

@@ -15,7 +15,7 @@ from solver.jobs import Task
 from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_person
 from solver.kinds.animate import Animate
 from solver.mechanics.linear import fastest
-from solver.progress import Step
+from solver.progress import Step, part_of
 from solver.rig.animation import check_video
 from solver.rig.rig import Rig
 from solver.scans.live_link import read_live_link
@@ -23,10 +23,8 @@ from solver.scene.document import head_of
 from solver.scene.stage import Stage
 from solver.templates.builtin.build import builtin_template
 
-# Part of a job after which its blendshapes are solved.
-SOLVED = 0.3
-# Blendshapes that are solved between two writings of their file.
-SAVED_EVERY = 5
+SOLVED = 0.3  # part of a job after which its blendshapes are solved
+SAVED_EVERY = 5  # blendshapes that are solved between two writings of their file
 
 
 def run(task: Task[Animate]) -> list[Path]:
@@ -40,16 +38,16 @@ def run(task: Task[Animate]) -> list[Path]:
     if given.video:
         check_video()
     scene = given.scene
-    person = read_person(task)
-    model, S = person.rig.model, person.rig.weights
+    rig, places = read_person(task)
+    model, S = rig.model, rig.weights
     recording = scene.recording
-    recorded = read_live_link(person.places.asset(recording.asset))
+    recorded = read_live_link(places.asset(recording.asset))
 
     def stage_of(shapes: Blendshapes) -> Stage:
         head = head_of(scene.head)
         start, end = recording.start, recording.end
         drives = RecordedDrives(recorded, shapes, model, start, end, head=head)
-        return Stage(scene, person.places, S, drives, given.linear_solver)
+        return Stage(scene, places, S, drives, given.linear_solver)
 
     kept = out / "blendshapes.npz"
     if "blendshapes" in task.inputs:
@@ -57,10 +55,10 @@ def run(task: Task[Animate]) -> list[Path]:
     else:
         # the shapes take minutes: what is wrong with the scene is told before
         stage_of(Blendshapes(model.muscle_names, {}))
-        shapes = _solve_shapes(person.rig, kept, task)
+        shapes = _solve_shapes(rig, kept, task)
     shapes.save(kept, model, S)
-    stage, share = stage_of(shapes), (SOLVED, EXPORT)
-    frames = play(stage, out, fingerprint(task), progress, resume=task.resume, share=share)
+    stage, playing = stage_of(shapes), part_of(progress, SOLVED, EXPORT)
+    frames = play(stage, out, fingerprint(task), playing, resume=task.resume)
     solved = shapes.shapes
     more = {
         "blendshapes": len(solved),

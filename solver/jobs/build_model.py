@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from solver.anatomy.build import build_subject_model, model_summary
@@ -13,6 +12,7 @@ from solver.kinds.build_model import BuildModel
 from solver.meshio.registered import read_registered
 from solver.progress import Step, part_of
 from solver.rig.pictures import anatomy_picture, fibres_picture, tets_picture
+from solver.storage import write_json
 from solver.templates.builtin.build import builtin_template
 
 
@@ -36,7 +36,7 @@ def run(task: Task[BuildModel]) -> list[Path]:
     names = ("model.npz", "model.json", "anatomy.png", "tets.png", "fibres.png")
     files = [task.out / name for name in names]
     model.save(files[0])
-    files[1].write_text(json.dumps(model_summary(model), indent=2), encoding="utf-8")
+    write_json(files[1], model_summary(model))
     progress(Step("pictures", 0.94))
     anatomy_picture(model, files[2])
     tets_picture(model, files[3])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 
@@ -14,9 +13,9 @@ from solver.mechanics.linear import fastest
 from solver.progress import Step
 from solver.rig.preview import make_preview, preview_picture, write_preview
 from solver.rig.rig import Rig
+from solver.storage import write_json
 
-# Residual of an equilibrium: within a thousandth of a millimetre, and far below the error.
-TOLERANCE = 1e-5
+TOLERANCE = 1e-5  # residual of an equilibrium: within a thousandth of a mm, far below the error
 
 
 def run(task: Task[BuildPreview]) -> list[Path]:
@@ -47,6 +46,6 @@ def run(task: Task[BuildPreview]) -> list[Path]:
     progress(Step("pictures", 0.96))
     preview_picture(rig.model, preview, files[2])
     figures = {**preview.figures(), "seconds": round(time.perf_counter() - begin, 1)}
-    files[1].write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_json(files[1], figures)
     progress(Step("done", 1.0))
     return files

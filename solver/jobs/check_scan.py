@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 
 from solver.anatomy.template import Template
 from solver.errors import InputError, judge_findings
 from solver.jobs import Task
-from solver.kinds.check_scan import CheckScan
+from solver.kinds.kind import FrameOptions
 from solver.progress import Step
 from solver.scans.check import check, check_picture
+from solver.storage import write_json
 from solver.templates.builtin.build import builtin_template
 
 ROLES = ("unknown", "neutral", "expression")
 
 
-def run(task: Task[CheckScan]) -> list[Path]:
+def run(task: Task[FrameOptions]) -> list[Path]:
     """Check a raw scan: whether it can be used, and what to do about it now.
 
     Writes ``check.json`` (``verdict`` good, usable or bad; ``findings``, each with ``code``,
@@ -49,6 +49,6 @@ def run(task: Task[CheckScan]) -> list[Path]:
         "findings": [finding.to_dict() for finding in found.findings],
         "figures": found.figures | {"seconds": round(time.perf_counter() - start, 2)},
     }
-    files[0].write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_json(files[0], report)
     progress(Step("done", 1.0, message=judged))
     return files

@@ -11,7 +11,6 @@ from solver.errors import SolveError
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task
 from solver.jobs.scenes import read_person
-from solver.kinds import scene as described
 from solver.kinds.edit import Edit
 from solver.progress import Progress, Step
 from solver.rig.edit_report import Compared, EditedPerson, edit_picture, edit_report, write_edit
@@ -29,12 +28,12 @@ def run(task: Task[Edit]) -> list[Path]:
     """
     scene = task.options.scene
     out, progress = task.out, task.progress
-    person = read_person(task)
-    rig, fits = person.rig, person.rig.expressions
+    rig, places = read_person(task)
+    fits = rig.expressions
     physics = Physics(scene)
     entries = scene.edits
     unedited = Edited.nothing(rig.model, rig.weights)
-    edited = apply(edits_of(entries, person.places), rig.model, rig.weights)
+    edited = apply(edits_of(entries, places), rig.model, rig.weights)
     before, all_before = _replay(unedited, physics, fits, "before the edits", 0.05, progress)
     after, all_after = _replay(edited, physics, fits, "after the edits", 0.45, progress)
     compared = [
@@ -45,7 +44,8 @@ def run(task: Task[Edit]) -> list[Path]:
     progress(Step("export", 0.86))
     report = edit_report(whole)
     files = [*write_edit(whole, report, out), out / "edit.png"]
-    edit_picture(whole, _title(entries), _detail(report), files[-1])
+    title = "Edited: " + ", ".join(dict.fromkeys(entry.kind for entry in entries))
+    edit_picture(whole, title, _detail(report), files[-1])
     progress(Step("done", 1.0))
     return files
 
@@ -74,11 +74,6 @@ def _replay(
             progress(Step("warning", done, message=told))
         progress(Step("expressions", done, number, message=f"{fit.name}, {words}"))
     return replay.neutral, found
-
-
-def _title(entries: Sequence[described.Edit]) -> str:
-    kinds = dict.fromkeys(entry.kind for entry in entries)
-    return "Edited: " + ", ".join(kinds)
 
 
 def _detail(report: Mapping[str, Any]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from solver.jobs import Task
@@ -10,6 +9,7 @@ from solver.kinds.export_rig import ExportRig
 from solver.progress import Step
 from solver.rig.exporters import export, exporter
 from solver.rig.rig import Rig
+from solver.storage import write_json
 
 
 def run(task: Task[ExportRig]) -> list[Path]:
@@ -25,7 +25,6 @@ def run(task: Task[ExportRig]) -> list[Path]:
     progress(Step("export", 0.3, message=given.format))
     made, report = task.out / file, task.out / "export.json"
     export(rig, given.format, made, given.settings)
-    figures = {"format": given.format, "file": file, "bytes": made.stat().st_size}
-    report.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    write_json(report, {"format": given.format, "file": file, "bytes": made.stat().st_size})
     progress(Step("done", 1.0))
     return [made, report]

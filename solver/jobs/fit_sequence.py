@@ -184,10 +184,8 @@ class Follower:
 
 
 CHUNKS = ChunkOptions(frames=30)
-# Mean distance that says that a performance is not this person's: a fit leaves less than 2.
-UNLIKE_MM = 5.0
-# Frames in the picture.
-MOST_SHOTS = 6
+UNLIKE_MM = 5.0  # mean distance that says it is not this person's: a fit leaves less than 2
+MOST_SHOTS = 6  # frames in the picture
 
 
 def run(task: Task[FitSequence]) -> list[Path]:
@@ -325,13 +323,13 @@ def _check_likeness(source: Performance, frame: SequenceFrame) -> None:
 
 
 def _tell(progress: Progress, frame: SequenceFrame, count: int, total: int) -> None:
-    done = 0.01 + 0.95 * count / total
+    done, warning = 0.01 + 0.95 * count / total, None
     if frame.status != "fitted":
         why = "hardly any of the face is seen" if frame.status == "unseen" else "it does not settle"
-        words = f"frame {frame.frame} keeps the pose of the frame before: {why}"
-        progress(Step("warning", done, message=words))
+        warning = f"frame {frame.frame} keeps the pose of the frame before: {why}"
     elif frame.mean_mm is not None and frame.mean_mm > UNLIKE_MM:
-        words = f"the fitted face is {frame.mean_mm:.0f} mm off frame {frame.frame}"
-        progress(Step("warning", done, message=words))
+        warning = f"the fitted face is {frame.mean_mm:.0f} mm off frame {frame.frame}"
+    if warning:
+        progress(Step("warning", done, message=warning))
     words = f"frame {count} of {total}"
     progress(Step("frames", done, mean_error_mm=frame.mean_mm, message=words))

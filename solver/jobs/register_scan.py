@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 
 from solver.anatomy.template import Template
 from solver.jobs import Task
-from solver.kinds.register_scan import RegisterScan
+from solver.kinds.kind import FrameOptions
 from solver.meshio.raw import mend, read_raw
 from solver.meshio.registered import read_registered, write_registered
 from solver.progress import Step
@@ -16,13 +15,14 @@ from solver.registration.landmarks import match, read_landmarks
 from solver.registration.register import register
 from solver.registration.report import distance_picture, report
 from solver.registration.topology import topology
+from solver.storage import write_json
 from solver.templates.builtin.build import builtin_template
 
 # Environment variable with the path of MediaPipe's face landmarker; without it none is used.
 LANDMARKER_VARIABLE = "MYOFACE_FACE_LANDMARKER"
 
 
-def run(task: Task[RegisterScan]) -> list[Path]:
+def run(task: Task[FrameOptions]) -> list[Path]:
     """Register a raw scan: a neutral, or an expression if the person's ``neutral`` is given.
 
     ``neutral`` is the person's registered neutral, ``landmarks`` an optional file of
@@ -58,7 +58,7 @@ def run(task: Task[RegisterScan]) -> list[Path]:
     files = [task.out / name for name in ("registered.ply", "registration.json", "distance.png")]
     write_registered(files[0], registered.skin, registered.trust.confidence)
     figures = report(registered, known)
-    files[1].write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_json(files[1], figures)
     distance_picture(registered, known, files[2])
     progress(Step("done", 1.0))
     return files

@@ -9,7 +9,7 @@ import json
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from PIL import Image
 from solver.animation.drives import PosedFrame
 from solver.errors import SolveError
 from solver.jobs import Task
-from solver.progress import Progress, Step
+from solver.progress import Progress, Step, silent
 from solver.rig.animation import Filming, write_animation
 from solver.rig.frames import (
     FRAMES,
@@ -39,38 +39,23 @@ from solver.simulation.forces import Drive, Motion
 from solver.simulation.simulator import Stepped
 from solver.surface import Floats
 
-# Whom a scene is about: the files of a fitted person, and what is in them.
 
-
-@dataclass(frozen=True)
-class Person:
-    """A fitted face, and the places on it."""
-
-    rig: Rig
-    places: Places
-
-
-def read_person(task: Task[Any]) -> Person:
+def read_person(task: Task[Any]) -> tuple[Rig, Places]:
     """Return the person of a scene; raises as its files' readers, and ``scene.template``."""
     task.progress(Step("read", 0.0, message=task.inputs["rig"].name))
     rig = Rig.load(task.inputs)
-    return Person(rig, Places.of(rig.model, task.inputs.get("template"), task.captures))
+    return rig, Places.of(rig.model, task.inputs.get("template"), task.captures)
 
 
 def fingerprint(task: Task[Any]) -> str:
     """Return the hash of a task's scene and of all files that it is played with."""
     files = {**task.inputs, **{f"asset {name}": path for name, path in task.captures.items()}}
-    hashes = {name: _hash(path) for name, path in files.items()}
+    hashes = {}
+    for name, path in files.items():
+        with path.open("rb") as stream:
+            hashes[name] = hashlib.file_digest(stream, "sha256").hexdigest()
     content = [document_of(task.options.scene), hashes]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
-def _hash(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-# A scene's frames, one after the other: what simulations and animations share.
 
 
 CHUNKS = ChunkOptions(frames=10)
@@ -87,20 +72,13 @@ class PictureOptions:
 
 
 def play(
-    stage: Stage,
-    out: Path,
-    scene: str,
-    progress: Progress,
-    *,
-    resume: bool,
-    share: tuple[float, float],
+    stage: Stage, out: Path, scene: str, progress: Progress = silent, *, resume: bool = False
 ) -> list[MotionFrame]:
     """Simulate all frames of a stage and return them; they are in ``out/frames`` as they come.
 
     With ``resume`` the frames that are there are kept, and the simulation goes on after them.
-    ``scene`` is the hash of what is simulated, ``share`` where in the whole job's progress this
-    begins and ends. Raises :class:`~solver.errors.SolveError` (``simulate.*``)
-    with the ``frame`` that could not be reached; those before it stay.
+    ``scene`` is the hash of what is simulated. Raises :class:`~solver.errors.SolveError`
+    (``simulate.*``) with the ``frame`` that could not be reached; those before it stay.
     """
     if not resume:
         shutil.rmtree(out / FRAMES, ignore_errors=True)
@@ -127,10 +105,8 @@ def play(
             drive = goal
             chunks.add(frame)
             done.append(frame)
-            part = (number + 1) / len(times)
-            words = f"frame {number + 1} of {len(times)}"
-            fraction = share[0] + part * (share[1] - share[0])
-            progress(Step("simulate", fraction, number + 1, stepped.residual, message=words))
+            part, words = (number + 1) / len(times), f"frame {number + 1} of {len(times)}"
+            progress(Step("simulate", part, number + 1, stepped.residual, message=words))
     finally:
         chunks.flush()
     return done
@@ -183,20 +159,15 @@ def _reach(stage: Stage, motion: Motion, drive: Drive | None, goal: Drive) -> St
         spent = time.perf_counter() - begun
         return Stepped(at_rest, at_rest.y, 0, 0, 0.0, spent, stage.inverted(at_rest.y))
     iterations = halvings = 0
-    for target in _between(stage, drive, goal):
+    moments = np.linspace(drive.time, goal.time, stage.steps_per_frame + 1)[1:-1].tolist()
+    between = [stage.drive(moment, stage.drives(moment)) for moment in moments]
+    for target in [*between, goal]:
         stepped = stage.simulator.step(motion, drive, target)
         motion, drive = stepped.motion, target
         iterations += stepped.iterations
         halvings += stepped.halvings
     spent = time.perf_counter() - begun
     return replace(stepped, iterations=iterations, halvings=halvings, seconds=spent)
-
-
-def _between(stage: Stage, drive: Drive, goal: Drive) -> Iterator[Drive]:
-    """Return what the flesh is asked for in the steps of one frame, ``goal`` at last."""
-    for moment in np.linspace(drive.time, goal.time, stage.steps_per_frame + 1)[1:-1]:
-        yield stage.drive(float(moment), stage.drives(float(moment)))
-    yield goal
 
 
 def _frame(
@@ -234,14 +205,11 @@ class _Beside:
 
     def __call__(self, last: MotionFrame) -> dict[str, Any]:
         """Return them for a file with this ``last`` frame, which ended in ``motion``."""
-        picture = self._draw(last)
-        encoded = None if picture is None else base64.b64encode(picture).decode()
-        return motion_values(self._scene, self.motion, encoded)
+        is_due = time.monotonic() - self._pictured >= self._options.seconds
+        return motion_values(self._scene, self.motion, self._draw(last) if is_due else None)
 
-    def _draw(self, frame: MotionFrame) -> bytes | None:
-        """Return a JPEG of a frame, if there has been none for a while."""
-        if time.monotonic() - self._pictured < self._options.seconds:
-            return None
+    def _draw(self, frame: MotionFrame) -> str:
+        """Return a JPEG of a frame, in base 64."""
         skin = frame.into_world(skin_of(self._stage, frame))
         objects = [each.at(frame.time) for each in self._stage.objects]
         light = self._filming.light(skin)
@@ -250,4 +218,4 @@ class _Beside:
         image = Image.fromarray((pixels * 255 + 0.5).astype(np.uint8))
         image.save(content, "JPEG", quality=self._options.quality)
         self._pictured = time.monotonic()
-        return content.getvalue()
+        return base64.b64encode(content.getvalue()).decode()

@@ -8,6 +8,7 @@ from solver.fitting.face import Pose
 from solver.jobs import Task
 from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_person
 from solver.kinds.simulate import Simulate
+from solver.progress import part_of
 from solver.rig.animation import check_video
 from solver.scene.document import drives_of
 from solver.scene.stage import Stage
@@ -27,11 +28,10 @@ def run(task: Task[Simulate]) -> list[Path]:
     given, out, progress = task.options, task.out, task.progress
     if given.video:
         check_video()
-    person = read_person(task)
-    rig = person.rig
+    rig, places = read_person(task)
     poses = {fit.name: Pose(fit.activations, fit.jaw) for fit in rig.expressions}
     drives = drives_of(given.scene, poses, rig.model, rig.weights)
-    stage = Stage(given.scene, person.places, rig.weights, drives, given.linear_solver)
-    share = (READ, EXPORT)
-    frames = play(stage, out, fingerprint(task), progress, resume=task.resume, share=share)
+    stage = Stage(given.scene, places, rig.weights, drives, given.linear_solver)
+    playing = part_of(progress, READ, EXPORT)
+    frames = play(stage, out, fingerprint(task), playing, resume=task.resume)
     return finish(stage, frames, out, progress, title="Simulation", video=given.video, more={})

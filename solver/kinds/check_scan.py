@@ -2,11 +2,6 @@
 
 from solver.kinds.kind import FrameOptions, Kind
 
-
-class CheckScan(FrameOptions):
-    """Options of a check."""
-
-
 KIND = Kind(
     title="Check a scan",
     description="Whether a scan can be used, while the person is still in the chair: verdict, "
@@ -18,5 +13,5 @@ KIND = Kind(
     report="check.json",
     result="check.png",
     folder="check",
-    options=CheckScan,
+    options=FrameOptions,
 )

@@ -2,11 +2,6 @@
 
 from solver.kinds.kind import FrameOptions, Kind
 
-
-class RegisterScan(FrameOptions):
-    """Options of a registration."""
-
-
 KIND = Kind(
     title="Register a raw scan",
     description="The template's vertices on a raw scan, with a confidence each; an expression is "
@@ -17,5 +12,5 @@ KIND = Kind(
     report="registration.json",
     result="registered.ply",
     folder="registered",
-    options=RegisterScan,
+    options=FrameOptions,
 )

@@ -252,11 +252,6 @@ Everywhere = Field(
 )
 
 
-Factor = Annotated[
-    float, Field(ge=0.01, le=100, description="of the flesh's own, where the map is 1")
-]
-
-
 class FatEntry(Document):
     """Fatter or slimmer."""
 
@@ -297,20 +292,23 @@ class BoneEntry(Document):
     move_mm: Vector
 
 
-class StiffnessEntry(Document):
+class FactorEntry(Document):
+    """A property of the flesh, scaled."""
+
+    factor: float = Field(ge=0.01, le=100, description="of the flesh's own, where the map is 1")
+    map: SkinMap | None = Everywhere
+
+
+class StiffnessEntry(FactorEntry):
     """Stiffer or softer."""
 
     kind: Literal["stiffness"]
-    factor: Factor
-    map: SkinMap | None = Everywhere
 
 
-class DensityEntry(Document):
+class DensityEntry(FactorEntry):
     """Heavier or lighter."""
 
     kind: Literal["density"]
-    factor: Factor
-    map: SkinMap | None = Everywhere
 
 
 class ParalysisEntry(Document):
@@ -326,7 +324,6 @@ class ParalysisEntry(Document):
     strength: float = Field(default=0.0, ge=0, le=1, description="what is left of the muscles")
 
 
-EDITS = (FatEntry, FillerEntry, BoneEntry, StiffnessEntry, DensityEntry, ParalysisEntry)
 Edit = Annotated[
     Annotated[FatEntry, Tag("<fat>")]
     | Annotated[FillerEntry, Tag("<filler>")]

@@ -26,6 +26,7 @@ from solver.model import SubjectModel
 from solver.rig.rig import ENTRIES
 from solver.similarity import IDENTITY, Similarity, small_motion
 from solver.simulation.forces import Motion
+from solver.storage import write_json
 from solver.surface import Floats
 
 FORMAT = 1  # of files of frames, of reports and of sequence.npz
@@ -105,10 +106,7 @@ class ChunkOptions:
 
 
 class ChunkWriter(Generic[Record]):
-    """Writes frames into the files of a ``folder`` as they come, the ``first``-th and on.
-
-    ``beside`` is called with the last frame of a file for the values beside its frames.
-    """
+    """Writes frames as they come, the ``first``-th and on; ``beside`` gets each file's last."""
 
     def __init__(
         self,
@@ -202,7 +200,7 @@ class MotionFrame(FrameRecord):
         (p, 3) in mm: how far the flesh's vertices are off their rest, in the head's frame.
     penetration_mm, behind_teeth
         How deep skin is in teeth, in other skin or in objects, at the worst, and the number of the
-        lips' vertices behind teeth, see :class:`~solver.contact.crossing.Penetration`.
+        lips' vertices behind teeth, see :class:`~solver.contact.potentials.Penetration`.
     halvings, residual
         How the solve went, see :class:`~solver.simulation.simulator.Stepped`.
     """
@@ -336,7 +334,7 @@ def write_sequence(
     files = [out / "sequence.npz", out / "activations.csv", out / "sequence.json"]
     _write_arrays(files[0], frames, muscles, fps)
     _write_table(files[1], frames, muscles, fps)
-    files[2].write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_json(files[2], report)
     return files
 
 
@@ -373,13 +371,13 @@ def _write_arrays(
     path: Path, frames: Sequence[SequenceFrame], muscles: Sequence[str], fps: float
 ) -> None:
     kinds = {"frame": np.int64, "status": np.str_, "inverted": np.int64, "iterations": np.int64}
-    columns = {
+    arrays: dict[str, Any] = {
         name: np.array([getattr(frame, name) for frame in frames], kinds.get(name, np.float64))
         for name in (each.name for each in fields(SequenceFrame))
     }
-    whole = {"format": FORMAT, "muscles": list(muscles), "fps": fps, "time": columns["frame"] / fps}
+    arrays |= {"format": FORMAT, "muscles": muscles, "fps": fps, "time": arrays["frame"] / fps}
     with path.open("wb") as stream:
-        np.savez_compressed(stream, allow_pickle=False, **whole, **columns)
+        np.savez_compressed(stream, allow_pickle=False, **arrays)
 
 
 def _write_table(

@@ -13,7 +13,6 @@ from solver.edits.changes import Bone, Density, Fat, Filler, Paralysis, Stiffeni
 from solver.edits.edit import Change, Edited, apply
 from solver.errors import InputError
 from solver.fitting.face import Face
-from solver.kinds import scene as described
 from solver.kinds import scene as scenes
 from solver.mechanics.boundary import Potential
 from solver.mechanics.flesh import COROTATED_DET, COROTATED_TRACE, IDENTITY, NEO_HOOKEAN, Material
@@ -26,7 +25,7 @@ from solver.simulation.simulator import Simulator
 from solver.surface import Floats, Surface
 
 
-def edits_of(entries: Sequence[described.Edit], places: Places) -> list[Change]:
+def edits_of(entries: Sequence[scenes.Edit], places: Places) -> list[Change]:
     """Return the edits that a scene describes.
 
     Raises :class:`~solver.errors.InputError` as :class:`~solver.scene.places.Places` for places,
@@ -35,19 +34,19 @@ def edits_of(entries: Sequence[described.Edit], places: Places) -> list[Change]:
     return [_edit(entry, places) for entry in entries]
 
 
-def _edit(entry: described.Edit, places: Places) -> Change:
-    if isinstance(entry, described.FatEntry):
+def _edit(entry: scenes.Edit, places: Places) -> Change:
+    if isinstance(entry, scenes.FatEntry):
         return Fat(entry.f_min, entry.f_max, places.map_of(entry.map), entry.softening)
-    if isinstance(entry, described.FillerEntry):
+    if isinstance(entry, scenes.FillerEntry):
         points = np.array([places.point(stop.at) for stop in entry.path])
         depths = np.array([stop.depth_mm for stop in entry.path])
         return Filler(under_skin(places.model, points, depths), entry.ml, entry.radius_mm)
-    if isinstance(entry, described.BoneEntry):
+    if isinstance(entry, scenes.BoneEntry):
         at, move = places.point(entry.at), np.array(entry.move_mm, np.float64)
         return Bone(entry.bone, at, entry.radius_mm, move)
-    if isinstance(entry, described.StiffnessEntry):
+    if isinstance(entry, scenes.StiffnessEntry):
         return Stiffening(entry.factor, places.map_of(entry.map))
-    if isinstance(entry, described.DensityEntry):
+    if isinstance(entry, scenes.DensityEntry):
         return Density(entry.factor, places.map_of(entry.map))
     muscles = None if entry.muscles is None else tuple(entry.muscles)
     return Paralysis(muscles, entry.side, entry.strength)

@@ -1,5 +1,7 @@
 """From a scene's JSON to edits: places, maps, and what a person does not have."""
 
+from typing import get_args
+
 import jsonschema
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ import pytest
 from solver.edits.changes import Bone, Density, Fat, Filler, Paralysis, Stiffening
 from solver.errors import InputError
 from solver.kinds.document import json_schema
-from solver.kinds.scene import EDITS, EditScene
+from solver.kinds.scene import Edit, EditScene
 from solver.scene.document import read_scene
 from solver.scene.places import Places
 from solver.scene.stage import edits_of
@@ -39,7 +41,8 @@ def described(entries):
 def test_every_kind_is_described_and_becomes_an_edit(places):
     jsonschema.validate({"edits": EVERY_KIND}, json_schema(EditScene))
     assert [each["kind"] for each in EVERY_KIND] == [
-        kind.model_fields["kind"].annotation.__args__[0] for kind in EDITS
+        kind.model_fields["kind"].annotation.__args__[0]
+        for kind in (get_args(each)[0] for each in get_args(get_args(Edit)[0]))
     ]
     made = edits_of(described(EVERY_KIND), places)
     assert [type(each) for each in made] == [Fat, Filler, Bone, Stiffening, Density, Paralysis]
