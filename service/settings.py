@@ -106,6 +106,12 @@ class Settings(BaseSettings):
     long_workers: int = Field(default=1, ge=1)
     solver_threads: int = Field(default=os.cpu_count() or 1, ge=1)
     solver_memory_mb: int = Field(default=8192, gt=0)
+    solver_confined: bool = Field(
+        default=True, description="solver processes can reach nothing but their own folder (Linux)"
+    )
+    solver_variables: list[str] = Field(
+        default=[], description="further variables of the environment that solver processes see"
+    )
     jobs: str = Field(
         default="solver.jobs",
         description="package with a module for each kind of job; tests have a stand-in",

@@ -6,7 +6,7 @@ import argparse
 import signal
 
 from service import tracing
-from service.process import configure_logs, die_with_parent
+from service.process import configure_logs, die_with_parent, hide_memory
 from service.queue.wakeups import QUEUES, WEBHOOKS
 from service.settings import Settings
 from service.store.database import Store
@@ -23,6 +23,7 @@ def main() -> None:
         "--kinds", default="", help="the only kinds of job to do, with commas; default: all"
     )
     given = parser.parse_args()
+    hide_memory()
     settings = Settings()
     try:
         can = abilities(settings, filter(None, given.kinds.split(",")))

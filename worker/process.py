@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,8 @@ from service.queue.states import HELD
 from service.settings import Settings
 from service.store.database import Store
 from service.store.models import Job
+from worker import kernels
+from worker.sandbox import allowed_environment
 
 GRACE = 1.0
 LONGEST_LINE = 4000
@@ -43,6 +45,9 @@ class SolverProcess:
     def __init__(self, folder: Path, settings: Settings) -> None:
         temporary = folder / "tmp"  # goes with the folder, also when the solver is killed
         temporary.mkdir()
+        compiled = folder / "kernels"
+        kernels.lend(compiled)
+        cache = os.environ.get("MYOFACE_CACHE") or Path.home() / ".cache" / "myoface"
         reading, writing = os.pipe()
         (folder / "process.json").write_text(
             json.dumps(
@@ -51,15 +56,22 @@ class SolverProcess:
                     "parent": os.getpid(),
                     "memory_bytes": settings.solver_memory_mb * 1024**2,
                     "jobs": settings.jobs,
+                    "confined": settings.solver_confined,
                 }
             )
         )
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "worker.solve", str(folder)],
             cwd=folder,
-            env=_harmless(os.environ)
+            env=allowed_environment(settings.solver_variables)
             | _thread_counts(settings.solver_threads)
-            | {FOLDER_VARIABLE: str(folder), "TMPDIR": str(temporary)},
+            | {
+                FOLDER_VARIABLE: str(folder),
+                "TMPDIR": str(temporary),
+                "HOME": str(temporary),
+                "MYOFACE_CACHE": str(cache),
+                kernels.VARIABLE: str(compiled),
+            },
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -152,19 +164,6 @@ def _signal_group(group: int, number: int) -> None:
         os.killpg(group, number)
     except (ProcessLookupError, PermissionError):
         return  # gone already (macOS says "permission" about a group of zombies)
-
-
-def _harmless(environment: Mapping[str, str]) -> dict[str, str]:
-    """Return an environment without the service's settings, keys and addresses among them.
-
-    The solver reads strangers' files.
-    """
-    ours, kept = ("MYOFACE_", "AWS_", "OTEL_"), {"MYOFACE_CACHE", "MYOFACE_FACE_LANDMARKER"}
-    return {
-        name: value
-        for name, value in environment.items()
-        if name in kept or not name.startswith(ours)
-    }
 
 
 def _thread_counts(threads: int) -> dict[str, str]:

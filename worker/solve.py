@@ -7,6 +7,7 @@ database and no queue, so whatever happens to it costs an attempt at most.
 
 from __future__ import annotations
 
+import importlib
 import json
 import math
 import os
@@ -24,6 +25,7 @@ import structlog
 from service.process import configure_logs, die_with_parent
 from solver.jobs import run_job
 from solver.kinds import KINDS
+from worker import sandbox
 from worker.errors import NO_ROOM, is_full
 
 if TYPE_CHECKING:
@@ -42,6 +44,8 @@ def main(folder: Path) -> int:
     configure_logs(json=False)
     _step_back()
     resource.setrlimit(resource.RLIMIT_DATA, (process["memory_bytes"],) * 2)
+    if process["confined"]:
+        _confine(folder, process["jobs"])
     try:
         try:
             with os.fdopen(process["progress_fd"], "w", buffering=1) as pipe:
@@ -57,6 +61,16 @@ def main(folder: Path) -> int:
         log.exception("solver.no_room")
         return NO_ROOM
     return 0 if verdict == "result.json" else 1
+
+
+def _confine(folder: Path, jobs: str) -> None:
+    """Shut this process off from all but the code, the assets and its own folder."""
+    importlib.import_module(jobs)
+    packages = ("solver", "service", "worker", jobs.partition(".")[0])
+    assets = (os.environ.get(name) for name in ("MYOFACE_CACHE", "MYOFACE_FACE_LANDMARKER"))
+    sandbox.confine(folder, packages, [Path(each) for each in assets if each])
+    for missing in sandbox.missing_layers():
+        log.warning("solver.not_confined", missing=missing)
 
 
 def _step_back() -> None:

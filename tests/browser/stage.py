@@ -24,13 +24,14 @@ FLAGS = [
     "--use-angle=swiftshader",  # the rig view draws with WebGL, here by the processor
     "--enable-unsafe-swiftshader",
 ]
+SHOW: dict[str, Any] = {"solver_variables": ["STANDIN_SHOW"]}
 
 
 @contextmanager
 def on_stage(data_dir: Path, **settings: Any) -> Iterator[tuple[Stack, Studio]]:
     """Run a stack whose solver processes do stand-in jobs that take a while and leave pictures."""
     with mock.patch.dict(os.environ, PYTHONPATH=str(ROOT), STANDIN_SHOW="1"):
-        stack = Stack(Settings(data_dir=data_dir, **{**QUICK, **STANDIN, **settings}))
+        stack = Stack(Settings(data_dir=data_dir, **{**QUICK, **STANDIN, **SHOW, **settings}))
     with stack, httpx.Client(base_url=stack.url, timeout=30) as http:
         yield stack, Studio(http, stack.key)
 

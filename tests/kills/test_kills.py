@@ -33,7 +33,9 @@ with running(Path(sys.argv[1]), lease=2) as (stack, studio):
 
 @pytest.fixture(scope="module")
 def stack_and_studio(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stack, Studio]]:
-    with running(tmp_path_factory.mktemp("kills"), lease=LEASE) as both:
+    # A poison kills its worker, which a confined solver cannot.
+    folder = tmp_path_factory.mktemp("kills")
+    with running(folder, lease=LEASE, solver_confined=False) as both:
         yield both
 
 

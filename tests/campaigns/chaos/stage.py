@@ -29,6 +29,7 @@ SETTINGS: dict[str, Any] = {
     "max_attempts": 3,
     "garbage_age": 30.0,
     "jobs": "tests.standin.jobs",
+    "solver_confined": False,  # a poison kills its worker
 }
 OTHER_HOST = ("long", "short")
 

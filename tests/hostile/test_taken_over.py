@@ -1,0 +1,68 @@
+"""A solver process that a stranger's file has taken over finds nothing, and leaves nothing."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.service_client import running
+from worker import kernels, sandbox
+
+pytestmark = pytest.mark.skipif(
+    sys.platform != "linux" or bool(sandbox.missing_layers()),
+    reason=f"this machine cannot confine a process: {'; '.join(sandbox.missing_layers())}",
+)
+
+
+def _tried(folder: Path) -> dict[str, str]:
+    """Return what a solver process that was taken over tried, and what it got."""
+    with running(folder, jobs="tests.standin.taken_over") as (_stack, studio):
+        other = folder / "work" / "other"
+        other.mkdir(parents=True, exist_ok=True)
+        (other / "scan").write_text("of another tenant")
+        subject = studio.subject()
+        scan = studio.raw(subject, "smile")
+        done = studio.finished(studio.submit("check_scan", subject, captures=[scan]))
+    assert done["state"] == "succeeded", done
+    got: dict[str, str] = done["result"]["summary"]["figures"]["got"]
+    return got
+
+
+def test_a_solver_that_is_taken_over_gets_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "of the bucket")
+    monkeypatch.setenv("STUDIO_TOKEN", "of somebody else")
+    got = _tried(tmp_path)
+    for name, found in got.items():
+        sys.stdout.write(f"{name:34} {found or 'nothing'}\n")
+    assert not any(got.values())
+
+
+def test_kernels_are_lent_as_copies_where_numba_looks_for_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    caching = pytest.importorskip("numba.core.caching")
+    package = tmp_path / "solver" / "mechanics"
+    (package / "__pycache__").mkdir(parents=True)
+    (package / "__pycache__" / "laws.energy-1.py311.nbi").write_bytes(b"compiled")
+    monkeypatch.setattr(kernels, "SOLVER", tmp_path / "solver")
+    monkeypatch.delenv(kernels.VARIABLE, raising=False)
+    kernels.lend(tmp_path / "lent")
+    home = caching._CacheLocator.get_suitable_cache_subpath(str(package / "laws.py"))
+    copy = tmp_path / "lent" / home / "laws.energy-1.py311.nbi"
+    assert copy.read_bytes() == b"compiled"
+    copy.write_bytes(b"poisoned")
+    assert (package / "__pycache__" / "laws.energy-1.py311.nbi").read_bytes() == b"compiled"
+
+
+def test_the_environment_of_a_solver_is_an_allow_list(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("PGPASSWORD", "REDISCLI_AUTH", "GOOGLE_APPLICATION_CREDENTIALS", "STUDIO"):
+        monkeypatch.setenv(name, "secret")
+    seen = sandbox.allowed_environment(["STUDIO"])
+    assert "secret" not in {value for name, value in seen.items() if name != "STUDIO"}
+    assert seen["STUDIO"] == "secret"
+    assert seen["PATH"] == os.environ["PATH"]

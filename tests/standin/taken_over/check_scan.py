@@ -1,0 +1,102 @@
+"""Tries what a process could take, do or leave behind; the job's figures say what it got."""
+
+import ctypes
+import json
+import os
+import resource
+import shutil
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import solver
+from solver.jobs import Task
+
+SECRETS = ("SECRET", "KEY", "PASSWORD", "TOKEN", "URL", "DATA_DIR")
+PTRACE_ATTACH = 16
+LIBC = ctypes.CDLL(None, use_errno=True)
+
+
+def run(task: Task) -> None:
+    attempt = task.out.parent
+    got = {name: _got(try_it) for name, try_it in _tries(attempt).items()}
+    (task.out / "check.json").write_text(
+        json.dumps({"verdict": "good", "findings": [], "figures": {"got": got}})
+    )
+    (task.out / "check.png").write_bytes(b"PNG")
+
+
+def _got(try_it: Callable[[], Any]) -> str:
+    """Return what a try brought, nothing if it was refused."""
+    try:
+        found = try_it()
+    except (OSError, subprocess.SubprocessError, RuntimeError):
+        return ""
+    return repr(found)[:100] if found or found == 0 else ""
+
+
+def _tries(attempt: Path) -> dict[str, Callable[[], Any]]:
+    data, parent = attempt.parent.parent, os.getppid()
+    code = Path(solver.__file__).parent
+    return {
+        "list the data folder": lambda: os.listdir(data / "files"),
+        "read the database": lambda: (data / "myoface.db").read_bytes()[:16],
+        "read the secret": lambda: (data / "secret").read_bytes(),
+        "read the admin key": lambda: (data / "admin.key").read_bytes(),
+        "read another attempt's file": lambda: (attempt.parent / "other" / "scan").read_bytes(),
+        "read a user's file": lambda: (Path("/etc/passwd")).read_bytes()[:9],
+        "environment of the parent": lambda: Path(f"/proc/{parent}/environ").read_bytes()[:9],
+        "memory of the parent": lambda: Path(f"/proc/{parent}/maps").read_bytes()[:9],
+        "attach to the parent": lambda: LIBC.ptrace(PTRACE_ATTACH, parent, 0, 0) == 0 or None,
+        "signal the parent": lambda: os.kill(parent, 0) or "may",
+        "secrets of its own environment": _secrets,
+        "write beside its folder": lambda: (attempt.parent / "left").write_text("x"),
+        "write for the next job": lambda: (Path("/tmp") / "left").write_text("x"),
+        "change the code": lambda: (code / "left.py").write_text("x"),
+        "change the kernels": lambda: (code / "__pycache__" / "left.nbi").write_text("x"),
+        "remove the database": lambda: (data / "myoface.db").rename(data / "gone"),
+        "lock others out": lambda: os.chmod(data / "files", 0o700) or "may",
+        "a TCP socket": lambda: socket.socket(),
+        "a UDP socket": lambda: socket.socket(type=socket.SOCK_DGRAM),
+        "a Unix socket": lambda: socket.socket(socket.AF_UNIX),
+        "a name resolved": lambda: socket.getaddrinfo("localhost.example", 80),
+        "a program of its own": lambda: _own_program(attempt),
+        "a session of its own": lambda: (
+            subprocess.run(
+                [sys.executable, "-c", "import os; os.setsid()"], check=True, capture_output=True
+            ).returncode
+        ),
+        "another user": lambda: (
+            subprocess.run(["su", "nobody", "-c", "id"], check=True, capture_output=True).stdout
+        ),
+        "a core dump": lambda: resource.getrlimit(resource.RLIMIT_CORE)[1] != 0 or None,
+        "a file of 64 GB": lambda: _large_file(attempt / "tmp" / "large"),
+        "more files than it needs": lambda: (
+            resource.getrlimit(resource.RLIMIT_NOFILE)[1] > 4096 or None
+        ),
+    }
+
+
+def _secrets() -> list[str]:
+    return [
+        name
+        for name in os.environ
+        if any(word in name for word in SECRETS) and name != "MYOFACE_ATTEMPT"
+    ]
+
+
+def _own_program(attempt: Path) -> int:
+    program = attempt / "tmp" / "program"
+    shutil.copyfile("/bin/true", program)
+    with open(program, "rb") as file:
+        os.fchmod(file.fileno(), 0o700)
+    return subprocess.run([str(program)], check=True).returncode
+
+
+def _large_file(path: Path) -> int:
+    with path.open("wb") as file:
+        file.truncate(64 * 1024**3)
+    return path.stat().st_size
