@@ -13,6 +13,8 @@ COPY solver solver
 COPY myoface myoface
 # Editable: the wheel has the client only, and the service runs from these folders.
 RUN /opt/myoface/bin/pip install --no-deps --no-build-isolation --editable .
+# Read-only in the image: jobs get a copy, and none can spoil the next one's.
+RUN NUMBA_CACHE_DIR=/opt/myoface/kernels /opt/myoface/bin/python -m worker.kernels
 
 FROM python:3.11-slim-bookworm
 RUN useradd --system --uid 10001 --create-home myoface \
@@ -20,7 +22,7 @@ RUN useradd --system --uid 10001 --create-home myoface \
 COPY --from=build /opt/myoface /opt/myoface
 ENV PATH=/opt/myoface/bin:$PATH \
     PYTHONUNBUFFERED=1 \
-    NUMBA_CACHE_DIR=/tmp/numba \
+    NUMBA_CACHE_DIR=/opt/myoface/kernels \
     MYOFACE_DATA_DIR=/data \
     MYOFACE_CACHE=/data/cache \
     MYOFACE_WORK_DIR=/tmp/work \

@@ -22,7 +22,6 @@ from typing import Any
 SOLVER = Path(__file__).resolve().parents[1] / "solver"
 # The installation's folder where it is not beside the code, as in a read-only image
 VARIABLE = "NUMBA_CACHE_DIR"
-COARSE_MM = 25.0
 
 
 def lend(folder: Path) -> None:
@@ -61,15 +60,17 @@ def compile_all() -> None:
 
 
 def _run_jobs(folder: Path) -> None:
-    """Do a job of each sort on the built-in person, coarsely: what they call gets compiled."""
+    """Do a job of each sort on the built-in person, which compiles what they call.
+
+    The built-in template's tetrahedra, of the usual size, stay in the installation's cache.
+    """
     from solver.jobs import run_job
     from solver.templates.builtin.build import builtin_capture_set
 
     scans = builtin_capture_set().first(2, 1).write(folder / "scans")
     neutral, *train, test = scans
     run_job("register_scan", folder / "registered", scan=scans[neutral], role="neutral")
-    options = {"edge_mm": COARSE_MM}
-    run_job("build_model", folder / "model", neutral=scans[neutral], options=options)
+    run_job("build_model", folder / "model", neutral=scans[neutral])
     model = folder / "model" / "model.npz"
     rig = folder / "rig"
     run_job(
@@ -103,9 +104,12 @@ def _subfolder(package: Path) -> str:
 
 
 def _hash() -> str:
+    """Return a hash of the sources with kernels."""
     hashed = hashlib.sha256()
     for source in sorted(SOLVER.rglob("*.py")):
-        hashed.update(source.read_bytes())
+        text = source.read_bytes()
+        if b"njit" in text:
+            hashed.update(text)
     return hashed.hexdigest()
 
 

@@ -10,7 +10,9 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,11 @@ MOST_LINES_KEPT = 20_000
 
 # In the environment of a solver process, and so of every process that it starts
 FOLDER_VARIABLE = "MYOFACE_ATTEMPT"
+# Names the folder of what the solver keeps from job to job (`solver.storage.cache_directory`)
+CACHE_VARIABLE = "MYOFACE_CACHE"
+# Below the work folder, a folder for each tenant
+CACHES = "caches"
+CACHED_SECONDS = 30 * 24 * 3600.0
 # The name of an attempt's folder, `<job>.<attempt>`; nothing else is ever removed
 ATTEMPT = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}\.\d+")
 
@@ -42,12 +49,12 @@ class SolverProcess:
     Started by exec, not by a bare fork: the numeric libraries' thread pools do not survive a fork.
     """
 
-    def __init__(self, folder: Path, settings: Settings) -> None:
+    def __init__(self, folder: Path, settings: Settings, tenant: str) -> None:
         temporary = folder / "tmp"  # goes with the folder, also when the solver is killed
         temporary.mkdir()
         compiled = folder / "kernels"
         kernels.lend(compiled)
-        cache = os.environ.get("MYOFACE_CACHE") or Path.home() / ".cache" / "myoface"
+        assets = Path(os.environ.get(CACHE_VARIABLE) or Path.home() / ".cache" / "myoface")
         reading, writing = os.pipe()
         (folder / "process.json").write_text(
             json.dumps(
@@ -57,6 +64,7 @@ class SolverProcess:
                     "memory_bytes": settings.solver_memory_mb * 1024**2,
                     "jobs": settings.jobs,
                     "confined": settings.solver_confined,
+                    "assets": str(assets),
                 }
             )
         )
@@ -69,7 +77,7 @@ class SolverProcess:
                 FOLDER_VARIABLE: str(folder),
                 "TMPDIR": str(temporary),
                 "HOME": str(temporary),
-                "MYOFACE_CACHE": str(cache),
+                CACHE_VARIABLE: str(_cache_of(tenant, settings.work, assets)),
                 kernels.VARIABLE: str(compiled),
             },
             stdin=subprocess.DEVNULL,
@@ -172,6 +180,19 @@ def _thread_counts(threads: int) -> dict[str, str]:
     return dict.fromkeys(names, str(threads)) | {"OMP_WAIT_POLICY": "passive"}
 
 
+def _cache_of(tenant: str, work: Path, assets: Path) -> Path:
+    """Return the folder in which a tenant's jobs keep what they made of his templates.
+
+    What another's job wrote is never read. The installation's assets are there as links.
+    """
+    folder = work / CACHES / tenant
+    folder.mkdir(parents=True, exist_ok=True)
+    for asset in filter(Path.is_file, assets.glob("*")):
+        with suppress(FileExistsError):
+            (folder / asset.name).symlink_to(asset)
+    return folder
+
+
 def remove_orphans(store: Store, work: Path) -> None:
     """Remove the folders of attempts that nobody is at any more, and end their processes.
 
@@ -179,11 +200,20 @@ def remove_orphans(store: Store, work: Path) -> None:
     """
     if not work.is_dir():
         return
+    _remove_unused(work / CACHES)
     for folder in work.iterdir():
         if ATTEMPT.fullmatch(folder.name) and not _is_held(store, folder.name):
             end_processes(folder)
             shutil.rmtree(folder, ignore_errors=True)
             log.info("attempt.removed", folder=folder.name)
+
+
+def _remove_unused(caches: Path) -> None:
+    """Remove what tenants' caches have had for long; whoever needs it makes it anew."""
+    for file in caches.glob("*/*"):
+        with suppress(FileNotFoundError):
+            if file.lstat().st_mtime < time.time() - CACHED_SECONDS:
+                file.unlink()
 
 
 def end_processes(folder: Path) -> None:

@@ -161,17 +161,17 @@ def missing_layers() -> list[str]:
     return missing
 
 
-def confine(folder: Path, packages: Iterable[str], reads: Iterable[Path] = ()) -> None:
+def confine(packages: Iterable[str], reads: Iterable[Path], writes: Iterable[Path]) -> None:
     """Confine this process and all that it starts, for good; call it before any thread starts.
 
     Parameters
     ----------
-    folder
-        The attempt's, the only place to write.
     packages
         Python packages whose code may be read; the installation's others are.
     reads
         Further files and folders that may be read.
+    writes
+        The only folders that may be written; nothing in them can be run.
 
     Raises
     ------
@@ -183,7 +183,7 @@ def confine(folder: Path, packages: Iterable[str], reads: Iterable[Path] = ()) -
     _limit()
     _prctl(PR_SET_NO_NEW_PRIVS, 1)
     if abi := landlock_abi():
-        _restrict_files(abi, folder, [*_code(packages), *reads])
+        _restrict_files(abi, _code(packages), reads, writes)
     if platform.machine() in ARCHITECTURES:
         _refuse_calls()
 
@@ -211,7 +211,9 @@ def _code(packages: Iterable[str]) -> list[Path]:
     return sorted(found)
 
 
-def _restrict_files(abi: int, folder: Path, code: Iterable[Path]) -> None:
+def _restrict_files(
+    abi: int, code: Iterable[Path], reads: Iterable[Path], writes: Iterable[Path]
+) -> None:
     everything = (1 << RIGHTS_OF_ABI[min(abi, 5)]) - 1
     attributes = [
         everything,
@@ -227,7 +229,10 @@ def _restrict_files(abi: int, folder: Path, code: Iterable[Path]) -> None:
             _allow(ruleset, path, READ_FILE | READ_DIR | EXECUTE)
         for name, rights in PLACES.items():
             _allow(ruleset, Path(name), rights)
-        _allow(ruleset, folder, everything & ~EXECUTE)
+        for path in reads:
+            _allow(ruleset, path, READ_FILE | READ_DIR)
+        for path in writes:
+            _allow(ruleset, path, everything & ~EXECUTE)
         _syscall(LANDLOCK_RESTRICT_SELF, ruleset, 0)
     finally:
         os.close(ruleset)

@@ -45,7 +45,7 @@ def main(folder: Path) -> int:
     _step_back()
     resource.setrlimit(resource.RLIMIT_DATA, (process["memory_bytes"],) * 2)
     if process["confined"]:
-        _confine(folder, process["jobs"])
+        _confine(folder, process["jobs"], process["assets"])
     try:
         try:
             with os.fdopen(process["progress_fd"], "w", buffering=1) as pipe:
@@ -63,12 +63,14 @@ def main(folder: Path) -> int:
     return 0 if verdict == "result.json" else 1
 
 
-def _confine(folder: Path, jobs: str) -> None:
-    """Shut this process off from all but the code, the assets and its own folder."""
+def _confine(folder: Path, jobs: str, assets: str) -> None:
+    """Shut this process off from all but the code, the assets, its folder and its cache."""
     importlib.import_module(jobs)
     packages = ("solver", "service", "worker", jobs.partition(".")[0])
-    assets = (os.environ.get(name) for name in ("MYOFACE_CACHE", "MYOFACE_FACE_LANDMARKER"))
-    sandbox.confine(folder, packages, [Path(each) for each in assets if each])
+    landmarker = os.environ.get("MYOFACE_FACE_LANDMARKER")
+    reads = [Path(assets), *([Path(landmarker)] if landmarker else [])]
+    cache = Path(os.environ["MYOFACE_CACHE"])
+    sandbox.confine(packages, reads, writes=[folder, cache])
     for missing in sandbox.missing_layers():
         log.warning("solver.not_confined", missing=missing)
 

@@ -87,7 +87,7 @@ class Supervisor:
 
     def _attempt(self, claim: Claim, folder: AttemptFolder) -> None:
         folder.stage(self._store.files)
-        process = SolverProcess(folder.path, self._settings)
+        process = SolverProcess(folder.path, self._settings, claim.tenant_id)
         log.info("solver.started", pid=process.pid)
         try:
             code = self._watch(claim, process, folder)

@@ -16,7 +16,7 @@ import typer
 from rich.markup import escape
 
 from myoface.cli.console import complain, out, show_table
-from myoface.cli.service import read_settings
+from myoface.cli.service import compile_kernels, read_settings
 from myoface.client import Client
 from myoface.demo.outcome import Bars, DemoOutcome, khronos_validation, millimetres
 
@@ -117,6 +117,7 @@ def _service(url: str | None, data: Path) -> Iterator[Client]:
         return
     from myoface.stack import Stack
 
+    compile_kernels()
     # A SIGTERM too must stop the service in order.
     signal.signal(signal.SIGTERM, lambda number, _frame: sys.exit(128 + number))
     stack = Stack(read_settings(data_dir=data, port=0))

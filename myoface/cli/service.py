@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import subprocess
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,7 +12,7 @@ from pydantic import ValidationError
 from pydantic_settings import SettingsError
 from rich.markup import escape
 
-from myoface.cli.console import out
+from myoface.cli.console import complain, out
 from service.process import configure_logs
 from service.settings import Settings
 
@@ -29,6 +30,7 @@ def up(port: Port = None, data: Data = None) -> None:
 
     settings = _settings(port, data)
     configure_logs(settings.log_json)
+    compile_kernels()
     logging.getLogger("httpx").setLevel(logging.WARNING)  # the stack asks itself for its health
     with Stack(settings) as stack:
         out.print(f"Myoface listens on {stack.url}. Ctrl-C stops it.")
@@ -99,6 +101,19 @@ def restore(folder: Annotated[Path, typer.Argument(exists=True, file_okay=False)
     manifest, again = fill(read_settings(), folder)
     out.print(f"{len(manifest.files)} files and the database as of {manifest.made_at:%F %T} UTC")
     out.print(f"{again} later deletions repeated")
+
+
+def compile_kernels() -> None:
+    """Compile the solver's kernels where they are not of this code; jobs can do without."""
+    from worker.kernels import are_compiled, compile_all
+
+    if are_compiled():
+        return
+    out.print("compiling the solver's kernels, once for each release: about a minute")
+    try:
+        compile_all()
+    except (subprocess.CalledProcessError, OSError) as error:
+        complain(f"the kernels were not compiled, each job compiles its own: {error}")
 
 
 def read_settings(**given: Any) -> Settings:

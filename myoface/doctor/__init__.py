@@ -22,6 +22,8 @@ def examine(settings: Settings) -> Iterator[Diagnosis]:
     yield service.broker(settings)
     yield service.secret(settings)
     yield from service.stores(settings)
+    yield machine.confinement()
     yield machine.compiler()
+    yield machine.kernels()
     yield machine.mesher()
     yield machine.node()

@@ -20,6 +20,8 @@ from myoface.stack import check_port
 from solver.anatomy.tetrahedra import EdgeLengths, background_grid, tetrahedralize
 from solver.errors import SolveError
 from solver.surface import Surface
+from worker.kernels import are_compiled
+from worker.sandbox import missing_layers
 
 PYTHONS = ((3, 11), (3, 14))
 WANTED_DISK_GB = 5.0
@@ -106,6 +108,23 @@ def memory() -> Diagnosis:
     if total >= WANTED_MEMORY_GB:
         return Diagnosis("memory", "ok", f"{total:.0f} GB")
     return Diagnosis("memory", "warning", f"{total:.1f} GB", "a fit of a whole face needs 3 GB")
+
+
+def confinement() -> Diagnosis:
+    """Check that solver processes, which read strangers' files, can be confined."""
+    missing = missing_layers()
+    if not missing:
+        return Diagnosis("confinement", "ok", "solver processes reach their own folder only")
+    advice = "a file that takes a solver over could reach these: use a newer Linux"
+    return Diagnosis("confinement", "warning", "; ".join(missing), advice)
+
+
+def kernels() -> Diagnosis:
+    """Check that the solver's kernels are compiled."""
+    if are_compiled():
+        return Diagnosis("kernels", "ok", "compiled")
+    advice = "run `python -m worker.kernels`; `myoface up` does so by itself"
+    return Diagnosis("kernels", "warning", "not compiled: each job compiles its own", advice)
 
 
 def port(host: str, number: int) -> Diagnosis:

@@ -180,8 +180,12 @@ def test_a_solver_without_room_puts_its_job_off(
     folder = AttemptFolder(settings.work, claim)
     folder.stage(store.files)
     reading, writing = os.pipe()
-    process = {"parent": os.getppid(), "memory_bytes": 1 << 40, "progress_fd": writing}
-    process["jobs"] = "solver.jobs"
+    process: dict[str, object] = {
+        "parent": os.getppid(),
+        "memory_bytes": 1 << 40,
+        "progress_fd": writing,
+    }
+    process |= {"jobs": "solver.jobs", "confined": False}
     (folder.path / "process.json").write_text(json.dumps(process))
 
     def full(*_: object, **__: object) -> None:
