@@ -13,8 +13,9 @@ COPY solver solver
 COPY myoface myoface
 # Editable: the wheel has the client only, and the service runs from these folders.
 RUN /opt/myoface/bin/pip install --no-deps --no-build-isolation --editable .
-# Read-only in the image: jobs get a copy, and none can spoil the next one's.
-RUN NUMBA_CACHE_DIR=/opt/myoface/kernels /opt/myoface/bin/python -m worker.kernels
+# Fetches the built-in face and makes its tetrahedra, which are then in the image.
+RUN MYOFACE_CACHE=/opt/myoface/cache NUMBA_CACHE_DIR=/tmp/kernels \
+    /opt/myoface/bin/python -m worker.kernels
 
 FROM python:3.11-slim-bookworm
 RUN useradd --system --uid 10001 --create-home myoface \
@@ -22,9 +23,9 @@ RUN useradd --system --uid 10001 --create-home myoface \
 COPY --from=build /opt/myoface /opt/myoface
 ENV PATH=/opt/myoface/bin:$PATH \
     PYTHONUNBUFFERED=1 \
-    NUMBA_CACHE_DIR=/opt/myoface/kernels \
+    NUMBA_CACHE_DIR=/tmp/kernels \
     MYOFACE_DATA_DIR=/data \
-    MYOFACE_CACHE=/data/cache \
+    MYOFACE_CACHE=/opt/myoface/cache \
     MYOFACE_WORK_DIR=/tmp/work \
     MYOFACE_LOG_JSON=true
 USER myoface

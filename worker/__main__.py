@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import signal
+import threading
 
 from service import tracing
 from service.process import configure_logs, die_with_parent, hide_memory
 from service.queue.wakeups import QUEUES, WEBHOOKS
 from service.settings import Settings
 from service.store.database import Store
-from worker import deliver
+from worker import deliver, kernels
 from worker.abilities import abilities
 from worker.app import work
 
@@ -21,6 +22,9 @@ def main() -> None:
     parser.add_argument("queue", choices=(*QUEUES, WEBHOOKS))
     parser.add_argument(
         "--kinds", default="", help="the only kinds of job to do, with commas; default: all"
+    )
+    parser.add_argument(
+        "--compile", action="store_true", help="compile the solver's kernels, beside the work"
     )
     given = parser.parse_args()
     hide_memory()
@@ -33,6 +37,8 @@ def main() -> None:
     tracing.start(f"myoface-{given.queue}")
     if settings.stack_pid:
         die_with_parent(settings.stack_pid, signal.SIGTERM)
+    if given.compile:
+        threading.Thread(target=kernels.compile_all, daemon=True).start()
     store = Store(settings.database, settings.files, settings.broker)
     if given.queue == WEBHOOKS:
         deliver.main(store, settings, can)

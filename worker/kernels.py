@@ -9,6 +9,7 @@ compiled here, and an attempt gets a copy in its own folder, where it may add wh
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import os
 import shutil
@@ -48,15 +49,20 @@ def are_compiled() -> bool:
 def compile_all() -> None:
     """Compile the kernels that jobs use, unless they are of this code already.
 
+    Processes that want it at the same time do it once.
+
     Raises
     ------
     subprocess.CalledProcessError
         If one of the jobs that use them failed.
     """
-    if are_compiled():
-        return
-    command = [sys.executable, "-m", "worker.kernels"]
-    subprocess.run(command, cwd=SOLVER.parent, check=True, stdout=subprocess.DEVNULL)
+    stamp = _stamp()
+    stamp.parent.mkdir(parents=True, exist_ok=True)
+    with stamp.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not are_compiled():
+            command = ["nice", sys.executable, "-m", "worker.kernels"]
+            subprocess.run(command, cwd=SOLVER.parent, check=True, stdout=subprocess.DEVNULL)
 
 
 def _run_jobs(folder: Path) -> None:
@@ -122,9 +128,8 @@ def main() -> None:
     """Compile the kernels and note of which code they are."""
     with tempfile.TemporaryDirectory(prefix="myoface-kernels-") as name:
         _run_jobs(Path(name))
-    stamp = _stamp()
-    stamp.parent.mkdir(parents=True, exist_ok=True)
-    stamp.write_text(_hash())
+    _stamp().parent.mkdir(parents=True, exist_ok=True)
+    _stamp().write_text(_hash())
 
 
 if __name__ == "__main__":
