@@ -18,7 +18,6 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 SOLVER = Path(__file__).resolve().parents[1] / "solver"
 # The installation's folder where it is not beside the code, as in a read-only image
@@ -77,27 +76,21 @@ def _run_jobs(folder: Path) -> None:
     neutral, *train, test = scans
     run_job("register_scan", folder / "registered", scan=scans[neutral], role="neutral")
     run_job("build_model", folder / "model", neutral=scans[neutral])
-    model = folder / "model" / "model.npz"
-    rig = folder / "rig"
     run_job(
         "fit_geometry",
-        rig,
-        model=model,
+        folder / "rig",
+        model=folder / "model" / "model.npz",
         captures={name: scans[name] for name in train},
         options={"rounds": 1},
     )
-    person: dict[str, Any] = {
-        "model": model,
-        "weights": rig / "muscle_weights.npz",
-        "rig": rig / "activations.npz",
-    }
-    run_job("fit_activations", folder / "new", captures={test: scans[test]}, **person)
+    rig = folder / "rig" / "rig.npz"
+    run_job("fit_activations", folder / "new", captures={test: scans[test]}, rig=rig)
     scene = {
         "duration": 0.1,
         "mode": "dynamic",
         "keys": [{"time": 0.1, "expressions": {train[0]: 1.0}}],
     }
-    run_job("simulate", folder / "film", options={"scene": scene}, **person)
+    run_job("simulate", folder / "film", options={"scene": scene}, rig=rig)
 
 
 def _beside_the_code() -> Iterator[Path]:
