@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 import sys
 
@@ -32,6 +33,8 @@ def main() -> None:
         prepare(app.state.store, app.state.keyring, settings)
     except (OpenDoorError, NewerDatabaseError) as error:
         sys.exit(str(error))
+    gc.collect()
+    gc.freeze()  # what is there for good is not walked at each collection
     uvicorn.run(
         app,
         host=settings.host,

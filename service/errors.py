@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+from collections.abc import Sequence
 from http import HTTPStatus
 from typing import Any
 
@@ -14,11 +15,16 @@ from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.exc import OperationalError
 from starlette.exceptions import HTTPException
 
+from service.bounds import Bounds, fit, shorten
 from service.schemas import IN_WORDS
 from service.store.files import UnreachableError
 
 CHECKSUM_MISMATCH = 460  # tus 1.0, checksum extension
 LONGEST_QUOTE = 64
+# Faults of a request that are told
+MOST_FAULTS = 20
+# Ids of a thousand captures fit
+ANSWER = Bounds(text=1000, items=1000)
 
 log = structlog.get_logger()
 
@@ -40,6 +46,22 @@ def not_found(what: str, identifier: str) -> Problem:
     return Problem(
         404, f"{what}.unknown", f"there is no {what} {identifier}", **{f"{what}_id": identifier}
     )
+
+
+def faulty(
+    status: int, code: str, faults: Sequence[tuple[str, str]], *, at_least: bool = False
+) -> Problem:
+    """Return the problem of a document with ``faults``, each its place and what is wrong there.
+
+    The first are told, the others counted; ``at_least`` says that there may be still more.
+    """
+    told = faults[:MOST_FAULTS]
+    errors = [{"where": shorten(where), "message": shorten(message)} for where, message in told]
+    detail = f"{errors[0]['where']}: {errors[0]['message']}" if errors else "invalid request"
+    if left_out := len(faults) - len(told):
+        count = f"at least {left_out}" if at_least else str(left_out)
+        errors.append({"where": "", "message": f"and {count} more"})
+    return Problem(status, code, detail, errors=errors)
 
 
 class ProblemDocument(BaseModel):
@@ -87,7 +109,7 @@ def render(request_id: str, problem: Problem) -> Response:
         "request_id": request_id,
     }
     return Response(
-        json.dumps({**body, **problem.context, **body}),
+        json.dumps(fit({**body, **problem.context, **body}, ANSWER)),
         problem.status,
         headers=problem.headers,
         media_type="application/problem+json",
@@ -113,12 +135,8 @@ async def _on_http(request: Request, error: Exception) -> Response:
 
 async def _on_invalid(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
-    faults = [
-        {"where": "/".join(map(str, fault["loc"])), "message": _message(fault)}
-        for fault in error.errors()
-    ]
-    detail = f"{faults[0]['where']}: {faults[0]['message']}" if faults else "invalid request"
-    return render(request.state.request_id, Problem(422, "request.invalid", detail, errors=faults))
+    faults = [("/".join(map(str, each["loc"])), _message(each)) for each in error.errors()]
+    return render(request.state.request_id, faulty(422, "request.invalid", faults))
 
 
 def _message(fault: dict[str, Any]) -> str:
