@@ -52,8 +52,15 @@ def principal(request: Request, credentials: Credentials) -> Principal:
         raise missing_problem()
     who: Principal = request.app.state.keyring.verify(credentials.credentials)
     request.state.key_id = who.key_id
+    vouch_for(request)
     request.state.rate = request.app.state.rates.check(who.key_id)
     return replace(who, request_id=request.state.request_id)
+
+
+def vouch_for(request: Request) -> None:
+    """Tell the connection, if it wants to know, that a request of it is of a customer."""
+    if vouch := getattr(request.state, "vouch", None):
+        vouch()
 
 
 def missing_problem() -> Problem:
