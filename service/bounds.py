@@ -28,7 +28,7 @@ class Bounds:
 
 # What a solver tells of its failure and of its progress, and what it tells of its results
 ERROR = Bounds()
-PROGRESS = Bounds(size=4096)
+PROGRESS = Bounds(size=3000)
 SUMMARY = Bounds(items=2000, size=1024**2)
 
 

@@ -21,6 +21,10 @@ from solver.kinds import KINDS, Kind
 
 # Items of a list that are read after the first with a fault, and of lists without one
 AROUND = 25
+# Steps of a simulation: at 0.3 s each they take a day
+MOST_STEPS = 250_000
+# Steps of a frame where a scene says nothing, by its mode
+STEPS = {"quasi_static": 1, "dynamic": 4}
 
 
 def check_options(name: str, options: dict[str, Any]) -> Kind:
@@ -31,12 +35,29 @@ def check_options(name: str, options: dict[str, Any]) -> Kind:
     except ValueError as error:  # NaN, an infinity, half a surrogate pair
         raise Problem(422, "job.options", f"options are not strict JSON: {error}") from error
     try:
-        _quick(kind).validate_python(options)
+        read = _quick(kind).validate_python(options)
     except ValidationError as error:
         faults = kind.faults(_around(options, error)) or kind.faults(options)
         told = [(fault.where, fault.message) for fault in faults]
         raise faulty(422, "job.options", told, at_least=True) from None
+    _refuse_endless(getattr(read, "scene", None))
     return kind
+
+
+def _refuse_endless(scene: Any) -> None:
+    """Refuse a scene of keys whose steps no worker would come to the end of in a day."""
+    if not hasattr(scene, "keys"):
+        return
+    last = max((key.time for key in scene.keys), default=0.0)
+    seconds = last if scene.duration is None else scene.duration
+    steps = scene.steps_per_frame or STEPS[scene.mode]
+    count = round(seconds * scene.fps * steps)
+    if count > MOST_STEPS:
+        detail = (
+            f"{seconds:g} s of {scene.fps:g} frames of {steps} steps are {count} steps, more than "
+            f"{MOST_STEPS}: make it shorter, or in parts"
+        )
+        raise Problem(422, "job.too_long", detail, expected=MOST_STEPS, found=count)
 
 
 def find_kind(name: str) -> Kind:

@@ -51,9 +51,9 @@ def limits(session: ReadSession, settings: SettingsDep) -> Limits:
     summary="Kinds of job",
     dependencies=[Depends(need_scope(Scope.READ))],
 )
-def kinds() -> Any:
+def kinds(settings: SettingsDep) -> Any:
     """List the kinds of job with their options as JSON Schema."""
-    return {"items": [KindView.of(kind) for kind in KINDS.values()]}
+    return {"items": [KindView.of(kind, settings.max_seconds(kind)) for kind in KINDS.values()]}
 
 
 @router.get(
@@ -62,11 +62,11 @@ def kinds() -> Any:
     dependencies=[Depends(need_scope(Scope.READ))],
     include_in_schema=False,
 )
-def solvers(response: Response) -> Any:
+def solvers(response: Response, settings: SettingsDep) -> Any:
     """Answer at the path that `/v1/kinds` had before it, for one release."""
     response.headers["Deprecation"] = SOLVERS_DEPRECATED
     response.headers["Link"] = '</v1/kinds>; rel="successor-version"'
-    return kinds()
+    return kinds(settings)
 
 
 @router.get(

@@ -182,6 +182,7 @@ def test_a_solver_without_room_puts_its_job_off(
     reading, writing = os.pipe()
     process = {"parent": os.getppid(), "memory_bytes": 1 << 40, "progress_fd": writing}
     process["jobs"] = "solver.jobs"
+    process["cpu_seconds"] = 3600
     (folder.path / "process.json").write_text(json.dumps(process))
 
     def full(*_: object, **__: object) -> None:
