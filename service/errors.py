@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import sqlite3
 from collections.abc import Sequence
 from http import HTTPStatus
 from typing import Any
@@ -21,6 +22,16 @@ from service.store.files import UnreachableError
 
 CHECKSUM_MISMATCH = 460  # tus 1.0, checksum extension
 LONGEST_QUOTE = 64
+# A full disk fails at the write, or at making the write-ahead log larger
+FULL_OF_SQLITE = frozenset(
+    {
+        sqlite3.SQLITE_FULL,
+        sqlite3.SQLITE_READONLY,
+        sqlite3.SQLITE_IOERR_WRITE,
+        sqlite3.SQLITE_IOERR_SHMSIZE,
+    }
+)
+FULL_OF_POSTGRESQL = "53100"
 # Faults of a request that are told
 MOST_FAULTS = 20
 # Ids of a thousand captures fit
@@ -116,6 +127,13 @@ def render(request_id: str, problem: Problem) -> Response:
     )
 
 
+def is_full(error: Exception) -> bool:
+    """Return whether a database's error is that of a disk without room, or that is read only."""
+    cause = getattr(error, "orig", None)
+    code = getattr(cause, "sqlite_errorcode", None)
+    return code in FULL_OF_SQLITE or getattr(cause, "sqlstate", None) == FULL_OF_POSTGRESQL
+
+
 def _title(status: int) -> str:
     return "Checksum Mismatch" if status == CHECKSUM_MISMATCH else HTTPStatus(status).phrase
 
@@ -160,6 +178,10 @@ async def _on_os_error(request: Request, error: Exception) -> Response:
 
 
 async def _on_database_error(request: Request, error: Exception) -> Response:
+    if is_full(error):
+        log.warning("database.full", error=str(error))
+        problem = Problem(507, "storage.full", "there is no room left for the database")
+        return render(request.state.request_id, problem)
     log.warning("database.unreachable", error=str(error))
     problem = Problem(503, "database.unreachable", "the database does not answer; try again")
     problem.headers = {"Retry-After": "5"}

@@ -55,6 +55,9 @@ class Settings(BaseSettings):
     rate_per_minute: int = Field(
         default=6000, ge=1, description="requests that a key may send; so many at once, too"
     )
+    tenant_rate_per_minute: int = Field(
+        default=24_000, ge=1, description="requests that a tenant may send with all its keys"
+    )
     signed_url_seconds: int = Field(
         default=300, ge=1, le=3600, description="how long a signed URL works"
     )

@@ -53,7 +53,7 @@ def principal(request: Request, credentials: Credentials) -> Principal:
     who: Principal = request.app.state.keyring.verify(credentials.credentials)
     request.state.key_id = who.key_id
     vouch_for(request)
-    request.state.rate = request.app.state.rates.check(who.key_id)
+    request.state.rate = request.app.state.rates.check(who.key_id, who.tenant_id)
     return replace(who, request_id=request.state.request_id)
 
 

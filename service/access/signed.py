@@ -66,7 +66,7 @@ def _file_reader(
         return require(Scope.READ, principal(request, credentials))
     tenant_id = request.app.state.signer.verify(request.url.path, signed)
     vouch_for(request)
-    request.state.rate = request.app.state.rates.check(f"{BEARER}:{tenant_id}")
+    request.state.rate = request.app.state.rates.check(f"{BEARER}:{tenant_id}", tenant_id)
     return Principal(tenant_id, BEARER, frozenset({Scope.READ}), request.state.request_id)
 
 

@@ -14,7 +14,7 @@ from service.errors import problems
 from service.schemas import Page
 from service.store.retention import own_days
 from service.system.schemas import KindView, Limits, Readiness, Retention, WorkerView
-from service.system.service import living_workers, readiness
+from service.system.service import ReadinessCache, living_workers
 from solver.kinds import KINDS
 
 # RFC 9745: since when, in seconds of the epoch (2026-11-22)
@@ -92,9 +92,11 @@ def health() -> dict[str, str]:
     summary="Do its parts answer?",
     responses={503: {"model": Readiness, "description": "A part does not answer"}},
 )
-def ready(store: WholeStore, settings: SettingsDep, response: Response) -> Readiness:
+def ready(
+    cache: Annotated[ReadinessCache, Depends(part("readiness"))], response: Response
+) -> Readiness:
     """Ask database, broker and files, and count the living workers of each queue."""
-    state = readiness(store, settings)
+    state = cache.ask()
     response.status_code = 200 if state.ready else 503
     return state
 

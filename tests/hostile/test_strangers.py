@@ -42,7 +42,10 @@ def test_silent_strangers_give_way_and_a_customer_stays(
     assert customer.get("/v1/me").is_success
     assert seats.strangers == 8
     fresh = httpx.get(
-        f"http://127.0.0.1:{port}/v1/me", headers=dict(customer.headers), trust_env=False, timeout=20
+        f"http://127.0.0.1:{port}/v1/me",
+        headers=dict(customer.headers),
+        trust_env=False,
+        timeout=20,
     )
     assert fresh.is_success
     for stranger in strangers:
