@@ -19,12 +19,12 @@ export class ApiProblem extends Error {
 /**
  * Send a request and return the response, if it is a good one.
  *
- * `body` is sent as it is, `json` as JSON; `key` signs it in place of the tab's own. With `patience` null nothing but `signal` ends it.
+ * `body` is sent as it is, `json` as JSON. With `patience` null nothing but `signal` ends it.
  * Throws ApiProblem; an aborted `signal` throws its reason.
  */
 export async function request(path, options = {}) {
   const { method = "GET", json, body = json && JSON.stringify(json), headers = {} } = options;
-  const { signal, key, patience = PATIENCE_MS } = options;
+  const { signal, patience = PATIENCE_MS } = options;
   for (let waits = 0; ; waits++) {
     const response = await send(
       path,
@@ -34,7 +34,7 @@ export async function request(path, options = {}) {
         headers: {
           ...(json ? { "Content-Type": "application/json" } : {}),
           ...headers,
-          ...auth.headers(key),
+          ...auth.headers(),
         },
         signal: anyOf(signal, patience),
         cache: "no-cache",
