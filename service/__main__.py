@@ -13,7 +13,7 @@ from service.access.bootstrap import OpenDoorError, prepare
 from service.app import create_app
 from service.http.deadline import DeadlineProtocol, protocol
 from service.http.seats import Seats
-from service.process import configure_logs, die_with_parent
+from service.process import configure_logs, die_with_parent, hide_memory
 from service.settings import Settings
 from service.store.database import NewerDatabaseError
 
@@ -27,6 +27,7 @@ def main() -> None:
     settings = Settings()
     if settings.stack_pid:
         die_with_parent(settings.stack_pid, signal.SIGTERM)
+    hide_memory()
     configure_logs(settings.log_json)
     tracing.start("myoface-api")
     app = create_app(settings)

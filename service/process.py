@@ -10,6 +10,7 @@ import sys
 import structlog
 
 PR_SET_PDEATHSIG = 1
+PR_SET_DUMPABLE = 4
 
 
 def configure_logs(json: bool) -> None:
@@ -43,6 +44,15 @@ def configure_logs(json: bool) -> None:
     root.handlers = [handler]
     root.setLevel(logging.INFO)
     logging.getLogger("alembic").setLevel(logging.WARNING)
+
+
+def hide_memory() -> None:
+    """Keep other processes of the same user from reading memory and environment (Linux).
+
+    A solver reads strangers' files; one that was taken over must not find the service's secrets.
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_DUMPABLE, 0, 0, 0, 0)
 
 
 def die_with_parent(parent: int, number: int) -> None:

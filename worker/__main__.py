@@ -6,7 +6,7 @@ import argparse
 import signal
 
 from service import tracing
-from service.process import configure_logs, die_with_parent
+from service.process import configure_logs, die_with_parent, hide_memory
 from service.queue.wakeups import QUEUES, WEBHOOKS
 from service.settings import Settings
 from service.store.database import Store
@@ -28,6 +28,7 @@ def main() -> None:
         can = abilities(settings, filter(None, given.kinds.split(",")))
     except ValueError as error:
         parser.error(str(error))
+    hide_memory()
     configure_logs(settings.log_json)
     tracing.start(f"myoface-{given.queue}")
     if settings.stack_pid:

@@ -31,6 +31,17 @@ LONGEST_LINE = 4000
 MOST_LINES = 500
 MOST_LINES_KEPT = 20_000
 
+# What a solver process is given of the environment
+NEEDED = frozenset(
+    {
+        *("PATH", "HOME", "USER", "LOGNAME", "LANG", "LANGUAGE", "TZ", "VIRTUAL_ENV", "PYTHONPATH"),
+        *("PYTHONHASHSEED", "PYTHONUNBUFFERED", "PYTHONDONTWRITEBYTECODE", "LD_LIBRARY_PATH"),
+        *("XDG_CACHE_HOME", "SSL_CERT_FILE", "SSL_CERT_DIR"),
+        *("MYOFACE_CACHE", "MYOFACE_FACE_LANDMARKER"),
+    }
+)
+NEEDED_OF = ("LC_", "NUMBA_", "OMP_", "MKL_", "OPENBLAS_", "MPL", "STANDIN_")
+
 # In the environment of a solver process, and so of every process that it starts
 FOLDER_VARIABLE = "MYOFACE_ATTEMPT"
 # The name of an attempt's folder, `<job>.<attempt>`; nothing else is ever removed
@@ -192,15 +203,14 @@ def _signal_group(group: int, number: int) -> None:
 
 
 def _harmless(environment: Mapping[str, str]) -> dict[str, str]:
-    """Return an environment without the service's settings, keys and addresses among them.
+    """Return what a solver needs of an environment, and no secret that somebody put there.
 
     The solver reads strangers' files.
     """
-    ours, kept = ("MYOFACE_", "AWS_", "OTEL_"), {"MYOFACE_CACHE", "MYOFACE_FACE_LANDMARKER"}
     return {
         name: value
         for name, value in environment.items()
-        if name in kept or not name.startswith(ours)
+        if name in NEEDED or name.startswith(NEEDED_OF)
     }
 
 

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 # A fit takes the time that the API and the supervisors leave
 NICENESS = 10
+# Bytes of a file that it writes: a film, a sequence
+LARGEST_FILE = 16 * 1024**3
 RESULT, FAILURE = "result.json", "error.json"
 
 log = structlog.get_logger()
@@ -45,6 +47,8 @@ def main(folder: Path) -> int:
     _step_back()
     resource.setrlimit(resource.RLIMIT_DATA, (process["memory_bytes"],) * 2)
     resource.setrlimit(resource.RLIMIT_CPU, (process["cpu_seconds"],) * 2)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (LARGEST_FILE,) * 2)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     try:
         try:
             with os.fdopen(process["progress_fd"], "w", buffering=1) as pipe:

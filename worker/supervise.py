@@ -175,15 +175,16 @@ class Supervisor:
 
         A job that took too long would take as long once more: it has failed.
         """
+        result: dict[str, Any] | None = None
+        error: dict[str, Any] | None = None
         if code in (None, -signal.SIGXCPU):
-            result = None
             limit = self._limit(claim)
             error = timeout_error(claim.kind, limit, folder.frames, folder.kept)
         else:
             try:
                 result, error = folder.result(), folder.error()
             except VerdictError as fault:
-                result, error = None, verdict_error(fault)
+                error = verdict_error(fault)
         job = (claim.job_id, claim.attempt)
         if code == 0 and result is not None:
             artifacts = folder.store(self._store.files)

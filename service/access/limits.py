@@ -26,10 +26,12 @@ from service.access.principal import Principal
 from service.errors import Problem
 from service.queue.states import HELD, State
 from service.queue.wakeups import connect
-from service.store.models import Artifact, Capture, FrameChunk, Job, Template, Upload
+from service.store.models import Artifact, Capture, FrameChunk, Job, Template, Tenant, Upload
 from service.store.tenancy import own_tenant
 
 ASK_AGAIN = "60"
+# Jobs of a tenant without a quota of its own that wait: places in the queue count them all
+MOST_QUEUED = 10_000
 
 # A token of each bucket, or of none; `ARGV` has what each holds, and is refilled with in a minute
 SCRIPT = """
@@ -98,20 +100,23 @@ def check_queued(session: Session) -> None:
     Problem
         429 if as many jobs wait as the tenant may have.
     """
-    tenant = own_tenant(session, lock=True)
-    if tenant.max_queued is None:
-        return
+    most = most_queued(own_tenant(session, lock=True))
     waiting = count_queued(session)
-    if waiting >= tenant.max_queued:
+    if waiting >= most:
         problem = Problem(
             429,
             "quota.queued",
             f"{waiting} jobs wait already: let some end first",
-            expected=tenant.max_queued,
+            expected=most,
             found=waiting,
         )
         problem.headers = {"Retry-After": ASK_AGAIN}
         raise problem
+
+
+def most_queued(tenant: Tenant) -> int:
+    """Return how many of a tenant's jobs may wait."""
+    return MOST_QUEUED if tenant.max_queued is None else tenant.max_queued
 
 
 def stored_bytes(session: Session, tenant_id: str) -> int:

@@ -95,6 +95,6 @@ def usage(session: ReadSession) -> Usage:
     tenant = own_tenant(session)
     return Usage(
         bytes=Use(used=limits.stored_bytes(session, tenant.id), limit=tenant.max_bytes),
-        queued=Use(used=limits.count_queued(session), limit=tenant.max_queued),
+        queued=Use(used=limits.count_queued(session), limit=limits.most_queued(tenant)),
         running=Use(used=limits.count_running(session), limit=tenant.max_running),
     )

@@ -34,4 +34,6 @@ class DeletionView(View):
     rows_at: datetime | None = Field(
         description="when nothing showed it any more; null: its jobs are being stopped"
     )
-    files_at: datetime | None = Field(description="when its files were gone, too, but for those that others have")
+    files_at: datetime | None = Field(
+        description="when its files were gone, too, but for those that others have"
+    )
