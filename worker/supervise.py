@@ -198,6 +198,7 @@ class Supervisor:
             self._postpone(claim)
             return
         else:
+            assert code is not None, "without a code there is an error"
             self._lose(claim, exit_error(code))
             return
         if not done:

@@ -226,7 +226,9 @@ def _usual_seconds(session: Session, kind: str) -> float:
         .order_by(Job.finished_at.desc())
         .limit(MOST_KNOWN)
     )
-    seconds = sorted((finished - started).total_seconds() for started, finished in ended)
+    seconds = sorted(
+        (finished - started).total_seconds() for started, finished in ended if finished is not None
+    )
     if len(seconds) < LEAST_KNOWN:
         return KINDS[kind].max_seconds / 2 if kind in KINDS else math.inf
     return max(2 * seconds[math.ceil(0.95 * len(seconds)) - 1], LEAST_USUAL)

@@ -132,3 +132,25 @@ def test_a_tenant_s_keys_share_a_rate(tmp_path: Path) -> None:
         assert refused.status_code == 429
         assert refused.json()["detail"] == "the tenant has sent more than 10 requests a minute"
         assert refused.headers["RateLimit-Limit"] == "10"
+
+
+def test_jobs_and_landmarks_are_in_the_audit_log(studio: Studio) -> None:
+    subject = studio.subject()
+    smile = studio.raw(subject, "smile")
+    marks = {"upload_id": studio.upload("smile.json", b"[1]")}
+    path = f"/v1/subjects/{subject}/captures/{smile}/landmarks"
+    assert studio.http.put(path, json=marks).status_code == 200
+    job = studio.submit("check_scan", subject, captures=[smile])
+    studio.post(f"/v1/jobs/{job}/cancel")
+    again = studio.post(f"/v1/jobs/{job}/retry")["id"]
+    for made in (job, again):
+        entries = studio.get(f"/v1/audit?object_id={made}")["items"]
+        assert entries[-1]["action"] == "job.created"
+    entries = studio.get(f"/v1/audit?object_id={smile}")["items"]
+    assert entries[0]["action"] == "capture.landmarks"
+
+
+def test_no_path_leads_away_by_a_slash(studio: Studio) -> None:
+    """A redirect would name a host and a scheme, and leave TLS."""
+    for path in ("/v1/subjects/", "/v1/keys/", "/healthz/"):
+        assert studio.http.get(path, follow_redirects=False).status_code == 404
