@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 import sys
 
@@ -10,7 +11,8 @@ import uvicorn
 from service import tracing
 from service.access.bootstrap import OpenDoorError, prepare
 from service.app import create_app
-from service.http.deadline import protocol
+from service.http.deadline import DeadlineProtocol, protocol
+from service.http.seats import Seats
 from service.process import configure_logs, die_with_parent, hide_memory
 from service.settings import Settings
 from service.store.database import NewerDatabaseError
@@ -22,10 +24,10 @@ KEEP_ALIVE = 130
 
 def main() -> None:
     """Serve until interrupted."""
-    hide_memory()
     settings = Settings()
     if settings.stack_pid:
         die_with_parent(settings.stack_pid, signal.SIGTERM)
+    hide_memory()
     configure_logs(settings.log_json)
     tracing.start("myoface-api")
     app = create_app(settings)
@@ -33,12 +35,16 @@ def main() -> None:
         prepare(app.state.store, app.state.keyring, settings)
     except (OpenDoorError, NewerDatabaseError) as error:
         sys.exit(str(error))
+    gc.collect()
+    gc.freeze()  # what is there for good is not walked at each collection
+    seats = Seats[DeadlineProtocol](settings.max_connections, settings.max_address_connections)
     uvicorn.run(
         app,
         host=settings.host,
         port=settings.port,
-        http=protocol(settings.receive_timeout, settings.send_timeout),
-        limit_concurrency=settings.max_connections,
+        http=protocol(settings.header_timeout, settings.send_timeout, seats),
+        # One too many is let in: the seats say who goes for it, if anybody
+        limit_concurrency=settings.max_connections + 1,
         log_config=None,
         access_log=False,
         timeout_keep_alive=KEEP_ALIVE,

@@ -29,10 +29,12 @@ from service.records.routes import audit_router, deletions_router
 from service.rigs.routes import router as rigs
 from service.secret import secret
 from service.settings import Settings
+from service.store.ballast import Ballast
 from service.store.database import Store
 from service.subjects.routes import router as subjects
 from service.system import metrics
 from service.system.routes import router as system
+from service.system.service import ReadinessCache
 from service.templates.routes import router as templates
 from service.uploads.routes import router as uploads
 from service.uploads.service import UploadCleaner
@@ -69,12 +71,18 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     store = Store(settings.database, settings.files, settings.broker)
     master = secret(settings)
     keyring = Keyring(store, master)
-    rates = Rates(settings.broker, settings.rate_per_minute)
+    rates = Rates(settings.broker, settings.rate_per_minute, settings.tenant_rate_per_minute)
+    ballast = Ballast(None if settings.database_url else settings.data_dir)
 
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         await to_thread.run_sync(bootstrap.prepare, store, keyring, settings)
-        background = (BatchRunner(store, settings), UploadCleaner(store, settings))
+        background = (
+            BatchRunner(store, settings),
+            UploadCleaner(store, settings),
+            keyring.uses,
+            ballast,
+        )
         for thread in background:
             thread.start()
         yield
@@ -92,6 +100,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         docs_url=None,  # FastAPI's own pages load their scripts from elsewhere
         redoc_url=None,
         license_info={"name": "MIT"},
+        redirect_slashes=False,  # it would lead away from TLS, behind a proxy that is not known
     )
     app.state.settings = settings
     app.state.store = store
@@ -106,6 +115,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         "download.too_many", "downloads", settings.max_tenant_downloads, settings.max_key_downloads
     )
     app.state.keyring = keyring
+    app.state.readiness = ReadinessCache(store, settings)
+    app.state.ballast = ballast
     app.state.master = master
     app.state.rates = rates
     app.state.signer = Signer(master)

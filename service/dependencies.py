@@ -12,6 +12,7 @@ from sqlalchemy.orm import Session
 from service.access.principal import Caller, Scope, require
 from service.access.signed import FileReader
 from service.settings import Settings
+from service.store.ballast import Ballast
 from service.store.database import Store
 
 # What does not wait is `async`: FastAPI would run each in a thread of its own, many a request.
@@ -60,11 +61,15 @@ def own_store(scope: Scope) -> Callable[[Store, Caller], Awaitable[Store]]:
 
 
 @cache
-def own_session(scope: Scope) -> Callable[[Store, Caller], Iterator[Session]]:
+def own_session(scope: Scope) -> Callable[[Store, Caller, Ballast], Iterator[Session]]:
     """Return the dependency that gives a session of it, which only `read` does not commit."""
 
-    def session(store: WholeStore, who: Caller) -> Iterator[Session]:
+    def session(
+        store: WholeStore, who: Caller, ballast: Annotated[Ballast, Depends(part("ballast"))]
+    ) -> Iterator[Session]:
         own = store.of(require(scope, who).tenant_id)
+        if scope is Scope.DELETE:
+            ballast.drop()
         with own.read() if scope is Scope.READ else own.write() as session:
             yield session
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import json
+import sqlite3
+from collections.abc import Sequence
 from http import HTTPStatus
 from typing import Any
 
@@ -14,11 +16,26 @@ from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.exc import OperationalError
 from starlette.exceptions import HTTPException
 
+from service.bounds import Bounds, fit, shorten
 from service.schemas import IN_WORDS
 from service.store.files import UnreachableError
 
 CHECKSUM_MISMATCH = 460  # tus 1.0, checksum extension
 LONGEST_QUOTE = 64
+# A full disk fails at the write, or at making the write-ahead log larger
+FULL_OF_SQLITE = frozenset(
+    {
+        sqlite3.SQLITE_FULL,
+        sqlite3.SQLITE_READONLY,
+        sqlite3.SQLITE_IOERR_WRITE,
+        sqlite3.SQLITE_IOERR_SHMSIZE,
+    }
+)
+FULL_OF_POSTGRESQL = "53100"
+# Faults of a request that are told
+MOST_FAULTS = 20
+# Ids of a thousand captures fit
+ANSWER = Bounds(text=1000, items=1000)
 
 log = structlog.get_logger()
 
@@ -40,6 +57,22 @@ def not_found(what: str, identifier: str) -> Problem:
     return Problem(
         404, f"{what}.unknown", f"there is no {what} {identifier}", **{f"{what}_id": identifier}
     )
+
+
+def faulty(
+    status: int, code: str, faults: Sequence[tuple[str, str]], *, at_least: bool = False
+) -> Problem:
+    """Return the problem of a document with ``faults``, each its place and what is wrong there.
+
+    The first are told, the others counted; ``at_least`` says that there may be still more.
+    """
+    told = faults[:MOST_FAULTS]
+    errors = [{"where": shorten(where), "message": shorten(message)} for where, message in told]
+    detail = f"{errors[0]['where']}: {errors[0]['message']}" if errors else "invalid request"
+    if left_out := len(faults) - len(told):
+        count = f"at least {left_out}" if at_least else str(left_out)
+        errors.append({"where": "", "message": f"and {count} more"})
+    return Problem(status, code, detail, errors=errors)
 
 
 class ProblemDocument(BaseModel):
@@ -87,11 +120,18 @@ def render(request_id: str, problem: Problem) -> Response:
         "request_id": request_id,
     }
     return Response(
-        json.dumps({**body, **problem.context, **body}),
+        json.dumps(fit({**body, **problem.context, **body}, ANSWER)),
         problem.status,
         headers=problem.headers,
         media_type="application/problem+json",
     )
+
+
+def is_full(error: Exception) -> bool:
+    """Return whether a database's error is that of a disk without room, or that is read only."""
+    cause = getattr(error, "orig", None)
+    code = getattr(cause, "sqlite_errorcode", None)
+    return code in FULL_OF_SQLITE or getattr(cause, "sqlstate", None) == FULL_OF_POSTGRESQL
 
 
 def _title(status: int) -> str:
@@ -113,12 +153,8 @@ async def _on_http(request: Request, error: Exception) -> Response:
 
 async def _on_invalid(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
-    faults = [
-        {"where": "/".join(map(str, fault["loc"])), "message": _message(fault)}
-        for fault in error.errors()
-    ]
-    detail = f"{faults[0]['where']}: {faults[0]['message']}" if faults else "invalid request"
-    return render(request.state.request_id, Problem(422, "request.invalid", detail, errors=faults))
+    faults = [("/".join(map(str, each["loc"])), _message(each)) for each in error.errors()]
+    return render(request.state.request_id, faulty(422, "request.invalid", faults))
 
 
 def _message(fault: dict[str, Any]) -> str:
@@ -142,6 +178,10 @@ async def _on_os_error(request: Request, error: Exception) -> Response:
 
 
 async def _on_database_error(request: Request, error: Exception) -> Response:
+    if is_full(error):
+        log.warning("database.full", error=str(error))
+        problem = Problem(507, "storage.full", "there is no room left for the database")
+        return render(request.state.request_id, problem)
     log.warning("database.unreachable", error=str(error))
     problem = Problem(503, "database.unreachable", "the database does not answer; try again")
     problem.headers = {"Retry-After": "5"}

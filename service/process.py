@@ -46,6 +46,15 @@ def configure_logs(json: bool) -> None:
     logging.getLogger("alembic").setLevel(logging.WARNING)
 
 
+def hide_memory() -> None:
+    """Keep other processes of the same user from reading memory and environment (Linux).
+
+    A solver reads strangers' files; one that was taken over must not find the service's secrets.
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_DUMPABLE, 0, 0, 0, 0)
+
+
 def die_with_parent(parent: int, number: int) -> None:
     """Get the signal ``number`` when the process ``parent`` dies (Linux; a no-op elsewhere).
 
@@ -56,12 +65,3 @@ def die_with_parent(parent: int, number: int) -> None:
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, number)
     if os.getppid() != parent:
         sys.exit("the parent process died first")
-
-
-def hide_memory() -> None:
-    """Keep other processes of this user from this one's memory and environment (Linux).
-
-    Secrets are in both. Debuggers and profilers are kept out as well, and there is no core dump.
-    """
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_DUMPABLE, 0)

@@ -3,9 +3,18 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Annotated, Generic, TypeVar
+from typing import Annotated, Any, Generic, TypeVar
 
-from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import (
+    AfterValidator,
+    AwareDatetime,
+    BaseModel,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    model_validator,
+)
+from pydantic_core import PydanticCustomError
 
 Item = TypeVar("Item")
 
@@ -14,6 +23,9 @@ _LINE = r"^[^\x00-\x1f\x7f]*$"
 _NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 _FILE_NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,254}$"
 _LETTERS = "letters, digits, '_', '.' and '-', with a letter or digit first"
+
+# Unknown members of an object in a request that are told one by one
+MOST_STRANGERS = 30
 
 # The patterns of texts in words, for error messages
 IN_WORDS = {
@@ -60,9 +72,19 @@ Moment = Annotated[AwareDatetime, AfterValidator(_in_utc)]
 
 
 class RequestBody(BaseModel):
-    """A request's body: an unknown member is an error, not a typing mistake that goes unnoticed."""
+    """A request's body: an unknown member is an error, not a typing mistake that goes unnoticed.
+
+    Each one is told, but not hundreds: pydantic makes an error of each.
+    """
 
     model_config = ConfigDict(extra="forbid")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_many(cls, given: Any) -> Any:
+        if isinstance(given, dict) and len(given) > len(cls.model_fields) + MOST_STRANGERS:
+            raise PydanticCustomError("many_members", "there are more members than it may have")
+        return given
 
 
 class View(BaseModel):

@@ -11,6 +11,8 @@ from pathlib import Path
 from pydantic import Field, IPvAnyNetwork, SecretStr, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from solver.kinds import Kind
+
 # A unix socket's path must fit into sockaddr_un (104 bytes on macOS, 108 on Linux).
 LONGEST_SOCKET_PATH = 100
 
@@ -53,6 +55,9 @@ class Settings(BaseSettings):
     rate_per_minute: int = Field(
         default=6000, ge=1, description="requests that a key may send; so many at once, too"
     )
+    tenant_rate_per_minute: int = Field(
+        default=24_000, ge=1, description="requests that a tenant may send with all its keys"
+    )
     signed_url_seconds: int = Field(
         default=300, ge=1, le=3600, description="how long a signed URL works"
     )
@@ -69,14 +74,20 @@ class Settings(BaseSettings):
     max_upload_bytes: int = Field(default=2 * 1024**3, gt=0)
     upload_ttl: float = Field(default=24 * 3600, gt=0)
     max_open_uploads: int = Field(default=64, ge=1, description="unfinished ones, of a tenant")
-    receive_timeout: float = Field(
-        default=30, gt=0, description="for a request's headers, and for any body but an upload's"
-    )
+    header_timeout: float = Field(default=5, gt=0, description="for a request's headers")
+    receive_timeout: float = Field(default=30, gt=0, description="for any body but an upload's")
     min_upload_rate: float = Field(default=1024, gt=0, description="bytes a second")
     send_timeout: float = Field(
         default=60, gt=0, description="for a client that takes nothing of what it is sent"
     )
-    max_connections: int = Field(default=512, ge=1, description="of an API process; then 503")
+    max_connections: int = Field(
+        default=512, ge=2, description="of an API process, half of them of strangers; then 503"
+    )
+    max_address_connections: int = Field(
+        default=128,
+        ge=1,
+        description="of one address, before they have shown a key; of more the oldest is closed",
+    )
     max_tenant_streams: int = Field(
         default=128, ge=1, description="of events, open at a time in an API process"
     )
@@ -87,6 +98,11 @@ class Settings(BaseSettings):
     max_key_downloads: int = Field(default=48, ge=1, description="the same, of one key")
 
     max_attempts: int = Field(default=3, ge=1)
+    max_ingest_seconds: int | None = Field(
+        default=None, ge=1, description="after which an attempt is ended; default: its kind's, 120"
+    )
+    max_short_seconds: int | None = Field(default=None, ge=1, description="default: 3600")
+    max_long_seconds: int | None = Field(default=None, ge=1, description="default: 86400")
     lease: float = Field(
         default=30, gt=0, description="a worker silent for so long has lost its job"
     )
@@ -136,6 +152,11 @@ class Settings(BaseSettings):
     @classmethod
     def _absolute(cls, value: Path | None) -> Path | None:
         return value.expanduser().resolve() if value else None
+
+    def max_seconds(self, kind: Kind) -> int:
+        """Return the seconds after which an attempt at a kind of job is ended."""
+        own: int | None = getattr(self, f"max_{kind.queue}_seconds")
+        return own or kind.max_seconds
 
     @property
     def admin_key(self) -> Path:

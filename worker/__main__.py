@@ -27,12 +27,12 @@ def main() -> None:
         "--compile", action="store_true", help="compile the solver's kernels, beside the work"
     )
     given = parser.parse_args()
-    hide_memory()
     settings = Settings()
     try:
         can = abilities(settings, filter(None, given.kinds.split(",")))
     except ValueError as error:
         parser.error(str(error))
+    hide_memory()
     configure_logs(settings.log_json)
     tracing.start(f"myoface-{given.queue}")
     if settings.stack_pid:

@@ -7,10 +7,12 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+from service.bounds import ERROR, SUMMARY, fit
 from service.queue.table import Claim
 from service.store.files import Files
 from service.store.models import Artifact, Rig
 from solver.kinds import KINDS
+from worker.errors import VerdictError
 
 MEDIA_TYPES = {
     ".glb": "model/gltf-binary",
@@ -27,6 +29,9 @@ MEDIA_TYPES = {
 
 # The folder in `out` of a sequence's or simulation's frames, files `<first>-<last>.json`
 FRAMES = "frames"
+
+# Bytes of a result: its summary, and the names of its expressions
+LARGEST_RESULT = 2 * SUMMARY.size
 
 # Files in `out` that take minutes: the next attempt goes on with what is in them
 KEPT = ("blendshapes.npz",)
@@ -68,12 +73,24 @@ class AttemptFolder:
         (self.path / "job.json").write_text(json.dumps(job))
 
     def error(self) -> dict[str, Any] | None:
-        """Return the solver's error, if it reported one."""
-        return self._read("error.json")
+        """Return the solver's error, if it reported one.
+
+        Raises
+        ------
+        VerdictError
+            For one that no solver of ours writes.
+        """
+        found = self._read("error.json", ERROR.size)
+        if found is not None and not isinstance(found.get("code"), str):
+            raise VerdictError("the solver left an error without a code")
+        return found and fit(found, ERROR)
 
     def result(self) -> dict[str, Any] | None:
-        """Return the solver's result, if it finished."""
-        return self._read("result.json")
+        """Return the solver's result, if it finished; raises as `error` does."""
+        found = self._read("result.json", LARGEST_RESULT)
+        if found is not None and not isinstance(found.get("summary"), dict):
+            raise VerdictError("the solver left a result without a summary")
+        return found
 
     def store(self, files: Files) -> list[Artifact]:
         """Put the outputs into the file store."""
@@ -102,6 +119,17 @@ class AttemptFolder:
                 found[path.name] = self._put(path, files)
                 self._written[path.name] = written
         return found
+
+    @property
+    def frames(self) -> int:
+        """The number of frames that are in the file store."""
+        spans = (name.removesuffix(".json").split("-") for name in self._stored)
+        return sum(int(last) - int(first) + 1 for first, last in spans)
+
+    @property
+    def kept(self) -> list[str]:
+        """The names of those of :data:`KEPT` that are in the file store."""
+        return sorted({*self._claim.kept, *self._written})
 
     def rig(self, result: dict[str, Any]) -> Rig | None:
         """Return the rig, if this kind of job leaves one."""
@@ -132,9 +160,22 @@ class AttemptFolder:
             media_type=MEDIA_TYPES.get(path.suffix, "application/octet-stream"),
         )
 
-    def _read(self, name: str) -> dict[str, Any] | None:
+    def _read(self, name: str, most: int) -> dict[str, Any] | None:
+        """Return a document of at most ``most`` bytes that the solver left; None: it left none.
+
+        The solver reads strangers' files, and one of them may have taken it over.
+        """
         try:
-            found: dict[str, Any] = json.loads((self.path / name).read_text())
+            with (self.path / name).open("rb") as file:
+                content = file.read(most + 1)
         except FileNotFoundError:
             return None
+        if len(content) > most:
+            raise VerdictError(f"the solver left {name} of more than {most} bytes")
+        try:
+            found = json.loads(content)
+        except (ValueError, RecursionError):
+            found = None
+        if not isinstance(found, dict):
+            raise VerdictError(f"the solver left {name} that is no JSON object")
         return found

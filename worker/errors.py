@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import signal
+from collections.abc import Sequence
 from typing import Any
 
 # The exit code of a solver process that found the disk full
@@ -18,6 +19,10 @@ class LeaseLostError(Exception):
 
 class CanceledError(Exception):
     """Somebody asked for the job to stop."""
+
+
+class VerdictError(Exception):
+    """What the solver left is nothing that it would leave by itself."""
 
 
 class ShutdownError(Exception):
@@ -46,6 +51,25 @@ def exit_error(code: int) -> dict[str, Any]:
         "code": "solver.killed",
         "message": f"the solver process exited with {code} and said nothing",
         "exit_code": code,
+    }
+
+
+def verdict_error(error: VerdictError) -> dict[str, Any]:
+    """Return the error of a job whose solver left what cannot be read."""
+    return {"code": "solver.verdict", "message": str(error)}
+
+
+def timeout_error(kind: str, seconds: float, frames: int, files: Sequence[str]) -> dict[str, Any]:
+    """Return the error of a job that was ended for its time, and what it leaves."""
+    left = [f"{frames} frames"] if frames else []
+    left += [f"{len(files)} files to go on with"] if files else []
+    kept = f": {' and '.join(left)} are kept" if left else ": nothing is kept"
+    return {
+        "code": "job.timeout",
+        "message": f"{kind} was ended after {seconds:g} s, the most it may take{kept}",
+        "seconds": seconds,
+        "frames": frames,
+        "kept": list(files),
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import shutil
@@ -11,13 +12,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterable
+from collections import deque
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import structlog
 
+from service.bounds import PROGRESS, fit, shorten
 from service.queue.states import HELD
 from service.settings import Settings
 from service.store.database import Store
@@ -26,6 +28,8 @@ from worker import kernels
 from worker.sandbox import allowed_environment
 
 GRACE = 1.0
+# Seconds of processor time beyond those that an attempt may last: its supervisor comes first
+CPU_MARGIN = 60.0
 LONGEST_LINE = 4000
 MOST_LINES = 500
 MOST_LINES_KEPT = 20_000
@@ -47,9 +51,11 @@ class SolverProcess:
     """``python -m worker.solve <folder>`` in a session, and so a process group, of its own.
 
     Started by exec, not by a bare fork: the numeric libraries' thread pools do not survive a fork.
+    The system ends it when it has used the processor for longer than all its threads could in
+    ``seconds``, should nobody be left to end it earlier.
     """
 
-    def __init__(self, folder: Path, settings: Settings, tenant: str) -> None:
+    def __init__(self, folder: Path, settings: Settings, tenant: str, seconds: float) -> None:
         temporary = folder / "tmp"  # goes with the folder, also when the solver is killed
         temporary.mkdir()
         compiled = folder / "kernels"
@@ -62,6 +68,7 @@ class SolverProcess:
                     "progress_fd": writing,
                     "parent": os.getpid(),
                     "memory_bytes": settings.solver_memory_mb * 1024**2,
+                    "cpu_seconds": math.ceil(seconds * settings.solver_threads + CPU_MARGIN),
                     "jobs": settings.jobs,
                     "confined": settings.solver_confined,
                     "assets": str(assets),
@@ -88,7 +95,7 @@ class SolverProcess:
         )
         os.close(writing)
         assert self._process.stdout is not None
-        self._steps = _Lines(os.fdopen(reading, "rb"))
+        self._steps = _Lines(os.fdopen(reading, "rb"), newest=True)
         self._log = _Lines(self._process.stdout)
         self._room = MOST_LINES_KEPT
 
@@ -107,10 +114,10 @@ class SolverProcess:
     def steps(self) -> list[dict[str, Any]]:
         """Return the reports of progress since the last call, the newest of each phase."""
         newest: dict[str, dict[str, Any]] = {}
-        for line in self._steps.take():
-            step = json.loads(line)
-            newest.pop(step["phase"], None)
-            newest[step["phase"]] = step
+        for line in self._steps.take()[0]:
+            if (step := _step(line)) is not None:
+                newest.pop(step["phase"], None)
+                newest[step["phase"]] = step
         return list(newest.values())
 
     def lines(self) -> list[str]:
@@ -118,16 +125,15 @@ class SolverProcess:
 
         Of all that an attempt says, the first `MOST_LINES_KEPT` lines are kept.
         """
-        lines, room = self._log.take(), self._room
-        left_out = len(lines) - MOST_LINES
-        if left_out > 0:
-            lines[MOST_LINES:] = [f"... {left_out} lines left out"]
+        (lines, left_out), room = self._log.take(), self._room
+        if left_out:
+            lines.append(f"... {left_out} lines left out")
         self._room = max(room - len(lines), 0)
         if room and not self._room:
             lines[room:] = ["... this is all that is kept of the log"]
         else:
             lines = lines[:room]
-        return [line.replace("\0", "")[:LONGEST_LINE] for line in lines]
+        return [shorten(line.expandtabs(4), LONGEST_LINE) for line in lines]
 
     def finish(self) -> None:
         """End what is left of the process group, then read the last lines."""
@@ -144,27 +150,57 @@ class SolverProcess:
 
 
 class _Lines:
-    """Reads lines in a thread, so that a full pipe never blocks the solver."""
+    """Reads lines in a thread, so that a full pipe never blocks the solver.
 
-    def __init__(self, stream: Iterable[bytes]) -> None:
-        self._lines: list[str] = []
+    Between two calls of `take` it holds `MOST_LINES`, the ``newest`` or else the first, and of a
+    line the beginning: whatever the solver says, it takes little memory here.
+    """
+
+    def __init__(self, stream: IO[bytes], newest: bool = False) -> None:
+        self._newest = newest
+        self._lines: deque[str] = deque(maxlen=MOST_LINES)
+        self._left_out = 0
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._read, args=(stream,), daemon=True)
         self._thread.start()
 
-    def take(self) -> list[str]:
+    def take(self) -> tuple[list[str], int]:
+        """Return the lines since the last call, and how many there were beside them."""
         with self._lock:
-            lines, self._lines = self._lines, []
-        return lines
+            taken = list(self._lines), self._left_out
+            self._lines.clear()
+            self._left_out = 0
+        return taken
 
     def join(self) -> None:
         self._thread.join(timeout=GRACE)
 
-    def _read(self, stream: Any) -> None:
+    def _read(self, stream: IO[bytes]) -> None:
+        begins = True
         with stream:
-            for line in stream:
-                with self._lock:
-                    self._lines.append(line.decode(errors="replace").rstrip("\r\n"))
+            while piece := stream.readline(LONGEST_LINE):
+                if begins:
+                    self._keep(piece.decode(errors="replace").rstrip("\r\n"))
+                begins = piece.endswith(b"\n")
+
+    def _keep(self, line: str) -> None:
+        with self._lock:
+            is_full = len(self._lines) == MOST_LINES
+            self._left_out += is_full
+            if self._newest or not is_full:
+                self._lines.append(line)
+
+
+def _step(line: str) -> dict[str, Any] | None:
+    """Return a report of progress; None: that is none."""
+    try:
+        found = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(found, dict):
+        return None
+    known = isinstance(found.get("phase"), str) and isinstance(found.get("fraction"), int | float)
+    return fit(found, PROGRESS) if known else None
 
 
 def _signal_group(group: int, number: int) -> None:

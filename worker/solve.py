@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import structlog
 
+from service.bounds import ERROR, PROGRESS, SUMMARY, fit, shorten
 from service.process import configure_logs, die_with_parent
 from solver.jobs import run_job
 from solver.kinds import KINDS
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 # A fit takes the time that the API and the supervisors leave
 NICENESS = 10
+RESULT, FAILURE = "result.json", "error.json"
 
 log = structlog.get_logger()
 
@@ -44,23 +46,24 @@ def main(folder: Path) -> int:
     configure_logs(json=False)
     _step_back()
     resource.setrlimit(resource.RLIMIT_DATA, (process["memory_bytes"],) * 2)
+    resource.setrlimit(resource.RLIMIT_CPU, (process["cpu_seconds"],) * 2)
     if process["confined"]:
         _confine(folder, process["jobs"], process["assets"])
     try:
         try:
             with os.fdopen(process["progress_fd"], "w", buffering=1) as pipe:
-                verdict, result = "result.json", solve(folder, to_pipe(pipe.write), process["jobs"])
+                verdict, result = RESULT, solve(folder, to_pipe(pipe.write), process["jobs"])
         except Exception as error:
             if is_full(error):
                 raise
-            verdict, result = "error.json", _describe_error(error, process["memory_bytes"])
+            verdict, result = FAILURE, _describe_error(error, process["memory_bytes"])
         _write(folder, verdict, result)
     except Exception as error:
         if not is_full(error):
             raise
         log.exception("solver.no_room")
         return NO_ROOM
-    return 0 if verdict == "result.json" else 1
+    return 0 if verdict == RESULT else 1
 
 
 def _confine(folder: Path, jobs: str, assets: str) -> None:
@@ -139,7 +142,7 @@ def to_pipe(write: Callable[[str], Any]) -> Progress:
     """Return a progress that writes JSON lines; a supervisor that is gone does not matter."""
 
     def report(step: Step, /) -> None:
-        values = _plain(step.as_dict())
+        values = fit(_plain(step.as_dict()), PROGRESS)
         log.info(**{"event": values["phase"], **values})
         try:
             write(json.dumps(values) + "\n")
@@ -150,27 +153,40 @@ def to_pipe(write: Callable[[str], Any]) -> Progress:
 
 
 def _write(folder: Path, name: str, content: dict[str, Any]) -> None:
-    """Write a verdict, whole or not at all; the attempt's folders do not show in it."""
-    text = json.dumps(_plain(content))
-    quoted = json.dumps(str(folder))[1:-1]
-    text = re.sub(re.escape(f"{quoted}/inputs/") + r"\d+/", "", text)
-    text = text.replace(f"{quoted}/out/", "")
+    """Write a verdict, whole or not at all; the attempt's folders do not show in it.
+
+    This is the gate of all that a job tells: what it quotes of a stranger's file is short, and a
+    terminal may show it.
+    """
+    inputs = re.compile(re.escape(f"{folder}/inputs/") + r"\d+/")
+
+    def without_folders(text: str) -> str:
+        return inputs.sub("", text).replace(f"{folder}/out/", "")
+
+    told = _plain(content, without_folders)
+    if name == RESULT:
+        names = [shorten(text) for text in told["expressions"][: SUMMARY.items]]
+        told = {"expressions": names, "summary": fit(told["summary"], SUMMARY)}
+    else:
+        told = fit(told, ERROR)
     partial = folder / f"{name}.partial"
-    partial.write_text(text)
+    partial.write_text(json.dumps(told))
     partial.replace(folder / name)
 
 
-def _plain(value: Any) -> Any:
-    """Return ``value`` as JSON values; what is not finite becomes null."""
+def _plain(value: Any, words: Callable[[str], str] = str) -> Any:
+    """Return ``value`` as JSON values, its texts by ``words``; what is not finite becomes null."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): _plain(item, words) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [_plain(item, words) for item in value]
     if hasattr(value, "tolist"):  # numpy's numbers and arrays
-        return _plain(value.tolist())
+        return _plain(value.tolist(), words)
     if isinstance(value, float) and not math.isfinite(value):
         return None
-    return value if isinstance(value, (str, int, float, bool, type(None))) else str(value)
+    if isinstance(value, (int, float, type(None))):
+        return value
+    return words(str(value))
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import threading
 import time
 from collections.abc import Callable
@@ -19,6 +20,7 @@ from service.queue.table import Claim
 from service.settings import Settings
 from service.store.database import Store
 from service.store.models import Artifact
+from solver.kinds import KINDS
 from worker.attempt import AttemptFolder
 from worker.errors import (
     NO_ROOM,
@@ -26,9 +28,12 @@ from worker.errors import (
     CanceledError,
     LeaseLostError,
     ShutdownError,
+    VerdictError,
     exit_error,
     is_full,
     storage_error,
+    timeout_error,
+    verdict_error,
 )
 from worker.process import SolverProcess
 
@@ -87,10 +92,13 @@ class Supervisor:
 
     def _attempt(self, claim: Claim, folder: AttemptFolder) -> None:
         folder.stage(self._store.files)
-        process = SolverProcess(folder.path, self._settings, claim.tenant_id)
+        limit = self._limit(claim)
+        process = SolverProcess(folder.path, self._settings, claim.tenant_id, limit)
         log.info("solver.started", pid=process.pid)
         try:
-            code = self._watch(claim, process, folder)
+            code = self._watch(claim, process, folder, time.monotonic() + limit)
+            if code is None:
+                process.stop()
             process.finish()
             self._beat(claim, process, folder)
         except CanceledError:
@@ -109,11 +117,20 @@ class Supervisor:
         finally:
             process.finish()
 
-    def _watch(self, claim: Claim, process: SolverProcess, folder: AttemptFolder) -> int:
-        """Wait for the solver's exit code, with a beat now and then."""
+    def _limit(self, claim: Claim) -> float:
+        """Return the seconds that an attempt may last."""
+        most = self._settings.max_seconds(KINDS[claim.kind])
+        return min(most, claim.deadline_s or most)
+
+    def _watch(
+        self, claim: Claim, process: SolverProcess, folder: AttemptFolder, end: float
+    ) -> int | None:
+        """Wait for the solver's exit code, with a beat now and then; None: not before ``end``."""
         while (code := process.wait(self._settings.beat)) is None:
             if self._stopping.is_set():
                 raise ShutdownError
+            if time.monotonic() > end:
+                return None
             self._beat(claim, process, folder)
         return code
 
@@ -153,9 +170,21 @@ class Supervisor:
         if state is State.CANCELING:
             raise CanceledError
 
-    def _settle(self, claim: Claim, folder: AttemptFolder, code: int) -> None:
-        """Commit what the solver left: a result, an error, or nothing."""
-        result, error = folder.result(), folder.error()
+    def _settle(self, claim: Claim, folder: AttemptFolder, code: int | None) -> None:
+        """Commit what the solver left: a result, an error, or nothing; without ``code``, its end.
+
+        A job that took too long would take as long once more: it has failed.
+        """
+        result: dict[str, Any] | None = None
+        error: dict[str, Any] | None = None
+        if code in (None, -signal.SIGXCPU):
+            limit = self._limit(claim)
+            error = timeout_error(claim.kind, limit, folder.frames, folder.kept)
+        else:
+            try:
+                result, error = folder.result(), folder.error()
+            except VerdictError as fault:
+                error = verdict_error(fault)
         job = (claim.job_id, claim.attempt)
         if code == 0 and result is not None:
             artifacts = folder.store(self._store.files)
@@ -169,6 +198,7 @@ class Supervisor:
             self._postpone(claim)
             return
         else:
+            assert code is not None, "without a code there is an error"
             self._lose(claim, exit_error(code))
             return
         if not done:

@@ -19,8 +19,6 @@ from service.store.models import Worker
 from worker.abilities import show_life
 from worker.process import remove_orphans
 
-GARBAGE_EVERY = 60.0
-
 log = structlog.get_logger()
 
 
@@ -92,11 +90,11 @@ class Sweeper(Heartbeat):
         if elected:
             retention.enforce(self._store, settings)
         remove_orphans(self._store, settings.work)
-        due = self._collected + min(GARBAGE_EVERY, settings.garbage_age)
+        due = self._collected + min(deletion.COLLECT_EVERY, settings.garbage_age)
         if elected and time.monotonic() > due:
             self._collected = time.monotonic()
             self._store.database.forget_deleted()
             if removed := deletion.collect_garbage(self._store, settings.garbage_age):
                 log.info("files.collected", count=removed)
-            deletion.close_receipts(self._store)
+            deletion.close_receipts(self._store, settings.garbage_age)
             sweep.measure_sizes(self._store)

@@ -15,10 +15,11 @@ import zlib
 from collections.abc import Iterable
 from datetime import datetime, timedelta
 
-from sqlalchemy import ColumnElement, or_, select, update
+from sqlalchemy import ColumnElement, func, or_, select
 from sqlalchemy.orm import Session
 
 from service import paging
+from service.access.last_used import LastUses
 from service.access.principal import Principal, Scope, unauthorized_problem
 from service.access.schemas import NewKey
 from service.errors import Problem, not_found
@@ -29,6 +30,8 @@ from service.store.tenancy import own_tenant
 
 LETTERS = string.digits + string.ascii_uppercase + string.ascii_lowercase
 KEY = re.compile(r"(myo_([0-9A-Za-z]{12})[0-9A-Za-z]{32})([0-9A-Za-z]{6})")
+# Living keys of a tenant
+MOST_KEYS = 100
 # Resolution of a key's `last_used_at`: one write a minute, not one a request
 USED_EVERY = timedelta(minutes=1)
 
@@ -38,6 +41,7 @@ class Keyring:
 
     def __init__(self, store: Store, secret: bytes) -> None:
         self._store = store
+        self.uses = LastUses(store)
         self._pepper = hmac.digest(secret, b"api keys", "sha256")
 
     def mint(
@@ -73,13 +77,9 @@ class Keyring:
         Problem
             401 for what is no key, is not known here, was revoked or has expired.
         """
-        match = KEY.fullmatch(text)
-        if match is None or not hmac.compare_digest(_checksum(match[1]), match[3]):
-            raise unauthorized_problem(
-                "auth.invalid", "that is no API key: it is mistyped or cut off"
-            )
+        key_id = check_text(text)
         with self._store.read() as session:
-            key, moment = session.get(ApiKey, match[2]), clock(session)
+            key, moment = session.get(ApiKey, key_id), clock(session)
         if key is None or not hmac.compare_digest(key.hash, self._hash(text)):
             raise unauthorized_problem("auth.invalid", "this service does not know the API key")
         if key.revoked_at is not None and key.revoked_at <= moment:
@@ -87,15 +87,25 @@ class Keyring:
         if key.expires_at is not None and key.expires_at <= moment:
             raise unauthorized_problem("auth.expired", "the API key has expired")
         if key.last_used_at is None or moment - key.last_used_at > USED_EVERY:
-            self._note_use(key.id, moment)
+            self.uses.note(key.id, moment)
         return Principal(key.tenant_id, key.id, frozenset(key.scopes))
-
-    def _note_use(self, key_id: str, moment: datetime) -> None:
-        with self._store.write() as session:
-            session.execute(update(ApiKey).where(ApiKey.id == key_id).values(last_used_at=moment))
 
     def _hash(self, text: str) -> str:
         return hmac.new(self._pepper, text.encode(), hashlib.sha256).hexdigest()
+
+
+def check_text(text: str) -> str:
+    """Return the id of a key of the right form, which nobody need know; asks no table.
+
+    Raises
+    ------
+    Problem
+        401 for what is no key.
+    """
+    match = KEY.fullmatch(text)
+    if match is None or not hmac.compare_digest(_checksum(match[1]), match[3]):
+        raise unauthorized_problem("auth.invalid", "that is no API key: it is mistyped or cut off")
+    return match[2]
 
 
 def _letters(count: int) -> str:
@@ -110,24 +120,54 @@ def _checksum(body: str) -> str:
     return digits
 
 
-def create(session: Session, keyring: Keyring, new: NewKey) -> tuple[ApiKey, str]:
-    """Make a key; returns it and its text."""
+def create(session: Session, keyring: Keyring, new: NewKey, who: Principal) -> tuple[ApiKey, str]:
+    """Make a key that may do no more than the caller's; returns it and its text.
+
+    Raises
+    ------
+    Problem
+        403 for a scope that the caller has not, 409 if the tenant has as many keys as it may.
+    """
+    _refuse_more(new.scopes, who)
     if new.expires_at is not None and new.expires_at <= clock(session):
         raise Problem(422, "key.expired", "a new key cannot have expired", field="expires_at")
-    tenant = own_tenant(session)
+    tenant = own_tenant(session, lock=True)  # two at a time would both count one less
+    _refuse_many(session)
     return keyring.mint(session, tenant.id, new.name, set(new.scopes), new.expires_at)
 
 
-def rotate(session: Session, keyring: Keyring, key_id: str, grace: int) -> tuple[ApiKey, str]:
-    """Make a key in place of one that goes on to work for ``grace`` seconds."""
+def rotate(
+    session: Session, keyring: Keyring, key_id: str, grace: int, who: Principal
+) -> tuple[ApiKey, str]:
+    """Make a key in place of one that goes on to work for ``grace`` seconds.
+
+    The caller is told its text, and so must have its scopes.
+    """
     tenant = own_tenant(session, lock=True)
     old, moment = get(session, key_id), clock(session)
+    _refuse_more(old.scopes, who)
     if _is_over(old, session):
         raise Problem(409, "key.over", "the key opens nothing any more", key_id=key_id)
     fresh, text = keyring.mint(session, tenant.id, old.name, old.scopes, old.expires_at)
     until = moment + timedelta(seconds=grace)
     old.expires_at = min(filter(None, (old.expires_at, until)))
     return fresh, text
+
+
+def _refuse_more(scopes: Iterable[str], who: Principal) -> None:
+    beyond = sorted(map(str, set(scopes) - who.scopes))
+    if beyond:
+        detail = f"the key cannot grant what it may not do itself: {', '.join(beyond)}"
+        raise Problem(403, "auth.scope", detail, expected=beyond, found=sorted(who.scopes))
+
+
+def _refuse_many(session: Session) -> None:
+    moment = clock(session)
+    lasting = or_(ApiKey.expires_at.is_(None), ApiKey.expires_at > moment)
+    living = select(func.count()).select_from(ApiKey).where(ApiKey.revoked_at.is_(None), lasting)
+    if (session.scalar(living) or 0) >= MOST_KEYS:
+        detail = f"there are {MOST_KEYS} keys already: revoke some first"
+        raise Problem(409, "key.too_many", detail, expected=MOST_KEYS)
 
 
 def revoke(session: Session, key_id: str) -> None:

@@ -1,9 +1,9 @@
 """Limits of a tenant and a key: stored bytes, queued jobs, requests a minute, open connections.
 
-A tenant's row holds its quotas; null is none. Requests are counted by a token bucket a key, in the
-broker for all API processes. While the broker is away each process counts by itself: a limit that
-is kept loosely is better than a service that stops. Connections that last long are counted in each
-process, which has few of them for all tenants.
+A tenant's row holds its quotas; null is none. Requests are counted by a token bucket a key and one
+a tenant, in the broker for all API processes. While the broker is away each process counts by
+itself: a limit that is kept loosely is better than a service that stops. Connections that last long
+are counted in each process, which has few of them for all tenants.
 """
 
 from __future__ import annotations
@@ -26,29 +26,38 @@ from service.access.principal import Principal
 from service.errors import Problem
 from service.queue.states import HELD, State
 from service.queue.wakeups import connect
-from service.store.models import Artifact, Capture, FrameChunk, Job, Template, Upload
+from service.store.models import Artifact, Capture, FrameChunk, Job, Template, Tenant, Upload
 from service.store.tenancy import own_tenant
 
 ASK_AGAIN = "60"
+# Jobs of a tenant without a quota of its own that wait: places in the queue count them all
+MOST_QUEUED = 10_000
 
+# A token of each bucket, or of none; `ARGV` has what each holds, and is refilled with in a minute
 SCRIPT = """
 local moment = redis.call('TIME')
 local now = moment[1] + moment[2] / 1000000
-local most, rate = tonumber(ARGV[1]), tonumber(ARGV[2])
-local kept = redis.call('HMGET', KEYS[1], 'tokens', 'at')
-local tokens = tonumber(kept[1]) or most
-tokens = math.min(most, tokens + math.max(0, now - (tonumber(kept[2]) or now)) * rate)
-local allowed = tokens >= 1
-if allowed then tokens = tokens - 1 end
-redis.call('HSET', KEYS[1], 'tokens', tostring(tokens), 'at', tostring(now))
-redis.call('EXPIRE', KEYS[1], math.ceil(most / rate) + 1)
-return {allowed and 1 or 0, tostring(tokens)}
+local allowed, left = 1, {}
+for i, key in ipairs(KEYS) do
+  local most = tonumber(ARGV[i])
+  local kept = redis.call('HMGET', key, 'tokens', 'at')
+  local tokens = tonumber(kept[1]) or most
+  left[i] = math.min(most, tokens + math.max(0, now - (tonumber(kept[2]) or now)) * most / 60)
+  if left[i] < 1 then allowed = 0 end
+end
+for i, key in ipairs(KEYS) do
+  left[i] = left[i] - allowed
+  redis.call('HSET', key, 'tokens', tostring(left[i]), 'at', tostring(now))
+  redis.call('EXPIRE', key, 61)
+  left[i] = tostring(left[i])
+end
+return {allowed, unpack(left)}
 """
 # Seconds that a request waits for the broker
 PATIENCE = 0.25
 # Seconds for which a broker that did not answer is not asked
 TRY_AGAIN = 5.0
-# Keys whose buckets a process keeps while the broker is away
+# Buckets that a process keeps while the broker is away
 MOST_KEYS = 10_000
 # `Retry-After` of a refused connection, in seconds
 COME_BACK = "5"
@@ -91,20 +100,23 @@ def check_queued(session: Session) -> None:
     Problem
         429 if as many jobs wait as the tenant may have.
     """
-    tenant = own_tenant(session, lock=True)
-    if tenant.max_queued is None:
-        return
+    most = most_queued(own_tenant(session, lock=True))
     waiting = count_queued(session)
-    if waiting >= tenant.max_queued:
+    if waiting >= most:
         problem = Problem(
             429,
             "quota.queued",
             f"{waiting} jobs wait already: let some end first",
-            expected=tenant.max_queued,
+            expected=most,
             found=waiting,
         )
         problem.headers = {"Retry-After": ASK_AGAIN}
         raise problem
+
+
+def most_queued(tenant: Tenant) -> int:
+    """Return how many of a tenant's jobs may wait."""
+    return MOST_QUEUED if tenant.max_queued is None else tenant.max_queued
 
 
 def stored_bytes(session: Session, tenant_id: str) -> int:
@@ -139,11 +151,15 @@ def count_running(session: Session) -> int:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Decision on a request: ``left`` tokens of ``limit`` remain, refilled in a minute."""
+    """Decision on a request: ``left`` tokens of ``limit`` remain, refilled in a minute.
+
+    ``owner`` is whose bucket it is, the key's or the tenant's: the one that has less left.
+    """
 
     allowed: bool
     limit: int
     left: float
+    owner: str = "key"
 
     @property
     def headers(self) -> dict[str, str]:
@@ -162,41 +178,50 @@ class Verdict:
 
 
 class Rates:
-    """The buckets of all keys: each holds ``per_minute`` tokens and is refilled in a minute."""
+    """The buckets of all keys and tenants, each with the tokens of a minute."""
 
-    def __init__(self, broker_url: str, per_minute: int) -> None:
-        self._per_minute = per_minute
+    def __init__(self, broker_url: str, per_minute: int, tenant_per_minute: int) -> None:
+        self._limits = {"key": per_minute, "tenant": tenant_per_minute}
         self._client = connect(broker_url, socket_timeout=PATIENCE, socket_connect_timeout=PATIENCE)
         self._take = self._client.register_script(SCRIPT)
         self._away_until = 0.0
-        self._here = _Buckets(per_minute)
+        self._here = _Buckets()
 
-    def take(self, key_id: str) -> Verdict:
-        """Count a request of a key."""
+    def take(self, key_id: str, tenant_id: str) -> Verdict:
+        """Count a request of a tenant's key."""
+        buckets = {f"myoface:rate:{key_id}": "key", f"myoface:rate:tenant:{tenant_id}": "tenant"}
+        limits = [self._limits[owner] for owner in buckets.values()]
+        allowed, left = self._count(list(buckets), limits)
+        verdicts = zip(limits, left, buckets.values(), strict=True)
+        return min(
+            (Verdict(allowed, limit, tokens, owner) for limit, tokens, owner in verdicts),
+            key=lambda verdict: verdict.left,
+        )
+
+    def _count(self, names: list[str], limits: list[int]) -> tuple[bool, list[float]]:
         if time.monotonic() >= self._away_until:
             try:
-                arguments = [self._per_minute, self._per_minute / 60]
-                allowed, left = self._take(keys=[f"myoface:rate:{key_id}"], args=arguments)
-                return Verdict(bool(allowed), self._per_minute, float(left))
+                allowed, *left = self._take(keys=names, args=limits)
+                return bool(allowed), list(map(float, left))
             except (redis.RedisError, OSError) as error:
                 self._away_until = time.monotonic() + TRY_AGAIN
                 log.warning("rates.broker_away", error=str(error))
-        return self._here.take(key_id)
+        return self._here.take(names, limits)
 
-    def check(self, key_id: str) -> Verdict:
-        """Count a request of a key that may pass.
+    def check(self, key_id: str, tenant_id: str) -> Verdict:
+        """Count a request of a tenant's key that may pass.
 
         Raises
         ------
         Problem
             429 with ``Retry-After`` for one that may not.
         """
-        verdict = self.take(key_id)
+        verdict = self.take(key_id, tenant_id)
         if not verdict.allowed:
             problem = Problem(
                 429,
                 "request.rate",
-                f"the key has sent more than {verdict.limit} requests a minute",
+                f"the {verdict.owner} has sent more than {verdict.limit} requests a minute",
                 expected=verdict.limit,
             )
             problem.headers = {"Retry-After": str(verdict.wait), **verdict.headers}
@@ -211,22 +236,25 @@ class Rates:
 class _Buckets:
     """Buckets in this process, those used lately."""
 
-    def __init__(self, per_minute: int) -> None:
-        self._per_minute = per_minute
+    def __init__(self) -> None:
         self._lock = threading.Lock()
         self._kept: OrderedDict[str, tuple[float, float]] = OrderedDict()
 
-    def take(self, key_id: str) -> Verdict:
-        moment, most = time.monotonic(), float(self._per_minute)
+    def take(self, names: list[str], limits: list[int]) -> tuple[bool, list[float]]:
+        """Take a token of each bucket, or of none."""
+        moment = time.monotonic()
         with self._lock:
-            tokens, at = self._kept.pop(key_id, (most, moment))
-            tokens = min(most, tokens + (moment - at) * most / 60)
-            allowed = tokens >= 1
-            tokens -= allowed
-            self._kept[key_id] = (tokens, moment)
-            if len(self._kept) > MOST_KEYS:
+            left = []
+            for name, most in zip(names, limits, strict=True):
+                tokens, at = self._kept.pop(name, (float(most), moment))
+                left.append(min(most, tokens + (moment - at) * most / 60))
+            allowed = min(left) >= 1
+            left = [tokens - allowed for tokens in left]
+            for name, tokens in zip(names, left, strict=True):
+                self._kept[name] = (tokens, moment)
+            while len(self._kept) > MOST_KEYS:
                 self._kept.popitem(last=False)
-        return Verdict(allowed, self._per_minute, tokens)
+        return allowed, left
 
 
 class RateHeaders:

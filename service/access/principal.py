@@ -49,12 +49,24 @@ def principal(request: Request, credentials: Credentials) -> Principal:
         401 without a key that is known, 429 if it asks too fast.
     """
     if credentials is None:
-        detail = "send an API key: Authorization: Bearer myo_...; the command line: MYOFACE_API_KEY"
-        raise unauthorized_problem("auth.missing", detail)
+        raise missing_problem()
     who: Principal = request.app.state.keyring.verify(credentials.credentials)
     request.state.key_id = who.key_id
-    request.state.rate = request.app.state.rates.check(who.key_id)
+    vouch_for(request)
+    request.state.rate = request.app.state.rates.check(who.key_id, who.tenant_id)
     return replace(who, request_id=request.state.request_id)
+
+
+def vouch_for(request: Request) -> None:
+    """Tell the connection, if it wants to know, that a request of it is of a customer."""
+    if vouch := getattr(request.state, "vouch", None):
+        vouch()
+
+
+def missing_problem() -> Problem:
+    """Return the problem of a request without a key."""
+    detail = "send an API key: Authorization: Bearer myo_...; the command line: MYOFACE_API_KEY"
+    return unauthorized_problem("auth.missing", detail)
 
 
 def unauthorized_problem(code: str, detail: str) -> Problem:

@@ -24,14 +24,14 @@ keys_router = APIRouter(prefix="/v1/keys", tags=["keys"])
 Keys = Annotated[Keyring, Depends(part("keyring"))]
 
 
-@keys_router.post("", status_code=201, summary="Make a key", responses=problems(409, 422))
+@keys_router.post("", status_code=201, summary="Make a key", responses=problems(403, 409, 422))
 def create(
     new: NewKey, session: AdminSession, who: Admin, keyring: Keys, once: Once, response: Response
 ) -> KeyWithText:
     """Make a key. The answer holds its text, which is not shown again."""
     if (known := once.find_answered(session, new)) is not None:
         return _show_key(keys.get(session, known), None, response)
-    key, text = keys.create(session, keyring, new)
+    key, text = keys.create(session, keyring, new, who)
     once.keep(session, key.id)
     record(session, who, "key.created", key.id)
     return _show_key(key, text, response)
@@ -59,7 +59,7 @@ def rotate(
     wanted = order or Rotation()
     if (known := once.find_answered(session, wanted)) is not None:
         return _show_key(keys.get(session, known), None, response)
-    key, text = keys.rotate(session, keyring, key_id, wanted.grace)
+    key, text = keys.rotate(session, keyring, key_id, wanted.grace, who)
     once.keep(session, key.id)
     record(session, who, "key.rotated", key_id)
     return _show_key(key, text, response)
@@ -95,6 +95,6 @@ def usage(session: ReadSession) -> Usage:
     tenant = own_tenant(session)
     return Usage(
         bytes=Use(used=limits.stored_bytes(session, tenant.id), limit=tenant.max_bytes),
-        queued=Use(used=limits.count_queued(session), limit=tenant.max_queued),
+        queued=Use(used=limits.count_queued(session), limit=limits.most_queued(tenant)),
         running=Use(used=limits.count_running(session), limit=tenant.max_running),
     )

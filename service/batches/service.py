@@ -27,6 +27,7 @@ from service.captures import service as scans
 from service.captures.repository import registered_form
 from service.errors import Problem
 from service.jobs import service as work
+from service.jobs.options import check_options
 from service.jobs.schemas import Cancel, NewJob
 from service.queue import outbox, table
 from service.queue.states import FINAL, State
@@ -46,7 +47,7 @@ log = structlog.get_logger()
 def create(session: Session, new: NewBatch, max_attempts: int) -> Batch:
     """Add a session's scans and queue their checks, all of it or nothing."""
     for kind, options in new.options:
-        work.check_options(kind, options)
+        check_options(kind, options)
     if new.subject is not None:
         subject_id = people.create(session, new.subject).id
     else:

@@ -76,10 +76,16 @@ def show(
     responses=problems(404, 409, 410, 422),
 )
 def set_landmarks(
-    subject_id: Id, capture_id: Id, given: Landmarks, session: WriteSession, settings: SettingsDep
+    subject_id: Id,
+    capture_id: Id,
+    given: Landmarks,
+    session: WriteSession,
+    who: Writer,
+    settings: SettingsDep,
 ) -> CaptureView:
     """Make a complete upload (JSON, LJSON or CSV) the scan's landmarks, instead of earlier ones."""
     capture = service.set_landmarks(session, subject_id, capture_id, given)
+    record(session, who, "capture.landmarks", capture_id)
     return service.views(session, [capture], settings)[0]
 
 

@@ -124,14 +124,21 @@ def _check_format(upload: Upload, code: str, what: str, formats: Sequence[str]) 
         )
 
 
+def _as_a_file(name: str) -> str:
+    return name.lower().rstrip(".")
+
+
 def _refuse_a_second(session: Session, subject_id: str, new: NewCapture) -> None:
-    """Raise a problem if the subject has a capture of this name, or another neutral."""
+    """Raise a problem if the subject has a capture of this name, or another neutral.
+
+    Names are in those of files, which some systems do not tell apart by case or a last dot.
+    """
     for other in repository.of_subject(session, subject_id):
-        if other.name == new.name:
+        if _as_a_file(other.name) == _as_a_file(new.name):
             raise Problem(
                 409,
                 "capture.name_taken",
-                f"the subject has a capture named {new.name}: delete that, or rename this one",
+                f"the subject has a capture named {other.name}: delete that, or rename this one",
                 capture_id=other.id,
             )
         if other.role == new.role == "neutral":

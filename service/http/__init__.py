@@ -9,16 +9,9 @@ from service.http.context import RequestContext
 from service.http.security import Security
 from service.settings import Settings
 
-MAX_BODY_BYTES = 1024**2
-
 
 def install(app: FastAPI, settings: Settings) -> None:
     """Put the edge around ``app``; the last one added is the outermost."""
-    app.add_middleware(
-        Bodies,
-        limit=MAX_BODY_BYTES,
-        seconds=settings.receive_timeout,
-        min_rate=settings.min_upload_rate,
-    )
+    app.add_middleware(Bodies, seconds=settings.receive_timeout, min_rate=settings.min_upload_rate)
     app.add_middleware(Security, allowed_hosts=settings.allowed_hosts)
     app.add_middleware(RequestContext)

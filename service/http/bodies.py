@@ -1,7 +1,8 @@
-"""Receive requests' bodies: bounded in size and time, and JSON only if it is strict.
+"""Receive requests' bodies: of those with a key, bounded in size and time, JSON only if strict.
 
-An upload's bytes are not held in memory. They may take as long as they keep a least rate; every
-other body is small and has one time limit for the whole of it.
+Nobody's body is read before the request has shown something of a key's form: no route takes one
+without. An upload's bytes are not held in memory. They may take as long as they keep a least rate;
+every other body is small and has one time limit for the whole of it.
 """
 
 from __future__ import annotations
@@ -13,29 +14,40 @@ import re
 import time
 from typing import Any
 
-from anyio import move_on_after
+from anyio import move_on_after, to_thread
+from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from service.access.keys import check_text
+from service.access.principal import missing_problem
 from service.errors import Problem, render
 
 UPLOAD = re.compile(r"/v1/uploads/[^/]+")
+# Routes with scenes and with a session's scans
+LARGER = re.compile(r"/v1/(jobs(/[^/]+(/retry)?)?|batches)")
+MOST_BYTES, MOST_BYTES_LARGER = 64 * 1024, 1024**2
+# A body above it is parsed in a thread: others are answered meanwhile
+LONG_BYTES = 16 * 1024
 DISCONNECT: Message = {"type": "http.disconnect"}
 
 DEEPEST = 32
+# Lists and objects of a body: a scene of 10,000 keys has some 40,000
+MOST_CONTAINERS = 50_000
+# Members of an object
+MOST_MEMBERS = 512
 _UNICODE_FAULT = re.compile("[\x00\ud800-\udfff]")
 
 
 class Bodies:
-    """Receives bodies of at most ``limit`` bytes within ``seconds``.
+    """Receives bodies as large as their route needs, within ``seconds``.
 
     An upload's bytes are passed on as they come, as long as the client, given ``seconds`` in
     advance, sends at least ``min_rate`` bytes a second.
     """
 
-    def __init__(self, app: ASGIApp, limit: int, seconds: float, min_rate: float) -> None:
+    def __init__(self, app: ASGIApp, seconds: float, min_rate: float) -> None:
         self._app = app
-        self._limit = limit
         self._seconds = seconds
         self._min_rate = min_rate
 
@@ -43,6 +55,8 @@ class Bodies:
         """Serve one request."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
+        elif problem := _refuse_unread(scope):
+            await render(Request(scope).state.request_id, problem)(scope, receive, send)
         elif scope["method"] == "PATCH" and UPLOAD.fullmatch(scope["path"]):
             await self._pass_on(scope, receive, send)
         else:
@@ -51,11 +65,14 @@ class Bodies:
     async def _read_first(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Read the whole body first: afterwards FastAPI would call any error a parsing error."""
         try:
-            body = await self._whole(receive)
+            body = await self._whole(receive, _limit(scope))
             if body is None:
                 return  # the client has gone: half an order is none
             if body and _is_json(Request(scope).headers.get("content-type", "")):
-                check_json(body)
+                if len(body) > LONG_BYTES:
+                    await to_thread.run_sync(check_json, body)
+                else:
+                    check_json(body)
         except Problem as problem:
             await render(Request(scope).state.request_id, problem)(scope, receive, send)
             return
@@ -66,7 +83,7 @@ class Bodies:
 
         await self._app(scope, receive_again, send)
 
-    async def _whole(self, receive: Receive) -> bytes | None:
+    async def _whole(self, receive: Receive, limit: int) -> bytes | None:
         body = bytearray()
         more = True
         with move_on_after(self._seconds) as patience:
@@ -76,12 +93,8 @@ class Bodies:
                     return None
                 body += message.get("body", b"")
                 more = message.get("more_body", False)
-                if len(body) > self._limit:
-                    raise _closing(
-                        Problem(
-                            413, "request.too_large", "the body is too large", expected=self._limit
-                        )
-                    )
+                if len(body) > limit:
+                    raise _too_large(limit)
         if patience.cancelled_caught:
             raise _too_slow(f"the body did not arrive within {self._seconds:g} s")
         return bytes(body)
@@ -126,13 +139,43 @@ class _Source:
         return message
 
 
+def _refuse_unread(scope: Scope) -> Problem | None:
+    """Return why a body is not read at all: it comes without a key, or says that it is too large.
+
+    The key need only look like one: whose it is, the route asks.
+    """
+    headers = Headers(scope=scope)
+    length = headers.get("content-length", "0")
+    if "transfer-encoding" not in headers and not length.strip("0"):
+        return None
+    scheme, _, text = headers.get("authorization", "").partition(" ")
+    try:
+        if scheme.lower() != "bearer":
+            raise missing_problem()
+        check_text(text.strip())
+    except Problem as problem:
+        return _closing(problem)
+    is_upload = scope["method"] == "PATCH" and UPLOAD.fullmatch(scope["path"])
+    if not is_upload and length.isdecimal() and int(length) > _limit(scope):
+        return _too_large(_limit(scope))
+    return None
+
+
+def _limit(scope: Scope) -> int:
+    return MOST_BYTES_LARGER if LARGER.fullmatch(scope["path"]) else MOST_BYTES
+
+
+def _too_large(limit: int) -> Problem:
+    return _closing(Problem(413, "request.too_large", "the body is too large", expected=limit))
+
+
 def _too_slow(detail: str) -> Problem:
     return _closing(Problem(408, "request.timeout", detail))
 
 
 def _closing(problem: Problem) -> Problem:
     """End the connection with the answer: the rest of the body is not wanted."""
-    problem.headers = {"Connection": "close"}
+    problem.headers["Connection"] = "close"
     return problem
 
 
@@ -148,8 +191,9 @@ def _is_json(content_type: str) -> bool:
 def check_json(body: bytes) -> None:
     """Refuse a body that is not JSON as RFC 8259 has it: parsers would read it differently.
 
-    Refused are NaN and infinity (also as ``1e999``), an object with a name twice, nesting deeper
-    than :data:`DEEPEST`, other encodings than UTF-8, and text that no database column holds (NUL,
+    Refused are NaN and infinity (also as ``1e999``), an object with a name twice or with more than
+    :data:`MOST_MEMBERS`, more than :data:`MOST_CONTAINERS` lists and objects, nesting deeper than
+    :data:`DEEPEST`, other encodings than UTF-8, and text that no database column holds (NUL,
     half of a surrogate pair).
 
     Raises
@@ -157,6 +201,8 @@ def check_json(body: bytes) -> None:
     Problem
         422 ``request.json``.
     """
+    if body.count(b"[") + body.count(b"{") > MOST_CONTAINERS:  # those in texts as well
+        raise _json_problem(f"it has more than {MOST_CONTAINERS} lists and objects")
     try:
         value = json.loads(
             body.decode(),
@@ -205,6 +251,8 @@ def _finite(text: str) -> float:
 
 
 def _no_name_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    if len(pairs) > MOST_MEMBERS:
+        raise ValueError(f"an object has more than {MOST_MEMBERS} members")
     found = dict(pairs)
     if len(found) != len(pairs):
         raise ValueError("an object has a name twice")

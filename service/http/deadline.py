@@ -2,7 +2,7 @@
 
 uvicorn waits for ever for the first byte, for the end of the headers, for the rest of a body after
 it was refused, and for a client that does not read its answer. A few hundred such connections would
-be all that the process can hold.
+be all that the process can hold; those of strangers are fewer than all of them (`Seats`).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from service.errors import Problem, render
+from service.http.seats import Seats
 
 # Cap on unsent kernel bytes. The default buffer is megabytes, so a stalled reader would go
 # unnoticed.
@@ -40,9 +41,11 @@ class DeadlineProtocol(H11Protocol):
 
     seconds: ClassVar[float]
     send_seconds: ClassVar[float]
+    seats: ClassVar[Seats[DeadlineProtocol]]
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
+        self.app_state = {**self.app_state, "vouch": self._vouch}  # of every request's state
         self._deadline: asyncio.TimerHandle | None = None
         self._patience: asyncio.TimerHandle | None = None
 
@@ -56,6 +59,9 @@ class DeadlineProtocol(H11Protocol):
             limit = round(1000 * self.send_seconds)  # for one whose host is gone: nothing answers
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, limit)
         self._start()
+        address = self.client[0] if self.client else ""
+        if (stranger := self.seats.arrive(self, address)) is not None:
+            stranger.transport.abort()
 
     def pause_writing(self) -> None:
         """Hold the answer, until the client has taken what waits for it."""
@@ -78,12 +84,17 @@ class DeadlineProtocol(H11Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop the clock."""
         super().connection_lost(exc)
+        self.seats.leave(self)
         self._stop()
         self._stop_being_patient()
 
     def send_400_response(self, msg: str) -> None:
         """Answer what is not HTTP with a problem document like all others."""
         self._refuse(Problem(400, "request.malformed", msg))
+
+    def _vouch(self) -> None:
+        """Note that a request has shown a key; called from the thread that looked it up."""
+        self.loop.call_soon_threadsafe(self.seats.vouch, self)
 
     def _busy(self) -> bool:
         return self.cycle is not None and not self.cycle.response_complete
@@ -140,7 +151,9 @@ class DeadlineProtocol(H11Protocol):
         self.transport.close()
 
 
-def protocol(seconds: float, send_seconds: float) -> type[DeadlineProtocol]:
-    """Return the protocol class for uvicorn's ``http``: its limits on requests and on answers."""
-    limits = {"seconds": seconds, "send_seconds": send_seconds}
+def protocol(
+    seconds: float, send_seconds: float, seats: Seats[DeadlineProtocol]
+) -> type[DeadlineProtocol]:
+    """Return the protocol class for uvicorn's ``http``: its limits on requests, answers, seats."""
+    limits = {"seconds": seconds, "send_seconds": send_seconds, "seats": seats}
     return type("Protocol", (DeadlineProtocol,), limits)

@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 
 from service import paging
 from service.access.limits import ConnectionLimit
-from service.access.principal import Reader, Writer
+from service.access.principal import Principal, Reader, Writer
 from service.dependencies import (
     Cursor,
     Limit,
@@ -40,12 +40,15 @@ router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
 
 @router.post("", status_code=201, summary="Submit a job", responses=problems(404, 409, 422))
-def create(new: NewJob, session: WriteSession, once: Once, settings: SettingsDep) -> JobView:
+def create(
+    new: NewJob, session: WriteSession, who: Writer, once: Once, settings: SettingsDep
+) -> JobView:
     """Queue a piece of work; `PUT` is the same and can be repeated safely."""
     if (known := once.find_answered(session, new)) is not None:
         return _view(session, known, settings)
     job, _ = service.submit(session, new, settings.max_attempts)
     once.keep(session, job.id)
+    record(session, who, "job.created", job.id)
     return _view(session, job.id, settings)
 
 
@@ -59,14 +62,19 @@ def create(new: NewJob, session: WriteSession, once: Once, settings: SettingsDep
     },
 )
 def put(
-    job_id: Id, new: NewJob, response: Response, store: WriteStore, settings: SettingsDep
+    job_id: Id,
+    new: NewJob,
+    response: Response,
+    store: WriteStore,
+    who: Writer,
+    settings: SettingsDep,
 ) -> JobView:
     """Queue a piece of work once, however often it is asked for (a UUID made by the caller)."""
     try:
-        is_new = _submit(store, new, settings.max_attempts, job_id)
+        is_new = _submit(store, new, settings.max_attempts, job_id, who)
     except IntegrityError:  # another request with this id committed first: find its job
         try:
-            is_new = _submit(store, new, settings.max_attempts, job_id)
+            is_new = _submit(store, new, settings.max_attempts, job_id, who)
         except IntegrityError as error:  # another tenant's
             raise service.id_conflict(job_id) from error
     response.status_code = 201 if is_new else 200
@@ -74,9 +82,12 @@ def put(
         return _view(session, job_id, settings)
 
 
-def _submit(store: Store, new: NewJob, max_attempts: int, job_id: str) -> bool:
+def _submit(store: Store, new: NewJob, max_attempts: int, job_id: str, who: Principal) -> bool:
     with store.write() as session:
-        return service.submit(session, new, max_attempts, job_id)[1]
+        _, is_new = service.submit(session, new, max_attempts, job_id)
+        if is_new:
+            record(session, who, "job.created", job_id)
+        return is_new
 
 
 @router.get("", response_model=Page[JobView], summary="List jobs", responses=problems(422))
@@ -110,6 +121,7 @@ def show(job_id: Id, session: ReadSession, settings: SettingsDep) -> JobView:
 def retry(
     job_id: Id,
     session: WriteSession,
+    who: Writer,
     once: Once,
     settings: SettingsDep,
     wanted: Retry | None = None,
@@ -123,6 +135,7 @@ def retry(
         return _view(session, known, settings)
     job = service.retry(session, job_id, changes, settings.max_attempts)
     once.keep(session, job.id)
+    record(session, who, "job.created", job.id)
     return _view(session, job.id, settings)
 
 

@@ -23,6 +23,16 @@ Memory = Annotated[
     Field(ge=1, le=2**31 - 1, description="only workers that give a job so much memory take it"),
 ]
 
+Deadline = Annotated[
+    int | None,
+    Field(
+        ge=1,
+        le=2**31 - 1,
+        description="seconds after which an attempt is ended, if that is before the kind's "
+        "`max_seconds`",
+    ),
+]
+
 _COLUMNS = (
     "id",
     "priority",
@@ -73,6 +83,7 @@ class NewJob(RequestBody):
     options: dict[str, Any] = Field(default={}, description="the kind's options")
     priority: Priority = 0
     memory_mb: Memory = None
+    deadline_s: Deadline = None
 
 
 class Retry(RequestBody):
@@ -85,6 +96,7 @@ class Retry(RequestBody):
     )
     priority: Priority | None = None
     memory_mb: Memory = None
+    deadline_s: Deadline = None
 
 
 class Cancel(RequestBody):
@@ -151,6 +163,7 @@ class JobView(View):
     options: dict[str, Any]
     priority: int
     memory_mb: int | None
+    deadline_s: int | None = None
     parent_id: str | None = Field(description="the job that this one is made again from")
     batch_id: str | None
     state: State

@@ -13,13 +13,14 @@ from service.access.limits import check_bytes, check_queued
 from service.errors import Problem
 from service.jobs import repository
 from service.jobs.inputs import resolve
+from service.jobs.options import check_options, find_kind
 from service.jobs.schemas import Cancel, NewJob, Retry
 from service.queue import table
 from service.queue.states import FINAL
 from service.store.files import Files
 from service.store.models import Job, new_id
 from service.subjects import repository as subjects
-from solver.kinds import KINDS, Kind
+from solver.kinds import KINDS
 
 
 def submit(
@@ -34,6 +35,8 @@ def submit(
         if NewJob.model_validate(job.request) != new:
             raise id_conflict(job_id)
         return job, False
+    find_kind(new.kind)
+    subjects.get(session, new.subject_id)
     kind = check_options(new.kind, new.options)
     check_queued(session)
     check_bytes(session, 0)  # what jobs leave counts: no more of it beyond the quota
@@ -88,24 +91,6 @@ def cancel(session: Session, job_id: str, order: Cancel) -> None:
             409, "job.finished", f"the job is {job.state.value}", job_id=job_id, state=job.state
         )
     table.cancel(session, job_id, order.by, order.reason)
-
-
-def check_options(name: str, options: dict[str, Any]) -> Kind:
-    """Return the kind of job of a name; raises a problem if it does not take these options."""
-    kind = KINDS.get(name)
-    if kind is None:
-        raise Problem(
-            422, "job.kind", f"there is no kind of job {name!r}", expected=sorted(KINDS), found=name
-        )
-    try:
-        json.dumps(options, allow_nan=False, ensure_ascii=False).encode()
-    except ValueError as error:  # NaN, an infinity, half a surrogate pair
-        raise Problem(422, "job.options", f"options are not strict JSON: {error}") from error
-    if faults := kind.faults(options):
-        detail = f"{faults[0].where}: {faults[0].message}"
-        errors = [fault.as_dict() for fault in faults]
-        raise Problem(422, "job.options", detail, errors=errors)
-    return kind
 
 
 def read_frames(

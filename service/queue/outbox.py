@@ -31,6 +31,8 @@ AT_ONCE_PER_WEBHOOK = 2
 # Longest `Retry-After` that a receiver is granted
 LONGEST_WISH = timedelta(days=1)
 GONE = 410
+# Deliveries that may wait for a webhook: each look for what is due counts them
+MOST_PENDING = 10_000
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ def notify(
     hooks = session.scalars(
         select(Webhook).where(Webhook.tenant_id == tenant_id, Webhook.active)
     ).all()
-    asking = [hook for hook in hooks if _asks(hook, type, kind)]
+    asking = [hook for hook in hooks if _asks(hook, type, kind) and _keeps_up(session, hook)]
     if asking:
         send(session, asking, type, data)
 
@@ -240,6 +242,17 @@ def forget(session: Session) -> None:
 def _asks(hook: Webhook, type: str, kind: str | None) -> bool:
     of_events = not hook.events or type in hook.events
     return of_events and (not hook.kinds or kind is None or kind in hook.kinds)
+
+
+def _keeps_up(session: Session, hook: Webhook) -> bool:
+    """Return whether a webhook may be sent more; one that is too far behind is switched off."""
+    if hook.failing_since is None:
+        return True
+    pending = select(Delivery.id).where(Delivery.webhook_id == hook.id, Delivery.state == PENDING)
+    if session.execute(pending.offset(MOST_PENDING - 1).limit(1)).first() is None:
+        return True
+    switch_off(session, hook.id, "behind", clock(session))
+    return False
 
 
 def _due(moment: datetime) -> Any:

@@ -54,6 +54,8 @@ class Claim:
     """The frames that earlier attempts left: file name -> sha256."""
     kept: dict[str, str]
     """The other files that they left to go on with: name -> sha256."""
+    deadline_s: int | None = None
+    """The seconds after which whoever asked for it wants an attempt to end."""
     traceparent: str | None = None
     """The span of the request that the job came from."""
 
@@ -96,6 +98,7 @@ def take(session: Session, job_id: str, worker: str, lease: float) -> Claim | No
         model_job_id=job.model_job_id,
         frames={chunk.filename: chunk.sha256 for chunk in frames(session, job_id)},
         kept={artifact.name: artifact.sha256 for artifact in _artifacts(session, job_id)},
+        deadline_s=job.request.get("deadline_s"),
         traceparent=job.traceparent,
     )
 

@@ -60,6 +60,7 @@ def celery_app(broker_url: str, **transport_options: Any) -> Celery:
         worker_prefetch_multiplier=1,
         worker_hijack_root_logger=False,
         worker_send_task_events=False,
+        worker_enable_remote_control=False,  # whoever reaches the broker could stop workers
         broker_connection_retry_on_startup=True,
         broker_connection_max_retries=None,
         broker_transport_options={

@@ -34,4 +34,6 @@ class DeletionView(View):
     rows_at: datetime | None = Field(
         description="when nothing showed it any more; null: its jobs are being stopped"
     )
-    files_at: datetime | None = Field(description="when its last file was gone, too")
+    files_at: datetime | None = Field(
+        description="when its files were gone, too, but for those that others have"
+    )

@@ -34,6 +34,8 @@ from service.store.models import (
 Reason = Literal["request", "retention"]
 BY = "deletion"
 BATCH = 200
+# Seconds between two rounds of the sweeper's that collect garbage, at most
+COLLECT_EVERY = 60.0
 
 # The columns that keep a file
 REFERRING = (
@@ -126,10 +128,15 @@ def go_on(session: Session) -> None:
             _delete_subject(session, subject, receipt)
 
 
-def close_receipts(store: Store) -> None:
-    """Note which deletions have no file left: after files were removed, not more often."""
-    opened = select(Deletion).where(Deletion.rows_at.is_not(None), Deletion.files_at.is_(None))
+def close_receipts(store: Store, age: float) -> None:
+    """Note which deletions have no file left: after files were removed, not more often.
+
+    ``age`` is that of `collect_garbage`. None is closed before a file that nobody else has would be
+    gone: a receipt that came sooner would tell that somebody has the same one.
+    """
     with store.read() as session:
+        last = clock(session) - timedelta(seconds=2 * age + 2 * min(age, COLLECT_EVERY))
+        opened = select(Deletion).where(Deletion.rows_at <= last, Deletion.files_at.is_(None))
         receipts = session.scalars(opened.order_by(Deletion.created_at).limit(BATCH)).all()
     if not receipts:
         return

@@ -31,6 +31,7 @@ from service.settings import Settings
 from service.store.database import Store, clock
 from service.store.models import Artifact, Attempt, Capture, Delivery, Job, Lease
 from service.system.service import readiness
+from solver.kinds import KINDS
 
 BUCKETS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.15, 0.25, 0.5, 1, 2.5, 5, 10, 30)
 METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
@@ -40,6 +41,9 @@ KEPT = 5.0
 RECENT = timedelta(hours=1)
 MOST_JOBS = 5000
 QUANTILES = (0.5, 0.95)
+# Jobs of a kind by which its usual time is known, and seconds that nothing is overdue before
+LEAST_KNOWN, MOST_KNOWN = 5, 100
+LEAST_USUAL = 30.0
 
 log = structlog.get_logger()
 
@@ -129,6 +133,7 @@ class StateCollector(Collector):
                 moment = clock(session)
                 yield from _queues(session, moment)
                 yield from _stuck(session, moment, self._settings)
+                yield from _overdue(session, moment)
                 yield from _recent(session, moment)
                 yield from _sizes(session)
         except SQLAlchemyError as error:
@@ -196,6 +201,37 @@ def _stuck(session: Session, moment: datetime, settings: Settings) -> Iterator[M
         text = "Time since the sweeper's last round"
         ago = (moment - last).total_seconds()
         yield GaugeMetricFamily("myoface_sweeper_last_round_seconds", text, value=ago)
+
+
+def _overdue(session: Session, moment: datetime) -> Iterator[Metric]:
+    """Count the jobs whose attempt lasts much longer than those of their kind lately did."""
+    running = select(Job.kind, Attempt.started_at).join(
+        Job, (Job.id == Attempt.job_id) & (Job.attempt == Attempt.number)
+    )
+    counts = Counter(
+        kind
+        for kind, started in session.execute(running.where(Job.state.in_(HELD)))
+        if (moment - started).total_seconds() > _usual_seconds(session, kind)
+    )
+    text = "Jobs that run for longer than twice what 95 of 100 of their kind took"
+    yield _gauge("myoface_jobs_overdue", text, "kind", dict.fromkeys(KINDS, 0) | counts)
+
+
+def _usual_seconds(session: Session, kind: str) -> float:
+    """Return the longest that a job usually takes; half of its limit while few are known."""
+    ended = session.execute(
+        select(Attempt.started_at, Attempt.finished_at)
+        .join(Job, (Job.id == Attempt.job_id) & (Job.attempt == Attempt.number))
+        .where(Job.kind == kind, Job.state == State.SUCCEEDED)
+        .order_by(Job.finished_at.desc())
+        .limit(MOST_KNOWN)
+    )
+    seconds = sorted(
+        (finished - started).total_seconds() for started, finished in ended if finished is not None
+    )
+    if len(seconds) < LEAST_KNOWN:
+        return KINDS[kind].max_seconds / 2 if kind in KINDS else math.inf
+    return max(2 * seconds[math.ceil(0.95 * len(seconds)) - 1], LEAST_USUAL)
 
 
 def _recent(session: Session, moment: datetime) -> Iterator[Metric]:

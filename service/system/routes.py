@@ -14,7 +14,7 @@ from service.errors import problems
 from service.schemas import Page
 from service.store.retention import own_days
 from service.system.schemas import KindView, Limits, Readiness, Retention, WorkerView
-from service.system.service import living_workers, readiness
+from service.system.service import ReadinessCache, living_workers
 from solver.kinds import KINDS
 
 # RFC 9745: since when, in seconds of the epoch (2026-11-22)
@@ -51,9 +51,9 @@ def limits(session: ReadSession, settings: SettingsDep) -> Limits:
     summary="Kinds of job",
     dependencies=[Depends(need_scope(Scope.READ))],
 )
-def kinds() -> Any:
+def kinds(settings: SettingsDep) -> Any:
     """List the kinds of job with their options as JSON Schema."""
-    return {"items": [KindView.of(kind) for kind in KINDS.values()]}
+    return {"items": [KindView.of(kind, settings.max_seconds(kind)) for kind in KINDS.values()]}
 
 
 @router.get(
@@ -62,11 +62,11 @@ def kinds() -> Any:
     dependencies=[Depends(need_scope(Scope.READ))],
     include_in_schema=False,
 )
-def solvers(response: Response) -> Any:
+def solvers(response: Response, settings: SettingsDep) -> Any:
     """Answer at the path that `/v1/kinds` had before it, for one release."""
     response.headers["Deprecation"] = SOLVERS_DEPRECATED
     response.headers["Link"] = '</v1/kinds>; rel="successor-version"'
-    return kinds()
+    return kinds(settings)
 
 
 @router.get(
@@ -92,9 +92,11 @@ def health() -> dict[str, str]:
     summary="Do its parts answer?",
     responses={503: {"model": Readiness, "description": "A part does not answer"}},
 )
-def ready(store: WholeStore, settings: SettingsDep, response: Response) -> Readiness:
+def ready(
+    cache: Annotated[ReadinessCache, Depends(part("readiness"))], response: Response
+) -> Readiness:
     """Ask database, broker and files, and count the living workers of each queue."""
-    state = readiness(store, settings)
+    state = cache.ask()
     response.status_code = 200 if state.ready else 503
     return state
 

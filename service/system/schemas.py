@@ -45,9 +45,10 @@ class KindView(View):
     leaves: str
     options: dict[str, Any]
     frames: bool = Field(description="whether it leaves frames, which can be read while it runs")
+    max_seconds: int = Field(description="after which an attempt at it is ended")
 
     @classmethod
-    def of(cls, kind: Kind) -> KindView:
+    def of(cls, kind: Kind, max_seconds: int) -> KindView:
         """Show a kind of job."""
         return cls(
             kind=kind.name,
@@ -58,6 +59,7 @@ class KindView(View):
             leaves=kind.leaves,
             options=kind.schema,
             frames=kind.frames,
+            max_seconds=max_seconds,
         )
 
 

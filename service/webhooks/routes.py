@@ -42,12 +42,13 @@ def create(
     response: Response,
 ) -> WebhookWithSecret:
     """Have an address told what happens. The answer holds the secret, which is not told again."""
+    response.headers["Cache-Control"] = "no-store"
     if (known := once.find_answered(session, new)) is not None:
-        webhook = repository.get(session, known)
-    else:
-        webhook = service.create(session, sender, new)
-        once.keep(session, webhook.id)
-        record(session, who, "webhook.created", webhook.id)
+        response.headers["Location"] = f"/v1/webhooks/{known}"
+        return _with_secret(repository.get(session, known), None)
+    webhook = service.create(session, sender, new)
+    once.keep(session, webhook.id)
+    record(session, who, "webhook.created", webhook.id)
     response.headers["Location"] = f"/v1/webhooks/{webhook.id}"
     return _with_secret(webhook, master)
 
@@ -108,7 +109,7 @@ def rotate(
 ) -> WebhookWithSecret:
     """Make a new secret; for a day the old one signs too, so that receivers can change over."""
     if once.find_answered(session) is not None:
-        return _with_secret(repository.get(session, webhook_id), master)
+        return _with_secret(repository.get(session, webhook_id), None)
     webhook = service.rotate(session, webhook_id, clock(session))
     once.keep(session, webhook_id)
     record(session, who, "webhook.rotated", webhook_id)
@@ -161,7 +162,8 @@ def redeliver(delivery_id: Id, session: HookSession) -> DeliveryView:
     return DeliveryView.of(service.redeliver(session, delivery_id))
 
 
-def _with_secret(webhook: Webhook, master: bytes) -> WebhookWithSecret:
+def _with_secret(webhook: Webhook, master: bytes | None) -> WebhookWithSecret:
+    """Show a webhook with its present secret; without ``master`` it is not told again."""
     shown = WebhookView.model_validate(webhook).model_dump()
-    secret = signing.secret(master, webhook.id, webhook.generation)
+    secret = signing.secret(master, webhook.id, webhook.generation) if master else None
     return WebhookWithSecret(**shown, secret=secret)

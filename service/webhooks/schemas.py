@@ -71,7 +71,7 @@ class WebhookChange(RequestBody):
 
 
 class WebhookView(View):
-    """A webhook; `disabled_reason` says why it was switched off: `gone`, `failing`, `by_user`."""
+    """A webhook; `disabled_reason` is why it is off: `gone`, `failing`, `behind`, `by_user`."""
 
     id: str
     url: str
@@ -87,7 +87,10 @@ class WebhookView(View):
 class WebhookWithSecret(WebhookView):
     """A webhook with the secret by which its receiver verifies signatures: told only now."""
 
-    secret: str = Field(examples=["whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw"])
+    secret: str | None = Field(
+        examples=["whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw"],
+        description="null: the request was a repetition of an answered one",
+    )
 
 
 class DeliveryView(View):

@@ -26,6 +26,10 @@ Input = Literal[
 ]
 
 
+# Seconds after which a job of a queue is ended: while a person waits, at a desk, over night
+QUEUE_SECONDS: Mapping[Queue, int] = {"ingest": 120, "short": 3600, "long": 24 * 3600}
+
+
 class JobOptions(Document):
     """Base of a kind's options: a field each, with default, bounds and a description."""
 
@@ -77,6 +81,11 @@ class Kind:
     folder: str = "result"
     frames: bool = False
     name: str = ""
+
+    @property
+    def max_seconds(self) -> int:
+        """Seconds after which an attempt at it is ended, where an installation sets no others."""
+        return QUEUE_SECONDS[self.queue]
 
     @property
     def schema(self) -> dict[str, Any]:

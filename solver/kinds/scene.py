@@ -106,10 +106,11 @@ class Key(Document):
 
     time: Time
     expressions: dict[str, Annotated[float, Field(ge=0, le=1)]] = Field(
-        default={}, description="weights of the rig's expressions by name"
+        default={}, max_length=256, description="weights of the rig's expressions by name"
     )
     muscles: dict[str, Muscle] = Field(
         default={},
+        max_length=256,
         description="by name, on top of the expressions: the length of the fibres over that at "
         "rest, or the six numbers xx, xy, xz, yy, yz, zz of an activation",
     )

@@ -45,6 +45,12 @@ def test_no_reader_of_hostile_inputs_crashes() -> None:
 
 
 @pytest.mark.slow
+def test_a_crowd_of_strangers_takes_nothing_from_a_customer() -> None:
+    printed = run("strangers", "--strangers", "600", "--seconds", "10")
+    assert printed.count(" 0 refused") == 2
+
+
+@pytest.mark.slow
 @pytest.mark.servers
 @pytest.mark.parametrize("campaign", [["compose"], ["two_hosts", "--cut", "12"]], ids=str)
 def test_the_show_runs(campaign: list[str]) -> None:

@@ -11,8 +11,16 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 HANDBOOK = (ROOT / "docs" / "reference" / "errors.md").read_text(encoding="utf-8")
 CODE = re.compile(r"[a-z][a-z0-9_]*(?:\.[a-z0-9_]+)+|internal|timeout|worker_lost")
-RAISED = {"Problem": 1, "InputError": 0, "SolveError": 0, "Refused": 0, "Unreachable": 0}
+RAISED = {
+    "Problem": 1,
+    "faulty": 1,
+    "InputError": 0,
+    "SolveError": 0,
+    "Refused": 0,
+    "Unreachable": 0,
+}
 """Which argument of an error is its code."""
+WITH_STATUS = ("Problem", "faulty")
 HELPERS = {"unauthorized_problem": 0, "_check_format": 1}
 MADE_OF_PARTS = (
     *("http.", "live_link.", "options.", "template.", "model."),
@@ -51,7 +59,7 @@ def _said() -> dict[str, set[str]]:
         elif place is not None and len(call.args) > place:
             code = call.args[place]
             if isinstance(code, ast.Constant) and CODE.fullmatch(str(code.value)):
-                found[str(code.value)].update(_status(call) if name == "Problem" else ())
+                found[str(code.value)].update(_status(call) if name in WITH_STATUS else ())
     return found
 
 

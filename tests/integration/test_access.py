@@ -19,7 +19,7 @@ from service.secret import secret
 from service.settings import Settings
 from service.store.database import Store
 from service.store.models import DEFAULT_TENANT, ApiKey, now
-from tests.service_client import Studio, served
+from tests.service_client import Studio, eventually, served
 
 OPEN = {"/healthz", "/readyz"}
 NOBODY = "8c1d3a52-0f4e-4c5b-9b39-1f3a4f1f6c11"
@@ -91,9 +91,12 @@ def test_keys_that_open_nothing(tmp_path: Path) -> None:
             answer = _ask(studio, key, "/v1/subjects")
             assert (answer.status_code, answer.json()["code"]) == (401, code)
             assert key not in answer.text
-        with store.read() as session:
-            used = session.get_one(ApiKey, revoked_id).last_used_at
-        assert used is not None
+
+        def used() -> bool:
+            with store.read() as session:
+                return session.get_one(ApiKey, revoked_id).last_used_at is not None
+
+        eventually(used)
     files = [path for path in tmp_path.rglob("*") if path.is_file()]
     assert not [path for path in files if text.encode() in path.read_bytes()]
 

@@ -20,6 +20,7 @@ from service.store.models import (
     DEFAULT_TENANT,
     AuditEntry,
     Capture,
+    Deletion,
     Job,
     Rig,
     Subject,
@@ -63,10 +64,10 @@ def test_a_receipt_says_when_the_last_file_was_gone(studio: Studio) -> None:
     assert receipt["rows_at"] is not None
     assert receipt["files_at"] is None
     for _ in range(2):  # put aside, and removed
-        deletion.close_receipts(_store(studio))
+        deletion.close_receipts(_store(studio), 0)
         assert studio.get(answer.headers["Location"])["files_at"] is None
         deletion.collect_garbage(_store(studio), age=-60)
-    deletion.close_receipts(_store(studio))
+    deletion.close_receipts(_store(studio), 0)
     receipt = studio.get(answer.headers["Location"])
     assert receipt["files_at"] is not None
     assert "Alex" not in str(receipt)
@@ -75,6 +76,30 @@ def test_a_receipt_says_when_the_last_file_was_gone(studio: Studio) -> None:
     assert _stored(studio) == {kept["sha256"]}
     actions = studio.get(f"/v1/audit?object_id={subject}")["items"]
     assert [each["action"] for each in actions] == ["subject.deleted", "subject.created"]
+
+
+def test_a_receipt_does_not_tell_that_somebody_has_the_same_file(studio: Studio) -> None:
+    """What only this studio had takes two ages of garbage, and so does what others have."""
+    shared, unique = studio.subject(), studio.post("/v1/subjects", name="Bo")["id"]
+    studio.capture(studio.subject(), "smile")
+    studio.capture(shared, "smile")
+    studio.capture(unique, "frown")
+    store, age = _store(studio), 300.0
+    receipts = [
+        studio.http.delete(f"/v1/subjects/{each}").headers["Location"] for each in (shared, unique)
+    ]
+    for _ in range(2):
+        deletion.collect_garbage(store, age=-60)
+
+    def ends() -> list[bool]:
+        deletion.close_receipts(store, age)
+        return [studio.get(each)["files_at"] is not None for each in receipts]
+
+    assert ends() == [False, False]
+    for seconds, closed in ((600, False), (721, True)):
+        with store.write() as session:
+            session.execute(update(Deletion).values(rows_at=now() - timedelta(seconds=seconds)))
+        assert ends() == [closed, closed]
 
 
 def test_landmarks_that_were_replaced_go_with_their_scan(studio: Studio) -> None:
@@ -87,7 +112,7 @@ def test_landmarks_that_were_replaced_go_with_their_scan(studio: Studio) -> None
     receipt = studio.http.delete(f"/v1/subjects/{subject}").headers["Location"]
     for _ in range(2):
         deletion.collect_garbage(_store(studio), age=-60)
-    deletion.close_receipts(_store(studio))
+    deletion.close_receipts(_store(studio), 0)
     assert studio.get(receipt)["files_at"] is not None
     assert _stored(studio) == set()
     with _store(studio).read() as session:

@@ -10,9 +10,10 @@ from typing import Any
 
 import pytest
 
+from service.access import keys
 from service.settings import Settings
 from service.store.models import now
-from tests.service_client import Studio, served
+from tests.service_client import Studio, eventually, served
 
 
 @pytest.fixture
@@ -30,10 +31,10 @@ def test_a_key_is_told_once_and_lives_until_it_is_revoked(studio: Studio) -> Non
     made = studio.post("/v1/keys", name="station 2", scopes=["read", "write"])
     assert _status(studio, made["key"]) == 200
     assert _status(studio, made["key"], "/v1/keys") == 403
+    eventually(lambda: studio.get("/v1/keys")["items"][0]["last_used_at"] is not None)
     listed = studio.get("/v1/keys")["items"]
     assert [each["name"] for each in listed] == ["station 2", "admin"]
     assert all("key" not in each for each in listed)
-    assert listed[0]["last_used_at"] is not None
     for _ in range(2):
         assert studio.http.delete(f"/v1/keys/{made['id']}").status_code == 204
     assert _status(studio, made["key"]) == 401
@@ -95,3 +96,61 @@ def test_who_did_what_is_written_down(studio: Studio) -> None:
     assert "Ada" not in str(entries)
     first = studio.get("/v1/audit?limit=1")
     assert studio.get(f"/v1/audit?limit=1&cursor={first['next']}")["items"] == entries[1:]
+
+
+def test_a_key_grants_no_more_than_it_has(studio: Studio) -> None:
+    everything = studio.get("/v1/me")["scopes"]
+    metrics = studio.post("/v1/keys", name="prometheus", scopes=["metrics"])
+    others = [scope for scope in everything if scope != "metrics"]
+    tenants = Studio(studio.http, studio.post("/v1/keys", name="studio", scopes=others)["key"])
+    assert tenants.http.get("/v1/workers").status_code == 403
+    for refused in (
+        tenants.http.post("/v1/keys", json={"name": "x", "scopes": ["read", "metrics"]}),
+        tenants.http.post(f"/v1/keys/{metrics['id']}/rotate"),
+    ):
+        assert (refused.status_code, refused.json()["code"]) == (403, "auth.scope")
+        assert refused.json()["expected"] == ["metrics"]
+    assert tenants.http.post("/v1/keys", json={"name": "x", "scopes": ["read"]}).status_code == 201
+
+
+def test_a_tenant_has_a_hundred_keys(studio: Studio, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert keys.MOST_KEYS == 100
+    monkeypatch.setattr(keys, "MOST_KEYS", 3)
+    last = [studio.post("/v1/keys", name="x", scopes=["read"])["id"] for _ in range(2)][1]
+    refused = studio.http.post("/v1/keys", json={"name": "x", "scopes": ["read"]})
+    assert (refused.status_code, refused.json()["code"]) == (409, "key.too_many")
+    assert studio.http.delete(f"/v1/keys/{last}").status_code == 204
+    studio.post("/v1/keys", name="x", scopes=["read"])
+
+
+def test_a_tenant_s_keys_share_a_rate(tmp_path: Path) -> None:
+    with served(Settings(data_dir=tmp_path, tenant_rate_per_minute=10)) as studio:
+        made = [studio.post("/v1/keys", name="x", scopes=["read"])["key"] for _ in range(4)]
+        answers = [_status(studio, key) for key in made for _ in range(3)]
+        assert 5 <= answers.count(200) <= 7
+        refused = studio.http.get("/v1/me")
+        assert refused.status_code == 429
+        assert refused.json()["detail"] == "the tenant has sent more than 10 requests a minute"
+        assert refused.headers["RateLimit-Limit"] == "10"
+
+
+def test_jobs_and_landmarks_are_in_the_audit_log(studio: Studio) -> None:
+    subject = studio.subject()
+    smile = studio.raw(subject, "smile")
+    marks = {"upload_id": studio.upload("smile.json", b"[1]")}
+    path = f"/v1/subjects/{subject}/captures/{smile}/landmarks"
+    assert studio.http.put(path, json=marks).status_code == 200
+    job = studio.submit("check_scan", subject, captures=[smile])
+    studio.post(f"/v1/jobs/{job}/cancel")
+    again = studio.post(f"/v1/jobs/{job}/retry")["id"]
+    for made in (job, again):
+        entries = studio.get(f"/v1/audit?object_id={made}")["items"]
+        assert entries[-1]["action"] == "job.created"
+    entries = studio.get(f"/v1/audit?object_id={smile}")["items"]
+    assert entries[0]["action"] == "capture.landmarks"
+
+
+def test_no_path_leads_away_by_a_slash(studio: Studio) -> None:
+    """A redirect would name a host and a scheme, and leave TLS."""
+    for path in ("/v1/subjects/", "/v1/keys/", "/healthz/"):
+        assert studio.http.get(path, follow_redirects=False).status_code == 404

@@ -45,13 +45,18 @@ def test_a_key_that_asks_too_fast_is_told_when_to_come_back(tmp_path: Path) -> N
 
 
 def test_processes_share_a_bucket_and_go_on_without_the_broker(broker: str) -> None:
-    first, second = Rates(broker, 4), Rates(broker, 4)
-    taken = [rates.take("key") for rates in (first, second, first, second, first)]
+    first, second = Rates(broker, 4, 100), Rates(broker, 4, 100)
+    taken = [rates.take("key", "studio") for rates in (first, second, first, second, first)]
     assert [each.allowed for each in taken] == [True] * 4 + [False]
-    assert first.take("another").allowed
-    alone = Rates("redis+socket:///nobody", 2)
-    assert [alone.take("key").allowed for _ in range(3)] == [True, True, False]
-    for rates in (first, second, alone):
+    assert first.take("another", "studio").allowed
+    alone = Rates("redis+socket:///nobody", 2, 100)
+    assert [alone.take("key", "studio").allowed for _ in range(3)] == [True, True, False]
+    shared = [Rates(broker, 100, 3), Rates("redis+socket:///nobody", 100, 3)]
+    for rates in shared:
+        taken = [rates.take(f"key {number}", "lab") for number in range(4)]
+        assert [each.allowed for each in taken] == [True] * 3 + [False]
+        assert (taken[-1].owner, taken[-1].limit) == ("tenant", 3)
+    for rates in (first, second, alone, *shared):
         rates.close()
 
 

@@ -185,7 +185,7 @@ def test_a_solver_without_room_puts_its_job_off(
         "memory_bytes": 1 << 40,
         "progress_fd": writing,
     }
-    process |= {"jobs": "solver.jobs", "confined": False}
+    process |= {"cpu_seconds": 3600, "jobs": "solver.jobs", "confined": False}
     (folder.path / "process.json").write_text(json.dumps(process))
 
     def full(*_: object, **__: object) -> None:

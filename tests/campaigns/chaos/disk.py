@@ -14,11 +14,11 @@ class Disk:
     """A folder that can be filled to the last byte."""
 
     def __init__(self, folder: Path) -> None:
-        self._ballast = folder / "ballast"
+        self._stuffing = folder / "stuffing"
 
     def fill(self) -> None:
         """Leave no room."""
-        with self._ballast.open("wb", buffering=0) as file:
+        with self._stuffing.open("wb", buffering=0) as file:
             size = 1 << 20
             while size:
                 try:
@@ -28,7 +28,7 @@ class Disk:
 
     def clear(self) -> None:
         """Make room again."""
-        self._ballast.unlink(missing_ok=True)
+        self._stuffing.unlink(missing_ok=True)
 
 
 @contextmanager

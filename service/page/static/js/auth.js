@@ -4,15 +4,18 @@
 const KEY = "myoface.key";
 
 /**
- * Take a key out of the address (`#key=...`), so that it does not stay in the history. Returns
- * whether there was one.
+ * Take a key out of the address (`#key=...`), so that it does not stay in the history. Returns it, null
+ * if there is none; keeping it is another's decision: anybody can send a link with a key of his.
  */
 export function takeFromAddress() {
-  const match = /^#key=([^&]+)/.exec(location.hash);
-  if (!match) return false;
+  const match = /^#key=([^&]*)/.exec(location.hash);
+  if (!match) return null;
   history.replaceState(history.state, "", location.pathname + location.search);
-  keep(decodeURIComponent(match[1]));
-  return true;
+  try {
+    return decodeURIComponent(match[1]).trim() || null;
+  } catch {
+    return null; // no key has a "%" of its own
+  }
 }
 
 /** Return the key, or null. */
@@ -32,8 +35,7 @@ export function forget() {
   document.dispatchEvent(new Event("keychange"));
 }
 
-/** Return the headers that sign a request in; none without a key. */
-export function headers() {
-  const text = key();
+/** Return the headers that sign a request in, with this tab's key if no other is given. */
+export function headers(text = key()) {
   return text ? { Authorization: `Bearer ${text}` } : {};
 }

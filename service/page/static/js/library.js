@@ -8,7 +8,7 @@ let subjects = null; // id -> subject, as a promise
 const captures = new Map(); // subject's id -> promise of id -> capture
 let kinds = null;
 let limits = null;
-let scopes = null;
+let me = null;
 
 /** Return the subjects as a Map by id; asked anew if `wanted` is not among those known. */
 export async function subjectsById(wanted = null) {
@@ -58,7 +58,7 @@ export function changed(subjectId = null) {
 
 document.addEventListener("keychange", () => {
   // another key may be another studio's
-  subjects = kinds = limits = scopes = null;
+  subjects = kinds = limits = me = null;
   captures.clear();
 });
 
@@ -76,12 +76,12 @@ export async function serviceLimits() {
   return limits;
 }
 
-/** Return what the tab's key may do; nothing without a key. */
-export async function myScopes() {
-  if (!auth.key()) return new Set();
-  scopes ??= get("/v1/me").then((me) => new Set(me.scopes));
-  scopes.catch(() => (scopes = null));
-  return scopes;
+/** Return whose key this tab has (`/v1/me`); null without one. */
+export async function myself() {
+  if (!auth.key()) return null;
+  me ??= get("/v1/me");
+  me.catch(() => (me = null));
+  return me;
 }
 
 async function byId(list) {

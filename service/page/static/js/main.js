@@ -2,16 +2,24 @@
 
 import * as auth from "./auth.js";
 import { h, show } from "./dom.js";
-import { myScopes } from "./library.js";
+import { myself } from "./library.js";
+import { takeKey } from "./parts/foreign_key.js";
 import { dropped } from "./scan_files.js";
 import { time } from "./words.js";
 import { navigate } from "./navigate.js";
 import { start } from "./router.js";
 
-auth.takeFromAddress();
-addEventListener("hashchange", () => {
-  if (auth.takeFromAddress()) navigate(location.pathname + location.search, { replace: true });
-});
+const offered = auth.takeFromAddress();
+if (offered && !auth.key()) auth.keep(offered); // before the first view asks for anything
+addEventListener("hashchange", () => consider(auth.takeFromAddress()));
+
+/** Take a key that came with a link, if the person wants it, and show the view anew. */
+async function consider(key) {
+  if (!key || key === auth.key()) return;
+  const before = auth.key();
+  await takeKey(key).catch((error) => console.warn(error.message));
+  if (auth.key() !== before) navigate(location.pathname + location.search, { replace: true });
+}
 
 document.addEventListener("connection", ({ detail: isThere }) => {
   const place = document.getElementById("connection");
@@ -26,10 +34,13 @@ document.addEventListener("keyneeded", ({ detail: problem }) => {
   navigate(`/sign-in?${new URLSearchParams({ next, why: problem.code })}`, { replace: true });
 });
 
-/** Show whether there is a key, and the ways to what it opens. */
+/** Show whose key there is, and the ways to what it opens. */
 async function showAccount() {
-  document.getElementById("account").textContent = auth.key() ? "Signed in" : "Sign in";
-  const scopes = await myScopes().catch(() => new Set()); // the view says what is wrong
+  const account = document.getElementById("account");
+  account.textContent = auth.key() ? "Signed in" : "Sign in";
+  const me = await myself().catch(() => null); // the view says what is wrong
+  if (me) account.textContent = `Signed in: ${me.tenant}`;
+  const scopes = new Set(me?.scopes);
   for (const link of document.querySelectorAll("nav a[data-scope]")) {
     link.hidden = !scopes.has(link.dataset.scope);
   }
@@ -55,3 +66,4 @@ addEventListener("drop", async (event) => {
 document.addEventListener("keychange", showAccount);
 showAccount();
 start();
+consider(offered);

@@ -18,6 +18,7 @@ const EVENTS = {
 const OFF = {
   gone: "Off: the address said it is gone",
   failing: "Off: it failed for too long",
+  behind: "Off: too much waits for it",
   by_user: "Off",
 };
 

@@ -9,6 +9,8 @@ import { repeat } from "../repeat.js";
 import { bytes, span, time, when } from "../words.js";
 
 const EVERY_MS = 10_000;
+const LEAST_KNOWN = 5;
+const LEAST_USUAL_S = 30;
 const PARTS = { database: "Database", broker: "Broker", files: "Files" };
 
 export async function mount(root) {
@@ -20,10 +22,12 @@ export async function mount(root) {
   const workers = h("tbody");
   const queues = h("tbody");
   const usage = h("tbody");
+  const slow = h("div");
   const asked = h("p", { class: "fine grow" });
   root.append(
     h("div", { class: "head" }, h("h1", {}, "Health"), asked),
     overall,
+    slow,
     h(
       "div",
       { class: "even" },
@@ -77,6 +81,7 @@ export async function mount(root) {
     show(workers, workerRows(living, serving));
     show(usage, usageRows(used));
     show(queues, queueRows(lengths, serving));
+    show(slow, slowNotice(await slowJobs(lengths.running, kinds, signal)));
     asked.textContent = `as of ${time(new Date())}`;
   };
   await repeat(refresh, EVERY_MS, signal);
@@ -91,6 +96,44 @@ async function readiness(signal) {
     if (error instanceof ApiProblem && error.document.checks) return error.document;
     throw error;
   }
+}
+
+/**
+ * Return the running jobs that take longer than twice what most of their kind took lately; of a kind
+ * with few that are known, than half of what it may take.
+ */
+async function slowJobs(running, kinds, signal) {
+  const usual = new Map();
+  for (const kind of new Set(running.map((job) => job.kind))) {
+    const query = { kind, state: "succeeded", limit: 50 };
+    const { items } = await get("/v1/jobs", query, signal);
+    const taken = items.map((job) => lasted(job, job.finished_at)).sort((a, b) => a - b);
+    const known = 2 * taken[Math.ceil(0.95 * taken.length) - 1];
+    const most = (kinds.get(kind)?.max_seconds ?? Infinity) / 2;
+    usual.set(kind, taken.length < LEAST_KNOWN ? most : Math.max(known, LEAST_USUAL_S));
+  }
+  return running.filter((job) => lasted(job, new Date()) > usual.get(job.kind));
+}
+
+/** Return the seconds that a job's last attempt has taken. */
+function lasted(job, end) {
+  return (new Date(end) - new Date(job.attempts.at(-1)?.started_at ?? job.started_at)) / 1000;
+}
+
+function slowNotice(jobs) {
+  if (!jobs.length) return "";
+  return h(
+    "div",
+    { class: "notice" },
+    h("p", {}, h("strong", {}, "These take longer than usual.")),
+    h(
+      "ul",
+      {},
+      jobs.map((job) =>
+        h("li", {}, h("a", { href: `/jobs/${job.id}` }, job.kind), `, for ${span(lasted(job, new Date()))}`),
+      ),
+    ),
+  );
 }
 
 /** Return the living workers; null if the key may not see them. */
@@ -112,6 +155,7 @@ async function queueLengths(kinds, signal) {
     ...[...kinds.keys()].map((kind) => get("/v1/jobs", { state: "queued", kind, limit: 1 }, signal)),
   ]);
   for (const job of running.items) if (queueOf(job)) queueOf(job).running++;
+  lengths.running = running.items;
   for (const job of newest.flatMap(({ items }) => items)) {
     const queue = queueOf(job);
     if (queue) queue.place = Math.max(queue.place, job.queue_position ?? 0);

@@ -1,0 +1,104 @@
+"""Options of jobs checked at a bounded cost, whatever a megabyte of them holds.
+
+pydantic makes an error for every fault, a hundred thousand of a document that was made for it. So
+options are read once by a schema whose lists stop at their first fault; only where there is one,
+the contract reads what is around it, and tells all that is wrong there.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+from pydantic import ValidationError
+from pydantic_core import SchemaValidator
+
+from service.bounds import shorten
+from service.errors import Problem, faulty
+from solver.kinds import KINDS, Kind
+
+# Items of a list that are read after the first with a fault, and of lists without one
+AROUND = 25
+# Steps of a simulation: at 0.3 s each they take a day
+MOST_STEPS = 250_000
+# Steps of a frame where a scene says nothing, by its mode
+STEPS = {"quasi_static": 1, "dynamic": 4}
+
+
+def check_options(name: str, options: dict[str, Any]) -> Kind:
+    """Return the kind of job of a name; raises a problem if it does not take these options."""
+    kind = find_kind(name)
+    try:
+        json.dumps(options, allow_nan=False, ensure_ascii=False).encode()
+    except ValueError as error:  # NaN, an infinity, half a surrogate pair
+        raise Problem(422, "job.options", f"options are not strict JSON: {error}") from error
+    try:
+        read = _quick(kind).validate_python(options)
+    except ValidationError as error:
+        faults = kind.faults(_around(options, error)) or kind.faults(options)
+        told = [(fault.where, fault.message) for fault in faults]
+        raise faulty(422, "job.options", told, at_least=True) from None
+    _refuse_endless(getattr(read, "scene", None))
+    return kind
+
+
+def _refuse_endless(scene: Any) -> None:
+    """Refuse a scene of keys whose steps no worker would come to the end of in a day."""
+    if not hasattr(scene, "keys"):
+        return
+    last = max((key.time for key in scene.keys), default=0.0)
+    seconds = last if scene.duration is None else scene.duration
+    steps = scene.steps_per_frame or STEPS[scene.mode]
+    count = round(seconds * scene.fps * steps)
+    if count > MOST_STEPS:
+        detail = (
+            f"{seconds:g} s of {scene.fps:g} frames of {steps} steps are {count} steps, more than "
+            f"{MOST_STEPS}: make it shorter, or in parts"
+        )
+        raise Problem(422, "job.too_long", detail, expected=MOST_STEPS, found=count)
+
+
+def find_kind(name: str) -> Kind:
+    """Return the kind of job of a name."""
+    kind = KINDS.get(name)
+    if kind is None:
+        detail, told = f"there is no kind of job {shorten(name)!r}", sorted(KINDS)
+        raise Problem(422, "job.kind", detail, expected=told, found=shorten(name))
+    return kind
+
+
+@cache
+def _quick(kind: Kind) -> SchemaValidator:
+    """Return a validator of a kind's options whose lists stop at the first fault."""
+    kind.options.model_rebuild()
+    return SchemaValidator(_fail_fast(kind.options.__pydantic_core_schema__), _use_prebuilt=False)
+
+
+def _fail_fast(schema: Any) -> Any:
+    if isinstance(schema, dict):
+        found = {name: _fail_fast(value) for name, value in schema.items()}
+        return {**found, "fail_fast": True} if found.get("type") == "list" else found
+    return [_fail_fast(item) for item in schema] if isinstance(schema, list) else schema
+
+
+def _around(options: dict[str, Any], error: ValidationError) -> dict[str, Any]:
+    """Return options with what there is of their lists around the first fault of each."""
+    places = [_numbers(each["loc"]) for each in error.errors(include_url=False)]
+    shortened: dict[str, Any] = _cut(options, max(places, default=()))
+    return shortened
+
+
+def _numbers(place: Sequence[str | int]) -> tuple[int, ...]:
+    return tuple(part for part in place if isinstance(part, int))
+
+
+def _cut(value: Any, numbers: Sequence[int]) -> Any:
+    """Return a value with shortened lists; ``numbers`` are the items of the way to a fault."""
+    if isinstance(value, dict):
+        return {name: _cut(item, numbers) for name, item in value.items()}
+    if not isinstance(value, list):
+        return value
+    first, inner = (numbers[0], numbers[1:]) if numbers else (0, ())
+    return [_cut(item, inner) for item in value[: first + AROUND]]

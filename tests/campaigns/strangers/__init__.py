@@ -1,0 +1,1 @@
+"""Strangers without a key, slow and many, while a customer works."""
