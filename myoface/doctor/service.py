@@ -10,9 +10,6 @@ from datetime import timedelta
 from pathlib import Path
 
 import redis
-from alembic.config import Config
-from alembic.migration import MigrationContext
-from alembic.script import ScriptDirectory
 from sqlalchemy import func, select
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -24,7 +21,7 @@ from service.queue.wakeups import QUEUES, connect
 from service.secret import secret as secret_of
 from service.settings import Settings
 from service.store.broker import BrokerNotFoundError, find_server
-from service.store.database import MIGRATIONS, Database, Store, clock
+from service.store.database import Database, Store, clock, known_revisions, revision_of
 from service.store.files import Files
 from service.store.models import ApiKey, Job, now
 from service.system.service import living_workers
@@ -112,11 +109,9 @@ def files(place: Files) -> Diagnosis:
 
 def tables(database: Database) -> Diagnosis:
     """Check that the tables are those of this version."""
-    config = Config()
-    config.set_main_option("script_location", str(MIGRATIONS))
-    wanted = ScriptDirectory.from_config(config).get_current_head()
+    wanted = known_revisions()[0]
     with database.engine.connect() as connection:
-        found = MigrationContext.configure(connection).get_current_revision()
+        found = revision_of(connection)
     if found == wanted:
         return Diagnosis("database", "ok", f"at revision {found}")
     advice = "the next start brings older tables up to date; newer ones need the newer version"

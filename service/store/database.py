@@ -24,8 +24,9 @@ from service.store.models import now
 from service.store.tenancy import TENANT
 
 MIGRATIONS = Path(__file__).parent / "migrations"
+# FULL: what was acknowledged outlives a power cut, a deletion as well as an upload.
 # secure_delete: what is deleted is overwritten, and does not stay in a free page
-PRAGMAS = ("journal_mode=WAL", "synchronous=NORMAL", "foreign_keys=ON", "secure_delete=ON")
+PRAGMAS = ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", "secure_delete=ON")
 MIGRATION_LOCK = 0x6D796F  # any constant: PostgreSQL's advisory locks go by number
 
 
@@ -93,10 +94,9 @@ class Database:
         NewerDatabaseError
             If the schema has a revision that this release does not have.
         """
-        config = Config()
-        config.set_main_option("script_location", str(MIGRATIONS))
+        config = _migrations()
         with self._one_at_a_time(), self._migrating() as connection:
-            _refuse_newer(connection, config)
+            _refuse_newer(connection)
             config.attributes["connection"] = connection
             move(config, revision)
 
@@ -149,11 +149,27 @@ class Database:
         self.engine.dispose()
 
 
-def _refuse_newer(connection: Connection, config: Config) -> None:
-    current = MigrationContext.configure(connection).get_current_revision()
+def known_revisions() -> list[str]:
+    """Return the revisions of the tables that this release has, the newest first."""
+    scripts = ScriptDirectory.from_config(_migrations()).walk_revisions()
+    return [script.revision for script in scripts]
+
+
+def revision_of(connection: Connection) -> str | None:
+    """Return the revision that the tables have; None: there are none."""
+    return MigrationContext.configure(connection).get_current_revision()
+
+
+def _migrations() -> Config:
+    config = Config()
+    config.set_main_option("script_location", str(MIGRATIONS))
+    return config
+
+
+def _refuse_newer(connection: Connection) -> None:
+    current = revision_of(connection)
     connection.rollback()  # else Alembic would take the transaction for its caller's
-    known = {script.revision for script in ScriptDirectory.from_config(config).walk_revisions()}
-    if current is not None and current not in known:
+    if current is not None and current not in known_revisions():
         raise NewerDatabaseError(
             f"the database is of a newer release (revision {current}): start that release, "
             "or restore a backup of this one's"
