@@ -11,7 +11,7 @@ from service import tracing
 from service.access.bootstrap import OpenDoorError, prepare
 from service.app import create_app
 from service.http.deadline import protocol
-from service.process import configure_logs, die_with_parent
+from service.process import configure_logs, die_with_parent, keep_private
 from service.settings import Settings
 from service.store.database import NewerDatabaseError
 
@@ -22,6 +22,7 @@ KEEP_ALIVE = 130
 
 def main() -> None:
     """Serve until interrupted."""
+    keep_private()
     settings = Settings()
     if settings.stack_pid:
         die_with_parent(settings.stack_pid, signal.SIGTERM)

@@ -1,4 +1,4 @@
-"""Set up a process: its log, and its end with the process that started it."""
+"""Set up a process: who reads its files, its log, its end with the process that started it."""
 
 from __future__ import annotations
 
@@ -10,6 +10,11 @@ import sys
 import structlog
 
 PR_SET_PDEATHSIG = 1
+
+
+def keep_private() -> None:
+    """Let only this user read what this process and its children write: it is faces."""
+    os.umask(0o077)
 
 
 def configure_logs(json: bool) -> None:

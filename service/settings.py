@@ -5,11 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import tempfile
 from pathlib import Path
 
 from pydantic import Field, IPvAnyNetwork, SecretStr, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
+from sqlalchemy import make_url
 
 # A unix socket's path must fit into sockaddr_un (104 bytes on macOS, 108 on Linux).
 LONGEST_SOCKET_PATH = 100
@@ -37,7 +37,7 @@ class Settings(BaseSettings):
         default=None, description="unfinished uploads; default: files_dir/uploads"
     )
     work_dir: Path | None = Field(
-        default=None, description="folders of attempts; default: data_dir/work"
+        default=None, description="the attempts, a folder an installation; default: data_dir/work"
     )
 
     host: str = "127.0.0.1"
@@ -150,12 +150,16 @@ class Settings(BaseSettings):
 
     @property
     def broker_socket(self) -> Path:
-        """Socket of the embedded broker: in data_dir if the path is short enough."""
+        """Socket of the embedded broker: in data_dir if the path is short enough.
+
+        Else in a folder of this user's alone: who could put a socket there before would be asked
+        for jobs in the broker's place.
+        """
         path = self.data_dir / "broker" / "valkey.sock"
         if len(str(path)) <= LONGEST_SOCKET_PATH:
             return path
-        key = hashlib.sha256(str(self.data_dir).encode()).hexdigest()[:16]
-        return Path(tempfile.gettempdir()) / f"myoface-{key}.sock"
+        private = os.environ.get("XDG_RUNTIME_DIR") or Path.home() / ".local" / "state"
+        return Path(private) / "myoface" / f"{_short_hash(str(self.data_dir))}.sock"
 
     @property
     def files(self) -> Path | str:
@@ -169,8 +173,13 @@ class Settings(BaseSettings):
 
     @property
     def work(self) -> Path:
-        """The folder of the workers' attempts."""
-        return self.work_dir or self.data_dir / "work"
+        """The folder of the workers' attempts.
+
+        Each installation has its own, also where several share `work_dir`: their sweepers remove
+        the attempts that are not in their own database.
+        """
+        url = make_url(self.database).set(password=None).render_as_string()
+        return (self.work_dir or self.data_dir / "work") / _short_hash(url)
 
     @property
     def _folder(self) -> Path:
@@ -182,6 +191,10 @@ class Settings(BaseSettings):
         if self.secret_key:
             values["secret_key"] = self.secret_key.get_secret_value()
         return {f"MYOFACE_{key.upper()}": _as_text(value) for key, value in values.items()}
+
+
+def _short_hash(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _as_text(value: object) -> str:

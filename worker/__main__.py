@@ -6,7 +6,7 @@ import argparse
 import signal
 
 from service import tracing
-from service.process import configure_logs, die_with_parent
+from service.process import configure_logs, die_with_parent, keep_private
 from service.queue.wakeups import QUEUES, WEBHOOKS
 from service.settings import Settings
 from service.store.database import Store
@@ -17,6 +17,7 @@ from worker.app import work
 
 def main() -> None:
     """Work until told to stop."""
+    keep_private()
     parser = argparse.ArgumentParser(prog="python -m worker", description=__doc__)
     parser.add_argument("queue", choices=(*QUEUES, WEBHOOKS))
     parser.add_argument(

@@ -37,7 +37,8 @@ def up(port: Port = None, data: Data = None) -> None:
         out.print(f"Myoface listens on {stack.url}. Ctrl-C stops it.")
         out.print(f"Its key is in {settings.admin_key}.", markup=False)
         if is_loopback(settings.host):
-            out.print(f"Its page: {stack.url}/#key={stack.key}", markup=False, soft_wrap=True)
+            key = f"#key={stack.key}" if out.is_terminal else ""  # never into a log
+            out.print(f"Its page: {stack.url}/{key}", markup=False, soft_wrap=True)
         stack.wait()
 
 

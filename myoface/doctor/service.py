@@ -13,7 +13,7 @@ import redis
 from sqlalchemy import func, select
 from sqlalchemy.exc import SQLAlchemyError
 
-from myoface.doctor.machine import Diagnosis
+from myoface.doctor.machine import OTHERS, Diagnosis
 from service.access.keys import Keyring
 from service.errors import Problem
 from service.queue.states import HELD, State
@@ -29,7 +29,6 @@ from service.system.service import living_workers
 MOST_SKEW = timedelta(seconds=2)
 LONG_QUEUED = timedelta(minutes=10)
 LONG_LOST = timedelta(minutes=1)
-OWNER_ONLY = 0o077
 
 
 def broker(settings: Settings) -> Diagnosis:
@@ -55,7 +54,7 @@ def secret(settings: Settings) -> Diagnosis:
     path = settings.data_dir / "secret"
     if not path.exists():
         return Diagnosis("secret", "ok", "the first start makes one")
-    if path.stat().st_mode & OWNER_ONLY:
+    if path.stat().st_mode & OTHERS:
         return Diagnosis("secret", "fault", f"others can read {path}", f"chmod 600 {path}")
     return Diagnosis("secret", "ok", str(path))
 

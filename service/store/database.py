@@ -20,6 +20,7 @@ from sqlalchemy.orm import Session
 
 from service.queue.wakeups import WAKE, WakeUps
 from service.store.files import files_at
+from service.store.migrations.merging import TENANTS, refuse_merging
 from service.store.models import now
 from service.store.tenancy import TENANT
 
@@ -59,7 +60,7 @@ class Database:
     def __init__(self, url: str) -> None:
         self.url = make_url(url)
         if self.is_sqlite and self.url.database:
-            Path(self.url.database).parent.mkdir(parents=True, exist_ok=True)
+            Path(self.url.database).parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         self.engine = _engine(str(url), self.is_sqlite)
         self._writing = self.engine.execution_options(writes=True)
 
@@ -96,7 +97,10 @@ class Database:
         """
         config = _migrations()
         with self._one_at_a_time(), self._migrating() as connection:
-            _refuse_newer(connection)
+            current = _refuse_newer(connection)
+            if move is command.downgrade and _is_before_tenants(current, revision):
+                refuse_merging(connection)  # before the first step: SQLite takes none back
+                connection.rollback()
             config.attributes["connection"] = connection
             move(config, revision)
 
@@ -166,7 +170,16 @@ def _migrations() -> Config:
     return config
 
 
-def _refuse_newer(connection: Connection) -> None:
+def _is_before_tenants(current: str | None, revision: str) -> bool:
+    """Return whether tenants are lost on the way back to a revision; one step back says it."""
+    known = [*known_revisions(), "base"]
+    if current not in known or revision not in known:
+        return False
+    return TENANTS in known[known.index(current) : known.index(revision)]
+
+
+def _refuse_newer(connection: Connection) -> str | None:
+    """Return the revision of the tables, if this release knows it."""
     current = revision_of(connection)
     connection.rollback()  # else Alembic would take the transaction for its caller's
     if current is not None and current not in known_revisions():
@@ -174,6 +187,7 @@ def _refuse_newer(connection: Connection) -> None:
             f"the database is of a newer release (revision {current}): start that release, "
             "or restore a backup of this one's"
         )
+    return current
 
 
 def clock(session: Session) -> datetime:
