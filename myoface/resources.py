@@ -316,11 +316,12 @@ class Use(Resource):
 
 
 class Usage(Resource):
-    """The tenant's stored bytes, and the number of its jobs that wait and run."""
+    """The tenant's stored bytes, its jobs that wait and run, and files that were lost."""
 
     bytes: Use
     queued: Use
     running: Use
+    lost_files: int = 0
 
 
 class Key(Resource):

@@ -17,6 +17,7 @@ from service.access.keys import Keyring
 from service.access.limits import ConnectionLimit, RateHeaders, Rates
 from service.access.routes import keys_router, tenants_router
 from service.access.signed import Signer
+from service.background import Background
 from service.batches.routes import router as batches
 from service.batches.service import BatchRunner
 from service.captures.routes import router as captures
@@ -33,6 +34,7 @@ from service.store.database import Store
 from service.subjects.routes import router as subjects
 from service.system import metrics
 from service.system.routes import router as system
+from service.system.scrubber import Scrubber
 from service.templates.routes import router as templates
 from service.uploads.routes import router as uploads
 from service.uploads.service import UploadCleaner
@@ -74,7 +76,12 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         await to_thread.run_sync(bootstrap.prepare, store, keyring, settings)
-        background = (BatchRunner(store, settings), UploadCleaner(store, settings))
+        background: list[Background] = [
+            BatchRunner(store, settings),
+            UploadCleaner(store, settings),
+        ]
+        if settings.scrub_per_minute:
+            background.append(Scrubber(store, settings))
         for thread in background:
             thread.start()
         yield

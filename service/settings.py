@@ -6,10 +6,10 @@ import hashlib
 import json
 import os
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from pydantic import Field, IPvAnyNetwork, SecretStr, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
-from sqlalchemy import make_url
 
 # A unix socket's path must fit into sockaddr_un (104 bytes on macOS, 108 on Linux).
 LONGEST_SOCKET_PATH = 100
@@ -101,6 +101,10 @@ class Settings(BaseSettings):
         default=300, gt=0, description="unreferenced files older than this go"
     )
 
+    scrub_per_minute: float = Field(
+        default=4, ge=0, description="stored files compared with their names; 0: none"
+    )
+
     ingest_workers: int = Field(default=1, ge=1)
     short_workers: int = Field(default=1, ge=1)
     long_workers: int = Field(default=1, ge=1)
@@ -178,8 +182,9 @@ class Settings(BaseSettings):
         Each installation has its own, also where several share `work_dir`: their sweepers remove
         the attempts that are not in their own database.
         """
-        url = make_url(self.database).set(password=None).render_as_string()
-        return (self.work_dir or self.data_dir / "work") / _short_hash(url)
+        url = urlsplit(self.database)
+        server = url.netloc.rpartition("@")[2]  # without the password, which may change
+        return (self.work_dir or self.data_dir / "work") / _short_hash(server + url.path)
 
     @property
     def _folder(self) -> Path:

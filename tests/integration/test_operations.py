@@ -30,6 +30,7 @@ def test_the_doctor_finds_what_is_wrong(tmp_path: Path) -> None:
             "keys": "ok",
             "workers": "warning",
             "jobs": "ok",
+            "stored files": "ok",
         }
         store = _store(settings)
         with store.write() as session:
