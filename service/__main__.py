@@ -13,7 +13,7 @@ from service.app import create_app
 from service.http.deadline import protocol
 from service.process import configure_logs, die_with_parent, keep_private
 from service.settings import Settings
-from service.store.database import NewerDatabaseError
+from service.store.database import NewerDatabaseError, UnfinishedRestoreError
 
 # Seconds for which an idle connection stays open: longer than a proxy in front keeps it (Caddy:
 # two minutes), else a request meets a connection that is being closed
@@ -31,7 +31,7 @@ def main() -> None:
     app = create_app(settings)
     try:
         prepare(app.state.store, app.state.keyring, settings)
-    except (OpenDoorError, NewerDatabaseError) as error:
+    except (OpenDoorError, NewerDatabaseError, UnfinishedRestoreError) as error:
         sys.exit(str(error))
     uvicorn.run(
         app,

@@ -16,11 +16,9 @@ from sqlalchemy import URL, MetaData, create_engine, inspect, text
 from sqlalchemy.orm import Session
 
 from myoface.errors import StackError
-from service.store.database import Database
+from service.store.database import UNFINISHED, Database
 from service.store.durable import move_durably
 
-# A table that is there while a restore into PostgreSQL is not finished
-UNFINISHED = "myoface_restoring"
 # `COPY public.alembic_version (version_num) FROM stdin;` and its one row, as pg_restore prints them
 REVISION_ROW = re.compile(r"^COPY [\w.]*alembic_version .*\n(\w+)$", re.MULTILINE)
 

@@ -34,7 +34,10 @@ def prepare(store: Store, keyring: Keyring, settings: Settings) -> None:
     ------
     OpenDoorError
         If the API is to listen beyond this machine and is not protected.
+    UnfinishedRestoreError
+        If a restore was interrupted.
     """
+    store.database.refuse_unfinished()
     store.database.migrate()
     if is_loopback(settings.host):
         admin_key(store, keyring, settings, only_first=True)

@@ -15,7 +15,17 @@ from alembic import command
 from alembic.config import Config
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from sqlalchemy import Connection, Engine, create_engine, event, func, make_url, select, text
+from sqlalchemy import (
+    Connection,
+    Engine,
+    create_engine,
+    event,
+    func,
+    inspect,
+    make_url,
+    select,
+    text,
+)
 from sqlalchemy.orm import Session
 
 from service.queue.wakeups import WAKE, WakeUps
@@ -28,6 +38,8 @@ MIGRATIONS = Path(__file__).parent / "migrations"
 # FULL: what was acknowledged outlives a power cut, a deletion as well as an upload.
 # secure_delete: what is deleted is overwritten, and does not stay in a free page
 PRAGMAS = ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", "secure_delete=ON")
+# A table that is there while a restore into PostgreSQL is not finished
+UNFINISHED = "myoface_restoring"
 MIGRATION_LOCK = 0x6D796F  # any constant: PostgreSQL's advisory locks go by number
 
 
@@ -48,6 +60,10 @@ POOL = {"pool_size": 10, "max_overflow": 40}
 
 class NewerDatabaseError(Exception):
     """A newer release has changed the tables in ways that this one does not know."""
+
+
+class UnfinishedRestoreError(Exception):
+    """A restore was interrupted: what was deleted after the backup is there again."""
 
 
 class Database:
@@ -103,6 +119,17 @@ class Database:
                 connection.rollback()
             config.attributes["connection"] = connection
             move(config, revision)
+
+    def refuse_unfinished(self) -> None:
+        """Raise if a restore was interrupted.
+
+        Raises
+        ------
+        UnfinishedRestoreError
+            If it was: it must be done again before anybody sees what is there.
+        """
+        if inspect(self.engine).has_table(UNFINISHED):
+            raise UnfinishedRestoreError("a restore was interrupted: run `myoface restore` again")
 
     @contextmanager
     def _migrating(self) -> Iterator[Connection]:
