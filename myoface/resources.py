@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import AfterValidator, BaseModel, ConfigDict, StringConstraints, ValidationError
+
+from myoface.errors import ApiError
 
 Role = Literal["neutral", "expression", "performance", "asset"]
 Scope = Literal["read", "write", "delete", "webhooks", "metrics", "admin"]
@@ -16,10 +18,32 @@ Then = Literal["register", "model", "geometry"]
 FINAL_STATES: frozenset[State] = frozenset({"succeeded", "failed", "canceled"})
 
 
+# What becomes a file's or a folder's name here is a plain name, whatever a service says
+FileName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,254}$")]
+Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
+
+
 class Resource(BaseModel):
     """A value of the API."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
+
+    @classmethod
+    def model_validate(cls, obj: Any, **how: Any) -> Self:
+        """Read a value of an answer.
+
+        Raises
+        ------
+        ApiError
+            With ``client.answer`` if it is not what this API answers.
+        """
+        try:
+            return super().model_validate(obj, **how)
+        except ValidationError as error:
+            fault = error.errors(include_url=False, include_input=False)[0]
+            where = ".".join(map(str, (cls.__name__, *fault["loc"])))
+            detail = f"the service's answer is not this API's: {where}: {fault['msg']}"
+            raise ApiError({"code": "client.answer", "detail": detail}) from error
 
 
 class JobKind(Resource):
@@ -85,7 +109,7 @@ class Capture(Resource):
     """A named scan of a subject, ``registered`` or as the scanner made it."""
 
     id: str
-    name: str
+    name: FileName
     role: Role
     registered: bool = True
     landmarks: str | None = None
@@ -108,10 +132,20 @@ class Artifact(Resource):
     """A file that a job left; ``size`` in bytes."""
 
     id: str
-    name: str
+    name: FileName
     size: int
-    sha256: str
+    sha256: Sha256
     media_type: str
+
+
+def _once_each(artifacts: Artifacts) -> list[Artifact]:
+    """Refuse two files of one name: fetched into a folder, one would overwrite the other."""
+    if len({artifact.name for artifact in artifacts}) < len(artifacts):
+        raise ValueError("two files have the same name")
+    return artifacts
+
+
+Artifacts = Annotated[list[Artifact], AfterValidator(_once_each)]
 
 
 class Progress(Resource):
@@ -130,7 +164,7 @@ class Result(Resource):
 
     rig_id: str | None = None
     summary: dict[str, Any] | None = None
-    artifacts: list[Artifact] = []
+    artifacts: Artifacts = []
 
 
 class Cancel(Resource):
@@ -214,7 +248,7 @@ class Rig(Resource):
     parent_id: str | None = None
     expressions: list[str] = []
     summary: dict[str, Any] = {}
-    artifacts: list[Artifact] = []
+    artifacts: Artifacts = []
     created_at: datetime | None = None
     retain_until: datetime | None = None
 
@@ -282,11 +316,12 @@ class Use(Resource):
 
 
 class Usage(Resource):
-    """The tenant's stored bytes, and the number of its jobs that wait and run."""
+    """The tenant's stored bytes, its jobs that wait and run, and files that were lost."""
 
     bytes: Use
     queued: Use
     running: Use
+    lost_files: int = 0
 
 
 class Key(Resource):

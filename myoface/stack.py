@@ -211,7 +211,8 @@ class _Child:
         return self._process.pid
 
     def start(self) -> None:
-        self.logs.mkdir(parents=True, exist_ok=True)
+        self.logs.mkdir(mode=0o700, parents=True, exist_ok=True)
+        self.log.touch(mode=0o600)
         with self.log.open("ab") as output:
             # A session of its own: Ctrl-C at the terminal is for the stack, which stops in order.
             self._process = subprocess.Popen(
@@ -255,7 +256,7 @@ class _Child:
 
 
 def _lock(data_dir: Path) -> IO[str]:
-    data_dir.mkdir(parents=True, exist_ok=True)
+    data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
     lock = (data_dir / "stack.lock").open("w")
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

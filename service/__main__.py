@@ -13,9 +13,9 @@ from service.access.bootstrap import OpenDoorError, prepare
 from service.app import create_app
 from service.http.deadline import DeadlineProtocol, protocol
 from service.http.seats import Seats
-from service.process import configure_logs, die_with_parent, hide_memory
+from service.process import configure_logs, die_with_parent, hide_memory, keep_private
 from service.settings import Settings
-from service.store.database import NewerDatabaseError
+from service.store.database import NewerDatabaseError, UnfinishedRestoreError
 
 # Seconds for which an idle connection stays open: longer than a proxy in front keeps it (Caddy:
 # two minutes), else a request meets a connection that is being closed
@@ -24,6 +24,7 @@ KEEP_ALIVE = 130
 
 def main() -> None:
     """Serve until interrupted."""
+    keep_private()
     settings = Settings()
     if settings.stack_pid:
         die_with_parent(settings.stack_pid, signal.SIGTERM)
@@ -33,7 +34,7 @@ def main() -> None:
     app = create_app(settings)
     try:
         prepare(app.state.store, app.state.keyring, settings)
-    except (OpenDoorError, NewerDatabaseError) as error:
+    except (OpenDoorError, NewerDatabaseError, UnfinishedRestoreError) as error:
         sys.exit(str(error))
     gc.collect()
     gc.freeze()  # what is there for good is not walked at each collection

@@ -17,6 +17,7 @@ from service.access.keys import Keyring
 from service.access.limits import ConnectionLimit, RateHeaders, Rates
 from service.access.routes import keys_router, tenants_router
 from service.access.signed import Signer
+from service.background import Background
 from service.batches.routes import router as batches
 from service.batches.service import BatchRunner
 from service.captures.routes import router as captures
@@ -34,6 +35,7 @@ from service.store.database import Store
 from service.subjects.routes import router as subjects
 from service.system import metrics
 from service.system.routes import router as system
+from service.system.scrubber import Scrubber
 from service.system.service import ReadinessCache
 from service.templates.routes import router as templates
 from service.uploads.routes import router as uploads
@@ -77,12 +79,14 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         await to_thread.run_sync(bootstrap.prepare, store, keyring, settings)
-        background = (
+        background: list[Background] = [
             BatchRunner(store, settings),
             UploadCleaner(store, settings),
             keyring.uses,
             ballast,
-        )
+        ]
+        if settings.scrub_per_minute:
+            background.append(Scrubber(store, settings))
         for thread in background:
             thread.start()
         yield

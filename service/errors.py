@@ -75,6 +75,11 @@ def faulty(
     return Problem(status, code, detail, errors=errors)
 
 
+def lost(what: str, fault: str, **context: Any) -> Problem:
+    """Return the problem of a stored file that the service has ``lost`` or ``damaged``."""
+    return Problem(410, "files.lost", f"{what} is {fault} in the file store", **context)
+
+
 class ProblemDocument(BaseModel):
     """Body of an error; further members name the fault (`file`, `line`, `found` ...)."""
 

@@ -1,4 +1,4 @@
-"""Set up a process: its log, and its end with the process that started it."""
+"""Set up a process: who reads its files, its log, its end with the process that started it."""
 
 from __future__ import annotations
 
@@ -11,6 +11,11 @@ import structlog
 
 PR_SET_PDEATHSIG = 1
 PR_SET_DUMPABLE = 4
+
+
+def keep_private() -> None:
+    """Let only this user read what this process and its children write: it is faces."""
+    os.umask(0o077)
 
 
 def configure_logs(json: bool) -> None:
@@ -36,6 +41,7 @@ def configure_logs(json: bool) -> None:
             processors=[
                 structlog.stdlib.ProcessorFormatter.remove_processors_meta,
                 structlog.processors.format_exc_info,
+                _escape_controls,
                 renderer,
             ],
         )
@@ -53,6 +59,21 @@ def hide_memory() -> None:
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_DUMPABLE, 0, 0, 0, 0)
+
+
+def _escape_controls(
+    _logger: object, _method: str, event: structlog.typing.EventDict
+) -> structlog.typing.EventDict:
+    """Let no text of a stranger's do more in a log than be read; tracebacks keep their lines."""
+    for key, value in event.items():
+        if isinstance(value, str):
+            lines = value.split("\n") if key == "exception" else [value]
+            event[key] = "\n".join(map(_printable, lines))
+    return event
+
+
+def _printable(line: str) -> str:
+    return line if line.isprintable() else line.encode("unicode_escape").decode()
 
 
 def die_with_parent(parent: int, number: int) -> None:

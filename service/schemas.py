@@ -19,7 +19,8 @@ from pydantic_core import PydanticCustomError
 Item = TypeVar("Item")
 
 _ID = r"^[0-9a-fA-F]{8}(-[0-9a-fA-F]{4}){3}-[0-9a-fA-F]{12}$"
-_LINE = r"^[^\x00-\x1f\x7f]*$"
+# No control characters (C0, C1), and none that turn round the order of what is shown
+_LINE = r"^[^\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]*$"
 _NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 _FILE_NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,254}$"
 _LETTERS = "letters, digits, '_', '.' and '-', with a letter or digit first"
@@ -30,7 +31,7 @@ MOST_STRANGERS = 30
 # The patterns of texts in words, for error messages
 IN_WORDS = {
     _ID: "an id is needed, such as 8c1d3a52-0f4e-4c5b-9b39-1f3a4f1f6c11",
-    _LINE: "one line of text is needed",
+    _LINE: "one line of text is needed, without control characters",
     _NAME: f"a name is needed of at most 64 {_LETTERS}",
     _FILE_NAME: f"a file's name is needed of at most 255 {_LETTERS}",
 }

@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import tempfile
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from pydantic import Field, IPvAnyNetwork, SecretStr, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
@@ -39,7 +39,7 @@ class Settings(BaseSettings):
         default=None, description="unfinished uploads; default: files_dir/uploads"
     )
     work_dir: Path | None = Field(
-        default=None, description="folders of attempts; default: data_dir/work"
+        default=None, description="the attempts, a folder an installation; default: data_dir/work"
     )
 
     host: str = "127.0.0.1"
@@ -117,6 +117,10 @@ class Settings(BaseSettings):
         default=300, gt=0, description="unreferenced files older than this go"
     )
 
+    scrub_per_minute: float = Field(
+        default=4, ge=0, description="stored files compared with their names; 0: none"
+    )
+
     ingest_workers: int = Field(default=1, ge=1)
     short_workers: int = Field(default=1, ge=1)
     long_workers: int = Field(default=1, ge=1)
@@ -177,12 +181,16 @@ class Settings(BaseSettings):
 
     @property
     def broker_socket(self) -> Path:
-        """Socket of the embedded broker: in data_dir if the path is short enough."""
+        """Socket of the embedded broker: in data_dir if the path is short enough.
+
+        Else in a folder of this user's alone: who could put a socket there before would be asked
+        for jobs in the broker's place.
+        """
         path = self.data_dir / "broker" / "valkey.sock"
         if len(str(path)) <= LONGEST_SOCKET_PATH:
             return path
-        key = hashlib.sha256(str(self.data_dir).encode()).hexdigest()[:16]
-        return Path(tempfile.gettempdir()) / f"myoface-{key}.sock"
+        private = os.environ.get("XDG_RUNTIME_DIR") or Path.home() / ".local" / "state"
+        return Path(private) / "myoface" / f"{_short_hash(str(self.data_dir))}.sock"
 
     @property
     def files(self) -> Path | str:
@@ -196,8 +204,14 @@ class Settings(BaseSettings):
 
     @property
     def work(self) -> Path:
-        """The folder of the workers' attempts."""
-        return self.work_dir or self.data_dir / "work"
+        """The folder of the workers' attempts.
+
+        Each installation has its own, also where several share `work_dir`: their sweepers remove
+        the attempts that are not in their own database.
+        """
+        url = urlsplit(self.database)
+        server = url.netloc.rpartition("@")[2]  # without the password, which may change
+        return (self.work_dir or self.data_dir / "work") / _short_hash(server + url.path)
 
     @property
     def _folder(self) -> Path:
@@ -209,6 +223,10 @@ class Settings(BaseSettings):
         if self.secret_key:
             values["secret_key"] = self.secret_key.get_secret_value()
         return {f"MYOFACE_{key.upper()}": _as_text(value) for key, value in values.items()}
+
+
+def _short_hash(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _as_text(value: object) -> str:

@@ -125,8 +125,12 @@ class Studio:
         ``rig`` has the ids of the subject and the model's job, if the job leaves a rig.
         """
         store = self.http.app.state.store.of(DEFAULT_TENANT)  # type: ignore[attr-defined]
+
+        def size(sha256: str) -> int:
+            return store.files.size(sha256) if store.files.exists(sha256) else 1
+
         left = [
-            Artifact(job_id=job_id, name=name, size=1, sha256=sha256, media_type="x")
+            Artifact(job_id=job_id, name=name, size=size(sha256), sha256=sha256, media_type="x")
             for name, sha256 in artifacts.items()
         ]
         with store.write() as session:
@@ -144,8 +148,8 @@ class Studio:
             claim = table.take(session, job_id, "test", 10)
             assert claim
             mine = {"tenant_id": claim.tenant_id, "job_id": job_id}
-            sha256 = store.files.put(Path(__file__)).sha256
-            left = Artifact(name="rig.glb", size=1, sha256=sha256, media_type="model/gltf", **mine)
+            file = vars(store.files.put(Path(__file__)))
+            left = Artifact(name="rig.glb", media_type="model/gltf", **file, **mine)
             rig = Rig(
                 subject_id=subject_id, model_job_id=job_id, expressions=[], summary={}, **mine
             )

@@ -7,7 +7,7 @@ import signal
 import threading
 
 from service import tracing
-from service.process import configure_logs, die_with_parent, hide_memory
+from service.process import configure_logs, die_with_parent, hide_memory, keep_private
 from service.queue.wakeups import QUEUES, WEBHOOKS
 from service.settings import Settings
 from service.store.database import Store
@@ -18,6 +18,7 @@ from worker.app import work
 
 def main() -> None:
     """Work until told to stop."""
+    keep_private()
     parser = argparse.ArgumentParser(prog="python -m worker", description=__doc__)
     parser.add_argument("queue", choices=(*QUEUES, WEBHOOKS))
     parser.add_argument(

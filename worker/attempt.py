@@ -9,10 +9,12 @@ from typing import Any
 
 from service.bounds import ERROR, SUMMARY, fit
 from service.queue.table import Claim
+from service.store.database import Store
 from service.store.files import Files
+from service.store.integrity import find_fault, note_fault
 from service.store.models import Artifact, Rig
 from solver.kinds import KINDS
-from worker.errors import VerdictError
+from worker.errors import LostInputError, VerdictError
 
 MEDIA_TYPES = {
     ".glb": "model/gltf-binary",
@@ -49,21 +51,26 @@ class AttemptFolder:
         self._stored = set(claim.frames)
         self._written: dict[str, int] = {}
 
-    def stage(self, files: Files) -> None:
+    def stage(self, store: Store) -> None:
         """Fetch the inputs, and the frames and files that earlier attempts left.
 
         Each input has a folder of its own: two may have the same file name.
+
+        Raises
+        ------
+        LostInputError
+            If one of them is lost or damaged.
         """
         (self.path / "out").mkdir(parents=True)
         inputs = []
         for number, item in enumerate(self._claim.inputs):
             path = self.path / "inputs" / str(number) / item["filename"]
-            files.fetch(item["sha256"], path)
+            _fetch(store, item, path)
             inputs.append({**item, "path": str(path)})
         for name, sha256 in self._claim.frames.items():
-            files.fetch(sha256, self.path / "out" / FRAMES / name)
+            _fetch(store, _left("frames", name, sha256), self.path / "out" / FRAMES / name)
         for name, sha256 in self._claim.kept.items():
-            files.fetch(sha256, self.path / "out" / name)
+            _fetch(store, _left("result so far", name, sha256), self.path / "out" / name)
         job = {
             "kind": self._claim.kind,
             "inputs": inputs,
@@ -179,3 +186,20 @@ class AttemptFolder:
         if not isinstance(found, dict):
             raise VerdictError(f"the solver left {name} that is no JSON object")
         return found
+
+
+def _left(role: str, name: str, sha256: str) -> dict[str, Any]:
+    """Describe what an earlier attempt left as an input is described."""
+    return {"role": role, "name": name, "filename": name, "sha256": sha256}
+
+
+def _fetch(store: Store, item: dict[str, Any], path: Path) -> None:
+    """Fetch a file; raises if it is the file that is at fault, not its store or this disk."""
+    try:
+        store.files.fetch(item["sha256"], path)
+    except OSError as error:
+        fault = find_fault(store.files, item["sha256"])
+        if fault is None:
+            raise
+        note_fault(store, item["sha256"], fault)
+        raise LostInputError(item, fault) from error

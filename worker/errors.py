@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import signal
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 # The exit code of a solver process that found the disk full
@@ -27,6 +27,22 @@ class VerdictError(Exception):
 
 class ShutdownError(Exception):
     """The worker is to stop."""
+
+
+class LostInputError(Exception):
+    """A file that a job reads is lost or damaged: no attempt can succeed."""
+
+    def __init__(self, item: Mapping[str, Any], fault: str) -> None:
+        what = item["filename"]
+        if item["name"] != what:
+            what += f" of {item['name']}"
+        super().__init__(f"the job's {item['role']}, {what}, is {fault} in the file store")
+        self.error = {
+            "code": "files.lost",
+            "message": str(self),
+            "file": item["filename"],
+            "capture": item["name"],
+        }
 
 
 def is_full(error: BaseException | None) -> bool:

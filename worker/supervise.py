@@ -27,6 +27,7 @@ from worker.errors import (
     STORAGE_FULL,
     CanceledError,
     LeaseLostError,
+    LostInputError,
     ShutdownError,
     VerdictError,
     exit_error,
@@ -81,6 +82,8 @@ class Supervisor:
             folder = AttemptFolder(self._settings.work, claim)
             try:
                 self._attempt(claim, folder)
+            except LostInputError as error:
+                self._fail(claim, error.error)
             except OSError as error:
                 if is_full(error):
                     self._postpone(claim)
@@ -91,7 +94,7 @@ class Supervisor:
         return True
 
     def _attempt(self, claim: Claim, folder: AttemptFolder) -> None:
-        folder.stage(self._store.files)
+        folder.stage(self._store)
         limit = self._limit(claim)
         process = SolverProcess(folder.path, self._settings, claim.tenant_id, limit)
         log.info("solver.started", pid=process.pid)
@@ -192,8 +195,8 @@ class Supervisor:
             done = self._commit(lambda session: table.succeed(session, *job, artifacts, **left))
             _report_end("succeeded" if done else "fenced")
         elif error is not None:
-            done = self._commit(lambda session: table.fail(session, *job, error))
-            _report_end("failed" if done else "fenced", failed=done, code=error["code"])
+            self._fail(claim, error)
+            return
         elif code == NO_ROOM:
             self._postpone(claim)
             return
@@ -206,6 +209,13 @@ class Supervisor:
 
     def _confirm_cancel(self, claim: Claim) -> None:
         self._commit(lambda session: table.confirm_cancel(session, claim.job_id, claim.attempt))
+
+    def _fail(self, claim: Claim, error: dict[str, Any]) -> None:
+        job = (claim.job_id, claim.attempt)
+        done = self._commit(lambda session: table.fail(session, *job, error))
+        _report_end("failed" if done else "fenced", failed=done, code=error["code"])
+        if not done:
+            self._confirm_cancel(claim)
 
     def _lose(self, claim: Claim, error: dict[str, Any]) -> None:
         self._commit(lambda session: table.lose(session, claim.job_id, claim.attempt, error))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import typer
 
 from myoface.cli.app import app
@@ -67,6 +69,7 @@ if checkout is not None:
 
 def main() -> None:
     """Run the command line; a fault that a person can act on ends it with one line and code 1."""
+    os.umask(0o077)  # what it writes is faces, and nobody else's to read
     if checkout is not None:
         checkout.configure_logs()
     faults = () if checkout is None else checkout.FAULTS

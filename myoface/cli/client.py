@@ -11,7 +11,15 @@ import typer
 
 from myoface.cli.app import NewFolder, SubjectId, Url, read_scene
 from myoface.cli.captures import choose, show_captures
-from myoface.cli.console import JobView, complain, out, show_table, show_verdict, transfer_bar
+from myoface.cli.console import (
+    JobView,
+    complain,
+    out,
+    printable,
+    show_table,
+    show_verdict,
+    transfer_bar,
+)
 from myoface.client import DEFAULT_URL, Client
 from myoface.errors import describe
 from myoface.resources import Artifact, Job, Result
@@ -123,7 +131,8 @@ def show_kinds(
         ]
         show_table(("option", "default", "allowed", "what"), rows)
     else:
-        raise typer.BadParameter(f"there is no kind {kind!r}; there are {', '.join(found)}")
+        known = ", ".join(found)
+        raise typer.BadParameter(f"there is no kind {kind!r}; there are {printable(known)}")
 
 
 def _limits(schema: dict[str, Any]) -> str:

@@ -156,6 +156,8 @@ def _print_page(path: str, url: str | None, data: Path) -> None:
         return
     settings = read_settings()
     key = read_settings(data_dir=data).admin_key.read_text()
-    page = f"http://{settings.host}:{settings.port}{path}#key={key}"
+    page = f"http://{settings.host}:{settings.port}{path}"
+    if out.is_terminal:  # never into a log
+        page += f"#key={key}"
     out.print(f"in the browser myoface up --data {shlex.quote(str(data))}", markup=False)
     out.print(f"               and open {page}", markup=False, soft_wrap=True)

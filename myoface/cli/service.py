@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import subprocess
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from pydantic import ValidationError
@@ -15,6 +15,9 @@ from rich.markup import escape
 from myoface.cli.console import complain, out
 from service.process import configure_logs
 from service.settings import Settings
+
+if TYPE_CHECKING:
+    from myoface.backup.folder import Manifest
 
 MARKS = {"ok": "[green]ok[/]     ", "warning": "[yellow]warning[/]", "fault": "[red]fault[/]  "}
 
@@ -36,7 +39,8 @@ def up(port: Port = None, data: Data = None) -> None:
         out.print(f"Myoface listens on {stack.url}. Ctrl-C stops it.")
         out.print(f"Its key is in {settings.admin_key}.", markup=False)
         if is_loopback(settings.host):
-            out.print(f"Its page: {stack.url}/#key={stack.key}", markup=False, soft_wrap=True)
+            key = f"#key={stack.key}" if out.is_terminal else ""  # never into a log
+            out.print(f"Its page: {stack.url}/{key}", markup=False, soft_wrap=True)
         stack.wait()
 
 
@@ -73,34 +77,61 @@ def doctor(port: Port = None, data: Data = None) -> None:
 
 def backup(
     folder: BackupFolder,
+    data: Data = None,
     deletions: Annotated[
         bool, typer.Option("--deletions", help="only note what was deleted since")
     ] = False,
+    keep: Annotated[int, typer.Option(min=1, help="backups that stay in the folder")] = 1,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="read all of it again and restore it for a try")
+    ] = False,
 ) -> None:
-    """Copy the database and every file into a folder, also while the service runs."""
-    from myoface.backup import back_up, note_deletions
-    from service.store.database import Store
+    """Copy the database and every file into a folder, also while the service runs.
 
-    settings = read_settings()
+    It ends with 1 if files are lost or damaged in the service itself: the rest is in the backup.
+    """
+    from myoface import backup as backups
+
+    settings = _settings(None, data)
     if deletions:
-        store = Store(settings.database, settings.files, settings.broker)
-        out.print(f"{note_deletions(store, folder)} deletions noted")
-        store.close()
+        out.print(f"{backups.note_deletions(settings, folder)} deletions noted")
         return
-    manifest = back_up(settings, folder)
-    out.print(f"{len(manifest.files)} files and the database as of {manifest.made_at:%F %T} UTC")
+    manifest = backups.back_up(settings, folder, keep=keep, reread=verify)
+    _show_backup(manifest)
+    if verify:
+        backups.verify(folder)
+        out.print("verified: it can be restored")
     if manifest.missing:
-        out.print(f"{len(manifest.missing)} files are missing in the store itself")
         raise typer.Exit(1)
 
 
-def restore(folder: Annotated[Path, typer.Argument(exists=True, file_okay=False)]) -> None:
+def restore(
+    folder: Annotated[Path, typer.Argument(exists=True, file_okay=False)],
+    data: Data = None,
+    at: Annotated[
+        str | None, typer.Option(help="an older backup of the folder, by its moment")
+    ] = None,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="only try it, in a scratch folder")
+    ] = False,
+) -> None:
     """Fill an empty service from a backup; what was deleted after it stays deleted."""
-    from myoface.backup import restore as fill
+    from myoface import backup as backups
 
-    manifest, again = fill(read_settings(), folder)
+    if verify:
+        _show_backup(backups.verify(folder, at)[0])
+        out.print("verified: it can be restored")
+        return
+    manifest, repeated = backups.restore(_settings(None, data), folder, at)
+    _show_backup(manifest)
+    out.print(f"{repeated} later deletions repeated")
+
+
+def _show_backup(manifest: Manifest) -> None:
     out.print(f"{len(manifest.files)} files and the database as of {manifest.made_at:%F %T} UTC")
-    out.print(f"{again} later deletions repeated")
+    for each in manifest.missing:
+        owners = ", ".join(each.belongs_to) or "something deleted since"
+        out.print(f"not in it: {each.fault} in the service: {owners} ({each.sha256})", markup=False)
 
 
 def compile_kernels() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -27,6 +28,8 @@ PYTHONS = ((3, 11), (3, 14))
 WANTED_DISK_GB = 5.0
 WANTED_MEMORY_GB = 4.0
 CHILD_TIMEOUT_S = 120.0
+# Bits of a file's mode that let others than its owner in
+OTHERS = 0o077
 
 NEEDED_EXTRAS = ("service", "solver")
 REINSTALL = "reinstall: rm -rf .venv && make setup"
@@ -84,12 +87,22 @@ def _is_needed(requirement: Requirement) -> bool:
 def data_folder(folder: Path) -> Diagnosis:
     """Check that files can be written where the service keeps its data."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             return Diagnosis("data folder", "ok", str(folder))
     except OSError as error:
         advice = "set MYOFACE_DATA_DIR to a folder that you can write to"
         return Diagnosis("data folder", "fault", f"{folder}: {error.strerror}", advice)
+
+
+def access(*folders: Path) -> Diagnosis:
+    """Check that no other user can look into the folders: what is in them is faces."""
+    wide = [folder for folder in folders if folder.exists() and folder.stat().st_mode & OTHERS]
+    if not wide:
+        return Diagnosis("access", "ok", "nobody else's")
+    found = "others can look into " + ", ".join(map(str, wide))
+    advice = f"chmod -R go= {shlex.join(map(str, wide))}"
+    return Diagnosis("access", "warning", found, advice)
 
 
 def disk(folder: Path) -> Diagnosis:

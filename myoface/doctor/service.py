@@ -10,29 +10,29 @@ from datetime import timedelta
 from pathlib import Path
 
 import redis
-from alembic.config import Config
-from alembic.migration import MigrationContext
-from alembic.script import ScriptDirectory
 from sqlalchemy import func, select
 from sqlalchemy.exc import SQLAlchemyError
 
-from myoface.doctor.machine import Diagnosis
+from myoface.doctor.machine import OTHERS, Diagnosis
 from service.access.keys import Keyring
 from service.errors import Problem
 from service.queue.states import HELD, State
 from service.queue.wakeups import QUEUES, connect
 from service.secret import secret as secret_of
 from service.settings import Settings
+from service.store import deletion
 from service.store.broker import BrokerNotFoundError, find_server
-from service.store.database import MIGRATIONS, Database, Store, clock
+from service.store.database import Database, Store, clock, known_revisions, revision_of
 from service.store.files import Files
+from service.store.integrity import faults, holders
 from service.store.models import ApiKey, Job, now
 from service.system.service import living_workers
 
 MOST_SKEW = timedelta(seconds=2)
 LONG_QUEUED = timedelta(minutes=10)
 LONG_LOST = timedelta(minutes=1)
-OWNER_ONLY = 0o077
+# Lost files that are named
+MOST_LISTED = 50
 
 
 def broker(settings: Settings) -> Diagnosis:
@@ -58,7 +58,7 @@ def secret(settings: Settings) -> Diagnosis:
     path = settings.data_dir / "secret"
     if not path.exists():
         return Diagnosis("secret", "ok", "the first start makes one")
-    if path.stat().st_mode & OWNER_ONLY:
+    if path.stat().st_mode & OTHERS:
         return Diagnosis("secret", "fault", f"others can read {path}", f"chmod 600 {path}")
     return Diagnosis("secret", "ok", str(path))
 
@@ -85,6 +85,7 @@ def stores(settings: Settings) -> Iterator[Diagnosis]:
         yield keys(store, settings)
         yield workers(store, settings)
         yield stuck(store)
+        yield lost_files(store)
     except SQLAlchemyError as error:
         line = str(error).partition("\n")[0]
         yield Diagnosis(
@@ -112,11 +113,9 @@ def files(place: Files) -> Diagnosis:
 
 def tables(database: Database) -> Diagnosis:
     """Check that the tables are those of this version."""
-    config = Config()
-    config.set_main_option("script_location", str(MIGRATIONS))
-    wanted = ScriptDirectory.from_config(config).get_current_head()
+    wanted = known_revisions()[0]
     with database.engine.connect() as connection:
-        found = MigrationContext.configure(connection).get_current_revision()
+        found = revision_of(connection)
     if found == wanted:
         return Diagnosis("database", "ok", f"at revision {found}")
     advice = "the next start brings older tables up to date; newer ones need the newer version"
@@ -178,3 +177,26 @@ def stuck(store: Store) -> Diagnosis:
         return Diagnosis("jobs", "ok", "none is stuck")
     advice = "is a worker up for each queue? its log, and myoface_* in /metrics, say more"
     return Diagnosis("jobs", "warning", words, advice)
+
+
+def lost_files(store: Store) -> Diagnosis:
+    """List the files that rows refer to and the store has not, or not whole.
+
+    What is damaged is known from whoever read it last: the scrubber reads all in turn.
+    """
+    there = {stored.sha256 for stored in (*store.files.list_stored(), *store.files.list_aside())}
+    with store.read() as session:
+        wanted = deletion.references(session)
+        found = dict.fromkeys(wanted - there, "lost")
+        found |= {name: fault for name, fault in faults(session).items() if name in wanted & there}
+        owners = holders(session, found)
+    if not found:
+        return Diagnosis("stored files", "ok", f"{len(wanted)}, none known as lost or damaged")
+    words = [
+        f"{fault}: {', '.join(owners.get(sha256, ['an input of a job']))} ({sha256})"
+        for sha256, fault in sorted(found.items())
+    ]
+    left_out = len(words) - MOST_LISTED
+    words[MOST_LISTED:] = [f"and {left_out} more"] if left_out > 0 else []
+    advice = "copy them out of a backup's files/, or delete what they belong to and send it again"
+    return Diagnosis("stored files", "fault", "; ".join(words), advice)

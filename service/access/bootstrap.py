@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ipaddress
-import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from service.access.principal import Principal, Scope
 from service.records.audit import record
 from service.settings import Settings
 from service.store.database import Store
+from service.store.durable import write_durably
 from service.store.models import DEFAULT_TENANT, ApiKey, Tenant
 
 # Stands for a key id in the audit log when somebody on the machine itself had no key
@@ -34,7 +34,10 @@ def prepare(store: Store, keyring: Keyring, settings: Settings) -> None:
     ------
     OpenDoorError
         If the API is to listen beyond this machine and is not protected.
+    UnfinishedRestoreError
+        If a restore was interrupted.
     """
+    store.database.refuse_unfinished()
     store.database.migrate()
     if is_loopback(settings.host):
         admin_key(store, keyring, settings, only_first=True)
@@ -94,22 +97,12 @@ def change_tenant(session: Session, tenant_id: str, **limits: int | None) -> boo
     return True
 
 
-def write_secret(path: Path, content: bytes) -> None:
-    """Write a file that only its owner can read; it is there as a whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    fresh = path.with_name(f"{path.name}.{os.getpid()}")
-    descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
-    with os.fdopen(descriptor, "wb") as file:
-        file.write(content)
-    fresh.replace(path)
-
-
 def _mint(
     session: Session, keyring: Keyring, tenant_id: str, scopes: Iterable[Scope], path: Path
 ) -> None:
     key, text = keyring.mint(session, tenant_id, "admin", scopes)
     record(session, Principal(tenant_id, OPERATOR, frozenset()), "key.created", key.id)
-    write_secret(path, text.encode())
+    write_durably(path, text.encode())
 
 
 def _refuse_open_door(store: Store, settings: Settings) -> None:

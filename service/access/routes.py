@@ -15,6 +15,7 @@ from service.errors import problems
 from service.idempotency import Once
 from service.records.audit import record
 from service.schemas import Page
+from service.store.integrity import faults, holders
 from service.store.models import ApiKey
 from service.store.tenancy import own_tenant
 
@@ -97,4 +98,5 @@ def usage(session: ReadSession) -> Usage:
         bytes=Use(used=limits.stored_bytes(session, tenant.id), limit=tenant.max_bytes),
         queued=Use(used=limits.count_queued(session), limit=limits.most_queued(tenant)),
         running=Use(used=limits.count_running(session), limit=tenant.max_running),
+        lost_files=len(holders(session, faults(session))),
     )

@@ -75,3 +75,4 @@ class Usage(BaseModel):
     )
     queued: Use = Field(description="jobs that wait")
     running: Use = Field(description="jobs that a worker has; more wait in the queue")
+    lost_files: int = Field(description="files that the service has lost or damaged")

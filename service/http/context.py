@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 import uuid
+from urllib.parse import quote
 
 import structlog
 from starlette.requests import Request
@@ -18,6 +19,23 @@ ACCEPTED_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 QUIET = frozenset({"/healthz", "/readyz"})
 
 log = structlog.get_logger()
+
+# A path of no route that is logged is cut to this
+LONGEST_PATH = 200
+
+
+def path_of(scope: Scope) -> str:
+    """Return the path for the log: no names of people's expressions, nothing but plain letters.
+
+    That is the route with its ids put in, or the path of no route, percent-encoded.
+    """
+    route = getattr(scope.get("route"), "path", None)
+    if route is None:
+        return quote(scope["path"], safe="/", errors="replace")[:LONGEST_PATH]
+    for name, value in scope.get("path_params", {}).items():
+        if name.endswith("_id") and ACCEPTED_ID.fullmatch(str(value)):
+            route = route.replace(f"{{{name}}}", value)
+    return str(route)
 
 
 class RequestContext:
@@ -57,7 +75,7 @@ class RequestContext:
                     if span is not None:
                         tracing.note_answer(span, method_of(scope), route_of(scope), status)
         except Exception:
-            log.exception("request.failed", method=request.method, path=request.url.path)
+            log.exception("request.failed", method=method_of(scope), path=path_of(scope))
             if status:
                 raise  # the response has begun: only cutting it off tells the client
             problem = Problem(500, "internal", "the service failed; its log has the request id")
@@ -66,8 +84,8 @@ class RequestContext:
             if request.url.path not in QUIET:
                 log.info(
                     "request",
-                    method=request.method,
-                    path=request.url.path,
+                    method=method_of(scope),
+                    path=path_of(scope),
                     status=status,
                     key=getattr(request.state, "key_id", None),
                     ms=round(1000 * (time.perf_counter() - started), 1),

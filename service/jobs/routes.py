@@ -214,7 +214,7 @@ def log(
 @router.get(
     "/{job_id}/frames",
     summary="Read the frames of a sequence or simulation",
-    responses=problems(404, 409, 422),
+    responses=problems(404, 409, 410, 422),
 )
 def read_frames(
     job_id: Id, session: ReadSession, store: ReadStore, start: Position = 0, limit: Limit = 100
@@ -223,7 +223,7 @@ def read_frames(
 
     They stay when the job fails or is canceled.
     """
-    found, ready = service.read_frames(session, store.files, job_id, start, limit)
+    found, ready = service.read_frames(session, store, job_id, start, limit)
     views: Any = found
     return FramesView(frames=views, next=start + len(found), ready=ready)
 
@@ -235,12 +235,12 @@ def read_frames(
     responses={
         200: {"content": {"image/jpeg": {}}},
         204: {"description": "No frame has a picture yet"},
-        **problems(404, 409, 422),
+        **problems(404, 409, 410, 422),
     },
 )
 def read_picture(job_id: Id, session: ReadSession, store: ReadStore) -> Response:
     """Read a small picture of the newest frame that has one, also while the job runs."""
-    picture = service.newest_picture(session, store.files, job_id)
+    picture = service.newest_picture(session, store, job_id)
     if picture is None:
         return Response(status_code=204)
     return Response(picture, media_type="image/jpeg", headers={"Cache-Control": "no-store"})

@@ -10,15 +10,16 @@ from sqlalchemy.orm import Session
 
 from service import tracing
 from service.access.limits import check_bytes, check_queued
-from service.errors import Problem
+from service.errors import Problem, lost
 from service.jobs import repository
 from service.jobs.inputs import resolve
 from service.jobs.options import check_options, find_kind
 from service.jobs.schemas import Cancel, NewJob, Retry
 from service.queue import table
 from service.queue.states import FINAL
-from service.store.files import Files
-from service.store.models import Job, new_id
+from service.store.database import Store
+from service.store.integrity import LostFileError, note_fault, open_checked
+from service.store.models import FrameChunk, Job, new_id
 from service.subjects import repository as subjects
 from solver.kinds import KINDS
 
@@ -94,7 +95,7 @@ def cancel(session: Session, job_id: str, order: Cancel) -> None:
 
 
 def read_frames(
-    session: Session, files: Files, job_id: str, start: int, limit: int
+    session: Session, store: Store, job_id: str, start: int, limit: int
 ) -> tuple[list[dict[str, Any]], int]:
     """Return the frames from the ``start``-th on, at most ``limit``, and how many are ready."""
     _check_frames(session, job_id)
@@ -102,18 +103,28 @@ def read_frames(
     found: list[dict[str, Any]] = []
     for chunk in chunks:
         if chunk.first < start + limit and chunk.last >= start:
-            frames = json.loads(files.read(chunk.sha256))["frames"]
+            frames = _read_chunk(store, chunk)["frames"]
             found += frames[max(start - chunk.first, 0) : start + limit - chunk.first]
     return found, chunks[-1].last + 1 if chunks else 0
 
 
-def newest_picture(session: Session, files: Files, job_id: str) -> bytes | None:
+def newest_picture(session: Session, store: Store, job_id: str) -> bytes | None:
     """Return a JPEG of the newest frame that has one, None before there is any."""
     _check_frames(session, job_id)
     for chunk in reversed(table.frames(session, job_id)):
-        if picture := json.loads(files.read(chunk.sha256)).get("picture"):
+        if picture := _read_chunk(store, chunk).get("picture"):
             return base64.b64decode(picture)
     return None
+
+
+def _read_chunk(store: Store, chunk: FrameChunk) -> dict[str, Any]:
+    """Return a file of frames; raises a problem if it is lost or damaged."""
+    try:
+        content: dict[str, Any] = json.loads(b"".join(open_checked(store.files, chunk.sha256)))
+    except LostFileError as error:
+        note_fault(store, error.sha256, error.fault)
+        raise lost(chunk.filename, error.fault, job_id=chunk.job_id) from error
+    return content
 
 
 def _check_frames(session: Session, job_id: str) -> None:

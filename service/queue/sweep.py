@@ -21,6 +21,9 @@ BATCH = 1000
 # Office of the worker that sweeps
 SWEEPER = "sweeper"
 
+# An office's end lies at most so many terms ahead: another holder's settings may be others
+LONGEST_TERMS = 2
+
 MOST_FILES = 200
 UNMEASURED = (
     (Capture.landmarks_sha256, Capture.landmarks_size),
@@ -29,10 +32,14 @@ UNMEASURED = (
 
 
 def hold_office(session: Session, office: str, holder: str, seconds: float) -> bool:
-    """Take or keep an office that one process holds at a time; False: somebody else has it."""
+    """Take or keep an office that one process holds at a time; False: somebody else has it.
+
+    One that is held for longer than anybody takes it is free: the clock has been set back.
+    """
     moment = clock(session)
     until = moment + timedelta(seconds=seconds)
-    mine_or_free = (Lease.holder == holder) | (Lease.until < moment)
+    too_late = moment + LONGEST_TERMS * timedelta(seconds=seconds)
+    mine_or_free = (Lease.holder == holder) | (Lease.until < moment) | (Lease.until > too_late)
     taken = session.execute(
         update(Lease)
         .where(Lease.office == office, mine_or_free)

@@ -10,8 +10,9 @@ from urllib.parse import quote
 from fastapi import Request, Response
 from fastapi.responses import StreamingResponse
 
-from service.errors import Problem, not_found
-from service.store.files import Files
+from service.errors import Problem, lost, not_found
+from service.store.database import Store
+from service.store.integrity import LostFileError, known_fault, note_fault, open_checked
 from service.store.models import Artifact
 
 PAGE = "text/html"
@@ -28,13 +29,14 @@ class Span(NamedTuple):
     end: int
 
 
-def send(artifact: Artifact, files: Files, request: Request) -> Response:
+def send(artifact: Artifact, store: Store, request: Request) -> Response:
     """Return the response to a GET or HEAD of an artifact: the file, a range, or 304.
 
     Raises
     ------
     Problem
-        404 if the file is being deleted, 416 for a range that it does not have.
+        404 if the file is being deleted, 410 if it is lost or damaged, 416 for a range that it does
+        not have.
     """
     tag = f'"{artifact.sha256}"'
     headers = {
@@ -54,21 +56,47 @@ def send(artifact: Artifact, files: Files, request: Request) -> Response:
     if span:
         headers["Content-Range"] = f"bytes {start}-{end - 1}/{artifact.size}"
     return StreamingResponse(
-        _blocks(artifact, files, request, Span(start, end)),
+        _blocks(artifact, store, request, Span(start, end)),
         206 if span else 200,
         headers=headers,
         media_type=artifact.media_type,
     )
 
 
-def _blocks(artifact: Artifact, files: Files, request: Request, span: Span) -> Iterator[bytes]:
-    """Open the file, so that a missing one is known before the response begins."""
-    if request.method == "HEAD":
-        return iter(())
+def _blocks(artifact: Artifact, store: Store, request: Request, span: Span) -> Iterator[bytes]:
+    """Open the file, so that one that is lost or damaged is known before the response begins."""
+    sha256 = artifact.sha256
+    is_whole = span == Span(0, artifact.size)
     try:
-        return files.open(artifact.sha256, *span)
-    except FileNotFoundError as error:
-        raise not_found("artifact", artifact.id) from error
+        if fault := known_fault(store, sha256):
+            raise LostFileError(sha256, fault)
+        if request.method == "GET" and is_whole:
+            return _noting(open_checked(store.files, sha256), store)
+        if store.files.size(sha256) != artifact.size:
+            raise LostFileError(sha256, "damaged")
+        return store.files.open(sha256, *span) if request.method == "GET" else iter(())
+    except FileNotFoundError:
+        raise _lost(artifact, store, LostFileError(sha256, "lost")) from None
+    except LostFileError as error:
+        raise _lost(artifact, store, error) from error
+
+
+def _noting(blocks: Iterator[bytes], store: Store) -> Iterator[bytes]:
+    """Cut off a large file whose end shows that it is damaged: the next request is refused."""
+    try:
+        yield from blocks
+    except LostFileError as error:
+        note_fault(store, error.sha256, error.fault)
+        raise
+
+
+def _lost(artifact: Artifact, store: Store, error: LostFileError) -> Problem:
+    """Return the problem of a file that cannot be sent, unless it is being deleted."""
+    with store.read() as session:
+        if session.get(Artifact, artifact.id) is None:
+            return not_found("artifact", artifact.id)
+    note_fault(store, error.sha256, error.fault)
+    return lost(artifact.name, error.fault, artifact_id=artifact.id)
 
 
 def _has(given: str, tag: str) -> bool:

@@ -47,7 +47,7 @@ FILE: dict[int | str, dict[str, Any]] = {
     200: {"description": "The file", "content": {"*/*": {}}},
     206: {"description": "A range of the file"},
     304: {"description": "The caller's copy is the file"},
-    **problems(404, 416, 422),
+    **problems(404, 410, 416, 422),
 }
 
 
@@ -98,7 +98,7 @@ def download_by_name(
     `activations.npz` and `muscle_weights.npz` beside a `rig.npz` are deprecated: it holds both.
     """
     rig = repository.get(session, rig_id)
-    response = send(repository.artifact_of_rig(session, rig, name), store.files, request)
+    response = send(repository.artifact_of_rig(session, rig, name), store, request)
     if name in FILES_OF_0_1 and any(each.name == repository.RIG_FILE for each in rig.artifacts):
         whole = f"/v1/rigs/{rig.id}/artifacts/{repository.RIG_FILE}"
         response.headers["Deprecation"] = FILES_DEPRECATED
@@ -127,7 +127,7 @@ def download(artifact_id: Id, store: FileStore, request: Request) -> Response:
     """
     with store.read() as session:
         artifact = repository.artifact(session, artifact_id)
-    return send(artifact, store.files, request)
+    return send(artifact, store, request)
 
 
 @router.post(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import os
 import shutil
 import subprocess
 import time
@@ -42,9 +43,12 @@ class EmbeddedBroker:
         Raises
         ------
         BrokerNotFoundError
-            If no server program is installed, or it does not start.
+            If no server program is installed, it does not start, or others could have put a
+            socket in its place.
         """
-        self.folder.mkdir(parents=True, exist_ok=True)
+        for folder in (self.folder, self.socket.parent):
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        self._refuse_strangers()
         with (self.folder / "lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             if self.answers():
@@ -56,6 +60,16 @@ class EmbeddedBroker:
                 )
             self._wait()
         log.info("broker.started", pid=self._process.pid, socket=str(self.socket))
+
+    def _refuse_strangers(self) -> None:
+        """Raise if the socket's folder, where it is not the broker's, is another user's too."""
+        folder = self.socket.parent
+        info = folder.stat()
+        if folder != self.folder and (info.st_uid != os.geteuid() or info.st_mode & 0o022):
+            raise BrokerNotFoundError(
+                f"{folder} is not this user's alone, and another could answer in the broker's "
+                "place: set XDG_RUNTIME_DIR, or a shorter MYOFACE_DATA_DIR"
+            )
 
     def answers(self) -> bool:
         """Return whether a server answers on the socket."""

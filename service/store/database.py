@@ -15,17 +15,31 @@ from alembic import command
 from alembic.config import Config
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from sqlalchemy import Connection, Engine, create_engine, event, func, make_url, select, text
+from sqlalchemy import (
+    Connection,
+    Engine,
+    create_engine,
+    event,
+    func,
+    inspect,
+    make_url,
+    select,
+    text,
+)
 from sqlalchemy.orm import Session
 
 from service.queue.wakeups import WAKE, WakeUps
 from service.store.files import files_at
+from service.store.migrations.merging import TENANTS, refuse_merging
 from service.store.models import now
 from service.store.tenancy import TENANT
 
 MIGRATIONS = Path(__file__).parent / "migrations"
+# FULL: what was acknowledged outlives a power cut, a deletion as well as an upload.
 # secure_delete: what is deleted is overwritten, and does not stay in a free page
-PRAGMAS = ("journal_mode=WAL", "synchronous=NORMAL", "foreign_keys=ON", "secure_delete=ON")
+PRAGMAS = ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", "secure_delete=ON")
+# A table that is there while a restore into PostgreSQL is not finished
+UNFINISHED = "myoface_restoring"
 MIGRATION_LOCK = 0x6D796F  # any constant: PostgreSQL's advisory locks go by number
 
 
@@ -48,6 +62,10 @@ class NewerDatabaseError(Exception):
     """A newer release has changed the tables in ways that this one does not know."""
 
 
+class UnfinishedRestoreError(Exception):
+    """A restore was interrupted: what was deleted after the backup is there again."""
+
+
 class Database:
     """An engine for SQLite (WAL) or PostgreSQL.
 
@@ -58,7 +76,7 @@ class Database:
     def __init__(self, url: str) -> None:
         self.url = make_url(url)
         if self.is_sqlite and self.url.database:
-            Path(self.url.database).parent.mkdir(parents=True, exist_ok=True)
+            Path(self.url.database).parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         self.engine = _engine(str(url), self.is_sqlite)
         self._writing = self.engine.execution_options(writes=True)
 
@@ -93,12 +111,25 @@ class Database:
         NewerDatabaseError
             If the schema has a revision that this release does not have.
         """
-        config = Config()
-        config.set_main_option("script_location", str(MIGRATIONS))
+        config = _migrations()
         with self._one_at_a_time(), self._migrating() as connection:
-            _refuse_newer(connection, config)
+            current = _refuse_newer(connection)
+            if move is command.downgrade and _is_before_tenants(current, revision):
+                refuse_merging(connection)  # before the first step: SQLite takes none back
+                connection.rollback()
             config.attributes["connection"] = connection
             move(config, revision)
+
+    def refuse_unfinished(self) -> None:
+        """Raise if a restore was interrupted.
+
+        Raises
+        ------
+        UnfinishedRestoreError
+            If it was: it must be done again before anybody sees what is there.
+        """
+        if inspect(self.engine).has_table(UNFINISHED):
+            raise UnfinishedRestoreError("a restore was interrupted: run `myoface restore` again")
 
     @contextmanager
     def _migrating(self) -> Iterator[Connection]:
@@ -149,15 +180,41 @@ class Database:
         self.engine.dispose()
 
 
-def _refuse_newer(connection: Connection, config: Config) -> None:
-    current = MigrationContext.configure(connection).get_current_revision()
+def known_revisions() -> list[str]:
+    """Return the revisions of the tables that this release has, the newest first."""
+    scripts = ScriptDirectory.from_config(_migrations()).walk_revisions()
+    return [script.revision for script in scripts]
+
+
+def revision_of(connection: Connection) -> str | None:
+    """Return the revision that the tables have; None: there are none."""
+    return MigrationContext.configure(connection).get_current_revision()
+
+
+def _migrations() -> Config:
+    config = Config()
+    config.set_main_option("script_location", str(MIGRATIONS))
+    return config
+
+
+def _is_before_tenants(current: str | None, revision: str) -> bool:
+    """Return whether tenants are lost on the way back to a revision; one step back says it."""
+    known = [*known_revisions(), "base"]
+    if current not in known or revision not in known:
+        return False
+    return TENANTS in known[known.index(current) : known.index(revision)]
+
+
+def _refuse_newer(connection: Connection) -> str | None:
+    """Return the revision of the tables, if this release knows it."""
+    current = revision_of(connection)
     connection.rollback()  # else Alembic would take the transaction for its caller's
-    known = {script.revision for script in ScriptDirectory.from_config(config).walk_revisions()}
-    if current is not None and current not in known:
+    if current is not None and current not in known_revisions():
         raise NewerDatabaseError(
             f"the database is of a newer release (revision {current}): start that release, "
             "or restore a backup of this one's"
         )
+    return current
 
 
 def clock(session: Session) -> datetime:

@@ -29,6 +29,7 @@ from service.queue.sweep import SWEEPER
 from service.queue.wakeups import QUEUES, WEBHOOKS
 from service.settings import Settings
 from service.store.database import Store, clock
+from service.store.integrity import faults
 from service.store.models import Artifact, Attempt, Capture, Delivery, Job, Lease
 from service.system.service import readiness
 from solver.kinds import KINDS
@@ -136,6 +137,7 @@ class StateCollector(Collector):
                 yield from _overdue(session, moment)
                 yield from _recent(session, moment)
                 yield from _sizes(session)
+                yield from _faults(session)
         except SQLAlchemyError as error:
             log.warning("database.unreachable", error=str(error))
 
@@ -270,6 +272,12 @@ def _sizes(session: Session) -> Iterator[Metric]:
     sizes = {"scans": total(Capture.size), "results": total(Artifact.size)}
     text = "What captures and results refer to, before equal files are stored once"
     yield _gauge("myoface_stored_bytes", text, "what", sizes)
+
+
+def _faults(session: Session) -> Iterator[Metric]:
+    counts = dict.fromkeys(("lost", "damaged"), 0) | Counter(faults(session).values())
+    text = "Stored files that were found lost or damaged"
+    yield _gauge("myoface_file_faults", text, "fault", counts)
 
 
 def _gauge(name: str, text: str, label: str, values: Mapping[str, float]) -> Metric:

@@ -11,7 +11,7 @@ import hashlib
 import os
 import re
 from collections.abc import AsyncIterator, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import timedelta
 from pathlib import Path
 from typing import BinaryIO
@@ -142,6 +142,9 @@ class UploadService:
         with self._lock_part(upload_id) as part:
             upload = await to_thread.run_sync(self.get, upload_id)
             _check_offset(upload, offset)
+            if (found := part.seek(0, os.SEEK_END)) < offset:
+                # a power cut took bytes that were counted
+                _check_offset(await to_thread.run_sync(self._count, upload, found), offset)
             digest = hashlib.new(checksum.algorithm) if checksum else None
             part.seek(offset)
             part.truncate()
@@ -173,6 +176,9 @@ class UploadService:
 
     def _complete(self, upload: Upload) -> Upload:
         part = self._part(upload.id)
+        with suppress(FileNotFoundError):
+            if (found := part.stat().st_size) < upload.size:
+                return self._count(upload, found)
         try:
             blob = self._store.files.put(part)
         except (

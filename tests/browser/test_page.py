@@ -395,6 +395,7 @@ def test_a_key_is_asked_for_taken_from_the_address_and_forgotten(
 
     page = show("/health")
     page.get_by_text("All parts answer").wait_for()
+    page.get_by_role("row", name="Lost or damaged files none").wait_for()
     assert studio.key not in page.url
     page.get_by_role("link", name="Signed in").click()
     page.get_by_role("button", name="Make a key").click()

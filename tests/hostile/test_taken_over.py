@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -66,3 +67,12 @@ def test_the_environment_of_a_solver_is_an_allow_list(monkeypatch: pytest.Monkey
     assert "secret" not in {value for name, value in seen.items() if name != "STUDIO"}
     assert seen["STUDIO"] == "secret"
     assert seen["PATH"] == os.environ["PATH"]
+
+
+def test_the_memory_of_api_and_workers_is_their_own() -> None:
+    code = (
+        "import ctypes; from service.process import hide_memory; hide_memory();"
+        "print(ctypes.CDLL(None).prctl(3, 0, 0, 0, 0))"  # PR_GET_DUMPABLE
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "0"

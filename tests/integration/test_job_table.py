@@ -17,7 +17,7 @@ from service.queue.table import Claim
 from service.settings import Settings
 from service.store import retention
 from service.store.database import Store, clock
-from service.store.models import DEFAULT_TENANT, Job, Subject, Tenant
+from service.store.models import DEFAULT_TENANT, Job, Lease, Subject, Tenant
 from tests.service_client import running, served
 
 pytestmark = pytest.mark.telling
@@ -47,6 +47,20 @@ def test_a_job_is_claimed_by_one_of_many(store: Store) -> None:
     for thread in threads:
         thread.join()
     assert [one.attempt for one in claims if one] == [1]
+
+
+def test_an_office_held_far_into_the_future_is_free(store: Store) -> None:
+    with store.write() as session:
+        assert sweep.hold_office(session, "sweeper", "dead", 15)
+    with store.write() as session:
+        assert not sweep.hold_office(session, "sweeper", "other", 15)
+        lease = session.get_one(Lease, "sweeper")
+        lease.until = clock(session) + timedelta(hours=1)  # the clock was set back by an hour
+    with store.write() as session:
+        assert sweep.hold_office(session, "sweeper", "other", 15)
+        assert session.get_one(Lease, "sweeper").until < clock(session) + timedelta(seconds=16)
+    with store.write() as session:
+        assert not sweep.hold_office(session, "sweeper", "dead", 15)
 
 
 def test_a_lost_attempt_is_fenced_off(store: Store) -> None:

@@ -9,11 +9,12 @@ import pytest
 from alembic import command
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
+from alembic.util import CommandError
 from sqlalchemy import func, select, text
 
 from service.settings import Settings
-from service.store.database import Database, NewerDatabaseError
-from service.store.models import DEFAULT_TENANT, Base, Subject, Upload
+from service.store.database import Database, NewerDatabaseError, known_revisions, revision_of
+from service.store.models import DEFAULT_TENANT, Base, Subject, Tenant, Upload
 
 pytestmark = pytest.mark.telling
 
@@ -45,6 +46,26 @@ def test_a_database_of_a_newer_release_is_refused_with_a_sentence(database: Data
         connection.execute(text("UPDATE alembic_version SET version_num = '9999'"))
     with pytest.raises(NewerDatabaseError, match="newer release"):
         database.migrate()
+    database.close()
+
+
+def test_going_back_to_before_tenants_merges_nobody(database: Database) -> None:
+    database.migrate()
+    with database.write() as session:
+        session.add(Tenant(id="north", name="North"))
+    for tenant in (DEFAULT_TENANT, "north"):
+        with database.write(tenant) as session:
+            session.add(Subject(name=f"of {tenant}"))
+    with pytest.raises(CommandError, match="2, whose people would become one tenant's"):
+        database.migrate(command.downgrade, "0003")
+    with database.engine.connect() as connection:
+        assert revision_of(connection) == known_revisions()[0]  # no step was taken
+    with database.read() as session:
+        assert len(set(session.scalars(select(Subject.tenant_id)))) == 2
+        session.execute(text("DELETE FROM subjects WHERE tenant_id = 'north'"))
+        session.execute(text("DELETE FROM tenants WHERE id = 'north'"))
+        session.commit()
+    database.migrate(command.downgrade, "0003")
     database.close()
 
 

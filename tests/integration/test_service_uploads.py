@@ -50,6 +50,22 @@ def test_an_upload_resumes_where_the_service_died(settings: Settings) -> None:
     assert not list(settings.uploads.iterdir())
 
 
+@pytest.mark.parametrize("counted", [1000, len(SCAN)])
+def test_bytes_that_a_power_cut_took_are_sent_again(settings: Settings, counted: int) -> None:
+    with served(settings) as studio:
+        location = studio.start_upload("smile.obj", len(SCAN))
+        studio.send(location, 0, SCAN[:1000])
+        upload_id = location.rsplit("/", 1)[1]
+        store = studio.http.app.state.store  # type: ignore[attr-defined]
+        with store.write() as session:
+            session.get_one(Upload, upload_id).offset = counted
+        (settings.uploads / upload_id).write_bytes(SCAN[:600])
+        studio.send(location, counted, SCAN[counted:])
+        assert studio.http.head(location).headers["Upload-Offset"] == "600"
+        assert studio.send(location, 600, SCAN[600:]).status_code == 204
+        assert studio.get(location)["sha256"] == SHA256
+
+
 def test_wrong_requests_change_nothing(settings: Settings) -> None:
     with served(settings) as studio:
         http = studio.http

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import io
 import uuid
 
 import pytest
 
 from myoface.cli import console
-from myoface.cli.console import JobView, show_table
+from myoface.cli.console import (
+    JobView,
+    complain,
+    show_registration,
+    show_table,
+    show_verdict,
+    transfer_bar,
+)
 from solver.progress import Step
 
 
@@ -40,3 +48,36 @@ def test_a_log_has_news_of_a_long_phase_now_and_then(
         "simulate: export",
     ]
     assert view.phases["simulate"] == 90.0
+
+
+HOSTILE = "smile\x1b]0;owned\x07\x1b[8m\x9b31m\u202e\u2066\r\ud800"
+
+
+def test_a_stranger_s_text_does_nothing_to_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    finding = {"message": HOSTILE, "advice": HOSTILE}
+    complain(HOSTILE)
+    show_table(("name",), [(HOSTILE,)])
+    show_verdict(HOSTILE, {"verdict": "bad", "findings": [finding]})
+    show_registration(HOSTILE, {"coverage": 1.0, "mean_mm": None, "findings": [finding]})
+    with JobView(HOSTILE) as view:
+        view(Step(HOSTILE, 0.0, message=HOSTILE))
+    with transfer_bar(HOSTILE) as progress:
+        progress(1, 2)
+    told = capsys.readouterr()
+    lines = (told.out + told.err).splitlines()
+    assert len(lines) > 8
+    assert [line for line in lines if not line.isprintable()] == []
+    assert r"smile\x1b]0;owned\x1b[8m\x9b31m\u202e\u2066" in told.err
+
+
+def test_colours_are_still_the_command_line_s_own() -> None:
+    terminal = console.SafeConsole(
+        force_terminal=True, color_system="standard", highlight=False, file=io.StringIO()
+    )
+    terminal.print("[red]bad[/] \x1b[8m")
+    assert terminal.file.getvalue() == "\x1b[31mbad\x1b[0m \\x1b[8m\n"
+
+
+def test_text_of_other_languages_stays_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    console.out.print("Zoë 微笑 🙂\nund mehr", markup=False)
+    assert capsys.readouterr().out == "Zoë 微笑 🙂\nund mehr\n"

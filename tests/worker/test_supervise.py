@@ -112,7 +112,7 @@ def test_what_takes_minutes_is_kept_for_the_next_attempt(settings: Settings, sto
     claim = _claimed(store)
     supervisor = Supervisor(store, settings, abilities(settings), threading.Event())
     process, folder = Talking(), AttemptFolder(settings.work, claim)
-    folder.stage(store.files)
+    folder.stage(store)
     assert json.loads((folder.path / "job.json").read_text())["resume"] is False
     shapes = folder.path / "out" / KEPT[0]
     for content in ("five", "ten"):
@@ -130,7 +130,7 @@ def test_what_takes_minutes_is_kept_for_the_next_attempt(settings: Settings, sto
     assert again is not None
     supervisor._renewed = float("inf")
     folder = AttemptFolder(settings.work, again)
-    folder.stage(store.files)
+    folder.stage(store)
     shapes = folder.path / "out" / KEPT[0]
     assert shapes.read_text() == "ten"
     assert json.loads((folder.path / "job.json").read_text())["resume"] is True
@@ -178,7 +178,7 @@ def test_a_solver_without_room_puts_its_job_off(
 ) -> None:
     claim = _claimed(store)
     folder = AttemptFolder(settings.work, claim)
-    folder.stage(store.files)
+    folder.stage(store)
     reading, writing = os.pipe()
     process: dict[str, object] = {
         "parent": os.getppid(),

@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO
 
+from service.store.durable import sync_folder
 from service.store.files.base import CHUNK, Blob, Files, StoredFile
 
 SHA256 = re.compile(r"[0-9a-f]{64}")
@@ -45,10 +46,13 @@ class FolderFiles(Files):
                 file.seek(0)
                 sha256 = hashlib.file_digest(file, "sha256").hexdigest()
             target = self.path(sha256)
-            target.parent.mkdir(exist_ok=True)
-            copy.chmod(0o444)
+            copy.chmod(0o400)
+            if not target.parent.is_dir():
+                target.parent.mkdir(exist_ok=True)
+                sync_folder(self.root)
             # Also if it is there already: the new date keeps it from the garbage collection.
             copy.replace(target)
+            sync_folder(target.parent)
         finally:
             copy.unlink(missing_ok=True)
         return Blob(sha256, size)
@@ -70,9 +74,11 @@ class FolderFiles(Files):
 
     def put_aside(self, sha256: str) -> None:
         """Take a file out of the list; it can still be read."""
-        path = self._aside / sha256
-        self.path(sha256).rename(path)
+        path, stored = self._aside / sha256, self.path(sha256)
+        stored.rename(path)
         os.utime(path)
+        sync_folder(self._aside)
+        sync_folder(stored.parent)
 
     def list_aside(self) -> Iterator[StoredFile]:
         """List what was put aside, and when."""
@@ -83,11 +89,13 @@ class FolderFiles(Files):
         path = self._aside / sha256
         with suppress(FileExistsError):  # stored again meanwhile
             os.link(path, self.path(sha256))
+        sync_folder(self.path(sha256).parent)
         path.unlink()
 
     def remove(self, sha256: str) -> None:
         """Remove a file that was put aside, for good."""
         (self._aside / sha256).unlink()
+        sync_folder(self._aside)
 
     def remove_unfinished(self, before: datetime) -> None:
         """Remove what interrupted `put` calls left before a moment."""

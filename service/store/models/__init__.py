@@ -30,6 +30,7 @@ from service.store.models.records import (
     AuditEntry,
     Deletion,
     Delivery,
+    FileFault,
     Webhook,
     WebhookEvent,
 )
@@ -49,6 +50,7 @@ __all__ = [
     "Deletion",
     "Delivery",
     "Event",
+    "FileFault",
     "FrameChunk",
     "Job",
     "Lease",

@@ -52,6 +52,15 @@ class Deletion(Owned, Base):
     files_at: Mapped[datetime | None] = mapped_column(index=True)
 
 
+class FileFault(Base):
+    """A stored file that was found ``lost`` or ``damaged``, until it is found whole again."""
+
+    __tablename__ = "file_faults"
+    sha256: Mapped[str] = mapped_column(String(64), primary_key=True)
+    fault: Mapped[str] = mapped_column(String(16))
+    found_at: Mapped[datetime] = mapped_column(default=now)
+
+
 class Webhook(Owned, Base):
     """An address of a tenant's that is told of ``events`` about jobs of ``kinds`` (empty: all).
 

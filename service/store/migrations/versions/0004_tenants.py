@@ -11,6 +11,8 @@ from datetime import UTC, datetime
 import sqlalchemy as sa
 from alembic import op
 
+from service.store.migrations.merging import refuse_merging
+
 revision = "0004"
 down_revision = "0003"
 
@@ -53,7 +55,8 @@ def upgrade() -> None:
 
 
 def downgrade() -> None:
-    """Take back."""
+    """Take back, unless that would give a tenant the people of another."""
+    refuse_merging(op.get_bind())
     for table in reversed(OWNED):
         with op.batch_alter_table(table) as batch:
             batch.drop_index(f"ix_{table}_tenant_id")

@@ -181,7 +181,7 @@ function queueRows(lengths, serving) {
 }
 
 function usageRows(used) {
-  return [
+  const rows = [
     ["bytes", "Stored", bytes],
     ["running", "Running jobs", String],
     ["queued", "Queued jobs", String],
@@ -194,6 +194,10 @@ function usageRows(used) {
       h("td", {}, used[key].limit === null ? "no limit" : text(used[key].limit)),
     ),
   );
+  const lost = used.lost_files;
+  const words = lost ? state("failed", `${lost}: the operator can restore them from a backup`) : "none";
+  rows.push(h("tr", {}, h("th", { scope: "row" }, "Lost or damaged files"), h("td", { colspan: 2 }, words)));
+  return rows;
 }
 
 function workerRows(workers, serving) {

@@ -1,0 +1,116 @@
+"""A client asks a service that wants to do harm on its machine."""
+
+from __future__ import annotations
+
+import hashlib
+import uuid
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from typer.testing import CliRunner
+
+from myoface.cli import app
+from myoface.client import Client
+from myoface.errors import ApiError
+from myoface.resources import Capture
+
+CONTENT = b"owned"
+NAMES = (
+    "../../../../x",
+    "/etc/cron.d/x",
+    "..",
+    ".",
+    "",
+    ".bashrc",
+    "a/b",
+    "a\\b",
+    "a\0b",
+    "x\n",
+    "CON ",
+    "\u202egnp.exe",
+    "x" * 256,
+    "c:x",
+)
+
+
+def _artifact(name: str, **other: str) -> dict[str, Any]:
+    return {
+        "id": str(uuid.uuid4()),
+        "name": name,
+        "size": len(CONTENT),
+        "sha256": hashlib.sha256(CONTENT).hexdigest(),
+        "media_type": "x",
+        **other,
+    }
+
+
+def _rig(*artifacts: dict[str, Any]) -> dict[str, Any]:
+    ids = {name: str(uuid.uuid4()) for name in ("id", "subject_id", "job_id", "model_job_id")}
+    at = "2026-01-01T00:00:00Z"
+    return {**ids, "expressions": [], "summary": {}, "artifacts": artifacts, "created_at": at}
+
+
+@pytest.fixture
+def answer(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], None]:
+    """Have every client meet a service that answers this, and any file with the same bytes."""
+
+    def answering(document: Any) -> None:
+        def handle(request: httpx.Request) -> httpx.Response:
+            if "/artifacts/" in request.url.path:
+                return httpx.Response(200, content=CONTENT)
+            return httpx.Response(200, json=document)
+
+        whole = httpx.Client.__init__
+
+        def init(self: httpx.Client, **given: Any) -> None:
+            whole(self, **given | {"transport": httpx.MockTransport(handle)})
+
+        monkeypatch.setattr(httpx.Client, "__init__", init)
+
+    return answering
+
+
+@pytest.mark.parametrize("name", NAMES, ids=lambda name: repr(name)[:20])
+def test_no_file_is_written_by_a_name_that_is_none(
+    name: str, answer: Callable[[Any], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "a" / "b" / "c" / "d"
+    folder.mkdir(parents=True)
+    monkeypatch.chdir(folder)
+    answer(_rig(_artifact(name)))
+    told = CliRunner().invoke(app, ["rigs", "download", str(uuid.uuid4())])
+    assert isinstance(told.exception, ApiError)
+    assert told.exception.code == "client.answer"
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+def test_two_files_of_one_name_are_refused(answer: Callable[[Any], None]) -> None:
+    answer(_rig(_artifact("rig.glb"), _artifact("rig.glb")))
+    with Client("http://127.0.0.1:1", "key") as client, pytest.raises(ApiError, match="same name"):
+        client.rig(str(uuid.uuid4()))
+
+
+@pytest.mark.parametrize("sha256", ["../../x", "", "A" * 64, "0" * 63])
+def test_a_digest_that_is_none_names_no_part(sha256: str, answer: Callable[[Any], None]) -> None:
+    answer(_rig(_artifact("rig.glb", sha256=sha256)))
+    with Client("http://127.0.0.1:1", "key") as client, pytest.raises(ApiError, match="sha256"):
+        client.rig(str(uuid.uuid4()))
+
+
+@pytest.mark.parametrize("name", NAMES, ids=lambda name: repr(name)[:20])
+def test_a_capture_names_no_folder_but_a_plain_one(name: str) -> None:
+    with pytest.raises(ApiError, match=r"Capture\.name"):
+        Capture.model_validate({"id": "x", "name": name, "role": "neutral"})
+
+
+def test_plain_names_are_fetched(answer: Callable[[Any], None], tmp_path: Path) -> None:
+    names = ("rig.glb", "fit_Smile-2.png", "report.html")
+    answer(_rig(*map(_artifact, names)))
+    told = CliRunner().invoke(
+        app, ["rigs", "download", str(uuid.uuid4()), "--output", str(tmp_path)]
+    )
+    assert told.exit_code == 0, told.exception
+    assert {path.name for path in tmp_path.iterdir()} == set(names)
