@@ -13,7 +13,8 @@ def test_the_compose_file_is_valid_and_has_a_worker_for_each_queue() -> None:
     except UnavailableError as error:
         unavailable(str(error))
     commands = {" ".join(service.command) for service in described.values()}
-    assert {f"python -m worker {queue}" for queue in (*QUEUES, WEBHOOKS)} <= commands
+    workers = {f"python -m worker {queue} --compile" for queue in QUEUES}
+    assert workers | {f"python -m worker {WEBHOOKS}"} <= commands
     assert "python -m service" in commands
 
 
