@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import itertools
 from collections import Counter
-from collections.abc import Awaitable, Callable
 
 from service.access.keys import LETTERS, _checksum
 
@@ -13,8 +12,6 @@ HOST = b"Host: 127.0.0.1\r\n"
 JSON = b"Content-Type: application/json\r\nContent-Length: 60000\r\n\r\n"
 DRIP_EVERY = 0.5
 RETURN_AFTER = 10.0
-
-Dialogue = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[str]]
 
 
 def _forged() -> bytes:
@@ -30,6 +27,13 @@ OPENINGS = {
     "slow body": b"POST /v1/jobs HTTP/1.1\r\n" + HOST + JSON,
     "slow body, forged key": b"POST /v1/jobs HTTP/1.1\r\n" + HOST + _forged() + JSON,
 }
+
+
+def besiege(port: int, count: int, seconds: float) -> Counter[str]:
+    """Besiege a port for some seconds; returns how the strangers' connections ended."""
+    crowd = Crowd(port, count)
+    asyncio.run(crowd.besiege(seconds))
+    return crowd.ends
 
 
 class Crowd:
