@@ -31,7 +31,7 @@ from pathlib import Path
 from service.system.schemas import KindView
 from solver.kinds import KINDS
 from worker.solve import solve
-offered = KindView.of(KINDS["export_rig"]).options["properties"]["format"]["enum"]
+offered = KindView.of(KINDS["export_rig"], 1).options["properties"]["format"]["enum"]
 rig = {"role": "rig", "name": "rig.npz", "path": "rig.npz"}
 job = {"kind": "export_rig", "inputs": [rig], "options": {"format": "pc2"}, "resume": False}
 Path("attempt").mkdir()

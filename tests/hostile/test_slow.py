@@ -15,6 +15,7 @@ from starlette.types import Receive, Scope, Send
 
 from service.app import create_app
 from service.settings import Settings
+from tests.campaigns.strangers.crowd import forged_key
 from tests.certificate import self_signed
 from tests.hostile.edge import connected, serving, until_closed
 from tests.service_client import eventually
@@ -76,7 +77,7 @@ def test_the_second_request_of_a_connection_has_a_deadline_too(port: int) -> Non
 def test_a_body_has_one_deadline_for_the_whole_of_it(port: int) -> None:
     started = time.monotonic()
     with connected(port) as connection:
-        connection.sendall(HEAD + b"Content-Length: 1000\r\n\r\n")
+        connection.sendall(HEAD + forged_key() + b"Content-Length: 1000\r\n\r\n")
         _drip(connection, b"{" + b" " * 40)
         received, _ = until_closed(connection)
     assert time.monotonic() - started < PATIENCE + 3

@@ -14,7 +14,7 @@ DRIP_EVERY = 0.5
 RETURN_AFTER = 10.0
 
 
-def _forged() -> bytes:
+def forged_key() -> bytes:
     """Return a key that nobody was given, of the right form: the checksum is no secret."""
     body = "myo_" + LETTERS[7] * 44
     return f"Authorization: Bearer {body}{_checksum(body)}\r\n".encode()
@@ -25,7 +25,7 @@ OPENINGS = {
     "silent": b"",
     "slow headers": b"GET / HTTP/1.1\r\n" + HOST + b"X-Slow: ",
     "slow body": b"POST /v1/jobs HTTP/1.1\r\n" + HOST + JSON,
-    "slow body, forged key": b"POST /v1/jobs HTTP/1.1\r\n" + HOST + _forged() + JSON,
+    "slow body, forged key": b"POST /v1/jobs HTTP/1.1\r\n" + HOST + forged_key() + JSON,
 }
 
 
