@@ -28,7 +28,7 @@ from solver.errors import SolveError
 from solver.fitting import activation, geometry, per_tet, reference
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.contact import terms
-from solver.fitting.face import Face, State
+from solver.fitting.face import Face, PosedFace
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.objective import Regulariser, SkinDistance, Target, Term, distances
 from solver.fitting.per_tet import PerTetOptions
@@ -111,7 +111,9 @@ def _solvers(model: SubjectModel, target: Target, w_a: float) -> dict[str, Any]:
     return found
 
 
-def _compile(face: Face, phace: Face, data: Term, regulariser: Regulariser, rest: State) -> None:
+def _compile(
+    face: Face, phace: Face, data: Term, regulariser: Regulariser, rest: PosedFace
+) -> None:
     activation.fit(face, data, regulariser, rest, ActivationOptions(1))
     per_tet.fit(phace, data, None, PerTetOptions(max_iterations=1))
 
@@ -122,7 +124,7 @@ def _rounds(
     """Return the mean distance of every expression as each round begins, and at the end."""
     errors: dict[str, list[float]] = {name: [] for name in targets}
 
-    def listen(_round: int, states: Mapping[str, State]) -> None:
+    def listen(_round: int, states: Mapping[str, PosedFace]) -> None:
         for name, state in states.items():
             distance = targets[name].distances(face.face_points(state.estimate))
             errors[name].append(float(np.nanmean(distance)))

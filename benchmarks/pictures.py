@@ -11,7 +11,7 @@ import numpy as np
 from solver.drawing.head import DrawnHead
 from solver.drawing.render import DrawnBody, render_bust
 from solver.drawing.sheet import HEADER, Sheet
-from solver.fitting.face import Face, State
+from solver.fitting.face import Face, PosedFace
 from solver.rig.pictures import THREE_QUARTER, WIDTH, face_camera
 from solver.surface import Floats
 
@@ -24,7 +24,7 @@ class Compared:
     """A scan (v, 3) in the skin's topology, mm, NaN where it shows nothing; its fits by name."""
 
     scan: Floats
-    fits: Mapping[str, State]
+    fits: Mapping[str, PosedFace]
 
 
 def side_by_side(path: Path, face: Face, title: str, rows: Mapping[str, Compared]) -> None:

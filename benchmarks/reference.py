@@ -25,7 +25,7 @@ from benchmarks.subjects import COARSE_EDGE_MM
 from solver.errors import SolveError
 from solver.fitting import activation, reference
 from solver.fitting.activation import ActivationOptions
-from solver.fitting.face import Face, State
+from solver.fitting.face import Face, PosedFace
 from solver.fitting.objective import Regulariser, SkinDistance, Target, Term
 
 CONVERGED = ActivationOptions(max_iterations=200, tolerance=1e-7)
@@ -113,7 +113,7 @@ def section(figures: dict[str, Any]) -> Section:
     )
 
 
-def compare(face: Face, data: Term, regulariser: Regulariser, rest: State) -> dict[str, Any]:
+def compare(face: Face, data: Term, regulariser: Regulariser, rest: PosedFace) -> dict[str, Any]:
     """Fit one expression by both solvers, then simulate its pose by both."""
     reduced, seconds = timed(lambda: activation.fit(face, data, regulariser, rest, CONVERGED))
     full, full_seconds = timed(
@@ -139,7 +139,7 @@ def compare(face: Face, data: Term, regulariser: Regulariser, rest: State) -> di
     }
 
 
-def ipopt_forward(face: Face, rest: State, settled: State) -> reference.Reference:
+def ipopt_forward(face: Face, rest: PosedFace, settled: PosedFace) -> reference.Reference:
     """Solve the forward problem by IPOPT from the rest shape carried along with the jaw.
 
     Where even that start is inverted, IPOPT gets the settled shape shaken by 0.1 mm.

@@ -17,7 +17,7 @@ from solver.errors import SolveError
 from solver.fitting import fallback, geometry, per_tet
 from solver.fitting.activation import UNSEEN_STOP, unseen_regulariser
 from solver.fitting.contact import terms
-from solver.fitting.face import Face, State
+from solver.fitting.face import Face, PosedFace
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.objective import Target, Term, distances
 from solver.fitting.per_tet import PerTetOptions
@@ -34,7 +34,7 @@ class Fits:
 
     face: Face
     scans: dict[str, Surface]
-    states: dict[str, State]
+    states: dict[str, PosedFace]
     seconds: float
     failed: dict[str, str]
 
@@ -81,7 +81,7 @@ def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> tuple[sp
     """Fit S, activations and jaws to all scans; return S too."""
     targets = _targets(face, scans)
 
-    def listen(number: int, states: Mapping[str, State]) -> None:
+    def listen(number: int, states: Mapping[str, PosedFace]) -> None:
         log.info("round %d: %.3f mm", number, geometry.mean_error(face, targets, states))
 
     start = time.perf_counter()
@@ -95,7 +95,7 @@ def by_activations(face: Face, scans: Scans) -> Fits:
     """Fit activations and jaw to every scan, S being known."""
     regulariser = unseen_regulariser(face)
 
-    def fit(data: Term) -> State:
+    def fit(data: Term) -> PosedFace:
         found = fallback.fit(face, data, regulariser, UNSEEN_STOP)
         if found.status == "failed":
             raise SolveError("fit.failed", "; ".join(notice.message for notice in found.notices))
@@ -107,13 +107,15 @@ def by_activations(face: Face, scans: Scans) -> Fits:
 def by_tets(face: Face, scans: Scans, options: PerTetOptions) -> Fits:
     """Fit six activations per tet and the jaw to every scan; ``face`` has that model's material."""
 
-    def fit(data: Term) -> State:
+    def fit(data: Term) -> PosedFace:
         return per_tet.fit(face, data, options=options).state
 
     return _each(face, scans, terms(face, _targets(face, scans)), fit)
 
 
-def _each(face: Face, scans: Scans, data: Mapping[str, Term], fit: Callable[[Term], State]) -> Fits:
+def _each(
+    face: Face, scans: Scans, data: Mapping[str, Term], fit: Callable[[Term], PosedFace]
+) -> Fits:
     states, failed = {}, {}
     start = time.perf_counter()
     for name, term in data.items():

@@ -12,7 +12,7 @@ from benchmarks.speed.clock import Stopwatch
 from benchmarks.speed.solvers import CONVERGED, IPOPT_W_A, prepared
 from solver.fitting import activation
 from solver.fitting.activation import unseen_regulariser
-from solver.fitting.face import Face, Pose, State
+from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.objective import SkinDistance, Target
 from solver.mechanics.linear import Factor, LinearSolver, fastest
 from solver.model import SubjectModel
@@ -105,7 +105,7 @@ def scaling(
 
 
 def _simulated(
-    face: Face, rest: State, poses: Mapping[str, Pose]
+    face: Face, rest: PosedFace, poses: Mapping[str, Pose]
 ) -> tuple[dict[str, float], dict[str, int]]:
     """Simulate every pose from rest: seconds and factorisations."""
     face.linear = linear = _Counting(face.linear)

@@ -24,7 +24,7 @@ import scipy.linalg
 
 from solver.errors import SolveError
 from solver.fitting.controls import Layout
-from solver.fitting.face import Face, Pose, State
+from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.least_squares import (
     DampingOptions,
     Ending,
@@ -79,7 +79,7 @@ class DescentOptions:
 class ActivationFit:
     """A fitted state, its objective f, the iterations, and whether no step gains any more."""
 
-    state: State
+    state: PosedFace
     objective: float
     iterations: int
     converged: bool
@@ -87,10 +87,10 @@ class ActivationFit:
 
 # from a state to a pose nearby by the flesh's linear response: Face.newton_predict,
 # newton_continuation or predict_and_solve
-Mover = Callable[[Face, State, Floats, Pose], State]
+Mover = Callable[[Face, PosedFace, Floats, Pose], PosedFace]
 
 
-def objective(data: Term, regulariser: Regulariser, state: State) -> float:
+def objective(data: Term, regulariser: Regulariser, state: PosedFace) -> float:
     """Return f at a state's estimate (see :mod:`solver.fitting.objective`)."""
     return data.value(state.estimate) + regulariser.value(state.pose)
 
@@ -99,7 +99,7 @@ def fit(
     face: Face,
     data: Term,
     regulariser: Regulariser,
-    start: State | None = None,
+    start: PosedFace | None = None,
     options: ActivationOptions = ActivationOptions(),
     listen: Listener | None = None,
     *,
@@ -154,7 +154,7 @@ def improve(
     face: Face,
     data: Term,
     regulariser: Regulariser,
-    start: State,
+    start: PosedFace,
     options: ActivationOptions,
     listen: Listener | None = None,
     go: Mover = Face.newton_continuation,
@@ -186,17 +186,17 @@ class _PoseProblem:
     options: DescentOptions
     model: GaussNewton | None = None
 
-    def value(self, point: State) -> float:
+    def value(self, point: PosedFace) -> float:
         return objective(self.data, self.regulariser, point)
 
-    def linearise(self, point: State) -> GaussNewton:
+    def linearise(self, point: PosedFace) -> GaussNewton:
         """Make the model, which begins with the matrix of the one before."""
         matrix = self.model.matrix if self.model else self.matrix
         face, data, regulariser = self.face, self.data, self.regulariser
         self.model = GaussNewton(face, data, regulariser, point, matrix, self.options)
         return self.model
 
-    def move(self, point: State, step: LeastSquaresStep) -> State | None:
+    def move(self, point: PosedFace, step: LeastSquaresStep) -> PosedFace | None:
         try:
             return self.go(self.face, point, step.response, point.pose.add(step.change))
         except SolveError:
@@ -211,7 +211,7 @@ class GaussNewton:
         face: Face,
         data: Term,
         regulariser: Regulariser,
-        state: State,
+        state: PosedFace,
         matrix: Floats,
         options: DescentOptions = DescentOptions(),
     ) -> None:
@@ -254,7 +254,7 @@ class GaussNewton:
         return self._response.adjoint(self._rates, pull.reshape(-1, 3))
 
 
-def curvature(face: Face, data: Term, state: State) -> Floats:
+def curvature(face: Face, data: Term, state: PosedFace) -> Floats:
     """Return J^T C J at a state, (6 m + 5, 6 m + 5): f's Gauss-Newton matrix but for its priors."""
     jacobian = Sensitivity(face, state).by_pose()
     return jacobian.contract(data.curvature(state.estimate))

@@ -68,7 +68,7 @@ class Pose:
 
 
 @dataclass(frozen=True)
-class State:
+class PosedFace:
     """A pose with the equilibrium it leads to, settled or approached."""
 
     pose: Pose
@@ -163,7 +163,7 @@ class Face:
         return Pose(*self.layout.split(self.layout.rest.copy()))
 
     @cached_property
-    def rest(self) -> State:
+    def rest(self) -> PosedFace:
         """The neutral face as an equilibrium; raises :class:`SolveError` if there is none."""
         return self.solve_equilibrium(self.rest_pose(), self.model.rest)
 
@@ -177,7 +177,7 @@ class Face:
         x: Floats,
         near: Factorization | None = None,
         max_iterations: int = NewtonOptions.factorizations,
-    ) -> State:
+    ) -> PosedFace:
         """Find the equilibrium of a pose from ``x`` (p, 3), the mandible being put where b says.
 
         ``near`` is the Hessian of a state nearby, if there is one. Raises :class:`SolveError` if
@@ -194,9 +194,9 @@ class Face:
             max_iterations=max_iterations,
             near=near,
         )
-        return State(pose, found)
+        return PosedFace(pose, found)
 
-    def settle(self, pose: Pose, x: Floats, near: Factorization | None = None) -> State | None:
+    def settle(self, pose: Pose, x: Floats, near: Factorization | None = None) -> PosedFace | None:
         """Do as :meth:`solve_equilibrium`; return None where there is none near by."""
         if not (np.isfinite(x).all() and np.isfinite(pose.a).all()):
             return None
@@ -207,11 +207,11 @@ class Face:
 
     def newton_predict(
         self,
-        state: State,
+        state: PosedFace,
         response: Floats,
         pose: Pose,
         settled_mm: float = PredictorOptions.settled_mm,
-    ) -> State:
+    ) -> PosedFace:
         """Go from ``state`` to a pose nearby, only so near to its equilibrium as a fit needs.
 
         ``response`` (size,) is the flesh's linear response to the change of pose (or of S),
@@ -221,14 +221,14 @@ class Face:
         a = self.tet_activations(pose.a)
         x = self._guess(state, response, pose, a)
         options = PredictorOptions(settled_mm=settled_mm)
-        return State(pose, newton_predict(self.flesh, self.linear, x, a, options))
+        return PosedFace(pose, newton_predict(self.flesh, self.linear, x, a, options))
 
-    def predict_and_solve(self, state: State, response: Floats, pose: Pose) -> State:
+    def predict_and_solve(self, state: PosedFace, response: Floats, pose: Pose) -> PosedFace:
         """Do as :meth:`newton_predict`, but solve to the end."""
         guess = self._guess(state, response, pose, self.tet_activations(pose.a))
         return self.solve_equilibrium(pose, guess)
 
-    def _guess(self, state: State, response: Floats, pose: Pose, a: Floats) -> Floats:
+    def _guess(self, state: PosedFace, response: Floats, pose: Pose, a: Floats) -> Floats:
         """Return the x of least energy on the way from ``state`` to its estimate and ``response``.
 
         The whole way often flattens a few tets, from where Newton takes long to come back.
@@ -245,14 +245,14 @@ class Face:
             best, least = x, energy
         return best
 
-    def continuation(self, start: State, pose: Pose) -> State:
+    def continuation(self, start: PosedFace, pose: Pose) -> PosedFace:
         """Go from a settled state to another pose along the straight line between them.
 
         Raises the last :class:`SolveError` if the pose cannot be reached.
         """
         return self._along(start, pose, self.options.smallest, settled=True)
 
-    def newton_continuation(self, state: State, response: Floats, pose: Pose) -> State:
+    def newton_continuation(self, state: PosedFace, response: Floats, pose: Pose) -> PosedFace:
         """Do as :meth:`newton_predict`, but step by step where the flesh would invert.
 
         Where it buckles instead, steps are dear and lead no further.
@@ -264,7 +264,7 @@ class Face:
                 raise
             return self._along(state, pose, self.options.smallest_in_fit, settled=False)
 
-    def _along(self, start: State, pose: Pose, smallest: float, *, settled: bool) -> State:
+    def _along(self, start: PosedFace, pose: Pose, smallest: float, *, settled: bool) -> PosedFace:
         """Go to a pose in steps, a ``smallest`` fraction at least, whose response flattens no tet.
 
         Their ends are only approached, the last one's ``settled`` if asked for.
@@ -290,7 +290,7 @@ class Face:
             fraction = max(fraction * min(max(fit, 0.25), 2.0), smallest)
         return state
 
-    def _reach(self, state: State, target: Pose, x: Floats, *, settled: bool) -> State:
+    def _reach(self, state: PosedFace, target: Pose, x: Floats, *, settled: bool) -> PosedFace:
         """Find the state of ``target`` from ``x`` (p, 3), near ``state``."""
         if settled:
             return self.solve_equilibrium(target, x, state.equilibrium.factor)
@@ -299,7 +299,7 @@ class Face:
         reached = newton_predict(self.flesh, self.linear, x, a, rough)
         # where flesh buckles a linear response leads nowhere
         if reached.minimum:
-            return State(target, reached)
+            return PosedFace(target, reached)
         return self.solve_equilibrium(target, reached.x)
 
     def mandible(self, b: Floats) -> Floats:
@@ -340,7 +340,7 @@ class Face:
     def _loose_skin(self) -> LooseSkin:
         return LooseSkin(self.model)
 
-    def predict(self, state: State, target: Pose) -> Floats:
+    def predict(self, state: PosedFace, target: Pose) -> Floats:
         """Predict x (p, 3) at ``target`` by the flesh's linear response to the change of pose."""
         x = state.x.copy()
         x[self.model.mandible] = self.mandible(target.b)

@@ -14,7 +14,7 @@ import numpy as np
 from solver.errors import Finding, SolveError, make_warning
 from solver.fitting import activation, reference
 from solver.fitting.activation import ActivationOptions
-from solver.fitting.face import Face, State
+from solver.fitting.face import Face, PosedFace
 from solver.fitting.least_squares import Listener
 from solver.fitting.objective import Regulariser, Term
 from solver.fitting.reference import NotConvergedError
@@ -47,7 +47,7 @@ class FallbackFit:
     and ``state`` is the best of what there was.
     """
 
-    state: State
+    state: PosedFace
     objective: float
     iterations: int
     solver: Solver
@@ -63,7 +63,7 @@ def fit(
     solver: Solver = "reduced",
     listen: Listener | None = None,
     *,
-    start: State | None = None,
+    start: PosedFace | None = None,
     ipopt: FallbackOptions = FallbackOptions(),
 ) -> FallbackFit:
     """Minimise f over (a, b); raises :class:`SolveError` only where the neutral face has no rest.

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from solver.errors import Finding, InputError
 from solver.fitting import activation, fallback, joint, reference, simplex
 from solver.fitting.activation import ActivationOptions, rest_curvature
-from solver.fitting.face import Face, State
+from solver.fitting.face import Face, PosedFace
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.joint import GeometryProblem, Iterate
 from solver.fitting.least_squares import Listener as StepListener
@@ -61,13 +61,13 @@ class GeometryFit:
     endings: dict[str, FallbackFit]
 
     @property
-    def states(self) -> dict[str, State]:
+    def states(self) -> dict[str, PosedFace]:
         """Return every expression's state."""
         return {name: ending.state for name, ending in self.endings.items()}
 
 
 # called as a round (from 0) begins, with the states so far
-Listener = Callable[[int, Mapping[str, State]], None]
+Listener = Callable[[int, Mapping[str, PosedFace]], None]
 
 
 def fit(
@@ -138,7 +138,7 @@ def _finish(
     face: Face,
     data: Mapping[str, Term],
     regulariser: Regulariser,
-    states: Mapping[str, State],
+    states: Mapping[str, PosedFace],
     steps: int,
 ) -> GeometryFit:
     """Settle states that were only approached, together with a last fit of the activations."""
@@ -149,7 +149,7 @@ def _finish(
     return GeometryFit(face.S, endings)
 
 
-def mean_error(face: Face, targets: Mapping[str, Target], states: Mapping[str, State]) -> float:
+def mean_error(face: Face, targets: Mapping[str, Target], states: Mapping[str, PosedFace]) -> float:
     """Return the mean distance over the face skin and the expressions, mm."""
     errors = [
         np.nanmean(target.distances(face.face_points(states[name].estimate)))

@@ -27,7 +27,7 @@ import scipy.sparse.linalg
 
 from solver.errors import SolveError
 from solver.fitting import activation
-from solver.fitting.face import Face, Pose, State
+from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.least_squares import DampingOptions
 from solver.fitting.objective import Regulariser, Term
 from solver.fitting.sensitivity import Sensitivity
@@ -60,12 +60,12 @@ class GeometryProblem:
     prior: Floats
     structure: sp.csr_array
 
-    def value(self, S: sp.csr_array, states: Mapping[str, State]) -> float:
+    def value(self, S: sp.csr_array, states: Mapping[str, PosedFace]) -> float:
         """Return f at the states' estimates."""
         expressions = [self.expression_value(name, state) for name, state in states.items()]
         return sum(expressions) + self.prior_value(S.data)
 
-    def expression_value(self, name: str, state: State) -> float:
+    def expression_value(self, name: str, state: PosedFace) -> float:
         """Return one expression's contribution to f."""
         return activation.objective(self.data[name], self.regulariser, state)
 
@@ -86,7 +86,7 @@ class Iterate:
     """S and the states of a fit, with the damping of the linear models of S and of every pose."""
 
     S: sp.csr_array
-    states: dict[str, State]
+    states: dict[str, PosedFace]
     damping: float = JointOptions().damping.start
     pose_damping: dict[str, float] = field(default_factory=dict)
 
@@ -154,7 +154,7 @@ def _change(
 class _Trial:
     """Result of a step for one expression; no state, an infinite loss where it led too far."""
 
-    state: State | None
+    state: PosedFace | None
     gain: float
     predicted: float
 
@@ -167,7 +167,7 @@ class _Linearised:
     """The Gauss-Newton model of one expression at a state, its pose's part damped."""
 
     def __init__(
-        self, problem: GeometryProblem, face: Face, name: str, state: State, damping: float
+        self, problem: GeometryProblem, face: Face, name: str, state: PosedFace, damping: float
     ) -> None:
         self._problem, self._face, self._name, self._state = problem, face, name, state
         sensitivity = Sensitivity(face, state)
@@ -219,7 +219,7 @@ class _Linearised:
         before, after = (problem.expression_value(self._name, each) for each in (state, found))
         return _Trial(found, before - after, predicted)
 
-    def _move(self, S: sp.csr_array, response: Floats, pose: Pose) -> State | None:
+    def _move(self, S: sp.csr_array, response: Floats, pose: Pose) -> PosedFace | None:
         """Approach a pose with S; settle where that is too far; None where that fails too."""
         face = self._face.with_weights(S)
         with contextlib.suppress(SolveError):

@@ -14,7 +14,7 @@ import numba as nb
 import numpy as np
 import scipy.sparse as sp
 
-from solver.fitting.face import Face, Pose, State
+from solver.fitting.face import Face, Pose, PosedFace
 from solver.mechanics.flesh import IDENTITY
 from solver.mechanics.response import Response, SparseControls
 from solver.mechanics.terms import force_columns
@@ -152,7 +152,7 @@ class Sensitivity:
     One factor serves all.
     """
 
-    def __init__(self, face: Face, state: State) -> None:
+    def __init__(self, face: Face, state: PosedFace) -> None:
         self._free = face.flesh.free_coordinates
         self.forces = TetForces(face, state.pose, state.x)
         self.response = Response(face.flesh, state.equilibrium.factor)

@@ -16,7 +16,7 @@ import numpy as np
 
 from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions, DenseModel
-from solver.fitting.face import Face, Pose, State
+from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.least_squares import (
     DampingOptions,
     Ending,
@@ -80,7 +80,7 @@ class Tracker:
         self,
         face: Face,
         regulariser: Regulariser,
-        start: State,
+        start: PosedFace,
         *,
         temporal: float = 0.0,
         max_iterations: int = 20,
@@ -138,7 +138,7 @@ class Tracker:
         if found.factor.projection > 0 or far:
             a = self.face.tet_activations(pose.a)
             factorization = Factorization(self.face.flesh, self.face.linear, found.x, a)
-            self.state = State(pose, replace(found, factor=factorization))
+            self.state = PosedFace(pose, replace(found, factor=factorization))
         jacobian = Sensitivity(self.face, self.state).by_pose()
         self._kept = _Kept.of(jacobian, data, self.state.x)
         self._age = 0
@@ -146,7 +146,7 @@ class Tracker:
 
     def _quick(
         self, kept: _Kept, data: Term, regulariser: Regulariser
-    ) -> LeastSquaresSolution[State] | None:
+    ) -> LeastSquaresSolution[PosedFace] | None:
         """Fit a frame with what is kept; None if the first step leads nowhere."""
         problem = _FrameProblem(self.face, kept, data, regulariser)
         found = minimise(problem, self.state, self._search, self._options.stop)
@@ -162,16 +162,16 @@ class _FrameProblem:
     data: Term
     regulariser: Regulariser
 
-    def value(self, point: State) -> float:
+    def value(self, point: PosedFace) -> float:
         return activation.objective(self.data, self.regulariser, point)
 
-    def linearise(self, point: State) -> DenseModel:
+    def linearise(self, point: PosedFace) -> DenseModel:
         gradient = self.kept.jacobian.adjoint(self.data.gradient(point.x))
         gradient += self.regulariser.gradient(point.pose)
         hessian = self.kept.hessian + self.regulariser.gauss_newton(point.pose)
         return DenseModel(point.pose.layout, hessian, gradient)
 
-    def move(self, point: State, step: LeastSquaresStep) -> State | None:
+    def move(self, point: PosedFace, step: LeastSquaresStep) -> PosedFace | None:
         """Correct the equilibrium, no more."""
         face, flesh, pose = self.face, self.face.flesh, point.pose.add(step.change)
         x = flesh.moved(point.x, self.kept.jacobian.flesh @ step.change)
@@ -181,7 +181,7 @@ class _FrameProblem:
             return None
         a = face.tet_activations(pose.a)
         found = correct(flesh, face.linear, guess, a, point.equilibrium.factor)
-        return None if found is None else State(pose, found)
+        return None if found is None else PosedFace(pose, found)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from solver.errors import Finding, make_warning
 from solver.fitting import geometry
 from solver.fitting.contact import terms
-from solver.fitting.face import Face, State
+from solver.fitting.face import Face, PosedFace
 from solver.fitting.geometry import GeometryFit, GeometryOptions
 from solver.fitting.objective import Target, distances
 from solver.fitting.simplex import mirror_structure, transfer
@@ -84,7 +84,7 @@ def _geometry(
     priors: Mapping[str, Any],
     progress: Progress,
 ) -> GeometryFit:
-    def listen(number: int, states: Mapping[str, State]) -> None:
+    def listen(number: int, states: Mapping[str, PosedFace]) -> None:
         done = 0.02 + 0.78 * number / schedule.rounds
         error = geometry.mean_error(face, targets, states)
         progress(Step("geometry", done, number + 1, mean_error_mm=error))

@@ -19,7 +19,7 @@ import numpy as np
 from solver.errors import InputError, SolveError
 from solver.fitting import stretches
 from solver.fitting.controls import JAW_UNITS
-from solver.fitting.face import Face, Pose, State
+from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.least_squares import DampingOptions, Listener
 from solver.fitting.objective import Term
 from solver.fitting.per_tet import tissue as tissues
@@ -111,7 +111,7 @@ class Damping:
 class TetStep:
     """A step (a, b) from a state where f is ``value``, and the damping if it is taken as it is."""
 
-    state: State
+    state: PosedFace
     value: float
     model: Quadratic
     a: Floats
@@ -120,7 +120,7 @@ class TetStep:
 
     @classmethod
     def of(
-        cls, objective: Objective, solver: SaddleSolver, state: State, damping: Damping
+        cls, objective: Objective, solver: SaddleSolver, state: PosedFace, damping: Damping
     ) -> TetStep:
         """Minimise the damped Gauss-Newton model at a state."""
         model = objective.quadratic(state, damping.tets, damping.jaw)
@@ -132,7 +132,7 @@ class TetStep:
         before = self.state.pose
         return Pose(stretches.move(before.a, fraction * self.a), before.b + fraction * self.b)
 
-    def descend(self, objective: Objective, tries: int) -> tuple[State, Damping] | None:
+    def descend(self, objective: Objective, tries: int) -> tuple[PosedFace, Damping] | None:
         """Return the first state along the step and its halves with a lower f, and a damping."""
         for halving in range(tries):
             try:
@@ -143,7 +143,7 @@ class TetStep:
                 return trial, self.lowered.scale(2.0**halving)
         return None
 
-    def _reach(self, face: Face, pose: Pose) -> State:
+    def _reach(self, face: Face, pose: Pose) -> PosedFace:
         # approaching is not enough: single tets are so soft that the flesh may buckle on the rest
         # of the way, and the derivatives would be those of another equilibrium
         change, sensitivity = pose.vector() - self.state.pose.vector(), self.model.sensitivity
@@ -170,7 +170,7 @@ class Descent:
     def __init__(
         self,
         objective: Objective,
-        state: State,
+        state: PosedFace,
         listen: Listener | None,
         taken: int,
         options: TetDescentOptions,
@@ -221,7 +221,7 @@ class Descent:
         self._take(*found, tolerance)
         return True
 
-    def _snap(self, step: TetStep) -> tuple[State, Damping] | None:
+    def _snap(self, step: TetStep) -> tuple[PosedFace, Damping] | None:
         """Return the equilibrium at the end of a step, or of its half, where f is not too high."""
         face, most = self._objective.tissue.face, self._options.snap_iterations
         for fraction in (1.0, 0.5):
@@ -235,7 +235,7 @@ class Descent:
                 return state, step.lowered.afresh()
         return None
 
-    def _take(self, state: State, damping: Damping, tolerance: float) -> None:
+    def _take(self, state: PosedFace, damping: Damping, tolerance: float) -> None:
         """Go to a state."""
         value = self._objective.value(state)
         gain = self._value - value
@@ -253,11 +253,11 @@ def creep(
     tissue: Tissue,
     data: Term,
     weights: PerTetOptions,
-    start: State,
+    start: PosedFace,
     viscosities: Sequence[float],
     steps: int,
     options: TetDescentOptions,
-) -> tuple[State, int]:
+) -> tuple[PosedFace, int]:
     """Return an equilibrium near the target, ``start`` at worst, and the steps to it.
 
     They lead through viscous flesh, ``steps`` with each viscosity.
@@ -295,7 +295,7 @@ class PerTetFit:
     a: Floats
     active: Ints
     gamma: Floats
-    state: State
+    state: PosedFace
     objective: float
     iterations: int
     status: Status
@@ -304,7 +304,7 @@ class PerTetFit:
 def fit(
     face: Face,
     data: Term,
-    start: State | None = None,
+    start: PosedFace | None = None,
     options: PerTetOptions | None = None,
     listen: Listener | None = None,
     way: TetDescentOptions = TetDescentOptions(),

@@ -8,7 +8,7 @@ import numpy as np
 
 from solver.fitting import stretches
 from solver.fitting.controls import JAW_UNITS
-from solver.fitting.face import Pose, State
+from solver.fitting.face import Pose, PosedFace
 from solver.fitting.objective import Term
 from solver.fitting.per_tet.saddle import Quadratic
 from solver.fitting.per_tet.tissue import Tissue
@@ -174,11 +174,11 @@ class Objective:
         self.priors = PerTetPriors(tissue, options, b)
         self._data, self._w_b = data, options.w_b
 
-    def value(self, state: State) -> float:
+    def value(self, state: PosedFace) -> float:
         """Return f at a state's estimate."""
         return self._data.value(state.estimate) + self.priors.value(state.pose)
 
-    def quadratic(self, state: State, tets: Floats, jaw: float) -> Quadratic:
+    def quadratic(self, state: PosedFace, tets: Floats, jaw: float) -> Quadratic:
         """Return f's Gauss-Newton model, damped by ``tets`` (n_active,) and ``jaw``."""
         sensitivity = Sensitivity(self.tissue.face, state)
         by_x = self._data.gradient(state.estimate)

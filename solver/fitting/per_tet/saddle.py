@@ -24,7 +24,7 @@ import rslab
 import scipy.sparse as sp
 
 from solver.errors import SolveError
-from solver.fitting.face import State
+from solver.fitting.face import PosedFace
 from solver.fitting.per_tet.tissue import Tissue
 from solver.fitting.sensitivity import Sensitivity
 from solver.surface import Floats, Ints
@@ -41,7 +41,7 @@ class Quadratic:
     ``data`` (3 p, 3 p) is C; ``a`` (n_active, 6, 6) and ``b`` (5,) are R's blocks and diagonal.
     """
 
-    state: State
+    state: PosedFace
     sensitivity: Sensitivity
     gradient: Floats
     data: sp.csr_array

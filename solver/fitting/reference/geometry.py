@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.fitting.controls import Block, Layout
-from solver.fitting.face import Pose, State
+from solver.fitting.face import Pose, PosedFace
 from solver.fitting.joint import GeometryProblem
 from solver.fitting.least_squares import Listener
 from solver.fitting.reference.common import IpoptProblem, Solution, solve
@@ -36,7 +36,7 @@ class GeometryReference(Solution):
 
 def geometry(
     problem: GeometryProblem,
-    start: Mapping[str, State],
+    start: Mapping[str, PosedFace],
     *,
     tolerance: float = 1e-7,
     max_iterations: int = 1000,

@@ -22,7 +22,7 @@ from solver.drawing.head import both_sides
 from solver.errors import SolveError
 from solver.fitting.activation import rest_curvature
 from solver.fitting.controls import JAW_UNITS
-from solver.fitting.face import Face, Pose, State
+from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.stretches import FROBENIUS, fibre_tensors, shorten
 from solver.mechanics.boundary import JAW_FREEDOM, jaw_jacobian
@@ -324,7 +324,7 @@ class SliderSolver:
     """Finds equilibria of a face's sliders; ``fitted`` (p, 3) are those of whole expressions."""
 
     def __init__(
-        self, face: Face, controls: Sliders, rest: State, fitted: Mapping[str, Floats]
+        self, face: Face, controls: Sliders, rest: PosedFace, fitted: Mapping[str, Floats]
     ) -> None:
         self._face = face
         self._controls = controls
@@ -351,7 +351,7 @@ class SliderSolver:
             listen(number + 1)
         return samples
 
-    def _near(self, values: Floats) -> State:
+    def _near(self, values: Floats) -> PosedFace:
         """Return the nearest state; only the last one still has its factorised Hessian."""
         distances = [float(np.linalg.norm(values - known)) for known, _ in self._known]
         nearest, x = self._known[int(np.argmin(distances))]
@@ -360,11 +360,11 @@ class SliderSolver:
         return state_at(self._face, self._controls, nearest, x)
 
 
-def state_at(face: Face, controls: Sliders, values: Floats, x: Floats) -> State:
+def state_at(face: Face, controls: Sliders, values: Floats, x: Floats) -> PosedFace:
     """Return the state of slider ``values`` (k,) with its equilibrium ``x`` (p, 3)."""
     pose = controls.pose(values)
     factor = Factorization(face.flesh, face.linear, x, face.tet_activations(pose.a))
-    return State(pose, Equilibrium(x, x, factor, 0.0, 0))
+    return PosedFace(pose, Equilibrium(x, x, factor, 0.0, 0))
 
 
 # The skin's response to the sliders at a sample: a whole derivative for one factorisation.

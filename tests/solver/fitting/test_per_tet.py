@@ -8,7 +8,7 @@ import scipy.optimize
 
 from solver.errors import InputError
 from solver.fitting import per_tet, stretches
-from solver.fitting.face import Face, Pose, State
+from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.objective import SkinDistance, Target
 from solver.fitting.per_tet import Objective, PerTetOptions, tissue
 from solver.fitting.per_tet.objective import PreferredContraction, contraction
@@ -195,6 +195,6 @@ def test_bad_input_is_told(divided):
     with pytest.raises(InputError, match="fibres"):
         per_tet.fit(face, data)
     rest = face.rest_pose()
-    state = State(rest, divided.face.rest.equilibrium)
+    state = PosedFace(rest, divided.face.rest.equilibrium)
     with pytest.raises(InputError, match="six activations"):
         per_tet.fit(face_with_fibres(), data, state)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from solver.fitting.face import Face, Pose, State
+from solver.fitting.face import Face, Pose, PosedFace
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.certificate import certify, check_flesh, with_round_trips
 from solver.rig.checks import CHECKS, RigCheck, judge
@@ -32,11 +32,11 @@ def S(face: Face) -> sp.csr_array:
 
 
 @pytest.fixture(scope="module")
-def state(face: Face) -> State:
+def state(face: Face) -> PosedFace:
     return face.continuation(face.rest, Pose(PULL, JAW))
 
 
-def fitted(face: Face, state: State, name: str = "smile") -> ExpressionFit:
+def fitted(face: Face, state: PosedFace, name: str = "smile") -> ExpressionFit:
     skin = face.whole_skin(state.x, state.pose.b)
     return ExpressionFit(
         name=name,
@@ -59,7 +59,7 @@ def volumes(face: Face, x: np.ndarray) -> np.ndarray:
     return np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6.0
 
 
-def test_flesh_at_rest_in_its_equilibrium(face: Face, state: State) -> None:
+def test_flesh_at_rest_in_its_equilibrium(face: Face, state: PosedFace) -> None:
     a = face.tet_activations(state.pose.a)
     found = check_flesh(face, a, state.x, face.linear)
     ratio = volumes(face, state.x) / volumes(face, face.model.rest)
@@ -73,7 +73,7 @@ def test_flesh_at_rest_in_its_equilibrium(face: Face, state: State) -> None:
     assert found.volume_percent == pytest.approx(100.0 * (whole - 1.0))
 
 
-def test_flesh_out_of_its_equilibrium(face: Face, state: State) -> None:
+def test_flesh_out_of_its_equilibrium(face: Face, state: PosedFace) -> None:
     a = face.tet_activations(state.pose.a)
     moved = state.x.copy()
     moved[face.flesh.free[0]] += [0.5, 0.0, 0.0]
@@ -82,7 +82,7 @@ def test_flesh_out_of_its_equilibrium(face: Face, state: State) -> None:
     assert check_flesh(face, a, moved, face.linear).inverted > 0
 
 
-def test_a_round_trip_comes_home(face: Face, state: State) -> None:
+def test_a_round_trip_comes_home(face: Face, state: PosedFace) -> None:
     fit = fitted(face, state)
     other = replace(fit, name="buckled", skin=fit.skin + np.array([0.0, 0.0, 1.0]))
     home, buckled = with_round_trips(face, (fit, other))
@@ -98,7 +98,7 @@ def test_a_round_trip_comes_home(face: Face, state: State) -> None:
     assert asked == []
 
 
-def test_an_activation_out_of_reach_is_told(face: Face, state: State) -> None:
+def test_an_activation_out_of_reach_is_told(face: Face, state: PosedFace) -> None:
     wild = np.array([[-0.2, 0.0, 0.0, 1.0, 0.0, 1.0], [1.0, 0.0, 0.0, -0.2, 0.0, 1.0]])
     fit = replace(fitted(face, state), activations=wild, jaw=np.array([0.0, 0.0, 0.0, 6000.0, 0.0]))
     fits = with_round_trips(face, (fit,))
@@ -118,7 +118,7 @@ def test_only_excited_muscles_count() -> None:
     assert np.isnan(activation_error(np.tile(IDENTITY, (2, 1)), found))
 
 
-def test_the_worst_expression_decides(face: Face, state: State) -> None:
+def test_the_worst_expression_decides(face: Face, state: PosedFace) -> None:
     good = fitted(face, state)
     poor = replace(good, name="sad", error_mm=np.full(len(good.skin), 0.6), x=None)
     rig = Rig(face.model, face.S, (good, poor), {})
@@ -129,7 +129,7 @@ def test_the_worst_expression_decides(face: Face, state: State) -> None:
     assert "trip.skin" not in judged
 
 
-def test_it_says_which_expressions_may_be_used(face: Face, state: State) -> None:
+def test_it_says_which_expressions_may_be_used(face: Face, state: PosedFace) -> None:
     good = fitted(face, state)
     torn = replace(good, name="sad", error_mm=np.full(len(good.skin), 3.0))
 
