@@ -135,10 +135,6 @@ class _Counting:
         self._solver = solver
         self.count = 0
 
-    def factor(self, data: Floats) -> Factor:
+    def factor(self, data: Floats, *, indefinite: bool = False) -> Factor:
         self.count += 1
-        return self._solver.factor(data)
-
-    def factor_indefinite(self, data: Floats) -> Factor:
-        self.count += 1
-        return self._solver.factor_indefinite(data)
+        return self._solver.factor(data, indefinite=indefinite)

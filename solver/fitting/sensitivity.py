@@ -67,7 +67,7 @@ class TetForces:
         self.face, self.pose, self.x = face, pose, x
         flesh, S = face.flesh, face.S
         self.tet_a = face.tet_activations(pose.a)
-        self.by_tet = flesh.forces_by_activation(x, self.tet_a)  # (n, 4, 3, 6)
+        self.by_tet = flesh.elastic.forces_by_activation(x, self.tet_a)  # (n, 4, 3, 6)
         self.numbers = flesh.free_numbers[flesh.tets]
         self.columns = np.vstack([IDENTITY, pose.a])
         self.pattern = self.by_tet, self.numbers, S.indptr, S.indices

@@ -54,12 +54,16 @@ class BlockSum:
         self._blocks = free[contributions]
         self._turned = ends[0, self._blocks] > ends[1, self._blocks]
         rows, columns = np.divmod(entries, count)
-        graph = into.graph if into else _graph(rows, columns, count)
-        self.graph: sp.csr_array = graph
-        pattern = into.pattern if into else sp.csr_array(sp.kron(graph, np.ones((3, 3)), "csr"))
-        pattern.sort_indices()
-        self.pattern: sp.csr_array = pattern
-        self.diagonal: Ints = np.flatnonzero(np.equal(*pattern.tocoo().coords))
+        if into:
+            self.graph, self.pattern = into.graph, into.pattern
+        else:
+            upper = sp.csr_array((np.ones(len(rows)), (rows, columns)), shape=(count, count))
+            self.graph = sp.csr_array(upper + upper.T)
+            self.graph.sort_indices()
+            self.pattern = sp.csr_array(sp.kron(self.graph, np.ones((3, 3)), "csr"))
+            self.pattern.sort_indices()
+        graph = self.graph
+        self.diagonal: Ints = np.flatnonzero(np.equal(*self.pattern.tocoo().coords))
         length = np.diff(graph.indptr).astype(np.int64)
         keys = np.repeat(np.arange(count), length) * count + graph.indices
         within = np.arange(graph.nnz) - np.repeat(graph.indptr[:-1], length)
@@ -70,25 +74,15 @@ class BlockSum:
 
     def __call__(self, blocks: Floats) -> sp.csr_array:
         """Return the sum of ``blocks`` (n, PAIRS, 3, 3), those of the pairs u <= v of each tet."""
-        pattern, data = self.pattern, np.empty(len(self.pattern.indices))
-        self._sum(blocks, data)
+        pattern, data = self.pattern, np.zeros(len(self.pattern.indices))
+        self.add(blocks, data)
         return sp.csr_array((data, pattern.indices, pattern.indptr), shape=pattern.shape)
 
     def add(self, blocks: Floats, data: Floats) -> None:
         """Add the sum of ``blocks`` (n, v (v + 1) / 2, 3, 3) to the pattern's ``data``."""
-        self._sum(blocks, data, add=True)
-
-    def _sum(self, blocks: Floats, data: Floats, *, add: bool = False) -> None:
-        _sum_blocks(
-            np.ascontiguousarray(blocks).reshape(-1, 3, 3),
-            self._first,
-            self._blocks,
-            self._turned,
-            self._slots,
-            self._lengths,
-            add,
-            data,
-        )
+        flat = np.ascontiguousarray(blocks).reshape(-1, 3, 3)
+        groups = self._first, self._blocks, self._turned
+        _add_blocks(flat, *groups, self._slots, self._lengths, data)
 
 
 @nb.njit(cache=True)
@@ -110,15 +104,6 @@ def couple(blocks: Floats, tets: Ints, numbers: Ints, motion: Floats, out: Float
                         value = B[i, j] if u <= v else B[j, i]
                         for k in range(out.shape[2]):
                             out[row, i, k] += value * motion[tets[e, v], j, k]
-
-
-def _graph(rows: Ints, columns: Ints, count: int) -> sp.csr_array:
-    """Return the symmetric pattern (count, count), sorted, with some entries of its upper half."""
-    off = rows != columns
-    places = np.concatenate([rows, columns[off]]), np.concatenate([columns, rows[off]])
-    graph = sp.csr_array((np.ones(len(places[0])), places), shape=(count, count))
-    graph.sort_indices()
-    return graph
 
 
 def _group(labels: Ints, count: int) -> tuple[Ints, Ints]:
@@ -144,17 +129,16 @@ def _sum_rows(flat: Floats, first: Ints, members: Ints, out: Floats) -> None:
 
 
 @nb.njit(cache=True, parallel=True)
-def _sum_blocks(
+def _add_blocks(
     blocks: Floats,
     first: Ints,
     members: Ints,
     turned: Ints,
     slots: Ints,
     lengths: Ints,
-    add: bool,
     data: Floats,
 ) -> None:
-    """Write, or add, every entry's 3x3 sum to its two places in the CSR ``data``."""
+    """Add every entry's 3x3 sum to its two places in the symmetric CSR ``data``."""
     for entry in nb.prange(len(slots)):
         b00 = b01 = b02 = b10 = b11 = b12 = b20 = b21 = b22 = 0.0
         for k in range(first[entry], first[entry + 1]):
@@ -177,16 +161,15 @@ def _sum_blocks(
                 b20 += B[2, 0]
                 b21 += B[2, 1]
         s, length = slots[entry, 0], lengths[entry, 0]
-        if add:
-            b00 += data[s]
-            b01 += data[s + 1]
-            b02 += data[s + 2]
-            b10 += data[s + length]
-            b11 += data[s + length + 1]
-            b12 += data[s + length + 2]
-            b20 += data[s + 2 * length]
-            b21 += data[s + 2 * length + 1]
-            b22 += data[s + 2 * length + 2]
+        b00 += data[s]
+        b01 += data[s + 1]
+        b02 += data[s + 2]
+        b10 += data[s + length]
+        b11 += data[s + length + 1]
+        b12 += data[s + length + 2]
+        b20 += data[s + 2 * length]
+        b21 += data[s + 2 * length + 1]
+        b22 += data[s + 2 * length + 2]
         data[s], data[s + 1], data[s + 2] = b00, b01, b02
         s += length
         data[s], data[s + 1], data[s + 2] = b10, b11, b12

@@ -145,17 +145,12 @@ class Flesh:
         if growth is not None:
             # F F_p^-1 is linear in the vertices as F is
             self.gradients /= growth[:, None, None]
-        given = self.material
+        given, law = self.material, self.material.law
         factor = np.ones(len(self.tets)) if stiffness_factor is None else stiffness_factor
-        self.elements = Elements(
-            self.tets,
-            self.gradients,
-            self.volumes,
-            *laws.own_moduli(given.law, given.mu * factor, given.lam * factor),
-            given.kappa * factor,
-            given.barrier_weight * factor,
-            laws.number(given.law),
-        )
+        mu, lam = laws.own_moduli(law, given.mu * factor, given.lam * factor)
+        kappa, barrier = given.kappa * factor, given.barrier_weight * factor
+        mesh = self.tets, self.gradients, self.volumes
+        self.elements = Elements(*mesh, mu, lam, kappa, barrier, laws.number(law))
         is_free = np.ones(len(self.rest), dtype=bool)
         is_free[held] = False
         self.free = np.flatnonzero(is_free)
@@ -205,7 +200,7 @@ class Flesh:
         return np.asarray((3 * self.free[:, None] + np.arange(3)).ravel())
 
     def free_block(self, matrix: sp.csr_array) -> sp.csr_array:
-        """Return the part of a matrix (3 p, 3 p) that belongs to free coordinates, (size, size)."""
+        """Return the free coordinates' part (size, size) of a matrix (3 p, 3 p)."""
         found = sp.csr_array(matrix[self.free_coordinates][:, self.free_coordinates])
         found.sum_duplicates()
         return found
@@ -250,11 +245,6 @@ class Flesh:
             each.block_sum.add(each.term.blocks(x, a, project=project), matrix.data)
         return matrix
 
-    def assemble(self, blocks: Floats) -> sp.csr_array:
-        """Sum every tet's blocks (n, 4, 4, 3, 3), of which those with u <= v are read."""
-        u, v = np.triu_indices(4)
-        return self.block_sum(np.ascontiguousarray(blocks[:, u, v]))
-
     def coupling(self, x: Floats, a: Floats, motion: Floats) -> Floats:
         """Return the free gradient's change as held vertices move by ``motion`` (p, 3, k).
 
@@ -269,10 +259,6 @@ class Flesh:
                 blocks = term.blocks(x, a, some=touched)
                 couple(blocks, vertices, self.free_numbers[vertices], motion, out)
         return out.reshape(self.size, -1)
-
-    def forces_by_activation(self, x: Floats, a: Floats) -> Floats:
-        """See :meth:`ElasticTerm.forces_by_activation`."""
-        return self.elastic.forces_by_activation(x, a)
 
     def forces_by_control(self, x: Floats, controls: Floats) -> sp.csr_array:
         """Return d(dE/dx)/d(controls), (size, k): k controls, an array of activations in turn."""

@@ -45,11 +45,11 @@ class _Solve:
 class LinearSolver(Protocol):
     """The analysis of one sparsity pattern."""
 
-    def factor(self, data: Floats) -> Factor:
-        """Factorise the matrix with these CSR values; raises :class:`NotPositiveDefiniteError`."""
+    def factor(self, data: Floats, *, indefinite: bool = False) -> Factor:
+        """Factorise the matrix with these CSR values; raises :class:`NotPositiveDefiniteError`.
 
-    def factor_indefinite(self, data: Floats) -> Factor:
-        """Do so with eigenvalues of any sign but zero, which raises the same."""
+        An ``indefinite`` one may have eigenvalues of any sign but zero.
+        """
 
 
 class Rslab:
@@ -74,26 +74,16 @@ class Rslab:
             threads=nb.get_num_threads(),
         )
 
-    def factor(self, data: Floats) -> Factor:
+    def factor(self, data: Floats, *, indefinite: bool = False) -> Factor:
         """See :class:`LinearSolver`."""
-        factor = self._factor(data)
-        _, negative, zero = factor.inertia
-        if negative or zero:
-            raise NotPositiveDefiniteError(f"{negative} negative and {zero} zero pivots")
-        return _Solve(partial(self._solve, factor))
-
-    def factor_indefinite(self, data: Floats) -> Factor:
-        """See :class:`LinearSolver`."""
-        factor = self._factor(data)
-        if factor.inertia[2]:
-            raise NotPositiveDefiniteError(f"{factor.inertia[2]} zero pivots")
-        return _Solve(partial(self._solve, factor))
-
-    def _factor(self, data: Floats) -> Any:
         try:
-            return self._analysis.factor(data[self._keep])
+            factor = self._analysis.factor(data[self._keep])
         except RuntimeError as error:
             raise NotPositiveDefiniteError(str(error)) from error
+        _, negative, zero = factor.inertia
+        if zero or (negative and not indefinite):
+            raise NotPositiveDefiniteError(f"{negative} negative and {zero} zero pivots")
+        return _Solve(partial(self._solve, factor))
 
     def _solve(self, factor: Any, B: Floats) -> Floats:
         if B.ndim == 1:
@@ -111,7 +101,7 @@ class Rslab:
         return X
 
 
-class RslabSingle(Rslab):
+class _RslabSingle(Rslab):
     """The same in single precision: a fifth faster, with relative errors of about 1e-5.
 
     Newton's method mends them, as its residuals are in double precision; sensitivities keep them.
@@ -120,7 +110,7 @@ class RslabSingle(Rslab):
     dtype = "float32"
 
 
-class SuperLU:
+class _SuperLU:
     """SciPy's LU on a METIS order (BSD): always there, and the slowest."""
 
     pivot_threshold = 0.1  # SuperLU's own for symmetric patterns: smaller diagonals are no pivots
@@ -138,36 +128,29 @@ class SuperLU:
             (np.zeros(len(self._from)), permuted.indices, permuted.indptr), shape=pattern.shape
         )
 
-    def factor(self, data: Floats) -> Factor:
-        """See :class:`LinearSolver`; unpivoted, U's diagonal has the signs of the inertia."""
-        lu = self._factor(data, 0.0)
-        if not (lu.U.diagonal() > 0.0).all():
+    def factor(self, data: Floats, *, indefinite: bool = False) -> Factor:
+        self._matrix.data = data[self._from]
+        try:
+            lu = scipy.sparse.linalg.splu(
+                self._matrix,
+                permc_spec="NATURAL",
+                diag_pivot_thresh=self.pivot_threshold if indefinite else 0.0,
+                options={"SymmetricMode": True},
+            )
+        except RuntimeError as error:
+            raise NotPositiveDefiniteError(str(error)) from error
+        # unpivoted, U's diagonal has the signs of the inertia
+        if not (indefinite or (lu.U.diagonal() > 0.0).all()):
             raise NotPositiveDefiniteError("a pivot is not positive")
         return _Solve(partial(self._solve, lu))
-
-    def factor_indefinite(self, data: Floats) -> Factor:
-        """See :class:`LinearSolver`."""
-        return _Solve(partial(self._solve, self._factor(data, self.pivot_threshold)))
 
     def _solve(self, lu: Any, B: Floats) -> Floats:
         X = np.empty(B.shape)
         X[self._order] = lu.solve(np.ascontiguousarray(B[self._order]))
         return X
 
-    def _factor(self, data: Floats, threshold: float) -> Any:
-        self._matrix.data = data[self._from]
-        try:
-            return scipy.sparse.linalg.splu(
-                self._matrix,
-                permc_spec="NATURAL",
-                diag_pivot_thresh=threshold,
-                options={"SymmetricMode": True},
-            )
-        except RuntimeError as error:
-            raise NotPositiveDefiniteError(str(error)) from error
 
-
-class Cholmod:
+class _Cholmod:
     """CHOLMOD by cvxopt (GPL-3, an extra)."""
 
     def __init__(self, pattern: sp.csr_array) -> None:
@@ -181,8 +164,9 @@ class Cholmod:
         cvxopt.cholmod.options["supernodal"] = 2
         self._order = cvxopt.matrix(nested_dissection(pattern).tolist(), tc="i")
 
-    def factor(self, data: Floats) -> Factor:
-        """See :class:`LinearSolver`."""
+    def factor(self, data: Floats, *, indefinite: bool = False) -> Factor:
+        if indefinite:  # a Cholesky factor does not exist
+            return _SuperLU(self._pattern).factor(data, indefinite=True)
         cholmod, places = self._cvxopt.cholmod, (self._rows, self._columns)
         lower = self._cvxopt.spmatrix(data[self._keep], *places, self._pattern.shape)
         # a numeric factorisation overwrites its analysis, and a fit keeps several factors alive
@@ -193,10 +177,6 @@ class Cholmod:
             raise NotPositiveDefiniteError(str(error)) from error
         return _Solve(partial(self._solve, analysis))
 
-    def factor_indefinite(self, data: Floats) -> Factor:
-        """See :class:`LinearSolver`; a Cholesky factor does not exist, so this is LU."""
-        return SuperLU(self._pattern).factor_indefinite(data)
-
     def _solve(self, analysis: Any, B: Floats) -> Floats:
         X = self._cvxopt.matrix(np.ascontiguousarray(B.reshape(len(B), -1)))
         self._cvxopt.cholmod.solve(analysis, X)
@@ -206,9 +186,9 @@ class Cholmod:
 # Name -> (the package it needs, the solver).
 SOLVERS: dict[str, tuple[str, Callable[[sp.csr_array], LinearSolver]]] = {
     "rslab": ("rslab", Rslab),
-    "rslab-single": ("rslab", RslabSingle),
-    "cholmod": ("cvxopt", Cholmod),
-    "superlu": ("scipy", SuperLU),
+    "rslab-single": ("rslab", _RslabSingle),
+    "cholmod": ("cvxopt", _Cholmod),
+    "superlu": ("scipy", _SuperLU),
 }
 
 # Those in double precision, the fastest first.
@@ -216,11 +196,10 @@ DOUBLE = ("rslab", "cholmod", "superlu")
 
 
 def analyse(pattern: sp.csr_array, name: str | None = None) -> LinearSolver:
-    """Analyse a symmetric pattern (all of it, sorted CSR) with the named solver.
+    """Analyse a symmetric pattern (all of it, sorted CSR) with the solver of that ``name``.
 
-    Without a name it is the fastest in double precision.
-
-    Raises :class:`InputError` (``solver.unknown``, ``solver.missing``).
+    Without a name it is the fastest in double precision. Raises :class:`InputError`
+    (``solver.unknown``, ``solver.missing``).
     """
     name = name or next(each for each in DOUBLE if _is_installed(SOLVERS[each][0]))
     if name not in SOLVERS:
@@ -272,7 +251,7 @@ class GrowingSolver:
     analysed pattern, as zeros where they are not used: most steps then need no new analysis, which
     costs as much as a factorisation. With more than ``largest`` times the entries of the fixed
     pattern it forgets all but the newest. ``name`` is the linear solver (:func:`analyse`),
-    ``analyses`` counts how often a pattern was analysed.
+    ``analyses`` counts how often a pattern was analysed, ``known`` are the keys of the last one.
     """
 
     def __init__(
@@ -285,33 +264,25 @@ class GrowingSolver:
         self.analyses = 0
         self._analyse(self._fixed)
 
-    @property
-    def entries(self) -> int:
-        """Return how many entries the analysed pattern has."""
-        return len(self._known)
-
     def plus(self, extra: sp.csr_array) -> LinearSolver:
-        """Return the solver of matrices of the fixed pattern with ``extra`` (size, size) added."""
+        """Return the solver of matrices of the fixed pattern with a symmetric ``extra`` added.
+
+        No entry of ``extra`` (size, size) may be stored twice.
+        """
         return _Sum(self, extra)
 
-    def factor(self, data: Floats, extra: sp.csr_array, *, indefinite: bool = False) -> Factor:
-        """Factorise the matrix with CSR values ``data`` plus the symmetric ``extra`` (size, size).
-
-        ``indefinite`` is for :meth:`LinearSolver.factor_indefinite`. No entry of ``extra`` may be
-        stored twice.
-
-        Raises :class:`NotPositiveDefiniteError`.
-        """
+    def factor(self, data: Floats, extra: sp.csr_array, *, indefinite: bool) -> Factor:
+        """See :meth:`LinearSolver.factor`, of the CSR values ``data`` plus ``extra``."""
         keys = _keys(extra)
-        if not _are_among(self._known, keys).all():
-            whole = _merge(self._known, keys)
+        if not _are_among(self.known, keys).all():
+            whole = _merge(self.known, keys)
             if len(whole) > self._largest * len(self._fixed):
                 whole = _merge(self._fixed, keys)
             self._analyse(whole)
-        values = np.zeros(len(self._known))
-        values[np.searchsorted(self._known, keys)] = extra.data
+        values = np.zeros(len(self.known))
+        values[np.searchsorted(self.known, keys)] = extra.data
         values[self._fixed_places] += data
-        return self._solver.factor_indefinite(values) if indefinite else self._solver.factor(values)
+        return self._solver.factor(values, indefinite=indefinite)
 
     def _analyse(self, keys: Ints) -> None:
         rows, columns = np.divmod(keys, self._size)
@@ -320,21 +291,18 @@ class GrowingSolver:
             (np.ones(len(keys)), columns, indptr), shape=(self._size, self._size)
         )
         self._solver: LinearSolver = analyse(pattern, self._name)
-        self._known = keys
+        self.known = keys
         self._fixed_places = np.searchsorted(keys, self._fixed)
         self.analyses += 1
 
 
+@dataclass(frozen=True)
 class _Sum:
-    def __init__(self, solver: GrowingSolver, extra: sp.csr_array) -> None:
-        self._solver = solver
-        self._extra = extra
+    solver: GrowingSolver
+    extra: sp.csr_array
 
-    def factor(self, data: Floats) -> Factor:
-        return self._solver.factor(data, self._extra)
-
-    def factor_indefinite(self, data: Floats) -> Factor:
-        return self._solver.factor(data, self._extra, indefinite=True)
+    def factor(self, data: Floats, *, indefinite: bool = False) -> Factor:
+        return self.solver.factor(data, self.extra, indefinite=indefinite)
 
 
 def _keys(matrix: sp.csr_array) -> Ints:

@@ -126,7 +126,7 @@ class Response:
         try:
             return cls(flesh, linear.factor(matrix.data))
         except NotPositiveDefiniteError:
-            return cls(flesh, linear.factor_indefinite(matrix.data), minimum=False)
+            return cls(flesh, linear.factor(matrix.data, indefinite=True), minimum=False)
 
     def columns(self, controls: Controls) -> Floats:
         """Return dx_free/dq (size, k)."""

@@ -21,6 +21,7 @@ from solver.errors import InputError, SolveError
 from solver.mechanics import elements, laws
 from solver.mechanics.assembly import PAIR, PAIRS
 from solver.mechanics.elements import Elements
+from solver.mechanics.linalg3 import symmetric_determinant
 from solver.surface import Floats, Ints
 
 
@@ -103,12 +104,9 @@ class ElasticTerm:
 
     def _check(self, a: Floats) -> None:
         if laws.needs_volume(self._mesh.law) and not elements.min_activated_volume(a) > 0.0:
-            xx, xy, xz, yy, yz, zz = a.T
-            volume = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
-            raise InvertedActivationError(
-                "material.activation",
-                f"tet number {int(np.argmin(volume))} is activated to no positive volume",
-            )
+            tet = int(np.argmin([symmetric_determinant(tuple(each)) for each in a]))
+            message = f"tet number {tet} is activated to no positive volume"
+            raise InvertedActivationError("material.activation", message)
 
     @cached_property
     def _forces(self) -> Floats:

@@ -94,9 +94,10 @@ class SaddleSolver:
         forces = model.sensitivity.forces
         by_tet, inverse = forces.by_tet[active], np.linalg.inv(model.a)
         weighted = np.einsum("euiq,eqr->euir", by_tet, inverse)
-        blocks = np.zeros((len(flesh.tets), 4, 4, 3, 3))
-        blocks[active] = np.einsum("euir,evjr->euvij", weighted, by_tet)
-        K = flesh.assemble(blocks)
+        u, v = np.triu_indices(4)
+        blocks = np.zeros((len(flesh.tets), len(u), 3, 3))
+        blocks[active] = np.einsum("epir,epjr->epij", weighted[:, u], by_tet[:, v])
+        K = flesh.block_sum(blocks)
         H = flesh.hessian(state.x, forces.tet_a, project=not state.equilibrium.minimum)
         C = model.data[free][:, free]
         jaw = rates.held[:, layout["jaw"]]
