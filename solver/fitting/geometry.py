@@ -73,7 +73,7 @@ Listener = Callable[[int, Mapping[str, PosedFace]], None]
 def fit(
     face: Face,
     data: Mapping[str, Term],
-    options: GeometryOptions | None = None,
+    options: GeometryOptions = GeometryOptions(),
     *,
     first_terms: Mapping[str, Term] | None = None,
     start: sp.csr_array | None = None,
@@ -89,7 +89,6 @@ def fit(
     expression that cannot be settled at the end is the best that was found of it, and its ending
     says so.
     """
-    options = options or GeometryOptions()
     first_terms = data if first_terms is None else first_terms
     face = face.with_weights(face.model.weights if start is None else start)
     first, known = ActivationOptions(options.first_iterations), rest_curvature(face)

@@ -91,12 +91,11 @@ class Iterate:
     pose_damping: dict[str, float] = field(default_factory=dict)
 
 
-def step(problem: GeometryProblem, now: Iterate, options: JointOptions | None = None) -> Iterate:
+def step(problem: GeometryProblem, now: Iterate, options: JointOptions = JointOptions()) -> Iterate:
     """Return a better iterate, or the same S with the losing states settled, and more damping.
 
     The states are only approached, as in the fit of activations.
     """
-    options = options or JointOptions()
     rule, pose_rule = options.damping, options.pose_damping
     face = problem.face.with_weights(now.S)
     damping = {name: now.pose_damping.get(name, pose_rule.start) for name in now.states}

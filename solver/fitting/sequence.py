@@ -84,14 +84,14 @@ class Tracker:
         *,
         temporal: float = 0.0,
         max_iterations: int = 20,
-        options: TrackingOptions | None = None,
+        options: TrackingOptions = TrackingOptions(),
     ) -> None:
         self.face = face
         self.state = start
         self._regulariser = regulariser
         self._temporal = temporal
         self._whole_fit = ActivationOptions(max_iterations, tolerance=1e-3)
-        self._options = options or TrackingOptions()
+        self._options = options
         self._kept: _Kept | None = None
         self._age = 0
         self._value = np.inf

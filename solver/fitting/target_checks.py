@@ -6,7 +6,7 @@ mistakes (a scan that was turned, named twice or replaced) and artifacts of scan
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,11 +47,8 @@ def before_fit(
     """Return what is odd about scans by name, each a registered scan of ``model``'s topology."""
     found = [*_find_repeated(model, scans, limits), *_find_same_name(model, scans, limits)]
     for name, scan in scans.items():
-        found += [
-            *_check_coverage(model, name, scan, limits),
-            *_check_head(model, name, scan, limits),
-            *_check_edges(model, name, scan, limits),
-        ]
+        for check in (_check_coverage, _check_head, _check_edges):
+            found += check(model, name, scan, limits)
     return found
 
 
@@ -108,30 +105,24 @@ def after_fit(
 
 def _find_repeated(
     model: SubjectModel, scans: Mapping[str, RegisteredScan], limits: TargetLimits
-) -> list[Finding]:
+) -> Iterator[Finding]:
     """Find scans that are the neutral, or each other."""
     known = {"the neutral": model.skin.vertices}
-    found = []
     for name, scan in scans.items():
         face = _seen(model, scan)
         for other, vertices in known.items():
-            if np.abs(scan.vertices[face] - vertices[face]).max(initial=0.0) > limits.same_mm:
-                continue
-            message = f"{name} and {other} are the same scan: one of them was sent for another"
-            found.append(
-                make_warning("target.repeated", message, {"expression": name, "other": other})
-            )
-            break
+            if np.abs(scan.vertices[face] - vertices[face]).max(initial=0.0) <= limits.same_mm:
+                message = f"{name} and {other} are the same scan: one of them was sent for another"
+                yield make_warning("target.repeated", message, {"expression": name, "other": other})
+                break
         known[name] = scan.vertices
-    return found
 
 
 def _find_same_name(
     model: SubjectModel, scans: Mapping[str, RegisteredScan], limits: TargetLimits
-) -> list[Finding]:
+) -> Iterator[Finding]:
     """Find names that differ only in case or spaces though the scans are of different faces."""
     first: dict[str, str] = {}
-    found = []
     for name, scan in scans.items():
         plain = "".join(letter for letter in name.casefold() if letter.isalnum())
         other = first.setdefault(plain, name)
@@ -144,24 +135,19 @@ def _find_same_name(
                 f"{name} and {other} have one name but lie {away:.1f} mm apart at vertex "
                 f"{vertex} ({_where(model, vertex)}): the fit will find each its own activations"
             )
-            found.append(
-                _notice("target.conflict", message, name, model, vertex, away, other=other)
-            )
-    return found
+            yield _notice("target.conflict", message, name, model, vertex, away, other=other)
 
 
 def _check_coverage(
     model: SubjectModel, name: str, scan: RegisteredScan, limits: TargetLimits
-) -> list[Finding]:
-    coverage = len(_seen(model, scan)) / len(model.face)
-    if coverage >= limits.coverage:
-        return []
-    message = (
-        f"{name} shows only {100 * coverage:.0f} % of the face; the rest of the fit is a guess"
-    )
-    return [
-        make_warning("target.coverage", message, {"expression": name, "found": round(coverage, 3)})
-    ]
+) -> Iterator[Finding]:
+    part = len(_seen(model, scan)) / len(model.face)
+    if part < limits.coverage:
+        message = (
+            f"{name} shows only {100 * part:.0f} % of the face; the rest of the fit is a guess"
+        )
+        context = {"expression": name, "found": round(part, 3)}
+        yield make_warning("target.coverage", message, context)
 
 
 def _check_head(
@@ -259,10 +245,8 @@ def _notice(
     distance: float,
     **more: float | str,
 ) -> Finding:
-    figures = {"vertex": vertex, "mm": round(float(distance), 2), **more}
-    return make_warning(
-        code, message, {"expression": name, "region": _where(model, vertex), **figures}
-    )
+    context = {"expression": name, "region": _where(model, vertex), "vertex": vertex}
+    return make_warning(code, message, {**context, "mm": round(float(distance), 2), **more})
 
 
 def check_held(face: Face) -> None:
@@ -278,28 +262,23 @@ def check_held(face: Face) -> None:
         held = points[vertices[flesh.free_numbers[vertices] < 0]]
         if len(held) >= 3 and np.linalg.matrix_rank(held - held[0], tol=1e-6) >= 2:
             continue
-        count = int((part[tets[:, 0]] == number).sum())
-        place = np.round(points[vertices].mean(axis=0), 1).tolist()
-        raise InputError(
-            "model.floating",
-            f"{count} tetrahedra around {place} mm are held by no bone (vertex {vertices[0]} is "
-            "one of theirs): build the model again",
-            vertex=int(vertices[0]),
-            tets=count,
+        count, first = int((part[tets[:, 0]] == number).sum()), int(vertices[0])
+        message = (
+            f"{count} tetrahedra around {np.round(points[vertices].mean(axis=0), 1).tolist()} mm "
+            f"are held by no bone (vertex {first} is one of theirs): build the model again"
         )
+        raise InputError("model.floating", message, vertex=first, tets=count)
 
 
 def idle_muscles(face: Face) -> list[Finding]:
     """Return the muscles that have no share of any tet: their activations stay at rest."""
     shares = np.asarray(face.S.sum(axis=0)).ravel()[1:]
     candidates = np.bincount(face.S.indices, minlength=face.S.shape[1])[1:]
-    end = "it moves nothing and stays at rest"
     found = []
     for name, count, share in zip(face.model.muscle_names, candidates, shares, strict=True):
-        if count == 0:
-            message = f"{name} has no flesh within reach: {end}"
-            found.append(make_warning("muscle.no_candidates", message, {"muscle": name}))
-        elif share <= 0.0:
-            message = f"{name} has no share of any tetrahedron: {end}"
-            found.append(make_warning("muscle.no_share", message, {"muscle": name}))
+        if share <= 0.0:
+            code = "muscle.no_share" if count else "muscle.no_candidates"
+            lack = "share of any tetrahedron" if count else "flesh within reach"
+            message = f"{name} has no {lack}: it moves nothing and stays at rest"
+            found.append(make_warning(code, message, {"muscle": name}))
     return found

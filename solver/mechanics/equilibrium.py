@@ -104,14 +104,13 @@ def newton_predict(
     linear: LinearSolver,
     x: Floats,
     a: Floats,
-    options: PredictorOptions | None = None,
+    options: PredictorOptions = PredictorOptions(),
 ) -> Equilibrium:
     """Take Newton steps from ``x`` (p, 3) until the next one is short, then some chord steps.
 
     Inside a fit that is near enough: ``estimate`` is what it compares with its target. Raises
     :class:`SolveError`: ``solve.inverted``, or ``solve.far`` after so many steps.
     """
-    options = options or PredictorOptions()
     energy = Energy(flesh, linear, a)
     _check_orientation(energy, x)
     search = Search(energy, x, NewtonOptions())
@@ -158,7 +157,7 @@ def correct(
     x: Floats,
     a: Floats,
     factor: Factorization,
-    options: CorrectorOptions | None = None,
+    options: CorrectorOptions = CorrectorOptions(),
 ) -> Equilibrium | None:
     """Return the equilibrium near ``x`` (p, 3) to within ``close_mm``, None if it is far.
 
@@ -167,7 +166,6 @@ def correct(
     result has the last that served, and the residual before the last correction. Raises
     :class:`SolveError` (``solve.singular``).
     """
-    options = options or CorrectorOptions()
     energy, accelerator = Energy(flesh, linear, a), Accelerator()
     left = options.factorizations
     # a projected Hessian is too stiff for its corrections to tell how far it still is
@@ -205,7 +203,7 @@ def _move(flesh: Flesh, x: Floats, motion: Floats, options: CorrectorOptions) ->
 
 
 def untangle(
-    flesh: Flesh, start: Floats, moved: Floats, options: CorrectorOptions | None = None
+    flesh: Flesh, start: Floats, moved: Floats, options: CorrectorOptions = CorrectorOptions()
 ) -> Floats | None:
     """Return ``moved`` (p, 3), every tet that collapses carried along whole; None if it fails.
 
@@ -213,7 +211,6 @@ def untangle(
     those that are held, or all four together, from where ``start`` (p, 3) has them, in which all
     tets are positively oriented.
     """
-    options = options or CorrectorOptions()
     if flesh.min_jacobian_ratio(start, moved) >= options.min_jacobian_ratio:
         return moved
     least = options.min_jacobian_ratio * np.minimum(flesh.jacobians(start), BARRIER_START)

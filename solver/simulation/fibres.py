@@ -20,7 +20,7 @@ from solver.errors import InputError
 from solver.fitting.controls import Block, Layout, jaw_block
 from solver.fitting.face import Face
 from solver.fitting.skin_fit import SkinFit
-from solver.fitting.stretches import COLUMN, FROBENIUS, ROW
+from solver.fitting.stretches import FROBENIUS, entries
 from solver.mechanics.boundary import BoundaryRates
 from solver.mechanics.flesh import IDENTITY, Flesh
 from solver.mechanics.response import SparseControls
@@ -42,16 +42,10 @@ def fibre_activations(model: SubjectModel, S: sp.csr_array, gamma: Floats) -> Fl
 
     Raises :class:`InputError` (``model.fibres``) for a model without fibres.
     """
-    rows, columns = S.tocoo().coords
-    along = _along(model, S)
-    stretch = np.concatenate([[1.0], gamma])[columns]
+    along, stretch = _along(model, S), np.concatenate([[1.0], gamma])[S.indices, None]
     across = 1.0 / np.sqrt(stretch)
-    entries = S.data * (stretch - across)
-    active = np.stack(
-        [np.bincount(rows, entries * along[:, k], minlength=S.shape[0]) for k in range(6)], axis=1
-    )
-    isotropic = np.bincount(rows, S.data * across, minlength=S.shape[0])
-    return np.ascontiguousarray(active + isotropic[:, None] * IDENTITY)
+    by_entry = S.data[:, None] * (across * IDENTITY + (stretch - across) * along)
+    return np.asarray(np.add.reduceat(by_entry, S.indptr[:-1]))
 
 
 def activation_rates(model: SubjectModel, S: sp.csr_array, gamma: Floats) -> sp.csr_array:
@@ -67,10 +61,10 @@ def activation_rates(model: SubjectModel, S: sp.csr_array, gamma: Floats) -> sp.
     return sp.csr_array((rates.ravel(), tuple(map(np.ravel, places))), shape=shape)
 
 
-class FibreContractions:
-    """Flesh driven by contractions gamma (m,) along fibres, an ``EnergyTerm`` of its tets.
+class _FibreContractions:
+    """The law of the tets, with the activations that contractions gamma (m,) come to.
 
-    It is the law of the tets, ``elastic``, with the activations that the contractions come to.
+    It is an :class:`~solver.mechanics.terms.EnergyTerm`.
     """
 
     def __init__(self, elastic: ElasticTerm, model: SubjectModel, S: sp.csr_array) -> None:
@@ -80,25 +74,20 @@ class FibreContractions:
 
     @property
     def vertices(self) -> Ints:
-        """See :class:`solver.mechanics.terms.EnergyTerm`."""
         return self._elastic.vertices
 
     def energy(self, x: Floats, controls: Floats) -> float:
-        """See :class:`solver.mechanics.terms.EnergyTerm`."""
         return self._elastic.energy(x, self._activations(controls))
 
     def forces(self, x: Floats, controls: Floats) -> Floats:
-        """See :class:`solver.mechanics.terms.EnergyTerm`."""
         return self._elastic.forces(x, self._activations(controls))
 
     def blocks(
         self, x: Floats, controls: Floats, *, project: float = 0.0, some: Ints | None = None
     ) -> Floats:
-        """See :class:`solver.mechanics.terms.EnergyTerm`."""
         return self._elastic.blocks(x, self._activations(controls), project=project, some=some)
 
     def forces_by_control(self, x: Floats, controls: Floats) -> sp.csc_array:
-        """See :class:`solver.mechanics.terms.EnergyTerm`."""
         by_activation = self._elastic.forces_by_control(x, self._activations(controls))
         return sp.csc_array(by_activation @ activation_rates(self._model, self._S, controls))
 
@@ -108,7 +97,7 @@ class FibreContractions:
 
 def driven_by_fibres(face: Face) -> Flesh:
     """Return a face's flesh with contractions (m,) of its muscles for controls."""
-    term = FibreContractions(face.flesh.elastic, face.model, face.S)
+    term = _FibreContractions(face.flesh.elastic, face.model, face.S)
     return face.flesh.driven_by(term, np.ones(face.model.muscle_count))
 
 
@@ -140,7 +129,7 @@ def _along(model: SubjectModel, S: sp.csr_array) -> Floats:
         raise InputError(
             "model.fibres", "the model has no fibre directions: build it again to use fibre muscles"
         )
-    return np.asarray(model.fibres[:, ROW] * model.fibres[:, COLUMN])
+    return entries(model.fibres)
 
 
 @dataclass(frozen=True)
