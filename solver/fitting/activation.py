@@ -1,16 +1,15 @@
 """(A): activations and jaw of one expression, S being known.
 
-Reduced-space Gauss-Newton: x is eliminated through the equilibrium, and Levenberg-Marquardt damping
-and a trust in the linear model keep the steps in reach. On the way the equilibrium is only
-approached, the rest of the way being part of the linear model, as in a full-space (SQP) method. The
-last state is settled. The model of f at a state is
+Reduced-space Gauss-Newton: x is eliminated through the equilibrium, which is only approached on the
+way, the rest being part of the linear model, as in a full-space (SQP) method. The last state is
+settled. The model of f at a state is
 
     f(p + s) ~ f + g . s + 1/2 s . (J^T C J + R) s,    p = (a, b),    J = dx/dp
 
-The gradient g takes one adjoint solve and a product with J^T C J two solves; the matrix itself
-takes as many as p has entries. So a matrix K from a state nearby, or from the same face fitted to
-other data, stands in for it: it gives a direction, an exact product says how far to go in it, and
-a BFGS update keeps in K what the product told, for the next direction and for the next states.
+The gradient g takes one adjoint solve, a product with J^T C J two, and the matrix itself as many as
+p has entries. So a matrix K from a state nearby, or from the same face fitted to other data, stands
+in for it: it gives a direction, an exact product says how far to go in it, and a BFGS update keeps
+in K what the product told.
 """
 
 from __future__ import annotations
@@ -59,11 +58,7 @@ def unseen_regulariser(face: Face) -> Regulariser:
 
 @dataclass(frozen=True)
 class DescentOptions:
-    """The way down, and from where it begins again.
-
-    Steps longer than :class:`TrustRegion` allows end, now and then, in flesh that buckles: from
-    there a fit takes twice as long, and one of S comes to a worse end.
-    """
+    """The way down, and from where it begins again."""
 
     damping: DampingOptions = field(
         default_factory=lambda: DampingOptions(0.1, least=1e-6, grow=8.0, shrink=8.0)
@@ -108,14 +103,13 @@ def fit(
 ) -> ActivationFit:
     """Minimise f over (a, b) from ``start``, else from the neutral face, and settle the result.
 
-    ``matrix`` (6 m + 5, 6 m + 5) is f's Gauss-Newton matrix without its priors, or one like it: of
-    a state nearby or of other data. Without it that of ``start`` is made, which takes as long as a
-    few iterations.
+    ``matrix`` (6 m + 5, 6 m + 5) is f's Gauss-Newton matrix without its priors, or that of a state
+    nearby or of other data. Without it that of ``start`` is made, as dear as a few iterations.
 
-    Where the descent gets stuck, or the flesh buckles as it settles or does not settle at all, the
-    fit goes on from the best that did settle, else from the neutral face; in the last case every
-    state on the way is settled too. A descent that gets stuck where it began has found the minimum.
-    Raises :class:`SolveError` (``solve.no_convergence``) if the face cannot be settled even so.
+    Where the descent gets stuck, or the flesh buckles as it settles or does not settle, the fit
+    goes on from the best that did settle, else from the neutral face, every state on the way then
+    being settled too. A descent that gets stuck where it began has found the minimum. Raises
+    :class:`SolveError` (``solve.no_convergence``) if the face cannot be settled even so.
     """
     if start is None and matrix is None:
         matrix = rest_curvature(face)
@@ -161,10 +155,7 @@ def improve(
     matrix: Floats | None = None,
     descent: DescentOptions = DescentOptions(),
 ) -> ActivationFit:
-    """Minimise f over (a, b), going from state to state by ``go``, which settles them or not.
-
-    It has got stuck where it ends before ``max_iterations`` and has not converged.
-    """
+    """Minimise f over (a, b), going from state to state by ``go``, which settles them or not."""
     if matrix is None:
         matrix = curvature(face, data, start)
     problem = _PoseProblem(face, data, regulariser, go, matrix, descent)
@@ -190,10 +181,10 @@ class _PoseProblem:
         return objective(self.data, self.regulariser, point)
 
     def linearise(self, point: PosedFace) -> GaussNewton:
-        """Make the model, which begins with the matrix of the one before."""
+        parts = self.face, self.data, self.regulariser
+        # the model begins with the matrix of the one before
         matrix = self.model.matrix if self.model else self.matrix
-        face, data, regulariser = self.face, self.data, self.regulariser
-        self.model = GaussNewton(face, data, regulariser, point, matrix, self.options)
+        self.model = GaussNewton(*parts, point, matrix, self.options)
         return self.model
 
     def move(self, point: PosedFace, step: LeastSquaresStep) -> PosedFace | None:
@@ -279,8 +270,7 @@ def _update(matrix: Floats, change: Floats, seen: Floats) -> Floats:
     if min(guessed, true) <= 1e-12 * np.abs(matrix).max() * float(change @ change):
         return matrix
     matrix = matrix - np.outer(expected, expected) / guessed
-    matrix += np.outer(seen, seen) / true
-    return matrix
+    return np.asarray(matrix + np.outer(seen, seen) / true)
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,8 @@
 over the lips' vertices p: d_p is how deep p lies in the other lip, less than the slack s being
 free, and h_p how deep behind a row of teeth, beyond what is free. Teeth are the fields that
 simulations have (:mod:`solver.contact.obstacles`), so a lip comes out to the front from any depth.
-Between lips simulations have a barrier; it allows no crossing, and scans, and so fits on their way,
-have lips that cross. What a vertex has crossed there is found anew at every x; c is continuous
-where that begins, as it begins within the slack.
+The barrier that simulations have between lips allows no crossing, but lips of scans do cross. What
+a vertex has crossed is found anew at every x; c is continuous, as that begins within the slack.
 """
 
 from __future__ import annotations
@@ -48,14 +47,11 @@ class LipContactOptions:
 
 @dataclass(frozen=True)
 class _Touching:
-    """h vertices in contact.
+    """h vertices in contact."""
 
-    ``depth`` (h,) is what is not free, ``slope`` (h, 3 p) its derivative, and ``weight`` (h,).
-    """
-
-    depth: Floats
-    slope: sp.csr_array
-    weight: Floats
+    depth: Floats  # (h,) that is not free
+    slope: sp.csr_array  # (h, 3 p), its derivative
+    weight: Floats  # (h,)
 
 
 class Teeth:
@@ -64,12 +60,9 @@ class Teeth:
     def __init__(
         self, model: SubjectModel, mouth: Mouth, options: LipContactOptions = LipContactOptions()
     ) -> None:
-        self._weight = options.teeth_weight
-        lips = np.flatnonzero(mouth.label == LIPS)
-        self._rows = sp.csr_array(mouth.rows[lips])
-        self._offset = mouth.offset[lips]
-        rest = mouth.points(model.rest)
-        self._mandible = Mandible.of(model)
+        self._weight, self._mandible = options.teeth_weight, Mandible.of(model)
+        lips, rest = np.flatnonzero(mouth.label == LIPS), mouth.points(model.rest)
+        self._rows, self._offset = sp.csr_array(mouth.rows[lips]), mouth.offset[lips]
 
         def row(label: int) -> Excess | None:
             faces = mouth.faces_of(label)
@@ -104,9 +97,9 @@ class Teeth:
 class Contact:
     """The term c, a :class:`solver.fitting.objective.Term`.
 
-    w_d and w_h are the weights of :class:`LipContactOptions` over k, for k face vertices: the
-    data's weights sum to one over the face. Fits of several expressions share the ``teeth``. Its
-    methods raise :class:`SolveError` (``solve.not_finite``) where x is not finite.
+    w_d and w_h are the weights of :class:`LipContactOptions` over the number of face vertices. Fits
+    of several expressions share the ``teeth``. Its methods raise :class:`SolveError`
+    (``solve.not_finite``) where x is not finite.
     """
 
     def __init__(

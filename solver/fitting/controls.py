@@ -1,15 +1,14 @@
 """Controls of a fit: one vector q of named blocks, with rest, bounds and units.
 
-Activations of S and the jaw, contractions of fibres, weights of shapes, the head: a fit varies them
-all as one vector and finds its parts by name. Controls say where they put the flesh, and give the
-derivative of that (:class:`solver.mechanics.response.Controls`), which is all that a fit needs to
-know of them.
+Activations of S and the jaw, contractions of fibres: a fit varies them all as one vector and finds
+its parts by name. Controls say where they put the flesh, and give the derivative of that
+(:class:`solver.mechanics.response.Controls`), all that a fit needs to know of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Protocol
 
@@ -45,16 +44,13 @@ class Layout:
     """The blocks of q in turn: ``layout["jaw"]`` is the slice of q (size,) that is the jaw."""
 
     blocks: tuple[Block, ...]
-    _places: dict[str, slice] = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
-        """Place the blocks one after the other."""
-        ends = np.cumsum([0, *(block.rest.size for block in self.blocks)]).tolist()
-        pairs = zip(self.blocks, ends[:-1], ends[1:], strict=True)
-        object.__setattr__(self, "_places", {b.name: slice(i, j) for b, i, j in pairs})
+    @cached_property
+    def _places(self) -> dict[str, slice]:
+        ends = np.cumsum([block.rest.size for block in self.blocks]).tolist()
+        return {b.name: slice(i - b.rest.size, i) for b, i in zip(self.blocks, ends, strict=True)}
 
     def __getitem__(self, name: str) -> slice:
-        """Return where a block is in q."""
         return self._places[name]
 
     @property

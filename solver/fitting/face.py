@@ -91,7 +91,7 @@ class PosedFace:
 class Face:
     """A subject's flesh with its bones, skin and muscle geometry S; all fits talk to this.
 
-    ``S`` (n, m + 1) is the model's geometric one if not given; :meth:`with_weights` exchanges it.
+    ``S`` (n, m + 1) is the model's geometric one if not given.
     ``linear`` names the linear solver (None: the fastest in double precision), ``tolerance`` is the
     equilibrium's relative residual. With ``pinned`` nothing slides on the skull. Edits are per tet
     ``stiffness_factor`` (n,) and ``growth`` (n,), see :class:`~solver.mechanics.flesh.Flesh`, and
@@ -116,12 +116,13 @@ class Face:
         self.model = model
         self.options = options
         self.S: sp.csr_array = model.weights if S is None else S
+        self.tolerance = tolerance
         material = material or COROTATED_TRACE
         self._held_rest = model.rest if bones is None else model.rest + bones
         held = np.concatenate([model.cranium, model.mandible, model.cut])
         if pinned:
             held = np.concatenate([held, model.sliding])
-        mu = material.mu if stiffness_factor is None else material.mu * stiffness_factor
+        mu = material.mu * (1.0 if stiffness_factor is None else stiffness_factor)
         self.flesh = Flesh(
             model.rest,
             model.tets,
@@ -131,7 +132,6 @@ class Face:
             stiffness_factor=stiffness_factor,
             growth=growth,
         )
-        self.tolerance = tolerance
         rest = self.flesh.hessian(model.rest, self.flesh.passive())
         self.linear: LinearSolver = analyse(rest, linear)
         row = np.full(len(model.skin.vertices), -1)
@@ -212,11 +212,10 @@ class Face:
         pose: Pose,
         settled_mm: float = PredictorOptions.settled_mm,
     ) -> PosedFace:
-        """Go from ``state`` to a pose nearby, only so near to its equilibrium as a fit needs.
+        """Go from ``state`` to a pose nearby, to within ``settled_mm`` of its equilibrium.
 
-        ``response`` (size,) is the flesh's linear response to the change of pose (or of S),
-        ``settled_mm`` how near that is (:func:`~solver.mechanics.equilibrium.newton_predict`).
-        Raises :class:`SolveError` where that is too far for a few Newton steps.
+        ``response`` (size,) is the flesh's linear response to the change of pose (or of S). Raises
+        as :func:`~solver.mechanics.equilibrium.newton_predict`.
         """
         a = self.tet_activations(pose.a)
         x = self._guess(state, response, pose, a)
@@ -253,13 +252,11 @@ class Face:
         return self._along(start, pose, self.options.smallest, settled=True)
 
     def newton_continuation(self, state: PosedFace, response: Floats, pose: Pose) -> PosedFace:
-        """Do as :meth:`newton_predict`, but step by step where the flesh would invert.
-
-        Where it buckles instead, steps are dear and lead no further.
-        """
+        """Do as :meth:`newton_predict`, but step by step where the flesh would invert."""
         try:
             return self.newton_predict(state, response, pose)
         except SolveError as error:
+            # where it buckles instead, steps are dear and lead no further
             if error.code != "solve.inverted":
                 raise
             return self._along(state, pose, self.options.smallest_in_fit, settled=False)
@@ -324,15 +321,12 @@ class Face:
         return np.asarray(self.face_embedding @ x + self.face_offset)
 
     def whole_skin(self, x: Floats, b: Floats) -> Floats:
-        """Return every vertex of the scan topology (V, 3).
-
-        Rigid parts go with their bone, skin beyond the flesh follows that on it.
-        """
+        """Return every vertex of the scan topology (V, 3), what is rigid going with its bone."""
         model = self.model
-        skin = model.skin.vertices.copy()
-        attached = model.attached_mandible
+        skin, attached = model.skin.vertices.copy(), model.attached_mandible
         skin[attached] = move_jaw(model.jaw, skin[attached], b)
         skin[model.embedded] = model.embedding @ x + model.offset
+        # beyond the flesh it follows that on it
         skin[self._loose_skin.ids] += self._loose_skin.follow(skin - model.skin.vertices)
         return skin
 

@@ -43,8 +43,7 @@ UNSETTLED = make_warning(
 class FallbackFit:
     """A settled state, f there, and how it was found.
 
-    ``status`` is ``stopped`` where the iterations ran out, ``failed`` where the solver broke down
-    and ``state`` is the best of what there was.
+    ``status`` is ``stopped`` where the iterations ran out, ``failed`` where the solver broke down.
     """
 
     state: PosedFace

@@ -30,27 +30,17 @@ LAST = ActivationOptions(20, tolerance=1e-3)  # of the activations, once S is fo
 
 @dataclass(frozen=True)
 class GeometryOptions:
-    """The schedule of the rounds.
-
-    ``w_a`` and ``w_s`` are the weights of the first and last round, geometric in between; ``w_v``
-    weighs the muscles' volume and ``w_b`` the jaw. The first poses come from
-    ``first_iterations`` of the activations alone. Where two rounds in turn gain less than
-    ``tolerance`` f, the fit goes on to the whole rounds (:data:`WHOLE_ROUNDS`), or ends there.
-    """
+    """The schedule of the rounds."""
 
     rounds: int = 12
-    w_a: tuple[float, float] = (0.2, 1e-3)
+    w_a: tuple[float, float] = (0.2, 1e-3)  # of the first and last round, geometric in between
     w_s: tuple[float, float] = (1e-4, 1e-7)
-    w_v: float = 1e-2
-    w_b: float = 1e-6
-    first_iterations: int = 4
+    w_v: float = 1e-2  # of the muscles' volume
+    w_b: float = 1e-6  # of the jaw
+    first_iterations: int = 4  # of the activations alone, for the first poses
+    # where two rounds in turn gain less than this part of f, the fit goes on to the whole rounds,
+    # or ends there
     tolerance: float = 3e-3
-
-    def weights(self, number: int) -> tuple[float, float]:
-        """Return w_a and w_s of round ``number`` (from 0)."""
-        t = number / max(self.rounds - 1, 1)
-        a, s = (start * (end / start) ** t for start, end in (self.w_a, self.w_s))
-        return a, s
 
 
 @dataclass(frozen=True)
@@ -83,11 +73,10 @@ def fit(
     """Fit S, activations and jaws to all data, from S ``start`` and the rest pose.
 
     ``first_terms`` takes the place of ``data`` in all but the last rounds (:data:`WHOLE_ROUNDS`):
-    the distance without contact, which many small steps would otherwise be needed for.
-    Without ``start`` it is the model's geometric S; it has to have that one's pattern.
-    ``structure`` L (k, nnz) adds 1/2 |L (S - start)|^2 (:mod:`solver.fitting.joint`). An
-    expression that cannot be settled at the end is the best that was found of it, and its ending
-    says so.
+    the distance without contact, which would take many small steps. ``start`` has the pattern of
+    the model's geometric S, which it is if not given. ``structure`` L (k, nnz) adds
+    1/2 |L (S - start)|^2 (:mod:`solver.fitting.joint`). An expression that cannot be settled at the
+    end is the best that was found of it, and its ending says so.
     """
     first_terms = data if first_terms is None else first_terms
     face = face.with_weights(face.model.weights if start is None else start)
@@ -126,8 +115,9 @@ def _problem(
     number: int,
     structure: sp.csr_array | None,
 ) -> GeometryProblem:
-    """Return the problem of round ``number``; S of ``face`` is its prior."""
-    w_a, w_s = options.weights(number)
+    """Return the problem of round ``number`` (from 0); S of ``face`` is its prior."""
+    t = number / max(options.rounds - 1, 1)
+    w_a, w_s = (first * (last / first) ** t for first, last in (options.w_a, options.w_s))
     regulariser = Regulariser(w_a, options.w_v, options.w_b, face.rest_pose())
     structure = sp.csr_array((0, face.S.nnz)) if structure is None else structure
     return GeometryProblem(face, data, regulariser, w_s, face.S.data, structure)
@@ -150,22 +140,19 @@ def _finish(
 
 def mean_error(face: Face, targets: Mapping[str, Target], states: Mapping[str, PosedFace]) -> float:
     """Return the mean distance over the face skin and the expressions, mm."""
-    errors = [
-        np.nanmean(target.distances(face.face_points(states[name].estimate)))
-        for name, target in targets.items()
-    ]
-    return float(np.mean(errors))
+    skins = {name: face.face_points(states[name].estimate) for name in targets}
+    return float(np.mean([np.nanmean(targets[name].distances(skins[name])) for name in targets]))
 
 
-# The multi-target problem by IPOPT, for jobs: small meshes only.
+# By IPOPT, for jobs: small meshes only.
 
 MOST_TETS = 2000  # times expressions: beyond, a solve takes hours and gigabytes
 TOLERANCE = 1e-4  # IPOPT's
-ITERATIONS_A_ROUND = 50  # of IPOPT, for one of the rounds that are asked for
+ITERATIONS_A_ROUND = 50  # of IPOPT's
 
 
 def most_iterations(options: GeometryOptions) -> int:
-    """Return how many iterations stand for the rounds of the options."""
+    """Return how many of IPOPT's iterations stand for the rounds of the options."""
     return ITERATIONS_A_ROUND * options.rounds
 
 
@@ -191,22 +178,19 @@ def fit_by_ipopt(
     start: sp.csr_array | None = None,
     structure: sp.csr_array | None = None,
 ) -> tuple[GeometryFit, tuple[Finding, ...]]:
-    """Fit S, activations and jaws with the last round's weights, as :func:`geometry.fit` does.
+    """Do as :func:`fit` with the last round's weights.
 
-    Where IPOPT stops early, what it had is settled and kept, and a notice says why. Raises
-    :class:`InputError` (:func:`check_size`).
+    Where IPOPT stops early, what it had is settled and kept, and a notice says why. Raises as
+    :func:`check_size`.
     """
     check_size(face, len(data))
     face = face.with_weights(face.model.weights if start is None else start)
     problem = _problem(face, data, options, options.rounds - 1, structure)
+    rest, most = dict.fromkeys(data, face.rest), most_iterations(options)
     notices: tuple[Finding, ...] = ()
     try:
         found = reference.geometry(
-            problem,
-            dict.fromkeys(data, face.rest),
-            tolerance=TOLERANCE,
-            max_iterations=most_iterations(options),
-            listen=listen,
+            problem, rest, tolerance=TOLERANCE, max_iterations=most, listen=listen
         )
     except NotConvergedError as error:
         found = error.last

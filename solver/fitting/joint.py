@@ -9,9 +9,9 @@ The matrix of its pose, B_k = Z_k^T C_k Z_k + R_k, is small and dense. Eliminati
 
     sum_k X_k^T (C_k - T_k B_k^-1 T_k^T) X_k + w_s + L^T L,    T_k = C_k Z_k,
 
-which is never formed: it is minimised on the simplex by products, each two solves with the
-stiffness an expression. The published block coordinate descent solves for S and the poses in turn,
-which leaves T_k out and goes a shorter way with every round.
+which is never formed: it is minimised on the simplex by products, two solves an expression each.
+The published block coordinate descent solves for S and the poses in turn, which leaves T_k out and
+goes a shorter way with every round.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ class GeometryProblem:
 
     def value(self, S: sp.csr_array, states: Mapping[str, PosedFace]) -> float:
         """Return f at the states' estimates."""
-        expressions = [self.expression_value(name, state) for name, state in states.items()]
-        return sum(expressions) + self.prior_value(S.data)
+        data = sum(self.expression_value(name, state) for name, state in states.items())
+        return data + self.prior_value(S.data)
 
     def expression_value(self, name: str, state: PosedFace) -> float:
         """Return one expression's contribution to f."""
@@ -92,10 +92,7 @@ class Iterate:
 
 
 def step(problem: GeometryProblem, now: Iterate, options: JointOptions = JointOptions()) -> Iterate:
-    """Return a better iterate, or the same S with the losing states settled, and more damping.
-
-    The states are only approached, as in the fit of activations.
-    """
+    """Return a better iterate, or the same S with the losing states settled, and more damping."""
     rule, pose_rule = options.damping, options.pose_damping
     face = problem.face.with_weights(now.S)
     damping = {name: now.pose_damping.get(name, pose_rule.start) for name in now.states}
@@ -107,10 +104,9 @@ def step(problem: GeometryProblem, now: Iterate, options: JointOptions = JointOp
     before = problem.prior_value(now.S.data)
     for halving in range(options.halvings):
         fraction = 0.5**halving
-        S = replace_values(now.S, now.S.data + fraction * change)
-        trials = {
-            name: model.trial(S, fraction * change, fraction) for name, model in models.items()
-        }
+        part = fraction * change
+        S = replace_values(now.S, now.S.data + part)
+        trials = {name: model.trial(S, part, fraction) for name, model in models.items()}
         for name, trial in trials.items():
             damping[name] = pose_rule.adapt(damping[name], trial.ratio)
         # the priors are quadratic: what they gain is what their model says
@@ -134,16 +130,12 @@ def _change(
     problem: GeometryProblem, now: Iterate, models: list[_Linearised], reach: float
 ) -> Floats:
     """Return the change (nnz,) of S's values that minimises the damped model, poses following."""
-    structure = problem.structure
-    gradient = problem.prior_gradient(now.S.data)
-    for model in models:
-        gradient += model.gradient_by_geometry()
+    structure, known = problem.structure, problem.prior_gradient(now.S.data)
+    gradient = sum((model.gradient_by_geometry() for model in models), known)
 
     def product(direction: Floats) -> Floats:
-        out = (problem.w_s + now.damping) * direction + structure.T @ (structure @ direction)
-        for model in models:
-            out += model.product(direction)
-        return np.asarray(out)
+        known = (problem.w_s + now.damping) * direction + structure.T @ (structure @ direction)
+        return np.asarray(sum((model.product(direction) for model in models), known))
 
     best = minimise_on_simplex(now.S.data, gradient, product, now.S.indptr, reach)
     return np.asarray(best - now.S.data)

@@ -2,10 +2,9 @@
 
     f(q + s) ~ f + g . s + 1/2 s . (B + damping D^2) s
 
-A problem linearises f at a state and goes along steps; a search takes the linear model's steps
-until one lowers f. The damping (Levenberg 1944, Marquardt 1963) follows the ratio of what a step
-gained to what its model promised, the reach of a step may do so as well (trust region: More and
-Sorensen 1983).
+A problem linearises f at a state; a search takes the linear model's steps until one lowers f. The
+damping (Levenberg 1944, Marquardt 1963) follows the ratio of what a step gained to what its model
+promised, the reach of a step may do so as well (trust region: More and Sorensen 1983).
 """
 
 from __future__ import annotations
@@ -48,10 +47,7 @@ class DampingOptions:
         return min(damping * self.grow**times, self.most)
 
     def scale(self, damping: Floats, factor: Floats, fall: float) -> Floats:
-        """Return dampings (k,) times their ``factor`` (k,), as far as the rule lets them change.
-
-        None falls below ``fall`` times itself.
-        """
+        """Return dampings (k,) times ``factor`` (k,), cut to ``fall`` and the rule's growth."""
         return np.maximum(damping * np.clip(factor, fall, self.grow), self.least)
 
 
@@ -157,8 +153,7 @@ def minimise(
     """Lower f step by step from ``start``."""
     point, value = start, problem.value(start)
     for number in range(stop.iterations):
-        found = search.descend(problem, point, value, stop)
-        better, reached, ending = found
+        better, reached, ending = search.descend(problem, point, value, stop)
         if better is None:
             return LeastSquaresSolution(point, value, number, ending or Ending.STUCK, idle=True)
         point, value = better, reached
@@ -179,7 +174,6 @@ class TrustRegion:
     tries: int = 6  # from one point before that counts as stuck
 
     def __post_init__(self) -> None:
-        """Begin with the rule's damping and the longest reach."""
         self.damping, self.reach = self.rule.start, self.most
 
     def descend(
@@ -213,7 +207,6 @@ class TrustRegion:
             self.reach = min(2.0 * self.reach, self.most)
 
     def _shorten(self, taken: float) -> None:
-        """Trust in steps half as long as the one ``taken``."""
         self.reach = max(0.5 * min(self.reach, taken), self.least)
 
 
@@ -226,7 +219,6 @@ class Halving:
     least_ratio: float = -np.inf  # of a gain to the promised one, below which the descent ends
 
     def __post_init__(self) -> None:
-        """Begin with the rule's damping."""
         self.damping = self.rule.start
 
     def descend(

@@ -4,9 +4,9 @@
               + w_b/2 |D (b - b_prior)|^2 + w_e/2 sum_jk max(0, e - lambda_k(S(a_j)))^2
 
 The vertex weights sum to one, so that the first term is a mean squared distance in mm^2 and the
-other weights do not depend on the scan's resolution (the published sums differ by that factor). The
-last term is ours: a muscle whose S(a_j) has a negative eigenvalue turns its flesh inside out, which
-the barrier forbids, and what is left are many buckled equilibria to get caught in.
+others do not depend on the scan's resolution (the published sums differ by that factor). The last
+term is ours: a muscle whose S(a_j) has a negative eigenvalue turns its flesh inside out, which the
+barrier forbids, and what is left are many buckled equilibria to get caught in.
 """
 
 from __future__ import annotations
@@ -90,19 +90,16 @@ class Target:
 
 @dataclass(frozen=True)
 class Regulariser:
-    """The weights: of the activation's prior, volume, the jaw's prior, and least eigenvalues."""
+    """Priors of a pose, with their weights."""
 
     w_a: float
-    w_v: float
+    w_v: float  # of volume
     w_b: float
     prior: Pose
-    w_e: float = 0.1
+    w_e: float = 0.1  # of least eigenvalues
 
     def drawn_to(self, pose: Pose, weight: float) -> Regulariser:
-        """Return the regulariser with ``weight``/2 |a - a_pose|^2 added, and the like for the jaw.
-
-        It differs from the sum by a constant.
-        """
+        """Return, but for a constant, the sum with ``weight``/2 |a - a_pose|^2, the jaw's alike."""
         if weight == 0.0:
             return self
         total = self.w_a + weight
@@ -124,9 +121,9 @@ class Regulariser:
     def gradient(self, pose: Pose) -> Floats:
         """Return the derivative by (a, b), shape (6 m + 5,)."""
         det = determinants(pose.a) - 1.0
-        by_a = self.w_a * (pose.a - self.prior.a)
-        by_a = by_a + self.w_v * det[:, None] * determinant_gradients(pose.a)
         lack, gradients = lacking_eigenvalues(pose.a)
+        by_a = self.w_a * (pose.a - self.prior.a)
+        by_a += self.w_v * det[:, None] * determinant_gradients(pose.a)
         by_a -= self.w_e * np.einsum("jk,jkq->jq", lack, gradients)
         by_b = self.w_b * JAW_UNITS**2 * (pose.b - self.prior.b)
         return pose.layout.join([by_a, by_b])
@@ -159,8 +156,7 @@ def lacking_eigenvalues(a: Floats) -> tuple[Floats, Floats]:
 class Term(Protocol):
     """A part of f that depends on the tets' vertices x (p, 3) alone, held ones included, in mm.
 
-    What rides on the mandible is an affine combination of its vertices, so no term needs b. Fits
-    combine terms with the equilibrium's derivatives and know nothing else of scans or contact.
+    What rides on the mandible is an affine combination of its vertices, so no term needs b.
     """
 
     def value(self, x: Floats) -> float:
@@ -180,8 +176,7 @@ class SkinDistance:
     """
 
     def __init__(self, face: Face, target: Target) -> None:
-        self.target = target
-        self._face = face
+        self._face, self.target = face, target
 
     def value(self, x: Floats) -> float:
         """See :class:`Term`."""

@@ -26,14 +26,11 @@ BLOCK = 64  # columns that a symmetric product takes at once
 
 @dataclass(frozen=True)
 class Jacobian:
-    """dx/dq (3 p, k): ``flesh`` (size, k) of the free coordinates, ``held`` (3 p, k) of the others.
+    """dx/dq (3 p, k) of the free coordinates and of the others."""
 
-    ``free`` (size,) are the places of the free coordinates among all.
-    """
-
-    flesh: Floats
-    held: sp.csr_array
-    free: Ints
+    flesh: Floats  # (size, k)
+    held: sp.csr_array  # (3 p, k)
+    free: Ints  # (size,) places of the free coordinates among all
 
     def adjoint(self, gradient: Floats) -> Floats:
         """Return (dx/dq)^T g (k,) for g by x, (p, 3)."""
@@ -43,11 +40,9 @@ class Jacobian:
     def contract(self, curvature: sp.csr_array) -> Floats:
         """Return (dx/dq)^T C dx/dq (k, k) for C (3 p, 3 p)."""
         touched = np.flatnonzero(np.diff(curvature.indptr))
-        number = np.full(len(curvature.indptr) - 1, -1)
-        number[self.free] = np.arange(len(self.free))
-        number = number[touched]
         rows = self.held[touched].toarray()
-        rows[number >= 0] = self.flesh[number[number >= 0]]
+        _, place, number = np.intersect1d(touched, self.free, return_indices=True)
+        rows[place] = self.flesh[number]
         inner = curvature[touched][:, touched]
         out = np.empty((rows.shape[1], rows.shape[1]))
 
@@ -74,7 +69,7 @@ class TetForces:
 
 
 class PoseRates:
-    """The derivative by (a, b), a muscle by muscle: :class:`solver.mechanics.response.Controls`."""
+    """The derivative by (a, b): :class:`solver.mechanics.response.Controls`."""
 
     def __init__(self, forces: TetForces) -> None:
         self._forces = forces
@@ -168,7 +163,7 @@ class Sensitivity:
         return WeightRates(self.forces)
 
     def by_pose(self) -> Jacobian:
-        """Return the derivatives by (a, b); a muscle by muscle, six entries each."""
+        """Return the derivatives by (a, b), six entries a muscle."""
         return Jacobian(self.response.columns(self.pose), self.pose.held, self._free)
 
     def motions_along(self, directions: Floats) -> Floats:

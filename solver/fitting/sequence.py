@@ -2,10 +2,9 @@
 
 A frame takes a few SQP steps in (x, a, b): a Gauss-Newton step of the pose, then corrections of the
 equilibrium with the Hessian of a frame or a few ago. The sensitivities are kept for longer still,
-as they cost most and an error in them changes the objective to second order only. How well the
-steps do what they promise decides about the damping. Where nothing comes of them with new
-sensitivities either, the frame is fitted as any expression is, from the frame before; or left at
-that, if that is about as good as it was.
+as they cost most and an error in them changes the objective to second order only. Where nothing
+comes of new sensitivities either, the frame is fitted as any expression is, from the frame before;
+or left at that, if that is about as good as it was.
 """
 
 from __future__ import annotations
@@ -69,11 +68,10 @@ class _Kept:
 class Tracker:
     """Fits the pose of each frame from the one before; ``state`` is the last one's.
 
-    ``temporal`` is the weight w_t of w_t/2 |a - a_before|^2, the change from the frame before (the
-    jaw's in the same measure): 0 is none. ``max_iterations`` bounds a frame that is fitted
-    as any expression is. A state's vertices are within about :attr:`CorrectorOptions.close_mm` of
-    the equilibrium; its factor is that of the frame that was factorised last, its residual is that
-    before the last correction.
+    ``temporal`` is the weight w_t of w_t/2 |a - a_before|^2 (the jaw's in the same measure),
+    ``max_iterations`` bounds a frame that is fitted as any expression is. A state's vertices are
+    within about :attr:`CorrectorOptions.close_mm` of the equilibrium; its factor is that of the
+    frame that was factorised last, its residual that before the last correction.
     """
 
     def __init__(
