@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numba as nb
 import numpy as np
 import scipy.sparse as sp
-import scipy.sparse.linalg
 from numpy.typing import NDArray
+from scipy.sparse.linalg import LinearOperator, cg
 from scipy.spatial import cKDTree
 
 from solver.errors import InputError
@@ -43,8 +43,8 @@ def minimise_on_simplex(
     """Return the values that minimise g . d + 1/2 d . H d on the simplex, d their change.
 
     ``gradient`` (nnz,) is g at ``values``, ``product`` multiplies by the positive definite H; no
-    value moves by more than ``reach``. A few passes of conjugate gradients, each on the face that
-    the last one ended on and projected afterwards (More and Toraldo 1991), not to convergence.
+    value moves by more than ``reach``. Each pass of conjugate gradients is on the face that the one
+    before ended on, and projected afterwards (More and Toraldo 1991).
     """
     at, steepest = values, gradient
     for _ in range(options.passes):
@@ -53,13 +53,9 @@ def minimise_on_simplex(
         def on_face(direction: Floats, free: NDArray[np.bool_] = free) -> Floats:
             return tangent(product(direction), free, indptr)
 
-        system = scipy.sparse.linalg.LinearOperator(
-            (len(values), len(values)), matvec=on_face, dtype=np.float64
-        )
-        right = -tangent(steepest, free, indptr)
-        step, _ = scipy.sparse.linalg.cg(
-            system, right, rtol=options.tolerance, maxiter=options.iterations
-        )
+        shape, right = (len(values), len(values)), -tangent(steepest, free, indptr)
+        system = LinearOperator(shape, matvec=on_face, dtype=np.float64)
+        step, _ = cg(system, right, rtol=options.tolerance, maxiter=options.iterations)
         for halving in range(options.halvings):
             goal = np.clip(at + 0.5**halving * step, values - reach, values + reach)
             move = project(goal, indptr) - at
@@ -162,9 +158,7 @@ def _counterparts(source: SubjectModel, model: SubjectModel) -> Ints:
     """Return for every tet of ``model`` the one of ``source`` that stands for it."""
     if np.array_equal(source.tets, model.tets):
         return np.arange(len(model.tets))
-    there, here = (
-        (_centres(subject) - subject.jaw.origin) @ subject.jaw.axes.T for subject in (source, model)
-    )
+    there, here = ((_centres(m) - m.jaw.origin) @ m.jaw.axes.T for m in (source, model))
     return np.asarray(cKDTree(there).query(here)[1])
 
 
@@ -179,10 +173,10 @@ def _rows(S: sp.csr_array) -> Ints:
 
 # The symmetric option: muscles of the left and right change alike, as far as the tets allow.
 #
-# A tet mesh is not its own mirror image, and neither is a person. So nothing is forced: the prior
-# (w_m/2) sum (ds_ij - ds_i'j')^2 asks the *changes* ds of S from its start, which has the mesh's
-# own asymmetry, to be alike at the tet i' nearest to the mirrored centroid of tet i and the muscle
-# j' of the other side. The mirror is the jaw frame's middle plane.
+# A tet mesh is not its own mirror image, and neither is a person. So the prior
+# (w_m/2) sum (ds_ij - ds_i'j')^2 asks only the *changes* ds of S from its start to be alike, at the
+# tet i' nearest to the mirrored centroid of tet i and the muscle j' of the other side. The mirror
+# is the jaw frame's middle plane.
 
 OTHER_SIDE = {"left": "right", "right": "left", "l": "r", "r": "l"}
 MIRROR_REACH_MM = 4.0  # a tet further than this from its mirrored place has no counterpart
@@ -199,17 +193,12 @@ def mirror_structure(model: SubjectModel, w_m: float) -> sp.csr_array:
     muscle = _mirrored_muscles(model.muscle_names)[S.indices]
     found = np.asarray(numbers[np.maximum(tet, 0), muscle]).ravel() - 1
     paired = np.flatnonzero((tet >= 0) & (found >= 0) & (found != np.arange(S.nnz)))
-    rows, root = np.arange(len(paired)), np.full(len(paired), np.sqrt(w_m))
-    columns = np.concatenate([paired, found[paired]])
-    entries = np.concatenate([root, -root]), (np.concatenate([rows, rows]), columns)
-    return sp.csr_array(entries, shape=(len(paired), S.nnz))
+    pick = sp.eye_array(S.nnz, format="csr")
+    return sp.csr_array(np.sqrt(w_m) * (pick[paired] - pick[found[paired]]))
 
 
 def _mirrored_muscles(names: tuple[str, ...]) -> Ints:
-    """Return for every column of S the column of the other side, for those in the middle their own.
-
-    The sides are the words left, right, l and r of a name.
-    """
+    """Return for every column of S that of the other side, for those in the middle their own."""
     words = [tuple(re.split(r"[\s_]+", name.lower())) for name in names]
     columns = {name: number for number, name in enumerate(words, start=1)}
     swapped = [tuple(OTHER_SIDE.get(word, word) for word in name) for name in words]

@@ -48,10 +48,7 @@ class SkinPoint:
 
 
 class SkinFit:
-    """f of ``controls`` for the face's points (k, 3) at ``target`` (k, 3).
-
-    It is a :class:`~solver.fitting.least_squares.LeastSquaresProblem`.
-    """
+    """f of ``controls`` for the face's points (k, 3) at ``target``: a ``LeastSquaresProblem``."""
 
     def __init__(
         self,
@@ -60,8 +57,7 @@ class SkinFit:
         target: Floats,
         options: SkinFitOptions = SkinFitOptions(),
     ) -> None:
-        self._face, self._controls, self._target = face, controls, target
-        self._options = options
+        self._face, self._controls, self._target, self._options = face, controls, target, options
 
     def solve(self) -> LeastSquaresSolution[SkinPoint]:
         """Minimise f from rest."""
@@ -97,8 +93,7 @@ class SkinFit:
         scale, pull = np.sqrt(len(self._target)), np.sqrt(options.w_rest)
         matrix = np.vstack([self.jacobian(point) / scale, pull * np.eye(layout.size)])
         right = [-self._distances(point).ravel() / scale, pull * (layout.rest - point.q)]
-        lower, upper = layout.lower - point.q, layout.upper - point.q
-        bounds = lower - options.room, upper + options.room
+        bounds = layout.lower - point.q - options.room, layout.upper - point.q + options.room
         return _BoundedModel(matrix, np.concatenate(right), bounds)
 
     def move(self, point: SkinPoint, step: LeastSquaresStep) -> SkinPoint | None:

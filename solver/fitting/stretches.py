@@ -1,10 +1,9 @@
 """Activations as what they are, symmetric matrices of positive stretches, and steps between them.
 
-S(a) is positive definite: a muscle may shorten a lot, but not through a point to its mirror image,
-where the rotation that the energy looks for jumps. So lengths are measured relative to the stretch
-at hand, |dA|_A^2 = tr(A^-1 dA A^-1 dA), and a step follows the exponential of that metric (Pennec
-et al. 2006, "A Riemannian framework for tensor computing", section 3): to first order it is
-A + dA, but it never leaves the positive definite matrices.
+S(a) is positive definite: a muscle may shorten a lot, but not through a point to its mirror image.
+So lengths are measured relative to the stretch at hand, |dA|_A^2 = tr(A^-1 dA A^-1 dA), and a step
+follows the exponential of that metric (Pennec et al. 2006, "A Riemannian framework for tensor
+computing", section 3): to first order it is A + dA, but it never leaves these matrices.
 """
 
 from __future__ import annotations
@@ -83,9 +82,9 @@ def fibre_tensors(model: SubjectModel, volumes: Floats, S: sp.csr_array) -> Floa
 def shorten(tensor: Floats, stretch: float) -> Floats:
     """Return the activation (6,) that brings fibres to ``stretch`` and keeps the muscle's volume.
 
-    ``tensor`` (3, 3) is the mean of d d^T. Its deviator is the logarithmic strain: parallel fibres
-    come to ``stretch``, those of a ring to its root in both directions of their plane, which
-    thickens by 1 / ``stretch``; fibres of all directions do nothing.
+    The deviator of ``tensor`` (3, 3), the mean of d d^T, is the logarithmic strain: parallel fibres
+    come to ``stretch``, those of a ring to its root in their plane, those of all directions do
+    nothing.
     """
     values, axes = np.linalg.eigh(tensor)
     strain = 1.5 * np.log(stretch) * (values - values.mean()) / values.max()

@@ -1,7 +1,6 @@
 """Sums of what the tets give to their vertices: element vectors and blocks to the whole mesh.
 
-Who contributes to an entry is listed once for a mesh; every entry is then summed in the order of
-the tets, so that the result is the same on any number of threads.
+Every entry is summed in the order of the tets: the result is the same on any number of threads.
 """
 
 from __future__ import annotations
@@ -38,9 +37,9 @@ class VertexSum:
 class BlockSum:
     """Sums the tets' blocks of their pairs of vertices to a symmetric CSR matrix of fixed pattern.
 
-    ``pattern`` has three rows and columns for each free vertex, sorted; ``diagonal`` tells where
-    its diagonal is. The pattern is that of the ``numbers`` (n, v), see :class:`VertexSum`, or that
-    of another sum, ``into``, which has to hold it.
+    ``pattern`` has three rows and columns for each free vertex, sorted, and its diagonal at
+    ``diagonal``. It is that of the ``numbers`` (n, v), see :class:`VertexSum`, or that of another
+    sum, ``into``, which has to hold it.
     """
 
     def __init__(self, numbers: Ints, count: int, into: BlockSum | None = None) -> None:
@@ -89,8 +88,8 @@ class BlockSum:
 def couple(blocks: Floats, tets: Ints, numbers: Ints, motion: Floats, out: Floats) -> None:
     """Add the blocks (t, PAIRS, 3, 3) of some tets times their vertices' ``motion`` (p, 3, k).
 
-    ``tets`` (t, 4) are their vertices, ``numbers`` (t, 4) those of the rows of ``out``
-    (rows, 3, k), -1 where there is none. Entries of one vertex are summed likewise.
+    ``numbers`` (t, 4) are the rows of ``out`` (rows, 3, k) for the vertices ``tets`` (t, 4), -1
+    where there is none. Entries of one vertex are summed likewise.
     """
     for e in range(len(tets)):
         for u in range(tets.shape[1]):
@@ -107,10 +106,7 @@ def couple(blocks: Floats, tets: Ints, numbers: Ints, motion: Floats, out: Float
 
 
 def _group(labels: Ints, count: int) -> tuple[Ints, Ints]:
-    """Return where each label's members begin, (count + 1,), and the members' places.
-
-    Negative labels are left out.
-    """
+    """Return where each label's members begin, (count + 1,), and their places; none below 0."""
     members = np.argsort(labels, kind="stable")
     members = members[np.searchsorted(labels[members], 0) :]
     first = np.searchsorted(labels[members], np.arange(count + 1))

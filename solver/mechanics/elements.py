@@ -1,11 +1,8 @@
 """Kernels over all tetrahedra: energy, nodal forces, Hessian blocks, and their derivatives by A.
 
 Every kernel takes :class:`Elements`, positions ``x`` (p, 3) and mostly activations ``a`` (n, 6),
-and fills an array with one entry per tet. Tets are independent, so the loops run on all threads;
-sums over tets are left to :mod:`solver.mechanics.assembly`.
-
-The shape functions sum to one, so what belongs to a tet's first vertex is minus the sum over the
-three others.
+and fills an array with one entry per tet; sums are left to :mod:`solver.mechanics.assembly`. The
+shape functions sum to one: what belongs to a tet's first vertex is minus the sum over the others.
 """
 
 from __future__ import annotations
@@ -25,21 +22,16 @@ CHUNK = 512  # tets that share one scratch space: enough to make its allocation 
 
 
 class Elements(NamedTuple):
-    """Tetrahedra of one law, each with moduli of its own.
+    """Tetrahedra of one law, each with moduli of its own, the law's, in stress units."""
 
-    ``tets`` (n, 4), shape functions' gradients ``N`` (n, 4, 3) in 1/mm, rest volumes ``volume``
-    (n,) in mm^3; the law's own ``mu``, ``lam``, ``kappa`` and ``barrier_weight`` (n,), in
-    stress units; the ``law``'s number (:mod:`solver.mechanics.laws`).
-    """
-
-    tets: Ints
-    N: Floats
-    volume: Floats
-    mu: Floats
-    lam: Floats
-    kappa: Floats
-    barrier_weight: Floats
-    law: int
+    tets: Ints  # (n, 4)
+    N: Floats  # (n, 4, 3) gradients of the shape functions, 1/mm
+    volume: Floats  # (n,) at rest, mm^3
+    mu: Floats  # (n,)
+    lam: Floats  # (n,)
+    kappa: Floats  # (n,)
+    barrier_weight: Floats  # (n,)
+    law: int  # its number (:mod:`solver.mechanics.laws`)
 
     def take(self, some: Ints) -> Elements:
         """Return some of the tets."""

@@ -43,20 +43,15 @@ class CorrectorOptions:
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """Vertices x (p, 3) with the factorised Hessian there, and what Newton's next step leads to.
+    """Vertices with the factorised Hessian there, and what Newton's next step leads to."""
 
-    ``estimate`` (p, 3) is that step's end: the equilibrium to second order, x itself where that is
-    solved. ``factor`` is the Hessian's at x, or where it served last on the way: about
-    :attr:`PredictorOptions.reach_mm` away at most, ``same_mm`` where solved (:func:`correct`
-    has its own from further away). ``residual`` is :meth:`Energy.residual`, ``iterations`` counts
-    Newton steps.
-    """
-
-    x: Floats
-    estimate: Floats
+    x: Floats  # (p, 3)
+    estimate: Floats  # (p, 3) that step's end: x itself where it is solved
+    # at x, or where it served last: about PredictorOptions.reach_mm away at most, same_mm where
+    # solved; that of a correction is from further away
     factor: Factorization
-    residual: float
-    iterations: int
+    residual: float  # see Energy.residual
+    iterations: int  # Newton steps
 
     @property
     def minimum(self) -> bool:
@@ -87,12 +82,9 @@ def solve_equilibrium(
     search.minimise()
     # NaN, too, is no equilibrium
     if not search.residual <= max(tolerance, options.stalled):
-        raise SolveError(
-            "solve.no_convergence",
-            f"equilibrium stopped at a residual of {search.residual:.1e}"
-            f" after {search.factorizations} steps",
-            residual=search.residual,
-        )
+        steps, residual = search.factorizations, search.residual
+        message = f"equilibrium stopped at a residual of {residual:.1e} after {steps} steps"
+        raise SolveError("solve.no_convergence", message, residual=residual)
     factor = search.factorization
     if factor is None or np.abs(factor.x - search.x).max() > options.same_mm:
         factor = Factorization(flesh, linear, search.x, a)
@@ -108,8 +100,7 @@ def newton_predict(
 ) -> Equilibrium:
     """Take Newton steps from ``x`` (p, 3) until the next one is short, then some chord steps.
 
-    Inside a fit that is near enough: ``estimate`` is what it compares with its target. Raises
-    :class:`SolveError`: ``solve.inverted``, or ``solve.far`` after so many steps.
+    Raises :class:`SolveError`: ``solve.inverted``, or ``solve.far`` after so many steps.
     """
     energy = Energy(flesh, linear, a)
     _check_orientation(energy, x)
@@ -141,13 +132,12 @@ def _polish(energy: Energy, now: Equilibrium, options: PredictorOptions) -> Equi
         ratio = flesh.min_jacobian_ratio(now.x, now.estimate)
         if length <= options.settled_mm or ratio < NewtonOptions.min_jacobian_ratio:
             break
-        gradient = energy.gradient(now.estimate)
+        x, gradient = now.estimate, energy.gradient(now.estimate)
         direction = now.factor.solve(-gradient)
         if np.abs(direction).max() > options.contraction * length:
             break
-        estimate = flesh.moved(now.estimate, direction)
-        residual = energy.residual(gradient)
-        now = replace(now, x=now.estimate, estimate=estimate, residual=residual)
+        estimate, residual = flesh.moved(x, direction), energy.residual(gradient)
+        now = replace(now, x=x, estimate=estimate, residual=residual)
     return now
 
 
@@ -161,10 +151,9 @@ def correct(
 ) -> Equilibrium | None:
     """Return the equilibrium near ``x`` (p, 3) to within ``close_mm``, None if it is far.
 
-    A factorization costs as much as several corrections with an old one, so these go on while they
-    get shorter, with Anderson's acceleration. ``factor`` is the Hessian of a state nearby; the
-    result has the last that served, and the residual before the last correction. Raises
-    :class:`SolveError` (``solve.singular``).
+    Corrections with an old Hessian go on while they get shorter, with Anderson's acceleration.
+    ``factor`` is that of a state nearby; the result has the last that served, and the residual
+    before the last correction. Raises :class:`SolveError` (``solve.singular``).
     """
     energy, accelerator = Energy(flesh, linear, a), Accelerator()
     left = options.factorizations
@@ -207,9 +196,8 @@ def untangle(
 ) -> Floats | None:
     """Return ``moved`` (p, 3), every tet that collapses carried along whole; None if it fails.
 
-    A linear prediction turns a few tets beside the jaw inside out. Their free corners go with
-    those that are held, or all four together, from where ``start`` (p, 3) has them, in which all
-    tets are positively oriented.
+    A linear prediction turns a few tets beside the jaw inside out. Their free corners go with those
+    that are held, or all four together, from ``start`` (p, 3), in which no tet is inverted.
     """
     if flesh.min_jacobian_ratio(start, moved) >= options.min_jacobian_ratio:
         return moved

@@ -18,14 +18,7 @@ from solver.mechanics import elements, laws
 from solver.mechanics.assembly import BlockSum, VertexSum, couple
 from solver.mechanics.elements import Elements
 from solver.mechanics.laws import Law
-from solver.mechanics.terms import (
-    Drag,
-    ElasticTerm,
-    EnergyTerm,
-    PlanesTerm,
-    SlidingPlanes,
-    no_planes,
-)
+from solver.mechanics.terms import Drag, ElasticTerm, EnergyTerm, SlidingPlanes, no_planes
 from solver.surface import Floats, Ints
 
 # the activation a_I of passive flesh: S(a_I) = I
@@ -34,10 +27,9 @@ IDENTITY = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class Material:
-    """Parameters of the flesh's energy in stress units, and the ``law`` they belong to.
+    """Parameters, in stress units, of a ``law``: a module of :mod:`solver.mechanics.materials`.
 
-    A law is a module of :mod:`solver.mechanics.materials`. At small strains all have Lame's
-    constants ``mu`` and ``lam + 2 kappa``.
+    At small strains all have Lame's constants ``mu`` and ``lam + 2 kappa``.
     """
 
     mu: float = 1.0
@@ -72,11 +64,10 @@ def shape_gradients(rest: Floats, tets: Ints) -> tuple[Floats, Floats]:
     volumes = np.linalg.det(edges) / 6.0
     bad = np.flatnonzero(~(volumes > 0.0))
     if len(bad):
-        raise InputError(
-            "mesh.inverted",
-            f"{len(bad)} tetrahedra have no positive rest volume, the first is number {bad[0]}",
-            tet=int(bad[0]),
+        message = (
+            f"{len(bad)} tetrahedra have no positive rest volume, the first is number {bad[0]}"
         )
+        raise InputError("mesh.inverted", message, tet=int(bad[0]))
     inverse = np.linalg.inv(edges)
     gradients = np.empty((len(tets), 4, 3))
     gradients[:, 1:] = inverse.transpose(0, 2, 1)
@@ -163,7 +154,7 @@ class Flesh:
         self._first: EnergyTerm = self.elastic
         self._others: tuple[_Summed, ...] = ()
         if len(self.sliding.vertices):
-            self._others = (_Summed(PlanesTerm(self.sliding), self),)
+            self._others = (_Summed(self.sliding, self),)
 
     def plus(self, *terms: EnergyTerm) -> Flesh:
         """Return this flesh with more terms in its energy, of its tets or of its free vertices."""
@@ -177,14 +168,11 @@ class Flesh:
         return self._first, *(each.term for each in self._others)
 
     def drags(self) -> list[Drag]:
-        """Return what makes this flesh slow where it is added to it: a drag for each term."""
+        """Return a drag for each term: added to this flesh they make it slow."""
         return [Drag(term, self.rest, self._passive, self.held) for term in self.terms]
 
     def driven_by(self, term: EnergyTerm, passive: Floats) -> Flesh:
-        """Return this flesh with another first term, over the same tets, for other controls.
-
-        ``passive`` are the controls of a face at rest.
-        """
+        """Return this flesh with another first term, ``passive`` being its controls at rest."""
         other = copy.copy(self)
         other._first, other._passive = term, passive
         return other
@@ -207,7 +195,7 @@ class Flesh:
 
     @cached_property
     def force_scale(self) -> float:
-        """Return the size of the nodal forces at unit strain: what a residual is measured by."""
+        """Return the size of the nodal forces at unit strain, which measures residuals."""
         steepness = np.linalg.norm(self.gradients, axis=(1, 2))
         return float(np.linalg.norm(self.elements.mu * self.volumes * steepness))
 
@@ -246,10 +234,7 @@ class Flesh:
         return matrix
 
     def coupling(self, x: Floats, a: Floats, motion: Floats) -> Floats:
-        """Return the free gradient's change as held vertices move by ``motion`` (p, 3, k).
-
-        Only tets with a moving vertex are visited; the result is (size, k).
-        """
+        """Return the free gradient's change (size, k) as held vertices move by (p, 3, k)."""
         moving = np.abs(motion).max(axis=(1, 2)) > 0.0
         out = np.zeros((len(self.free), 3, motion.shape[2]))
         for term in self.terms:
@@ -262,11 +247,9 @@ class Flesh:
 
     def forces_by_control(self, x: Floats, controls: Floats) -> sp.csr_array:
         """Return d(dE/dx)/d(controls), (size, k): k controls, an array of activations in turn."""
-        total = sp.csr_array((x.size, controls.size))
-        for term in self.terms:
-            found = term.forces_by_control(x, controls)
-            if found is not None:
-                total = total + found
+        found = (term.forces_by_control(x, controls) for term in self.terms)
+        nothing = sp.csr_array((x.size, controls.size))
+        total = sum((each for each in found if each is not None), nothing)
         return sp.csr_array(sp.csr_array(total)[self.free_coordinates])
 
     def jacobians(self, x: Floats) -> Floats:

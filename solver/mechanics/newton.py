@@ -1,9 +1,9 @@
 """Newton's method for the least energy of flesh and of what it touches.
 
-Near the solution the raw Hessian gives quadratic convergence. Far from it, and where it is not
-positive definite, it is projected, no further than need be. A line search keeps the energy finite,
-hence every tet positively oriented. Where a Hessian from nearby still serves, its chord steps do
-instead, with Anderson's acceleration: one costs a fraction of a new factorization.
+Where the Hessian is not positive definite, or far from the solution, it is projected, no further
+than need be. A line search keeps the energy finite, hence every tet positively oriented. Where a
+Hessian from nearby still serves, its chord steps do instead, with Anderson's acceleration: one
+costs a fraction of a new factorization.
 
 Equilibria (:mod:`solver.mechanics.equilibrium`) and moments of a simulation
 (:mod:`solver.simulation.simulator`) are found by the same :class:`Search` with other options.
@@ -48,7 +48,8 @@ class NewtonOptions:
     min_jacobian_ratio: float = 0.1  # of a step: a collapsed tet opens slowly
     margin: float = 0.9  # part of the way to the next collision that a step goes
 
-    # of the Hessian, in turn until it is positive definite
+    # of the Hessian, in turn until it is positive definite: near buckling a small one is often
+    # enough, and keeps more of Newton's speed
     projections: tuple[float, ...] = (0.0, 0.05, 0.15, 0.4, 1.0)
     collapsed: float = 1e-3  # det F below which a tet is too stiff for its neighbours
     quadratic: float = 1e-7  # residual below which the Hessian is tried as it is
@@ -64,8 +65,7 @@ class NewtonOptions:
 class Accelerator:
     """Anderson's acceleration of corrections with an old Hessian (Walker and Ni 2011).
 
-    Takes points (size,) with the corrections (size,) there, which tell in which few modes the
-    Hessian is wrong, and makes better corrections; it looks back on ``depth`` of them.
+    The corrections (size,) of ``depth`` points tell in which few modes the Hessian is wrong.
     """
 
     def __init__(self, depth: int = 8) -> None:
@@ -91,8 +91,7 @@ class Accelerator:
 class Factorization:
     """The Hessian at x (p, 3) with controls ``a``, factorised when first asked for.
 
-    It is projected as far as need be, from number ``first`` of the options' ``projections`` on:
-    near buckling a small one is often enough, and keeps more of Newton's speed than all of it.
+    It is projected as far as need be, from number ``first`` of the options' ``projections`` on.
     Its members raise :class:`SolveError`: ``solve.crushed`` where a tet has next to no volume left,
     else ``solve.singular``.
     """
@@ -143,9 +142,8 @@ class Factorization:
                 tet=smallest,
                 place_mm=place,
             )
-        raise SolveError(
-            "solve.singular", "the flesh's Hessian is singular: a part of it is held by nothing"
-        )
+        message = "the flesh's Hessian is singular: a part of it is held by nothing"
+        raise SolveError("solve.singular", message)
 
 
 class Energy:
@@ -191,16 +189,12 @@ class Energy:
 
     def contact_hessian(self, x: Floats) -> sp.csr_array:
         """Return the sum of the potentials' Hessians (3 p, 3 p)."""
-        total = sp.csr_array((x.size, x.size))
-        for each in self._potentials:
-            total = total + each.hessian(x)
-        return total
+        return sum((each.hessian(x) for each in self._potentials), sp.csr_array((x.size, x.size)))
 
     def longest(self, x: Floats, y: Floats, options: NewtonOptions) -> float:
         """Return the part of the way x -> y that crosses nothing and makes no tet collapse."""
-        part = 1.0
-        if self._goal is not None:
-            goal = self._goal
+        part, goal = 1.0, self._goal
+        if goal is not None:
             part = min((each.longest(x, y, goal) for each in self._potentials), default=1.0)
             part = 1.0 if part >= 1.0 else options.margin * part
         while part > options.shortest_step:
@@ -221,8 +215,8 @@ class _Step(NamedTuple):
 class Search:
     """A search for the least energy from x (p, 3): where it is, and the last Hessian that serves.
 
-    ``factorization`` is that of a state nearby, which is tried first, ``projection`` the number
-    that the Hessian before took, -1 if there was none.
+    ``factorization`` is of a state nearby, ``projection`` the number that the Hessian before took,
+    -1 if there was none.
     """
 
     def __init__(
@@ -233,13 +227,9 @@ class Search:
         factorization: Factorization | None = None,
         projection: int = -1,
     ) -> None:
-        self._energy = energy
-        self._options = options
-        self._accelerator = Accelerator()
-        self.x = x
-        self.gradient = energy.gradient(x)
-        self.factorization = factorization
-        self.projection = projection
+        self._energy, self._options, self._accelerator = energy, options, Accelerator()
+        self.x, self.gradient = x, energy.gradient(x)
+        self.factorization, self.projection = factorization, projection
         self.steps = self.factorizations = 0
 
     @property
@@ -343,8 +333,7 @@ class Search:
         return _Step(y, after, part)
 
     def _gains(self, after: Floats, contraction: float) -> bool:
-        before = float(np.linalg.norm(self.gradient))
-        return bool(np.linalg.norm(after) <= contraction * before)
+        return bool(np.linalg.norm(after) <= contraction * np.linalg.norm(self.gradient))
 
     def _first_projection(self) -> int:
         if self.residual <= self._options.quadratic:

@@ -61,19 +61,16 @@ class SparseControls:
         """Differentiate the forces on a flesh at x (p, 3) with its controls ``a``.
 
         ``rates`` (6 n, k) is da/dq, of activations each tet's six entries in turn; ``boundary`` is
-        how held vertices, jaw and objects move, None if they do not; ``potentials`` is what there
-        is beside the flesh, each placed where x is.
+        how held vertices, jaw and objects move, if they do; ``potentials`` are placed where x is.
         """
-        count = rates.shape[1]
-        forces = flesh.forces_by_control(x, a) @ rates
+        count, forces = rates.shape[1], flesh.forces_by_control(x, a) @ rates
         held = sp.csr_array((flesh.rest.size, count))
         if boundary is not None:
             motion = np.zeros((len(flesh.rest), 3, count))
             motion[flesh.held] = boundary.held
             flat = motion.reshape(-1, count)
-            rigid = np.zeros_like(flat)
+            rigid = curvature(potentials, x) @ flat
             for each in potentials:
-                rigid += each.curvature(x) @ flat
                 rigid += each.by_boundary(x, boundary).reshape(-1, count)
             pull = flesh.coupling(x, a, motion) + rigid[flesh.free_coordinates]
             forces = forces + sp.csc_array(pull)
@@ -96,9 +93,7 @@ class SparseControls:
 class Response:
     """dx/dq at one equilibrium of ``flesh``, by a ``factor`` of the Hessian there.
 
-    ``minimum`` is False where that Hessian is indefinite: the equilibrium is no minimum, near a
-    fold the answer leads off it. Controls are given with each call: those of several kinds share
-    the factor.
+    ``minimum`` is False where that Hessian is indefinite: near a fold the answer leads off it.
     """
 
     def __init__(self, flesh: Flesh, factor: Factor, *, minimum: bool = True) -> None:
@@ -164,7 +159,4 @@ class Response:
 
 def curvature(potentials: Sequence[Potential], x: Floats) -> sp.csr_array:
     """Return the sum of the potentials' exact second derivatives (3 p, 3 p)."""
-    total = sp.csr_array((x.size, x.size))
-    for each in potentials:
-        total = total + each.curvature(x)
-    return total
+    return sum((each.curvature(x) for each in potentials), sp.csr_array((x.size, x.size)))

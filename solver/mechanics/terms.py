@@ -1,8 +1,7 @@
 """Terms of the flesh's energy: what a flesh sums up, the law of its tets being the first.
 
-A term is a sum over entries (a tet and its law, a tet with a fibre of a muscle, a vertex on a
-spring or a plane), each of the vertices of one tet or of one vertex alone, so that the Hessian
-keeps the tets' pattern. All terms of a flesh see the same controls and take what is theirs:
+A term is a sum over entries, each of the vertices of one tet or of one vertex alone (on a spring
+or a plane), so that the Hessian keeps the tets' pattern. All terms see the same controls:
 activations of the tets (n, 6) or of muscles (m,). What meets skin or objects has no fixed pattern
 and is a :class:`solver.mechanics.boundary.Potential`.
 """
@@ -43,8 +42,8 @@ class EnergyTerm(Protocol):
     ) -> Floats:
         """Return the second derivatives (e, v (v + 1) / 2, 3, 3) by the pairs u <= v of vertices.
 
-        ``project`` goes from 0, as they are, to 1, positive semi-definite; ``some`` are the only
-        entries that are asked for. The next call may overwrite the result.
+        ``project`` goes from 0, as they are, to 1, positive semi-definite; ``some`` are the entries
+        that are asked for. The next call may overwrite the result.
         """
 
     def forces_by_control(self, x: Floats, controls: Floats) -> sp.csc_array | None:
@@ -119,13 +118,9 @@ class ElasticTerm:
 
 
 class PassiveTerm:
-    """Base of an :class:`EnergyTerm` that no control changes, quadratic in x.
+    """Base of an :class:`EnergyTerm` that no control changes, quadratic in x."""
 
-    ``vertices`` (e, v) are its entries', ``stiffness_of`` has their blocks.
-    """
-
-    def __init__(self, vertices: Ints) -> None:
-        self.vertices = vertices
+    vertices: Ints  # (e, v), the entries'
 
     def stiffness_of(self, some: Ints | slice) -> Floats:
         """Return the second derivatives of some entries, as :meth:`blocks` has them."""
@@ -146,79 +141,36 @@ class PassiveTerm:
         """See :class:`EnergyTerm`: none."""
 
 
-class Springs(PassiveTerm):
-    """Springs from vertices (k,) to a ``centre`` (p, 3), and a ``load`` (p, 3) that pulls them.
-
-    E = sum_v s_v / 2 |x_v - centre_v|^2 - load_v . (x_v - rest_v), with ``stiffness`` s (p,) in
-    Pa mm and the load in Pa mm^2. Both may be changed at any time.
-    """
-
-    def __init__(self, rest: Floats, vertices: Ints) -> None:
-        super().__init__(vertices[:, None])
-        self._rest = rest
-        self._kept = vertices
-        self.centre = rest
-        self.stiffness = np.zeros(len(rest))
-        self.load = np.zeros_like(rest)
-
-    def energy(self, x: Floats, controls: Floats) -> float:  # noqa: ARG002
-        """See :class:`EnergyTerm`."""
-        kept = self._kept
-        stretched = ((x - self.centre)[kept] ** 2).sum(axis=1)
-        work = float((self.load * (x - self._rest))[kept].sum())
-        return 0.5 * float(self.stiffness[kept] @ stretched) - work
-
-    def forces(self, x: Floats, controls: Floats) -> Floats:  # noqa: ARG002
-        """See :class:`EnergyTerm`."""
-        outside = self.stiffness[:, None] * (x - self.centre) - self.load
-        return np.asarray(outside[self.vertices])
-
-    def stiffness_of(self, some: Ints | slice) -> Floats:
-        """See :class:`PassiveTerm`."""
-        return self.stiffness[self._kept[some], None, None, None] * np.eye(3)
-
-
 @dataclass(frozen=True)
-class SlidingPlanes:
-    """Planes that vertices slide on: ``vertices`` (k,), ``points`` and unit ``normals`` (k, 3).
-
-    ``stiffness`` (k,) is in stress units times mm.
-    """
-
-    vertices: Ints
-    points: Floats
-    normals: Floats
-    stiffness: Floats
-
-    def drift(self, x: Floats) -> Floats:
-        """Return how far the vertices ``x`` (p, 3) have left their planes, (k,) mm."""
-        return np.asarray(((x[self.vertices] - self.points) * self.normals).sum(axis=1))
-
-
-class PlanesTerm(PassiveTerm):
-    """Flesh that slides on a bone: some vertices stay on ``planes``, and move freely in them.
+class SlidingPlanes(PassiveTerm):
+    """Flesh that slides on a bone: vertices stay on planes, and move freely in them.
 
         E = sum_k stiffness_k / 2 ((x_k - point_k) . normal_k)^2
 
     is the constraint of Phace (SIGGRAPH 2017), a point on the plane through its rest position.
     """
 
-    def __init__(self, planes: SlidingPlanes) -> None:
-        super().__init__(planes.vertices[:, None])
-        self._planes = planes
+    vertices: Ints  # (k, 1)
+    points: Floats  # (k, 3)
+    normals: Floats  # (k, 3), of unit length
+    stiffness: Floats  # (k,) in stress units times mm
+
+    def drift(self, x: Floats) -> Floats:
+        """Return how far the vertices ``x`` (p, 3) have left their planes, (k,) mm."""
+        return np.asarray(((x[self.vertices[:, 0]] - self.points) * self.normals).sum(axis=1))
 
     def energy(self, x: Floats, controls: Floats) -> float:  # noqa: ARG002
         """See :class:`EnergyTerm`."""
-        return float(0.5 * self._planes.stiffness @ self._planes.drift(x) ** 2)
+        return float(0.5 * self.stiffness @ self.drift(x) ** 2)
 
     def forces(self, x: Floats, controls: Floats) -> Floats:  # noqa: ARG002
         """See :class:`EnergyTerm`."""
-        along = self._planes.stiffness * self._planes.drift(x)
-        return np.asarray(along[:, None] * self._planes.normals)[:, None]
+        along = self.stiffness * self.drift(x)
+        return np.asarray(along[:, None] * self.normals)[:, None]
 
     def stiffness_of(self, some: Ints | slice) -> Floats:
         """See :class:`PassiveTerm`."""
-        normals, stiffness = self._planes.normals[some], self._planes.stiffness[some]
+        normals, stiffness = self.normals[some], self.stiffness[some]
         outer = normals[:, :, None] * normals[:, None, :]
         return np.asarray((stiffness[:, None, None] * outer)[:, None])
 
@@ -233,20 +185,21 @@ def planes(
 ) -> SlidingPlanes:
     """Return the planes through the rest positions of ``vertices`` (k,), with their stiffness.
 
-    ``rest`` (p, 3) and ``tets`` (n, 4) are the flesh's, ``normals`` (k, 3) of unit length, ``mu``
-    is that of all tets or of each (n,). ``ratio`` is the stiffness along the normal over that of
-    flesh: a stress of mu lifts a vertex off the bone by a thousandth of its tets' size.
+    ``rest`` (p, 3) and ``tets`` (n, 4) are the flesh's, ``mu`` is that of all tets or of each (n,).
+    ``ratio`` is the stiffness along the normals (k, 3) over that of flesh: a stress of mu lifts a
+    vertex off the bone by a thousandth of its tets' size.
     """
     volume = np.abs(np.linalg.det(rest[tets[:, 1:]] - rest[tets[:, :1]])) / 6.0
     # mu times the size of what is around a vertex, cubed
     cubes = np.bincount(tets.ravel(), np.repeat(mu**3 * volume / 4.0, 4), len(rest))
-    return SlidingPlanes(vertices, rest[vertices], normals, ratio * np.cbrt(cubes[vertices]))
+    stiffness = ratio * np.cbrt(cubes[vertices])
+    return SlidingPlanes(vertices[:, None], rest[vertices], normals, stiffness)
 
 
 def no_planes() -> SlidingPlanes:
     """Return the planes of flesh that slides nowhere."""
     nothing = np.zeros((0, 3))
-    return SlidingPlanes(np.zeros(0, dtype=np.int64), nothing, nothing, np.zeros(0))
+    return SlidingPlanes(np.zeros((0, 1), dtype=np.int64), nothing, nothing, np.zeros(0))
 
 
 class Drag(PassiveTerm):
@@ -254,14 +207,14 @@ class Drag(PassiveTerm):
 
         E(x) = tau/2 |x - x_0|^2_K
 
-    with K the stiffness of ``term`` at ``rest``, ``viscosity`` tau and ``anchor`` x_0 the place
-    before the step. Near buckling, where the flesh by itself would snap, such a step stays short;
-    without motion it feels nothing (a proximal point method, Rockafellar 1976; the time step is
-    1 / tau). ``held`` vertices do not count. Viscosity and anchor may be changed at any time.
+    with K the stiffness of ``term`` at ``rest``, ``viscosity`` tau and ``anchor`` x_0, the place
+    before the step, which both may be changed at any time. Near buckling, where the flesh by itself
+    would snap, such a step stays short (a proximal point method, Rockafellar 1976; the time step is
+    1 / tau). ``held`` vertices do not count.
     """
 
     def __init__(self, term: EnergyTerm, rest: Floats, controls: Floats, held: Ints) -> None:
-        super().__init__(term.vertices)
+        self.vertices = term.vertices
         self._K = _without(held, term, term.blocks(rest, controls))
         self._held = held
         self.viscosity = 0.0

@@ -26,10 +26,10 @@ from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.mechanics.boundary import straight
 from solver.mechanics.flesh import Flesh
-from solver.mechanics.terms import Springs
+from solver.mechanics.terms import PassiveTerm
 from solver.model import SubjectModel
 from solver.similarity import Similarity
-from solver.surface import Floats, area_normals
+from solver.surface import Floats, Ints, area_normals
 
 
 def lumped_masses(flesh: Flesh, density: Floats) -> Floats:
@@ -38,19 +38,37 @@ def lumped_masses(flesh: Flesh, density: Floats) -> Floats:
     return np.asarray(np.bincount(flesh.tets.ravel(), quarters, len(flesh.rest)), np.float64)
 
 
-class Inertia(Springs):
-    """Springs of every free vertex of a flesh: what inertia and damping of one step amount to.
+class Inertia(PassiveTerm):
+    """Springs to a ``centre`` (p, 3) for inertia and damping, and a ``load`` (p, 3) that pulls.
 
-    Springs and load are zero until they are set.
+    E = sum_v s_v / 2 |x_v - centre_v|^2 - load_v . (x_v - rest_v) over the free vertices, with
+    ``stiffness`` s (p,) in Pa mm and the load in Pa mm^2, both zero until they are set.
     """
 
     def __init__(self, flesh: Flesh) -> None:
-        super().__init__(flesh.rest, flesh.free)
+        self.vertices = flesh.free[:, None]
+        self._rest = self.centre = flesh.rest
+        self.release()
+
+    def energy(self, x: Floats, controls: Floats) -> float:  # noqa: ARG002
+        """See :class:`~solver.mechanics.terms.EnergyTerm`."""
+        free = self.vertices[:, 0]
+        stretched = ((x - self.centre)[free] ** 2).sum(axis=1)
+        work = float((self.load * (x - self._rest))[free].sum())
+        return 0.5 * float(self.stiffness[free] @ stretched) - work
+
+    def forces(self, x: Floats, controls: Floats) -> Floats:  # noqa: ARG002
+        """See :class:`~solver.mechanics.terms.EnergyTerm`."""
+        outside = self.stiffness[:, None] * (x - self.centre) - self.load
+        return np.asarray(outside[self.vertices])
+
+    def stiffness_of(self, some: Ints | slice) -> Floats:
+        """See :class:`~solver.mechanics.terms.PassiveTerm`."""
+        return self.stiffness[self.vertices[some, 0], None, None, None] * np.eye(3)
 
     def release(self) -> None:
         """Take springs and load away."""
-        self.stiffness = np.zeros_like(self.stiffness)
-        self.load = np.zeros_like(self.load)
+        self.stiffness, self.load = np.zeros(len(self._rest)), np.zeros_like(self._rest)
 
     def launch(
         self, masses: Floats, y: Floats, flight: Floats, seconds: float, damping: float

@@ -95,12 +95,9 @@ class Simulator:
         settled_mm: float = MOMENT.settled_mm,
         options: SimulationOptions = SimulationOptions(),
     ) -> None:
-        self._options = options
-        self._face = face
-        self._potentials = potentials
-        self._forces = forces
-        self._dynamic = dynamic
-        self._damping = damping
+        self._options, self._face = options, face
+        self._potentials, self._forces = potentials, forces
+        self._dynamic, self._damping = dynamic, damping
         self._masses = lumped_masses(face.flesh, density)
         self._inertia = Inertia(face.flesh)
         self._flesh = face.flesh.plus(self._inertia)
@@ -117,10 +114,9 @@ class Simulator:
         start = replace(drive, time=begun, A=self._flesh.passive(), jaw=closed)
         rest = self._face.model.rest
         motion = Motion(drive.head(rest), np.zeros_like(rest), drive.head)
+        effort = options.rise_part, options.rise_factorizations
         try:
-            return self._go(
-                motion, start, drive, options.rise_part, options.rise_factorizations, dynamic=False
-            ).motion
+            return self._go(motion, start, drive, *effort, dynamic=False).motion
         except SolveError as error:
             # the way to the first pose is before all time
             error.context["time"] = drive.time
@@ -134,9 +130,8 @@ class Simulator:
         the ``time`` that was not reached.
         """
         if not goal.time > before.time:
-            raise InputError(
-                "scene.times", f"a moment at {goal.time:g} s is not later than the one before"
-            )
+            message = f"a moment at {goal.time:g} s is not later than the one before"
+            raise InputError("scene.times", message)
         return self._go(now, before, goal, 1.0, MOMENT.factorizations, dynamic=self._dynamic)
 
     def _go(
@@ -165,7 +160,7 @@ class Simulator:
                 part, halvings = 0.5 * part, halvings + 1
                 continue
             drive, done = target, done + part
-            iterations += minimum.iterations
+            iterations += minimum.steps
             # a part begins at a multiple of itself, so that they add up to one
             while part < largest and done % (2.0 * part) == 0.0:
                 part *= 2.0
@@ -181,7 +176,7 @@ class Simulator:
 
     def _once(
         self, now: Motion, before: Drive, goal: Drive, factorisations: int, *, dynamic: bool
-    ) -> tuple[Motion, _Minimum]:
+    ) -> tuple[Motion, Search]:
         """Take one step of backward Euler, or find one equilibrium."""
         seconds = goal.time - before.time
         into = goal.head.inverse()
@@ -219,23 +214,13 @@ class AdvanceOptions:
     jams: int = 5  # ... or it may gain less so often
 
 
-@dataclass(frozen=True)
-class _Minimum:
-    """Vertices x (p, 3) of least energy, the residual there, and the steps that led to it."""
-
-    x: Floats
-    residual: float
-    iterations: int
-
-
 class _Newton:
     """Minimises the energy of ``flesh`` and ``potentials`` with bones and objects on their way.
 
-    Energies with barriers are infinite where things cross, so that neither the flesh nor what is
-    rigid can jump to its place. Both advance together: a step is Newton's, with the pull of what
-    the rigid parts will do, and goes as far as nothing crosses. So flesh is pushed before it is
-    reached. Once all is where it belongs the energy falls to its minimum. What was factorised last
-    serves again.
+    Energies with barriers are infinite where things cross, so neither the flesh nor what is rigid
+    can jump to its place. Both advance together: a step is Newton's, with the pull of what the
+    rigid parts will do, so that flesh is pushed before it is reached, and goes as far as nothing
+    crosses. Then the energy falls to its minimum. What was factorised last serves again.
     """
 
     def __init__(
@@ -252,12 +237,11 @@ class _Newton:
 
     def minimise(
         self, x: Floats, a: Floats, now: Boundary, goal: Boundary, factorizations: int
-    ) -> _Minimum:
+    ) -> Search:
         """Go from x (p, 3) at ``now`` to the least energy at ``goal`` with activations a (n, 6).
 
-        The search ends after so many ``factorizations``. Raises :class:`SolveError`:
-        ``simulate.jammed`` where the boundary gets no further, ``simulate.diverged`` where the
-        energy comes to no minimum.
+        Raises :class:`SolveError`: ``simulate.jammed`` where the boundary gets no further,
+        ``simulate.diverged`` where the energy comes to no minimum.
         """
         energy = Energy(self._flesh, self._solver, a, self._potentials, goal)
         x, advances = self._advance(energy, x, now, goal)
@@ -275,7 +259,8 @@ class _Newton:
                 f" after {search.steps} steps",
                 residual=search.residual,
             )
-        return _Minimum(search.x, search.residual, advances + search.steps)
+        search.steps += advances
+        return search
 
     def _advance(
         self,

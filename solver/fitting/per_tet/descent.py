@@ -3,9 +3,8 @@
 Single tets take extreme activations, under which the flesh buckles again and again; at a fold no
 short step helps, and what a long one leads to is chance. Viscous flesh has no folds: each step
 starts with the creep since the one before, so a fit sees buckling begin and goes against it. The
-viscosity falls from step to step, and what is left of it is settled at the end. From there the
-descent goes in equilibria; where the flesh folds it snaps over the fold into another equilibrium,
-where f may at first be higher. The best state of all is kept.
+viscosity falls from step to step. Then the descent goes in equilibria; where the flesh folds it
+snaps over the fold into another one, where f may at first be higher. The best state of all is kept.
 """
 
 from __future__ import annotations
@@ -60,9 +59,9 @@ class TetDescentOptions:
 class Damping:
     """Levenberg-Marquardt damping, one of each active tet, ``tets`` (n_active,), and the ``jaw``'s.
 
-    The flesh may need ten times more of one tet than of another: with dampings of their own no
-    activation outruns the linear model, and none waits for others. They fall to no less than
-    ``fall`` times themselves a step, and more slowly after every refused step.
+    The flesh may need ten times more of one tet than of another: so no activation outruns the
+    linear model, and none waits for others. They fall to no less than ``fall`` times themselves a
+    step, and more slowly after every refused step.
     """
 
     tets: Floats
@@ -82,12 +81,10 @@ class Damping:
         square = np.einsum("ei,eij,ej->e", a, stretches.metric(at), a)
         length = np.sqrt(square) / options.largest_step
         jaw = float(np.abs(JAW_UNITS * b).max()) / options.largest_jaw_step
-        damping = replace(
-            self,
-            tets=options.tets.scale(self.tets, length, self.fall),
-            jaw=float(options.jaw.scale(np.array(self.jaw), np.array(jaw), self.fall)),
-        )
-        return a / np.maximum(length, 1.0)[:, None], b / max(jaw, 1.0), damping
+        tets = options.tets.scale(self.tets, length, self.fall)
+        by_jaw = float(options.jaw.scale(np.array(self.jaw), np.array(jaw), self.fall))
+        cut = a / np.maximum(length, 1.0)[:, None], b / max(jaw, 1.0)
+        return *cut, replace(self, tets=tets, jaw=by_jaw)
 
     def scale(self, factor: float) -> Damping:
         """Return this damping times ``factor``."""
@@ -175,13 +172,10 @@ class Descent:
         taken: int,
         options: TetDescentOptions,
     ) -> None:
-        self._options = options
-        self._objective = objective
-        self._listen = listen
+        self._objective, self._options, self._listen = objective, options, listen
         self._solver = SaddleSolver(objective.tissue)
         self._first = self._damping = Damping.start(len(objective.tissue.active), options)
-        self._state, self._value = state, objective.value(state)
-        self.best = self._state, self._value
+        self._state, self._value = self.best = state, objective.value(state)
         self.taken = taken
         self._since_best = self._small = self._snaps = 0
         self._stuck = self._slow = False
@@ -285,19 +279,14 @@ def creep(
 
 @dataclass(frozen=True)
 class PerTetFit:
-    """A fitted state, settled.
+    """A fitted state, settled."""
 
-    ``a`` (n_active, 6) are the activations of the tets ``active`` (n_active,), ``gamma`` (m,) the
-    muscles' preferred contractions, above 1 where they shorten. ``iterations`` counts steps,
-    refused ones and those in viscous flesh too.
-    """
-
-    a: Floats
-    active: Ints
-    gamma: Floats
+    a: Floats  # (n_active, 6) activations of the tets ``active``
+    active: Ints  # (n_active,)
+    gamma: Floats  # (m,) the muscles' preferred contractions, above 1 where they shorten
     state: PosedFace
     objective: float
-    iterations: int
+    iterations: int  # refused steps and those in viscous flesh, too
     status: Status
 
 
@@ -312,9 +301,8 @@ def fit(
     """Minimise f from ``start``, a state of another such fit, or from the neutral face; settle it.
 
     ``face`` should have the material :data:`~solver.mechanics.flesh.COROTATED_DET`. ``listen``
-    hears of equilibria only, not of steps in viscous flesh. Raises :class:`InputError`
-    (``model.no_fibres``, ``model.no_muscle``, ``start.activations``) and :class:`SolveError` if the
-    face cannot be settled.
+    hears of equilibria only. Raises :class:`InputError` (``model.no_fibres``, ``model.no_muscle``,
+    ``start.activations``) and :class:`SolveError` if the face cannot be settled.
     """
     options, tissue = options or PerTetOptions(), tissues.of_face(face)
     state = start or tissue.face.rest

@@ -25,10 +25,10 @@ class PreferredContraction:
         T(gamma, q) = 1/gamma q q^T + sqrt(gamma) (I - q q^T)
 
     (Ichim et al. 2017, section 5.) From print: a muscle has one gamma_m, found by a 1-D root
-    between the solves for a; along the fibre q_im, the Laplace field's direction, T is 1/gamma,
-    across it sqrt(gamma), so its volume is kept and gamma > 1 is a contraction. Our reading: the
-    weights v_im (print: f_im) are parts of all muscle volume, not sums of tets; gamma is not
-    bounded. Activations are (n_active, 6), contractions (m,).
+    between the solves for a; T keeps the volume and gamma > 1 is a contraction along the fibre
+    q_im, the Laplace field's direction. Our reading: the weights v_im (print: f_im) are parts of
+    all muscle volume, not sums of tets; gamma is not bounded. Activations are (n_active, 6),
+    contractions (m,).
     """
 
     def __init__(self, tissue: Tissue) -> None:
@@ -119,30 +119,28 @@ class PerTetPriors:
     """
 
     def __init__(self, tissue: Tissue, options: PerTetOptions, b: Floats) -> None:
-        self._options = options
-        self._b = b
+        self._options, self._b = options, b
         self._fractions, self._volumes = tissue.fractions, tissue.volumes
         self.contraction = PreferredContraction(tissue)
 
     def value(self, pose: Pose) -> float:
         """Return the regularisers' sum at a pose, every gamma being the best."""
         options, a = self._options, pose.a
-        det = determinants(a) - 1.0
         jaw = JAW_UNITS * (pose.b - self._b)
         return float(
             options.w_act * self.contraction.value(a, self.contraction.contractions(a))
             + options.w_sparse * float(np.sum(self._norms(a) - options.smoothing))
-            + options.w_volume * (self._volumes @ det**2)
+            + options.w_volume * (self._volumes @ (determinants(a) - 1.0) ** 2)
             + 0.5 * options.w_b * jaw @ jaw
         )
 
     def gradient(self, pose: Pose) -> Floats:
         """Return the derivative of :meth:`value` by (a, b)."""
         options, a = self._options, pose.a
-        by_a = options.w_act * self.contraction.gradient(a, self.contraction.contractions(a))
-        by_a = by_a + options.w_sparse * (self._parabolas(a) * (a - IDENTITY))
         stretch = 2.0 * options.w_volume * self._volumes * (determinants(a) - 1.0)
-        by_a = by_a + stretch[:, None] * determinant_gradients(a)
+        by_a = options.w_act * self.contraction.gradient(a, self.contraction.contractions(a))
+        by_a += options.w_sparse * (self._parabolas(a) * (a - IDENTITY))
+        by_a += stretch[:, None] * determinant_gradients(a)
         return pose.layout.join([by_a, options.w_b * JAW_UNITS**2 * (pose.b - self._b)])
 
     def curvature(self, pose: Pose) -> tuple[Floats, Floats]:
@@ -153,8 +151,9 @@ class PerTetPriors:
         options, slopes = self._options, determinant_gradients(pose.a)
         volume = 2.0 * options.w_volume * self._volumes
         blocks = volume[:, None, None] * slopes[:, :, None] * slopes[:, None, :]
-        blocks[:, np.arange(6), np.arange(6)] += options.w_act * self.contraction.curvature()
-        blocks[:, np.arange(6), np.arange(6)] += options.w_sparse * self._parabolas(pose.a)
+        each = np.arange(6)
+        blocks[:, each, each] += options.w_act * self.contraction.curvature()
+        blocks[:, each, each] += options.w_sparse * self._parabolas(pose.a)
         return blocks, options.w_b * JAW_UNITS**2
 
     def _parabolas(self, a: Floats) -> Floats:
@@ -180,16 +179,10 @@ class Objective:
 
     def quadratic(self, state: PosedFace, tets: Floats, jaw: float) -> Quadratic:
         """Return f's Gauss-Newton model, damped by ``tets`` (n_active,) and ``jaw``."""
-        sensitivity = Sensitivity(self.tissue.face, state)
-        by_x = self._data.gradient(state.estimate)
-        gradient = sensitivity.response.adjoint(sensitivity.pose, by_x)
-        blocks, _ = self.priors.curvature(state.pose)
-        damping = 2.0 * (tets * self.tissue.volumes)[:, None, None]
-        return Quadratic(
-            state,
-            sensitivity,
-            gradient + self.priors.gradient(state.pose),
-            self._data.curvature(state.estimate),
-            blocks + damping * stretches.metric(state.pose.a),
-            (self._w_b + jaw) * JAW_UNITS**2,
-        )
+        sensitivity, x, pose = Sensitivity(self.tissue.face, state), state.estimate, state.pose
+        gradient = sensitivity.response.adjoint(sensitivity.pose, self._data.gradient(x))
+        gradient = gradient + self.priors.gradient(pose)
+        damping = 2.0 * (tets * self.tissue.volumes)[:, None, None] * stretches.metric(pose.a)
+        blocks = self.priors.curvature(pose)[0] + damping
+        b = (self._w_b + jaw) * JAW_UNITS**2
+        return Quadratic(state, sensitivity, gradient, self._data.curvature(x), blocks, b)

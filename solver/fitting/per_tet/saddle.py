@@ -9,9 +9,9 @@ before x was eliminated:
     [H  -K   B ] [lambda]        E = d2 f/dx db
     [E'  B'  Cb] [b     ]
 
-R_a has a 6x6 block for each tet, hence a is eliminated tet by tet and K has the stiffness matrix's
-pattern. A little of the identity makes the system quasi-definite, so that any order of elimination
-is stable (Vanderbei 1995); what this changes, conjugate gradients take back in a few iterations.
+R_a has a 6x6 block for each tet, hence K has the stiffness matrix's pattern. A little of the
+identity makes the system quasi-definite, so that any order of elimination is stable (Vanderbei
+1995); what this changes, conjugate gradients take back in a few iterations.
 """
 
 from __future__ import annotations
@@ -62,11 +62,9 @@ class SaddleSolver:
     """Finds Gauss-Newton steps; the analysis of the matrix's pattern is kept from step to step."""
 
     def __init__(self, tissue: Tissue, iterations: int = 25, tolerance: float = 1e-2) -> None:
-        self._tissue = tissue
-        self._iterations = iterations
-        self._tolerance = tolerance
+        self._tissue, self._iterations, self._tolerance = tissue, iterations, tolerance
         self._analysis: Any = None
-        self._pattern: tuple[Ints, Ints] | None = None
+        self._pattern: tuple[Ints, ...] = ()
 
     def step(self, model: Quadratic) -> Floats:
         """Return the step (6 n_active + 5,) that minimises the ``model``."""
@@ -153,12 +151,8 @@ class SaddleSolver:
         raise SolveError("solve.singular", "the step of the per-tet model cannot be solved for")
 
     def _analyse(self, lower: sp.csc_matrix) -> Any:
-        if (
-            self._pattern is None
-            or len(self._pattern[1]) != lower.nnz
-            or not np.array_equal(self._pattern[0], lower.indptr)
-            or not np.array_equal(self._pattern[1], lower.indices)
-        ):
-            self._pattern = lower.indptr, lower.indices
+        pattern = lower.indptr, lower.indices
+        if not (self._pattern and all(map(np.array_equal, self._pattern, pattern))):
+            self._pattern = pattern
             self._analysis = rslab.analyze(lower, path="ldlt", ordering="metis", threads=1)
         return self._analysis

@@ -26,9 +26,9 @@ LEAST_FRACTION = 0.05  # of a tet: with less muscle it is passive
 class Tissue:
     """A face whose active tets have activations of their own.
 
-    ``face`` has a flesh of elements: first all tets, those with muscle standing for their fraction
-    of it, then the passive rest of these. Its S (elements, n_active + 1) has one 1 a row: every
-    active tet is a muscle by itself.
+    The flesh of ``face`` has first all tets, those with muscle standing for their fraction of it,
+    then the passive rest of these. Its S (elements, n_active + 1) has one 1 a row: every active tet
+    is a muscle by itself.
     """
 
     face: Face
@@ -77,12 +77,9 @@ def of_face(face: Face) -> Tissue:
 
     kept = muscle & is_active[row]
     volumes = model.weights.data[kept] * face.flesh.volumes[row[kept]]
-    counts = np.bincount(row[kept], minlength=tets)[active]
-    entries = (
-        volumes / volumes.sum(),
-        model.weights.indices[kept] - 1,
-        np.concatenate([[0], np.cumsum(counts)]),
-    )
+    ends = np.cumsum(np.bincount(row[kept], minlength=tets)[active])
+    places = model.weights.indices[kept] - 1, np.concatenate([[0], ends])
+    entries = volumes / volumes.sum(), *places
     fractions = sp.csr_array(entries, shape=(len(active), model.muscle_count))
     divided = face.with_flesh(flesh).with_weights(selection)
     return Tissue(divided, active, fractions, model.fibres[kept])

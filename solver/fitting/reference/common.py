@@ -99,10 +99,8 @@ def solve(
     for name, value in options.items():
         ipopt.add_option(name, value)
     z, info = ipopt.solve(start)
-    message = info["status_msg"]
-    text = message.decode() if isinstance(message, bytes) else str(message)
     violation = float(np.abs(info["g"] - constants).max(initial=0.0))
-    trouble = None if info["status"] in SUCCESS else text
+    trouble = None if info["status"] in SUCCESS else info["status_msg"].decode()
     found = Solution(float(info["obj_val"]), problem.iterations, violation, trouble)
     return np.asarray(z), found
 

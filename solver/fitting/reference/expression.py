@@ -54,8 +54,7 @@ class Expression(IpoptProblem):
         self.flesh = flesh = face.flesh
         self.layout = Layout((Block("x", flesh.rest[flesh.free]), *face.layout.blocks))
         muscles, jaw = self.layout.places("activations"), self.layout.places("jaw")
-        self._data = data
-        self._priors = priors
+        self._data, self._priors = data, priors
         self._pose_entries = self._find_touched(face.S if candidates is None else candidates)
         pattern = flesh.hessian(flesh.rest, flesh.passive())
         rows = np.repeat(np.arange(flesh.size), np.diff(pattern.indptr))
@@ -216,9 +215,7 @@ class _Forward(IpoptProblem):
 
     def __init__(self, face: Face, pose: Pose, x: Floats) -> None:
         super().__init__()
-        self._flesh = face.flesh
-        self._a = face.tet_activations(pose.a)
-        self._x = x.copy()
+        self._flesh, self._a, self._x = face.flesh, face.tet_activations(pose.a), x.copy()
         self._x[face.model.mandible] = face.mandible(pose.b)
         pattern = self._flesh.hessian(x, self._a)
         rows = np.repeat(np.arange(pattern.shape[0]), np.diff(pattern.indptr))
@@ -244,10 +241,7 @@ class _Forward(IpoptProblem):
 
 
 def forward(face: Face, pose: Pose, x: Floats, *, tolerance: float = 1e-9) -> Reference:
-    """Minimise E(x; a, b) over the free vertices from ``x`` (p, 3).
-
-    Raises :class:`NotConvergedError` (``ipopt.failed``) with IPOPT's message.
-    """
+    """Minimise E(x; a, b) over x (p, 3) of the free vertices; raises as :func:`activations`."""
     problem = _Forward(face, pose, x)
     z, found = solve(problem, x[face.flesh.free].ravel(), np.zeros(0), tolerance, 500)
     return Reference(pose=pose, x=problem.place(z), **vars(found)).check()

@@ -48,15 +48,10 @@ def geometry(
     """
     full, S = FullGeometry(problem, listen), problem.face.S
     begin = [part.start(start[name].pose, start[name].x) for name, part in full.parts.items()]
-    constants = [np.zeros(len(full.parts) * problem.face.flesh.size), np.ones(S.shape[0])]
-    z, found = solve(
-        full,
-        full.layout.join([*begin, S.data]),
-        np.concatenate(constants),
-        tolerance,
-        max_iterations,
-        full.layout.lower,
-    )
+    first, lower = full.layout.join([*begin, S.data]), full.layout.lower
+    forces = np.zeros(len(full.parts) * problem.face.flesh.size)
+    constants = np.concatenate([forces, np.ones(S.shape[0])])
+    z, found = solve(full, first, constants, tolerance, max_iterations, lower)
     pieces, fitted = full.split(z)
     poses = {name: part.pose(pieces[name]) for name, part in full.parts.items()}
     x = {name: part.place(pieces[name]) for name, part in full.parts.items()}
@@ -142,10 +137,8 @@ class FullGeometry(IpoptProblem):
     def hessian(self, z: Floats, multipliers: Floats, factor: float) -> Floats:
         """See :class:`IpoptProblem`."""
         pieces, _ = self.split(z)
-        parts = [
-            part.hessian(pieces[name], multipliers, factor) for name, part in self.parts.items()
-        ]
-        return np.concatenate([*parts, factor * self._by_weights.data])
+        by_part = (part.hessian(pieces[k], multipliers, factor) for k, part in self.parts.items())
+        return np.concatenate([*by_part, factor * self._by_weights.data])
 
     def _pull(self, S: sp.csr_array, pose: Pose, x: Floats) -> sp.csc_array:
         return WeightRates(TetForces(self._face.with_weights(S), pose, x)).matrix()
