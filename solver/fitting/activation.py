@@ -206,8 +206,7 @@ class GaussNewton:
         matrix: Floats,
         options: DescentOptions = DescentOptions(),
     ) -> None:
-        self._options = options
-        self._layout = state.pose.layout
+        self._options, self._layout = options, state.pose.layout
         sensitivity = Sensitivity(face, state)
         self._response, self._rates = sensitivity.response, sensitivity.pose
         self._curvature = data.curvature(state.estimate)

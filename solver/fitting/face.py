@@ -81,21 +81,18 @@ class PosedFace:
 
     @property
     def estimate(self) -> Floats:
-        """Return where the vertices (p, 3) come to rest: ``x`` itself where the state is settled.
-
-        One of its tets may be inverted.
-        """
+        """Return where the vertices (p, 3) come to rest, maybe with a tet inverted."""
         return self.equilibrium.estimate
 
 
 class Face:
     """A subject's flesh with its bones, skin and muscle geometry S; all fits talk to this.
 
-    ``S`` (n, m + 1) is the model's geometric one if not given.
-    ``linear`` names the linear solver (None: the fastest in double precision), ``tolerance`` is the
-    equilibrium's relative residual. With ``pinned`` nothing slides on the skull. Edits are per tet
-    ``stiffness_factor`` (n,) and ``growth`` (n,), see :class:`~solver.mechanics.flesh.Flesh`, and
-    ``bones`` (p, 3): how far what is held or slides is displaced from its rest, mm.
+    ``S`` (n, m + 1) is the model's geometric one if not given. ``linear`` names the linear solver
+    (None: the fastest in double precision), ``tolerance`` is the equilibrium's residual. With
+    ``pinned`` nothing slides on the skull. Edits are ``stiffness_factor`` and ``growth`` of
+    :class:`~solver.mechanics.flesh.Flesh`, and ``bones`` (p, 3): how far what is held or slides is
+    displaced from its rest, mm.
     """
 
     def __init__(
@@ -113,15 +110,12 @@ class Face:
         options: ContinuationOptions = ContinuationOptions(),
     ) -> None:
         leave_threads_to_kernels()
-        self.model = model
-        self.options = options
+        self.model, self.options, self.tolerance = model, options, tolerance
         self.S: sp.csr_array = model.weights if S is None else S
-        self.tolerance = tolerance
         material = material or COROTATED_TRACE
         self._held_rest = model.rest if bones is None else model.rest + bones
-        held = np.concatenate([model.cranium, model.mandible, model.cut])
-        if pinned:
-            held = np.concatenate([held, model.sliding])
+        pins = [model.sliding] if pinned else []
+        held = np.concatenate([model.cranium, model.mandible, model.cut, *pins])
         mu = material.mu * (1.0 if stiffness_factor is None else stiffness_factor)
         self.flesh = Flesh(
             model.rest,

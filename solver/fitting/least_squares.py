@@ -153,7 +153,8 @@ def minimise(
     """Lower f step by step from ``start``."""
     point, value = start, problem.value(start)
     for number in range(stop.iterations):
-        better, reached, ending = search.descend(problem, point, value, stop)
+        found = search.descend(problem, point, value, stop)
+        better, reached, ending = found
         if better is None:
             return LeastSquaresSolution(point, value, number, ending or Ending.STUCK, idle=True)
         point, value = better, reached

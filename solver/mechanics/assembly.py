@@ -42,6 +42,9 @@ class BlockSum:
     sum, ``into``, which has to hold it.
     """
 
+    graph: sp.csr_array  # of the free vertices
+    pattern: sp.csr_array
+
     def __init__(self, numbers: Ints, count: int, into: BlockSum | None = None) -> None:
         u, v = np.triu_indices(numbers.shape[1])
         ends = numbers[:, np.stack([u, v])].transpose(1, 0, 2).reshape(2, -1)

@@ -52,14 +52,11 @@ def jaw_jacobian(frame: JawFrame, points: Floats, b: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Boundary:
-    """Held vertices (h, 3) in the order of ``Flesh.held``, jaw (5,), and objects' vertices (o, 3).
+    """Place of everything rigid in the head's frame, mm."""
 
-    All in the head's frame, mm.
-    """
-
-    held: Floats
-    jaw: Floats
-    objects: tuple[Floats, ...] = ()
+    held: Floats  # (h, 3) vertices in the order of ``Flesh.held``
+    jaw: Floats  # (5,)
+    objects: tuple[Floats, ...] = ()  # vertices (o, 3)
 
     def toward(self, other: Boundary, part: float) -> Boundary:
         """Return the boundary ``part`` of the straight way to ``other``."""
@@ -83,14 +80,11 @@ def straight(part: float, start: Sequence[Floats], end: Sequence[Floats]) -> lis
 
 @dataclass(frozen=True)
 class BoundaryRates:
-    """A boundary's derivatives by k controls: ``held`` (h, 3, k), ``jaw`` (5, k), ``objects``.
+    """A boundary's derivatives by k controls."""
 
-    ``objects`` are (o, 3, k) each; without any entry no object moves.
-    """
-
-    held: Floats
-    jaw: Floats
-    objects: tuple[Floats, ...] = ()
+    held: Floats  # (h, 3, k)
+    jaw: Floats  # (5, k)
+    objects: tuple[Floats, ...] = ()  # (o, 3, k) each; none where no object moves
 
     @property
     def count(self) -> int:

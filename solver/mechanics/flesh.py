@@ -95,22 +95,12 @@ class _Summed:
 class Flesh:
     """Elastic, active tetrahedra with some vertices held.
 
-    Parameters
-    ----------
-    rest, tets
-        (p, 3) rest vertices, mm, and (n, 4) vertex numbers with positive rest volumes.
-    held
-        Numbers of the vertices that do not move freely.
-    shares
-        (n,) the part of its volume that each tet stands for, all of it by default: a tet of two
-        tissues is listed twice.
-    sliding
-        The planes that some of the free vertices stay on.
-    stiffness_factor
-        (n,) a factor of every tet's material, one by default.
-    growth
-        (n,) plastic growth f of F_p = f I, none by default: the tet's energy is V psi(F F_p^-1, A)
-        with its rest volume V as it was (muscle geometry paper, fat).
+    ``rest`` (p, 3) are vertices in mm, ``tets`` (n, 4) their numbers, with positive rest volumes.
+    The ``held`` ones do not move freely, some of the others stay on ``sliding`` planes. Of each tet
+    there may be ``shares`` (n,), the part of its volume that it stands for (a tet of two tissues is
+    listed twice), ``stiffness_factor`` (n,) of its material, and ``growth`` (n,), the f of plastic
+    growth F_p = f I: its energy is V psi(F F_p^-1, A) with its rest volume V as it was (muscle
+    geometry paper, fat).
 
     ``free`` lists the free vertices, ``free_numbers`` (p,) has each vertex's place in that list or
     -1, ``held`` lists the others.

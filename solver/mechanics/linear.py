@@ -1,8 +1,4 @@
-"""Sparse symmetric linear solvers behind one protocol.
-
-The Hessian's pattern never changes during a fit, so it is analysed once and refactored for every
-new set of values.
-"""
+"""Sparse symmetric linear solvers behind one protocol: a pattern is analysed once."""
 
 from __future__ import annotations
 
@@ -104,7 +100,7 @@ class Rslab:
 class _RslabSingle(Rslab):
     """The same in single precision: a fifth faster, with relative errors of about 1e-5.
 
-    Newton's method mends them, as its residuals are in double precision; sensitivities keep them.
+    Newton's method mends them, its residuals being in double precision; sensitivities keep them.
     """
 
     dtype = "float32"
@@ -117,16 +113,11 @@ class _SuperLU:
 
     def __init__(self, pattern: sp.csr_array) -> None:
         self._order = nested_dissection(pattern)
-        numbers = sp.csr_array(
-            (np.arange(1, len(pattern.indices) + 1), pattern.indices, pattern.indptr),
-            shape=pattern.shape,
-        )
+        numbers = pattern.copy()
+        numbers.data = np.arange(1, len(pattern.indices) + 1)
         permuted = sp.csc_array(numbers[self._order][:, self._order])
         permuted.sort_indices()
-        self._from = permuted.data - 1
-        self._matrix = sp.csc_array(
-            (np.zeros(len(self._from)), permuted.indices, permuted.indptr), shape=pattern.shape
-        )
+        self._from, self._matrix = permuted.data - 1, permuted.astype(np.float64)
 
     def factor(self, data: Floats, *, indefinite: bool = False) -> Factor:
         self._matrix.data = data[self._from]
@@ -248,19 +239,16 @@ class GrowingSolver:
     """Factorises the sum of a matrix of fixed ``pattern`` (sorted CSR) and one of any other.
 
     The pattern of flesh never changes; contacts come and go. All entries seen so far stay in the
-    analysed pattern, as zeros where they are not used: most steps then need no new analysis, which
-    costs as much as a factorisation. With more than ``largest`` times the entries of the fixed
-    pattern it forgets all but the newest. ``name`` is the linear solver (:func:`analyse`),
-    ``analyses`` counts how often a pattern was analysed, ``known`` are the keys of the last one.
+    analysed pattern, as an analysis costs as much as a factorisation. With more than ``largest``
+    times the entries of the fixed pattern it forgets all but the newest. ``name`` is the linear
+    solver (:func:`analyse`), ``analyses`` counts the analyses, ``known`` are the last one's keys.
     """
 
     def __init__(
         self, pattern: sp.csr_array, name: str | None = None, largest: float = 1.5
     ) -> None:
-        self._largest = largest
-        self._name = name
-        self._size = pattern.shape[0]
-        self._fixed = _keys(pattern)
+        self._name, self._largest = name, largest
+        self._size, self._fixed = pattern.shape[0], _keys(pattern)
         self.analyses = 0
         self._analyse(self._fixed)
 
@@ -287,9 +275,8 @@ class GrowingSolver:
     def _analyse(self, keys: Ints) -> None:
         rows, columns = np.divmod(keys, self._size)
         indptr = np.searchsorted(rows, np.arange(self._size + 1))
-        pattern = sp.csr_array(
-            (np.ones(len(keys)), columns, indptr), shape=(self._size, self._size)
-        )
+        shape = self._size, self._size
+        pattern = sp.csr_array((np.ones(len(keys)), columns, indptr), shape=shape)
         self._solver: LinearSolver = analyse(pattern, self._name)
         self.known = keys
         self._fixed_places = np.searchsorted(keys, self._fixed)

@@ -56,9 +56,8 @@ def activation_rates(model: SubjectModel, S: sp.csr_array, gamma: Floats) -> sp.
     along = _along(model, S)[active]
     across = -0.5 * gamma[muscles, None] ** -1.5
     rates = S.data[active, None] * (along + across * (IDENTITY - along))
-    places = 6 * tets[:, None] + np.arange(6), np.repeat(muscles[:, None], 6, axis=1)
-    shape = (6 * S.shape[0], len(gamma))
-    return sp.csr_array((rates.ravel(), tuple(map(np.ravel, places))), shape=shape)
+    places = (6 * tets[:, None] + np.arange(6)).ravel(), np.repeat(muscles, 6)
+    return sp.csr_array((rates.ravel(), places), shape=(6 * S.shape[0], len(gamma)))
 
 
 class _FibreContractions:
@@ -68,9 +67,7 @@ class _FibreContractions:
     """
 
     def __init__(self, elastic: ElasticTerm, model: SubjectModel, S: sp.csr_array) -> None:
-        self._elastic = elastic
-        self._model = model
-        self._S = S
+        self._elastic, self._model, self._S = elastic, model, S
 
     @property
     def vertices(self) -> Ints:
@@ -112,14 +109,11 @@ def nearest_fibre(
     They are f^T S(a_j) f, its mean over the muscle's volume, within the ``options``' limits.
     Raises as :func:`fibre_activations`.
     """
-    rows, columns = S.tocoo().coords
-    along = _along(model, S)
+    (rows, columns), along = S.tocoo().coords, _along(model, S)
     stretch = np.einsum("ek,k,ek->e", along, FROBENIUS, np.vstack([IDENTITY, a])[columns])
     weight = S.data * volumes(model.rest, model.tets)[rows]
-    count = S.shape[1]
-    whole = np.bincount(columns, weight, minlength=count)
-    sums = np.bincount(columns, weight * stretch, minlength=count)
-    found = np.where(whole > 0.0, sums / np.where(whole > 0.0, whole, 1.0), 1.0)
+    whole, sums = (np.bincount(columns, w, S.shape[1]) for w in (weight, weight * stretch))
+    found = np.divide(sums, whole, out=np.ones_like(whole), where=whole > 0.0)
     return np.asarray(np.clip(found, options.least, options.most)[1:])
 
 

@@ -4,13 +4,10 @@ One step of backward Euler is a minimum:
 
     E(y, a) + 1/(2 h^2) |y - z|^2_M + c/(2 h) |y - y_t|^2_M - f . y
 
-Backward Euler's equation is where the derivative of this incremental potential is zero (Phace, eq.
-11; Li et al. 2020, eq. 2). z = y_t + h v_t is where the flesh would fly without forces, M the
-lumped mass, c the damping of motion in the head's frame, f the forces from outside. All are in the
-head's frame: where a rigidly moved world puts z there, no fictitious forces are missing.
-
-Forces from outside are in g mm/s^2, a millionth of a newton. They are taken at a step's start, the
-head being where the step leads.
+(the incremental potential: Phace, eq. 11; Li et al. 2020, eq. 2). z = y_t + h v_t is where the
+flesh would fly without forces, M the lumped mass, c the damping of motion in the head's frame, f
+the forces from outside, in g mm/s^2, taken at the step's start. All are in the head's frame, where
+the step leads: a rigidly moved world puts z there, so no fictitious forces are missing.
 """
 
 from __future__ import annotations
@@ -84,13 +81,10 @@ class Inertia(PassiveTerm):
 
 @dataclass(frozen=True)
 class Motion:
-    """Vertices x (p, 3) in mm and their velocities v (p, 3) in mm/s, in the world, and the head.
+    """Flesh in the world, and the head, which takes the subject's frame there with scale 1."""
 
-    ``head`` takes the subject's frame into the world; its scale is 1.
-    """
-
-    x: Floats
-    v: Floats
+    x: Floats  # (p, 3) mm
+    v: Floats  # (p, 3) mm/s
     head: Similarity
 
     @property
@@ -101,16 +95,13 @@ class Motion:
 
 @dataclass(frozen=True)
 class Drive:
-    """Input of a moment: ``A`` (n, 6) per tet, ``jaw`` (5,), ``head`` into the world.
+    """Input of a moment."""
 
-    ``time`` is in seconds, ``objects`` are vertices (o, 3) in the world, mm.
-    """
-
-    time: float
-    A: Floats
-    jaw: Floats
-    head: Similarity
-    objects: tuple[Floats, ...] = ()
+    time: float  # seconds
+    A: Floats  # (n, 6) of each tet
+    jaw: Floats  # (5,)
+    head: Similarity  # into the world
+    objects: tuple[Floats, ...] = ()  # vertices (o, 3) in the world, mm
 
     def toward(self, other: Drive, part: float) -> Drive:
         """Return what to ask for ``part`` of the way to ``other``, the head turning steadily."""
@@ -118,10 +109,8 @@ class Drive:
             return other
         turn = Rotation.from_matrix(self.head.rotation.T @ other.head.rotation).as_rotvec()
         rotation = self.head.rotation @ Rotation.from_rotvec(part * turn).as_matrix()
-        mine, theirs = (
-            (each.A, each.jaw, each.head.shift, *each.objects) for each in (self, other)
-        )
-        A, jaw, shift, *objects = straight(part, mine, theirs)
+        ends = ((each.A, each.jaw, each.head.shift, *each.objects) for each in (self, other))
+        A, jaw, shift, *objects = straight(part, *ends)
         head = Similarity(1.0, np.asarray(rotation), shift)
         time = self.time + part * (other.time - self.time)
         return Drive(time, A, jaw, head, tuple(objects))
@@ -137,7 +126,7 @@ MILLINEWTON = 1e3  # in g mm/s^2
 
 
 class Force(Protocol):
-    """A force on the flesh."""
+    """A force on the flesh from outside."""
 
     def at(self, motion: Motion, time: float, /) -> Floats:
         """Return the forces (p, 3) in the world at ``time`` in seconds, g mm/s^2."""
@@ -163,9 +152,9 @@ class Gravity:
 class Wind:
     """Wind on the face skin: rho/2 C A |w_n| w_n n on a triangle of area A and normal n.
 
-    w_n is the part along n of the wind relative to the skin, so that it presses on the side it
-    comes from and sucks on the other. ``m_s`` (3,) is its velocity in the world; ``gusts`` is the
-    part of it that comes and goes, by three sines that ``seed`` chooses between two ``gust_hz``.
+    w_n is the part along n of the wind relative to the skin: it presses on one side and sucks on
+    the other. ``m_s`` (3,) is its velocity in the world; ``gusts`` is the part of it that comes and
+    goes, by three sines that ``seed`` chooses between two ``gust_hz``.
     """
 
     def __init__(
@@ -185,8 +174,7 @@ class Wind:
         self._mm_s = 1e3 * np.asarray(m_s, float)
         self._gusts = gusts
         random = np.random.default_rng(seed)
-        self._hertz = random.uniform(*gust_hz, 3)
-        self._phases = random.uniform(0.0, 2.0 * np.pi, 3)
+        self._hertz, self._phases = random.uniform(*gust_hz, 3), random.uniform(0.0, 2.0 * np.pi, 3)
 
     def velocity(self, time: float) -> Floats:
         """Return the wind (3,) at ``time`` in seconds, mm/s."""
@@ -212,9 +200,8 @@ class Pull:
     """Skin that is pulled at a point, in the head's frame, as if by a patch that sticks to it.
 
     ``mn`` (3,) is the whole force in millinewton. It is spread over the skin within ``radius_mm``
-    of the skin vertex number ``vertex``, and grows over ``ramp`` seconds from time zero.
-
-    Raises :class:`InputError` (``force.point``) where no flesh is below that skin.
+    of the skin vertex number ``vertex``, and grows over ``ramp`` seconds from time zero. Raises
+    :class:`InputError` (``force.point``) where no flesh is below that skin.
     """
 
     def __init__(
@@ -228,14 +215,12 @@ class Pull:
     ) -> None:
         skin = model.skin.vertices
         if vertex not in model.embedded:
-            raise InputError(
-                "force.point", f"skin vertex {vertex} is on no flesh: it cannot be pulled"
-            )
+            message = f"skin vertex {vertex} is on no flesh: it cannot be pulled"
+            raise InputError("force.point", message)
         distance = np.linalg.norm(skin[model.embedded] - skin[vertex], axis=1)
         weights = np.maximum(1.0 - (distance / radius_mm) ** 2, 0.0) ** 2
         self._share = np.asarray(model.embedding.T @ (weights / weights.sum()))
-        self._force = MILLINEWTON * np.asarray(mn, float)
-        self._ramp = ramp
+        self._force, self._ramp = MILLINEWTON * np.asarray(mn, float), ramp
 
     def at(self, motion: Motion, time: float, /) -> Floats:
         """See :class:`Force`."""

@@ -48,37 +48,24 @@ class SimulationOptions:
 
 @dataclass(frozen=True)
 class Stepped:
-    """A step's end, and what it took.
-
-    ``y`` (p, 3) are the vertices in the head's frame, ``halvings`` how often the step had to be
-    cut, ``residual`` that of its last part, ``inverted`` the number of inverted tets.
-    """
+    """A step's end, and what it took."""
 
     motion: Motion
-    y: Floats
+    y: Floats  # (p, 3) vertices in the head's frame
     iterations: int
-    halvings: int
-    residual: float
+    halvings: int  # how often the step had to be cut
+    residual: float  # of its last part
     seconds: float
-    inverted: int
+    inverted: int  # number of inverted tets
 
 
 class Simulator:
     """Moves the flesh of a face, whose material is in Pa.
 
-    Parameters
-    ----------
-    potentials, forces
-        What else has energy, such as contact, and forces from outside.
-    dynamic
-        Whether the flesh has inertia. Without, each moment is an equilibrium, and forces see
-        velocities of zero.
-    density, damping
-        (n,) of each tet in g/mm^3; of motion relative to the head, per mass, in 1/s.
-    linear
-        The linear solver, the fastest by default.
-    tolerance, settled_mm
-        A step ends as :class:`~solver.mechanics.newton.NewtonOptions` say of these.
+    ``dynamic`` flesh has inertia; without, each moment is an equilibrium, and forces see velocities
+    of zero. ``density`` (n,) is each tet's in g/mm^3, ``damping`` that of motion relative to the
+    head, per mass, in 1/s. ``linear`` is the linear solver, the fastest by default. A step ends as
+    :class:`~solver.mechanics.newton.NewtonOptions` say of ``tolerance`` and ``settled_mm``.
     """
 
     def __init__(
@@ -164,15 +151,9 @@ class Simulator:
             # a part begins at a multiple of itself, so that they add up to one
             while part < largest and done % (2.0 * part) == 0.0:
                 part *= 2.0
-        return Stepped(
-            now,
-            minimum.x,
-            iterations,
-            halvings,
-            minimum.residual,
-            perf_counter() - begun,
-            self._flesh.inverted(minimum.x),
-        )
+        y, inverted = minimum.x, self._flesh.inverted(minimum.x)
+        seconds = perf_counter() - begun
+        return Stepped(now, y, iterations, halvings, minimum.residual, seconds, inverted)
 
     def _once(
         self, now: Motion, before: Drive, goal: Drive, factorisations: int, *, dynamic: bool
@@ -253,12 +234,9 @@ class _Newton:
             self._factor, self._projection = search.factorization, search.projection
         # NaN, too, is no minimum
         if not search.residual <= max(options.stalled, options.tolerance):
-            raise SolveError(
-                "simulate.diverged",
-                f"the flesh found no rest: a residual of {search.residual:.1e}"
-                f" after {search.steps} steps",
-                residual=search.residual,
-            )
+            steps, residual = search.steps, search.residual
+            message = f"the flesh found no rest: a residual of {residual:.1e} after {steps} steps"
+            raise SolveError("simulate.diverged", message, residual=residual)
         search.steps += advances
         return search
 

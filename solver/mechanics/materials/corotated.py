@@ -3,9 +3,9 @@
     psi(F, A) = mu |F - R A|^2 + lambda/2 tr(P - I)^2 + kappa (det F - det A)^2 + beta(det F)
 
 with R the rotation nearest to F A, F = Q P the polar decomposition, A the symmetric activation of
-the tet (muscle geometry paper, eq. of the active corotated energy) and beta a
-barrier that is zero while det F > J0 and infinite at det F <= 0, so that no element inverts. The
-muscle geometry paper has kappa = 0, Phace lambda = 0 and kappa = 3 mu.
+the tet (muscle geometry paper, eq. of the active corotated energy) and beta a barrier that is zero
+while det F > J0 and infinite at det F <= 0, so that no element inverts. The muscle geometry paper
+has kappa = 0, Phace lambda = 0 and kappa = 3 mu.
 
 The rotation must minimise the *whole* first term, R = polar(F A): with R = polar(F) the gradient
 2 mu (F - R A) would not be the derivative of the energy.
