@@ -25,16 +25,12 @@ JAW_UNITS = np.array([100.0, 100.0, 1.0, 1.0, 1.0])
 
 @dataclass(frozen=True)
 class Block:
-    """A named part of q; ``rest`` has its shape, everything else broadcasts to it.
-
-    ``damping`` is what Levenberg-Marquardt weighs a squared change by, ``reach`` the change up to
-    which a linear model is surely good.
-    """
+    """A named part of q; ``rest`` has its shape, everything else broadcasts to it."""
 
     name: str
     rest: Floats
-    damping: Floats | float = 1.0
-    reach: Floats | float = np.inf
+    damping: Floats | float = 1.0  # what Levenberg-Marquardt weighs a squared change by
+    reach: Floats | float = np.inf  # the change up to which a linear model is surely good
     lower: Floats | float = -np.inf
     upper: Floats | float = np.inf
 

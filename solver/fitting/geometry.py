@@ -160,13 +160,11 @@ def check_size(face: Face, expressions: int) -> None:
     """Raise ``options.too_large`` if IPOPT would not come back in reasonable time."""
     count = expressions * len(face.model.tets)
     if count > MOST_TETS:
-        raise InputError(
-            "options.too_large",
+        message = (
             f"{expressions} expressions on {len(face.model.tets)} tetrahedra are too many for "
-            f"solver ipopt, which takes {MOST_TETS} together: use solver reduced",
-            expected=MOST_TETS,
-            found=count,
+            f"solver ipopt, which takes {MOST_TETS} together: use solver reduced"
         )
+        raise InputError("options.too_large", message, expected=MOST_TETS, found=count)
 
 
 def fit_by_ipopt(

@@ -48,17 +48,14 @@ class JointOptions:
 
 @dataclass(frozen=True)
 class GeometryProblem:
-    """f: the terms and the regulariser of every expression, and the priors of S.
-
-    ``prior`` has the values (nnz,) of S_0, ``structure`` is L (k, nnz).
-    """
+    """f: the terms and the regulariser of every expression, and the priors of S."""
 
     face: Face
     data: Mapping[str, Term]
     regulariser: Regulariser
     w_s: float
-    prior: Floats
-    structure: sp.csr_array
+    prior: Floats  # (nnz,) the values of S_0
+    structure: sp.csr_array  # L (k, nnz)
 
     def value(self, S: sp.csr_array, states: Mapping[str, PosedFace]) -> float:
         """Return f at the states' estimates."""

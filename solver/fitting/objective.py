@@ -38,14 +38,11 @@ LEAST_STRETCH = 0.1
 
 @dataclass(frozen=True)
 class Target:
-    """Goal of the face skin: ``points`` (k, 3) in mm and ``weights`` (k,) that sum to 1.
+    """Goal of the face skin."""
 
-    With unit ``normals`` (k, 3) only the distance along them counts (point to plane).
-    """
-
-    points: Floats
-    weights: Floats
-    normals: Floats | None = None
+    points: Floats  # (k, 3) mm
+    weights: Floats  # (k,) that sum to 1
+    normals: Floats | None = None  # (k, 3) of unit length: only the distance along them counts
 
     @classmethod
     def from_points(

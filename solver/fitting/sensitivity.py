@@ -108,10 +108,8 @@ class WeightRates:
     """The derivative by S's values (nnz,): :class:`solver.mechanics.response.Controls`."""
 
     def __init__(self, forces: TetForces) -> None:
-        self._forces = forces
-        self._size = forces.face.flesh.size
-        self._count = forces.face.S.nnz
-        self.held = sp.csr_array((forces.x.size, self._count))
+        self._forces, self._size = forces, forces.face.flesh.size
+        self.held = sp.csr_array((forces.x.size, forces.face.S.nnz))
 
     def matrix(self) -> sp.csc_array:
         """Return d(grad_x E)/dS, (size, nnz).
@@ -136,7 +134,7 @@ class WeightRates:
 
     def adjoint(self, motion: Floats) -> Floats:
         """Return the transpose of :meth:`product` applied to (size,): shape (nnz,)."""
-        out = np.empty(self._count)
+        out = np.empty(self.held.shape[1])
         _weights_by_forces(*self._forces.pattern, self._forces.columns, motion, out)
         return out
 
@@ -148,7 +146,6 @@ class Sensitivity:
     """
 
     def __init__(self, face: Face, state: PosedFace) -> None:
-        self._free = face.flesh.free_coordinates
         self.forces = TetForces(face, state.pose, state.x)
         self.response = Response(face.flesh, state.equilibrium.factor)
 
@@ -164,7 +161,8 @@ class Sensitivity:
 
     def by_pose(self) -> Jacobian:
         """Return the derivatives by (a, b), six entries a muscle."""
-        return Jacobian(self.response.columns(self.pose), self.pose.held, self._free)
+        free = self.forces.face.flesh.free_coordinates
+        return Jacobian(self.response.columns(self.pose), self.pose.held, free)
 
     def motions_along(self, directions: Floats) -> Floats:
         """Return the derivatives (p, 3, k) along ``directions`` of (a, b), (6 m + 5, k)."""

@@ -51,13 +51,10 @@ class TrackingOptions:
 
 @dataclass(frozen=True)
 class _Kept:
-    """Sensitivities of a frame before, and the pose's Gauss-Newton matrix without regulariser.
-
-    The matrix is that of points with ``weights`` (k,).
-    """
+    """Sensitivities of a frame before, and the pose's Gauss-Newton matrix without regulariser."""
 
     jacobian: Jacobian
-    weights: Floats
+    weights: Floats  # (k,) of the points that the matrix is of
     hessian: Floats
 
     @classmethod
@@ -86,13 +83,10 @@ class Tracker:
     ) -> None:
         self.face = face
         self.state = start
-        self._regulariser = regulariser
-        self._temporal = temporal
+        self._regulariser, self._temporal, self._options = regulariser, temporal, options
         self._whole_fit = ActivationOptions(max_iterations, tolerance=1e-3)
-        self._options = options
         self._kept: _Kept | None = None
-        self._age = 0
-        self._value = np.inf
+        self._age, self._value = 0, np.inf
         self._search = Halving(self._options.damping, least_ratio=self._options.least_ratio)
 
     def fit(self, target: Target, before: Pose | None = None) -> int:

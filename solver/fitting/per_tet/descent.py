@@ -106,14 +106,14 @@ class Damping:
 
 @dataclass(frozen=True)
 class TetStep:
-    """A step (a, b) from a state where f is ``value``, and the damping if it is taken as it is."""
+    """A step (a, b) from a state where f is ``value``."""
 
     state: PosedFace
     value: float
     model: Quadratic
     a: Floats
     b: Floats
-    lowered: Damping
+    lowered: Damping  # if the step is taken as it is
 
     @classmethod
     def of(

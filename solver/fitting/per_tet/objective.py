@@ -90,20 +90,15 @@ def contraction(along: float, across: float) -> float:
 
 @dataclass(frozen=True)
 class PerTetOptions:
-    """Weights of the regularisers, and when to stop.
+    """Weights of the regularisers, and when to stop."""
 
-    ``w_act``, ``w_sparse`` and ``w_volume`` are in mm^2, ``w_b`` weighs the jaw's change. The fit
-    ends after ``max_iterations`` or when steps gain less than ``tolerance`` f. ``smoothing`` is
-    delta: a whole face with activations of this size counts as passive.
-    """
-
-    w_act: float = 0.01
-    w_sparse: float = 1e-3
-    w_volume: float = 10.0
-    w_b: float = 1e-6
+    w_act: float = 0.01  # mm^2
+    w_sparse: float = 1e-3  # mm^2
+    w_volume: float = 10.0  # mm^2
+    w_b: float = 1e-6  # of the jaw's change
     max_iterations: int = 60
-    tolerance: float = 2e-3
-    smoothing: float = 1e-3
+    tolerance: float = 2e-3  # gain of a step, relative to f, that ends the fit
+    smoothing: float = 1e-3  # delta: a whole face with activations of this size counts as passive
 
 
 class PerTetPriors:

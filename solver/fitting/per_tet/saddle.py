@@ -36,17 +36,14 @@ LEAST_SCALE = 1e-3  # of the data's curvature, in balanced units, where damping 
 
 @dataclass(frozen=True)
 class Quadratic:
-    """The Gauss-Newton model at a state: f's gradient by (a, b) and its curvatures.
-
-    ``data`` (3 p, 3 p) is C; ``a`` (n_active, 6, 6) and ``b`` (5,) are R's blocks and diagonal.
-    """
+    """The Gauss-Newton model at a state: f's gradient by (a, b) and its curvatures."""
 
     state: PosedFace
     sensitivity: Sensitivity
     gradient: Floats
-    data: sp.csr_array
-    a: Floats
-    b: Floats
+    data: sp.csr_array  # C (3 p, 3 p)
+    a: Floats  # (n_active, 6, 6) R's blocks
+    b: Floats  # (5,) R's diagonal
 
     def product(self, z: Floats) -> Floats:
         """Return (R + J^T C J) z for z = (a, b)."""
