@@ -207,11 +207,10 @@ class GaussNewton:
         options: DescentOptions = DescentOptions(),
     ) -> None:
         self._options, self._layout = options, state.pose.layout
-        sensitivity = Sensitivity(face, state)
-        self._response, self._rates = sensitivity.response, sensitivity.pose
+        self._sensitivity = known = Sensitivity(face, state)
         self._curvature = data.curvature(state.estimate)
         self._regulariser = regulariser.gauss_newton(state.pose)
-        self._gradient = self._response.adjoint(self._rates, data.gradient(state.estimate))
+        self._gradient = known.response.adjoint(known.pose, data.gradient(state.estimate))
         self._gradient += regulariser.gradient(state.pose)
         self.matrix = matrix
 
@@ -226,7 +225,7 @@ class GaussNewton:
             square = direction @ residual
             if square <= self._options.accuracy**2 * step @ curved:
                 break
-            seen = self._product(direction)
+            seen = self._sensitivity.product(self._curvature, direction)
             self.matrix = _update(self.matrix, direction, seen)
             image = seen + known @ direction
             length = square / (direction @ image)
@@ -235,13 +234,8 @@ class GaussNewton:
         fraction = 1.0 / max(self._layout.reach(step) / trust, 1.0)
         step, curved = fraction * step, fraction * (curved - units * step)
         slope, bend = float(self._gradient @ step), float(step @ curved)
-        response = self._response.free_motion(self._rates, step)
+        response = self._sensitivity.response.free_motion(self._sensitivity.pose, step)
         return LeastSquaresStep(step, slope, bend, self._layout.reach(step), response)
-
-    def _product(self, change: Floats) -> Floats:
-        """Return J^T C J applied to a change of (a, b)."""
-        pull = self._curvature @ self._response.product(self._rates, change).ravel()
-        return self._response.adjoint(self._rates, pull.reshape(-1, 3))
 
 
 def curvature(face: Face, data: Term, state: PosedFace) -> Floats:

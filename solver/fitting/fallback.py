@@ -34,11 +34,6 @@ class FallbackOptions:
     slow_vertices: int = 3000  # from which on an expression takes minutes
 
 
-UNSETTLED = make_warning(
-    "ipopt.unsettled", "what IPOPT found does not come to rest; the best result is kept"
-)
-
-
 @dataclass(frozen=True)
 class FallbackFit:
     """A settled state, f there, and how it was found.
@@ -123,7 +118,8 @@ def _fit_in_full(
         done += found.iterations
         state = face.settle(found.pose, found.x)
         if state is None:
-            trouble[UNSETTLED.code] = UNSETTLED
+            message = "what IPOPT found does not come to rest; the best result is kept"
+            trouble["ipopt.unsettled"] = make_warning("ipopt.unsettled", message)
             continue
         value = activation.objective(data, regulariser, state)
         if value < best.objective:

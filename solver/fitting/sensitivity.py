@@ -164,6 +164,11 @@ class Sensitivity:
         free = self.forces.face.flesh.free_coordinates
         return Jacobian(self.response.columns(self.pose), self.pose.held, free)
 
+    def product(self, curvature: sp.csr_array, change: Floats) -> Floats:
+        """Return J^T C J applied to a change of (a, b), for C (3 p, 3 p) and J = dx/d(a, b)."""
+        pull = curvature @ self.response.product(self.pose, change).ravel()
+        return self.response.adjoint(self.pose, pull)
+
     def motions_along(self, directions: Floats) -> Floats:
         """Return the derivatives (p, 3, k) along ``directions`` of (a, b), (6 m + 5, k)."""
         forces = sp.csc_array(self.pose.columns() @ directions)

@@ -133,15 +133,13 @@ class Factorization:
             except NotPositiveDefiniteError:
                 pass
         jacobians = flesh.jacobians(self.x)
-        smallest = int(jacobians.argmin())
-        if jacobians[smallest] < self._options.collapsed:
-            place = np.round(flesh.rest[flesh.tets[smallest]].mean(axis=0)).tolist()
-            raise SolveError(
-                "solve.crushed",
-                f"elements near {place} have collapsed: the constraints around them have closed",
-                tet=smallest,
-                place_mm=place,
+        tet = int(jacobians.argmin())
+        if jacobians[tet] < self._options.collapsed:
+            place = np.round(flesh.rest[flesh.tets[tet]].mean(axis=0)).tolist()
+            message = (
+                f"elements near {place} have collapsed: the constraints around them have closed"
             )
+            raise SolveError("solve.crushed", message, tet=tet, place_mm=place)
         message = "the flesh's Hessian is singular: a part of it is held by nothing"
         raise SolveError("solve.singular", message)
 

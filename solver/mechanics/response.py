@@ -127,8 +127,7 @@ class Response:
         """Return dx_free/dq (size, k)."""
         found = self._factor.solve(controls.columns())
         # in place: on fine meshes new memory takes as long as arithmetic
-        np.negative(found, out=found)
-        return found
+        return np.negative(found, out=found)
 
     def motions(self, controls: Controls) -> Floats:
         """Return dx/dq of all vertices, (p, 3, k)."""

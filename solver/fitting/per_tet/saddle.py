@@ -47,12 +47,10 @@ class Quadratic:
 
     def product(self, z: Floats) -> Floats:
         """Return (R + J^T C J) z for z = (a, b)."""
-        response, rates = self.sensitivity.response, self.sensitivity.pose
-        pull = (self.data @ response.product(rates, z).ravel()).reshape(-1, 3)
         layout = self.state.pose.layout
         a, b = layout.split(z)
         prior = layout.join([np.einsum("eij,ej->ei", self.a, a), self.b * b])
-        return response.adjoint(rates, pull) + prior
+        return self.sensitivity.product(self.data, z) + prior
 
 
 class SaddleSolver:

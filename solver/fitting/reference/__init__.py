@@ -7,14 +7,6 @@ papers).
 
 from solver.fitting.reference.common import NotConvergedError, Reference
 from solver.fitting.reference.expression import activations, forward, per_tet
-from solver.fitting.reference.geometry import GeometryReference, geometry
+from solver.fitting.reference.geometry import geometry
 
-__all__ = [
-    "GeometryReference",
-    "NotConvergedError",
-    "Reference",
-    "activations",
-    "forward",
-    "geometry",
-    "per_tet",
-]
+__all__ = ["NotConvergedError", "Reference", "activations", "forward", "geometry", "per_tet"]
