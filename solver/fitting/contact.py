@@ -146,14 +146,11 @@ class Contact:
 
 
 def _lips(mouth: Mouth, x: Floats, options: LipContactOptions) -> _Touching:
-    """Find the lips' vertices in the other lip.
-
-    The nearest point's place in its triangle is at a minimum, so that its change does not count:
-    the depth grows as that point moves out, or the vertex in.
-    """
+    """Find the lips' vertices in the other lip."""
     found = between_lips(mouth, mouth.points(x))
     deep = found.where(found.depth > options.lips_slack_mm)
     count = len(mouth.label)
+    # the nearest point's place in its triangle is at a minimum: its change does not count
     nearest = rows_of(deep.corners, deep.shares, count)
     vertex = rows_of(deep.ids[:, None], np.ones((len(deep.ids), 1)), count)
     apart = sp.csr_array((nearest - vertex) @ mouth.rows)

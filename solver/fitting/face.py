@@ -222,10 +222,8 @@ class Face:
         return self.solve_equilibrium(pose, guess)
 
     def _guess(self, state: PosedFace, response: Floats, pose: Pose, a: Floats) -> Floats:
-        """Return the x of least energy on the way from ``state`` to its estimate and ``response``.
-
-        The whole way often flattens a few tets, from where Newton takes long to come back.
-        """
+        """Return the x of least energy on the way from ``state`` that ``response`` predicts."""
+        # the whole way often flattens a few tets, from where Newton takes long to come back
         motion = response + (state.estimate - state.x)[self.flesh.free].ravel()
         base = state.x.copy()
         base[self.model.mandible] = self.mandible(pose.b)
@@ -256,10 +254,7 @@ class Face:
             return self._along(state, pose, self.options.smallest_in_fit, settled=False)
 
     def _along(self, start: PosedFace, pose: Pose, smallest: float, *, settled: bool) -> PosedFace:
-        """Go to a pose in steps, a ``smallest`` fraction at least, whose response flattens no tet.
-
-        Their ends are only approached, the last one's ``settled`` if asked for.
-        """
+        """Approach poses on the way whose response flattens no tet, the last ``settled`` or not."""
         done, fraction = 0.0, 1.0
         state, narrow = start, self.options.min_ratio
         while done < 1.0:

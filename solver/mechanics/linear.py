@@ -98,10 +98,7 @@ class Rslab:
 
 
 class _RslabSingle(Rslab):
-    """The same in single precision: a fifth faster, with relative errors of about 1e-5.
-
-    Newton's method mends them, its residuals being in double precision; sensitivities keep them.
-    """
+    """The same in single precision: a fifth faster; sensitivities keep its errors of about 1e-5."""
 
     dtype = "float32"
 

@@ -61,10 +61,7 @@ def activation_rates(model: SubjectModel, S: sp.csr_array, gamma: Floats) -> sp.
 
 
 class _FibreContractions:
-    """The law of the tets, with the activations that contractions gamma (m,) come to.
-
-    It is an :class:`~solver.mechanics.terms.EnergyTerm`.
-    """
+    """The law of the tets, an ``EnergyTerm``, by contractions gamma (m,)."""
 
     def __init__(self, elastic: ElasticTerm, model: SubjectModel, S: sp.csr_array) -> None:
         self._elastic, self._model, self._S = elastic, model, S
@@ -166,10 +163,7 @@ class FibreControls:
 def fit_fibres(
     face: Face, target: Floats, options: ContractionLimits = ContractionLimits()
 ) -> FibreFit:
-    """Fit the face's points (k, 3) to ``target`` (k, 3) from rest, in mm.
-
-    Raises :class:`~solver.errors.InputError` (``model.fibres``) for a model without fibres.
-    """
+    """Fit the face's points (k, 3) to ``target``, mm; raises as :func:`fibre_activations`."""
     controls = FibreControls(face, options)
     found = SkinFit(face, controls, target).solve().point
     gamma, jaw = controls.layout.split(found.q)

@@ -92,10 +92,7 @@ class Simulator:
         self._newton = _Newton(self._flesh, potentials, newton, linear or fastest())
 
     def rest(self, drive: Drive) -> Motion:
-        """Return the face at rest in the pose, and under the forces, of ``drive``.
-
-        Raises :class:`SolveError` as :meth:`step`, with the drive's own ``time``.
-        """
+        """Return the face at rest where ``drive`` has it, under forces; raises as :meth:`step`."""
         options, closed = self._options, np.zeros_like(drive.jaw)
         begun = drive.time - options.rise_seconds
         start = replace(drive, time=begun, A=self._flesh.passive(), jaw=closed)
