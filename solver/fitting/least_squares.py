@@ -170,7 +170,7 @@ class TrustRegion:
     """A search by ever shorter and more damped steps, each solved for anew."""
 
     rule: DampingOptions
-    most: float = 1.0  # reach of a step
+    most: float = 1.0  # reach of a step: longer ones end, now and then, in flesh that buckles
     least: float = 2.0**-8
     tries: int = 6  # from one point before that counts as stuck
 
