@@ -26,7 +26,7 @@ from solver.rig.frames import (
     FRAMES,
     ChunkOptions,
     ChunkWriter,
-    MotionFrame,
+    MotionRecord,
     motion_report,
     motion_values,
     read_motion,
@@ -73,7 +73,7 @@ class PictureOptions:
 
 def play(
     stage: Stage, out: Path, scene: str, progress: Progress = silent, *, resume: bool = False
-) -> list[MotionFrame]:
+) -> list[MotionRecord]:
     """Simulate all frames of a stage and return them; they are in ``out/frames`` as they come.
 
     With ``resume`` the frames that are there are kept, and the simulation goes on after them.
@@ -112,14 +112,14 @@ def play(
     return done
 
 
-def skin_of(stage: Stage, frame: MotionFrame) -> Floats:
+def skin_of(stage: Stage, frame: MotionRecord) -> Floats:
     """Return the whole skin (V, 3) of a frame, in the head's frame."""
     return stage.skin(stage.model.rest + frame.moved, frame.jaw, frame.eyes)
 
 
 def finish(
     stage: Stage,
-    frames: Sequence[MotionFrame],
+    frames: Sequence[MotionRecord],
     out: Path,
     progress: Progress,
     *,
@@ -172,9 +172,9 @@ def _reach(stage: Stage, motion: Motion, drive: Drive | None, goal: Drive) -> St
 
 def _frame(
     stage: Stage, number: int, pose: PosedFrame, goal: Drive, stepped: Stepped
-) -> MotionFrame:
+) -> MotionRecord:
     found = stage.penetration(stepped.y, goal)
-    return MotionFrame(
+    return MotionRecord(
         frame=number,
         time=goal.time,
         activations=pose.a,
@@ -203,12 +203,12 @@ class _Beside:
         self._filming = Filming(stage.model)
         self.motion = motion
 
-    def __call__(self, last: MotionFrame) -> dict[str, Any]:
+    def __call__(self, last: MotionRecord) -> dict[str, Any]:
         """Return them for a file with this ``last`` frame, which ended in ``motion``."""
         is_due = time.monotonic() - self._pictured >= self._options.seconds
         return motion_values(self._scene, self.motion, self._draw(last) if is_due else None)
 
-    def _draw(self, frame: MotionFrame) -> str:
+    def _draw(self, frame: MotionRecord) -> str:
         """Return a JPEG of a frame, in base 64."""
         skin = frame.into_world(skin_of(self._stage, frame))
         objects = [each.at(frame.time) for each in self._stage.objects]

@@ -52,18 +52,19 @@ def tell_forms(find: Callable[[Any], str | None], otherwise: str) -> Discriminat
     return Discriminator(find, custom_error_type="no_such_form", custom_error_message=otherwise)
 
 
-def _form_of_place(value: Any) -> str | None:
-    if isinstance(value, bool):
-        return None
-    forms = {str: "<name>", int: "<vertex>", float: "<vertex>", list: "<point>"}
-    return forms.get(type(value))
+def by_type(forms: Mapping[type, str]) -> Callable[[Any], str | None]:
+    """Return what finds the tag of a value by its type."""
+    return lambda value: forms.get(type(value))
 
 
 Place = Annotated[
     Annotated[Name, Tag("<name>")]
     | Annotated[int, Field(ge=0), Integral, Tag("<vertex>")]
     | Annotated[Vector, Tag("<point>")],
-    tell_forms(_form_of_place, "is not a landmark's name, a vertex's number or a point"),
+    tell_forms(
+        by_type({str: "<name>", int: "<vertex>", float: "<vertex>", list: "<point>"}),
+        "is not a landmark's name, a vertex's number or a point",
+    ),
     Field(description="a landmark's name, the number of a skin vertex, or a point [x, y, z] in mm"),
 ]
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
@@ -111,16 +112,13 @@ class Kind:
         """Return faults by their places, first unknown options in words that name the known."""
         known = ", ".join(self.options.model_fields) or "none"
         message = f"{self.name} has no such option; it has {known}"
-        strangers, others = [], []
-        for fault in faults:
-            if fault.unknown and len(fault.path) == 1:
-                strangers.append(Fault(f"options.{fault.path[0]}", message, fault.path, True))
-            else:
-                others.append(fault)
-        return [
-            *sorted(strangers, key=lambda fault: fault.where),
-            *sorted(others, key=lambda fault: fault.where),
+        strangers = [fault for fault in faults if fault.unknown and len(fault.path) == 1]
+        named = [
+            replace(fault, where=f"options.{fault.path[0]}", message=message) for fault in strangers
         ]
+        others = [fault for fault in faults if fault not in strangers]
+        by_place = attrgetter("where")
+        return [*sorted(named, key=by_place), *sorted(others, key=by_place)]
 
 
 # Options that several kinds share.

@@ -5,7 +5,6 @@ All files are documented in docs/guide/simulation.md.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from fractions import Fraction
@@ -22,19 +21,20 @@ from solver.drawing.sheet import MARGIN, Column, SheetLayout, draw_sheet
 from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.rig.animation_gltf import write_animation_glb
-from solver.rig.frames import MotionFrame
+from solver.rig.frames import MotionRecord
 from solver.rig.gltf import Solid
 from solver.rig.pictures import THREE_QUARTER, face_camera
 from solver.rig.skin_basis import Singles
 from solver.scene.objects import SceneObject
 from solver.similarity import small_motion
+from solver.storage import write_json
 from solver.surface import Floats, Ints, Surface
 
 # ``animation.npz``: an animation as arrays; docs/guide/simulation.md describes it.
 
 
 FORMAT = 1  # of animation.npz
-TRACKS = (  # taken of every frame, see MotionFrame
+TRACKS = (  # taken of every frame, see MotionRecord
     *("time", "activations", "jaw", "head", "eyes"),
     *("penetration_mm", "behind_teeth", "inverted", "iterations", "seconds"),
 )
@@ -42,7 +42,7 @@ FASTEST = 1  # level of compression: skins hardly shrink, however long one tries
 
 
 def write_animation_npz(
-    path: Path, model: SubjectModel, frames: Sequence[MotionFrame], skins: Singles, vertices: Ints
+    path: Path, model: SubjectModel, frames: Sequence[MotionRecord], skins: Singles, vertices: Ints
 ) -> None:
     """Write what drove ``frames``, and ``vertices`` (k,) of their skins in the world, mm.
 
@@ -180,7 +180,7 @@ class FilmOptions:
 def write_animation(
     out: Path,
     model: SubjectModel,
-    frames: Sequence[MotionFrame],
+    frames: Sequence[MotionRecord],
     skins: Singles,
     *,
     title: str,
@@ -207,7 +207,7 @@ def write_animation(
     written = write_animation_glb(glb, model.skin, skins, heads, times - times[0], solids)
     write_animation_npz(arrays, model, frames, skins, vertices)
     figures = {**report, "glb": {**asdict(written), "bytes": glb.stat().st_size}}
-    table.write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_json(table, figures)
     filming = Filming(model)
 
     def shot(number: int) -> Shot:

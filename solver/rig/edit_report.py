@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,7 @@ from solver.edits.edit import Edited, Replayed
 from solver.model import SubjectModel
 from solver.rig.gltf import in_turn, write_face
 from solver.rig.pictures import SIDE, THREE_QUARTER, face_camera
-from solver.storage import csr_arrays
+from solver.storage import csr_arrays, write_json
 from solver.surface import Floats, vertex_areas, vertex_normals
 
 FORMAT = 1  # of edit.json and edit.npz
@@ -93,24 +92,23 @@ def write_edit(person: EditedPerson, report: dict[str, Any], out: Path) -> list[
     edits came to: ``growth``, ``stiffness``, ``density``, ``bones`` and S.
     """
     files = [out / "edit.json", out / "edit.npz", out / "edit.glb"]
-    files[0].write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_json(files[0], report)
     edited = person.edited
     reached = [(each.name, each.after) for each in person.expressions if each.after is not None]
     poses = [person.after, *(after for _, after in reached)]
-    with files[1].open("wb") as stream:
-        np.savez_compressed(
-            stream,
-            allow_pickle=False,
-            format=np.array(FORMAT),
-            names=np.array(["neutral", *(name for name, _ in reached)], dtype=np.str_),
-            skin=np.array([pose.skin for pose in poses], dtype=np.float32),
-            x=np.array([pose.x for pose in poses]),
-            growth=edited.growth,
-            stiffness=edited.stiffness_factor,
-            density=edited.density,
-            bones=edited.bones,
-            **csr_arrays("S", edited.S),
-        )
+    np.savez_compressed(
+        files[1],
+        allow_pickle=False,
+        format=np.array(FORMAT),
+        names=np.array(["neutral", *(name for name, _ in reached)], dtype=np.str_),
+        skin=np.array([pose.skin for pose in poses], dtype=np.float32),
+        x=np.array([pose.x for pose in poses]),
+        growth=edited.growth,
+        stiffness=edited.stiffness_factor,
+        density=edited.density,
+        bones=edited.bones,
+        **csr_arrays("S", edited.S),
+    )
     shapes = {"unedited": person.before.skin, **{name: after.skin for name, after in reached}}
     write_face(files[2], edited.model.skin.moved(person.after.skin), shapes, in_turn)
     return files

@@ -189,7 +189,7 @@ def unpack(text: str, kind: str) -> Floats:
 
 
 @dataclass(frozen=True)
-class MotionFrame(FrameRecord):
+class MotionRecord(FrameRecord):
     """One frame of a simulation.
 
     time
@@ -232,7 +232,7 @@ def motion_values(scene: str, motion: Motion, picture: str | None) -> dict[str, 
     return {"scene": scene, "state": state, "picture": picture}
 
 
-def read_motion(folder: Path, scene: str, rest: Floats) -> tuple[list[MotionFrame], Motion]:
+def read_motion(folder: Path, scene: str, rest: Floats) -> tuple[list[MotionRecord], Motion]:
     """Return the frames of a folder and where they ended; none, at rest, if it is not there.
 
     Raises :class:`InputError`: ``simulate.frames`` if there is a gap or what is no frame,
@@ -240,7 +240,7 @@ def read_motion(folder: Path, scene: str, rest: Floats) -> tuple[list[MotionFram
     """
     motions = [Motion(rest, np.zeros_like(rest), IDENTITY)]
 
-    def take(values: Mapping[str, Any], frames: Sequence[MotionFrame]) -> None:
+    def take(values: Mapping[str, Any], frames: Sequence[MotionRecord]) -> None:
         x, v = (unpack(values["state"][name], "<f8") for name in ("x", "v"))
         motions.append(Motion(x, v, frames[-1].into_world))
         if values["scene"] != scene:
@@ -249,14 +249,14 @@ def read_motion(folder: Path, scene: str, rest: Floats) -> tuple[list[MotionFram
                 "the frames that are ready belong to another scene, person or rig: begin anew",
             )
 
-    def fits(frame: MotionFrame) -> bool:
+    def fits(frame: MotionRecord) -> bool:
         return frame.moved.shape == rest.shape
 
-    frames = read_chunks(folder, MotionFrame, "simulate.frames", fits, take)
+    frames = read_chunks(folder, MotionRecord, "simulate.frames", fits, take)
     return frames, motions[-1]
 
 
-def motion_report(frames: Sequence[MotionFrame], model: SubjectModel) -> dict[str, Any]:
+def motion_report(frames: Sequence[MotionRecord], model: SubjectModel) -> dict[str, Any]:
     """Return the figures of a simulation; lengths in mm, times in s or ms, volumes in ml.
 
     The flesh's volume is compared with that of the ``model`` at rest.
@@ -376,8 +376,7 @@ def _write_arrays(
         for name in (each.name for each in fields(SequenceFrame))
     }
     arrays |= {"format": FORMAT, "muscles": muscles, "fps": fps, "time": arrays["frame"] / fps}
-    with path.open("wb") as stream:
-        np.savez_compressed(stream, allow_pickle=False, **arrays)
+    np.savez_compressed(path, allow_pickle=False, **arrays)
 
 
 def _write_table(

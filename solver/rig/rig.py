@@ -143,8 +143,7 @@ class Rig:
             folder / FILES_OF_0_1["rig"]: _expression_arrays(self.expressions, self.model),
         }
         for path, arrays in parts.items():
-            with path.open("wb") as stream:
-                np.savez_compressed(stream, allow_pickle=False, **arrays)
+            np.savez_compressed(path, allow_pickle=False, **arrays)
         return list(parts)
 
     @classmethod
@@ -244,14 +243,9 @@ def _expression_arrays(expressions: tuple[ExpressionFit, ...], model: SubjectMod
     def texts(values: Iterable[str]) -> np.ndarray:
         return np.array(list(values), dtype=np.str_)
 
-    x = np.full((len(expressions), *model.rest.shape), np.nan)
-    trips = np.full((len(expressions), len(fields(RoundTrip))), np.nan)
-    for k, fit in enumerate(expressions):
-        if fit.x is not None:
-            x[k] = fit.x
-        if fit.round_trip is not None:
-            trips[k] = astuple(fit.round_trip)
-
+    unknown = np.full(model.rest.shape, np.nan)
+    x = [unknown if fit.x is None else fit.x for fit in expressions]
+    trips = [astuple(fit.round_trip or RoundTrip()) for fit in expressions]
     return {
         "format": np.array(FORMAT),
         "muscles": texts(model.muscle_names),
@@ -266,8 +260,8 @@ def _expression_arrays(expressions: tuple[ExpressionFit, ...], model: SubjectMod
         "iterations": column("iterations", (), np.int64),
         "seconds": column("seconds", ()),
         "objective": column("objective", ()),
-        "x": x,
-        "round_trip": trips,
+        "x": np.reshape(x, (len(x), *unknown.shape)),
+        "round_trip": np.reshape(trips, (len(trips), len(fields(RoundTrip)))),
         "solver": texts(fit.solver for fit in expressions),
         "status": texts(fit.status for fit in expressions),
         "notices": texts(
@@ -284,42 +278,31 @@ def _expressions_from(data: Arrays, model: SubjectModel, path: Path) -> tuple[Ex
         or data["skin"].shape[1:] != model.skin.vertices.shape
     ):
         raise _other_model(path)
-    return tuple(
-        ExpressionFit(
-            name=str(data["names"][k]),
-            role=str(data["roles"][k]),
-            activations=data["activations"][k],
-            jaw=data["jaw"][k],
-            skin=data["skin"][k].astype(np.float64),
-            target=data["target"][k].astype(np.float64),
-            error_mm=data["error_mm"][k].astype(np.float64),
-            inverted=int(data["inverted"][k]),
-            iterations=int(data["iterations"][k]),
-            seconds=float(data["seconds"][k]),
-            objective=float(data["objective"][k]),
-            x=_known(data, "x", k),
-            round_trip=None
-            if (trip := _known(data, "round_trip", k)) is None
-            else RoundTrip(*map(float, trip)),
-            **_solve(data, k),
-        )
-        for k in range(len(data["names"]))
-    )
+    return tuple(_expression_from(data, k) for k in range(len(data["names"])))
 
 
-def _known(data: dict[str, np.ndarray], array: str, k: int) -> Floats | None:
-    """Return a row of an array that older rigs do not have; None too where all of it is NaN."""
-    if array not in data or np.isnan(data[array][k]).all():
-        return None
-    return np.asarray(data[array][k], np.float64)
+def _expression_from(data: Arrays, k: int) -> ExpressionFit:
+    """Return an expression; older rigs do not have all arrays, and what is all NaN is not known."""
 
+    def known(name: str) -> Floats | None:
+        row = data[name][k] if name in data else np.array(np.nan)
+        return None if np.isnan(row).all() else row.astype(np.float64)
 
-def _solve(data: dict[str, np.ndarray], k: int) -> dict[str, Any]:
-    """Return solver, status and notices of an expression; older rigs do not have them."""
-    if "status" not in data:
-        return {"status": "unknown"}
-    notices = tuple(Finding.from_dict(each) for each in json.loads(str(data["notices"][k])))
-    return {"solver": str(data["solver"][k]), "status": str(data["status"][k]), "notices": notices}
+    trip = known("round_trip")
+    of_skin = ("activations", "jaw", "skin", "target", "error_mm")
+    of_solve = ("inverted", "iterations", "seconds", "objective")
+    values: dict[str, Any] = {
+        **{name: data[name][k].astype(np.float64) for name in of_skin},
+        **{name: data[name][k].item() for name in of_solve},
+        "x": known("x"),
+        "round_trip": None if trip is None else RoundTrip(*trip.tolist()),
+        "status": "unknown",
+    }
+    if "status" in data:
+        notices = json.loads(str(data["notices"][k]))
+        values |= {name: str(data[name][k]) for name in ("solver", "status")}
+        values["notices"] = tuple(Finding.from_dict(each) for each in notices)
+    return ExpressionFit(str(data["names"][k]), str(data["roles"][k]), **values)
 
 
 @contextmanager

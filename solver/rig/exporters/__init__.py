@@ -18,9 +18,10 @@ from solver.errors import InputError
 from solver.kinds.export_rig import FORMATS
 from solver.rig.certificate import Certificate
 from solver.rig.pictures import fit_picture
-from solver.rig.report import report, write_report
+from solver.rig.report import report
 from solver.rig.rig import Rig
 from solver.rig.web_page import write_page
+from solver.storage import write_json
 
 
 class Exporter(Protocol):
@@ -114,7 +115,7 @@ def write_rig(rig: Rig, certificate: Certificate, out: Path) -> list[Path]:
     out.mkdir(parents=True, exist_ok=True)
     figures = report(rig, certificate)
     figures_file, page = out / "report.json", out / "report.html"
-    write_report(figures_file, figures)
+    write_json(figures_file, figures)
     exported = [*write_all(replace(rig, figures=figures), out), *rig.save_as_0_1(out)]
     pictures = {fit.name: out / f"fit_{fit.name}.png" for fit in rig.expressions}
     for fit in rig.expressions:
