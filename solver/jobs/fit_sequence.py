@@ -78,11 +78,8 @@ class Follower:
         still: Floats | None = None,
         options: FollowOptions = FOLLOW,
     ) -> None:
-        self._tracker = tracker
-        self._options = options
-        self._face = tracker.face
-        self._targets = targets
-        self._still = still
+        self._tracker, self._face = tracker, tracker.face
+        self._targets, self._still, self._options = targets, still, options
         if still is not None and np.sum(still > options.still) < options.still_points:
             raise InputError(
                 "sequence.no_still_points",
@@ -96,7 +93,7 @@ class Follower:
         """Fit the frame ``number``, face points (k, 3) with their confidence."""
         start = time.perf_counter()
         state, head = self._tracker.state, self._head
-        seen = np.mean(scan.confidence > 0)
+        seen = float(np.mean(scan.confidence > 0))
         status: Status = "unseen"
         iterations = 0
         if seen >= self._options.coverage and self._sees_the_head(scan):
@@ -106,7 +103,7 @@ class Follower:
             except SolveError:
                 status = "kept"
                 self._tracker.state, self._head = state, head
-        return self._frame(number, status, float(seen), iterations, time.perf_counter() - start)
+        return self._frame(number, status, seen, iterations, time.perf_counter() - start)
 
     def skin(self) -> Floats:
         """Return the whole skin (v, 3) as it is now, without the head's motion."""
@@ -165,8 +162,8 @@ class Follower:
         if status == "fitted" and self._target is not None:
             error = self._target.distances(self._face.face_points(state.x))
             error = error[np.isfinite(error)]
-            mean, p95 = round(float(error.mean()), 4), round(float(np.percentile(error, 95)), 4)
-            greatest = round(float(error.max()), 4)
+            figures = error.mean(), np.percentile(error, 95), error.max()
+            mean, p95, greatest = (round(float(each), 4) for each in figures)
         return SequenceFrame(
             frame=number,
             status=status,
@@ -213,7 +210,11 @@ def run(task: Task[FitSequence]) -> list[Path]:
     if not task.resume:
         shutil.rmtree(out / FRAMES, ignore_errors=True)
     done = read_frames(out / FRAMES, subject.muscle_count)
-    _check_same(done, numbers)
+    if [frame.frame for frame in done] != list(numbers[: len(done)]):
+        raise InputError(
+            "sequence.resume",
+            f"the {len(done)} frames that are ready were chosen with another start, end or step",
+        )
     progress(Step("read", 0.01, message=f"{len(numbers)} frames of {len(source)}"))
     follower = _follower(face, given, done[-1] if done else None)
     shown = set(np.linspace(0, len(numbers) - 1, MOST_SHOTS).round().astype(int).tolist())
@@ -234,11 +235,8 @@ def run(task: Task[FitSequence]) -> list[Path]:
     finally:
         chunks.flush()
     if all(frame.status != "fitted" for frame in done):
-        raise InputError(
-            "sequence.nothing",
-            f"none of the {len(done)} frames of {source.name} could be fitted",
-            file=source.name,
-        )
+        message = f"none of the {len(done)} frames of {source.name} could be fitted"
+        raise InputError("sequence.nothing", message, file=source.name)
     progress(Step("export", 0.96))
     report = sequence_report(done, given.fps, source.name)
     files = write_sequence(out, done, subject.muscle_names, given.fps, report)
@@ -246,9 +244,8 @@ def run(task: Task[FitSequence]) -> list[Path]:
     animated.write(files[-1], given.fps)
     if shots:
         files.append(out / "sequence.png")
-        detail = "{fitted} of {frames} frames fitted, {mean_mm:.2f} mm off on average".format(
-            **report
-        )
+        words = "{fitted} of {frames} frames fitted, {mean_mm:.2f} mm off on average"
+        detail = words.format(**report)
         sequence_picture(subject, shots, source.name, detail, files[-1])
     progress(Step("done", 1.0))
     return files
@@ -297,14 +294,6 @@ def _check_place(source: Performance, number: int, model: SubjectModel) -> None:
             file=source.name,
             frame=number,
             found=float(np.median(away)),
-        )
-
-
-def _check_same(done: list[SequenceFrame], numbers: range) -> None:
-    if [frame.frame for frame in done] != list(numbers[: len(done)]):
-        raise InputError(
-            "sequence.resume",
-            f"the {len(done)} frames that are ready were chosen with another start, end or step",
         )
 
 
