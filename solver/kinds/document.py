@@ -91,22 +91,12 @@ def by_member(*members: str) -> Callable[[Any], str | None]:
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault at one place of a document.
+    """A fault at one place of a document."""
 
-    where
-        A JSON path, such as ``options.scene.keys[1].time``.
-    message
-        A sentence with the value and what is allowed.
-    path
-        The path's parts below the document's own name.
-    unknown
-        Whether the place is a member that a document may not have.
-    """
-
-    where: str
-    message: str
-    path: tuple[str | int, ...]
-    unknown: bool = False
+    where: str  # a JSON path, such as options.scene.keys[1].time
+    message: str  # a sentence with the value and what is allowed
+    path: tuple[str | int, ...]  # the path's parts below the document's own name
+    unknown: bool = False  # whether the place is a member that a document may not have
 
     def as_dict(self) -> dict[str, str]:
         """Return place and sentence for an answer."""

@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError
 
 from solver.kinds.document import Document, Fault, find_faults, json_schema
 
-Queue = Literal["ingest", "short", "long"]
+Queue = Literal["ingest", "short", "long"]  # while a person waits, minutes, hours
 Input = Literal[
     "capture",
     "neutral",
@@ -47,8 +47,6 @@ class OptionsError(ValueError):
 class Kind:
     """A kind of job, declared once: ``KIND`` of the module that it is named after.
 
-    queue
-        The workers that do it: ``ingest`` while a person waits, ``short`` minutes, ``long`` hours.
     reads
         Its inputs. A service looks them up at submission: ``capture`` is one scan as it was
         uploaded, with its landmarks; ``neutral`` and ``captures`` are registered scans, the
@@ -58,14 +56,6 @@ class Kind:
     asks
         What only a command line asks for: the ``role`` of a capture, which a service knows, and
         the ``start`` of a fit, another rig.
-    leaves
-        What it makes, in a word: jobs with the same word leave the same files.
-    report
-        The JSON file of its verdict or figures, which the job's result shows.
-    result
-        The file that a person opens first.
-    folder
-        The folder that a command line fills by default.
     frames
         Whether it leaves frames, which can be read while it runs and are gone on with after a stop.
     """
@@ -74,12 +64,12 @@ class Kind:
     description: str
     queue: Queue
     reads: tuple[Input, ...]
-    leaves: str
-    report: str
-    result: str
+    leaves: str  # what it makes, in a word: jobs with the same word leave the same files
+    report: str  # the JSON file of its verdict or figures, which the job's result shows
+    result: str  # the file that a person opens first
     options: type[JobOptions] = JobOptions
     asks: tuple[Input, ...] = ()
-    folder: str = "result"
+    folder: str = "result"  # that a command line fills by default
     frames: bool = False
     name: str = ""
 

@@ -35,26 +35,14 @@ FRAMES = "frames"  # name of the folder
 
 @dataclass(frozen=True)
 class FrameRecord:
-    """One frame of a face over time, as far as all jobs with frames know it.
+    """One frame of a face over time, as far as all jobs with frames know it."""
 
-    frame
-        Its number, from 0.
-    activations, jaw
-        (m, 6) and (5,), as of an expression.
-    head
-        (6,) rotation vector (rad) and translation (mm): the head in the world, x -> R x + t.
-    inverted
-        Number of tets with det F <= 0.
-    iterations, seconds
-        How the solve went.
-    """
-
-    frame: int
-    activations: Floats
-    jaw: Floats
-    head: Floats
-    inverted: int
-    iterations: int
+    frame: int  # its number, from 0
+    activations: Floats  # (m, 6), as of an expression
+    jaw: Floats  # (5,)
+    head: Floats  # (6,) rotation vector (rad), translation (mm): in the world, x -> R x + t
+    inverted: int  # number of tets with det F <= 0
+    iterations: int  # of the solve
     seconds: float
 
     ARRAYS: ClassVar[tuple[str, ...]] = ("activations", "jaw", "head")
@@ -190,26 +178,13 @@ def unpack(text: str, kind: str) -> Floats:
 
 @dataclass(frozen=True)
 class MotionRecord(FrameRecord):
-    """One frame of a simulation.
+    """One frame of a simulation; ``halvings`` and ``residual`` are those of its ``Stepped``."""
 
-    time
-        In s.
-    eyes
-        (2, 3) rotation vectors in the head's frame, the subject's left eye first.
-    moved
-        (p, 3) in mm: how far the flesh's vertices are off their rest, in the head's frame.
-    penetration_mm, behind_teeth
-        How deep skin is in teeth, in other skin or in objects, at the worst, and the number of the
-        lips' vertices behind teeth, see :class:`~solver.contact.potentials.Penetration`.
-    halvings, residual
-        How the solve went, see :class:`~solver.simulation.simulator.Stepped`.
-    """
-
-    time: float
-    eyes: Floats
-    moved: Floats
-    penetration_mm: float
-    behind_teeth: int
+    time: float  # s
+    eyes: Floats  # (2, 3) rotation vectors in the head's frame, the subject's left eye first
+    moved: Floats  # (p, 3) mm: the flesh's vertices off their rest, in the head's frame
+    penetration_mm: float  # of skin in teeth, in other skin or in objects, at the worst
+    behind_teeth: int  # number of the lips' vertices
     halvings: int
     residual: float
 
@@ -249,10 +224,9 @@ def read_motion(folder: Path, scene: str, rest: Floats) -> tuple[list[MotionReco
                 "the frames that are ready belong to another scene, person or rig: begin anew",
             )
 
-    def fits(frame: MotionRecord) -> bool:
-        return frame.moved.shape == rest.shape
-
-    frames = read_chunks(folder, MotionRecord, "simulate.frames", fits, take)
+    frames = read_chunks(
+        folder, MotionRecord, "simulate.frames", lambda frame: frame.moved.shape == rest.shape, take
+    )
     return frames, motions[-1]
 
 
@@ -286,6 +260,7 @@ def motion_report(frames: Sequence[MotionRecord], model: SubjectModel) -> dict[s
 
 # Fitted performances.
 
+# kept: the fit failed, the pose is the frame before's; unseen: so it is as too little was seen
 Status = Literal["fitted", "kept", "unseen"]
 
 
@@ -293,22 +268,15 @@ Status = Literal["fitted", "kept", "unseen"]
 class SequenceFrame(FrameRecord):
     """One frame of a performance, fitted; its number is the performance's.
 
-    The head is in the studio, zero where it was not asked for.
-
-    status
-        ``fitted``; ``kept``: the fit failed and the pose is the frame before's; ``unseen``: too
-        little of the face was seen, the pose is kept too.
-    mean_mm, p95_mm, max_mm
-        Distance between fit and frame over the face's points that were seen, None without any.
-    coverage
-        Share of the face's points that were seen.
+    The head is in the studio, zero where it was not asked for. Distances are between fit and frame
+    over the face's points that were seen, None without any.
     """
 
     status: Status
     mean_mm: float | None
     p95_mm: float | None
     max_mm: float | None
-    coverage: float
+    coverage: float  # share of the face's points that were seen
 
 
 def read_frames(folder: Path, muscles: int) -> list[SequenceFrame]:
@@ -316,11 +284,10 @@ def read_frames(folder: Path, muscles: int) -> list[SequenceFrame]:
 
     Raises :class:`InputError` (``sequence.frames``) if there is a gap or another model's frames.
     """
-
-    def fits(frame: SequenceFrame) -> bool:
-        return frame.activations.shape == (muscles, 6)
-
-    return read_chunks(folder, SequenceFrame, "sequence.frames", fits)
+    shape = (muscles, 6)
+    return read_chunks(
+        folder, SequenceFrame, "sequence.frames", lambda frame: frame.activations.shape == shape
+    )
 
 
 def write_sequence(
@@ -332,7 +299,15 @@ def write_sequence(
 ) -> list[Path]:
     """Write ``sequence.npz``, ``activations.csv`` and ``sequence.json``; returns their paths."""
     files = [out / "sequence.npz", out / "activations.csv", out / "sequence.json"]
-    _write_arrays(files[0], frames, muscles, fps)
+    kinds = {"frame": np.int64, "status": np.str_, "inverted": np.int64, "iterations": np.int64}
+    arrays: dict[str, Any] = {
+        each.name: np.array(
+            [getattr(frame, each.name) for frame in frames], kinds.get(each.name, np.float64)
+        )
+        for each in fields(SequenceFrame)
+    }
+    arrays |= {"format": FORMAT, "muscles": muscles, "fps": fps, "time": arrays["frame"] / fps}
+    np.savez_compressed(files[0], allow_pickle=False, **arrays)
     _write_table(files[1], frames, muscles, fps)
     write_json(files[2], report)
     return files
@@ -367,23 +342,11 @@ def _round(statistic: Any, values: Sequence[float]) -> float | None:
     return round(float(statistic(values)), 4) if values else None
 
 
-def _write_arrays(
-    path: Path, frames: Sequence[SequenceFrame], muscles: Sequence[str], fps: float
-) -> None:
-    kinds = {"frame": np.int64, "status": np.str_, "inverted": np.int64, "iterations": np.int64}
-    arrays: dict[str, Any] = {
-        name: np.array([getattr(frame, name) for frame in frames], kinds.get(name, np.float64))
-        for name in (each.name for each in fields(SequenceFrame))
-    }
-    arrays |= {"format": FORMAT, "muscles": muscles, "fps": fps, "time": arrays["frame"] / fps}
-    np.savez_compressed(path, allow_pickle=False, **arrays)
-
-
 def _write_table(
     path: Path, frames: Sequence[SequenceFrame], muscles: Sequence[str], fps: float
 ) -> None:
     jaw = [f"jaw.{number}" for number in range(1, JAW_FREEDOM + 1)]
-    head = ["head.rx", "head.ry", "head.rz", "head.tx", "head.ty", "head.tz"]
+    head = [f"head.{entry}" for entry in ("rx", "ry", "rz", "tx", "ty", "tz")]
     entries = [f"{muscle}.{entry}" for muscle in muscles for entry in ENTRIES]
     with path.open("w", newline="", encoding="utf-8") as stream:
         rows = csv.writer(stream)

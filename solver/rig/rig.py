@@ -39,52 +39,28 @@ FILES_OF_0_1 = {
 class ExpressionFit:
     """One expression, fitted.
 
-    name, role
-        What the capture was called; ``train`` (its scan shaped S) or ``test`` (activations only).
-    activations
-        (m, 6) symmetric contraction of every muscle in the order xx, xy, xz, yy, yz, zz; a relaxed
-        muscle is (1, 0, 0, 1, 0, 1).
-    jaw
-        (5,) b of :class:`solver.model.JawFrame`, rad and mm.
-    skin, target
-        (v, 3) the whole scan topology in mm: as solved and as scanned.
-    error_mm
-        (v,) distance between them on the face's vertices, along the scan's normals if the fit was
-        to planes; NaN elsewhere and where the scan has no confidence.
-    inverted
-        Number of tets with det F <= 0.
-    iterations, seconds
-        How the solve went.
-    objective
-        Mean square of that distance over the face, mm^2.
-    x
-        (p, 3) tet vertices as solved, mm; None in rigs made before they were kept.
-    round_trip
-        What came back when the activations were simulated and fitted again; None if not tried.
-    solver, status
-        ``reduced`` or ``ipopt``, and how it ended: ``converged``, ``stopped`` (out of steps, or
-        stuck) or ``failed`` (the best of what there was); ``unknown`` in rigs made before it was
-        kept.
-    notices
-        What was odd about the scan or the solve.
+    ``error_mm`` is the distance between skin and target on the face's vertices, along the scan's
+    normals if the fit was to planes; NaN elsewhere and where the scan has no confidence.
+    ``status`` is how the solve ended: ``converged``, ``stopped`` (out of steps, or stuck),
+    ``failed`` (the best of what there was), or ``unknown`` in rigs made before it was kept.
     """
 
-    name: str
-    role: str
-    activations: Floats
-    jaw: Floats
-    skin: Floats
-    target: Floats
-    error_mm: Floats
-    inverted: int
+    name: str  # of the capture
+    role: str  # ``train`` (its scan shaped S) or ``test`` (activations only)
+    activations: Floats  # (m, 6) symmetric contractions, see ENTRIES; (1, 0, 0, 1, 0, 1) at rest
+    jaw: Floats  # (5,) b of solver.model.JawFrame, rad and mm
+    skin: Floats  # (v, 3) mm, the whole scan topology as solved
+    target: Floats  # (v, 3) mm, the same as scanned
+    error_mm: Floats  # (v,)
+    inverted: int  # number of tets with det F <= 0
     iterations: int
     seconds: float
-    objective: float
-    x: Floats | None = None
-    round_trip: RoundTrip | None = None
-    solver: str = "reduced"
+    objective: float  # mean square of that distance over the face, mm^2
+    x: Floats | None = None  # (p, 3) mm, tet vertices as solved; None in older rigs
+    round_trip: RoundTrip | None = None  # None if not tried
+    solver: str = "reduced"  # or ``ipopt``
     status: str = "converged"
-    notices: tuple[Finding, ...] = ()
+    notices: tuple[Finding, ...] = ()  # what was odd about the scan or the solve
 
     def measured_error(self, vertices: Ints) -> Floats:
         """Return the errors (k,) in mm of those ``vertices`` that the scan shows."""
@@ -94,26 +70,20 @@ class ExpressionFit:
 
 @dataclass(frozen=True)
 class Rig:
-    """Everything a fit hands over.
-
-    ``weights`` (n, m + 1) is the final S, ``seconds`` the time of each phase of the job,
-    ``notices`` what was odd about the model or the job as a whole, ``figures`` the rig's
-    :func:`~solver.rig.report.report`; None before it is made.
-    """
+    """Everything a fit hands over."""
 
     model: SubjectModel
-    weights: sp.csr_array
+    weights: sp.csr_array  # (n, m + 1), the final S
     expressions: tuple[ExpressionFit, ...]
-    seconds: dict[str, float] = field(default_factory=dict)
-    notices: tuple[Finding, ...] = ()
-    figures: dict[str, Any] | None = None
+    seconds: dict[str, float] = field(default_factory=dict)  # of each phase of the job
+    notices: tuple[Finding, ...] = ()  # what was odd about the model or the job as a whole
+    figures: dict[str, Any] | None = None  # of solver.rig.report; None before they are made
 
     def known_figures(self) -> dict[str, Any]:
         """Return the figures; raises :class:`InputError` (``export.figures``) if there are none."""
         if self.figures is None:
-            raise InputError(
-                "export.figures", "the rig has no figures: its report.json is not beside it"
-            )
+            message = "the rig has no figures: its report.json is not beside it"
+            raise InputError("export.figures", message)
         return self.figures
 
     def save(self, path: Path) -> None:
@@ -273,10 +243,8 @@ def _expression_arrays(expressions: tuple[ExpressionFit, ...], model: SubjectMod
 
 def _expressions_from(data: Arrays, model: SubjectModel, path: Path) -> tuple[ExpressionFit, ...]:
     _check_format(path, data)
-    if (
-        tuple(data["muscles"].tolist()) != model.muscle_names
-        or data["skin"].shape[1:] != model.skin.vertices.shape
-    ):
+    is_same = data["skin"].shape[1:] == model.skin.vertices.shape
+    if not is_same or tuple(data["muscles"].tolist()) != model.muscle_names:
         raise _other_model(path)
     return tuple(_expression_from(data, k) for k in range(len(data["names"])))
 
@@ -312,32 +280,24 @@ def _reading(path: Path) -> Iterator[None]:
     except InputError:
         raise
     except (LookupError, TypeError, ValueError) as error:
-        raise InputError(
-            "rig.unreadable", f"{path.name} is not part of a rig: {error}", file=path.name
-        ) from error
+        message = f"{path.name} is not part of a rig: {error}"
+        raise InputError("rig.unreadable", message, file=path.name) from error
 
 
 def _check_format(path: Path, data: dict[str, np.ndarray]) -> None:
-    if int(data["format"]) != FORMAT:
-        raise InputError(
-            "rig.format",
-            f"{path.name} has rig format {int(data['format'])}, not {FORMAT}",
-            file=path.name,
-            expected=FORMAT,
-            found=int(data["format"]),
-        )
+    if (found := int(data["format"])) != FORMAT:
+        message = f"{path.name} has rig format {found}, not {FORMAT}"
+        raise InputError("rig.format", message, file=path.name, expected=FORMAT, found=found)
 
 
 def _other_model(path: Path) -> InputError:
-    return InputError(
-        "rig.model", f"{path.name} belongs to a rig of another subject model", file=path.name
-    )
+    message = f"{path.name} belongs to a rig of another subject model"
+    return InputError("rig.model", message, file=path.name)
 
 
 def _no_rig(path: Path) -> InputError:
-    return InputError(
-        "rig.unreadable",
+    message = (
         f"{path.name} is no rig: a rig is its {FILE}, or a folder with model.npz, "
-        "muscle_weights.npz and activations.npz",
-        file=path.name,
+        "muscle_weights.npz and activations.npz"
     )
+    return InputError("rig.unreadable", message, file=path.name)

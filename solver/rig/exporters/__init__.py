@@ -25,22 +25,12 @@ from solver.storage import write_json
 
 
 class Exporter(Protocol):
-    """Contents of an exporter's module.
+    """Contents of an exporter's module."""
 
-    FILE
-        Name of its file beside a rig.
-    MEDIA_TYPE
-        Of that file.
-    WITH_EVERY_RIG
-        Whether each fit writes it, so that it is one of the rig's artifacts.
-    Options
-        A frozen dataclass of JSON values, all with defaults.
-    """
-
-    FILE: str
+    FILE: str  # name of its file beside a rig
     MEDIA_TYPE: str
-    WITH_EVERY_RIG: bool
-    Options: type[Any]
+    WITH_EVERY_RIG: bool  # whether each fit writes it, so that it is one of the rig's artifacts
+    Options: type[Any]  # a frozen dataclass of JSON values, all with defaults
 
     def write(self, rig: Rig, path: Path, options: Any) -> None:
         """Write the rig as ``path``; raises :class:`InputError` where it cannot."""
