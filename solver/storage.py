@@ -195,15 +195,11 @@ class Archive:
             header = json.loads(bytes(arrays.pop("header")))
             found = header["format"]
         except (LookupError, RecursionError, TypeError, ValueError) as error:
-            raise InputError(
-                f"{kind}.unreadable", f"{path.name} is not {noun}: {error}", file=path.name
-            ) from error
+            message = f"{path.name} is not {noun}: {error}"
+            raise InputError(f"{kind}.unreadable", message, file=path.name) from error
         if found != format_number:
-            raise InputError(
-                f"{kind}.format",
-                f"{path.name} has {kind} format {quote(found)}, not {format_number}",
-                file=path.name,
-            )
+            message = f"{path.name} has {kind} format {quote(found)}, not {format_number}"
+            raise InputError(f"{kind}.format", message, file=path.name)
         return cls(header, arrays)
 
 

@@ -188,13 +188,10 @@ MOST_SHOTS = 6  # frames in the picture
 def run(task: Task[FitSequence]) -> list[Path]:
     """Fit the frames of a performance with the S of ``rig``, each from the one before.
 
-    ``performance`` is read as :func:`~solver.scans.performance.open_performance` says. Frames that
-    are ready are in ``out/frames``, 30 a file; with ``resume`` those that are there already are
+    Frames that are ready are in ``out/frames``; with ``resume`` those that are there already are
     kept and the fit goes on after them. A frame that cannot be fitted keeps the pose before it.
-
-    Writes ``sequence.npz``, ``activations.csv``, ``sequence.json``, ``sequence.glb`` and
-    ``sequence.png``. Raises :class:`InputError` for what cannot be used, ``sequence.nothing`` if
-    no frame could be fitted.
+    Raises :class:`InputError` for what cannot be used, ``sequence.nothing`` if no frame could be
+    fitted.
     """
     given, out, progress = task.options, task.out, task.progress
     performance = task.inputs["performance"]
@@ -270,14 +267,12 @@ def _chosen(source: Performance, given: FitSequence) -> range:
     end = len(source) if given.end is None else given.end
     numbers = range(given.start, end, given.step)
     if end > len(source) or not numbers:
-        raise InputError(
-            "options.frames",
+        message = (
             f"{source.name} has the frames 0 to {len(source) - 1}: start {given.start} and end "
-            f"{end} are not within it",
-            expected=len(source),
-            start=given.start,
-            end=end,
+            f"{end} are not within it"
         )
+        expected = {"expected": len(source), "start": given.start, "end": end}
+        raise InputError("options.frames", message, **expected)
     return numbers
 
 
@@ -286,15 +281,13 @@ def _check_place(source: Performance, number: int, model: SubjectModel) -> None:
     scan = source.frame(number)
     away = np.linalg.norm(scan.vertices - model.skin.vertices[model.face], axis=1)
     away = away[scan.confidence > 0]
-    if len(away) and np.median(away) > PLAUSIBLE.median_motion_mm:
-        raise InputError(
-            "performance.misaligned",
-            f"{source.name}, frame {number}: the points lie {np.median(away):.0f} mm off the "
-            "neutral (median); solve the head_motion, or bring the skull where the neutral has it",
-            file=source.name,
-            frame=number,
-            found=float(np.median(away)),
+    if len(away) and (median := float(np.median(away))) > PLAUSIBLE.median_motion_mm:
+        message = (
+            f"{source.name}, frame {number}: the points lie {median:.0f} mm off the neutral "
+            "(median); solve the head_motion, or bring the skull where the neutral has it"
         )
+        place = {"file": source.name, "frame": number}
+        raise InputError("performance.misaligned", message, **place, found=median)
 
 
 def _check_likeness(source: Performance, frame: SequenceFrame) -> None:

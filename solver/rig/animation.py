@@ -49,11 +49,8 @@ def write_animation_npz(
     ``skins`` (f, v, 3), in the head's frame, are read one by one, so that they may be mapped.
     """
     arrays = {name: np.array([getattr(frame, name) for frame in frames]) for name in TRACKS}
-    arrays |= {
-        "format": np.array(FORMAT),
-        "muscles": np.array(model.muscle_names, dtype=np.str_),
-        "vertices": vertices,
-    }
+    names = np.array(model.muscle_names, dtype=np.str_)
+    arrays |= {"format": np.array(FORMAT), "muscles": names, "vertices": vertices}
     with ZipFile(path, "w", ZIP_DEFLATED, compresslevel=FASTEST) as archive:
         for name, values in arrays.items():
             with archive.open(f"{name}.npy", "w") as stream:
@@ -97,8 +94,7 @@ class Filming:
     ) -> Pixels:
         """Return a skin (v, 3) in the world, mm, with objects half transparent before it.
 
-        ``size`` is (width, height); ``yaw`` is 0 for a look from the front, :data:`THREE_QUARTER`
-        for one from the side.
+        ``size`` is (width, height); ``yaw`` is 0 for the front or :data:`THREE_QUARTER`.
         """
         bodies = [self._head.body(self._head.lit(skin, light))]
         for each in objects:
@@ -142,10 +138,8 @@ CODECS = {"libx264": {"crf": "18", "preset": "medium"}, "mpeg4": {"qscale": "3"}
 def check_video() -> None:
     """Raise :class:`InputError` (``options.video``) where films cannot be written."""
     if find_spec("av") is None:
-        raise InputError(
-            "options.video",
-            "a film needs PyAV, which is not installed: pip install 'myoface[video]'",
-        )
+        message = "a film needs PyAV, which is not installed: pip install 'myoface[video]'"
+        raise InputError("options.video", message)
 
 
 def write_video(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], fps: float) -> None:
@@ -196,8 +190,9 @@ def write_animation(
     has the ``vertices`` (k,) of the skin. ``objects`` are what the face meets; ``video`` adds
     ``animation.mp4``, for which :func:`~solver.rig.animation.check_video` is to be asked.
     """
-    names = ["animation.json", "animation.glb", "animation.npz", "animation.png"]
-    table, glb, arrays, sheet = (out / name for name in names)
+    table, glb, arrays, sheet, film = (
+        out / f"animation.{kind}" for kind in ("json", "glb", "npz", "png", "mp4")
+    )
     times = np.array([frame.time for frame in frames])
     heads = np.array([frame.head for frame in frames])
     solids = [
@@ -223,7 +218,6 @@ def write_animation(
     )
     contact_sheet(filming, [shot(number) for number in shown], title, detail, sheet)
     files = [table, glb, arrays, sheet]
-    film = out / "animation.mp4"
     film.unlink(missing_ok=True)  # one of another scene is not to stay beside the new files
     if video:
         files.append(film)

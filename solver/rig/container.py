@@ -62,18 +62,12 @@ def read_container(path: str | Path) -> Container:
     try:
         header, arrays = _parse(content)
     except (struct.error, ArithmeticError, LookupError, TypeError, ValueError) as error:
-        raise InputError(
-            "view.unreadable", f"{path.name} is no view of a rig: {error}", file=path.name
-        ) from error
+        message = f"{path.name} is no view of a rig: {error}"
+        raise InputError("view.unreadable", message, file=path.name) from error
     found = header.pop("format", None)
     if found != FORMAT:
-        raise InputError(
-            "view.format",
-            f"{path.name} has view format {found}, not {FORMAT}",
-            file=path.name,
-            expected=FORMAT,
-            found=found,
-        )
+        message = f"{path.name} has view format {found}, not {FORMAT}"
+        raise InputError("view.format", message, file=path.name, expected=FORMAT, found=found)
     return Container(header, arrays)
 
 
@@ -112,8 +106,7 @@ def _parse(content: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
             raise ValueError(f"{name} has the unknown dtype {entry['dtype']}")
         if any(size < 0 for size in entry["shape"]):
             raise ValueError(f"{name} has the shape {entry['shape']}")
-        dtype = np.dtype(entry["dtype"]).newbyteorder("<")
-        count = math.prod(entry["shape"])
+        dtype, count = np.dtype(entry["dtype"]).newbyteorder("<"), math.prod(entry["shape"])
         flat = np.frombuffer(content, dtype, count, entry["offset"])
         arrays[name] = flat.reshape(entry["shape"])
     return header, arrays

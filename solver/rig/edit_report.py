@@ -123,14 +123,15 @@ def _volume(person: EditedPerson) -> dict[str, float]:
 
 def _flesh(edited: Edited, unedited: SubjectModel) -> dict[str, Any]:
     """Return the range of what the edits ask of the flesh, and how much muscle is left."""
-    asked = {
-        "growth": edited.growth,
-        "stiffness": edited.stiffness_factor,
-        "density": edited.density,
-    }
+
+    def ends(asked: Floats) -> list[float]:
+        return [float(asked.min()), float(asked.max())]
+
     muscle = np.asarray(edited.S[:, 1:].sum(axis=1)).ravel()
     return {
-        **{name: [float(each.min()), float(each.max())] for name, each in asked.items()},
+        "growth": ends(edited.growth),
+        "stiffness": ends(edited.stiffness_factor),
+        "density": ends(edited.density),
         "bones_mm": float(np.linalg.norm(edited.bones, axis=1).max()),
         "muscle_ml": float(volumes(unedited.rest, unedited.tets) @ muscle) * ML,
     }
@@ -143,11 +144,9 @@ def _regions(person: EditedPerson) -> dict[str, dict[str, float]]:
     outward = ((person.after.skin - before.vertices) * vertex_normals(before)).sum(axis=1)
     swept = outward * vertex_areas(before.vertices, before.faces) * ML
     seen = {name: np.intersect1d(ids, model.face) for name, ids in model.regions.items()}
+    moved = person.moved_mm
     return {
-        name: {
-            "moved_mm": float(person.moved_mm[ids].mean()),
-            "outward_ml": float(swept[ids].sum()),
-        }
+        name: {"moved_mm": float(moved[ids].mean()), "outward_ml": float(swept[ids].sum())}
         for name, ids in seen.items()
         if len(ids)
     }
@@ -195,9 +194,6 @@ class EditSheetOptions:
     nearly_all: float = 99.5  # percent of the face's vertices
 
 
-View = tuple[str, float, Floats, Floats]  # name, camera's angle, skins before and after
-
-
 def edit_picture(
     person: EditedPerson,
     title: str,
@@ -211,7 +207,8 @@ def edit_picture(
     """
     still = person.before.skin, person.after.skin
     sides = (("at rest", 0.0), ("three quarters", THREE_QUARTER), ("left side", SIDE))
-    expressions: list[View] = [
+    # each a name, the camera's angle, and the skins before and after
+    expressions = [
         (each.name.replace("_", " "), 0.0, each.before.skin, each.after.skin)
         for each in person.expressions
         if each.before is not None and each.after is not None

@@ -219,10 +219,8 @@ def read_motion(folder: Path, scene: str, rest: Floats) -> tuple[list[MotionReco
         x, v = (unpack(values["state"][name], "<f8") for name in ("x", "v"))
         motions.append(Motion(x, v, frames[-1].into_world))
         if values["scene"] != scene:
-            raise InputError(
-                "simulate.other_scene",
-                "the frames that are ready belong to another scene, person or rig: begin anew",
-            )
+            message = "the frames that are ready belong to another scene, person or rig: begin anew"
+            raise InputError("simulate.other_scene", message)
 
     frames = read_chunks(
         folder, MotionRecord, "simulate.frames", lambda frame: frame.moved.shape == rest.shape, take
