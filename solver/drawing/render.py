@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
-# Soft studio light: light that reaches each vertex from a few dozen directions, with shadows.
-#
-# One small depth map per direction tells which vertices it reaches, so hollows darken and noses
-# cast soft shadows without tracing a ray.
+# Soft studio light, from a few dozen directions: one small depth map for each tells which vertices
+# it reaches, so that hollows darken and noses cast soft shadows without tracing a ray.
 
 SKY = np.array([0.30, 0.31, 0.34])  # linear RGB, as all light here
 GROUND = np.array([0.15, 0.12, 0.11])

@@ -41,9 +41,6 @@ from solver.scans.performance import Performance, open_performance
 from solver.similarity import IDENTITY, Similarity, small_motion, weighted_motion
 from solver.surface import Floats
 
-# From one frame of a performance to the next: the head is placed, the face fitted.
-
-
 DECIMALS = 9  # frames are stored as text: digits beyond say nothing
 
 

@@ -255,9 +255,7 @@ def _tet_body(model: SubjectModel, keep: np.ndarray, colour: Floats) -> DrawnBod
     return DrawnBody(Lit(Surface(corners, triangles)), shades, gloss=0.0, edges=True)
 
 
-# A picture of a template's skin: its regions in colours, its landmarks by number.
-
-YAWS = (0.0, np.radians(55.0))  # of its views
+YAWS = (0.0, np.radians(55.0))  # of a template's skin
 
 
 @dataclass(frozen=True)
@@ -314,15 +312,12 @@ def skin_picture(
 
 @dataclass(frozen=True)
 class SequenceShot:
-    """A fitted frame: ``seen`` and ``skin`` (v, 3) on the scan topology, and ``error_mm`` (v,).
-
-    ``error_mm`` is NaN where nothing was seen; there ``seen`` is the fitted skin.
-    """
+    """A fitted frame on the scan topology."""
 
     frame: SequenceFrame
-    seen: Floats
-    skin: Floats
-    error_mm: Floats
+    seen: Floats  # (v, 3) mm; where nothing was seen, the fitted skin
+    skin: Floats  # (v, 3)
+    error_mm: Floats  # (v,), NaN where nothing was seen
 
 
 def sequence_picture(
