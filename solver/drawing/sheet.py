@@ -115,17 +115,13 @@ class Column:
 
 @dataclass(frozen=True)
 class SheetLayout:
-    """Sizes in pixels: ``cell`` (width, height) of an image, ``label`` width of the rows' names.
+    """Sizes of a sheet, in pixels."""
 
-    ``columns`` is how many stand side by side before the next begin below; ``foot`` is the room
-    for the scale and the ``notes`` (lines beside it).
-    """
-
-    cell: tuple[int, int] = (270, 330)
-    label: int = 90
-    columns: int = 64
-    foot: int = 64
-    notes: tuple[str, ...] = ()
+    cell: tuple[int, int] = (270, 330)  # width and height of an image
+    label: int = 90  # width of the rows' names
+    columns: int = 64  # side by side before the next begin below
+    foot: int = 64  # room for the scale and the notes
+    notes: tuple[str, ...] = ()  # lines below the scale
 
 
 def draw_sheet(

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, cast
 
 from solver.errors import InputError
 from solver.kinds import KINDS, JobOptions, Kind, OptionsError
@@ -55,16 +55,14 @@ def run_job(
     (``options.*``, ``scene.schema``) and files that cannot be used, and
     :class:`~solver.errors.SolveError` where there is no solution.
     """
-    given = read_options(KINDS[kind], options or {})
+    given = _read_options(KINDS[kind], options or {})
     files = {name: path for name, path in inputs.items() if path is not None}
     out.mkdir(parents=True, exist_ok=True)
     task = Task(out, given, files, captures or {}, role, resume, progress)
-    left: list[Path] = import_module(f"{jobs}.{kind}").run(task)
-    return left
+    return cast(list[Path], import_module(f"{jobs}.{kind}").run(task))
 
 
-def read_options(kind: Kind, given: Mapping[str, Any]) -> JobOptions:
-    """Return options with their defaults; raises :class:`InputError` for the first fault."""
+def _read_options(kind: Kind, given: Mapping[str, Any]) -> JobOptions:
     try:
         return kind.read(given)
     except OptionsError as error:

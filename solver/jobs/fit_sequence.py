@@ -78,11 +78,11 @@ class Follower:
         self._tracker, self._face = tracker, tracker.face
         self._targets, self._still, self._options = targets, still, options
         if still is not None and np.sum(still > options.still) < options.still_points:
-            raise InputError(
-                "sequence.no_still_points",
+            message = (
                 "the head's motion cannot be told from the face's: muscles or the jaw move every "
-                "point of the model's face",
+                "point of the model's face"
             )
+            raise InputError("sequence.no_still_points", message)
         self._head = IDENTITY if last is None else small_motion(last.head)
         self._target: Target | None = None
 
@@ -104,8 +104,7 @@ class Follower:
 
     def skin(self) -> Floats:
         """Return the whole skin (v, 3) as it is now, without the head's motion."""
-        state = self._tracker.state
-        return self._face.whole_skin(state.x, state.pose.b)
+        return self._face.whole_skin(self._tracker.state.x, self._tracker.state.pose.b)
 
     def shot(self, frame: SequenceFrame) -> SequenceShot:
         """Return the frame that was fitted last, to be drawn."""
@@ -246,7 +245,7 @@ def run(task: Task[FitSequence]) -> list[Path]:
 
 
 def _follower(face: Face, given: FitSequence, last: SequenceFrame | None) -> Follower:
-    """Return what fits the frames, from rest or from the ``last`` that is ready."""
+    """Return a follower that begins at rest or at the ``last`` frame that is ready."""
     state = face.rest
     if last is not None:
         with suppress(SolveError):  # out of reach from rest: the next frame begins there
@@ -260,7 +259,6 @@ def _follower(face: Face, given: FitSequence, last: SequenceFrame | None) -> Fol
 
 
 def _chosen(source: Performance, given: FitSequence) -> range:
-    """Return the numbers of the frames to fit."""
     end = len(source) if given.end is None else given.end
     numbers = range(given.start, end, given.step)
     if end > len(source) or not numbers:

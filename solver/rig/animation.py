@@ -30,9 +30,6 @@ from solver.similarity import small_motion
 from solver.storage import write_json
 from solver.surface import Floats, Ints, Surface
 
-# ``animation.npz``: an animation as arrays; docs/guide/simulation.md describes it.
-
-
 FORMAT = 1  # of animation.npz
 TRACKS = (  # taken of every frame, see MotionRecord
     *("time", "activations", "jaw", "head", "eyes"),
@@ -128,10 +125,7 @@ def contact_sheet(
     draw_sheet(path, title, detail, ("", ""), columns, layout, scale_mm=None)
 
 
-# ``animation.mp4``: frames as a film, by PyAV (the extra ``video``).
-
-
-# tried in this order, the best first; not every FFmpeg has it
+# of films, tried in this order, the best first; not every FFmpeg has it
 CODECS = {"libx264": {"crf": "18", "preset": "medium"}, "mpeg4": {"qscale": "3"}}
 
 
@@ -186,9 +180,8 @@ def write_animation(
 ) -> list[Path]:
     """Write ``frames``, whose ``skins`` (f, v, 3) are in the head's frame, mm; return the paths.
 
-    ``animation.json`` is the ``report`` with what is to say of the other files, ``animation.npz``
-    has the ``vertices`` (k,) of the skin. ``objects`` are what the face meets; ``video`` adds
-    ``animation.mp4``, for which :func:`~solver.rig.animation.check_video` is to be asked.
+    ``animation.npz`` has the ``vertices`` (k,) of the skin. ``objects`` are what the face meets;
+    ``video`` adds ``animation.mp4``, see :func:`check_video`.
     """
     table, glb, arrays, sheet, film = (
         out / f"animation.{kind}" for kind in ("json", "glb", "npz", "png", "mp4")

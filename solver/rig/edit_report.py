@@ -88,8 +88,7 @@ def write_edit(person: EditedPerson, report: dict[str, Any], out: Path) -> list[
     """Write ``edit.json``, ``edit.npz`` and ``edit.glb`` and return their paths.
 
     The GLB is the edited person at rest; its morph targets are the person before the edits and
-    every expression after them. The NPZ has them all, with the flesh's vertices ``x`` and what the
-    edits came to: ``growth``, ``stiffness``, ``density``, ``bones`` and S.
+    every expression after them. The NPZ has them all, and what the edits came to.
     """
     files = [out / "edit.json", out / "edit.npz", out / "edit.glb"]
     write_json(files[0], report)

@@ -133,9 +133,8 @@ def read_chunks(
     """Return the frames of a folder in their order, none if it is not there.
 
     ``fits`` says whether a frame is of this model. ``take`` is called with each file's values and
-    frames before they are looked at, for the values beside the frames; it may raise an
-    :class:`InputError` of its own. Raises :class:`InputError` (``code``) if there is a gap, what is
-    no frame, or another model's.
+    frames before they are looked at, and may raise an :class:`InputError` of its own. Raises
+    :class:`InputError` (``code``) if there is a gap, what is no frame, or another model's.
     """
     frames: list[Record] = []
     for path in sorted(folder.glob("*.json")):
@@ -198,19 +197,18 @@ class MotionRecord(FrameRecord):
 
 
 def motion_values(scene: str, motion: Motion, picture: str | None) -> dict[str, Any]:
-    """Return the values beside the frames of a file.
+    """Return a file's values beside its frames, the last of which ended in ``motion``.
 
-    ``scene`` is the hash of all that is simulated, ``motion`` where the last frame ended,
-    ``picture`` a JPEG of it in base 64.
+    ``scene`` is the hash of all that is simulated, ``picture`` a JPEG of that frame in base 64.
     """
     state = {"x": pack(motion.x, "<f8"), "v": pack(motion.v, "<f8")}
     return {"scene": scene, "state": state, "picture": picture}
 
 
 def read_motion(folder: Path, scene: str, rest: Floats) -> tuple[list[MotionRecord], Motion]:
-    """Return the frames of a folder and where they ended; none, at rest, if it is not there.
+    """Return a simulation's frames and where they ended; none, at rest, if there is no folder.
 
-    Raises :class:`InputError`: ``simulate.frames`` if there is a gap or what is no frame,
+    Raises :class:`InputError`: ``simulate.frames`` as :func:`read_chunks`,
     ``simulate.other_scene`` if the frames are another scene's.
     """
     motions = [Motion(rest, np.zeros_like(rest), IDENTITY)]
@@ -278,10 +276,7 @@ class SequenceFrame(FrameRecord):
 
 
 def read_frames(folder: Path, muscles: int) -> list[SequenceFrame]:
-    """Return the frames of a sequence in a folder, none if it is not there.
-
-    Raises :class:`InputError` (``sequence.frames``) if there is a gap or another model's frames.
-    """
+    """Return a sequence's frames by :func:`read_chunks`, whose code is ``sequence.frames``."""
     shape = (muscles, 6)
     return read_chunks(
         folder, SequenceFrame, "sequence.frames", lambda frame: frame.activations.shape == shape

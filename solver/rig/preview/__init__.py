@@ -39,8 +39,6 @@ from solver.rig.skin_basis import (
 )
 from solver.surface import Floats, Ints
 
-# Distance between the reduced skin and the simulated one, on poses it was not made from.
-
 
 class PreviewError:
     """Distances ``off`` (s, k), mm, of ``samples`` on the ``face`` (k,) of ``neutral`` (n, 3)."""
@@ -208,11 +206,8 @@ def _learn(
     return reduce_skin(modes, quadratic_map(values, amounts, slopes, options.reduction))
 
 
-# ``preview.bin``: what a page evaluates when a slider moves (docs/guide/preview.md).
-
-
 def write_preview(path: Path, preview: Preview) -> None:
-    """Write sliders, reduced skin and error; a mean that was not measured is null."""
+    """Write ``preview.bin`` (docs/guide/preview.md); a mean that was not measured is null."""
     skin, controls, figures = preview.skin, preview.controls, preview.figures()
     header = {
         "controls": [asdict(control) for control in controls.each],
@@ -232,9 +227,6 @@ def write_preview(path: Path, preview: Preview) -> None:
     }
     arrays = {"basis": skin.basis, "linear": skin.linear, "quadratic": skin.quadratic}
     write_container(path, header, arrays)
-
-
-# Simulated and previewed skin of poses that the preview was not made from, side by side.
 
 
 LEGEND = (
