@@ -186,7 +186,8 @@ def _node(solid: Solid, mesh: int) -> gl.Node:
 
 def worst_error(expressions: Sequence[ExpressionFit], vertices: int) -> Floats:
     """Return the greatest distance (v,) to the scans, mm; 0 where nothing was measured."""
-    return np.fmax.reduce([np.zeros(vertices), *(fit.error_mm for fit in expressions)])
+    errors = [fit.error_mm for fit in expressions]
+    return np.asarray(np.fmax.reduce([np.zeros(vertices), *errors]))
 
 
 def _material(part: str) -> gl.Material:
