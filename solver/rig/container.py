@@ -11,13 +11,13 @@ import json
 import math
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from solver.errors import InputError
+from solver.storage import Archive, Arrays
 
 MAGIC = b"MYOV"
 FORMAT = 1  # of the container
@@ -26,17 +26,7 @@ ALIGNMENT = 8  # bytes: a browser maps arrays of any dtype in place
 PREFIX = struct.Struct("<4sI")
 
 
-@dataclass(frozen=True)
-class Container:
-    """Content of such a file: ``header`` without its table of arrays, and ``arrays`` by name."""
-
-    header: dict[str, Any]
-    arrays: dict[str, np.ndarray]
-
-
-def write_container(
-    path: Path, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]
-) -> None:
+def write_container(path: Path, header: Mapping[str, Any], arrays: Arrays) -> None:
     """Write a file of JSON values and arrays, each of one of :data:`DTYPES`; lengths are mm.
 
     The same content gives the same bytes. ``format``, ``unit`` and ``arrays`` are put into the
@@ -51,8 +41,8 @@ def write_container(
             stream.write(array.data)
 
 
-def read_container(path: str | Path) -> Container:
-    """Read such a file.
+def read_container(path: str | Path) -> Archive:
+    """Read such a file; its header comes without the table of arrays.
 
     Raises :class:`InputError`: ``view.unreadable`` if it is not one, or arrays lie outside it;
     ``view.format`` if it has another format number.
@@ -68,7 +58,7 @@ def read_container(path: str | Path) -> Container:
     if found != FORMAT:
         message = f"{path.name} has view format {found}, not {FORMAT}"
         raise InputError("view.format", message, file=path.name, expected=FORMAT, found=found)
-    return Container(header, arrays)
+    return Archive(header, arrays)
 
 
 def _store(name: str, array: np.ndarray) -> np.ndarray:
@@ -95,7 +85,7 @@ def _header(header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tupl
         begin = needed
 
 
-def _parse(content: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def _parse(content: bytes) -> tuple[dict[str, Any], Arrays]:
     magic, length = PREFIX.unpack_from(content)
     if magic != MAGIC:
         raise ValueError("it does not begin with MYOV")
