@@ -157,7 +157,6 @@ def _choice(path: list[str | int], detail: ErrorDetails) -> tuple[list[str | int
 
 
 def _sentence(detail: ErrorDetails) -> str:
-    """Return what is wrong with a value."""
     kind, value = detail["type"], detail["input"]
     if value != value:
         return f"{value} is not a number"

@@ -128,11 +128,10 @@ class JawMotion:
 
     def faults(self) -> list[str]:
         """Return in plain words what the jaw does that jaws cannot do."""
-        motion = {name: getattr(self, name) for name in JAW_RANGES}
         return [
             JAW_WORDS[name][value > 0].format(abs(value))
-            for name, value in motion.items()
-            if not JAW_RANGES[name][0] <= value <= JAW_RANGES[name][1]
+            for name, (least, most) in JAW_RANGES.items()
+            if not least <= (value := getattr(self, name)) <= most
         ]
 
 

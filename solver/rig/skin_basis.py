@@ -135,7 +135,6 @@ def _directions(samples: Singles, options: BasisOptions) -> tuple[Singles, Singl
 
 
 def _samples(frames: int, options: BasisOptions) -> Ints:
-    """Return the numbers of the frames that stand for all."""
     return np.unique(np.linspace(0, frames - 1, options.most_samples).round().astype(int))
 
 
