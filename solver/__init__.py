@@ -66,9 +66,7 @@ def __getattr__(name: str) -> Any:
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module, _, attribute = _PLACES[name].partition(":")
-    value = getattr(import_module(module), attribute)
-    globals()[name] = value
-    return value
+    return globals().setdefault(name, getattr(import_module(module), attribute))
 
 
 def __dir__() -> list[str]:

@@ -17,10 +17,10 @@ def quote(value: object) -> str:
     return shown if len(shown) <= LONGEST_QUOTE else f"{shown[: LONGEST_QUOTE - 3]}..."
 
 
-def quote_names(names: Sequence[object], most: int = MOST_NAMES) -> list[str]:
+def quote_names(names: Sequence[object]) -> list[str]:
     """Return the first of a file's ``names``, each as :func:`quote` does, and how many follow."""
-    more = [f"and {len(names) - most} more"] if len(names) > most else []
-    return [*(quote(name) for name in names[:most]), *more]
+    more = len(names) - MOST_NAMES
+    return [*map(quote, names[:MOST_NAMES]), *([f"and {more} more"] if more > 0 else [])]
 
 
 class _PlainError(Exception):
@@ -33,9 +33,7 @@ class _PlainError(Exception):
 
     def __init__(self, code: str, message: str, **context: Any) -> None:
         super().__init__(message)
-        self.code = code
-        self.message = message
-        self.context = context
+        self.code, self.message, self.context = code, message, context
 
     def as_dict(self) -> dict[str, Any]:
         """Return the error as plain JSON values."""
@@ -58,16 +56,15 @@ Verdict = Literal["good", "usable", "bad"]
 class Finding:
     """One thing that a check found: in a scan, in a template, in a result.
 
-    ``code`` is stable, ``message`` is one plain sentence and ``advice`` says what to do about it.
     With an ``error`` what was checked is of no use, a ``warning`` is worth a look, an ``info`` only
-    tells. ``context`` says where and how much, as plain JSON values.
+    tells.
     """
 
-    code: str
+    code: str  # stable
     severity: Severity
-    message: str
-    advice: str = ""
-    context: dict[str, Any] = field(default_factory=dict)
+    message: str  # one plain sentence
+    advice: str = ""  # what to do about it
+    context: dict[str, Any] = field(default_factory=dict)  # where and how much, as JSON values
 
     def to_dict(self) -> dict[str, Any]:
         """Return the finding as plain JSON values."""
@@ -81,9 +78,9 @@ class Finding:
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Finding:
         """Return the finding that :meth:`to_dict` or :meth:`as_dict` wrote."""
-        known = {"severity": "warning", "advice": "", **values}
-        code, severity, message = (known.pop(key) for key in ("code", "severity", "message"))
-        return cls(code, severity, message, known.pop("advice"), known)
+        given = {"severity": "warning", "advice": "", **values}
+        named = {key: given.pop(key) for key in ("code", "severity", "message", "advice")}
+        return cls(**named, context=given)
 
 
 def judge_findings(findings: Iterable[Finding]) -> Verdict:
@@ -95,8 +92,5 @@ def judge_findings(findings: Iterable[Finding]) -> Verdict:
 
 
 def make_warning(code: str, message: str, context: dict[str, Any] | None = None) -> Finding:
-    """Return a finding of a fit: something is wrong that did not stop it, no advice belongs to it.
-
-    ``expression`` is in the ``context`` where it is about one.
-    """
+    """Return a finding of a fit, without advice; ``context`` has its ``expression``, if of one."""
     return Finding(code, "warning", message, context=context or {})

@@ -17,16 +17,8 @@ from solver.surface import Floats, Ints, Surface
 FORMAT = 1  # of the file
 # fields of a model that are arrays, stored as they are
 ARRAYS = (
-    "rest",
-    "tets",
-    "cranium",
-    "mandible",
-    "cut",
-    "sliding",
-    "embedded",
-    "offset",
-    "attached_mandible",
-    "face",
+    *("rest", "tets", "cranium", "mandible", "cut", "sliding"),
+    *("embedded", "offset", "attached_mandible", "face"),
 )
 
 
@@ -47,67 +39,39 @@ class JawFrame:
 class SubjectModel:
     """Tetrahedral face of one person; mm, x to the subject's left, y up, z forward.
 
-    rest
-        (p, 3) rest vertices.
-    tets
-        (n, 4) vertex numbers, every rest volume positive.
-    cranium, mandible, cut, sliding
-        Vertex numbers: fixed to the cranium, moving with the mandible, fixed on the cut planes,
-        and free to slide along the cranium (on the plane through their rest position, see
-        :mod:`solver.mechanics.terms`).
-    muscle_names
-        The m muscles. Column 0 of S is passive flesh, column j the muscle ``muscle_names[j - 1]``.
-    weights
-        (n, m + 1) CSR: initial S. Its pattern is the candidates (passive column and the muscles
-        within 10 mm of a tet; explicit zeros are kept), rows sum to one.
-    skin
-        The whole scan topology in the subject's neutral pose.
-    embedded
-        (e,) skin vertices that follow the flesh; ``embedding`` (e, p) CSR gives their position
-        as embedding @ x + offset, with barycentric rows; ``offset`` is (e, 3).
-    attached_mandible
-        Skin vertices that move rigidly with the mandible. Every skin vertex that is neither
-        embedded nor listed here stays with the cranium.
-    face
-        (k,) skin vertices on which targets and errors are taken; a subset of ``embedded``.
-    jaw
-        The mandible's frame.
-    muscles, bones
-        Name -> surface in the subject, for pictures and exports.
-    regions
-        Name -> skin vertices, for reports.
-    template
-        ``name``, ``version`` and ``sha256`` of the template that was used.
-    mesh_source
-        ``transport`` if the tets are the template's, ``mesher`` if they were made for this person,
-        then with the reason if transport was tried.
-    fibres
-        (nnz, 3) unit fibre directions, one for each stored entry of ``weights``, from origin to
-        insertion or around a ring, and zero in the passive column. None in models made before
-        fibres were.
+    Column 0 of S is passive flesh, column j the muscle ``muscle_names[j - 1]``. The pattern of
+    ``weights`` is the candidates (passive column and the muscles within 10 mm of a tet; explicit
+    zeros are kept), rows sum to one.
+
+    Skin vertices follow the flesh, at embedding @ x + offset with barycentric rows, or move rigidly
+    with the mandible; those that are in neither list stay with the cranium.
+
+    ``mesh_source`` is ``transport`` if the tets are the template's, ``mesher`` if they were made
+    for this person, then with the reason if transport was tried. ``fibres`` run from origin to
+    insertion or around a ring, and are zero in the passive column; None in models made before them.
     """
 
-    rest: Floats
-    tets: Ints
-    cranium: Ints
-    mandible: Ints
-    cut: Ints
-    sliding: Ints
-    muscle_names: tuple[str, ...]
-    weights: sp.csr_array
-    skin: Surface
-    embedded: Ints
-    embedding: sp.csr_array
-    offset: Floats
-    attached_mandible: Ints
-    face: Ints
+    rest: Floats  # (p, 3) vertices
+    tets: Ints  # (n, 4) vertex numbers, every rest volume positive
+    cranium: Ints  # vertices fixed to the cranium
+    mandible: Ints  # vertices that move with the mandible
+    cut: Ints  # vertices fixed on the cut planes
+    sliding: Ints  # vertices free on the plane along the cranium, see solver.mechanics.terms
+    muscle_names: tuple[str, ...]  # the m muscles
+    weights: sp.csr_array  # (n, m + 1) initial S
+    skin: Surface  # the whole scan topology in the subject's neutral pose
+    embedded: Ints  # (e,) skin vertices that follow the flesh
+    embedding: sp.csr_array  # (e, p)
+    offset: Floats  # (e, 3)
+    attached_mandible: Ints  # skin vertices that move rigidly with the mandible
+    face: Ints  # (k,) of ``embedded``: skin vertices on which targets and errors are taken
     jaw: JawFrame
-    muscles: dict[str, Surface]
+    muscles: dict[str, Surface]  # in the subject, for pictures and exports
     bones: dict[str, Surface]
-    regions: dict[str, Ints]
-    template: dict[str, str]
+    regions: dict[str, Ints]  # name -> skin vertices, for reports
+    template: dict[str, str]  # its name, version and sha256
     mesh_source: str = "mesher"
-    fibres: Floats | None = None
+    fibres: Floats | None = None  # (nnz, 3) unit directions, one for each entry of ``weights``
 
     @property
     def muscle_count(self) -> int:
@@ -139,9 +103,8 @@ class SubjectModel:
         try:
             return cls.from_archive(archive.part("model") if "model" in archive.header else archive)
         except (KeyError, TypeError, ValueError) as error:
-            raise InputError(
-                "model.unreadable", f"{path.name} is not a subject model: {error}", file=path.name
-            ) from error
+            message = f"{path.name} is not a subject model: {error}"
+            raise InputError("model.unreadable", message, file=path.name) from error
 
     def archive(self) -> Archive:
         """Return all that the model holds, to be stored."""

@@ -8,14 +8,10 @@ from typing import Any, Protocol
 
 @dataclass(frozen=True)
 class Step:
-    """One report of progress.
+    """One report of progress; the numbers are given where they have a meaning."""
 
-    ``phase`` is a short stable key (``mesh``, ``muscles``, ``geometry`` ...), ``fraction`` of the
-    whole job in [0, 1]; the rest is given where it has a meaning.
-    """
-
-    phase: str
-    fraction: float
+    phase: str  # a short stable key (``mesh``, ``muscles``, ``geometry`` ...)
+    fraction: float  # of the whole job, in [0, 1]
     iteration: int | None = None
     residual: float | None = None
     mean_error_mm: float | None = None

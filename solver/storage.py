@@ -19,11 +19,10 @@ import scipy.sparse as sp
 
 from solver.errors import InputError, quote
 
-# Reading arrays that others packed: a file's claims are checked before room is made for them.
-#
-# A megabyte of NPZ can unpack to a gigabyte, and a header can claim any shape. So a file's list of
-# members is bounded, every member is an array of plain values whose header agrees with its size,
-# and all of them together are no larger than a limit. Pickles are never read.
+# Reading arrays that others packed. A megabyte of NPZ can unpack to a gigabyte, and a header can
+# claim any shape. So, before room is made, a file's list of members is bounded, every member is an
+# array of plain values whose header agrees with its size, and all of them together are no larger
+# than a limit. Pickles are never read.
 
 # Errors of reading a ZIP that is damaged, or packed in a way that is not known.
 NOT_READABLE = (OSError, EOFError, BadZipFile, RuntimeError, struct.error, zlib.error)
@@ -149,6 +148,7 @@ def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
 # Archives of our own.
 
 Arrays = dict[str, np.ndarray]
+CSR = ("data", "indices", "indptr")  # arrays of a CSR matrix
 
 
 @dataclass(frozen=True)
@@ -195,41 +195,29 @@ class Archive:
             header = json.loads(bytes(arrays.pop("header")))
             found = header["format"]
         except (LookupError, RecursionError, TypeError, ValueError) as error:
-            raise InputError(
-                f"{kind}.unreadable", f"{path.name} is not {noun}: {error}", file=path.name
-            ) from error
+            message = f"{path.name} is not {noun}: {error}"
+            raise InputError(f"{kind}.unreadable", message, file=path.name) from error
         if found != format_number:
-            raise InputError(
-                f"{kind}.format",
-                f"{path.name} has {kind} format {quote(found)}, not {format_number}",
-                file=path.name,
-            )
+            message = f"{path.name} has {kind} format {quote(found)}, not {format_number}"
+            raise InputError(f"{kind}.format", message, file=path.name)
         return cls(header, arrays)
 
 
 def csr_arrays(name: str, matrix: sp.csr_array) -> Arrays:
     """Return a CSR matrix as three arrays; its explicit zeros are kept."""
-    return {
-        f"{name}_data": matrix.data,
-        f"{name}_indices": matrix.indices,
-        f"{name}_indptr": matrix.indptr,
-    }
+    return {f"{name}_{part}": getattr(matrix, part) for part in CSR}
 
 
 def csr_from(name: str, arrays: Arrays, columns: int) -> sp.csr_array:
     """Return the matrix that :func:`csr_arrays` described."""
-    indptr = arrays[f"{name}_indptr"]
-    parts = (arrays[f"{name}_data"], arrays[f"{name}_indices"], indptr)
-    return sp.csr_array(parts, shape=(len(indptr) - 1, columns))
+    parts = tuple(arrays[f"{name}_{part}"] for part in CSR)
+    return sp.csr_array(parts, shape=(len(parts[-1]) - 1, columns))
 
 
 def with_prefix(arrays: Arrays, prefix: str) -> Arrays:
     """Return the arrays whose names begin so, by the rest of their names."""
-    return {
-        name.removeprefix(prefix): array
-        for name, array in arrays.items()
-        if name.startswith(prefix)
-    }
+    named = {name: array for name, array in arrays.items() if name.startswith(prefix)}
+    return {name.removeprefix(prefix): array for name, array in named.items()}
 
 
 def write_json(path: Path, values: Any) -> None:

@@ -28,7 +28,7 @@ from solver.drawing.sheet import HEADER, MARGIN, Sheet
 from solver.jobs.scenes import finish, play, skin_of
 from solver.kinds.scene import SimulateScene
 from solver.progress import silent
-from solver.rig.frames import MotionFrame
+from solver.rig.frames import MotionRecord
 from solver.rig.pictures import face_camera
 from solver.scans.live_link import LiveLinkTake
 from solver.scene.places import Places
@@ -50,7 +50,7 @@ class Played:
     ``direct`` (f, k, 3) are the face's points where the shapes themselves lead, mm.
     """
 
-    frames: Sequence[MotionFrame]
+    frames: Sequence[MotionRecord]
     skins: Floats
     direct: Floats
 

@@ -101,7 +101,7 @@ class Bodies:
 
     async def _pass_on(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Cut off who sends too slowly, as if the connection had broken: what arrived counts."""
-        source = _Source(receive, self._seconds, self._min_rate)
+        source = _BodySender(receive, self._seconds, self._min_rate)
 
         async def send_unless_too_slow(message: Message) -> None:
             if not source.too_slow:
@@ -113,7 +113,7 @@ class Bodies:
             await render(Request(scope).state.request_id, problem)(scope, receive, send)
 
 
-class _Source:
+class _BodySender:
     """A client that sends a body: it may let us wait for a time that grows with what it sent."""
 
     def __init__(self, receive: Receive, seconds: float, rate: float) -> None:

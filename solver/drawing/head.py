@@ -106,12 +106,9 @@ def _kinds(skin: Surface, label: Ints, sizes: PartSizes) -> list[str]:
     spheres = [_eye_sphere(component, sizes) for component in points]
     eyes = [sphere for sphere in spheres if sphere is not None]
     extents = [np.ptp(component, axis=0) for component in points]
-    largest = int(np.argmax([len(component) for component in points]))
 
     def kind(number: int) -> str:
         centre = points[number].mean(axis=0)
-        if number == largest:
-            return "skin"
         if spheres[number] is not None:
             return "eyes"
         if any(np.linalg.norm(centre - eye) < sizes.near_eye * radius for eye, radius in eyes):
@@ -119,6 +116,7 @@ def _kinds(skin: Surface, label: Ints, sizes: PartSizes) -> list[str]:
         return "teeth" if extents[number].max() < sizes.tooth_mm else "mouth"
 
     kinds = [kind(number) for number in range(len(points))]
+    kinds[int(np.argmax([len(component) for component in points]))] = "skin"
     if "teeth" not in kinds:  # rows of teeth in one piece: wider than deep, as no tongue is
         for number, (across, _, deep) in enumerate(extents):
             if kinds[number] == "mouth" and across > deep:

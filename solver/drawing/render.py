@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
-# Soft studio light: light that reaches each vertex from a few dozen directions, with shadows.
-#
-# One small depth map per direction tells which vertices it reaches, so hollows darken and noses
-# cast soft shadows without tracing a ray.
+# Soft studio light, from a few dozen directions: one small depth map for each tells which vertices
+# it reaches, so that hollows darken and noses cast soft shadows without tracing a ray.
 
 SKY = np.array([0.30, 0.31, 0.34])  # linear RGB, as all light here
 GROUND = np.array([0.15, 0.12, 0.11])
@@ -43,18 +41,10 @@ def irradiance(surface: Surface, normals: Floats, shadows: Shadows = SHADOWS) ->
     directions = _sphere(shadows.directions)
     vertices = surface.vertices - (surface.vertices.min(axis=0) + surface.vertices.max(axis=0)) / 2
     radius = float(np.linalg.norm(vertices, axis=1).max()) + 2 * shadows.lift_mm
-    light = _gather(
-        vertices,
-        surface.faces,
-        normals,
-        np.stack([_axes(direction) for direction in directions]),
-        _studio(directions) * shadows.exposure / shadows.directions,
-        radius,
-        shadows.map_pixels,
-        shadows.lift_mm,
-        shadows.bias_pixels,
-    )
-    return np.asarray(light)
+    axes = np.stack([_axes(direction) for direction in directions])
+    colours = _studio(directions) * shadows.exposure / shadows.directions
+    limits = shadows.map_pixels, shadows.lift_mm, shadows.bias_pixels
+    return np.asarray(_gather(vertices, surface.faces, normals, axes, colours, radius, *limits))
 
 
 @njit(cache=True)
@@ -264,6 +254,7 @@ SUPERSAMPLING = 2  # pixels a side that make one of the image
 BACKGROUND = np.array([0.975, 0.975, 0.98], np.float32)  # sRGB
 GAMMA = 2.2  # of sRGB, nearly
 SHOULDER = 0.3  # of the tone curve, at which bright spots roll off instead of burning out
+FADE = 0.85, 0.96  # where a bust begins to fade and is gone, parts of the height from above
 
 
 class Lit:
@@ -308,7 +299,7 @@ def render(bodies: list[DrawnBody], camera: Camera, width: int, height: int) -> 
     Opaque bodies should be one body, as only within a body what is nearer hides what is behind.
     """
     wide, high = width * SUPERSAMPLING, height * SUPERSAMPLING
-    image = np.broadcast_to(BACKGROUND**GAMMA, (high, wide, 3)).copy()
+    image = np.full((high, wide, 3), BACKGROUND**GAMMA)
     for body in bodies:
         seen = look(camera, body.drawn, wide, high)
         colour, opacity = _shade(body, seen, camera)
@@ -318,19 +309,11 @@ def render(bodies: list[DrawnBody], camera: Camera, width: int, height: int) -> 
     return np.asarray(np.clip(image, 0, 1) ** (1 / GAMMA), np.float32)
 
 
-def render_bust(
-    bodies: list[DrawnBody],
-    camera: Camera,
-    size: tuple[int, int],
-    start: float = 0.85,
-    end: float = 0.96,
-) -> Pixels:
-    """Return :func:`render` of ``size`` (width, height), run out below where scans are cut off.
-
-    It begins to fade at ``start`` and is gone at ``end``, parts of the height from above.
-    """
+def render_bust(bodies: list[DrawnBody], camera: Camera, size: tuple[int, int]) -> Pixels:
+    """Return :func:`render` of ``size`` (width, height), run out below where scans are cut off."""
     image = render(bodies, camera, *size)
     rows = np.linspace(0, 1, len(image), dtype=np.float32)
+    start, end = FADE
     part = np.clip((rows - start) / (end - start), 0, 1)[:, None, None]
     part = part * part * (3 - 2 * part)
     return np.asarray(image * (1 - part) + BACKGROUND * part, np.float32)

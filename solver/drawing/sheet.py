@@ -14,6 +14,7 @@ from solver.drawing.render import Camera, DrawnBody, Pixels, render_bust
 
 INK, GREY, PAPER = (38, 40, 46), (112, 116, 124), (249, 249, 250)  # sRGB bytes
 MARGIN, HEADER, SWATCH = 24, 84, 14  # pixels: left of text, above the first picture, of a square
+CAPTION = 30  # pixels over every column
 
 Colour = tuple[float, ...]
 
@@ -63,17 +64,29 @@ class Sheet:
         """Place an sRGB image (h, w, 3) with values in [0, 1]."""
         self.image.paste(Image.fromarray((pixels * 255 + 0.5).astype(np.uint8)), place)
 
-    def scale(
-        self, place: tuple[int, int], width: int, most_mm: float = HEAT_MAX_MM, steps: int = 4
+    def column(
+        self,
+        place: tuple[int, int],
+        caption: str,
+        images: Sequence[Pixels],
+        size: int = 17,
+        above: int = CAPTION,
     ) -> None:
+        """Place images (h, w, 3) below one another, ``above`` pixels under a caption."""
+        left, top = place
+        height, width, _ = images[0].shape
+        for row, image in enumerate(images):
+            self.panel((left, top + above + row * height), image)
+        self.text((left + width // 2, top), caption, size, anchor="ma")
+
+    def scale(self, place: tuple[int, int], width: int, most_mm: float = HEAT_MAX_MM) -> None:
         """Draw a distance's colour scale with its millimetres."""
         left, top = place
         colour = heat(np.linspace(0, most_mm, width), most_mm)
         self.panel(place, np.broadcast_to(colour, (SWATCH, width, 3)).astype(np.float32))
-        for mm in np.linspace(0, most_mm, steps + 1):
+        for mm in np.linspace(0, most_mm, 5):
             x = left + round((width - 1) * mm / most_mm)
-            last = mm == most_mm
-            words = f"{mm:g} mm and more" if last else f"{mm:g}"
+            words = f"{mm:g} mm and more" if mm == most_mm else f"{mm:g}"
             self.draw.line([(x, top + SWATCH), (x, top + SWATCH + 4)], fill=GREY)
             self.text((x, top + SWATCH + 7), words, 15, GREY, "ma")
 
@@ -83,8 +96,6 @@ class Sheet:
 
 
 # Contact sheets: columns of images under captions, in named rows, over a colour scale.
-
-CAPTION = 30  # pixels over every column
 
 
 @dataclass(frozen=True)
@@ -104,17 +115,13 @@ class Column:
 
 @dataclass(frozen=True)
 class SheetLayout:
-    """Sizes in pixels: ``cell`` (width, height) of an image, ``label`` width of the rows' names.
+    """Sizes of a sheet, in pixels."""
 
-    ``columns`` is how many stand side by side before the next begin below; ``foot`` is the room
-    for the scale and the ``notes`` (lines beside it).
-    """
-
-    cell: tuple[int, int] = (270, 330)
-    label: int = 90
-    columns: int = 64
-    foot: int = 64
-    notes: tuple[str, ...] = ()
+    cell: tuple[int, int] = (270, 330)  # width and height of an image
+    label: int = 90  # width of the rows' names
+    columns: int = 64  # side by side before the next begin below
+    foot: int = 64  # room for the scale and the notes
+    notes: tuple[str, ...] = ()  # lines below the scale
 
 
 def draw_sheet(
@@ -136,9 +143,7 @@ def draw_sheet(
     page.heading(title, detail)
     for number, column in enumerate(columns):
         left, top = layout.label + number % across * width, HEADER + number // across * block
-        page.text((left + width // 2, top), column.caption, 17, anchor="ma")
-        for row, image in enumerate(column.images):
-            page.panel((left, top + CAPTION + row * height), image)
+        page.column((left, top), column.caption, column.images)
     for row, name in enumerate(rows):
         page.text((MARGIN, HEADER + CAPTION + row * height + height // 2), name, 17)
     if scale_mm is not None:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, cast
 
 from solver.errors import InputError
 from solver.kinds import KINDS, JobOptions, Kind, OptionsError
@@ -23,30 +23,17 @@ Given = TypeVar("Given", bound=JobOptions)
 class Task(Generic[Given]):
     """The order of a job, for the ``run`` of its kind's module.
 
-    out
-        The folder for what it leaves.
-    options
-        The options of its kind, with their defaults.
-    inputs
-        Its files by name: ``scan`` with its ``landmarks``, ``neutral``, ``template``, ``model``,
-        ``rig`` (of 0.1 with its ``model``, ``weights`` and ``report``: ``Rig.load`` reads either),
-        ``start`` (another rig), ``performance``, ``blendshapes``.
-    captures
-        Registered scans, or a scene's assets, by their own names.
-    role
-        What its scan is meant to be: ``neutral``, ``expression`` or ``unknown``.
-    resume
-        Whether to go on after what an earlier attempt left in ``out``.
-    progress
-        Whom to tell.
+    ``inputs`` are its files by name: ``scan`` with its ``landmarks``, ``neutral``, ``template``,
+    ``model``, ``rig`` (of 0.1 with its ``model``, ``weights`` and ``report``: ``Rig.load`` reads
+    either), ``start`` (another rig), ``performance``, ``blendshapes``.
     """
 
-    out: Path
-    options: Given
+    out: Path  # the folder for what it leaves
+    options: Given  # of its kind, with their defaults
     inputs: Mapping[str, Path] = field(default_factory=dict)
-    captures: Mapping[str, Path] = field(default_factory=dict)
-    role: str = "unknown"
-    resume: bool = False
+    captures: Mapping[str, Path] = field(default_factory=dict)  # scans or assets by their names
+    role: str = "unknown"  # that its scan is meant for: neutral, expression or unknown
+    resume: bool = False  # whether to go on after what an earlier attempt left in ``out``
     progress: Progress = silent
 
 
@@ -68,26 +55,22 @@ def run_job(
     (``options.*``, ``scene.schema``) and files that cannot be used, and
     :class:`~solver.errors.SolveError` where there is no solution.
     """
-    given = read_options(KINDS[kind], options or {})
+    given = _read_options(KINDS[kind], options or {})
     files = {name: path for name, path in inputs.items() if path is not None}
     out.mkdir(parents=True, exist_ok=True)
     task = Task(out, given, files, captures or {}, role, resume, progress)
-    left: list[Path] = import_module(f"{jobs}.{kind}").run(task)
-    return left
+    return cast(list[Path], import_module(f"{jobs}.{kind}").run(task))
 
 
-def read_options(kind: Kind, given: Mapping[str, Any]) -> JobOptions:
-    """Return options with their defaults; raises :class:`InputError` for the first fault."""
+def _read_options(kind: Kind, given: Mapping[str, Any]) -> JobOptions:
     try:
         return kind.read(given)
     except OptionsError as error:
-        first = error.faults[0]
-        known = sorted(kind.options.model_fields)
+        first, known = error.faults[0], sorted(kind.options.model_fields)
         option = str(first.path[0]) if first.path else ""
         if option == "scene":
             where = first.where.removeprefix("options.")
-            message = f"{where}: {first.message}"
-            raise InputError("scene.schema", message, where=where) from error
+            raise InputError("scene.schema", f"{where}: {first.message}", where=where) from error
         if option not in known:
             raise InputError("options.unknown", str(error), expected=known) from error
         raise InputError(f"options.{option}", str(error)) from error

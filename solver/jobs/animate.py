@@ -28,11 +28,11 @@ SAVED_EVERY = 5  # blendshapes that are solved between two writings of their fil
 
 
 def run(task: Task[Animate]) -> list[Path]:
-    """Play a recording of Live Link Face on a fitted face.
+    """Play a recording of Live Link Face on a fitted face, as :func:`solver.jobs.simulate.run`.
 
     Activations and jaw of every expression of the template are solved first, once for a rig: the
-    ``blendshapes.npz`` that this leaves is taken as it is if it is given. All else is as in
-    :func:`solver.jobs.simulate.run`. Raises, besides, ``blendshapes.*`` and ``live_link.*``.
+    ``blendshapes.npz`` that this leaves is taken as it is if it is given. Raises, besides,
+    ``blendshapes.*`` and ``live_link.*``.
     """
     given, out, progress = task.options, task.out, task.progress
     if given.video:
@@ -70,10 +70,7 @@ def run(task: Task[Animate]) -> list[Path]:
 
 
 def _solve_shapes(rig: Rig, kept: Path, task: Task[Animate]) -> Blendshapes:
-    """Solve the person's blendshapes; they are ``kept`` in a file as they come.
-
-    With ``resume`` those in the file are taken as they are.
-    """
+    """Solve the person's blendshapes, those left of a resumed job; the file is ``kept`` up."""
     model, S, template = rig.model, rig.weights, task.inputs.get("template")
     anatomy = builtin_template() if template is None else Template.load(template)
     targets = expression_targets(model, anatomy.shapes)
@@ -85,10 +82,10 @@ def _solve_shapes(rig: Rig, kept: Path, task: Task[Animate]) -> Blendshapes:
         done[name] = solved
         if len(done) % SAVED_EVERY == 0:
             Blendshapes(model.muscle_names, done).save(kept, model, S)
-        fraction = READ + (SOLVED - READ) * len(done) / len(targets)
-        words = f"{name}, {len(done)} of {len(targets)}"
-        error = solved.mean_mm
-        task.progress(Step("blendshapes", fraction, len(done), mean_error_mm=error, message=words))
+        count, error = len(done), solved.mean_mm
+        fraction = READ + (SOLVED - READ) * count / len(targets)
+        words = f"{name}, {count} of {len(targets)}"
+        task.progress(Step("blendshapes", fraction, count, mean_error_mm=error, message=words))
 
     face = Face(model, S, linear=fastest())
     check_held(face)

@@ -20,9 +20,8 @@ def run(task: Task[BuildModel]) -> list[Path]:
     """Build a subject's model from a registered neutral scan.
 
     A template without tets of the wanted edge length gets them first, in minutes, and they are kept
-    in the cache folder for everybody. Writes ``model.npz``, ``model.json``, ``anatomy.png``,
-    ``tets.png`` and ``fibres.png``. Raises :class:`solver.errors.InputError` for a scan or template
-    that cannot be used, :class:`solver.errors.SolveError` if no mesh can be made.
+    in the cache folder for everybody. Raises :class:`solver.errors.InputError` for a scan or
+    template that cannot be used, :class:`solver.errors.SolveError` if no mesh can be made.
     """
     neutral, template = task.inputs["neutral"], task.inputs.get("template")
     edge_mm, progress = task.options.edge_mm, task.progress

@@ -22,10 +22,8 @@ def run(task: Task[BuildPreview]) -> list[Path]:
     """Make the sliders of a rig: muscles and jaw, and the skin's motion they stand for.
 
     Poses of the sliders are simulated; a reduced skin is fitted to some and measured on others.
-    Writes ``preview.bin``, ``preview.json`` (the error, and what could not be simulated) and
-    ``preview.png``. Raises :class:`solver.errors.InputError` for files that do not belong together
-    and for a rig without a fitted expression, :class:`solver.errors.SolveError` if too little can
-    be simulated.
+    Raises as :func:`solver.rig.preview.make_preview`, and :class:`solver.errors.InputError` for
+    files that do not belong together.
     """
     out, progress = task.out, task.progress
     progress(Step("read", 0.0, message=task.inputs["rig"].name))
@@ -45,7 +43,7 @@ def run(task: Task[BuildPreview]) -> list[Path]:
     write_preview(files[0], preview)
     progress(Step("pictures", 0.96))
     preview_picture(rig.model, preview, files[2])
-    figures = {**preview.figures(), "seconds": round(time.perf_counter() - begin, 1)}
-    write_json(files[1], figures)
+    seconds = round(time.perf_counter() - begin, 1)
+    write_json(files[1], {**preview.figures(), "seconds": seconds})
     progress(Step("done", 1.0))
     return files

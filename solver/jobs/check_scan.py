@@ -20,18 +20,14 @@ ROLES = ("unknown", "neutral", "expression")
 def run(task: Task[FrameOptions]) -> list[Path]:
     """Check a raw scan: whether it can be used, and what to do about it now.
 
-    Writes ``check.json`` (``verdict`` good, usable or bad; ``findings``, each with ``code``,
-    ``severity``, ``message`` and ``advice``; ``figures``) and ``check.png``. A bad scan, also one
-    that cannot be read, is a verdict and no exception. ``landmarks`` is a file of
-    :func:`solver.registration.landmarks.read_landmarks`. In a scan of the role ``neutral`` an open
-    mouth and closed eyes are errors, in an ``expression`` they are none; ``unknown`` only mentions
-    them. Raises :class:`solver.errors.InputError` for options and templates that cannot be used.
+    A bad scan, also one that cannot be read, is a verdict and no exception. In a scan of the role
+    ``neutral`` an open mouth and closed eyes are errors, in an ``expression`` they are none;
+    ``unknown`` only mentions them. Raises :class:`solver.errors.InputError` for options and
+    templates that cannot be used.
     """
     if task.role not in ROLES:
-        known = ", ".join(ROLES)
-        raise InputError(
-            "options.role", f"role is {task.role!r}, not one of {known}", expected=list(ROLES)
-        )
+        message = f"role is {task.role!r}, not one of {', '.join(ROLES)}"
+        raise InputError("options.role", message, expected=list(ROLES))
     scan, template, progress = task.inputs["scan"], task.inputs.get("template"), task.progress
     progress(Step("read", 0.0, message=scan.name))
     start = time.perf_counter()

@@ -21,17 +21,14 @@ from solver.scene.stage import Physics, edits_of
 def run(task: Task[Edit]) -> list[Path]:
     """Edit a person, and replay the rig's expressions before and after.
 
-    Writes ``edit.json`` (volumes, and how far every expression's motion drifts), ``edit.npz``,
-    ``edit.glb`` and ``edit.png``. Raises :class:`InputError` (``scene.*``) for a scene that does
-    not fit the person, :class:`SolveError` where the edited person finds no rest. An expression
-    that finds none is told, and left out.
+    Raises :class:`InputError` (``scene.*``) for a scene that does not fit the person,
+    :class:`SolveError` where the edited person finds no rest. An expression that finds none is
+    told, and left out.
     """
-    scene = task.options.scene
+    entries, physics = task.options.scene.edits, Physics(task.options.scene)
     out, progress = task.out, task.progress
     rig, places = read_person(task)
     fits = rig.expressions
-    physics = Physics(scene)
-    entries = scene.edits
     unedited = Edited.nothing(rig.model, rig.weights)
     edited = apply(edits_of(entries, places), rig.model, rig.weights)
     before, all_before = _replay(unedited, physics, fits, "before the edits", 0.05, progress)
@@ -70,8 +67,7 @@ def _replay(
             found.append(replay.pose(physics.activations(person, fit.activations), fit.jaw))
         except SolveError as error:
             found.append(None)
-            told = f"{fit.name}, {words}: {error.message}"
-            progress(Step("warning", done, message=told))
+            progress(Step("warning", done, message=f"{fit.name}, {words}: {error.message}"))
         progress(Step("expressions", done, number, message=f"{fit.name}, {words}"))
     return replay.neutral, found
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from solver.errors import Finding
-from solver.fitting import fallback, target_checks
+from solver.fitting import fallback
 from solver.fitting.activation import UNSEEN, UNSEEN_STOP, unseen_regulariser
 from solver.fitting.contact import terms
 from solver.fitting.face import Face
-from solver.fitting.target_checks import check_held
+from solver.fitting.target_checks import check_held, check_replaced
 from solver.jobs import Task
 from solver.jobs.fits import (
     Targets,
@@ -25,10 +23,8 @@ from solver.jobs.fits import (
 )
 from solver.kinds.fit_activations import FitActivations
 from solver.mechanics.linear import fastest
-from solver.meshio.registered import RegisteredScan
-from solver.model import SubjectModel
 from solver.progress import Step, part_of
-from solver.rig.rig import ExpressionFit, Rig
+from solver.rig.rig import Rig
 
 
 def run(task: Task[FitActivations]) -> list[Path]:
@@ -46,10 +42,13 @@ def run(task: Task[FitActivations]) -> list[Path]:
     face = Face(subject, parent.weights, linear=given.linear_solver or fastest())
     check_held(face)
     told = Telling(subject, progress)
-    told.tell(0.02, find_oddities(face, scans))
-    told.tell(0.02, _replacements(subject, carried, scans))
+    oddities = find_oddities(face, scans)
+    for fit in carried:
+        if fit.name in scans:
+            oddities += check_replaced(subject, fit.name, fit.target, scans[fit.name])
     if given.solver == "ipopt":
-        told.tell(0.02, fallback.warn_of_slowness(face))
+        oddities += fallback.warn_of_slowness(face)
+    told.tell(0.02, oddities)
     regulariser = unseen_regulariser(face)
     stop = replace(UNSEEN_STOP, max_iterations=given.max_iterations)
     targets = Targets(subject, given.distance).of_scans(scans)
@@ -70,26 +69,10 @@ def run(task: Task[FitActivations]) -> list[Path]:
         fitted.append(told.about(expression, done, found.notices))
     refuse_failures(fitted)
     kept = [fit for fit in carried if fit.name not in scans]
-    chosen_options = given.model_dump(include={"distance", "solver"})
-    settings = {**UNSEEN, **asdict(stop), **chosen_options}
-    seconds = {**_geometry_seconds(carried), "activations": time.perf_counter() - begin}
+    settings = {**UNSEEN, **asdict(stop), **given.model_dump(include={"distance", "solver"})}
+    # the expressions that S was fitted to share its time
+    together = [fit.seconds for fit in carried if fit.role == "train"]
+    seconds = {"geometry": sum(together)} if together else {}
+    seconds["activations"] = time.perf_counter() - begin
     whole = Rig(subject, face.S, (*kept, *fitted), seconds, told.general)
     return leave_rig(face, whole, settings, task.out, part_of(progress, 0.5))
-
-
-def _geometry_seconds(carried: Sequence[ExpressionFit]) -> dict[str, float]:
-    """Return what the fit of S took: its expressions, solved together, share it."""
-    together = [fit.seconds for fit in carried if fit.role == "train"]
-    return {"geometry": sum(together)} if together else {}
-
-
-def _replacements(
-    model: SubjectModel, carried: Sequence[ExpressionFit], scans: Mapping[str, RegisteredScan]
-) -> list[Finding]:
-    """Return which expressions of the parent rig are replaced by another face."""
-    return [
-        notice
-        for fit in carried
-        if fit.name in scans
-        for notice in target_checks.check_replaced(model, fit.name, fit.target, scans[fit.name])
-    ]

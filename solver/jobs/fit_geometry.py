@@ -29,7 +29,6 @@ from solver.jobs.fits import (
     refuse_failures,
 )
 from solver.kinds.fit_geometry import FitGeometry
-from solver.meshio.registered import RegisteredScan
 from solver.model import SubjectModel
 from solver.progress import Progress, Step, part_of
 from solver.rig.rig import Rig
@@ -56,23 +55,29 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     if given.symmetry > 0.0:
         priors["structure"] = mirror_structure(subject, given.symmetry)
     told = Telling(subject, progress)
-    told.tell(0.02, [*find_oddities(face, scans), *_too_few(scans)])
+    oddities = find_oddities(face, scans)
+    if len(scans) == 1:
+        message = (
+            "the muscle geometry is fitted to one expression: it will follow that one and say "
+            "little of others; use three or more that differ"
+        )
+        oddities.append(make_warning("fit.one_target", message))
+    told.tell(0.02, oddities)
     targets = Targets(subject, given.distance).of_scans(scans)
     begin = time.perf_counter()
     if given.solver == "ipopt":
-        fitted = _geometry_by_ipopt(face, targets, schedule, priors, told, progress)
+        fitted, notices = _geometry_by_ipopt(face, targets, schedule, priors, progress)
+        told.tell(0.8, notices)
     else:
         fitted = _geometry(face, targets, schedule, priors, progress)
     seconds = time.perf_counter() - begin
     expressions = []
     for name, ending in fitted.endings.items():
-        expression = describe_fit(
-            face, name, "train", scans[name], targets[name], ending, seconds / len(targets)
-        )
+        spent, scan = seconds / len(targets), scans[name]
+        expression = describe_fit(face, name, "train", scan, targets[name], ending, spent)
         expressions.append(told.about(expression, 0.8, ending.notices))
     refuse_failures(expressions)
-    chosen_options = given.model_dump(include={"symmetry", "distance", "solver"})
-    settings = {**asdict(schedule), **chosen_options}
+    settings = asdict(schedule) | given.model_dump(include={"symmetry", "distance", "solver"})
     rig = Rig(subject, fitted.S, tuple(expressions), {"geometry": seconds}, told.general)
     return leave_rig(face, rig, settings, task.out, part_of(progress, 0.8))
 
@@ -98,24 +103,10 @@ def _geometry_by_ipopt(
     targets: Mapping[str, Target],
     schedule: GeometryOptions,
     priors: Mapping[str, Any],
-    told: Telling,
     progress: Progress,
-) -> GeometryFit:
+) -> tuple[GeometryFit, tuple[Finding, ...]]:
     def listen(iteration: int, value: float) -> None:
         part = min(iteration / geometry.most_iterations(schedule), 1.0)
         progress(Step("geometry", 0.02 + 0.78 * part, iteration, value))
 
-    data = terms(face, targets)
-    fitted, notices = geometry.fit_by_ipopt(face, data, schedule, listen, **priors)
-    told.tell(0.8, notices)
-    return fitted
-
-
-def _too_few(scans: Mapping[str, RegisteredScan]) -> list[Finding]:
-    if len(scans) > 1:
-        return []
-    message = (
-        "the muscle geometry is fitted to one expression: it will follow that one and say little "
-        "of others; use three or more that differ"
-    )
-    return [make_warning("fit.one_target", message)]
+    return geometry.fit_by_ipopt(face, terms(face, targets), schedule, listen, **priors)

@@ -41,9 +41,6 @@ from solver.scans.performance import Performance, open_performance
 from solver.similarity import IDENTITY, Similarity, small_motion, weighted_motion
 from solver.surface import Floats
 
-# From one frame of a performance to the next: the head is placed, the face fitted.
-
-
 DECIMALS = 9  # frames are stored as text: digits beyond say nothing
 
 
@@ -78,17 +75,14 @@ class Follower:
         still: Floats | None = None,
         options: FollowOptions = FOLLOW,
     ) -> None:
-        self._tracker = tracker
-        self._options = options
-        self._face = tracker.face
-        self._targets = targets
-        self._still = still
+        self._tracker, self._face = tracker, tracker.face
+        self._targets, self._still, self._options = targets, still, options
         if still is not None and np.sum(still > options.still) < options.still_points:
-            raise InputError(
-                "sequence.no_still_points",
+            message = (
                 "the head's motion cannot be told from the face's: muscles or the jaw move every "
-                "point of the model's face",
+                "point of the model's face"
             )
+            raise InputError("sequence.no_still_points", message)
         self._head = IDENTITY if last is None else small_motion(last.head)
         self._target: Target | None = None
 
@@ -96,7 +90,7 @@ class Follower:
         """Fit the frame ``number``, face points (k, 3) with their confidence."""
         start = time.perf_counter()
         state, head = self._tracker.state, self._head
-        seen = np.mean(scan.confidence > 0)
+        seen = float(np.mean(scan.confidence > 0))
         status: Status = "unseen"
         iterations = 0
         if seen >= self._options.coverage and self._sees_the_head(scan):
@@ -106,12 +100,11 @@ class Follower:
             except SolveError:
                 status = "kept"
                 self._tracker.state, self._head = state, head
-        return self._frame(number, status, float(seen), iterations, time.perf_counter() - start)
+        return self._frame(number, status, seen, iterations, time.perf_counter() - start)
 
     def skin(self) -> Floats:
         """Return the whole skin (v, 3) as it is now, without the head's motion."""
-        state = self._tracker.state
-        return self._face.whole_skin(state.x, state.pose.b)
+        return self._face.whole_skin(self._tracker.state.x, self._tracker.state.pose.b)
 
     def shot(self, frame: SequenceFrame) -> SequenceShot:
         """Return the frame that was fitted last, to be drawn."""
@@ -165,8 +158,8 @@ class Follower:
         if status == "fitted" and self._target is not None:
             error = self._target.distances(self._face.face_points(state.x))
             error = error[np.isfinite(error)]
-            mean, p95 = round(float(error.mean()), 4), round(float(np.percentile(error, 95)), 4)
-            greatest = round(float(error.max()), 4)
+            figures = error.mean(), np.percentile(error, 95), error.max()
+            mean, p95, greatest = (round(float(each), 4) for each in figures)
         return SequenceFrame(
             frame=number,
             status=status,
@@ -191,13 +184,10 @@ MOST_SHOTS = 6  # frames in the picture
 def run(task: Task[FitSequence]) -> list[Path]:
     """Fit the frames of a performance with the S of ``rig``, each from the one before.
 
-    ``performance`` is read as :func:`~solver.scans.performance.open_performance` says. Frames that
-    are ready are in ``out/frames``, 30 a file; with ``resume`` those that are there already are
+    Frames that are ready are in ``out/frames``; with ``resume`` those that are there already are
     kept and the fit goes on after them. A frame that cannot be fitted keeps the pose before it.
-
-    Writes ``sequence.npz``, ``activations.csv``, ``sequence.json``, ``sequence.glb`` and
-    ``sequence.png``. Raises :class:`InputError` for what cannot be used, ``sequence.nothing`` if
-    no frame could be fitted.
+    Raises :class:`InputError` for what cannot be used, ``sequence.nothing`` if no frame could be
+    fitted.
     """
     given, out, progress = task.options, task.out, task.progress
     performance = task.inputs["performance"]
@@ -213,7 +203,11 @@ def run(task: Task[FitSequence]) -> list[Path]:
     if not task.resume:
         shutil.rmtree(out / FRAMES, ignore_errors=True)
     done = read_frames(out / FRAMES, subject.muscle_count)
-    _check_same(done, numbers)
+    if [frame.frame for frame in done] != list(numbers[: len(done)]):
+        raise InputError(
+            "sequence.resume",
+            f"the {len(done)} frames that are ready were chosen with another start, end or step",
+        )
     progress(Step("read", 0.01, message=f"{len(numbers)} frames of {len(source)}"))
     follower = _follower(face, given, done[-1] if done else None)
     shown = set(np.linspace(0, len(numbers) - 1, MOST_SHOTS).round().astype(int).tolist())
@@ -234,11 +228,8 @@ def run(task: Task[FitSequence]) -> list[Path]:
     finally:
         chunks.flush()
     if all(frame.status != "fitted" for frame in done):
-        raise InputError(
-            "sequence.nothing",
-            f"none of the {len(done)} frames of {source.name} could be fitted",
-            file=source.name,
-        )
+        message = f"none of the {len(done)} frames of {source.name} could be fitted"
+        raise InputError("sequence.nothing", message, file=source.name)
     progress(Step("export", 0.96))
     report = sequence_report(done, given.fps, source.name)
     files = write_sequence(out, done, subject.muscle_names, given.fps, report)
@@ -246,16 +237,15 @@ def run(task: Task[FitSequence]) -> list[Path]:
     animated.write(files[-1], given.fps)
     if shots:
         files.append(out / "sequence.png")
-        detail = "{fitted} of {frames} frames fitted, {mean_mm:.2f} mm off on average".format(
-            **report
-        )
+        words = "{fitted} of {frames} frames fitted, {mean_mm:.2f} mm off on average"
+        detail = words.format(**report)
         sequence_picture(subject, shots, source.name, detail, files[-1])
     progress(Step("done", 1.0))
     return files
 
 
 def _follower(face: Face, given: FitSequence, last: SequenceFrame | None) -> Follower:
-    """Return what fits the frames, from rest or from the ``last`` that is ready."""
+    """Return a follower that begins at rest or at the ``last`` frame that is ready."""
     state = face.rest
     if last is not None:
         with suppress(SolveError):  # out of reach from rest: the next frame begins there
@@ -269,18 +259,15 @@ def _follower(face: Face, given: FitSequence, last: SequenceFrame | None) -> Fol
 
 
 def _chosen(source: Performance, given: FitSequence) -> range:
-    """Return the numbers of the frames to fit."""
     end = len(source) if given.end is None else given.end
     numbers = range(given.start, end, given.step)
     if end > len(source) or not numbers:
-        raise InputError(
-            "options.frames",
+        message = (
             f"{source.name} has the frames 0 to {len(source) - 1}: start {given.start} and end "
-            f"{end} are not within it",
-            expected=len(source),
-            start=given.start,
-            end=end,
+            f"{end} are not within it"
         )
+        expected = {"expected": len(source), "start": given.start, "end": end}
+        raise InputError("options.frames", message, **expected)
     return numbers
 
 
@@ -289,23 +276,13 @@ def _check_place(source: Performance, number: int, model: SubjectModel) -> None:
     scan = source.frame(number)
     away = np.linalg.norm(scan.vertices - model.skin.vertices[model.face], axis=1)
     away = away[scan.confidence > 0]
-    if len(away) and np.median(away) > PLAUSIBLE.median_motion_mm:
-        raise InputError(
-            "performance.misaligned",
-            f"{source.name}, frame {number}: the points lie {np.median(away):.0f} mm off the "
-            "neutral (median); solve the head_motion, or bring the skull where the neutral has it",
-            file=source.name,
-            frame=number,
-            found=float(np.median(away)),
+    if len(away) and (median := float(np.median(away))) > PLAUSIBLE.median_motion_mm:
+        message = (
+            f"{source.name}, frame {number}: the points lie {median:.0f} mm off the neutral "
+            "(median); solve the head_motion, or bring the skull where the neutral has it"
         )
-
-
-def _check_same(done: list[SequenceFrame], numbers: range) -> None:
-    if [frame.frame for frame in done] != list(numbers[: len(done)]):
-        raise InputError(
-            "sequence.resume",
-            f"the {len(done)} frames that are ready were chosen with another start, end or step",
-        )
+        place = {"file": source.name, "frame": number}
+        raise InputError("performance.misaligned", message, **place, found=median)
 
 
 def _check_likeness(source: Performance, frame: SequenceFrame) -> None:

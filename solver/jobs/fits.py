@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 
 from solver.errors import Finding, InputError, SolveError
-from solver.fitting import target_checks
 from solver.fitting.face import Face
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.objective import Target
-from solver.fitting.target_checks import idle_muscles
+from solver.fitting.target_checks import after_fit, before_fit, idle_muscles
 from solver.kinds.kind import Distance
 from solver.mechanics.flesh import IDENTITY
 from solver.meshio.registered import RegisteredScan, read_registered
@@ -38,37 +37,31 @@ def read_scans(subject: SubjectModel, captures: Mapping[str, Path]) -> dict[str,
         try:
             scan = read_registered(path, skin.faces, len(skin.vertices), neutral=skin.vertices)
             if not scan.confidence[subject.face].any():
-                raise InputError(
-                    "scan.confidence", f"{path.name} has no confidence on the face", file=path.name
-                )
+                message = f"{path.name} has no confidence on the face"
+                raise InputError("scan.confidence", message, file=path.name)
             scans[name] = scan
         except InputError as fault:
             faults.append(fault)
-    if len(faults) > 1:
-        messages = "; ".join(fault.message for fault in faults)
-        raise InputError(
-            "scan.several",
-            f"{len(faults)} scans cannot be used: {messages}",
-            faults=[fault.as_dict() for fault in faults],
-        )
-    if faults:
+    if len(faults) == 1:
         raise faults[0]
+    if faults:
+        messages = "; ".join(fault.message for fault in faults)
+        message = f"{len(faults)} scans cannot be used: {messages}"
+        raise InputError("scan.several", message, faults=[fault.as_dict() for fault in faults])
     return scans
 
 
 def find_oddities(face: Face, scans: Mapping[str, RegisteredScan]) -> list[Finding]:
     """Return what is odd about a face and scans before they are fitted."""
-    return [*idle_muscles(face), *target_checks.before_fit(face.model, scans)]
+    return [*idle_muscles(face), *before_fit(face.model, scans)]
 
 
 def refuse_failures(fits: Sequence[ExpressionFit]) -> None:
     """Raise ``fit.failed`` if no expression could be fitted at all: there is nothing to keep."""
-    rest = [fit.status == "failed" and (fit.activations == IDENTITY).all() for fit in fits]
-    if all(rest):
-        reasons = "; ".join(
-            f"{fit.name}: {notice.message}" for fit in fits for notice in fit.notices
-        )
-        raise SolveError("fit.failed", f"no expression could be fitted ({reasons})")
+    if all(fit.status == "failed" and (fit.activations == IDENTITY).all() for fit in fits):
+        reasons = [f"{fit.name}: {notice.message}" for fit in fits for notice in fit.notices]
+        message = f"no expression could be fitted ({'; '.join(reasons)})"
+        raise SolveError("fit.failed", message)
 
 
 def describe_fit(
@@ -137,7 +130,11 @@ class Targets:
 
     def __init__(self, model: SubjectModel, distance: Distance) -> None:
         self._face, self._distance = model.face, distance
-        self._triangles = _face_triangles(model)
+        # the skin's triangles (f, 3) within the face, by numbers of the face's points
+        number = np.full(len(model.skin.vertices), -1)
+        number[model.face] = np.arange(len(model.face))
+        triangles = number[model.skin.faces]
+        self._triangles = triangles[(triangles >= 0).all(axis=1)]
 
     def of_scans(self, scans: Mapping[str, RegisteredScan]) -> dict[str, Target]:
         """Return the targets of scans of the whole topology by their names."""
@@ -152,14 +149,6 @@ class Targets:
         if self._distance == "point":
             return Target.from_points(points, confidence)
         return Target.from_points(points, confidence, _normals(points, self._triangles))
-
-
-def _face_triangles(model: SubjectModel) -> Ints:
-    """Return the skin's triangles within the face, (f, 3), by numbers of the face's points."""
-    number = np.full(len(model.skin.vertices), -1)
-    number[model.face] = np.arange(len(model.face))
-    triangles = number[model.skin.faces]
-    return np.asarray(triangles[(triangles >= 0).all(axis=1)])
 
 
 def _normals(points: Floats, triangles: Ints) -> Floats:
@@ -190,9 +179,8 @@ class Telling:
     def about(self, fit: ExpressionFit, fraction: float, solve: Iterable[Finding]) -> ExpressionFit:
         """Return a fit with all that was told of it, what its solve says and what it leaves."""
         own = {"expression": fit.name}
-        left = target_checks.after_fit(self._model, fit.name, fit.error_mm)
         self.tell(fraction, [replace(each, context={**own, **each.context}) for each in solve])
-        self.tell(fraction, left)
+        self.tell(fraction, after_fit(self._model, fit.name, fit.error_mm))
         mine = [each for each in self._notices if each.context.get("expression") == fit.name]
         return replace(fit, notices=tuple(mine))
 

@@ -25,11 +25,9 @@ LANDMARKER_VARIABLE = "MYOFACE_FACE_LANDMARKER"
 def run(task: Task[FrameOptions]) -> list[Path]:
     """Register a raw scan: a neutral, or an expression if the person's ``neutral`` is given.
 
-    ``neutral`` is the person's registered neutral, ``landmarks`` an optional file of
-    :func:`solver.registration.landmarks.read_landmarks`, in the scan's own unit and axes. Writes
-    ``registered.ply`` (the template's vertices in mm with the property ``confidence``),
-    ``registration.json`` and ``distance.png``. Raises :class:`solver.errors.InputError` for files
-    that cannot be used and for a scan without a face (``scan.not_a_face``).
+    ``landmarks`` are in the scan's own unit and axes. ``registered.ply`` has the template's
+    vertices in mm with the property ``confidence``. Raises :class:`solver.errors.InputError` for
+    files that cannot be used and for a scan without a face (``scan.not_a_face``).
     """
     scan, template, progress = task.inputs["scan"], task.inputs.get("template"), task.progress
     neutral, landmarks = task.inputs.get("neutral"), task.inputs.get("landmarks")
@@ -57,8 +55,7 @@ def run(task: Task[FrameOptions]) -> list[Path]:
     progress(Step("pictures", 0.85))
     files = [task.out / name for name in ("registered.ply", "registration.json", "distance.png")]
     write_registered(files[0], registered.skin, registered.trust.confidence)
-    figures = report(registered, known)
-    write_json(files[1], figures)
+    write_json(files[1], report(registered, known))
     distance_picture(registered, known, files[2])
     progress(Step("done", 1.0))
     return files

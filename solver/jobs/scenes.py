@@ -26,7 +26,7 @@ from solver.rig.frames import (
     FRAMES,
     ChunkOptions,
     ChunkWriter,
-    MotionFrame,
+    MotionRecord,
     motion_report,
     motion_values,
     read_motion,
@@ -73,12 +73,12 @@ class PictureOptions:
 
 def play(
     stage: Stage, out: Path, scene: str, progress: Progress = silent, *, resume: bool = False
-) -> list[MotionFrame]:
+) -> list[MotionRecord]:
     """Simulate all frames of a stage and return them; they are in ``out/frames`` as they come.
 
-    With ``resume`` the frames that are there are kept, and the simulation goes on after them.
-    ``scene`` is the hash of what is simulated. Raises :class:`~solver.errors.SolveError`
-    (``simulate.*``) with the ``frame`` that could not be reached; those before it stay.
+    ``scene`` is the hash of what is simulated. With ``resume`` the simulation goes on after the
+    frames that are there. Raises :class:`~solver.errors.SolveError` (``simulate.*``) with the
+    ``frame`` that could not be reached; those before it stay.
     """
     if not resume:
         shutil.rmtree(out / FRAMES, ignore_errors=True)
@@ -86,10 +86,8 @@ def play(
     times = stage.drives.times
     beside = _Beside(scene, stage, motion)
     chunks = ChunkWriter(out / FRAMES, len(done), CHUNKS, beside)
-    drive: Drive | None = None
-    if done:
-        before = float(times[len(done) - 1])
-        drive = stage.drive(before, stage.drives(before))
+    before = float(times[len(done) - 1]) if done else None
+    drive = None if before is None else stage.drive(before, stage.drives(before))
     try:
         for number in range(len(done), len(times)):
             moment = float(times[number])
@@ -100,11 +98,10 @@ def play(
             except SolveError as error:
                 error.context["frame"] = number
                 raise
-            frame = _frame(stage, number, pose, goal, stepped)
+            done.append(_frame(stage, number, pose, goal, stepped))
             motion = beside.motion = stepped.motion
             drive = goal
-            chunks.add(frame)
-            done.append(frame)
+            chunks.add(done[-1])
             part, words = (number + 1) / len(times), f"frame {number + 1} of {len(times)}"
             progress(Step("simulate", part, number + 1, stepped.residual, message=words))
     finally:
@@ -112,14 +109,14 @@ def play(
     return done
 
 
-def skin_of(stage: Stage, frame: MotionFrame) -> Floats:
+def skin_of(stage: Stage, frame: MotionRecord) -> Floats:
     """Return the whole skin (V, 3) of a frame, in the head's frame."""
     return stage.skin(stage.model.rest + frame.moved, frame.jaw, frame.eyes)
 
 
 def finish(
     stage: Stage,
-    frames: Sequence[MotionFrame],
+    frames: Sequence[MotionRecord],
     out: Path,
     progress: Progress,
     *,
@@ -130,7 +127,7 @@ def finish(
     """Write what a scene leaves; ``more`` figures are for ``animation.json``."""
     progress(Step("export", EXPORT))
     model = stage.model
-    neutral_mm = round(stage.gauge.neutral().most, 4)
+    figures = {"penetration_neutral_mm": round(stage.gauge.neutral().most, 4), **more}
     with tempfile.TemporaryFile() as stream:
         shape = (len(frames), *model.skin.vertices.shape)
         skins = np.memmap(stream, np.float32, "w+", shape=shape)
@@ -142,7 +139,7 @@ def finish(
             frames,
             skins,
             title=title,
-            report={**motion_report(frames, model), "penetration_neutral_mm": neutral_mm, **more},
+            report=motion_report(frames, model) | figures,
             vertices=model.face,
             objects=stage.objects,
             video=video,
@@ -172,9 +169,9 @@ def _reach(stage: Stage, motion: Motion, drive: Drive | None, goal: Drive) -> St
 
 def _frame(
     stage: Stage, number: int, pose: PosedFrame, goal: Drive, stepped: Stepped
-) -> MotionFrame:
+) -> MotionRecord:
     found = stage.penetration(stepped.y, goal)
-    return MotionFrame(
+    return MotionRecord(
         frame=number,
         time=goal.time,
         activations=pose.a,
@@ -203,13 +200,12 @@ class _Beside:
         self._filming = Filming(stage.model)
         self.motion = motion
 
-    def __call__(self, last: MotionFrame) -> dict[str, Any]:
+    def __call__(self, last: MotionRecord) -> dict[str, Any]:
         """Return them for a file with this ``last`` frame, which ended in ``motion``."""
         is_due = time.monotonic() - self._pictured >= self._options.seconds
         return motion_values(self._scene, self.motion, self._draw(last) if is_due else None)
 
-    def _draw(self, frame: MotionFrame) -> str:
-        """Return a JPEG of a frame, in base 64."""
+    def _draw(self, frame: MotionRecord) -> str:
         skin = frame.into_world(skin_of(self._stage, frame))
         objects = [each.at(frame.time) for each in self._stage.objects]
         light = self._filming.light(skin)

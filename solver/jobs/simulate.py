@@ -18,12 +18,9 @@ def run(task: Task[Simulate]) -> list[Path]:
     """Play keys of a rig's expressions, of muscles and of the jaw on a fitted face.
 
     Frames that are ready are in ``out/frames``; with ``resume`` those that are there are kept and
-    the simulation goes on after them.
-
-    Writes ``animation.glb``, ``animation.npz``, ``animation.png`` and ``animation.json``. Raises
-    :class:`InputError` (``scene.*``) for a scene that does not fit the person, ``options.video``
-    where there is no codec, and :class:`~solver.errors.SolveError` (``simulate.*``) where the flesh
-    finds no way on; the frames before stay in ``out/frames``.
+    the simulation goes on after them. Raises :class:`InputError` (``scene.*``) for a scene that
+    does not fit the person, ``options.video`` where there is no codec, and
+    :class:`~solver.errors.SolveError` (``simulate.*``) where the flesh finds no way on.
     """
     given, out, progress = task.options, task.out, task.progress
     if given.video:

@@ -52,18 +52,19 @@ def tell_forms(find: Callable[[Any], str | None], otherwise: str) -> Discriminat
     return Discriminator(find, custom_error_type="no_such_form", custom_error_message=otherwise)
 
 
-def _form_of_place(value: Any) -> str | None:
-    if isinstance(value, bool):
-        return None
-    forms = {str: "<name>", int: "<vertex>", float: "<vertex>", list: "<point>"}
-    return forms.get(type(value))
+def by_type(forms: Mapping[type, str]) -> Callable[[Any], str | None]:
+    """Return what finds the tag of a value by its type."""
+    return lambda value: forms.get(type(value))
 
 
 Place = Annotated[
     Annotated[Name, Tag("<name>")]
     | Annotated[int, Field(ge=0), Integral, Tag("<vertex>")]
     | Annotated[Vector, Tag("<point>")],
-    tell_forms(_form_of_place, "is not a landmark's name, a vertex's number or a point"),
+    tell_forms(
+        by_type({str: "<name>", int: "<vertex>", float: "<vertex>", list: "<point>"}),
+        "is not a landmark's name, a vertex's number or a point",
+    ),
     Field(description="a landmark's name, the number of a skin vertex, or a point [x, y, z] in mm"),
 ]
 
@@ -90,22 +91,12 @@ def by_member(*members: str) -> Callable[[Any], str | None]:
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault at one place of a document.
+    """A fault at one place of a document."""
 
-    where
-        A JSON path, such as ``options.scene.keys[1].time``.
-    message
-        A sentence with the value and what is allowed.
-    path
-        The path's parts below the document's own name.
-    unknown
-        Whether the place is a member that a document may not have.
-    """
-
-    where: str
-    message: str
-    path: tuple[str | int, ...]
-    unknown: bool = False
+    where: str  # a JSON path, such as options.scene.keys[1].time
+    message: str  # a sentence with the value and what is allowed
+    path: tuple[str | int, ...]  # the path's parts below the document's own name
+    unknown: bool = False  # whether the place is a member that a document may not have
 
     def as_dict(self) -> dict[str, str]:
         """Return place and sentence for an answer."""
@@ -166,7 +157,6 @@ def _choice(path: list[str | int], detail: ErrorDetails) -> tuple[list[str | int
 
 
 def _sentence(detail: ErrorDetails) -> str:
-    """Return what is wrong with a value."""
     kind, value = detail["type"], detail["input"]
     if value != value:
         return f"{value} is not a number"

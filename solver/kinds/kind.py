@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
 from solver.kinds.document import Document, Fault, find_faults, json_schema
 
-Queue = Literal["ingest", "short", "long"]
+Queue = Literal["ingest", "short", "long"]  # while a person waits, minutes, hours
 Input = Literal[
     "capture",
     "neutral",
@@ -46,8 +47,6 @@ class OptionsError(ValueError):
 class Kind:
     """A kind of job, declared once: ``KIND`` of the module that it is named after.
 
-    queue
-        The workers that do it: ``ingest`` while a person waits, ``short`` minutes, ``long`` hours.
     reads
         Its inputs. A service looks them up at submission: ``capture`` is one scan as it was
         uploaded, with its landmarks; ``neutral`` and ``captures`` are registered scans, the
@@ -57,14 +56,6 @@ class Kind:
     asks
         What only a command line asks for: the ``role`` of a capture, which a service knows, and
         the ``start`` of a fit, another rig.
-    leaves
-        What it makes, in a word: jobs with the same word leave the same files.
-    report
-        The JSON file of its verdict or figures, which the job's result shows.
-    result
-        The file that a person opens first.
-    folder
-        The folder that a command line fills by default.
     frames
         Whether it leaves frames, which can be read while it runs and are gone on with after a stop.
     """
@@ -73,12 +64,12 @@ class Kind:
     description: str
     queue: Queue
     reads: tuple[Input, ...]
-    leaves: str
-    report: str
-    result: str
+    leaves: str  # what it makes, in a word: jobs with the same word leave the same files
+    report: str  # the JSON file of its verdict or figures, which the job's result shows
+    result: str  # the file that a person opens first
     options: type[JobOptions] = JobOptions
     asks: tuple[Input, ...] = ()
-    folder: str = "result"
+    folder: str = "result"  # that a command line fills by default
     frames: bool = False
     name: str = ""
 
@@ -111,16 +102,13 @@ class Kind:
         """Return faults by their places, first unknown options in words that name the known."""
         known = ", ".join(self.options.model_fields) or "none"
         message = f"{self.name} has no such option; it has {known}"
-        strangers, others = [], []
-        for fault in faults:
-            if fault.unknown and len(fault.path) == 1:
-                strangers.append(Fault(f"options.{fault.path[0]}", message, fault.path, True))
-            else:
-                others.append(fault)
-        return [
-            *sorted(strangers, key=lambda fault: fault.where),
-            *sorted(others, key=lambda fault: fault.where),
+        strangers = [fault for fault in faults if fault.unknown and len(fault.path) == 1]
+        named = [
+            replace(fault, where=f"options.{fault.path[0]}", message=message) for fault in strangers
         ]
+        others = [fault for fault in faults if fault not in strangers]
+        by_place = attrgetter("where")
+        return [*sorted(named, key=by_place), *sorted(others, key=by_place)]
 
 
 # Options that several kinds share.

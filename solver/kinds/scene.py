@@ -3,7 +3,7 @@
 Lengths are in mm, times in s, stress in Pa; x is to the subject's left, y up, z forward.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Discriminator, Field, Tag
 
@@ -15,6 +15,7 @@ from solver.kinds.document import (
     Vector,
     Whole,
     by_member,
+    by_type,
     find_kind,
     tell_forms,
 )
@@ -83,13 +84,6 @@ class Jaw(Document):
     )
 
 
-def _form_of_muscle(value: Any) -> str | None:
-    if isinstance(value, bool):
-        return None
-    forms = {int: "<stretch>", float: "<stretch>", list: "<activation>"}
-    return forms.get(type(value))
-
-
 Muscle = Annotated[
     Annotated[float, Field(ge=0.3, le=1.5), Tag("<stretch>")]
     | Annotated[
@@ -97,7 +91,10 @@ Muscle = Annotated[
         Field(min_length=6, max_length=6),
         Tag("<activation>"),
     ],
-    tell_forms(_form_of_muscle, "is not a number or a list of six"),
+    tell_forms(
+        by_type({int: "<stretch>", float: "<stretch>", list: "<activation>"}),
+        "is not a number or a list of six",
+    ),
 ]
 
 

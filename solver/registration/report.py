@@ -164,10 +164,9 @@ def distance_picture(registered: RegisteredFace, topology: Topology, path: Path)
         f"{len(seen) / len(topology.face):.0%} of the face in the scan (grey: not in it)",
     )
     for column, (title, body) in enumerate(columns.items()):
-        for row, yaw in enumerate(VIEWS):
-            image = render([body], _camera(skin.vertices[topology.face], yaw), *CELL)
-            page.panel((column * CELL[0], HEADER + TITLE + row * CELL[1]), image)
-        page.text((column * CELL[0] + CELL[0] // 2, HEADER), title, 20, anchor="ma")
+        cameras = [_camera(skin.vertices[topology.face], yaw) for yaw in VIEWS]
+        images = [render([body], camera, *CELL) for camera in cameras]
+        page.column((column * CELL[0], HEADER), title, images, 20, TITLE)
     page.scale((2 * CELL[0] + 50, HEADER + TITLE + len(VIEWS) * CELL[1] + 16), CELL[0] - 150)
     page.save(path)
 

@@ -5,7 +5,6 @@ All files are documented in docs/guide/simulation.md.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from fractions import Fraction
@@ -22,19 +21,17 @@ from solver.drawing.sheet import MARGIN, Column, SheetLayout, draw_sheet
 from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.rig.animation_gltf import write_animation_glb
-from solver.rig.frames import MotionFrame
+from solver.rig.frames import MotionRecord
 from solver.rig.gltf import Solid
 from solver.rig.pictures import THREE_QUARTER, face_camera
 from solver.rig.skin_basis import Singles
 from solver.scene.objects import SceneObject
 from solver.similarity import small_motion
+from solver.storage import write_json
 from solver.surface import Floats, Ints, Surface
 
-# ``animation.npz``: an animation as arrays; docs/guide/simulation.md describes it.
-
-
 FORMAT = 1  # of animation.npz
-TRACKS = (  # taken of every frame, see MotionFrame
+TRACKS = (  # taken of every frame, see MotionRecord
     *("time", "activations", "jaw", "head", "eyes"),
     *("penetration_mm", "behind_teeth", "inverted", "iterations", "seconds"),
 )
@@ -42,18 +39,15 @@ FASTEST = 1  # level of compression: skins hardly shrink, however long one tries
 
 
 def write_animation_npz(
-    path: Path, model: SubjectModel, frames: Sequence[MotionFrame], skins: Singles, vertices: Ints
+    path: Path, model: SubjectModel, frames: Sequence[MotionRecord], skins: Singles, vertices: Ints
 ) -> None:
     """Write what drove ``frames``, and ``vertices`` (k,) of their skins in the world, mm.
 
     ``skins`` (f, v, 3), in the head's frame, are read one by one, so that they may be mapped.
     """
     arrays = {name: np.array([getattr(frame, name) for frame in frames]) for name in TRACKS}
-    arrays |= {
-        "format": np.array(FORMAT),
-        "muscles": np.array(model.muscle_names, dtype=np.str_),
-        "vertices": vertices,
-    }
+    names = np.array(model.muscle_names, dtype=np.str_)
+    arrays |= {"format": np.array(FORMAT), "muscles": names, "vertices": vertices}
     with ZipFile(path, "w", ZIP_DEFLATED, compresslevel=FASTEST) as archive:
         for name, values in arrays.items():
             with archive.open(f"{name}.npy", "w") as stream:
@@ -97,8 +91,7 @@ class Filming:
     ) -> Pixels:
         """Return a skin (v, 3) in the world, mm, with objects half transparent before it.
 
-        ``size`` is (width, height); ``yaw`` is 0 for a look from the front, :data:`THREE_QUARTER`
-        for one from the side.
+        ``size`` is (width, height); ``yaw`` is 0 for the front or :data:`THREE_QUARTER`.
         """
         bodies = [self._head.body(self._head.lit(skin, light))]
         for each in objects:
@@ -132,20 +125,15 @@ def contact_sheet(
     draw_sheet(path, title, detail, ("", ""), columns, layout, scale_mm=None)
 
 
-# ``animation.mp4``: frames as a film, by PyAV (the extra ``video``).
-
-
-# tried in this order, the best first; not every FFmpeg has it
+# of films, tried in this order, the best first; not every FFmpeg has it
 CODECS = {"libx264": {"crf": "18", "preset": "medium"}, "mpeg4": {"qscale": "3"}}
 
 
 def check_video() -> None:
     """Raise :class:`InputError` (``options.video``) where films cannot be written."""
     if find_spec("av") is None:
-        raise InputError(
-            "options.video",
-            "a film needs PyAV, which is not installed: pip install 'myoface[video]'",
-        )
+        message = "a film needs PyAV, which is not installed: pip install 'myoface[video]'"
+        raise InputError("options.video", message)
 
 
 def write_video(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], fps: float) -> None:
@@ -180,7 +168,7 @@ class FilmOptions:
 def write_animation(
     out: Path,
     model: SubjectModel,
-    frames: Sequence[MotionFrame],
+    frames: Sequence[MotionRecord],
     skins: Singles,
     *,
     title: str,
@@ -192,12 +180,12 @@ def write_animation(
 ) -> list[Path]:
     """Write ``frames``, whose ``skins`` (f, v, 3) are in the head's frame, mm; return the paths.
 
-    ``animation.json`` is the ``report`` with what is to say of the other files, ``animation.npz``
-    has the ``vertices`` (k,) of the skin. ``objects`` are what the face meets; ``video`` adds
-    ``animation.mp4``, for which :func:`~solver.rig.animation.check_video` is to be asked.
+    ``animation.npz`` has the ``vertices`` (k,) of the skin. ``objects`` are what the face meets;
+    ``video`` adds ``animation.mp4``, see :func:`check_video`.
     """
-    names = ["animation.json", "animation.glb", "animation.npz", "animation.png"]
-    table, glb, arrays, sheet = (out / name for name in names)
+    table, glb, arrays, sheet, film = (
+        out / f"animation.{kind}" for kind in ("json", "glb", "npz", "png", "mp4")
+    )
     times = np.array([frame.time for frame in frames])
     heads = np.array([frame.head for frame in frames])
     solids = [
@@ -207,7 +195,7 @@ def write_animation(
     written = write_animation_glb(glb, model.skin, skins, heads, times - times[0], solids)
     write_animation_npz(arrays, model, frames, skins, vertices)
     figures = {**report, "glb": {**asdict(written), "bytes": glb.stat().st_size}}
-    table.write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_json(table, figures)
     filming = Filming(model)
 
     def shot(number: int) -> Shot:
@@ -223,7 +211,6 @@ def write_animation(
     )
     contact_sheet(filming, [shot(number) for number in shown], title, detail, sheet)
     files = [table, glb, arrays, sheet]
-    film = out / "animation.mp4"
     film.unlink(missing_ok=True)  # one of another scene is not to stay beside the new files
     if video:
         files.append(film)

@@ -179,19 +179,11 @@ def _between(values: Floats, keys: Floats, times: Floats) -> Floats:
     return np.array([np.interp(times, keys, column) for column in values.T]).T
 
 
-# ``sequence.glb``: a fitted sequence as an animated skin, for viewers and animation tools.
-#
-# The skins of all frames are spanned by few shapes, found as the frames come: a frame that the
-# shapes so far do not reach adds what is left of it. So a frame is a few weights, and nothing waits
-# for the end of the sequence.
-
-
 class AnimatedSkin:
-    """Takes the skins (v, 3), mm, of a sequence's frames."""
+    """``sequence.glb``: takes the skins (v, 3), mm, of a fitted sequence's frames as they come."""
 
     def __init__(self, neutral: Surface, options: BasisOptions = SEQUENCE_BASIS) -> None:
-        self._neutral = neutral
-        self._basis = GrowingBasis(neutral, options)
+        self._neutral, self._basis = neutral, GrowingBasis(neutral, options)
         self._frames: list[SequenceFrame] = []
 
     def add(self, frame: SequenceFrame, skin: Floats) -> None:
@@ -203,8 +195,7 @@ class AnimatedSkin:
         """Write the animation, in metres; a node carries the motion of the head.
 
         A shape that is needed both ways is two morph targets: animation tools hold weights between
-        0 and 1.
-        Without a frame, or if neither face nor head moves, it is the neutral.
+        0 and 1. If neither face nor head moves, it is the neutral.
         """
         weights = self._basis.weights
         shapes, tracks = {}, [np.zeros((len(weights), 0))]

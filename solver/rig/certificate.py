@@ -43,18 +43,13 @@ class MuscleLimits:
 
 @dataclass(frozen=True)
 class Muscles:
-    """The m muscles of one expression, each array (m,).
+    """The m muscles of one expression, each array (m,)."""
 
-    ``shortest`` and ``longest`` are the eigenvalues of S(a_j), ``volume`` its determinant,
-    ``fibres`` the stretch d^T S(a_j) d along the fibre directions d, mean over the muscle's flesh
-    (NaN without fibres), ``flesh_mm3`` how much of the flesh is the muscle's.
-    """
-
-    shortest: Floats
-    longest: Floats
-    volume: Floats
-    fibres: Floats
-    flesh_mm3: Floats
+    shortest: Floats  # least eigenvalue of S(a_j)
+    longest: Floats  # greatest eigenvalue
+    volume: Floats  # det S(a_j)
+    fibres: Floats  # d^T S(a_j) d along fibres d, mean over the muscle's flesh; NaN without any
+    flesh_mm3: Floats  # how much of the flesh is the muscle's
     limits: MuscleLimits = MuscleLimits()
 
     def faults(self, muscle: int) -> list[str]:
@@ -133,11 +128,10 @@ class JawMotion:
 
     def faults(self) -> list[str]:
         """Return in plain words what the jaw does that jaws cannot do."""
-        motion = {name: getattr(self, name) for name in JAW_RANGES}
         return [
             JAW_WORDS[name][value > 0].format(abs(value))
-            for name, value in motion.items()
-            if not JAW_RANGES[name][0] <= value <= JAW_RANGES[name][1]
+            for name, (least, most) in JAW_RANGES.items()
+            if not least <= (value := getattr(self, name)) <= most
         ]
 
 
@@ -159,38 +153,27 @@ def jaw_motion(model: SubjectModel, b: Floats) -> JawMotion:
 
 @dataclass(frozen=True)
 class FleshCheck:
-    """The tets of one expression.
+    """The tets of one expression."""
 
-    ``inverted`` counts det F <= 0; ``det_least`` and ``det_most`` are the volumes of the flattest
-    and the most swollen tet by their rest volumes, ``flattest`` and ``swollen`` their numbers.
-    ``volume_percent`` is the change of the whole flesh's volume. ``residual`` is |grad E| over the
-    nodal forces at unit strain, ``minimum`` tells whether the Hessian is positive definite.
-    """
-
-    inverted: int
-    det_least: float
+    inverted: int  # number of tets with det F <= 0
+    det_least: float  # volumes of the flattest and the most swollen tet by their rest volumes
     det_most: float
-    flattest: int
+    flattest: int  # their numbers
     swollen: int
-    volume_percent: float
-    residual: float
-    minimum: bool
+    volume_percent: float  # change of the whole flesh's volume
+    residual: float  # |grad E| over the nodal forces at unit strain
+    minimum: bool  # whether the Hessian is positive definite
 
 
 @dataclass(frozen=True)
 class ExpressionCheck:
-    """The checks of one expression.
-
-    ``flesh`` is None where the rig does not hold the tets. ``crossing`` is of the fitted skin,
-    ``scan_crossing`` of the scan; both are None where the model names no lips, the latter too where
-    the scan has holes.
-    """
+    """The checks of one expression."""
 
     muscles: Muscles
     jaw: JawMotion
-    flesh: FleshCheck | None
-    crossing: Crossing | None
-    scan_crossing: Crossing | None
+    flesh: FleshCheck | None  # None where the rig does not hold the tets
+    crossing: Crossing | None  # of the fitted skin; None where the model names no lips
+    scan_crossing: Crossing | None  # of the scan; None too where it has holes
 
 
 @dataclass(frozen=True)
@@ -247,7 +230,6 @@ def check_flesh(face: Face, a: Floats, x: Floats, linear: LinearSolver) -> Flesh
     flesh = face.flesh
     det = flesh.jacobians(x)
     residual = np.linalg.norm(flesh.gradient(x, a)) / flesh.force_scale
-    share = Factorization(flesh, linear, x, a).projection
     return FleshCheck(
         inverted=int((det <= 0.0).sum()),
         det_least=float(det.min()),
@@ -256,7 +238,7 @@ def check_flesh(face: Face, a: Floats, x: Floats, linear: LinearSolver) -> Flesh
         swollen=int(det.argmax()),
         volume_percent=float(100.0 * (det @ flesh.volumes / flesh.volumes.sum() - 1.0)),
         residual=float(residual),
-        minimum=share == 0,
+        minimum=Factorization(flesh, linear, x, a).projection == 0,
     )
 
 
@@ -360,14 +342,14 @@ def _depths(found: Crossing | None) -> dict[str, float]:
 def _trip(trip: RoundTrip | None) -> dict[str, Measure]:
     if trip is None:
         return {}
-    found = {}
     if not trip.is_reached:
-        found["trip.skin"] = Measure(trip.skin_mean_mm, "the pose cannot be reached from rest")
-    else:
-        failed = "" if np.isfinite(trip.refit_mean_mm) else "the new fit did not come to rest"
-        found["trip.skin"] = Measure(trip.skin_mean_mm)
-        found["trip.snap"] = Measure(trip.skin_max_mm)
-        found["trip.refit"] = Measure(trip.refit_mean_mm, failed)
+        return {"trip.skin": Measure(trip.skin_mean_mm, "the pose cannot be reached from rest")}
+    failed = "" if np.isfinite(trip.refit_mean_mm) else "the new fit did not come to rest"
+    found = {
+        "trip.skin": Measure(trip.skin_mean_mm),
+        "trip.snap": Measure(trip.skin_max_mm),
+        "trip.refit": Measure(trip.refit_mean_mm, failed),
+    }
     if np.isfinite(trip.activation_error):
         found["trip.activations"] = Measure(100.0 * trip.activation_error)
     return found

@@ -7,15 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
+from solver.errors import Verdict
 from solver.mechanics.newton import NewtonOptions
 from solver.rig.certificate import Certificate, Measure, measures
 from solver.rig.rig import Rig
 
-Verdict = Literal["good", "usable", "bad"]
 ORDER: tuple[Verdict, ...] = ("good", "usable", "bad")
 
 

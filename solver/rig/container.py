@@ -11,13 +11,13 @@ import json
 import math
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from solver.errors import InputError
+from solver.storage import Archive, Arrays
 
 MAGIC = b"MYOV"
 FORMAT = 1  # of the container
@@ -26,17 +26,7 @@ ALIGNMENT = 8  # bytes: a browser maps arrays of any dtype in place
 PREFIX = struct.Struct("<4sI")
 
 
-@dataclass(frozen=True)
-class Container:
-    """Content of such a file: ``header`` without its table of arrays, and ``arrays`` by name."""
-
-    header: dict[str, Any]
-    arrays: dict[str, np.ndarray]
-
-
-def write_container(
-    path: Path, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]
-) -> None:
+def write_container(path: Path, header: Mapping[str, Any], arrays: Arrays) -> None:
     """Write a file of JSON values and arrays, each of one of :data:`DTYPES`; lengths are mm.
 
     The same content gives the same bytes. ``format``, ``unit`` and ``arrays`` are put into the
@@ -51,8 +41,8 @@ def write_container(
             stream.write(array.data)
 
 
-def read_container(path: str | Path) -> Container:
-    """Read such a file.
+def read_container(path: str | Path) -> Archive:
+    """Read such a file; its header comes without the table of arrays.
 
     Raises :class:`InputError`: ``view.unreadable`` if it is not one, or arrays lie outside it;
     ``view.format`` if it has another format number.
@@ -62,19 +52,13 @@ def read_container(path: str | Path) -> Container:
     try:
         header, arrays = _parse(content)
     except (struct.error, ArithmeticError, LookupError, TypeError, ValueError) as error:
-        raise InputError(
-            "view.unreadable", f"{path.name} is no view of a rig: {error}", file=path.name
-        ) from error
+        message = f"{path.name} is no view of a rig: {error}"
+        raise InputError("view.unreadable", message, file=path.name) from error
     found = header.pop("format", None)
     if found != FORMAT:
-        raise InputError(
-            "view.format",
-            f"{path.name} has view format {found}, not {FORMAT}",
-            file=path.name,
-            expected=FORMAT,
-            found=found,
-        )
-    return Container(header, arrays)
+        message = f"{path.name} has view format {found}, not {FORMAT}"
+        raise InputError("view.format", message, file=path.name, expected=FORMAT, found=found)
+    return Archive(header, arrays)
 
 
 def _store(name: str, array: np.ndarray) -> np.ndarray:
@@ -101,7 +85,7 @@ def _header(header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tupl
         begin = needed
 
 
-def _parse(content: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def _parse(content: bytes) -> tuple[dict[str, Any], Arrays]:
     magic, length = PREFIX.unpack_from(content)
     if magic != MAGIC:
         raise ValueError("it does not begin with MYOV")
@@ -112,8 +96,7 @@ def _parse(content: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
             raise ValueError(f"{name} has the unknown dtype {entry['dtype']}")
         if any(size < 0 for size in entry["shape"]):
             raise ValueError(f"{name} has the shape {entry['shape']}")
-        dtype = np.dtype(entry["dtype"]).newbyteorder("<")
-        count = math.prod(entry["shape"])
+        dtype, count = np.dtype(entry["dtype"]).newbyteorder("<"), math.prod(entry["shape"])
         flat = np.frombuffer(content, dtype, count, entry["offset"])
         arrays[name] = flat.reshape(entry["shape"])
     return header, arrays

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,7 @@ from solver.edits.edit import Edited, Replayed
 from solver.model import SubjectModel
 from solver.rig.gltf import in_turn, write_face
 from solver.rig.pictures import SIDE, THREE_QUARTER, face_camera
-from solver.storage import csr_arrays
+from solver.storage import csr_arrays, write_json
 from solver.surface import Floats, vertex_areas, vertex_normals
 
 FORMAT = 1  # of edit.json and edit.npz
@@ -89,28 +88,26 @@ def write_edit(person: EditedPerson, report: dict[str, Any], out: Path) -> list[
     """Write ``edit.json``, ``edit.npz`` and ``edit.glb`` and return their paths.
 
     The GLB is the edited person at rest; its morph targets are the person before the edits and
-    every expression after them. The NPZ has them all, with the flesh's vertices ``x`` and what the
-    edits came to: ``growth``, ``stiffness``, ``density``, ``bones`` and S.
+    every expression after them. The NPZ has them all, and what the edits came to.
     """
     files = [out / "edit.json", out / "edit.npz", out / "edit.glb"]
-    files[0].write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_json(files[0], report)
     edited = person.edited
     reached = [(each.name, each.after) for each in person.expressions if each.after is not None]
     poses = [person.after, *(after for _, after in reached)]
-    with files[1].open("wb") as stream:
-        np.savez_compressed(
-            stream,
-            allow_pickle=False,
-            format=np.array(FORMAT),
-            names=np.array(["neutral", *(name for name, _ in reached)], dtype=np.str_),
-            skin=np.array([pose.skin for pose in poses], dtype=np.float32),
-            x=np.array([pose.x for pose in poses]),
-            growth=edited.growth,
-            stiffness=edited.stiffness_factor,
-            density=edited.density,
-            bones=edited.bones,
-            **csr_arrays("S", edited.S),
-        )
+    np.savez_compressed(
+        files[1],
+        allow_pickle=False,
+        format=np.array(FORMAT),
+        names=np.array(["neutral", *(name for name, _ in reached)], dtype=np.str_),
+        skin=np.array([pose.skin for pose in poses], dtype=np.float32),
+        x=np.array([pose.x for pose in poses]),
+        growth=edited.growth,
+        stiffness=edited.stiffness_factor,
+        density=edited.density,
+        bones=edited.bones,
+        **csr_arrays("S", edited.S),
+    )
     shapes = {"unedited": person.before.skin, **{name: after.skin for name, after in reached}}
     write_face(files[2], edited.model.skin.moved(person.after.skin), shapes, in_turn)
     return files
@@ -125,14 +122,15 @@ def _volume(person: EditedPerson) -> dict[str, float]:
 
 def _flesh(edited: Edited, unedited: SubjectModel) -> dict[str, Any]:
     """Return the range of what the edits ask of the flesh, and how much muscle is left."""
-    asked = {
-        "growth": edited.growth,
-        "stiffness": edited.stiffness_factor,
-        "density": edited.density,
-    }
+
+    def ends(asked: Floats) -> list[float]:
+        return [float(asked.min()), float(asked.max())]
+
     muscle = np.asarray(edited.S[:, 1:].sum(axis=1)).ravel()
     return {
-        **{name: [float(each.min()), float(each.max())] for name, each in asked.items()},
+        "growth": ends(edited.growth),
+        "stiffness": ends(edited.stiffness_factor),
+        "density": ends(edited.density),
         "bones_mm": float(np.linalg.norm(edited.bones, axis=1).max()),
         "muscle_ml": float(volumes(unedited.rest, unedited.tets) @ muscle) * ML,
     }
@@ -145,11 +143,9 @@ def _regions(person: EditedPerson) -> dict[str, dict[str, float]]:
     outward = ((person.after.skin - before.vertices) * vertex_normals(before)).sum(axis=1)
     swept = outward * vertex_areas(before.vertices, before.faces) * ML
     seen = {name: np.intersect1d(ids, model.face) for name, ids in model.regions.items()}
+    moved = person.moved_mm
     return {
-        name: {
-            "moved_mm": float(person.moved_mm[ids].mean()),
-            "outward_ml": float(swept[ids].sum()),
-        }
+        name: {"moved_mm": float(moved[ids].mean()), "outward_ml": float(swept[ids].sum())}
         for name, ids in seen.items()
         if len(ids)
     }
@@ -197,9 +193,6 @@ class EditSheetOptions:
     nearly_all: float = 99.5  # percent of the face's vertices
 
 
-View = tuple[str, float, Floats, Floats]  # name, camera's angle, skins before and after
-
-
 def edit_picture(
     person: EditedPerson,
     title: str,
@@ -213,7 +206,8 @@ def edit_picture(
     """
     still = person.before.skin, person.after.skin
     sides = (("at rest", 0.0), ("three quarters", THREE_QUARTER), ("left side", SIDE))
-    expressions: list[View] = [
+    # each a name, the camera's angle, and the skins before and after
+    expressions = [
         (each.name.replace("_", " "), 0.0, each.before.skin, each.after.skin)
         for each in person.expressions
         if each.before is not None and each.after is not None

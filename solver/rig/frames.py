@@ -35,26 +35,14 @@ FRAMES = "frames"  # name of the folder
 
 @dataclass(frozen=True)
 class FrameRecord:
-    """One frame of a face over time, as far as all jobs with frames know it.
+    """One frame of a face over time, as far as all jobs with frames know it."""
 
-    frame
-        Its number, from 0.
-    activations, jaw
-        (m, 6) and (5,), as of an expression.
-    head
-        (6,) rotation vector (rad) and translation (mm): the head in the world, x -> R x + t.
-    inverted
-        Number of tets with det F <= 0.
-    iterations, seconds
-        How the solve went.
-    """
-
-    frame: int
-    activations: Floats
-    jaw: Floats
-    head: Floats
-    inverted: int
-    iterations: int
+    frame: int  # its number, from 0
+    activations: Floats  # (m, 6), as of an expression
+    jaw: Floats  # (5,)
+    head: Floats  # (6,) rotation vector (rad), translation (mm): in the world, x -> R x + t
+    inverted: int  # number of tets with det F <= 0
+    iterations: int  # of the solve
     seconds: float
 
     ARRAYS: ClassVar[tuple[str, ...]] = ("activations", "jaw", "head")
@@ -145,9 +133,8 @@ def read_chunks(
     """Return the frames of a folder in their order, none if it is not there.
 
     ``fits`` says whether a frame is of this model. ``take`` is called with each file's values and
-    frames before they are looked at, for the values beside the frames; it may raise an
-    :class:`InputError` of its own. Raises :class:`InputError` (``code``) if there is a gap, what is
-    no frame, or another model's.
+    frames before they are looked at, and may raise an :class:`InputError` of its own. Raises
+    :class:`InputError` (``code``) if there is a gap, what is no frame, or another model's.
     """
     frames: list[Record] = []
     for path in sorted(folder.glob("*.json")):
@@ -189,27 +176,14 @@ def unpack(text: str, kind: str) -> Floats:
 
 
 @dataclass(frozen=True)
-class MotionFrame(FrameRecord):
-    """One frame of a simulation.
+class MotionRecord(FrameRecord):
+    """One frame of a simulation; ``halvings`` and ``residual`` are those of its ``Stepped``."""
 
-    time
-        In s.
-    eyes
-        (2, 3) rotation vectors in the head's frame, the subject's left eye first.
-    moved
-        (p, 3) in mm: how far the flesh's vertices are off their rest, in the head's frame.
-    penetration_mm, behind_teeth
-        How deep skin is in teeth, in other skin or in objects, at the worst, and the number of the
-        lips' vertices behind teeth, see :class:`~solver.contact.potentials.Penetration`.
-    halvings, residual
-        How the solve went, see :class:`~solver.simulation.simulator.Stepped`.
-    """
-
-    time: float
-    eyes: Floats
-    moved: Floats
-    penetration_mm: float
-    behind_teeth: int
+    time: float  # s
+    eyes: Floats  # (2, 3) rotation vectors in the head's frame, the subject's left eye first
+    moved: Floats  # (p, 3) mm: the flesh's vertices off their rest, in the head's frame
+    penetration_mm: float  # of skin in teeth, in other skin or in objects, at the worst
+    behind_teeth: int  # number of the lips' vertices
     halvings: int
     residual: float
 
@@ -223,40 +197,36 @@ class MotionFrame(FrameRecord):
 
 
 def motion_values(scene: str, motion: Motion, picture: str | None) -> dict[str, Any]:
-    """Return the values beside the frames of a file.
+    """Return a file's values beside its frames, the last of which ended in ``motion``.
 
-    ``scene`` is the hash of all that is simulated, ``motion`` where the last frame ended,
-    ``picture`` a JPEG of it in base 64.
+    ``scene`` is the hash of all that is simulated, ``picture`` a JPEG of that frame in base 64.
     """
     state = {"x": pack(motion.x, "<f8"), "v": pack(motion.v, "<f8")}
     return {"scene": scene, "state": state, "picture": picture}
 
 
-def read_motion(folder: Path, scene: str, rest: Floats) -> tuple[list[MotionFrame], Motion]:
-    """Return the frames of a folder and where they ended; none, at rest, if it is not there.
+def read_motion(folder: Path, scene: str, rest: Floats) -> tuple[list[MotionRecord], Motion]:
+    """Return a simulation's frames and where they ended; none, at rest, if there is no folder.
 
-    Raises :class:`InputError`: ``simulate.frames`` if there is a gap or what is no frame,
+    Raises :class:`InputError`: ``simulate.frames`` as :func:`read_chunks`,
     ``simulate.other_scene`` if the frames are another scene's.
     """
     motions = [Motion(rest, np.zeros_like(rest), IDENTITY)]
 
-    def take(values: Mapping[str, Any], frames: Sequence[MotionFrame]) -> None:
+    def take(values: Mapping[str, Any], frames: Sequence[MotionRecord]) -> None:
         x, v = (unpack(values["state"][name], "<f8") for name in ("x", "v"))
         motions.append(Motion(x, v, frames[-1].into_world))
         if values["scene"] != scene:
-            raise InputError(
-                "simulate.other_scene",
-                "the frames that are ready belong to another scene, person or rig: begin anew",
-            )
+            message = "the frames that are ready belong to another scene, person or rig: begin anew"
+            raise InputError("simulate.other_scene", message)
 
-    def fits(frame: MotionFrame) -> bool:
-        return frame.moved.shape == rest.shape
-
-    frames = read_chunks(folder, MotionFrame, "simulate.frames", fits, take)
+    frames = read_chunks(
+        folder, MotionRecord, "simulate.frames", lambda frame: frame.moved.shape == rest.shape, take
+    )
     return frames, motions[-1]
 
 
-def motion_report(frames: Sequence[MotionFrame], model: SubjectModel) -> dict[str, Any]:
+def motion_report(frames: Sequence[MotionRecord], model: SubjectModel) -> dict[str, Any]:
     """Return the figures of a simulation; lengths in mm, times in s or ms, volumes in ml.
 
     The flesh's volume is compared with that of the ``model`` at rest.
@@ -286,6 +256,7 @@ def motion_report(frames: Sequence[MotionFrame], model: SubjectModel) -> dict[st
 
 # Fitted performances.
 
+# kept: the fit failed, the pose is the frame before's; unseen: so it is as too little was seen
 Status = Literal["fitted", "kept", "unseen"]
 
 
@@ -293,34 +264,23 @@ Status = Literal["fitted", "kept", "unseen"]
 class SequenceFrame(FrameRecord):
     """One frame of a performance, fitted; its number is the performance's.
 
-    The head is in the studio, zero where it was not asked for.
-
-    status
-        ``fitted``; ``kept``: the fit failed and the pose is the frame before's; ``unseen``: too
-        little of the face was seen, the pose is kept too.
-    mean_mm, p95_mm, max_mm
-        Distance between fit and frame over the face's points that were seen, None without any.
-    coverage
-        Share of the face's points that were seen.
+    The head is in the studio, zero where it was not asked for. Distances are between fit and frame
+    over the face's points that were seen, None without any.
     """
 
     status: Status
     mean_mm: float | None
     p95_mm: float | None
     max_mm: float | None
-    coverage: float
+    coverage: float  # share of the face's points that were seen
 
 
 def read_frames(folder: Path, muscles: int) -> list[SequenceFrame]:
-    """Return the frames of a sequence in a folder, none if it is not there.
-
-    Raises :class:`InputError` (``sequence.frames``) if there is a gap or another model's frames.
-    """
-
-    def fits(frame: SequenceFrame) -> bool:
-        return frame.activations.shape == (muscles, 6)
-
-    return read_chunks(folder, SequenceFrame, "sequence.frames", fits)
+    """Return a sequence's frames by :func:`read_chunks`, whose code is ``sequence.frames``."""
+    shape = (muscles, 6)
+    return read_chunks(
+        folder, SequenceFrame, "sequence.frames", lambda frame: frame.activations.shape == shape
+    )
 
 
 def write_sequence(
@@ -332,7 +292,15 @@ def write_sequence(
 ) -> list[Path]:
     """Write ``sequence.npz``, ``activations.csv`` and ``sequence.json``; returns their paths."""
     files = [out / "sequence.npz", out / "activations.csv", out / "sequence.json"]
-    _write_arrays(files[0], frames, muscles, fps)
+    kinds = {"frame": np.int64, "status": np.str_, "inverted": np.int64, "iterations": np.int64}
+    arrays: dict[str, Any] = {
+        each.name: np.array(
+            [getattr(frame, each.name) for frame in frames], kinds.get(each.name, np.float64)
+        )
+        for each in fields(SequenceFrame)
+    }
+    arrays |= {"format": FORMAT, "muscles": muscles, "fps": fps, "time": arrays["frame"] / fps}
+    np.savez_compressed(files[0], allow_pickle=False, **arrays)
     _write_table(files[1], frames, muscles, fps)
     write_json(files[2], report)
     return files
@@ -367,24 +335,11 @@ def _round(statistic: Any, values: Sequence[float]) -> float | None:
     return round(float(statistic(values)), 4) if values else None
 
 
-def _write_arrays(
-    path: Path, frames: Sequence[SequenceFrame], muscles: Sequence[str], fps: float
-) -> None:
-    kinds = {"frame": np.int64, "status": np.str_, "inverted": np.int64, "iterations": np.int64}
-    arrays: dict[str, Any] = {
-        name: np.array([getattr(frame, name) for frame in frames], kinds.get(name, np.float64))
-        for name in (each.name for each in fields(SequenceFrame))
-    }
-    arrays |= {"format": FORMAT, "muscles": muscles, "fps": fps, "time": arrays["frame"] / fps}
-    with path.open("wb") as stream:
-        np.savez_compressed(stream, allow_pickle=False, **arrays)
-
-
 def _write_table(
     path: Path, frames: Sequence[SequenceFrame], muscles: Sequence[str], fps: float
 ) -> None:
     jaw = [f"jaw.{number}" for number in range(1, JAW_FREEDOM + 1)]
-    head = ["head.rx", "head.ry", "head.rz", "head.tx", "head.ty", "head.tz"]
+    head = [f"head.{entry}" for entry in ("rx", "ry", "rz", "tx", "ty", "tz")]
     entries = [f"{muscle}.{entry}" for muscle in muscles for entry in ENTRIES]
     with path.open("w", newline="", encoding="utf-8") as stream:
         rows = csv.writer(stream)

@@ -47,8 +47,7 @@ class ShapeOptions:
         period = 2 * self.move_seconds + self.hold_seconds
         steps = np.array([self.move_seconds, self.move_seconds + self.hold_seconds, period])
         times = (period * np.arange(count)[:, None] + steps).ravel()
-        shapes = np.eye(count)
-        rows = np.stack([shapes, shapes, np.zeros_like(shapes)], axis=1).reshape(3 * count, count)
+        rows = np.kron(np.eye(count), [[1.0], [1.0], [0.0]])
         return np.append(0.0, times), np.vstack([np.zeros((1, count)), rows])
 
 
@@ -164,8 +163,7 @@ def write_morphed(
 
 def _mesh(buffer: Buffer, solid: Solid, material: int) -> gl.Mesh:
     """Return a solid's triangles; without normals they are drawn flat, as edges of objects are."""
-    vertices = solid.shape.vertices * METRES
-    corners = buffer.dense(vertices, gl.VEC3, gl.ARRAY_BUFFER, bounds=True)
+    corners = buffer.dense(solid.shape.vertices * METRES, gl.VEC3, gl.ARRAY_BUFFER, bounds=True)
     triangles = gl.Primitive(
         attributes=gl.Attributes(POSITION=corners),
         indices=buffer.indices(solid.shape.faces),
@@ -188,8 +186,8 @@ def _node(solid: Solid, mesh: int) -> gl.Node:
 
 def worst_error(expressions: Sequence[ExpressionFit], vertices: int) -> Floats:
     """Return the greatest distance (v,) to the scans, mm; 0 where nothing was measured."""
-    errors = [np.zeros(vertices), *(fit.error_mm for fit in expressions)]
-    return np.asarray(np.fmax.reduce(errors))
+    errors = [fit.error_mm for fit in expressions]
+    return np.asarray(np.fmax.reduce([np.zeros(vertices), *errors]))
 
 
 def _material(part: str) -> gl.Material:
@@ -211,9 +209,8 @@ def in_turn(buffer: Buffer, count: int, options: ShapeOptions = DEFAULTS) -> gl.
         return None
     times, weights = options.keys(count)
     at_keys = buffer.dense(times, gl.SCALAR, bounds=True)
-    return animation(
-        "expressions", {gl.WEIGHTS: (at_keys, buffer.dense(weights.ravel(), gl.SCALAR))}
-    )
+    values = buffer.dense(weights.ravel(), gl.SCALAR)
+    return animation("expressions", {gl.WEIGHTS: (at_keys, values)})
 
 
 def rigid_tracks(buffer: Buffer, times: Floats, places: Floats) -> Tracks:
@@ -282,8 +279,7 @@ class Buffer:
         moving = np.flatnonzero((np.abs(change) > still).any(axis=1))
         if len(moving) * SPARSE_COST > len(change):
             return self.dense(change, gl.VEC3, gl.ARRAY_BUFFER, bounds=bounds)
-        if len(moving) == 0:
-            moving = np.zeros(1, np.int64)  # glTF wants at least one sparse entry
+        moving = moving if len(moving) else np.zeros(1, np.int64)  # glTF wants one entry at least
         values = np.ascontiguousarray(change[moving], "<f4")
         return self._sparse(gl.FLOAT, values, self.places(moving, len(change)), bounds)
 

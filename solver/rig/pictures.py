@@ -109,12 +109,10 @@ def fit_picture(model: SubjectModel, fit: ExpressionFit, path: Path) -> None:
         f"{role}    mean {error.mean():.2f} mm    "
         f"95 % below {np.percentile(error, 95):.2f} mm    greatest {error.max():.2f} mm",
     )
+    cameras = [face_camera(model.skin.vertices, model.face, yaw) for yaw in (0.0, THREE_QUARTER)]
     for column, (title, body) in enumerate(zip(("Scan", "Fit", "Error"), bodies, strict=True)):
-        left = column * width
-        for row, yaw in enumerate((0.0, THREE_QUARTER)):
-            image = render_bust([body], face_camera(model.skin.vertices, model.face, yaw), cell)
-            page.panel((left, HEADER + row * height), image)
-        page.text((left + width // 2, HEADER), title, 20, anchor="ma")
+        images = [render_bust([body], camera, cell) for camera in cameras]
+        page.column((column * width, HEADER), title, images, 20, above=0)
     page.scale((WIDTH - width + 60, foot + 12), width - 130)
     page.save(path)
 
@@ -229,12 +227,12 @@ def _inside(anatomy: _Anatomy, palette: dict[str, Colour], organs: DrawnBody) ->
     """Return bones, muscles, and the eyes and teeth of ``organs`` as one body."""
     used, numbers = np.unique(organs.drawn.faces, return_inverse=True)
     eyes_and_teeth = Surface(organs.drawn.vertices[used], numbers.reshape(-1, 3).astype(np.int64))
-    pieces = [(eyes_and_teeth, organs.colour[used])]
-    pieces += [(bone, np.array([COLOURS["bone"]])) for bone in anatomy.bones.values()]
-    for name, muscle in anatomy.muscles.items():
-        pieces.append((muscle, linear(np.array([palette[both_sides(name)]]))))
-    colour = [np.broadcast_to(colour, piece.vertices.shape) for piece, colour in pieces]
-    return DrawnBody(Lit(join_surfaces([piece for piece, _ in pieces])), np.vstack(colour))
+    pieces = [eyes_and_teeth, *anatomy.bones.values(), *anatomy.muscles.values()]
+    bones = [np.array(COLOURS["bone"])] * len(anatomy.bones)
+    muscles = [linear(np.array(palette[both_sides(name)])) for name in anatomy.muscles]
+    colours = zip([organs.colour[used], *bones, *muscles], pieces, strict=True)
+    colour = [np.broadcast_to(each, piece.vertices.shape) for each, piece in colours]
+    return DrawnBody(Lit(join_surfaces(pieces)), np.vstack(colour))
 
 
 def _tet_colours(model: SubjectModel, palette: dict[str, Colour]) -> Floats:
@@ -257,9 +255,7 @@ def _tet_body(model: SubjectModel, keep: np.ndarray, colour: Floats) -> DrawnBod
     return DrawnBody(Lit(Surface(corners, triangles)), shades, gloss=0.0, edges=True)
 
 
-# A picture of a template's skin: its regions in colours, its landmarks by number.
-
-YAWS = (0.0, np.radians(55.0))  # of its views
+YAWS = (0.0, np.radians(55.0))  # of a template's skin
 
 
 @dataclass(frozen=True)
@@ -288,39 +284,27 @@ def skin_picture(
     legend = {**palette, **marks}
     page = Sheet.with_legend(title, detail, legend, options.width, HEADER + options.height + MARGIN)
     head = DrawnHead(template.skin)
-    lit = head.lit(template.skin.vertices)
+    vertices, dot = template.skin.vertices, options.dot
+    landmarks = np.array(list(template.landmarks.values()), np.int64)
+    normals = vertex_normals(Surface(vertices, template.skin.faces[template.flesh_faces]))
+    lit = head.lit(vertices)
     colour = head.body(lit).colour.copy()
-    for name, vertices in template.regions.items():
-        colour[vertices] = linear(np.array(palette[name]))
-    face: Floats = template.skin.vertices[template.face_vertices]
+    for name, region in template.regions.items():
+        colour[region] = linear(np.array(palette[name]))
+    face: Floats = vertices[template.face_vertices]
     low, high = face.min(axis=0), face.max(axis=0)
     size = width, _ = options.width // len(YAWS), options.height
     for column, yaw in enumerate(YAWS):
         camera = Camera((low + high) / 2, span=1.3 * float(high[1] - low[1]), yaw=yaw)
         corner = (column * width, HEADER)
         page.panel(corner, render([DrawnBody(lit, colour, gloss=0.0)], camera, *size))
-        _mark(page, template, camera, corner, size, options)
+        places = camera.project(vertices[landmarks], *size)[:, :2].round().astype(int)
+        facing = normals[landmarks] @ camera.axes[2] > options.facing
+        for number in np.flatnonzero(facing).tolist():
+            x, y = (corner + places[number]).tolist()
+            page.draw.ellipse([x - dot, y - dot, x + dot, y + dot], fill=INK)
+            page.text((x + dot + 2, y), str(number + 1), 13, anchor="lm")
     page.save(path)
-
-
-def _mark(
-    page: Sheet,
-    template: Template,
-    camera: Camera,
-    corner: tuple[int, int],
-    size: tuple[int, int],
-    options: SkinSheetOptions,
-) -> None:
-    """Put a dot and the number of each landmark that faces the camera."""
-    vertices = np.array(list(template.landmarks.values()), np.int64)
-    flesh = Surface(template.skin.vertices, template.skin.faces[template.flesh_faces])
-    facing = vertex_normals(flesh)[vertices] @ camera.axes[2]
-    places = camera.project(template.skin.vertices[vertices], *size)[:, :2].round().astype(int)
-    for number in np.flatnonzero(facing > options.facing).tolist():
-        x, y = (corner + places[number]).tolist()
-        dot = options.dot
-        page.draw.ellipse([x - dot, y - dot, x + dot, y + dot], fill=INK)
-        page.text((x + dot + 2, y), str(number + 1), 13, anchor="lm")
 
 
 # A contact sheet of a sequence: some of its frames as seen, as fitted, and the error.
@@ -328,15 +312,12 @@ def _mark(
 
 @dataclass(frozen=True)
 class SequenceShot:
-    """A fitted frame: ``seen`` and ``skin`` (v, 3) on the scan topology, and ``error_mm`` (v,).
-
-    ``error_mm`` is NaN where nothing was seen; there ``seen`` is the fitted skin.
-    """
+    """A fitted frame on the scan topology."""
 
     frame: SequenceFrame
-    seen: Floats
-    skin: Floats
-    error_mm: Floats
+    seen: Floats  # (v, 3) mm; where nothing was seen, the fitted skin
+    skin: Floats  # (v, 3)
+    error_mm: Floats  # (v,), NaN where nothing was seen
 
 
 def sequence_picture(
@@ -349,7 +330,5 @@ def sequence_picture(
     for shot in shots:
         bodies = head.compare(shot.seen, shot.skin, shot.error_mm)
         caption = f"frame {shot.frame.frame}, mean {shot.frame.mean_mm:.2f} mm"
-        columns.append(
-            Column(caption, [render_bust([each], camera, layout.cell) for each in bodies])
-        )
+        columns.append(Column.of(caption, bodies, camera, layout))
     draw_sheet(path, title, detail, ("Seen", "Fit", "Error"), columns, layout)

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from solver.contact.crossing import Crossing
+from solver.errors import Verdict
 from solver.model import SubjectModel
 from solver.rig.certificate import (
     Certificate,
@@ -23,7 +22,7 @@ from solver.rig.certificate import (
     Muscles,
     measured_regions,
 )
-from solver.rig.checks import Judgement, Verdict, judge, overall, use
+from solver.rig.checks import Judgement, judge, overall, use
 from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import RoundTrip
 from solver.surface import Floats
@@ -74,11 +73,6 @@ def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
             "versions": {name: _version(name) for name in PACKAGES},
         },
     }
-
-
-def write_report(path: Path, figures: dict[str, Any]) -> None:
-    """Write :func:`report` as strict JSON (no NaN)."""
-    path.write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def weights_hash(S: sp.csr_array) -> str:

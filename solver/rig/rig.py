@@ -39,52 +39,28 @@ FILES_OF_0_1 = {
 class ExpressionFit:
     """One expression, fitted.
 
-    name, role
-        What the capture was called; ``train`` (its scan shaped S) or ``test`` (activations only).
-    activations
-        (m, 6) symmetric contraction of every muscle in the order xx, xy, xz, yy, yz, zz; a relaxed
-        muscle is (1, 0, 0, 1, 0, 1).
-    jaw
-        (5,) b of :class:`solver.model.JawFrame`, rad and mm.
-    skin, target
-        (v, 3) the whole scan topology in mm: as solved and as scanned.
-    error_mm
-        (v,) distance between them on the face's vertices, along the scan's normals if the fit was
-        to planes; NaN elsewhere and where the scan has no confidence.
-    inverted
-        Number of tets with det F <= 0.
-    iterations, seconds
-        How the solve went.
-    objective
-        Mean square of that distance over the face, mm^2.
-    x
-        (p, 3) tet vertices as solved, mm; None in rigs made before they were kept.
-    round_trip
-        What came back when the activations were simulated and fitted again; None if not tried.
-    solver, status
-        ``reduced`` or ``ipopt``, and how it ended: ``converged``, ``stopped`` (out of steps, or
-        stuck) or ``failed`` (the best of what there was); ``unknown`` in rigs made before it was
-        kept.
-    notices
-        What was odd about the scan or the solve.
+    ``error_mm`` is the distance between skin and target on the face's vertices, along the scan's
+    normals if the fit was to planes; NaN elsewhere and where the scan has no confidence.
+    ``status`` is how the solve ended: ``converged``, ``stopped`` (out of steps, or stuck),
+    ``failed`` (the best of what there was), or ``unknown`` in rigs made before it was kept.
     """
 
-    name: str
-    role: str
-    activations: Floats
-    jaw: Floats
-    skin: Floats
-    target: Floats
-    error_mm: Floats
-    inverted: int
+    name: str  # of the capture
+    role: str  # ``train`` (its scan shaped S) or ``test`` (activations only)
+    activations: Floats  # (m, 6) symmetric contractions, see ENTRIES; (1, 0, 0, 1, 0, 1) at rest
+    jaw: Floats  # (5,) b of solver.model.JawFrame, rad and mm
+    skin: Floats  # (v, 3) mm, the whole scan topology as solved
+    target: Floats  # (v, 3) mm, the same as scanned
+    error_mm: Floats  # (v,)
+    inverted: int  # number of tets with det F <= 0
     iterations: int
     seconds: float
-    objective: float
-    x: Floats | None = None
-    round_trip: RoundTrip | None = None
-    solver: str = "reduced"
+    objective: float  # mean square of that distance over the face, mm^2
+    x: Floats | None = None  # (p, 3) mm, tet vertices as solved; None in older rigs
+    round_trip: RoundTrip | None = None  # None if not tried
+    solver: str = "reduced"  # or ``ipopt``
     status: str = "converged"
-    notices: tuple[Finding, ...] = ()
+    notices: tuple[Finding, ...] = ()  # what was odd about the scan or the solve
 
     def measured_error(self, vertices: Ints) -> Floats:
         """Return the errors (k,) in mm of those ``vertices`` that the scan shows."""
@@ -94,26 +70,20 @@ class ExpressionFit:
 
 @dataclass(frozen=True)
 class Rig:
-    """Everything a fit hands over.
-
-    ``weights`` (n, m + 1) is the final S, ``seconds`` the time of each phase of the job,
-    ``notices`` what was odd about the model or the job as a whole, ``figures`` the rig's
-    :func:`~solver.rig.report.report`; None before it is made.
-    """
+    """Everything a fit hands over."""
 
     model: SubjectModel
-    weights: sp.csr_array
+    weights: sp.csr_array  # (n, m + 1), the final S
     expressions: tuple[ExpressionFit, ...]
-    seconds: dict[str, float] = field(default_factory=dict)
-    notices: tuple[Finding, ...] = ()
-    figures: dict[str, Any] | None = None
+    seconds: dict[str, float] = field(default_factory=dict)  # of each phase of the job
+    notices: tuple[Finding, ...] = ()  # what was odd about the model or the job as a whole
+    figures: dict[str, Any] | None = None  # of solver.rig.report; None before they are made
 
     def known_figures(self) -> dict[str, Any]:
         """Return the figures; raises :class:`InputError` (``export.figures``) if there are none."""
         if self.figures is None:
-            raise InputError(
-                "export.figures", "the rig has no figures: its report.json is not beside it"
-            )
+            message = "the rig has no figures: its report.json is not beside it"
+            raise InputError("export.figures", message)
         return self.figures
 
     def save(self, path: Path) -> None:
@@ -143,8 +113,7 @@ class Rig:
             folder / FILES_OF_0_1["rig"]: _expression_arrays(self.expressions, self.model),
         }
         for path, arrays in parts.items():
-            with path.open("wb") as stream:
-                np.savez_compressed(stream, allow_pickle=False, **arrays)
+            np.savez_compressed(path, allow_pickle=False, **arrays)
         return list(parts)
 
     @classmethod
@@ -244,14 +213,9 @@ def _expression_arrays(expressions: tuple[ExpressionFit, ...], model: SubjectMod
     def texts(values: Iterable[str]) -> np.ndarray:
         return np.array(list(values), dtype=np.str_)
 
-    x = np.full((len(expressions), *model.rest.shape), np.nan)
-    trips = np.full((len(expressions), len(fields(RoundTrip))), np.nan)
-    for k, fit in enumerate(expressions):
-        if fit.x is not None:
-            x[k] = fit.x
-        if fit.round_trip is not None:
-            trips[k] = astuple(fit.round_trip)
-
+    unknown = np.full(model.rest.shape, np.nan)
+    x = [unknown if fit.x is None else fit.x for fit in expressions]
+    trips = [astuple(fit.round_trip or RoundTrip()) for fit in expressions]
     return {
         "format": np.array(FORMAT),
         "muscles": texts(model.muscle_names),
@@ -266,8 +230,8 @@ def _expression_arrays(expressions: tuple[ExpressionFit, ...], model: SubjectMod
         "iterations": column("iterations", (), np.int64),
         "seconds": column("seconds", ()),
         "objective": column("objective", ()),
-        "x": x,
-        "round_trip": trips,
+        "x": np.reshape(x, (len(x), *unknown.shape)),
+        "round_trip": np.reshape(trips, (len(trips), len(fields(RoundTrip)))),
         "solver": texts(fit.solver for fit in expressions),
         "status": texts(fit.status for fit in expressions),
         "notices": texts(
@@ -279,47 +243,34 @@ def _expression_arrays(expressions: tuple[ExpressionFit, ...], model: SubjectMod
 
 def _expressions_from(data: Arrays, model: SubjectModel, path: Path) -> tuple[ExpressionFit, ...]:
     _check_format(path, data)
-    if (
-        tuple(data["muscles"].tolist()) != model.muscle_names
-        or data["skin"].shape[1:] != model.skin.vertices.shape
-    ):
+    is_same = data["skin"].shape[1:] == model.skin.vertices.shape
+    if not is_same or tuple(data["muscles"].tolist()) != model.muscle_names:
         raise _other_model(path)
-    return tuple(
-        ExpressionFit(
-            name=str(data["names"][k]),
-            role=str(data["roles"][k]),
-            activations=data["activations"][k],
-            jaw=data["jaw"][k],
-            skin=data["skin"][k].astype(np.float64),
-            target=data["target"][k].astype(np.float64),
-            error_mm=data["error_mm"][k].astype(np.float64),
-            inverted=int(data["inverted"][k]),
-            iterations=int(data["iterations"][k]),
-            seconds=float(data["seconds"][k]),
-            objective=float(data["objective"][k]),
-            x=_known(data, "x", k),
-            round_trip=None
-            if (trip := _known(data, "round_trip", k)) is None
-            else RoundTrip(*map(float, trip)),
-            **_solve(data, k),
-        )
-        for k in range(len(data["names"]))
-    )
+    return tuple(_expression_from(data, k) for k in range(len(data["names"])))
 
 
-def _known(data: dict[str, np.ndarray], array: str, k: int) -> Floats | None:
-    """Return a row of an array that older rigs do not have; None too where all of it is NaN."""
-    if array not in data or np.isnan(data[array][k]).all():
-        return None
-    return np.asarray(data[array][k], np.float64)
+def _expression_from(data: Arrays, k: int) -> ExpressionFit:
+    """Return an expression; older rigs do not have all arrays, and what is all NaN is not known."""
 
+    def known(name: str) -> Floats | None:
+        row = data[name][k] if name in data else np.array(np.nan)
+        return None if np.isnan(row).all() else row.astype(np.float64)
 
-def _solve(data: dict[str, np.ndarray], k: int) -> dict[str, Any]:
-    """Return solver, status and notices of an expression; older rigs do not have them."""
-    if "status" not in data:
-        return {"status": "unknown"}
-    notices = tuple(Finding.from_dict(each) for each in json.loads(str(data["notices"][k])))
-    return {"solver": str(data["solver"][k]), "status": str(data["status"][k]), "notices": notices}
+    trip = known("round_trip")
+    of_skin = ("activations", "jaw", "skin", "target", "error_mm")
+    of_solve = ("inverted", "iterations", "seconds", "objective")
+    values: dict[str, Any] = {
+        **{name: data[name][k].astype(np.float64) for name in of_skin},
+        **{name: data[name][k].item() for name in of_solve},
+        "x": known("x"),
+        "round_trip": None if trip is None else RoundTrip(*trip.tolist()),
+        "status": "unknown",
+    }
+    if "status" in data:
+        notices = json.loads(str(data["notices"][k]))
+        values |= {name: str(data[name][k]) for name in ("solver", "status")}
+        values["notices"] = tuple(Finding.from_dict(each) for each in notices)
+    return ExpressionFit(str(data["names"][k]), str(data["roles"][k]), **values)
 
 
 @contextmanager
@@ -329,32 +280,24 @@ def _reading(path: Path) -> Iterator[None]:
     except InputError:
         raise
     except (LookupError, TypeError, ValueError) as error:
-        raise InputError(
-            "rig.unreadable", f"{path.name} is not part of a rig: {error}", file=path.name
-        ) from error
+        message = f"{path.name} is not part of a rig: {error}"
+        raise InputError("rig.unreadable", message, file=path.name) from error
 
 
 def _check_format(path: Path, data: dict[str, np.ndarray]) -> None:
-    if int(data["format"]) != FORMAT:
-        raise InputError(
-            "rig.format",
-            f"{path.name} has rig format {int(data['format'])}, not {FORMAT}",
-            file=path.name,
-            expected=FORMAT,
-            found=int(data["format"]),
-        )
+    if (found := int(data["format"])) != FORMAT:
+        message = f"{path.name} has rig format {found}, not {FORMAT}"
+        raise InputError("rig.format", message, file=path.name, expected=FORMAT, found=found)
 
 
 def _other_model(path: Path) -> InputError:
-    return InputError(
-        "rig.model", f"{path.name} belongs to a rig of another subject model", file=path.name
-    )
+    message = f"{path.name} belongs to a rig of another subject model"
+    return InputError("rig.model", message, file=path.name)
 
 
 def _no_rig(path: Path) -> InputError:
-    return InputError(
-        "rig.unreadable",
+    message = (
         f"{path.name} is no rig: a rig is its {FILE}, or a folder with model.npz, "
-        "muscle_weights.npz and activations.npz",
-        file=path.name,
+        "muscle_weights.npz and activations.npz"
     )
+    return InputError("rig.unreadable", message, file=path.name)

@@ -36,18 +36,13 @@ class RoundTripOptions:
 
 @dataclass(frozen=True)
 class RoundTrip:
-    """Figures of what came back; NaN where a pose cannot be reached from rest or fitted again.
+    """Figures of what came back; NaN where a pose cannot be reached from rest or fitted again."""
 
-    ``skin_*_mm`` are distances between the fitted and the simulated skin over the face, ``refit_*``
-    between the simulated and the fitted-again one. ``activation_error`` is the difference of the
-    excited muscles' activations by their distance from rest, NaN too if none is excited.
-    """
-
-    skin_mean_mm: float = np.nan
+    skin_mean_mm: float = np.nan  # between the fitted and the simulated skin, over the face
     skin_max_mm: float = np.nan
-    refit_mean_mm: float = np.nan
+    refit_mean_mm: float = np.nan  # between the simulated and the fitted-again skin
     refit_max_mm: float = np.nan
-    activation_error: float = np.nan
+    activation_error: float = np.nan  # of the function below; NaN too if no muscle is excited
 
     @property
     def is_reached(self) -> bool:
@@ -58,10 +53,7 @@ class RoundTrip:
 def round_trip(
     face: Face, pose: Pose, fitted_face: Floats, options: RoundTripOptions = RoundTripOptions()
 ) -> RoundTrip:
-    """Simulate ``pose`` from rest and fit it again to the simulated skin.
-
-    ``fitted_face`` (k, 3) is the fitted skin of the face, in mm.
-    """
+    """Simulate ``pose`` from rest, and fit it again; ``fitted_face`` (k, 3) is its skin in mm."""
     try:
         simulated = face.continuation(face.rest, pose)
     except SolveError:

@@ -86,8 +86,7 @@ def normal_shapes(
 
     They are the least squares over frames of the animation: normals are not linear in the motion.
     """
-    chosen = _samples(len(skins), options)
-    at_rest = vertex_normals(neutral)[basis.moving]
+    chosen, at_rest = _samples(len(skins), options), vertex_normals(neutral)[basis.moving]
     weights = basis.weights[chosen]
     right = np.zeros((weights.shape[1], at_rest.size))
     for row, frame in zip(weights, chosen, strict=True):
@@ -136,7 +135,6 @@ def _directions(samples: Singles, options: BasisOptions) -> tuple[Singles, Singl
 
 
 def _samples(frames: int, options: BasisOptions) -> Ints:
-    """Return the numbers of the frames that stand for all."""
     return np.unique(np.linspace(0, frames - 1, options.most_samples).round().astype(int))
 
 
@@ -168,8 +166,7 @@ class GrowingBasis:
     """Orthonormal ``shapes`` (s, 3 v) of skins that come one by one, and their weights."""
 
     def __init__(self, neutral: Surface, options: BasisOptions) -> None:
-        self._neutral = neutral.vertices
-        self._options = options
+        self._neutral, self._options = neutral.vertices, options
         self._weights: list[Floats] = []
         self.shapes: Singles = np.zeros((0, neutral.vertices.size), np.float32)
 
@@ -210,14 +207,12 @@ class ReductionOptions:
 class ReducedSkin:
     """The skin's motion from the neutral as a function of slider values c (k,).
 
-    It is sum_r q_r basis_r with q = linear c + quadratic (c_i c_j), pairs i <= j in row-major
-    order: ``basis`` (r, n, 3) in half precision, ``linear`` (r, k), ``quadratic``
-    (r, k (k + 1) / 2) in single.
+    It is sum_r q_r basis_r with q = linear c + quadratic (c_i c_j), pairs i <= j by rows.
     """
 
-    basis: np.ndarray
-    linear: np.ndarray
-    quadratic: np.ndarray
+    basis: np.ndarray  # (r, n, 3) in half precision
+    linear: np.ndarray  # (r, k) in single
+    quadratic: np.ndarray  # (r, k (k + 1) / 2)
 
     def motion(self, values: Floats) -> Floats:
         """Return the skin's motion (n, 3) in mm."""
@@ -271,12 +266,11 @@ def features(values: Floats, pairs: tuple[Ints, Ints]) -> Floats:
 def feature_slopes(values: Floats, pairs: tuple[Ints, Ints]) -> sp.csr_array:
     """Return the features' derivatives by each of the values (k,), shape (k, f)."""
     first, second = pairs
-    count = len(values)
-    columns = count + np.arange(len(first))
+    shape = count, size = len(values), len(values) + len(first)
+    columns = np.arange(count, size)
     rows = np.concatenate([np.arange(count), first, second])
     places = np.concatenate([np.arange(count), columns, columns])
     data = np.concatenate([np.ones(count), values[second], values[first]])
-    shape = (count, count + len(first))
     return sp.csr_array((data, (rows, places)), shape=shape)
 
 

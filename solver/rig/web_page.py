@@ -56,7 +56,6 @@ def write_page(path: Path, figures: dict[str, Any]) -> None:
 
 
 def _words(figures: dict[str, Any]) -> dict[str, str]:
-    """Return the page's words that are no markup."""
     made, checks = figures["made_with"], figures["checks"]
     template = made["template"]
     ranges = ", ".join(
@@ -84,17 +83,12 @@ def _words(figures: dict[str, Any]) -> dict[str, str]:
 
 
 def _markup(figures: dict[str, Any], anchors: dict[str, str], folder: Path) -> dict[str, str]:
-    """Return the page's parts."""
     expressions = figures["expressions"]
     articles = [
         _article(anchors[name], name, found, folder / f"fit_{name}.png")
         for name, found in expressions.items()
     ]
-    files = {
-        _element("a", name, href=name): words
-        for name, words in FILES.items()
-        if (folder / name).exists()
-    }
+    there = {name: words for name, words in FILES.items() if (folder / name).exists()}
     return {
         "tag": _tag(figures["verdict"]),
         "groups": _groups(figures["checks"]),
@@ -105,7 +99,7 @@ def _markup(figures: dict[str, Any], anchors: dict[str, str], folder: Path) -> d
         "articles": "\n".join(articles),
         "muscle_columns": "".join(_element("th", escape(each), scope="col") for each in anchors),
         "muscles": _muscles(expressions),
-        "files": _definitions(files),
+        "files": _definitions({_element("a", name, href=name): there[name] for name in there}),
     }
 
 
@@ -138,7 +132,6 @@ def _fold(summary: str, content: str) -> str:
 
 
 def _tag(verdict: str) -> str:
-    """Return a verdict as a sign and a word."""
     sign = (
         '<svg viewBox="0 0 16 16" fill="none" stroke="currentColor" stroke-width="1.6" '
         f'aria-hidden="true">{SHAPES[verdict]}</svg>'
@@ -154,7 +147,6 @@ def _link(name: str, anchors: dict[str, str]) -> str:
 
 
 def _groups(checks: list[dict[str, Any]]) -> str:
-    """Return the verdict of every group of checks."""
     groups: dict[str, list[Any]] = {}
     for check in checks:
         groups.setdefault(check["group"], []).append(check["verdict"])
@@ -187,9 +179,8 @@ def _todo(figures: dict[str, Any], anchors: dict[str, str]) -> str:
     failed = [check for check in figures["checks"] if check["verdict"] != "good"]
     failed.sort(key=lambda check: check["verdict"] != "bad")
     told = [(check["verdict"], _advice(check, anchors)) for check in failed]
-    told += [
-        ("usable", _element("p", escape(warning["message"]))) for warning in figures["warnings"]
-    ]
+    warnings = [_element("p", escape(warning["message"])) for warning in figures["warnings"]]
+    told += [("usable", words) for words in warnings]
     if not told:
         return _element("p", "Nothing. Use the rig.")
     lines = [_element("li", _tag(verdict), _element("div", words)) for verdict, words in told]
@@ -241,7 +232,6 @@ def _limit(check: dict[str, Any], name: str) -> str:
 
 
 def _rows(expressions: dict[str, Any], anchors: dict[str, str]) -> str:
-    """Return the table of all expressions."""
     widest = max((found["mean_mm"] for found in expressions.values()), default=0.0) or 1.0
     lines = []
     for name, found in expressions.items():
@@ -325,25 +315,17 @@ def _regions(regions: dict[str, Any]) -> str:
     if not regions:
         return ""
     heads = ("Region", "Mean mm", "95 % mm", "Max mm", "Seen")
-    ordered = sorted(regions.items(), key=lambda item: -item[1]["mean_mm"])
-    rows = [
-        _row(
-            escape(name.replace("_", " ")),
-            *(("", words) for words in (*millimetres(seen), f"{100 * seen['coverage']:.0f} %")),
-        )
-        for name, seen in ordered
-    ]
+    rows = []
+    for name, seen in sorted(regions.items(), key=lambda item: -item[1]["mean_mm"]):
+        cells = (*millimetres(seen), f"{100 * seen['coverage']:.0f} %")
+        rows.append(_row(escape(name.replace("_", " ")), *(("", words) for words in cells)))
     columns = [_element("th", words, scope="col") for words in heads]
     head = _element("thead", _element("tr", *columns))
     return _fold("Regions", _element("table", head, _element("tbody", *rows)))
 
 
 def _faults(muscles: dict[str, Any]) -> str:
-    lines = [
-        _element("li", escape(f"{name} {', '.join(muscle['faults'])}"))
-        for name, muscle in muscles.items()
-        if muscle["faults"]
-    ]
-    if not lines:
-        return ""
-    return _fold(f"{len(lines)} muscles beyond what muscles can do", _element("ul", *lines))
+    faults = {name: muscle["faults"] for name, muscle in muscles.items() if muscle["faults"]}
+    lines = [_element("li", escape(f"{name} {', '.join(each)}")) for name, each in faults.items()]
+    summary = f"{len(lines)} muscles beyond what muscles can do"
+    return _fold(summary, _element("ul", *lines)) if lines else ""

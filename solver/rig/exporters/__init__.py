@@ -18,28 +18,19 @@ from solver.errors import InputError
 from solver.kinds.export_rig import FORMATS
 from solver.rig.certificate import Certificate
 from solver.rig.pictures import fit_picture
-from solver.rig.report import report, write_report
+from solver.rig.report import report
 from solver.rig.rig import Rig
 from solver.rig.web_page import write_page
+from solver.storage import write_json
 
 
 class Exporter(Protocol):
-    """Contents of an exporter's module.
+    """Contents of an exporter's module."""
 
-    FILE
-        Name of its file beside a rig.
-    MEDIA_TYPE
-        Of that file.
-    WITH_EVERY_RIG
-        Whether each fit writes it, so that it is one of the rig's artifacts.
-    Options
-        A frozen dataclass of JSON values, all with defaults.
-    """
-
-    FILE: str
+    FILE: str  # name of its file beside a rig
     MEDIA_TYPE: str
-    WITH_EVERY_RIG: bool
-    Options: type[Any]
+    WITH_EVERY_RIG: bool  # whether each fit writes it, so that it is one of the rig's artifacts
+    Options: type[Any]  # a frozen dataclass of JSON values, all with defaults
 
     def write(self, rig: Rig, path: Path, options: Any) -> None:
         """Write the rig as ``path``; raises :class:`InputError` where it cannot."""
@@ -56,12 +47,8 @@ NO_OPTIONS = NoOptions()
 def exporter(name: str) -> Exporter:
     """Return an exporter; raises :class:`InputError` (``export.unknown``, ``export.extra``)."""
     if name not in FORMATS:
-        raise InputError(
-            "export.unknown",
-            f"there is no exporter {name!r}; there are {', '.join(FORMATS)}",
-            found=name,
-            expected=list(FORMATS),
-        )
+        message = f"there is no exporter {name!r}; there are {', '.join(FORMATS)}"
+        raise InputError("export.unknown", message, found=name, expected=list(FORMATS))
     try:
         return cast(Exporter, import_module(f"{__name__}.{name}"))
     except ModuleNotFoundError as error:
@@ -107,17 +94,16 @@ def write_all(rig: Rig, folder: Path) -> list[Path]:
 def write_rig(rig: Rig, certificate: Certificate, out: Path) -> list[Path]:
     """Write the rig into the folder ``out`` and return the paths of its files.
 
-    These are those of all exporters that belong to every rig (``rig.npz``, ``rig.glb`` ...), the
-    parts ``activations.npz`` and ``muscle_weights.npz`` for programs that read those of 0.1,
-    ``report.json``, ``report.html`` and ``fit_<expression>.png``.
+    These are those of all exporters that belong to every rig (``rig.npz``, ``rig.glb`` ...), its
+    parts for programs that read 0.1, its report, and a picture of each expression.
     """
     out.mkdir(parents=True, exist_ok=True)
     figures = report(rig, certificate)
     figures_file, page = out / "report.json", out / "report.html"
-    write_report(figures_file, figures)
+    write_json(figures_file, figures)
     exported = [*write_all(replace(rig, figures=figures), out), *rig.save_as_0_1(out)]
-    pictures = {fit.name: out / f"fit_{fit.name}.png" for fit in rig.expressions}
-    for fit in rig.expressions:
-        fit_picture(rig.model, fit, pictures[fit.name])
+    pictures = [out / f"fit_{fit.name}.png" for fit in rig.expressions]
+    for fit, picture in zip(rig.expressions, pictures, strict=True):
+        fit_picture(rig.model, fit, picture)
     write_page(page, figures)
-    return [*exported, figures_file, page, *pictures.values()]
+    return [*exported, figures_file, page, *pictures]

@@ -20,6 +20,7 @@ from solver.rig.container import write_container
 from solver.rig.exporters import NO_OPTIONS
 from solver.rig.exporters import NoOptions as Options
 from solver.rig.rig import Rig
+from solver.storage import Arrays
 from solver.surface import Floats, Ints, Surface
 
 FILE = "inside.bin"
@@ -51,7 +52,6 @@ def bind(points: Floats, vertices: Floats, tets: Ints) -> tuple[Ints, Floats]:
 
 NO_MUSCLE = 255  # the number for none, in a byte
 NO_SURFACE = Surface(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
-Arrays = dict[str, np.ndarray]
 
 
 def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
@@ -68,7 +68,7 @@ def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
         ],
         "muscles": list(model.muscle_names),
     }
-    arrays: Arrays = {
+    arrays = {
         "rest": model.rest.astype(np.float32),
         "tets": model.tets.astype(np.uint32),
         "main_muscle": _main_muscles(rig.weights),

@@ -1,8 +1,6 @@
 """A rig as USD: a skeleton of head and jaw, and a blend shape for every expression.
 
-Needs the extra ``usd``.
-
-Lengths are mm (``metersPerUnit`` 0.001), y up. ``/Face`` is a SkelRoot with
+Needs the extra ``usd``. Lengths are mm (``metersPerUnit`` 0.001), y up. ``/Face`` is a SkelRoot:
 
 - ``Skin``: the skin with its parts as subsets with materials, a BlendShape for each expression, and
   the greatest distance to the scans as the primvar ``error_mm``;
@@ -51,12 +49,8 @@ def write(rig: Rig, path: Path, options: Options = DEFAULTS) -> None:
     Raises :class:`InputError` (``usd.format``) for another ending.
     """
     if path.suffix not in FORMATS:
-        raise InputError(
-            "usd.format",
-            f"{path.name} does not end in {', '.join(FORMATS)}",
-            file=path.name,
-            expected=FORMATS,
-        )
+        message = f"{path.name} does not end in {', '.join(FORMATS)}"
+        raise InputError("usd.format", message, file=path.name, expected=FORMATS)
     model, expressions = rig.model, rig.expressions
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
@@ -98,9 +92,8 @@ def _skin(
     normals = vertex_normals(skin)
     mesh.CreateNormalsAttr(_vectors(normals))
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
-    error = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
-        "error_mm", Sdf.ValueTypeNames.FloatArray, UsdGeom.Tokens.vertex
-    )
+    kind, primvars = Sdf.ValueTypeNames.FloatArray, UsdGeom.PrimvarsAPI(mesh)
+    error = primvars.CreatePrimvar("error_mm", kind, UsdGeom.Tokens.vertex)
     worst = worst_error(expressions, len(skin.vertices))
     error.Set(Vt.FloatArray.FromNumpy(worst.astype(np.float32)))
     _materials(stage, mesh, skin)

@@ -39,23 +39,6 @@ from solver.rig.skin_basis import (
 )
 from solver.surface import Floats, Ints
 
-# Distance between the reduced skin and the simulated one, on poses it was not made from.
-
-
-@dataclass(frozen=True)
-class Distances:
-    """Distances in mm over ``poses``; ``moved`` is the simulated skin's from the neutral."""
-
-    moved: float
-    mean: float
-    p95: float
-    max: float
-    poses: int
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the figures as JSON values, with four decimals."""
-        return {name: round(value, 4) for name, value in asdict(self).items()}
-
 
 class PreviewError:
     """Distances ``off`` (s, k), mm, of ``samples`` on the ``face`` (k,) of ``neutral`` (n, 3)."""
@@ -72,13 +55,16 @@ class PreviewError:
             self.off[row] = np.linalg.norm(away, axis=1)
             self._moved[row] = np.linalg.norm(motion, axis=1)
 
-    @property
-    def overall(self) -> Distances:
-        """Return the distances of all samples, of which there has to be one."""
+    def overall(self) -> dict[str, float]:
+        """Return the figures of all samples, of which there has to be one.
+
+        They are distances in mm, ``moved`` the simulated skin's from the neutral, and the number of
+        ``poses``.
+        """
         return self._over(np.arange(len(self.samples)))
 
-    def of_sorts(self) -> dict[str, Distances]:
-        """Return the distances of every sort of pose."""
+    def of_sorts(self) -> dict[str, dict[str, float]]:
+        """Return the same figures of every sort of pose."""
         sorts = np.array([sample.slid.sort for sample in self.samples])
         names = dict.fromkeys(sorts.tolist())
         return {sort: self._over(np.flatnonzero(sorts == sort)) for sort in names}
@@ -88,11 +74,12 @@ class PreviewError:
         rows = [row for row, sample in enumerate(self.samples) if sample.slid.about == name]
         return round(float(self.off[rows].mean()), 4) if rows else None
 
-    def _over(self, rows: Ints) -> Distances:
-        off = self.off[rows]
-        figures = (self._moved[rows].mean(), off.mean(), np.percentile(off, 95), off.max())
-        moved, mean, p95, most = map(float, figures)
-        return Distances(moved, mean, p95, most, len(rows))
+    def _over(self, rows: Ints) -> dict[str, float]:
+        off, moved = self.off[rows], self._moved[rows].mean()
+        figures = {"moved": moved, "mean": off.mean(), "p95": np.percentile(off, 95)}
+        figures["max"] = off.max()
+        rounded = {name: round(float(value), 4) for name, value in figures.items()}
+        return {**rounded, "poses": len(rows)}
 
 
 # called with what is being done and how much of all is ready, in [0, 1]
@@ -113,30 +100,24 @@ class PreviewOptions:
 
 @dataclass(frozen=True)
 class Preview:
-    """The sliders of a rig, as ``preview.bin`` holds them.
-
-    ``unseen`` tells the error on poses that ``skin`` was not made from, ``fitted`` that at the
-    fitted expressions. ``learned`` of the ``planned`` poses to learn from were simulated; the
-    others, and ``dropped`` of those to measure with, are out of reach or out of time.
-    """
+    """The sliders of a rig, as ``preview.bin`` holds them."""
 
     controls: Sliders
     skin: ReducedSkin
-    unseen: PreviewError
-    fitted: PreviewError
-    planned: int
-    learned: int
-    dropped: int
+    unseen: PreviewError  # on poses that ``skin`` was not made from
+    fitted: PreviewError  # at the fitted expressions
+    planned: int  # number of poses to learn from
+    learned: int  # of these, those that could be simulated in time
+    dropped: int  # number of poses to measure with that could not
 
     def figures(self) -> dict[str, Any]:
         """Return what is told of it, as JSON values; lengths in mm."""
-        overall, by_sort = self.unseen.overall, self.unseen.of_sorts()
         return {
             "controls": len(self.controls),
             "modes": len(self.skin.basis),
             "poses": {"planned": self.planned, "learned": self.learned, "dropped": self.dropped},
-            "error_mm": overall.as_dict(),
-            "error_by_sort_mm": {sort: each.as_dict() for sort, each in by_sort.items()},
+            "error_mm": self.unseen.overall(),
+            "error_by_sort_mm": self.unseen.of_sorts(),
             "presets_mm": {name: self.fitted.mean_about(name) for name in self.controls.presets},
         }
 
@@ -225,11 +206,8 @@ def _learn(
     return reduce_skin(modes, quadratic_map(values, amounts, slopes, options.reduction))
 
 
-# ``preview.bin``: what a page evaluates when a slider moves (docs/guide/preview.md).
-
-
 def write_preview(path: Path, preview: Preview) -> None:
-    """Write sliders, reduced skin and error; a mean that was not measured is null."""
+    """Write ``preview.bin`` (docs/guide/preview.md); a mean that was not measured is null."""
     skin, controls, figures = preview.skin, preview.controls, preview.figures()
     header = {
         "controls": [asdict(control) for control in controls.each],
@@ -251,9 +229,6 @@ def write_preview(path: Path, preview: Preview) -> None:
     write_container(path, header, arrays)
 
 
-# Simulated and previewed skin of poses that the preview was not made from, side by side.
-
-
 LEGEND = (
     "colour of the bottom row: distance between the two skins above it, mm",
     "grey: no part of the face, not compared",
@@ -262,14 +237,13 @@ LEGEND = (
 )
 
 
-def preview_picture(model: SubjectModel, preview: Preview, path: Path, poses: int = 4) -> None:
-    """Draw some unseen ``poses``, from the middle one by their error to the worst."""
+def preview_picture(model: SubjectModel, preview: Preview, path: Path) -> None:
+    """Draw four unseen poses, from the middle one by their error to the worst."""
     unseen, neutral = preview.unseen, model.skin.vertices
-    overall = unseen.overall
     # the controls alone say nothing that mixed poses do not
     mixed = [row for row, sample in enumerate(unseen.samples) if sample.slid.sort != "alone"]
     order = sorted(mixed, key=lambda row: float(unseen.off[row].mean()))
-    places = np.linspace(0.5, 1.0, poses if order else 0) * (len(order) - 1)
+    places = np.linspace(0.5, 1.0, 4 if order else 0) * (len(order) - 1)
     chosen = dict.fromkeys(order[round(place)] for place in places)
     head = DrawnHead(model.skin)
     camera = face_camera(neutral, model.face, 0.0)
@@ -284,8 +258,7 @@ def preview_picture(model: SubjectModel, preview: Preview, path: Path, poses: in
         words = f"{sample.slid.sort}, mean {unseen.off[number].mean():.2f} mm"
         columns.append(Column.of(words, bodies, camera, layout))
     detail = (
-        f"{overall.poses} poses    mean {overall.mean:.2f} mm    "
-        f"95 % below {overall.p95:.2f} mm    greatest {overall.max:.2f} mm"
-    )
+        "{poses} poses    mean {mean:.2f} mm    95 % below {p95:.2f} mm    greatest {max:.2f} mm"
+    ).format(**unseen.overall())
     rows = ("Simulated", "Sliders", "Error, mm")
     draw_sheet(path, "Sliders on poses they were not made from", detail, rows, columns, layout)

@@ -107,16 +107,12 @@ class Control:
 
 @dataclass(frozen=True)
 class Sliders:
-    """The k sliders.
-
-    ``directions`` (6 m + 5, k) is the change of (a, b) from ``rest`` that each makes at 1,
-    ``presets`` the values (k,) of every fitted expression.
-    """
+    """The k sliders."""
 
     each: tuple[Control, ...]
     rest: Pose
-    directions: Floats
-    presets: dict[str, Floats]
+    directions: Floats  # (6 m + 5, k) change of (a, b) from ``rest`` that each makes at 1
+    presets: dict[str, Floats]  # values (k,) of every fitted expression
 
     def __len__(self) -> int:
         """Return k."""
@@ -326,17 +322,13 @@ class SliderSolver:
     def __init__(
         self, face: Face, controls: Sliders, rest: PosedFace, fitted: Mapping[str, Floats]
     ) -> None:
-        self._face = face
-        self._controls = controls
+        self._face, self._controls = face, controls
         self._last, self._last_values = rest, np.zeros(len(controls))
         self._known = [(self._last_values, rest.x)]
         self._known += [(controls.presets[name], x) for name, x in fitted.items()]
 
     def solve(self, poses: Sequence[Slid], deadline: float, listen: Listener) -> list[Sample]:
-        """Return the samples of ``poses``, but of those that are out of reach.
-
-        Those that are not begun at the ``deadline`` (of :func:`time.monotonic`) are left out too.
-        """
+        """Return the samples of ``poses`` within reach, begun by ``deadline`` (monotonic time)."""
         samples = []
         for number, slid in enumerate(poses):
             if time.monotonic() > deadline:
@@ -384,13 +376,12 @@ class Responses:
 
     def at(self, sample: Sample) -> Floats | None:
         """Return the derivatives (r, k) at a sample; None where the flesh is about to buckle."""
-        face, controls, model = self._face, self._controls, self._face.model
-        state = state_at(face, controls, sample.slid.values, sample.x)
+        face, model, directions = self._face, self._face.model, self._controls.directions
+        state = state_at(face, self._controls, sample.slid.values, sample.x)
         if not state.equilibrium.minimum:
             return None
-        by_jaw, b = controls.directions[face.layout["jaw"]], state.pose.b
-        by_x = Sensitivity(face, state).motions_along(controls.directions)
+        by_x = Sensitivity(face, state).motions_along(directions)
         out = self._of_x @ by_x.reshape(self._of_x.shape[1], -1)
         points = model.skin.vertices[model.attached_mandible]
-        attached = jaw_jacobian(model.jaw, points, b).reshape(-1, JAW_FREEDOM)
-        return np.asarray(out + self._of_mandible @ (attached @ by_jaw))
+        attached = jaw_jacobian(model.jaw, points, state.pose.b).reshape(-1, JAW_FREEDOM)
+        return np.asarray(out + self._of_mandible @ (attached @ directions[face.layout["jaw"]]))

@@ -17,7 +17,7 @@ from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.rig import animation
 from solver.rig.animation import write_animation
-from solver.rig.frames import MotionFrame
+from solver.rig.frames import MotionRecord
 from solver.scene.objects import SceneObject
 from solver.storage import read_arrays
 from solver.surface import Floats, Surface
@@ -34,9 +34,9 @@ def head_model() -> SubjectModel:
     return replace(block_model(), skin=skin, face=front)
 
 
-def frame(number: int) -> MotionFrame:
+def frame(number: int) -> MotionRecord:
     turn = np.array([0.0, 0.05 * number, 0.0, 0.0, 2.0 * number, 0.0])
-    return MotionFrame(
+    return MotionRecord(
         frame=number,
         time=2.0 + number / FPS,
         activations=np.full((2, 6), float(number)),

@@ -10,7 +10,7 @@ from solver.rig.frames import (
     ChunkOptions,
     ChunkWriter,
     FrameRecord,
-    MotionFrame,
+    MotionRecord,
     read_chunks,
     read_frames,
     read_motion,
@@ -40,7 +40,7 @@ def test_sequences_of_the_release_before_are_read():
 def test_simulations_of_the_release_before_are_read():
     rest = np.arange(12.0).reshape(4, 3)
     frames, motion = read_motion(BEFORE / "motion", "the scene", rest)
-    assert [type(frame) for frame in frames] == [MotionFrame, MotionFrame]
+    assert [type(frame) for frame in frames] == [MotionRecord, MotionRecord]
     assert (frames[1].time, frames[1].behind_teeth) == (0.04, 1)
     np.testing.assert_array_equal(frames[1].moved, np.full((4, 3), 0.5))
     np.testing.assert_array_equal(motion.x, rest + 1.0)

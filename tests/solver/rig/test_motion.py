@@ -7,7 +7,7 @@ import pytest
 
 from solver.errors import InputError
 from solver.mechanics.flesh import IDENTITY
-from solver.rig.frames import MotionFrame, motion_values, read_motion, write_chunk
+from solver.rig.frames import MotionRecord, motion_values, read_motion, write_chunk
 from solver.simulation.forces import Motion
 from tests.solver.block import block_model
 
@@ -20,7 +20,7 @@ def rest():
 def frames(rest, count, start=0):
     rng = np.random.default_rng(start)
     return [
-        MotionFrame(
+        MotionRecord(
             frame=number,
             time=number / 30,
             activations=np.tile(IDENTITY, (2, 1)),

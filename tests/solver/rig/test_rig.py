@@ -20,9 +20,10 @@ from solver.rig.certificate import Certificate, certify
 from solver.rig.exporters import csv as csv_exporter
 from solver.rig.exporters import glb, write_rig
 from solver.rig.gltf_check import validate_glb
-from solver.rig.report import report, write_report
+from solver.rig.report import report
 from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import RoundTrip
+from solver.storage import write_json
 from solver.surface import Surface
 from tests.fixtures import ict_capture, small_capture, small_model
 
@@ -102,7 +103,7 @@ def test_report_means_are_over_the_face_and_strict_json(
     rig: Rig, certificate: Certificate, tmp_path: Path
 ) -> None:
     path = tmp_path / "report.json"
-    write_report(path, report(rig, certificate))
+    write_json(path, report(rig, certificate))
     figures = json.loads(path.read_text(), parse_constant=pytest.fail)
     moved = small_capture("smile").vertices - small_capture("neutral").vertices
     expected = (1 - SHARE) * np.linalg.norm(moved[rig.model.face], axis=1).mean()

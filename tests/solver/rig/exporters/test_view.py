@@ -13,12 +13,13 @@ import pytest
 from solver.fitting.face import Face, Pose
 from solver.mechanics.boundary import move_jaw
 from solver.rig.certificate import certify
-from solver.rig.container import Container, read_container
+from solver.rig.container import read_container
 from solver.rig.exporters import inside as inside_exporter
 from solver.rig.exporters import view as view_exporter
 from solver.rig.exporters.inside import NO_MUSCLE, bind
 from solver.rig.report import report
 from solver.rig.rig import ExpressionFit, Rig
+from solver.storage import Archive
 from solver.surface import Surface
 from tests.fixtures import fixture_model
 from tests.solver.block import block_model, grid
@@ -54,7 +55,7 @@ def rig() -> Rig:
 
 
 @pytest.fixture(scope="module")
-def view(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Container:
+def view(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Archive:
     path = tmp_path_factory.mktemp("view") / "view.bin"
     figures = report(rig, certify(Face(rig.model), rig, {}))
     view_exporter.write(replace(rig, figures=figures), path)
@@ -62,13 +63,13 @@ def view(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Container:
 
 
 @pytest.fixture(scope="module")
-def inside(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Container:
+def inside(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Archive:
     path = tmp_path_factory.mktemp("inside") / "inside.bin"
     inside_exporter.write(rig, path)
     return read_container(path)
 
 
-def test_the_view_shows_the_fit_the_scan_and_the_distance(rig: Rig, view: Container) -> None:
+def test_the_view_shows_the_fit_the_scan_and_the_distance(rig: Rig, view: Archive) -> None:
     fit = rig.expressions[0]
     arrays = view.arrays
     skin = arrays["neutral"] + arrays["skin/0"].astype(np.float32)
@@ -85,7 +86,7 @@ def test_the_view_shows_the_fit_the_scan_and_the_distance(rig: Rig, view: Contai
     assert arrays["activation"].shape == (2, 2)
 
 
-def test_the_flesh_moves_as_it_was_solved(rig: Rig, inside: Container) -> None:
+def test_the_flesh_moves_as_it_was_solved(rig: Rig, inside: Archive) -> None:
     arrays = inside.arrays
     at = arrays["rest"] + arrays["at/0"].astype(np.float32)
     np.testing.assert_allclose(at, rig.expressions[0].x, atol=0.004)
@@ -97,7 +98,7 @@ def test_the_flesh_moves_as_it_was_solved(rig: Rig, inside: Container) -> None:
     assert centre[main == 0].max() < centre[main == 1].min()
 
 
-def test_bones_move_with_the_jaw_or_stay(rig: Rig, inside: Container) -> None:
+def test_bones_move_with_the_jaw_or_stay(rig: Rig, inside: Archive) -> None:
     assert inside.header["bones"] == [
         {"name": "cranium", "moves_with": "skull"},
         {"name": "mandible", "moves_with": "jaw"},
@@ -108,7 +109,7 @@ def test_bones_move_with_the_jaw_or_stay(rig: Rig, inside: Container) -> None:
     np.testing.assert_allclose(moved, move_jaw(rig.model.jaw, points, JAW), atol=1e-4)
 
 
-def test_muscles_hang_in_the_flesh(rig: Rig, inside: Container) -> None:
+def test_muscles_hang_in_the_flesh(rig: Rig, inside: Archive) -> None:
     arrays = inside.arrays
     assert arrays["muscle/0/vertices"].shape == (0, 3)  # this muscle has no surface
     vertices = rig.model.muscles["right"].vertices
