@@ -14,11 +14,11 @@ import trimesh
 from scipy import ndimage
 from scipy.optimize import least_squares
 
-from solver.anatomy.embedding import at_nearest, inside
+from solver.anatomy.embedding import at_nearest
 from solver.mechanics.boundary import JAW_FREEDOM, jaw_jacobian, move_jaw
 from solver.model import JawFrame
 from solver.similarity import fit_similarity
-from solver.surface import Floats, Ints, Surface, vertex_normals
+from solver.surface import Floats, Ints, Surface, inside, unit_rows, vertex_normals
 
 Volume = np.ndarray
 
@@ -150,8 +150,7 @@ def bone_normals(bone: Surface, points: Floats) -> Floats:
 
     Normals of vertices are blended over a triangle, so that neighbours slide alike.
     """
-    normals = at_nearest(points, bone, vertex_normals(bone))
-    return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
+    return unit_rows(at_nearest(points, bone, vertex_normals(bone)))
 
 
 # The frame of the mandible's five degrees of freedom, and how well it follows a known motion.

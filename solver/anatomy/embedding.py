@@ -34,11 +34,6 @@ def at_nearest(points: Floats, surface: Surface, values: Floats) -> Floats:
     return np.asarray(np.einsum("nk,nkd->nd", shares, values[surface.faces[face]]))
 
 
-def inside(surface: Surface, points: Floats) -> np.ndarray:
-    """Return (n,) True where a surface winds around a point."""
-    return np.asarray(igl.fast_winding_number(surface.vertices, surface.faces, points)) > 0.5
-
-
 def extend(
     matrix: sp.csc_array, values: Floats, given: np.ndarray, load: Floats, order: str = "COLAMD"
 ) -> Floats:

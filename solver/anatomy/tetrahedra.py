@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from solver.errors import SolveError
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Floats, Ints, Surface, unit_rows
 
 ML = 1e-3  # millilitres in a cubic millimetre
 
@@ -128,8 +128,7 @@ def dihedral_angles(vertices: Floats, tets: Ints) -> Floats:
     normals = []
     for face in ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)):
         a, b, c = (corners[:, k] for k in face)
-        normal = np.cross(b - a, c - a)
-        normals.append(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+        normals.append(unit_rows(np.cross(b - a, c - a)))
     cosines = [np.sum(normals[i] * normals[j], axis=1) for i in range(4) for j in range(i)]
     return np.asarray(180.0 - np.degrees(np.arccos(np.clip(np.stack(cosines, axis=1), -1, 1))))
 

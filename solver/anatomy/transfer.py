@@ -9,7 +9,6 @@ import igl
 import numpy as np
 import scipy.sparse as sp
 
-from solver.anatomy.domain import boundary
 from solver.anatomy.embedding import at_nearest
 from solver.anatomy.relaxation import Guides, relax
 from solver.anatomy.template import Muscle, Template, TemplateMesh
@@ -126,7 +125,8 @@ def flesh_motion(
     vertices are interpolated in the tetrahedron around a point, or at the nearest point of the
     mesh's boundary. So muscles stay where S has them.
     """
-    outside, corrections = Surface(vertices, boundary(tets)), moved - warp(vertices)
+    outside = Surface(vertices, igl.boundary_facets(tets)[0])
+    corrections = moved - warp(vertices)
     tree = igl.AABB()
     tree.init(vertices, tets)
 

@@ -15,8 +15,7 @@ from scipy.linalg import solve
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
-from solver.anatomy.embedding import inside
-from solver.surface import Floats, Ints, Surface, directed_edges
+from solver.surface import Floats, Ints, Surface, directed_edges, inside
 
 
 @dataclass(frozen=True)

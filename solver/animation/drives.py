@@ -11,14 +11,13 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
 from solver.animation.blendshapes import Blend, Blendshapes, unfold
-from solver.contact.obstacles import nearest_sphere
 from solver.errors import InputError
 from solver.fitting.face import Pose
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel
 from solver.scans.live_link import ARKIT_NAMES, LiveLinkTake
 from solver.similarity import Similarity
-from solver.surface import Floats
+from solver.surface import Floats, nearest_sphere
 from solver.templates.ict_facekit import arkit_source
 
 

@@ -18,7 +18,7 @@ import scipy.sparse as sp
 
 from solver.contact.surface import ContactSurface, collision_mesh
 from solver.mechanics.boundary import Boundary, BoundaryRates
-from solver.surface import Floats, Surface
+from solver.surface import Floats, Surface, join_surfaces
 
 
 @dataclass(frozen=True)
@@ -211,12 +211,8 @@ def _join(
 ) -> ipctk.CollisionMesh:
     """Return skin and objects as one mesh, in which no object meets another one."""
     parts = [Surface(surface.rest, surface.faces), *objects]
+    mesh = collision_mesh(join_surfaces(parts))
     sizes = np.array([len(part.vertices) for part in parts])
-    starts = np.cumsum(sizes) - sizes
-    mesh = collision_mesh(
-        np.vstack([part.vertices for part in parts]),
-        np.vstack([part.faces + start for part, start in zip(parts, starts, strict=True)]),
-    )
     # vertices of one patch do not meet
     patches = np.arange(1, sizes.sum() + 1) if itself else np.repeat(np.arange(len(sizes)), sizes)
     if itself:

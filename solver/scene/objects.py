@@ -11,7 +11,7 @@ import numpy as np
 import trimesh
 
 from solver.animation.drives import Interpolation, Track, track
-from solver.contact.crossing import depth_inside, is_inside
+from solver.contact.crossing import depth_inside
 from solver.contact.potentials import touching
 from solver.contact.surface import ContactSurface, collision_mesh
 from solver.drawing.head import skin_parts
@@ -21,7 +21,7 @@ from solver.meshio.raw import read_raw
 from solver.model import SubjectModel
 from solver.scene.places import Places
 from solver.similarity import small_motion
-from solver.surface import Surface
+from solver.surface import Surface, inside, join_surfaces
 
 MOST_VERTICES = 20_000  # of one object: contact looks at every triangle in every step
 BALL_SUBDIVISIONS = 3  # of an icosahedron, for a round enough ball
@@ -128,12 +128,9 @@ def check_objects(model: SubjectModel, objects: Mapping[str, Surface]) -> None:
     head = Surface(model.skin.vertices, model.skin.faces[skin_parts(model.skin)["skin"]])
     for name, each in objects.items():
         depth = max(depth_inside(each.vertices, face), depth_inside(face.vertices, each))
-        if is_inside(each.vertices, head).all():
+        if inside(head, each.vertices).all():
             depth = depth_inside(each.vertices, head)
-        both = collision_mesh(
-            np.vstack([face.vertices, each.vertices]),
-            np.vstack([face.faces, each.faces + len(face.vertices)]),
-        )
+        both = collision_mesh(join_surfaces([face, each]))
         # parts of an object may cross each other, and so may the skin
         sides = np.repeat([0, 1], [len(face.vertices), len(each.vertices)])
         both.can_collide = ipctk.make_vertex_patches_filter(sides.astype(np.int32))

@@ -14,12 +14,11 @@ import numpy as np
 import trimesh
 
 from solver.anatomy.data import read_table
-from solver.anatomy.domain import join_surfaces, part_of
 from solver.anatomy.muscle_weights import muscle_ends, with_axis
 from solver.anatomy.template import Muscle
 from solver.anatomy.warp import MIRROR
 from solver.errors import InputError
-from solver.surface import Floats, Surface
+from solver.surface import Floats, Surface, join_surfaces, part_of
 from solver.templates.downloads import PublicFile, obj_mesh, public_files
 from solver.templates.tables import file_fault
 

@@ -19,11 +19,10 @@ from scipy.spatial.distance import cdist
 from solver.anatomy.bones import VoxelGrid, wrap_bones
 from solver.anatomy.contact_regions import LOWER, UPPER, contact_regions, first_match, lips_apart
 from solver.anatomy.data import read_table
-from solver.anatomy.embedding import inside
 from solver.anatomy.template import Depth, Template
 from solver.anatomy.warp import MIRROR, DepthLimits, PointPairs, SkinDepth, depth_warp, spread
 from solver.similarity import Similarity, fit_similarity
-from solver.surface import Floats, Ints, Surface, adjacency
+from solver.surface import Floats, Ints, Surface, adjacency, inside, nearest_sphere
 from solver.templates import bodyparts3d, ict_facekit
 from solver.templates.bodyparts3d import Part, muscle_names
 from solver.templates.ict_facekit import EYEBALLS, FaceKit
@@ -69,7 +68,7 @@ def teeth_and_eyes(parts: dict[str, Part], kit: FaceKit) -> PointPairs:
             pairs.append((_crown(crown, jaw), _crown(skin.vertices[tooth], jaw)))
     eyes = bodyparts3d.part_surface(parts, "eyeball").vertices, skin.vertices[EYEBALLS]
     for side in (1, -1):
-        pairs.append(tuple(_sphere_centre(balls[balls[:, 0] * side > 0]) for balls in eyes))
+        pairs.append(tuple(nearest_sphere(balls[balls[:, 0] * side > 0])[0] for balls in eyes))
     return PointPairs(*np.array(pairs).transpose(1, 0, 2))
 
 
@@ -84,12 +83,6 @@ def _crown(tooth: Floats, jaw: str, height_mm: float = 8.0) -> Floats:
     height = tooth[:, 1] if jaw == "upper" else -tooth[:, 1]
     crown = tooth[height < height.min() + height_mm]
     return np.asarray((crown.min(axis=0) + crown.max(axis=0)) / 2)
-
-
-def _sphere_centre(points: Floats) -> Floats:
-    # |p|^2 = 2 p.c + (r^2 - |c|^2), linear in the centre c and the bracket.
-    system = np.column_stack([2 * points, np.ones(len(points))])
-    return np.asarray(np.linalg.lstsq(system, np.sum(points**2, axis=1), rcond=None)[0][:3])
 
 
 def depth_landmarks(skin: Surface) -> tuple[PointPairs, PointPairs, DepthTable]:

