@@ -142,15 +142,11 @@ class Blendshapes:
                 for row, name in enumerate(names)
             }
         except (LookupError, TypeError, ValueError) as error:
-            raise InputError(
-                "blendshapes.unreadable",
-                f"{path.name} is not a set of blendshapes: {error}",
-                file=path.name,
-            ) from error
+            reason = f"{path.name} is not a set of blendshapes: {error}"
+            raise InputError("blendshapes.unreadable", reason, file=path.name) from error
         if rig != _rig_hash(model, S):
-            raise InputError(
-                "blendshapes.model", f"{path.name} belongs to another rig", file=path.name
-            )
+            reason = f"{path.name} belongs to another rig"
+            raise InputError("blendshapes.model", reason, file=path.name)
         return cls(muscles, shapes)
 
 
@@ -171,30 +167,22 @@ def expression_targets(model: SubjectModel, basis: ShapeBasis | None) -> dict[st
     ``basis``) knows no expressions that ARKit drives, ``blendshapes.topology`` if they are of
     another skin.
     """
-    vertices = len(model.skin.vertices)
-    if basis is not None and basis.expressions.shape[1] != vertices:
-        raise InputError(
-            "blendshapes.topology",
-            f"the template's expressions have {basis.expressions.shape[1]} vertices, the subject "
-            f"has {vertices}",
-            expected=vertices,
-            found=basis.expressions.shape[1],
-        )
-    shapes = (
-        {} if basis is None else dict(zip(basis.expression_names, basis.expressions, strict=True))
-    )
+    names, shapes = (basis.expression_names, basis.expressions) if basis else ((), ())
+    expected = len(model.skin.vertices)
+    if basis and basis.expressions.shape[1] != expected:
+        found = basis.expressions.shape[1]
+        reason = f"the template's expressions have {found} vertices, the subject has {expected}"
+        raise InputError("blendshapes.topology", reason, expected=expected, found=found)
     motions = {}
-    for name, shape in shapes.items():
+    for name, shape in zip(names, shapes, strict=True):
         motion = shape[model.face].astype(np.float64)
         moves = np.linalg.norm(motion, axis=1).max() > LEAST_MOTION_MM
         if moves and arkit_source(name) in ARKIT_NAMES:
             motions[name] = motion
     if not motions:
-        raise InputError(
-            "blendshapes.none",
-            f"the template {model.template.get('name', '')} has no expressions that a recording "
-            "could drive",
-        )
+        reason = "has no expressions that a recording could drive"
+        name = model.template.get("name", "")
+        raise InputError("blendshapes.none", f"the template {name} {reason}")
     neutral = model.skin.vertices[model.face]
     targets = {name: neutral + motion for name, motion in motions.items() if name not in CORRECTED}
     for name in motions.keys() - targets.keys():

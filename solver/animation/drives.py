@@ -79,11 +79,8 @@ def check_times(times: Sequence[float], what: str) -> None:
         if not np.isfinite(time):
             raise InputError("scene.times", f"the time of {what}[{number}] is {time}", key=number)
         if number and time - times[number - 1] < SHORTEST_SECONDS:
-            raise InputError(
-                "scene.times",
-                f"{what}[{number}] at {time:g} s is not later than the one before",
-                key=number,
-            )
+            reason = f"{what}[{number}] at {time:g} s is not later than the one before"
+            raise InputError("scene.times", reason, key=number)
 
 
 # heads turn about the upper neck, so far from the middle of the jaw's condyles
@@ -212,13 +209,9 @@ def _check_names(keys: Sequence[PoseKey], poses: Mapping[str, Pose], model: Subj
         ):
             for name in names:
                 if name not in known:
-                    raise InputError(
-                        code,
-                        f"keys[{number}] names the {noun} {name!r}, which is not one of the face's",
-                        key=number,
-                        found=name,
-                        expected=known,
-                    )
+                    what = f"keys[{number}] names the {noun} {name!r}"
+                    reason = f"{what}, which is not one of the face's"
+                    raise InputError(code, reason, key=number, found=name, expected=known)
 
 
 class RecordedDrives:
@@ -243,14 +236,9 @@ class RecordedDrives:
         count = len(take.times)
         last = count if end is None else end
         if not 0 <= start < last <= count:
-            raise InputError(
-                "scene.frames",
-                f"the recording has the frames 0 to {count - 1}: start {start} and end {last} are "
-                "not within it",
-                expected=count,
-                start=start,
-                end=last,
-            )
+            asked = f"start {start} and end {last} are not within it"
+            reason = f"the recording has the frames 0 to {count - 1}: {asked}"
+            raise InputError("scene.frames", reason, expected=count, start=start, end=last)
         frames = slice(start, last)
         self._blend = shapes.blend
         columns = [ARKIT_NAMES.index(arkit_source(name)) for name in self._blend.names]

@@ -102,12 +102,9 @@ def apply(
         least, most = float(edited.growth.min()), float(edited.growth.max())
         if least < low or most > high:
             found = least if least < low else most
-            raise InputError(
-                "scene.growth",
-                f"the edits together make flesh grow to {found:.2f} of its length: it can be "
-                f"{low} to {high}",
-                found=round(found, 3),
-            )
+            growth = f"the edits together make flesh grow to {found:.2f} of its length"
+            reason = f"{growth}: it can be {low} to {high}"
+            raise InputError("scene.growth", reason, found=round(found, 3))
     return edited
 
 

@@ -85,14 +85,11 @@ def _read(name: str, path: Path) -> Surface:
     raw = read_raw(path)
     vertices = raw.vertices * (raw.mm_per_unit or 1.0)
     whole = trimesh.Trimesh(vertices, raw.faces, process=True)
-    if len(whole.vertices) > MOST_VERTICES:
-        raise InputError(
-            "scene.object_large",
-            f"{name} has {len(whole.vertices)} vertices; at most {MOST_VERTICES} may meet a face",
-            file=path.name,
-            found=len(whole.vertices),
-            expected=MOST_VERTICES,
-        )
+    count = len(whole.vertices)
+    if count > MOST_VERTICES:
+        reason = f"{name} has {count} vertices; at most {MOST_VERTICES} may meet a face"
+        limits = {"found": count, "expected": MOST_VERTICES}
+        raise InputError("scene.object_large", reason, file=path.name, **limits)
     if whole.is_watertight and whole.volume < 0.0:
         whole.invert()
     return _surface(whole)
@@ -105,22 +102,15 @@ def _surface(mesh: trimesh.Trimesh) -> Surface:
 def check_objects(model: SubjectModel, objects: Mapping[str, Surface]) -> None:
     """Refuse objects, in the head's frame where they begin, that contact cannot start with.
 
-    Raises
-    ------
-    InputError
-        ``scene.object_open`` where one is not closed and turned outward, ``scene.object_inside``
-        where one begins inside the face, crosses its skin or is wholly in the head, from where it
-        would come out through the skin; ``contact.crossed`` as
-        :meth:`ContactSurface.of`.
+    Raises :class:`InputError`: ``scene.object_open`` where one is not closed and turned outward,
+    ``scene.object_inside`` where one begins inside the face, crosses its skin or is wholly in the
+    head, from where it would come out through the skin; and as :meth:`ContactSurface.of`.
     """
     for name, each in objects.items():
         # closed: every edge has two triangles, one to either side, that look outward
         if not trimesh.Trimesh(each.vertices, each.faces, process=False).is_volume:
-            raise InputError(
-                "scene.object_open",
-                f"{name} is not a closed surface whose triangles look outward",
-                object=name,
-            )
+            reason = f"{name} is not a closed surface whose triangles look outward"
+            raise InputError("scene.object_open", reason, object=name)
     if not objects:
         return
     skin = ContactSurface.of(model, touching(model, None, lips=False, eyes=False, objects=True))
@@ -135,9 +125,5 @@ def check_objects(model: SubjectModel, objects: Mapping[str, Surface]) -> None:
         sides = np.repeat([0, 1], [len(face.vertices), len(each.vertices)])
         both.can_collide = ipctk.make_vertex_patches_filter(sides.astype(np.int32))
         if depth > 0.0 or ipctk.has_intersections(both, both.rest_positions):
-            raise InputError(
-                "scene.object_inside",
-                f"{name} begins in the face, {depth:.1f} mm deep: let it come from outside",
-                object=name,
-                depth_mm=round(depth, 2),
-            )
+            reason = f"{name} begins in the face, {depth:.1f} mm deep: let it come from outside"
+            raise InputError("scene.object_inside", reason, object=name, depth_mm=round(depth, 2))

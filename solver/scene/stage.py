@@ -9,7 +9,7 @@ import scipy.sparse as sp
 
 from solver.animation.drives import Drives, Gaze, PosedFrame
 from solver.contact.potentials import Gauge, Penetration, contact_potentials
-from solver.edits.changes import Bone, Density, Fat, Filler, Paralysis, Stiffening, under_skin
+from solver.edits.changes import Bone, Fat, Filler, Paralysis, Scaling, under_skin
 from solver.edits.edit import Change, Edited, apply
 from solver.errors import InputError
 from solver.fitting.face import Face
@@ -45,9 +45,9 @@ def _edit(entry: scenes.Edit, places: Places) -> Change:
         at, move = places.point(entry.at), np.array(entry.move_mm, np.float64)
         return Bone(entry.bone, at, entry.radius_mm, move)
     if isinstance(entry, scenes.StiffnessEntry):
-        return Stiffening(entry.factor, places.map_of(entry.map))
+        return Scaling("stiffness_factor", entry.factor, places.map_of(entry.map))
     if isinstance(entry, scenes.DensityEntry):
-        return Density(entry.factor, places.map_of(entry.map))
+        return Scaling("density", entry.factor, places.map_of(entry.map))
     muscles = None if entry.muscles is None else tuple(entry.muscles)
     return Paralysis(muscles, entry.side, entry.strength)
 
@@ -143,12 +143,9 @@ class Stage:
     ) -> None:
         frames = len(drives.times)
         if frames > MOST_FRAMES:
-            raise InputError(
-                "scene.long",
-                f"the scene has {frames} frames; at most {MOST_FRAMES} can be simulated in one job",
-                found=frames,
-                expected=MOST_FRAMES,
-            )
+            reason = f"at most {MOST_FRAMES} can be simulated in one job"
+            message = f"the scene has {frames} frames; {reason}"
+            raise InputError("scene.long", message, found=frames, expected=MOST_FRAMES)
         self.drives = drives
         self._physics = Physics(scene)
         self._edited = apply(edits_of(scene.edits, places), places.model, S)

@@ -6,7 +6,7 @@ import jsonschema
 import numpy as np
 import pytest
 
-from solver.edits.changes import Bone, Density, Fat, Filler, Paralysis, Stiffening
+from solver.edits.changes import Bone, Fat, Filler, Paralysis, Scaling
 from solver.errors import InputError
 from solver.kinds.document import json_schema
 from solver.kinds.scene import Edit, EditScene
@@ -45,7 +45,7 @@ def test_every_kind_is_described_and_becomes_an_edit(places):
         for kind in (get_args(each)[0] for each in get_args(get_args(Edit)[0]))
     ]
     made = edits_of(described(EVERY_KIND), places)
-    assert [type(each) for each in made] == [Fat, Filler, Bone, Stiffening, Density, Paralysis]
+    assert [type(each) for each in made] == [Fat, Filler, Bone, Scaling, Scaling, Paralysis]
     skin = places.model.skin.vertices
     np.testing.assert_array_equal(np.flatnonzero(made[0].painted), places.model.regions["left"])
     np.testing.assert_allclose(made[1].path, [skin[5] - [0, 0, 3], [75, 60, 45]])
