@@ -12,12 +12,9 @@ import igl
 import numpy as np
 import trimesh
 from scipy import ndimage
-from scipy.optimize import least_squares
 
 from solver.anatomy.embedding import at_nearest
-from solver.mechanics.boundary import JAW_FREEDOM, jaw_jacobian, move_jaw
 from solver.model import JawFrame
-from solver.similarity import fit_similarity
 from solver.surface import Floats, Ints, Surface, inside, unit_rows, vertex_normals
 
 Volume = np.ndarray
@@ -153,7 +150,7 @@ def bone_normals(bone: Surface, points: Floats) -> Floats:
     return unit_rows(at_nearest(points, bone, vertex_normals(bone)))
 
 
-# The frame of the mandible's five degrees of freedom, and how well it follows a known motion.
+# The frame of the mandible's five degrees of freedom.
 
 
 def jaw_frame(condyles: Floats) -> JawFrame:
@@ -169,37 +166,3 @@ def jaw_frame(condyles: Floats) -> JawFrame:
     vertical = vertical / np.linalg.norm(vertical)
     axes = np.stack([lateral, vertical, np.cross(lateral, vertical)])
     return JawFrame(condyles.mean(axis=0), axes)
-
-
-@dataclass(frozen=True)
-class JawResidual:
-    """The part of a motion of the lower teeth that five degrees of freedom ``b`` (5,) miss, in mm.
-
-    ``rms`` and ``greatest`` are distances to the teeth in the closest rigid motion, and
-    ``not_rigid`` is what that motion itself misses (root mean square): a linear face model
-    stretches other people's teeth when it turns them, and no jaw follows that.
-    """
-
-    b: Floats
-    rms: float
-    greatest: float
-    not_rigid: float
-
-
-def jaw_residual(frame: JawFrame, rest: Floats, moved: Floats) -> JawResidual:
-    """Fit the jaw to points ``rest`` (k, 3) that moved to ``moved`` (k, 3), in mm."""
-    rotation = fit_similarity(rest, moved).rotation
-    rigid = (rest - rest.mean(axis=0)) @ rotation.T + moved.mean(axis=0)
-    freedom = JAW_FREEDOM
-    fit = least_squares(
-        lambda b: (move_jaw(frame, rest, b) - rigid).ravel(),
-        np.zeros(freedom),
-        lambda b: jaw_jacobian(frame, rest, b).reshape(-1, freedom),
-    )
-    missed = np.linalg.norm(move_jaw(frame, rest, fit.x) - rigid, axis=1)
-    return JawResidual(
-        b=fit.x,
-        rms=float(np.sqrt(np.mean(missed**2))),
-        greatest=float(missed.max()),
-        not_rigid=float(np.sqrt(np.mean(np.sum((moved - rigid) ** 2, axis=1)))),
-    )

@@ -77,6 +77,7 @@ def unfold(a: Floats) -> tuple[Floats, int]:
 
 
 FORMAT = 1  # of blendshapes.npz
+STORED = ("activations", "jaw", "mean_mm", "settled")  # its arrays
 CORRECTED = {"mouthClose": "jawOpen"}  # corrective shape -> the one it corrects
 # mm; a shape that moves no point of the face further is nothing for muscles: a tongue, a pupil
 LEAST_MOTION_MM = 0.05
@@ -110,8 +111,7 @@ class Blendshapes:
 
     def save(self, path: Path, model: SubjectModel, S: sp.csr_array) -> None:
         """Write the shapes as NPZ, replacing the file whole; they are of ``model`` with S."""
-        names, shapes = list(self.shapes), list(self.shapes.values())
-        blend = self.blend
+        blend, shapes = self.blend, self.shapes.values()
         arrays: Arrays = {
             "activations": blend.activations,
             "jaw": blend.jaw,
@@ -119,7 +119,7 @@ class Blendshapes:
             "settled": np.array([shape.settled for shape in shapes], bool),
         }
         header = {"format": FORMAT, "rig": _rig_hash(model, S), "muscles": self.muscles}
-        Archive({**header, "names": names}, arrays).write(path)
+        Archive({**header, "names": blend.names}, arrays).write(path)
 
     @classmethod
     def load(cls, path: Path, model: SubjectModel, S: sp.csr_array) -> Blendshapes:
@@ -129,18 +129,12 @@ class Blendshapes:
         ``blendshapes.model`` if they are another model's or another S's.
         """
         archive = Archive.read(path, "blendshapes", "a set of blendshapes", FORMAT)
-        data = archive.arrays
+        header, data = archive.header, archive.arrays
         try:
-            names, muscles = archive.header["names"], tuple(archive.header["muscles"])
-            rig = archive.header["rig"]
-            shapes = {
-                name: Solved(
-                    Pose(data["activations"][row], data["jaw"][row]),
-                    float(data["mean_mm"][row]),
-                    bool(data["settled"][row]),
-                )
-                for row, name in enumerate(names)
-            }
+            rig, muscles, shapes = header["rig"], tuple(header["muscles"]), {}
+            for row, name in enumerate(header["names"]):
+                a, b, mean, settled = (data[key][row] for key in STORED)
+                shapes[name] = Solved(Pose(a, b), float(mean), bool(settled))
         except (LookupError, TypeError, ValueError) as error:
             reason = f"{path.name} is not a set of blendshapes: {error}"
             raise InputError("blendshapes.unreadable", reason, file=path.name) from error

@@ -16,7 +16,7 @@ from solver.contact.potentials import touching
 from solver.contact.surface import ContactSurface, collision_mesh
 from solver.drawing.head import skin_parts
 from solver.errors import InputError
-from solver.kinds.scene import AssetMesh, Ball, Box, Object
+from solver.kinds.scene import Ball, Box, Object
 from solver.meshio.raw import read_raw
 from solver.model import SubjectModel
 from solver.scene.places import Places
@@ -48,9 +48,8 @@ def objects_of(
 ) -> list[SceneObject]:
     """Return the objects that a scene describes.
 
-    Raises :class:`InputError`: ``scene.object_name`` for two of one name, ``scene.times`` for keys
-    that are not one after the other, ``scene.object_large`` for one with too many vertices, as
-    :class:`Places`, and as :func:`~solver.meshio.raw.read_raw` for its file.
+    Raises :class:`InputError`: ``scene.object_name`` for two of one name, ``scene.object_large``
+    for one with too many vertices, and as :func:`track`, :class:`Places` and :func:`read_raw`.
     """
     names = [entry.name for entry in entries]
     for number, name in enumerate(names):
@@ -60,24 +59,17 @@ def objects_of(
 
 
 def _object(entry: Object, places: Places, interpolation: Interpolation) -> SceneObject:
-    name, origin, path = entry.name, places.point(entry.at), entry.path
-    shape = _shape(name, entry.mesh, places)
-    values = np.array(
-        [[*np.radians(key.rotation_deg), *origin + key.move_mm] for key in path]
-    ).reshape(len(path), 6)
-    if not path:
-        still = np.concatenate([np.zeros(3), origin])
-        return SceneObject(name, shape, lambda _time: still)
-    moved = track([key.time for key in path], values, f"{name}'s path", interpolation)
-    return SceneObject(name, shape, moved)
-
-
-def _shape(name: str, mesh: AssetMesh | Box | Ball, places: Places) -> Surface:
+    name, mesh, origin = entry.name, entry.mesh, places.point(entry.at)
     if isinstance(mesh, Box):
-        return _surface(trimesh.creation.box(mesh.box_mm))
-    if isinstance(mesh, Ball):
-        return _surface(trimesh.creation.icosphere(BALL_SUBDIVISIONS, mesh.ball_mm))
-    return _read(name, places.asset(mesh.asset))
+        shape = _surface(trimesh.creation.box(mesh.box_mm))
+    elif isinstance(mesh, Ball):
+        shape = _surface(trimesh.creation.icosphere(BALL_SUBDIVISIONS, mesh.ball_mm))
+    else:
+        shape = _read(name, places.asset(mesh.asset))
+    times = [key.time for key in entry.path] or [0.0]
+    motion = [[*np.radians(key.rotation_deg), *origin + key.move_mm] for key in entry.path]
+    values = np.array(motion or [[0.0, 0.0, 0.0, *origin]])
+    return SceneObject(name, shape, track(times, values, f"{name}'s path", interpolation))
 
 
 def _read(name: str, path: Path) -> Surface:

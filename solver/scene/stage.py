@@ -26,11 +26,7 @@ from solver.surface import Floats, Surface
 
 
 def edits_of(entries: Sequence[scenes.Edit], places: Places) -> list[Change]:
-    """Return the edits that a scene describes.
-
-    Raises :class:`~solver.errors.InputError` as :class:`~solver.scene.places.Places` for places,
-    regions and maps that the person does not have.
-    """
+    """Return the edits that a scene describes; raises as :class:`Places`."""
     return [_edit(entry, places) for entry in entries]
 
 
@@ -57,7 +53,7 @@ def forces_of(
 ) -> list[Force]:
     """Return the forces that a scene describes; ``masses`` (p,) are in g.
 
-    Raises :class:`~solver.errors.InputError` as :meth:`Places.vertex`, and ``force.point``.
+    Raises as :meth:`Places.vertex`, and :class:`InputError` (``force.point``).
     """
     return [_force(entry, face, masses, places) for entry in entries]
 
@@ -155,8 +151,8 @@ class Stage:
             self.objects = objects_of(scene.objects, places, scene.interpolation)
         else:
             self.objects = objects_of(scene.objects, places)
-        begin = self.drive(float(drives.times[0]), drives(float(drives.times[0])))
-        objects = self._seen(begin)
+        begin = float(drives.times[0])
+        objects = self._seen(self.drive(begin, drives(begin)))
         names = [each.name for each in self.objects]
         check_objects(self.model, dict(zip(names, objects, strict=True)))
         dynamic = scene.mode == "dynamic"
