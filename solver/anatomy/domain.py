@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
+import igl
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
@@ -16,7 +17,8 @@ from solver.surface import Floats, Ints, Surface, inside, join_surfaces, own_num
 
 # Edge length in these regions as a part of the edge length elsewhere on the face.
 FINE_REGIONS = {"upper_lip": 0.42, "lower_lip": 0.42, "eyes": 0.5, "nose": 0.5}
-_FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+# Of a tetrahedron, turned outwards, in the order of libigl's adjacency.
+_FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
 
 
 class Label(IntEnum):
@@ -159,13 +161,11 @@ def choose_flesh(
     kept = np.flatnonzero(flesh & ~bridge & ~fixed[tets].all(axis=1))
     kept = kept[_large_pieces(tets[kept], least_piece)]
     numbers, own = own_numbers(tets[kept])
-    renumber = np.full(len(vertices), -1)
-    renumber[numbers] = np.arange(len(numbers))
     outside, owner = _faces_towards(tets, labels, kept)[Label.OUTSIDE]
     return MeshedFlesh(
         vertices[numbers],
         own,
-        renumber[outside],
+        np.searchsorted(numbers, outside),
         np.searchsorted(kept, owner),
         {label: np.flatnonzero(mask[numbers]) for label, mask in on.items()},
     )
@@ -176,31 +176,23 @@ def _faces_towards(tets: Ints, labels: Ints, kept: Ints) -> dict[Label, tuple[In
 
     With the faces (f, 3) come the numbers (f,) of the kept tetrahedra they belong to.
     """
-    faces, owner, (first, second) = _sides(tets)
-    twin = np.full(len(faces), -1)
-    twin[first], twin[second] = owner[second], owner[first]
-    is_kept = np.zeros(len(tets) + 1, dtype=bool)
-    is_kept[kept] = True
-    outer = is_kept[owner] & ~is_kept[twin]
-    # Beyond the box there is nothing.
+    twin = igl.tet_tet_adjacency(tets)[0]
+    is_kept = np.isin(np.arange(len(tets) + 1), kept)
+    # Beyond the box, at -1, there is nothing.
     beyond = np.append(labels, Label.OUTSIDE)[twin]
-    sides = {label: outer & (beyond == label) for label in Label}
-    return {label: (faces[side], owner[side]) for label, side in sides.items()}
-
-
-def _sides(tets: Ints) -> tuple[Ints, Ints, tuple[Ints, Ints]]:
-    """Return all faces (4 t, 3), their tets (4 t,), and the numbers of those that are the same."""
-    faces = tets[:, _FACES].reshape(-1, 3)
-    keys = np.sort(faces, axis=1)
-    order = np.lexsort(keys.T)
-    same = np.flatnonzero((keys[order][1:] == keys[order][:-1]).all(axis=1))
-    return faces, np.repeat(np.arange(len(tets)), 4), (order[same], order[same + 1])
+    outer = is_kept[:-1, None] & ~is_kept[twin]
+    sides = {}
+    for label in Label:
+        owner, side = np.nonzero(outer & (beyond == label))
+        sides[label] = tets[owner[:, None], _FACES[side]], owner
+    return sides
 
 
 def _large_pieces(tets: Ints, least_piece: float) -> np.ndarray:
     """Return (t,) True for tetrahedra in large pieces joined by faces."""
-    _, owner, shared = _sides(tets)
-    pairs = owner[shared[0]], owner[shared[1]]
-    graph = sp.coo_array((np.ones(len(pairs[0])), pairs), shape=(len(tets), len(tets)))
+    twin = igl.tet_tet_adjacency(tets)[0]
+    owner, side = np.nonzero(twin >= 0)
+    pairs = owner, twin[owner, side]
+    graph = sp.coo_array((np.ones(len(owner)), pairs), shape=(len(tets), len(tets)))
     _, piece = connected_components(graph, directed=False)
     return np.asarray(np.bincount(piece)[piece] >= least_piece * len(tets))

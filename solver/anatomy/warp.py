@@ -15,7 +15,7 @@ from scipy.linalg import solve
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
-from solver.surface import Floats, Ints, Surface, directed_edges, inside
+from solver.surface import Floats, Ints, Surface, inside
 
 
 @dataclass(frozen=True)
@@ -146,13 +146,8 @@ def close_holes(surface: Surface) -> Surface:
 
 def boundary_edges(faces: Ints) -> tuple[Ints, Ints]:
     """Return the edges (e, 2) of only one face, in its direction, and the hole (e,) of each."""
-    edges = directed_edges(faces)
-    keys, key, count = np.unique(
-        np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
-    edges = edges[count[key.ravel()] == 1]
-    size = int(keys.max()) + 1
-    graph = sp.coo_array((np.ones(len(edges)), edges.T), shape=(size, size))
+    edges = np.asarray(igl.boundary_facets(faces)[0]).reshape(-1, 2)
+    graph = sp.coo_array((np.ones(len(edges)), edges.T), shape=(int(faces.max()) + 1,) * 2)
     piece = connected_components(graph, directed=False)[1]
     return edges, np.unique(piece[edges[:, 0]], return_inverse=True)[1]
 

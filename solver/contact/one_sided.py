@@ -78,18 +78,9 @@ class Excess:
 class OneSided:
     """A :class:`solver.mechanics.boundary.Potential` of skin vertices and one obstacle.
 
-    Parameters
-    ----------
-    obstacle
-        Where it is at rest.
-    rows, offset
-        (k, p) CSR and (k, 3): the vertices are ``rows @ x + offset``.
-    free
-        (k,) how deep they may lie, mm: :func:`free_depths`.
-    stiffness
-        (k,) per vertex, energy over mm^2.
-    carried
-        The frame of the jaw that the obstacle moves with; None for what stays with the head.
+    The vertices ``rows @ x + offset``, (k, p) CSR and (k, 3), may lie in the ``obstacle``, which is
+    where it is at rest, ``free`` mm deep (k,): :func:`free_depths`. ``stiffness`` (k,) is energy
+    over mm^2. An obstacle ``carried`` moves with the jaw of that frame, others stay with the head.
     """
 
     def __init__(

@@ -31,31 +31,16 @@ def contact_potentials(
 ) -> list[Potential]:
     """Return what keeps a face's flesh out of itself and of what is rigid.
 
-    Parameters
-    ----------
-    model
-        The face; at its rest nothing pushes (but for lips within a tenth of a millimetre, and
-        teeth that an edit has moved into them).
-    stiffness_pa
-        The flesh's.
-    unedited
-        The person before edits, the face itself by default: see :func:`arches`.
-    lips
-        Skin meets skin: lips, and lids with ``eyes``; all skin if there are ``objects``.
-    teeth
-        Lips meet teeth, where the model has both.
-    eyes
-        Lids meet eyeballs, where the model has both.
-    objects
-        Closed surfaces from outside, in the head's frame, where they are to begin with; that they
-        do not cross the skin there is for :func:`solver.scene.objects.check_objects`.
-    friction
-        Coefficient between skins and with objects.
+    At the rest of the ``model`` nothing pushes (but for lips within a tenth of a millimetre, and
+    teeth that an edit has moved into them). ``stiffness_pa`` is the flesh's, ``unedited`` the
+    person before edits, the face itself by default: see :func:`arches`. With ``lips`` skin meets
+    skin: lips, and lids with ``eyes``, or all skin if there are ``objects``. With ``teeth`` lips
+    meet these, with ``eyes`` lids meet eyeballs, where the model has both. ``objects`` are closed
+    surfaces from outside, in the head's frame, where they are to begin with; that they do not cross
+    the skin there is for :func:`solver.scene.objects.check_objects`. ``friction`` is the
+    coefficient between skins and with objects.
 
-    Raises
-    ------
-    InputError
-        ``contact.crossed`` where the neutral skin crosses itself widely.
+    Raises :class:`InputError` (``contact.crossed``) where the neutral skin crosses itself widely.
     """
     mouth = Mouth.of(unedited or model)
     potentials: list[Potential] = []
