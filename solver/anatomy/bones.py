@@ -72,10 +72,8 @@ class VoxelGrid:
         """Return the smoothed, decimated boundary of the largest piece of ``volume``."""
         padded = np.pad(largest_piece(volume), 2).astype(float)
         field = ndimage.gaussian_filter(padded, self.options.smoothing_voxels)
-        grid = [
-            low + (np.arange(n) - 1.5) * self._side
-            for low, n in zip(self.lo, field.shape, strict=True)
-        ]
+        places = zip(self.lo, field.shape, strict=True)
+        grid = [low + (np.arange(count) - 1.5) * self._side for low, count in places]
         steps, count = self.options.taubin_steps, self.options.faces
         mesh = trimesh.Trimesh(*level_set(field, grid, 0.5), process=True)
         trimesh.smoothing.filter_taubin(mesh, iterations=steps)  # type: ignore[no-untyped-call]
@@ -90,9 +88,8 @@ class VoxelGrid:
         width = int(np.ceil(radius_mm / self._side)) + 1
         padded = np.pad(volume, width)
         grown = self.distance(padded) <= radius_mm
-        closed = ndimage.distance_transform_edt(grown, sampling=self._side) > radius_mm
-        inner = tuple(slice(width, -width) for _ in range(3))
-        return np.asarray((closed | padded)[inner])
+        closed = self.distance(~grown) > radius_mm
+        return np.asarray((closed | padded)[(slice(width, -width),) * 3])
 
     def distance(self, volume: Volume) -> Floats:
         """Return the distance in mm of each voxel to the nearest of ``volume``."""

@@ -32,12 +32,10 @@ def build_subject_model(
     where they cannot be carried, the person is meshed from scratch; ``model.mesh_source`` says so.
 
     ``neutral`` is the registered neutral scan: the template's skin vertices in the person.
-    ``edge_mm`` is the tets' edge length on the face (:func:`solver.anatomy.meshing.make_mesh`).
-    ``progress`` is told about the phases ``transfer``, ``transport`` or ``mesh``, ``relax`` and
-    ``muscles``.
+    ``edge_mm`` is the tets' edge length on the face (:func:`make_mesh`). ``progress`` is told about
+    the phases ``transfer``, ``transport`` or ``mesh``, ``relax`` and ``muscles``.
 
-    Raises :class:`InputError`, ``scan.vertex_count`` or ``scan.nan``, and :class:`SolveError` as
-    :func:`solver.anatomy.meshing.make_mesh`.
+    Raises :class:`InputError`, ``scan.vertex_count`` or ``scan.nan``, and as :func:`make_mesh`.
     """
     _check(template, neutral)
     progress(Step("transfer", 0.0))

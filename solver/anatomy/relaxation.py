@@ -84,10 +84,7 @@ class Guides:
 def relax(x: Floats, tets: Ints, guides: Guides, options: RelaxationOptions = RELAXATION) -> Floats:
     """Return the vertices (p, 3) of least energy, from the start ``x`` (p, 3) in mm.
 
-    Raises
-    ------
-    SolveError
-        ``mesh.inverted`` if a tet stays inverted.
+    Raises :class:`SolveError` (``mesh.inverted``) if a tet stays inverted.
     """
     stiffness = np.full(len(tets), options.stiffness)
     if volumes(x, tets).min() <= 0:

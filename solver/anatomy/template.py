@@ -59,10 +59,8 @@ class ShapeBasis:
 def check_arrays(template: Template, file: str) -> None:
     """Raise what is wrong with a template's arrays; ``file`` is named in the message.
 
-    Raises
-    ------
-    InputError
-        ``template.shape``, ``template.nan`` or ``template.range``, with the ``array``'s name.
+    That is an :class:`InputError`, ``template.shape``, ``template.nan`` or ``template.range``, with
+    the ``array``'s name.
     """
     check = _Check(file)
     for name in SURFACES:
@@ -99,8 +97,10 @@ def check_arrays(template: Template, file: str) -> None:
         check.points("mesh shares", mesh.shares, (len(mesh.embedded_in), 4))
         check.points("mesh weights", weights.data, (len(weights.indices),))
         check.numbers("mesh weights", weights.indices, weights.shape[1])
-        check.rows("weights", weights.shape[0], len(mesh.tets))
-        check.rows("embedded_in", len(mesh.embedded_in), len(mesh.embedded))
+        found = {"weights": weights.shape[0], "embedded_in": len(mesh.embedded_in)}
+        for name, wanted in (("weights", len(mesh.tets)), ("embedded_in", len(mesh.embedded))):
+            if found[name] != wanted:
+                check.wrong("shape", f"mesh {name}", f"has {found[name]} rows, not {wanted}")
 
 
 class _Check:
@@ -130,10 +130,6 @@ class _Check:
         if len(outside):
             place = tuple(outside[0])
             self.wrong("range", name, f"has {array[place]} at {list(map(int, place))}, of {count}")
-
-    def rows(self, name: str, found: int, wanted: int) -> None:
-        if found != wanted:
-            self.wrong("shape", f"mesh {name}", f"has {found} rows, not {wanted}")
 
     def surface(self, name: str, surface: Surface) -> None:
         self.points(f"{name} vertices", surface.vertices, (None, 3))
@@ -320,7 +316,7 @@ class Template:
         """Read a template written by :meth:`save`.
 
         Raises :class:`InputError`: ``template.unreadable`` or ``template.format`` if the file is
-        not one, else as :func:`solver.anatomy.template.check_arrays`.
+        not one, else as :func:`check_arrays`.
         """
         archive = Archive.read(path, "template", "a template", FORMAT)
         try:

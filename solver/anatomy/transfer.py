@@ -181,9 +181,8 @@ def guidance(
     pull = np.where(np.isin(embedded, head.face_vertices), pulls.face, pulls.skin)
     to_skin = Guides(surface_rows, skin[embedded], pull)
     to_bones = Guides.of_vertices(held, held_at, pulls.bone, count)
-    return Guides.join(
-        [to_skin, to_bones, Guides.of_vertices(np.arange(count), start, pulls.stay, count)]
-    )
+    to_start = Guides.of_vertices(np.arange(count), start, pulls.stay, count)
+    return Guides.join([to_skin, to_bones, to_start])
 
 
 # A template's tetrahedra carried into a person: the same tets, muscles and S for everybody.
@@ -202,10 +201,8 @@ def transport(
     """Return the template's mesh in a person, and the person with muscles moved as their tets are.
 
     ``mesh`` was made for ``template``, which ``warp``, the map of space between their skins,
-    carried into ``person``.
-
-    Raises :class:`SolveError`: ``mesh.inverted``, or ``mesh.flat`` for a tet with a dihedral angle
-    below the least of ``options``.
+    carried into ``person``. Raises :class:`SolveError`: ``mesh.inverted``, or ``mesh.flat`` for a
+    tet with a dihedral angle below the least of ``options``.
     """
     start = warp(mesh.vertices)
     place, cranium = start.copy(), np.concatenate([mesh.cranium, mesh.sliding])

@@ -43,13 +43,10 @@ BONES = ("cranium", "mandible")
 def read_template(path: Path) -> Template:
     """Return the template of a folder or of a ZIP of one.
 
-    Raises
-    ------
-    InputError
-        ``template.missing`` for a file that is not there, ``template.unreadable``,
-        ``template.table`` (with ``line``), ``template.vertex`` (with ``vertex``),
-        ``template.mesh``, ``template.frame`` or ``template.value`` for one that is wrong, and the
-        codes of :func:`solver.anatomy.template.check_arrays`.
+    Raises :class:`InputError`: ``template.missing`` for a file that is not there,
+    ``template.unreadable``, ``template.table`` (with ``line``), ``template.vertex`` (with
+    ``vertex``), ``template.mesh``, ``template.frame`` or ``template.value`` for one that is wrong,
+    and as :func:`check_arrays`.
     """
     if path.is_dir():
         return _TemplateFolder(path).template()

@@ -40,7 +40,6 @@ _IDENTITY = re.compile(r"identity\d{3}")
 def public_facekit(folder: Path) -> dict[str, np.ndarray]:
     """Return the arrays of the published model under the names of ``ict_facekit.npz``, in cm.
 
-    ``V`` (n, 3), ``quads`` (f, 4), ``E`` (e, n, 3) with names ``ex`` (e), ``I`` (k, n, 3).
     ``folder`` holds the OBJs at any depth, or an archive of the repository.
 
     Raises :class:`InputError`: ``faces.unreadable`` if there is no neutral, ``faces.topology`` if a
@@ -191,8 +190,6 @@ def shape_basis(kit: FaceKit) -> ShapeBasis:
 
 # Captures of the subjects of a capture-sets file.
 
-Weights = dict[str, float]
-
 
 def ict_capture_set(faces: Path, subject: str, capture_sets: Path | None = None) -> CaptureSet:
     """Return the scans (mm) of one subject of a capture-sets file.
@@ -208,7 +205,7 @@ def ict_capture_set(faces: Path, subject: str, capture_sets: Path | None = None)
     kit = read_facekit(faces)
     neutral = ict_neutral(kit, faces, subject, capture_sets)
 
-    def scan(weights: Weights) -> Surface:
+    def scan(weights: dict[str, float]) -> Surface:
         unknown = [name for name in weights if name not in kit.deltas]
         if unknown:
             reason = f"ICT-FaceKit has no expression {unknown[0]}"
@@ -225,7 +222,7 @@ def ict_capture_set(faces: Path, subject: str, capture_sets: Path | None = None)
 def ict_neutral(
     kit: FaceKit, faces: Path, subject: str, capture_sets: Path | None = None
 ) -> Surface:
-    """Return the neutral of one subject of a capture-sets file; raises as its scans' function."""
+    """Return the neutral of one subject; arguments and errors as :func:`ict_capture_set`'s."""
     path = capture_sets or faces / "capture_sets.json"
     subjects = _read(path)["subjects"]
     if subject not in subjects:

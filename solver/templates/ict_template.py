@@ -158,7 +158,7 @@ def carry_anatomy(parts: dict[str, Part], kit: FaceKit, options: CarryOptions = 
     teeth = teeth_and_eyes(parts, kit)
     anchors, muscle_anchors, depths = depth_landmarks(kit.skin)
     align = fit_similarity(teeth.source, teeth.target)
-    head, flesh = (kit.part(ict_facekit.HEAD), kit.part(ict_facekit.FLESH))
+    head, flesh = kit.part(ict_facekit.HEAD), kit.part(ict_facekit.FLESH)
     outer = SkinDepth(head)
     muscles = {name: align(parts[name].surface.vertices) for name in muscle_names(parts)}
     most = options.muscle_samples
@@ -176,13 +176,9 @@ def carry_anatomy(parts: dict[str, Part], kit: FaceKit, options: CarryOptions = 
         centres=300,
         stiffness=0.5,
     )
-    skull, jaw = (
-        surface.moved(first(align(surface.vertices)))
-        for surface in (
-            bodyparts3d.merge_parts(parts, "cranium"),
-            bodyparts3d.part_surface(parts, "mandible"),
-        )
-    )
+    skull = bodyparts3d.merge_parts(parts, "cranium")
+    jaw = bodyparts3d.part_surface(parts, "mandible")
+    skull, jaw = (bone.moved(first(align(bone.vertices))) for bone in (skull, jaw))
     cranium, mandible = wrap_bones(skull, jaw, head, VoxelGrid(WRAP_LO, WRAP_HI))
     sample = first(sample)
     wraps = [SkinDepth(cranium), SkinDepth(mandible)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any, cast
 
 import igl
@@ -58,9 +58,7 @@ BOUNDS = AnatomyBounds()
 PARTNERS = {"left": "right", "right": "left", "_l": "_r", "_r": "_l"}
 
 
-@cache
-def _wording() -> dict[str, dict[str, str]]:
-    return {row["finding"]: row for row in read_table("template_findings")}
+WORDING = {row["finding"]: row for row in read_table("template_findings")}
 
 
 def _find(key: str, about: str, *figures: object, severity: str = "") -> Finding:
@@ -68,7 +66,7 @@ def _find(key: str, about: str, *figures: object, severity: str = "") -> Finding
 
     The code is the first word of ``key``: a code may have several messages.
     """
-    row = _wording()[key]
+    row = WORDING[key]
     level = cast(Severity, severity or row["severity"])
     return Finding(key.split()[0], level, row["message"].format(*figures), context={"about": about})
 

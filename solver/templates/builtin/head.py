@@ -180,11 +180,12 @@ class Head:
 
     ``faces`` (f, 3) are the triangles of all parts; ``part_vertices`` and ``part_faces`` number
     what belongs to each of :data:`PARTS`. The ``skin`` part is closed but for the neck: it has
-    the lips' lining and mouth cavity, and a socket behind each eye.
+    the lips' lining and mouth cavity, and a socket behind each eye. ``expression_names`` are the 52
+    of ARKit.
     """
 
     def __init__(self, source: SourceFiles) -> None:
-        self.source = source
+        self.source, self.expression_names = source, source.face_unit_names()
         vertices, groups = source.base_mesh
         self._rest = vertices + self._sum_targets(AVERAGE_ADULT)
         self._origin = self._rest[np.unique(groups["joint-head"])].mean(axis=0)
@@ -214,11 +215,6 @@ class Head:
     def neutral(self) -> Floats:
         """(n, 3) vertices of the average adult at rest, mm."""
         return np.asarray(MM_PER_UNIT * (self._rest - self._origin)[self._base_vertex])
-
-    @property
-    def expression_names(self) -> tuple[str, ...]:
-        """The 52 ARKit expression names."""
-        return self.source.face_unit_names()
 
     def identity(self, targets: Mapping[str, float]) -> Floats:
         """Return the displacement (n, 3), mm, of weighted MakeHuman shape targets."""

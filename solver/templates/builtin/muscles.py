@@ -53,22 +53,16 @@ class MuscleRow:
     layer: str
 
 
-def read_muscles() -> tuple[MuscleRow, ...]:
+def read_muscles() -> list[MuscleRow]:
     """Return the muscle table."""
-    return tuple(_row(line) for line in read_table("muscles"))
-
-
-def _row(line: dict[str, str]) -> MuscleRow:
-    points = [point.split("+", 1) for point in line["path"].split()]
-    return MuscleRow(
-        name=line["name"],
-        paired=line["paired"] == "yes",
-        path=tuple((mark, np.array(offset.split("/"), dtype=float)) for mark, offset in points),
-        width=np.array(line["width_mm"].split(), dtype=float),
-        thickness=float(line["thickness_mm"]),
-        depth=np.array(line["depth_mm"].split(), dtype=float),
-        layer=line["layer"],
-    )
+    rows = []
+    for line in read_table("muscles"):
+        points = [point.split("+", 1) for point in line["path"].split()]
+        path = tuple((mark, np.array(offset.split("/"), dtype=float)) for mark, offset in points)
+        width, depth = (np.array(line[key].split(), float) for key in ("width_mm", "depth_mm"))
+        thickness, paired = float(line["thickness_mm"]), line["paired"] == "yes"
+        rows.append(MuscleRow(line["name"], paired, path, width, thickness, depth, line["layer"]))
+    return rows
 
 
 def build_muscles(
