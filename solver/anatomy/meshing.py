@@ -24,7 +24,7 @@ from solver.anatomy.domain import (
     in_front,
     label_tets,
 )
-from solver.anatomy.embedding import at_nearest, barycentric, extend, rows_of
+from solver.anatomy.embedding import at_nearest, bind_outside, extend, rows_of
 from solver.anatomy.muscle_weights import initial_weights
 from solver.anatomy.relaxation import relax
 from solver.anatomy.template import Template, TemplateMesh
@@ -33,7 +33,7 @@ from solver.anatomy.transfer import guidance
 from solver.errors import InputError, SolveError
 from solver.progress import Progress, Step, silent
 from solver.storage import cache_directory
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Floats, Ints
 
 EDGE_MM = 9.0  # the usual edge length on the face
 
@@ -151,10 +151,7 @@ def _on_bones(head: Template, flesh: MeshedFlesh) -> Floats:
 
 def _bound(flesh: MeshedFlesh, points: Floats) -> tuple[Ints, Floats, Floats]:
     """Return the nearest outer tets (n,), coordinates (n, 4) in them and the distance (n,)."""
-    face, shares, distance = barycentric(points, Surface(flesh.vertices, flesh.outside))
-    tet, corners = flesh.outside_of[face], flesh.outside[face]
-    same = flesh.tets[tet][:, :, None] == corners[:, None, :]
-    return tet, np.einsum("nck,nk->nc", same, shares), distance
+    return bind_outside(points, flesh.vertices, flesh.tets, flesh.outside, flesh.outside_of)
 
 
 def _bound_skin(

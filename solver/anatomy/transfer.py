@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import igl
 import numpy as np
 import scipy.sparse as sp
 
-from solver.anatomy.embedding import at_nearest
+from solver.anatomy.embedding import at_nearest, tet_binder
 from solver.anatomy.relaxation import Guides, relax
 from solver.anatomy.template import Muscle, Template, TemplateMesh
-from solver.anatomy.tetrahedra import barycentric_in_tets, dihedral_angles
+from solver.anatomy.tetrahedra import dihedral_angles
 from solver.anatomy.warp import SkinDepth, Warp, interpolate, spread
 from solver.errors import SolveError
 from solver.surface import Floats, Ints, Surface
@@ -125,21 +124,11 @@ def flesh_motion(
     vertices are interpolated in the tetrahedron around a point, or at the nearest point of the
     mesh's boundary. So muscles stay where S has them.
     """
-    outside = Surface(vertices, igl.boundary_facets(tets)[0])
-    corrections = moved - warp(vertices)
-    tree = igl.AABB()
-    tree.init(vertices, tets)
+    corrections, bind = moved - warp(vertices), tet_binder(vertices, tets)
 
     def motion(points: Floats) -> Floats:
-        points = np.ascontiguousarray(points)
-        tet = np.asarray(igl.in_element(vertices, tets, points, tree))
-        correction, inside = np.empty_like(points), tet >= 0
-        corners = tets[tet[inside]]
-        shares = barycentric_in_tets(points[inside], vertices[corners])
-        correction[inside] = np.einsum("nk,nkd->nd", shares, corrections[corners])
-        if not inside.all():
-            correction[~inside] = at_nearest(points[~inside], outside, corrections)
-        return warp(points) + correction
+        tet, shares = bind(points)
+        return warp(points) + np.einsum("nk,nkd->nd", shares, corrections[tets[tet]])
 
     return motion
 
