@@ -145,10 +145,8 @@ class TemplateMesh:
 
     edge_mm
         The edge length on the face that was asked for.
-    vertices
-        (p, 3) rest vertices.
-    tets
-        (n, 4) vertex numbers, every volume positive.
+    vertices, tets
+        (p, 3) at rest, and (n, 4) vertex numbers, every volume positive.
     cranium, mandible, cut, sliding
         Vertex numbers, disjoint; see :class:`solver.model.SubjectModel`.
     embedded, embedded_in, shares
@@ -246,10 +244,8 @@ class Template:
         Watertight bone surfaces that bound the flesh from inside.
     condyles
         (2, 3) centres of the left and right mandibular condyle.
-    landmarks
-        Name -> skin vertex.
-    regions
-        Name -> skin vertices, for reports by region.
+    landmarks, regions
+        Name -> skin vertex, and name -> skin vertices, for reports by region.
     back_z, bottom_y
         Planes behind and below which there is no flesh: its tets end there, held fixed.
     shapes
@@ -257,10 +253,9 @@ class Template:
         it to a scan before it fits the vertices.
     licence
         What the template may be used for, by its sources; empty where nobody said.
-    depths
-        Soft-tissue depths that the bones were placed by.
-    mesh
-        The tetrahedra that every person's model shares, where they have been made.
+    depths, mesh
+        Soft-tissue depths that the bones were placed by, and the tetrahedra that every person's
+        model shares, where they have been made.
     """
 
     name: str

@@ -125,7 +125,7 @@ def barycentric_in_tets(points: Floats, corners: Floats) -> Floats:
 
 def dihedral_angles(vertices: Floats, tets: Ints) -> Floats:
     """Return the six dihedral angles (t, 6) of each tetrahedron, in degrees."""
-    return np.degrees(igl.dihedral_angles(vertices, tets)[0])
+    return np.asarray(np.degrees(igl.dihedral_angles(vertices, tets)[0]))
 
 
 def _run_child(source: Path, target: Path) -> None:

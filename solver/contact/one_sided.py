@@ -212,8 +212,5 @@ def along(rows: sp.csr_array, directions: Floats) -> sp.csr_array:
     entries = sp.coo_array(rows)
     row, column = entries.coords
     values = entries.data[:, None] * directions[row]
-    columns = 3 * column[:, None] + np.arange(3)
-    return sp.csr_array(
-        (values.ravel(), (np.repeat(row, 3), columns.ravel())),
-        shape=(rows.shape[0], 3 * rows.shape[1]),
-    )
+    places = np.repeat(row, 3), (3 * column[:, None] + np.arange(3)).ravel()
+    return sp.csr_array((values.ravel(), places), shape=(rows.shape[0], 3 * rows.shape[1]))

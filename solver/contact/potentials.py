@@ -168,8 +168,7 @@ class Gauge:
         self._arches = [each for each in one_sided if isinstance(each.obstacle, Arch)]
         if self._mouth is not None and not self._arches:
             self._arches = arches(model, self._mouth, 1.0, unedited)
-        faces = model.skin.faces
-        on_flesh = faces[np.isin(faces, model.embedded).all(axis=1)]
+        on_flesh = touching(model, None, lips=False, eyes=False, objects=True)
         self._faces: Ints = np.searchsorted(model.embedded, on_flesh)
 
     def neutral(self) -> Penetration:
@@ -188,8 +187,8 @@ class Gauge:
         skin = np.asarray(self._model.embedding @ x + self._model.offset)
         own = Surface(skin, self._faces)
         pairs = [pair for each in objects for pair in ((skin, each), (each.vertices, own))]
-        depths = [depth_inside(points, surface) for points, surface in pairs]
-        return Penetration(lips, teeth, max(depths, default=0.0), behind)
+        depth = max((depth_inside(*pair) for pair in pairs), default=0.0)
+        return Penetration(lips, teeth, depth, behind)
 
     def _mouth_points(self, mouth: Mouth, x: Floats, b: Floats) -> Floats:
         """Return the positions (m, 3) of the mouth, teeth where edits and the jaw put them.

@@ -17,13 +17,12 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from solver.anatomy.embedding import LooseSkin
-from solver.anatomy.tetrahedra import volumes
+from solver.anatomy.tetrahedra import ML, volumes
 from solver.edits.edit import Edited
 from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints, Surface, adjacency, vertex_areas, vertex_normals
 
-MM3_PER_ML = 1000.0  # mm^3 in a ml
 STEEPEST = 8.0 / (3.0 * np.sqrt(3.0))  # the greatest slope of (1 - t^2)^2
 
 
@@ -108,9 +107,9 @@ class Filler:
         if room < options.least_room_mm3:
             advice = "lay it under the skin, or make the radius larger"
             raise InputError("scene.filler", f"there is no flesh {near}: {advice}")
-        growth = np.cbrt(1.0 + self.ml * MM3_PER_ML / room * shares)
+        growth = np.cbrt(1.0 + self.ml / ML / room * shares)
         if not growth.max() <= options.filler_growth:
-            most = (options.filler_growth**3 - 1.0) * room / MM3_PER_ML / shares.max()
+            most = (options.filler_growth**3 - 1.0) * room * ML / shares.max()
             advice = f"at most {most:.2f} ml do; make the path longer or the radius larger"
             reason = f"{self.ml} ml do not fit into the flesh {near}: {advice}"
             limits = {"found_ml": self.ml, "expected_ml": round(most, 3)}
@@ -259,8 +258,7 @@ def _vertices(model: SubjectModel, bone: str) -> tuple[Ints, Ints]:
     """Return the flesh's vertices on a bone, and the skin's that stay with it."""
     if bone == "mandible":
         return model.mandible, model.attached_mandible
-    none = np.empty(0, np.int64)
-    eyes = [model.regions.get(f"{side}_eyeball", none) for side in ("left", "right")]
+    eyes = [model.regions.get(f"{side}_eyeball", model.cut[:0]) for side in ("left", "right")]
     # skin beyond the flesh follows the flesh that the bone moves
     follows = [model.embedded, LooseSkin(model).ids]
     others = np.concatenate([*follows, model.attached_mandible, *eyes])

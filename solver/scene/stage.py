@@ -25,12 +25,8 @@ from solver.simulation.simulator import Simulator
 from solver.surface import Floats, Surface
 
 
-def edits_of(entries: Sequence[scenes.Edit], places: Places) -> list[Change]:
-    """Return the edits that a scene describes; raises as :class:`Places`."""
-    return [_edit(entry, places) for entry in entries]
-
-
-def _edit(entry: scenes.Edit, places: Places) -> Change:
+def edit_of(entry: scenes.Edit, places: Places) -> Change:
+    """Return an edit that a scene describes; raises as :class:`Places`."""
     if isinstance(entry, scenes.FatEntry):
         return Fat(entry.f_min, entry.f_max, places.map_of(entry.map), entry.softening)
     if isinstance(entry, scenes.FillerEntry):
@@ -48,17 +44,11 @@ def _edit(entry: scenes.Edit, places: Places) -> Change:
     return Paralysis(muscles, entry.side, entry.strength)
 
 
-def forces_of(
-    entries: Sequence[scenes.Force], face: Face, masses: Floats, places: Places
-) -> list[Force]:
-    """Return the forces that a scene describes; ``masses`` (p,) are in g.
+def force_of(entry: scenes.Force, face: Face, masses: Floats, places: Places) -> Force:
+    """Return a force that a scene describes; ``masses`` (p,) are in g.
 
     Raises as :meth:`Places.vertex`, and :class:`InputError` (``force.point``).
     """
-    return [_force(entry, face, masses, places) for entry in entries]
-
-
-def _force(entry: scenes.Force, face: Face, masses: Floats, places: Places) -> Force:
     if isinstance(entry, scenes.GravityEntry):
         return Gravity(masses, entry.mm_s2)
     if isinstance(entry, scenes.WindEntry):
@@ -144,7 +134,8 @@ class Stage:
             raise InputError("scene.long", message, found=frames, expected=MOST_FRAMES)
         self.drives = drives
         self._physics = Physics(scene)
-        self._edited = apply(edits_of(scene.edits, places), places.model, S)
+        edits = [edit_of(entry, places) for entry in scene.edits]
+        self._edited = apply(edits, places.model, S)
         self.model = self._edited.model
         self._face = self._physics.face(self._edited)
         if isinstance(scene, scenes.SimulateScene):
@@ -162,7 +153,7 @@ class Stage:
         self.simulator = Simulator(
             self._face,
             potentials,
-            forces_of(scene.forces, self._face, masses, places),
+            [force_of(entry, self._face, masses, places) for entry in scene.forces],
             dynamic=dynamic,
             density=self._edited.density,
             damping=scene.damping,

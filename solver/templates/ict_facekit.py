@@ -313,18 +313,6 @@ class IctPerformance:
         return np.asarray(self.neutral + (self.weights[number] @ self.shapes).reshape(-1, 3))
 
 
-def performance_frames(
-    faces: Path, recording: Path, *, subject: str = "A", capture_sets: Path | None = None
-) -> IctPerformance:
-    """Return a Live Link Face recording as the skin of an ICT-FaceKit subject.
-
-    ``faces``, ``subject``, ``capture_sets`` and errors are as in :func:`ict_capture_set`; a
-    recording that cannot be used is :func:`~solver.scans.live_link.read_live_link`'s.
-    """
-    take, kit = read_live_link(recording), read_facekit(faces)
-    return drive(kit, ict_neutral(kit, faces, subject, capture_sets).vertices, take)
-
-
 def drive(kit: FaceKit, neutral: Floats, take: LiveLinkTake) -> IctPerformance:
     """Return the performance of a person with the skin ``neutral`` (V, 3), mm."""
     sources = {name: arkit_source(name) for name in kit.deltas}
@@ -337,8 +325,8 @@ def drive(kit: FaceKit, neutral: Floats, take: LiveLinkTake) -> IctPerformance:
 def model_performance(faces: Path, recording: Path, model: SubjectModel) -> IctPerformance:
     """Return a Live Link Face recording as the face's points (k, 3) of a subject's model.
 
-    Raises as :func:`performance_frames`, and ``performance.topology`` if the model's skin does not
-    have ICT-FaceKit's vertices.
+    Raises as :func:`read_facekit` and :func:`read_live_link`, and ``performance.topology`` if the
+    model's skin does not have ICT-FaceKit's vertices.
     """
     skin = model.skin.vertices
     if len(skin) != VERTEX_COUNT:

@@ -114,19 +114,12 @@ class SourceFiles:
         """Return the displacement (n, 3) of e.g. ``chin/chin-width-incr``."""
         return self._displacement(gzip.decompress(self._read(f"{SHAPE_TARGETS}{name}.target.gz")))
 
-    def shape_target_names(self) -> tuple[str, ...]:
-        """Return the names of all shape targets, sorted."""
-        return self._names(SHAPE_TARGETS, ".target.gz")
-
     def face_unit(self, name: str) -> Floats:
         """Return the displacement (n, 3) of one ARKit expression at full weight."""
         return self._displacement(self._read(f"{FACE_UNITS}{name}.target"))
 
-    def face_unit_names(self) -> tuple[str, ...]:
-        """Return the names of all face units, sorted."""
-        return self._names(FACE_UNITS, ".target")
-
-    def _names(self, folder: str, ending: str) -> tuple[str, ...]:
+    def names(self, folder: str, ending: str) -> tuple[str, ...]:
+        """Return the names of all files with an ``ending`` in a folder, sorted."""
         files = [name for name in self._zip.namelist() if name.endswith(ending)]
         names = [name.removesuffix(ending) for name in files if name.startswith(folder)]
         return tuple(sorted(name.removeprefix(folder) for name in names))
@@ -185,7 +178,7 @@ class Head:
     """
 
     def __init__(self, source: SourceFiles) -> None:
-        self.source, self.expression_names = source, source.face_unit_names()
+        self.source, self.expression_names = source, source.names(FACE_UNITS, ".target")
         vertices, groups = source.base_mesh
         self._rest = vertices + self._sum_targets(AVERAGE_ADULT)
         self._origin = self._rest[np.unique(groups["joint-head"])].mean(axis=0)
@@ -333,7 +326,7 @@ def _macros() -> list[dict[str, float]]:
 
 def _pairs(head: Head) -> list[dict[str, float]]:
     """Return the weights of each pair of opposite shapes; moves of the whole head are left out."""
-    names = set(head.source.shape_target_names())
+    names = set(head.source.names(SHAPE_TARGETS, ".target.gz"))
     pairs = []
     for name in sorted(names):
         folder, _, shape = name.partition("/")
