@@ -156,10 +156,7 @@ def jaw_frame(condyles: Floats) -> JawFrame:
     The first axis goes through the condyles to the subject's left, the second is the vertical made
     orthogonal to it, the third points forward.
     """
-    lateral = condyles[0] - condyles[1]
-    lateral = lateral / np.linalg.norm(lateral)
-    vertical = np.array([0.0, 1.0, 0.0])
-    vertical = vertical - (vertical @ lateral) * lateral
-    vertical = vertical / np.linalg.norm(vertical)
+    lateral = unit_rows(condyles[0] - condyles[1])
+    vertical = unit_rows(np.array([0.0, 1.0, 0.0]) - lateral[1] * lateral)
     axes = np.stack([lateral, vertical, np.cross(lateral, vertical)])
     return JawFrame(condyles.mean(axis=0), axes)

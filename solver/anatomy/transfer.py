@@ -128,7 +128,8 @@ def flesh_motion(
 
     def motion(points: Floats) -> Floats:
         tet, shares = bind(points)
-        return warp(points) + np.einsum("nk,nkd->nd", shares, corrections[tets[tet]])
+        correction = np.einsum("nk,nkd->nd", shares, corrections[tets[tet]])
+        return np.asarray(warp(points) + correction)
 
     return motion
 

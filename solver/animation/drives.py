@@ -198,8 +198,7 @@ class RecordedDrives:
 
     ``weights`` (f, e) are what drives each of the ``shapes`` in these frames. Times begin at 0.
     Weights and turns between frames lie on straight lines. The recorded head turns about the neck;
-    keys of the ``head`` come on top of that. Raises :class:`InputError` (``scene.frames``) if the
-    recording does not have those frames.
+    keys of the ``head`` come on top of that. Raises ``scene.frames`` if there are no such frames.
     """
 
     def __init__(

@@ -133,8 +133,7 @@ def collision_mesh(surface: Surface) -> ipctk.CollisionMesh:
 def _mark_crossed(surface: Surface, normals: Floats, beside_mm: float) -> NDArray[np.bool_]:
     """Mark (s,) the vertices that lie in flesh not under their own skin, or where skin crosses.
 
-    The former by the generalised winding number (Jacobson et al. 2013), as the lips' overlap is
-    found (:mod:`solver.contact.crossing`), with all that it marks about what crosses.
+    The former by the winding number, as lips' overlap is found (:mod:`solver.contact.crossing`).
     """
     mesh = collision_mesh(surface)
     if not ipctk.has_intersections(mesh, mesh.rest_positions):

@@ -271,8 +271,7 @@ def into_volume(model: SubjectModel, painted: Floats | None, blur_mm: float = 2.
 
     u on the tets' vertices minimises the integral of |grad u|^2 over the flesh plus that of
     (u - painted)^2 / ``blur_mm`` over the face's skin: heat that comes from there and leaves
-    nowhere. Raises :class:`InputError` (``scene.map``) for a map of another skin or with values
-    outside of [0, 1].
+    nowhere. Raises ``scene.map`` for a map of another skin or with values outside of [0, 1].
     """
     if painted is None:
         return np.ones(len(model.tets))

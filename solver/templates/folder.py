@@ -8,6 +8,7 @@ will do as well. See docs/guide/templates.md.
 from __future__ import annotations
 
 import tempfile
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
@@ -26,8 +27,8 @@ from solver.surface import Floats, Surface
 from solver.templates.tables import (
     Row,
     file_fault,
+    parse_file,
     read_table,
-    read_toml,
     read_vertex_sets,
     vertex_fault,
 )
@@ -77,7 +78,7 @@ class _TemplateFolder:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.description = read_toml(folder / DESCRIPTION)
+        self.description: dict[str, Any] = parse_file(folder / DESCRIPTION, tomllib.loads)
         if self.description.get("format") != FORMAT:
             raise _value_fault(f"format is {self.description.get('format')}, not {FORMAT}")
         self.matrix = self._matrix()

@@ -211,10 +211,9 @@ class _Checks:
             if deep > bounds.touching_mm:
                 yield _find("bone.overlap", "mandible", deep)
         gap = barycentric(template.condyles, template.mandible)[2]
-        for side, sign, x, far in zip(
-            ("left", "right"), (1, -1), template.condyles[:, 0], gap, strict=True
-        ):
-            if x * sign <= 0:
+        outward = template.condyles[:, 0] * [1, -1]
+        for side, out, far in zip(("left", "right"), outward, gap, strict=True):
+            if out <= 0:
                 yield _find("condyle.side", f"{side} condyle")
             if far > bounds.condyle_mm:
                 yield _find("condyle.place", f"{side} condyle", far)
