@@ -155,11 +155,9 @@ def _rig_hash(model: SubjectModel, S: sp.csr_array) -> str:
 def expression_targets(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, Floats]:
     """Return name -> the places (k, 3) of the face's points in every shape that ARKit drives.
 
-    A corrective comes after the shape it corrects, and has its motion too.
-
-    Raises :class:`InputError`: ``blendshapes.none`` if the template (whose ``shapes`` are
-    ``basis``) knows no expressions that ARKit drives, ``blendshapes.topology`` if they are of
-    another skin.
+    ``basis`` are the template's shapes. A corrective comes after the shape it corrects, and has its
+    motion too. Raises :class:`InputError`: ``blendshapes.none`` if ARKit drives no expression of
+    the template, ``blendshapes.topology`` if they are of another skin.
     """
     names, shapes = (basis.expression_names, basis.expressions) if basis else ((), ())
     expected = len(model.skin.vertices)

@@ -63,10 +63,8 @@ log = structlog.get_logger(__name__)
 class ContactSurface:
     """Skin vertices that follow the flesh, under the skin, and the triangles between them.
 
-    skin
-        (s,) skin vertices, sorted.
-    faces
-        (f, 3) triangles, numbered by ``skin``.
+    skin, faces
+        (s,) skin vertices, sorted, and (f, 3) triangles, numbered by these.
     rows, offset
         (s, p) CSR and (s, 3): positions are ``rows @ x + offset`` at the tets' vertices x. The
         inset is a part of ``rows``: it turns with the flesh.

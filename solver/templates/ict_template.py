@@ -306,8 +306,7 @@ def build_ict_template(anatomy_dir: Path, faces_dir: Path) -> Template:
     ``anatomy_dir`` holds BodyParts3D and ``faces_dir`` ICT-FaceKit, in one of the forms that
     :mod:`solver.templates.bodyparts3d` and :mod:`solver.templates.ict_facekit` read.
 
-    Raises :class:`InputError`: ``anatomy.*``, ``faces.*`` or ``download.*`` where a folder lacks
-    what is needed.
+    Raises ``anatomy.*``, ``faces.*`` or ``download.*`` where a folder lacks what is needed.
     """
     parts = bodyparts3d.read_parts(anatomy_dir)
     kit = ict_facekit.read_facekit(faces_dir)
