@@ -40,8 +40,9 @@ from solver.fitting.face import Face
 from solver.fitting.objective import Target, distances
 from solver.mechanics.flesh import COROTATED_DET
 from solver.mechanics.linear import fastest
+from solver.scans.live_link import read_live_link
 from solver.templates.export import CaptureSet
-from solver.templates.ict_facekit import performance_frames
+from solver.templates.ict_facekit import drive, ict_neutral, read_facekit
 
 SIZES_MM = (19.0, 13.0, 9.0, 5.5)
 """Tets' edges of the scaling: about 1.9, 3.5, 7 and 19 thousand vertices."""
@@ -151,9 +152,9 @@ def _first(targets: dict[str, Target], count: int) -> dict[str, Target]:
 def _performance(options: argparse.Namespace, face: Face) -> Figures | None:
     if options.recording is None:
         return None
-    take = performance_frames(
-        options.faces, options.recording, subject=options.subject, capture_sets=options.capture_sets
-    )
+    kit = read_facekit(options.faces)
+    neutral = ict_neutral(kit, options.faces, options.subject, options.capture_sets).vertices
+    take = drive(kit, neutral, read_live_link(options.recording))
     count, compared = (60, 2) if options.quick else (FRAMES, COMPARED)
     numbers = range(options.first_frame, min(options.first_frame + count, len(take)))
     found = frames(face, take, numbers, compared)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import igl
@@ -58,8 +59,60 @@ def area_normals(vertices: Floats, faces: Ints) -> Floats:
     return np.cross(b - a, c - a)
 
 
+def unit_rows(vectors: Floats) -> Floats:
+    """Return vectors (..., 3) of length 1; those of no length stay."""
+    return np.asarray(vectors / (np.linalg.norm(vectors, axis=-1, keepdims=True) + 1e-30))
+
+
 def vertex_areas(vertices: Floats, faces: Ints) -> Floats:
     """Return the area (n,) that belongs to each vertex: a third of its triangles'."""
     area = np.linalg.norm(area_normals(vertices, faces), axis=1) / 6
     sums = np.bincount(faces.ravel(), np.repeat(area, 3), minlength=len(vertices))
     return np.asarray(sums, np.float64)
+
+
+# Parts of surfaces, surfaces joined, and what lies inside of them.
+
+
+def own_numbers(corners: Ints) -> tuple[Ints, Ints]:
+    """Return the vertices (k,) that triangles or tets use, sorted, and these numbered by them."""
+    used, own = np.unique(corners, return_inverse=True)
+    return used, own.reshape(corners.shape).astype(np.int64)
+
+
+def part_of(surface: Surface, faces: Ints) -> Surface:
+    """Return some faces of a surface, by their numbers, with the vertices that they use."""
+    used, own = own_numbers(surface.faces[faces])
+    return Surface(surface.vertices[used], own)
+
+
+def join_surfaces(surfaces: Sequence[Surface]) -> Surface:
+    """Return surfaces as one, their vertices and faces one after the other."""
+    starts = np.cumsum([0] + [len(surface.vertices) for surface in surfaces[:-1]])
+    return Surface(
+        np.vstack([surface.vertices for surface in surfaces]),
+        np.vstack([s.faces + start for s, start in zip(surfaces, starts, strict=True)]),
+    )
+
+
+def winding_numbers(surface: Surface, points: Floats) -> Floats:
+    """Return how often (n,) a surface winds around points: near 1 inside, near 0 outside.
+
+    That holds for surfaces with holes too (Jacobson et al. 2013).
+    """
+    places = np.ascontiguousarray(points)
+    return np.asarray(igl.fast_winding_number(surface.vertices, surface.faces, places))
+
+
+def inside(surface: Surface, points: Floats) -> NDArray[np.bool_]:
+    """Tell which of points (n, 3) lie inside a surface that looks outward, closed or not."""
+    return winding_numbers(surface, points) > 0.5
+
+
+def nearest_sphere(points: Floats) -> tuple[Floats, float]:
+    """Return centre (3,) and radius of the sphere nearest to points (k, 3), by least squares."""
+    # |p - c|^2 = radius^2 is linear in c and radius^2 - |c|^2
+    system = np.column_stack([2.0 * points, np.ones(len(points))])
+    solution = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
+    centre = solution[:3]
+    return centre, float(np.sqrt(solution[3] + centre @ centre))

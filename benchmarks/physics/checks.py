@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import igl
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
@@ -22,7 +23,6 @@ from scipy.optimize import brentq
 from benchmarks.documents import Figures
 from benchmarks.physics.box import box
 from benchmarks.plots import COLOURS, HEIGHT_IN, STYLE, WIDTH_IN, power_law, save
-from solver.anatomy.domain import boundary
 from solver.edits.edit import DENSITY
 from solver.fitting.face import Face
 from solver.kinds.scene import STIFFNESS_PA
@@ -127,7 +127,7 @@ def squeezed(material: Material) -> float:
 
 def tractions(rest: Floats, tets: Ints, per_area: Callable[[Floats], Floats]) -> Floats:
     """Return the load (p, 3) of forces on the surface, ``per_area`` by the unit normals."""
-    faces = boundary(tets)
+    faces = igl.boundary_facets(tets)[0]
     doubled = area_normals(rest, faces)
     area = 0.5 * np.linalg.norm(doubled, axis=1, keepdims=True)
     load = np.zeros_like(rest)

@@ -33,7 +33,7 @@ from solver.rig.pictures import THREE_QUARTER, face_camera
 from solver.rig.rig import ExpressionFit, Rig
 from solver.scene.document import read_scene
 from solver.scene.places import Places
-from solver.scene.stage import Physics, edits_of
+from solver.scene.stage import Physics, edit_of
 from solver.simulation.fibres import fit_fibres
 from solver.surface import Floats
 
@@ -73,7 +73,8 @@ def run(subject: Subject, names: Sequence[str] = EFFECTS) -> dict[str, EditedPer
     people = {}
     for name in names:
         scene = read_scene(json.loads((SCENES / f"{name}.json").read_text()), EditScene)
-        edited = apply(edits_of(scene.edits, subject.places), subject.model, subject.S)
+        edits = [edit_of(entry, subject.places) for entry in scene.edits]
+        edited = apply(edits, subject.model, subject.S)
         after, all_after = poses(edited, physics, subject.fits)
         compared = [
             Compared(fit.name, one, other, fit.skin)

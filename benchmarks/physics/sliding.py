@@ -10,12 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import igl
 import numpy as np
 
 from benchmarks.documents import Figures
 from benchmarks.physics.fitted import Fitted
 from solver.anatomy.bones import bone_normals
-from solver.anatomy.domain import boundary
 from solver.drawing import head as drawing_head
 from solver.drawing.head import DrawnHead
 from solver.drawing.render import DrawnBody, Lit, render_bust
@@ -113,5 +113,5 @@ def _inner_faces(person: Fitted) -> np.ndarray:
     model = person.model
     on_bone = np.zeros(len(model.rest), dtype=bool)
     on_bone[np.concatenate([model.cranium, model.sliding])] = True
-    faces = boundary(model.tets)
+    faces = igl.boundary_facets(model.tets)[0]
     return np.asarray(faces[on_bone[faces].all(axis=1)][:, ::-1])

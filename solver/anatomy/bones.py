@@ -12,13 +12,10 @@ import igl
 import numpy as np
 import trimesh
 from scipy import ndimage
-from scipy.optimize import least_squares
 
-from solver.anatomy.embedding import at_nearest, inside
-from solver.mechanics.boundary import JAW_FREEDOM, jaw_jacobian, move_jaw
+from solver.anatomy.embedding import at_nearest
 from solver.model import JawFrame
-from solver.similarity import fit_similarity
-from solver.surface import Floats, Ints, Surface, vertex_normals
+from solver.surface import Floats, Ints, Surface, inside, unit_rows, vertex_normals
 
 Volume = np.ndarray
 
@@ -75,10 +72,8 @@ class VoxelGrid:
         """Return the smoothed, decimated boundary of the largest piece of ``volume``."""
         padded = np.pad(largest_piece(volume), 2).astype(float)
         field = ndimage.gaussian_filter(padded, self.options.smoothing_voxels)
-        grid = [
-            low + (np.arange(n) - 1.5) * self._side
-            for low, n in zip(self.lo, field.shape, strict=True)
-        ]
+        places = zip(self.lo, field.shape, strict=True)
+        grid = [low + (np.arange(count) - 1.5) * self._side for low, count in places]
         steps, count = self.options.taubin_steps, self.options.faces
         mesh = trimesh.Trimesh(*level_set(field, grid, 0.5), process=True)
         trimesh.smoothing.filter_taubin(mesh, iterations=steps)  # type: ignore[no-untyped-call]
@@ -93,9 +88,8 @@ class VoxelGrid:
         width = int(np.ceil(radius_mm / self._side)) + 1
         padded = np.pad(volume, width)
         grown = self.distance(padded) <= radius_mm
-        closed = ndimage.distance_transform_edt(grown, sampling=self._side) > radius_mm
-        inner = tuple(slice(width, -width) for _ in range(3))
-        return np.asarray((closed | padded)[inner])
+        closed = self.distance(~grown) > radius_mm
+        return np.asarray((closed | padded)[(slice(width, -width),) * 3])
 
     def distance(self, volume: Volume) -> Floats:
         """Return the distance in mm of each voxel to the nearest of ``volume``."""
@@ -150,11 +144,10 @@ def bone_normals(bone: Surface, points: Floats) -> Floats:
 
     Normals of vertices are blended over a triangle, so that neighbours slide alike.
     """
-    normals = at_nearest(points, bone, vertex_normals(bone))
-    return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
+    return unit_rows(at_nearest(points, bone, vertex_normals(bone)))
 
 
-# The frame of the mandible's five degrees of freedom, and how well it follows a known motion.
+# The frame of the mandible's five degrees of freedom.
 
 
 def jaw_frame(condyles: Floats) -> JawFrame:
@@ -163,44 +156,7 @@ def jaw_frame(condyles: Floats) -> JawFrame:
     The first axis goes through the condyles to the subject's left, the second is the vertical made
     orthogonal to it, the third points forward.
     """
-    lateral = condyles[0] - condyles[1]
-    lateral = lateral / np.linalg.norm(lateral)
-    vertical = np.array([0.0, 1.0, 0.0])
-    vertical = vertical - (vertical @ lateral) * lateral
-    vertical = vertical / np.linalg.norm(vertical)
+    lateral = unit_rows(condyles[0] - condyles[1])
+    vertical = unit_rows(np.array([0.0, 1.0, 0.0]) - lateral[1] * lateral)
     axes = np.stack([lateral, vertical, np.cross(lateral, vertical)])
     return JawFrame(condyles.mean(axis=0), axes)
-
-
-@dataclass(frozen=True)
-class JawResidual:
-    """The part of a motion of the lower teeth that five degrees of freedom ``b`` (5,) miss, in mm.
-
-    ``rms`` and ``greatest`` are distances to the teeth in the closest rigid motion, and
-    ``not_rigid`` is what that motion itself misses (root mean square): a linear face model
-    stretches other people's teeth when it turns them, and no jaw follows that.
-    """
-
-    b: Floats
-    rms: float
-    greatest: float
-    not_rigid: float
-
-
-def jaw_residual(frame: JawFrame, rest: Floats, moved: Floats) -> JawResidual:
-    """Fit the jaw to points ``rest`` (k, 3) that moved to ``moved`` (k, 3), in mm."""
-    rotation = fit_similarity(rest, moved).rotation
-    rigid = (rest - rest.mean(axis=0)) @ rotation.T + moved.mean(axis=0)
-    freedom = JAW_FREEDOM
-    fit = least_squares(
-        lambda b: (move_jaw(frame, rest, b) - rigid).ravel(),
-        np.zeros(freedom),
-        lambda b: jaw_jacobian(frame, rest, b).reshape(-1, freedom),
-    )
-    missed = np.linalg.norm(move_jaw(frame, rest, fit.x) - rigid, axis=1)
-    return JawResidual(
-        b=fit.x,
-        rms=float(np.sqrt(np.mean(missed**2))),
-        greatest=float(missed.max()),
-        not_rigid=float(np.sqrt(np.mean(np.sum((moved - rigid) ** 2, axis=1)))),
-    )

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import igl
 import numpy as np
 import structlog
 
 from solver.anatomy.bones import jaw_frame
-from solver.anatomy.domain import boundary, join_surfaces, part_of
 from solver.anatomy.embedding import barycentric
 from solver.anatomy.meshing import EDGE_MM, make_mesh
 from solver.anatomy.muscle_weights import enclosed_volume, fibre_directions, muscle_volumes
@@ -18,7 +18,7 @@ from solver.anatomy.transfer import carry, skin_warp, transport
 from solver.errors import InputError, SolveError
 from solver.model import SubjectModel
 from solver.progress import Progress, Step, silent
-from solver.surface import Floats, Surface
+from solver.surface import Floats, Surface, join_surfaces, part_of
 
 log = structlog.get_logger(__name__)
 
@@ -32,12 +32,10 @@ def build_subject_model(
     where they cannot be carried, the person is meshed from scratch; ``model.mesh_source`` says so.
 
     ``neutral`` is the registered neutral scan: the template's skin vertices in the person.
-    ``edge_mm`` is the tets' edge length on the face (:func:`solver.anatomy.meshing.make_mesh`).
-    ``progress`` is told about the phases ``transfer``, ``transport`` or ``mesh``, ``relax`` and
-    ``muscles``.
+    ``edge_mm`` is the tets' edge length on the face (:func:`make_mesh`). ``progress`` is told about
+    the phases ``transfer``, ``transport`` or ``mesh``, ``relax`` and ``muscles``.
 
-    Raises :class:`InputError`, ``scan.vertex_count`` or ``scan.nan``, and :class:`SolveError` as
-    :func:`solver.anatomy.meshing.make_mesh`.
+    Raises :class:`InputError`, ``scan.vertex_count`` or ``scan.nan``, and as :func:`make_mesh`.
     """
     _check(template, neutral)
     progress(Step("transfer", 0.0))
@@ -107,7 +105,7 @@ def model_summary(model: SubjectModel) -> dict[str, Any]:
     """
     skin = model.skin.vertices
     misses = np.linalg.norm(model.offset, axis=1)[np.isin(model.embedded, model.face)]
-    outside = Surface(model.rest, boundary(model.tets))
+    outside = Surface(model.rest, igl.boundary_facets(model.tets)[0])
     depth = barycentric(skin[model.face], outside)[2]
     on_face = np.isin(model.skin.faces, model.face).all(axis=1)
     face = part_of(model.skin, np.flatnonzero(on_face))

@@ -78,20 +78,15 @@ def contact_regions(
     """
     regions = {name: np.sort(ids) for name, ids in parts.items()}
     skin, own = flesh.vertices, np.unique(flesh.faces)
-    teeth = np.vstack(
-        [_front(skin[parts[f"{jaw}_teeth"]], distances.front_teeth) for jaw in ("upper", "lower")]
-    )
-    lining = own[cKDTree(teeth).query(skin[own])[0] < distances.lining_mm]
+    rows = [skin[parts[f"{jaw}_teeth"]] for jaw in ("upper", "lower")]
+    # those that lips cover
+    front = [row[row[:, 2] > np.quantile(row[:, 2], 1 - distances.front_teeth)] for row in rows]
+    lining = own[cKDTree(np.vstack(front)).query(skin[own])[0] < distances.lining_mm]
     for lip, side in (("upper", UPPER), ("lower", LOWER)):
         regions[f"{lip}_lip_lining"] = lining[sides[lining] == side]
     for eye in ("left", "right"):
         regions |= _lids(flesh, own, parts[f"{eye}_eyeball"], landmarks, eye, distances)
     return regions
-
-
-def _front(teeth: Floats, part: float) -> Floats:
-    """Return those of a row of teeth's vertices that lips cover, the foremost ``part``."""
-    return teeth[teeth[:, 2] > np.quantile(teeth[:, 2], 1 - part)]
 
 
 def _lids(

@@ -5,19 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
+import igl
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from solver.anatomy.embedding import inside
 from solver.anatomy.template import Template
 from solver.anatomy.tetrahedra import EdgeLengths, background_grid
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Floats, Ints, Surface, inside, join_surfaces, own_numbers, part_of
 
 # Edge length in these regions as a part of the edge length elsewhere on the face.
 FINE_REGIONS = {"upper_lip": 0.42, "lower_lip": 0.42, "eyes": 0.5, "nose": 0.5}
-_FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+# Of a tetrahedron, turned outwards, in the order of libigl's adjacency.
+_FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
 
 
 class Label(IntEnum):
@@ -68,12 +69,6 @@ def domain_soup(head: Template, options: DomainOptions = DOMAIN) -> Surface:
     return join_surfaces([*surfaces, back, _sheet(lo, hi, 1, head.bottom_y, cells)])
 
 
-def part_of(surface: Surface, faces: Ints) -> Surface:
-    """Return some faces of a surface, by their numbers, with the vertices that they use."""
-    numbers, corners = np.unique(surface.faces[faces], return_inverse=True)
-    return Surface(surface.vertices[numbers], corners.reshape(-1, 3).astype(np.int64))
-
-
 def _sheet(lo: Floats, hi: Floats, axis: int, value: float, cells: int) -> Surface:
     u, v = (k for k in range(3) if k != axis)
     steps = np.indices((cells + 1, cells + 1)).reshape(2, -1) / cells
@@ -94,15 +89,6 @@ def grid_quads(rows: int, columns: int) -> Ints:
 def split_quads(quads: Ints) -> Ints:
     """Return triangles (2 k, 3): one half of every quad (k, 4), then the others."""
     return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-
-
-def join_surfaces(surfaces: list[Surface]) -> Surface:
-    """Return surfaces as one, their vertices and faces one after the other."""
-    starts = np.cumsum([0] + [len(surface.vertices) for surface in surfaces[:-1]])
-    return Surface(
-        np.vstack([surface.vertices for surface in surfaces]),
-        np.vstack([s.faces + start for s, start in zip(surfaces, starts, strict=True)]),
-    )
 
 
 def edge_lengths(
@@ -174,14 +160,12 @@ def choose_flesh(
     bridge = on[Label.CRANIUM][tets].any(axis=1) & on[Label.MANDIBLE][tets].any(axis=1)
     kept = np.flatnonzero(flesh & ~bridge & ~fixed[tets].all(axis=1))
     kept = kept[_large_pieces(tets[kept], least_piece)]
-    numbers, own = np.unique(tets[kept], return_inverse=True)
-    renumber = np.full(len(vertices), -1)
-    renumber[numbers] = np.arange(len(numbers))
+    numbers, own = own_numbers(tets[kept])
     outside, owner = _faces_towards(tets, labels, kept)[Label.OUTSIDE]
     return MeshedFlesh(
         vertices[numbers],
-        own.reshape(-1, 4),
-        renumber[outside],
+        own,
+        np.searchsorted(numbers, outside),
         np.searchsorted(kept, owner),
         {label: np.flatnonzero(mask[numbers]) for label, mask in on.items()},
     )
@@ -192,40 +176,23 @@ def _faces_towards(tets: Ints, labels: Ints, kept: Ints) -> dict[Label, tuple[In
 
     With the faces (f, 3) come the numbers (f,) of the kept tetrahedra they belong to.
     """
-    faces, owner, (first, second) = _sides(tets)
-    twin = np.full(len(faces), -1)
-    twin[first], twin[second] = owner[second], owner[first]
-    is_kept = np.zeros(len(tets) + 1, dtype=bool)
-    is_kept[kept] = True
-    outer = is_kept[owner] & ~is_kept[twin]
-    # Beyond the box there is nothing.
+    twin = igl.tet_tet_adjacency(tets)[0]
+    is_kept = np.isin(np.arange(len(tets) + 1), kept)
+    # Beyond the box, at -1, there is nothing.
     beyond = np.append(labels, Label.OUTSIDE)[twin]
-    sides = {label: outer & (beyond == label) for label in Label}
-    return {label: (faces[side], owner[side]) for label, side in sides.items()}
-
-
-def _sides(tets: Ints) -> tuple[Ints, Ints, tuple[Ints, Ints]]:
-    """Return all faces (4 t, 3), their tets (4 t,), and the numbers of those that are the same."""
-    faces = tets[:, _FACES].reshape(-1, 3)
-    keys = np.sort(faces, axis=1)
-    order = np.lexsort(keys.T)
-    same = np.flatnonzero((keys[order][1:] == keys[order][:-1]).all(axis=1))
-    return faces, np.repeat(np.arange(len(tets)), 4), (order[same], order[same + 1])
+    outer = is_kept[:-1, None] & ~is_kept[twin]
+    sides = {}
+    for label in Label:
+        owner, side = np.nonzero(outer & (beyond == label))
+        sides[label] = tets[owner[:, None], _FACES[side]], owner
+    return sides
 
 
 def _large_pieces(tets: Ints, least_piece: float) -> np.ndarray:
     """Return (t,) True for tetrahedra in large pieces joined by faces."""
-    _, owner, shared = _sides(tets)
-    pairs = owner[shared[0]], owner[shared[1]]
-    graph = sp.coo_array((np.ones(len(pairs[0])), pairs), shape=(len(tets), len(tets)))
+    twin = igl.tet_tet_adjacency(tets)[0]
+    owner, side = np.nonzero(twin >= 0)
+    pairs = owner, twin[owner, side]
+    graph = sp.coo_array((np.ones(len(owner)), pairs), shape=(len(tets), len(tets)))
     _, piece = connected_components(graph, directed=False)
     return np.asarray(np.bincount(piece)[piece] >= least_piece * len(tets))
-
-
-def boundary(tets: Ints) -> Ints:
-    """Return the faces (f, 3) that belong to one tetrahedron only, turned outwards."""
-    faces = tets[:, _FACES].reshape(-1, 3)
-    _, first, count = np.unique(
-        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
-    )
-    return np.asarray(faces[first[count == 1]])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import igl
 import numpy as np
 import scipy.sparse as sp
@@ -34,9 +36,41 @@ def at_nearest(points: Floats, surface: Surface, values: Floats) -> Floats:
     return np.asarray(np.einsum("nk,nkd->nd", shares, values[surface.faces[face]]))
 
 
-def inside(surface: Surface, points: Floats) -> np.ndarray:
-    """Return (n,) True where a surface winds around a point."""
-    return np.asarray(igl.fast_winding_number(surface.vertices, surface.faces, points)) > 0.5
+def bind_outside(
+    points: Floats, vertices: Floats, tets: Ints, faces: Ints, owners: Ints
+) -> tuple[Ints, Floats, Floats]:
+    """Return the tets (n,) at which points (n, 3) come nearest to some ``faces`` (f, 3) of tets.
+
+    ``owners`` (f,) are the faces' tets. With them come the barycentric coordinates (n, 4) of the
+    nearest place in its tet, and the distance (n,).
+    """
+    face, shares, distance = barycentric(points, Surface(vertices, faces))
+    tet = owners[face]
+    same = tets[tet][:, :, None] == faces[face][:, None, :]
+    return tet, np.einsum("nck,nk->nc", same, shares), distance
+
+
+def tet_binder(vertices: Floats, tets: Ints) -> Callable[[Floats], tuple[Ints, Floats]]:
+    """Return a function of points (n, 3): the tets (n,) that they follow, and their shares (n, 4).
+
+    A point moves by the mean of its tet's corners' displacements with its shares as weights. One
+    outside the mesh, where many a muscle begins, moves as the nearest point of the mesh does.
+    """
+    tree = igl.AABB()
+    tree.init(vertices, tets)
+    faces, owners, _ = igl.boundary_facets(tets)
+
+    def bind(points: Floats) -> tuple[Ints, Floats]:
+        points = np.ascontiguousarray(points)
+        tet = np.array(igl.in_element(vertices, tets, points, tree), np.int64)
+        shares, outside = np.empty((len(points), 4)), tet < 0
+        shares[~outside] = barycentric_in_tets(points[~outside], vertices[tets[tet[~outside]]])
+        if outside.any():
+            nearest = bind_outside(points[outside], vertices, tets, faces, owners)
+            tet[outside], shares[outside], _ = nearest
+        return tet, shares
+
+    return bind
 
 
 def extend(

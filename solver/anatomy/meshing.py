@@ -24,7 +24,7 @@ from solver.anatomy.domain import (
     in_front,
     label_tets,
 )
-from solver.anatomy.embedding import at_nearest, barycentric, extend, rows_of
+from solver.anatomy.embedding import at_nearest, bind_outside, extend, rows_of
 from solver.anatomy.muscle_weights import initial_weights
 from solver.anatomy.relaxation import relax
 from solver.anatomy.template import Template, TemplateMesh
@@ -33,7 +33,7 @@ from solver.anatomy.transfer import guidance
 from solver.errors import InputError, SolveError
 from solver.progress import Progress, Step, silent
 from solver.storage import cache_directory
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Floats, Ints
 
 EDGE_MM = 9.0  # the usual edge length on the face
 
@@ -78,13 +78,11 @@ def make_mesh(
 ) -> TemplateMesh:
     """Fill the flesh between a head's skin and bones with tetrahedra (1 to 6 minutes).
 
-    The lips are parted to mesh them, then closed; the mesh is relaxed in both poses. fTetWild is
-    not reproducible: the same head gives another mesh every time.
-
-    ``head`` is anatomy in any neutral, a template's own or one carried into a person. ``edge_mm``
-    is the edge length on the face; lips, eyes and nose are finer, neck and scalp coarser. 9 mm
-    gives about 7k vertices and 25k tetrahedra. ``progress`` is told about the phases ``mesh``,
-    ``relax`` and ``muscles``.
+    The lips are parted to mesh them, then closed; the mesh is relaxed in both poses. The same head
+    gives another mesh every time. ``head`` is anatomy in any neutral, a template's own or one
+    carried into a person. ``edge_mm`` is the edge length on the face; lips, eyes and nose are
+    finer, neck and scalp coarser. 9 mm gives about 7k vertices and 25k tetrahedra. ``progress`` is
+    told about the phases ``mesh``, ``relax`` and ``muscles``.
 
     Raises :class:`SolveError`: ``mesher.timeout``, ``mesher.crashed``, ``mesh.inverted`` or
     ``mesh.uncovered``.
@@ -153,10 +151,7 @@ def _on_bones(head: Template, flesh: MeshedFlesh) -> Floats:
 
 def _bound(flesh: MeshedFlesh, points: Floats) -> tuple[Ints, Floats, Floats]:
     """Return the nearest outer tets (n,), coordinates (n, 4) in them and the distance (n,)."""
-    face, shares, distance = barycentric(points, Surface(flesh.vertices, flesh.outside))
-    tet, corners = flesh.outside_of[face], flesh.outside[face]
-    same = flesh.tets[tet][:, :, None] == corners[:, None, :]
-    return tet, np.einsum("nck,nk->nc", same, shares), distance
+    return bind_outside(points, flesh.vertices, flesh.tets, flesh.outside, flesh.outside_of)
 
 
 def _bound_skin(
@@ -189,21 +184,18 @@ def _held(head: Template, flesh: MeshedFlesh, options: MeshOptions) -> dict[str,
     cut = np.setdiff1d(flesh.held[Label.CUT], np.union1d(mandible, cranium))
     cut = cut[~_drawn_along(head, flesh.vertices[cut], options)]
     frontalis = [m.surface.vertices for m in head.muscles if "frontalis" in m.name]
-    sliding = cranium[:0]
-    if frontalis:
-        distance = cKDTree(np.vstack(frontalis)).query(flesh.vertices[cranium])[0]
-        sliding = cranium[distance < options.frontalis_mm]
-    fixed = np.setdiff1d(cranium, sliding)
+    near = cKDTree(np.vstack([np.empty((0, 3)), *frontalis])).query(flesh.vertices[cranium])[0]
+    slides = near < options.frontalis_mm
+    fixed, sliding = cranium[~slides], cranium[slides]
     return {"cranium": fixed, "mandible": mandible, "cut": cut, "sliding": sliding}
 
 
 def _drawn_along(head: Template, points: Floats, options: MeshOptions) -> np.ndarray:
     """Return (n,) True for points of a cut plane that move with jaw or face."""
-    throat = points[:, 1] < head.mandible.vertices[:, 1].min()
-    face = head.skin.vertices[head.face_vertices]
-    near_face = cKDTree(face).query(points)[0] < options.face_free_mm
-    near_jaw = cKDTree(head.mandible.vertices).query(points)[0] < options.jaw_free_mm
-    return np.asarray(near_jaw | (throat & near_face))
+    jaw, face = head.mandible.vertices, head.skin.vertices[head.face_vertices]
+    near_jaw, near_face = (cKDTree(part).query(points)[0] for part in (jaw, face))
+    in_throat = (points[:, 1] < jaw[:, 1].min()) & (near_face < options.face_free_mm)
+    return np.asarray((near_jaw < options.jaw_free_mm) | in_throat)
 
 
 # From the parted pose, in which the flesh is meshed, back to the neutral pose.
@@ -248,34 +240,22 @@ def find_or_make_mesh(
     """Return the template with tets of ``edge_mm``: its own, those in the cache, or new ones.
 
     New ones take minutes and are not reproducible, so they are kept in the cache folder under the
-    hash of what they were made from. Raises as :func:`solver.anatomy.meshing.make_mesh`.
+    hash of what they were made from. Raises as :func:`make_mesh`.
     """
     if template.mesh is not None and template.mesh.edge_mm == edge_mm:
         return template
     bare = replace(template, mesh=None)
     path = cache_directory() / f"meshed-{MAKING}-{bare.sha256[:16]}-{edge_mm:g}mm.npz"
-    kept = _kept(path)
-    if kept is None:
-        log.info("making the template's tets", template=template.name, to=str(path))
-        _keep(with_mesh(bare, edge_mm, progress), path)
-        kept = Template.load(path)
-    return kept
-
-
-def _kept(path: Path) -> Template | None:
-    """Return the template in the cache; none if there is none, or a file that was spoilt."""
     try:
-        return Template.load(path) if path.exists() else None
+        if path.exists():
+            return Template.load(path)
     except InputError as error:
         log.warning("the template's tets are made anew", reason=str(error))
         path.unlink(missing_ok=True)
-        return None
-
-
-def _keep(template: Template, path: Path) -> None:
-    """Store the template unless another process was faster: then its tets are everybody's."""
+    log.info("making the template's tets", template=template.name, to=str(path))
     with tempfile.TemporaryDirectory(dir=path.parent) as folder:
         whole = Path(folder) / path.name
-        template.save(whole)
-        if not path.exists():
+        with_mesh(bare, edge_mm, progress).save(whole)
+        if not path.exists():  # else another process was faster: then its tets are everybody's
             os.replace(whole, path)
+    return Template.load(path)

@@ -16,7 +16,15 @@ from scipy.spatial import cKDTree
 from solver.anatomy.embedding import extend
 from solver.anatomy.template import Muscle
 from solver.anatomy.tetrahedra import volumes
-from solver.surface import Floats, Ints, Surface, area_normals, directed_edges
+from solver.surface import (
+    Floats,
+    Ints,
+    Surface,
+    area_normals,
+    directed_edges,
+    own_numbers,
+    winding_numbers,
+)
 
 CANDIDATE_MM = 10.0  # a muscle may act in the tets within this distance (the paper's sparsity of S)
 # Eight equal parts of a tetrahedron: each corner is half way between two of its corners.
@@ -120,8 +128,7 @@ def _is_closed(faces: Ints) -> bool:
 
 def contains(surface: Surface, points: Floats) -> np.ndarray:
     """Return (n,) True where a point lies inside; the surface may have gaps or be inside out."""
-    winding = igl.fast_winding_number(surface.vertices, surface.faces, points)
-    return np.asarray(np.abs(winding) > 0.5)
+    return np.abs(winding_numbers(surface, points)) > 0.5
 
 
 def _fractions(corners: Floats, muscle: Surface, sampling: SamplingOptions) -> Floats:
@@ -261,8 +268,8 @@ class _Field:
         self, vertices: Floats, tets: Ints, gradients: Floats, weight: Floats, options: FibreOptions
     ) -> None:
         self._options, self._gradients, self._weight = options, gradients, weight
-        numbers, local = np.unique(tets, return_inverse=True)
-        self._points, self._tets = vertices[numbers], local.reshape(tets.shape)
+        numbers, self._tets = own_numbers(tets)
+        self._points = vertices[numbers]
         entries = np.einsum("t,tid,tjd->tij", weight, gradients, gradients)
         pairs = (np.repeat(self._tets, 4, axis=1).ravel(), np.tile(self._tets, 4).ravel())
         count = len(numbers)

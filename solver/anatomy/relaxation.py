@@ -61,8 +61,7 @@ class Guides:
     @classmethod
     def of_vertices(cls, ids: Ints, targets: Floats, weight: float, count: int) -> Guides:
         """Return springs of equal weight from the vertices ``ids`` (k,), of ``count`` in all."""
-        ones, numbers = np.ones(len(ids)), np.arange(len(ids))
-        rows = sp.csr_array((ones, (numbers, ids)), shape=(len(ids), count))
+        rows = sp.csr_array(sp.eye_array(count, format="csr")[ids])
         return cls(rows, targets, np.full(len(ids), weight))
 
     @classmethod
@@ -84,10 +83,7 @@ class Guides:
 def relax(x: Floats, tets: Ints, guides: Guides, options: RelaxationOptions = RELAXATION) -> Floats:
     """Return the vertices (p, 3) of least energy, from the start ``x`` (p, 3) in mm.
 
-    Raises
-    ------
-    SolveError
-        ``mesh.inverted`` if a tet stays inverted.
+    Raises :class:`SolveError` (``mesh.inverted``) if a tet stays inverted.
     """
     stiffness = np.full(len(tets), options.stiffness)
     if volumes(x, tets).min() <= 0:

@@ -59,10 +59,8 @@ class ShapeBasis:
 def check_arrays(template: Template, file: str) -> None:
     """Raise what is wrong with a template's arrays; ``file`` is named in the message.
 
-    Raises
-    ------
-    InputError
-        ``template.shape``, ``template.nan`` or ``template.range``, with the ``array``'s name.
+    That is an :class:`InputError`, ``template.shape``, ``template.nan`` or ``template.range``, with
+    the ``array``'s name.
     """
     check = _Check(file)
     for name in SURFACES:
@@ -99,8 +97,10 @@ def check_arrays(template: Template, file: str) -> None:
         check.points("mesh shares", mesh.shares, (len(mesh.embedded_in), 4))
         check.points("mesh weights", weights.data, (len(weights.indices),))
         check.numbers("mesh weights", weights.indices, weights.shape[1])
-        check.rows("weights", weights.shape[0], len(mesh.tets))
-        check.rows("embedded_in", len(mesh.embedded_in), len(mesh.embedded))
+        found = {"weights": weights.shape[0], "embedded_in": len(mesh.embedded_in)}
+        for name, wanted in (("weights", len(mesh.tets)), ("embedded_in", len(mesh.embedded))):
+            if found[name] != wanted:
+                check.wrong("shape", f"mesh {name}", f"has {found[name]} rows, not {wanted}")
 
 
 class _Check:
@@ -131,10 +131,6 @@ class _Check:
             place = tuple(outside[0])
             self.wrong("range", name, f"has {array[place]} at {list(map(int, place))}, of {count}")
 
-    def rows(self, name: str, found: int, wanted: int) -> None:
-        if found != wanted:
-            self.wrong("shape", f"mesh {name}", f"has {found} rows, not {wanted}")
-
     def surface(self, name: str, surface: Surface) -> None:
         self.points(f"{name} vertices", surface.vertices, (None, 3))
         self.numbers(f"{name} faces", surface.faces, len(surface.vertices), columns=3)
@@ -149,10 +145,8 @@ class TemplateMesh:
 
     edge_mm
         The edge length on the face that was asked for.
-    vertices
-        (p, 3) rest vertices.
-    tets
-        (n, 4) vertex numbers, every volume positive.
+    vertices, tets
+        (p, 3) at rest, and (n, 4) vertex numbers, every volume positive.
     cranium, mandible, cut, sliding
         Vertex numbers, disjoint; see :class:`solver.model.SubjectModel`.
     embedded, embedded_in, shares
@@ -250,10 +244,8 @@ class Template:
         Watertight bone surfaces that bound the flesh from inside.
     condyles
         (2, 3) centres of the left and right mandibular condyle.
-    landmarks
-        Name -> skin vertex.
-    regions
-        Name -> skin vertices, for reports by region.
+    landmarks, regions
+        Name -> skin vertex, and name -> skin vertices, for reports by region.
     back_z, bottom_y
         Planes behind and below which there is no flesh: its tets end there, held fixed.
     shapes
@@ -261,10 +253,9 @@ class Template:
         it to a scan before it fits the vertices.
     licence
         What the template may be used for, by its sources; empty where nobody said.
-    depths
-        Soft-tissue depths that the bones were placed by.
-    mesh
-        The tetrahedra that every person's model shares, where they have been made.
+    depths, mesh
+        Soft-tissue depths that the bones were placed by, and the tetrahedra that every person's
+        model shares, where they have been made.
     """
 
     name: str
@@ -320,7 +311,7 @@ class Template:
         """Read a template written by :meth:`save`.
 
         Raises :class:`InputError`: ``template.unreadable`` or ``template.format`` if the file is
-        not one, else as :func:`solver.anatomy.template.check_arrays`.
+        not one, else as :func:`check_arrays`.
         """
         archive = Archive.read(path, "template", "a template", FORMAT)
         try:

@@ -15,6 +15,7 @@ import types
 from dataclasses import dataclass
 from pathlib import Path
 
+import igl
 import numpy as np
 
 from solver.errors import SolveError
@@ -124,14 +125,7 @@ def barycentric_in_tets(points: Floats, corners: Floats) -> Floats:
 
 def dihedral_angles(vertices: Floats, tets: Ints) -> Floats:
     """Return the six dihedral angles (t, 6) of each tetrahedron, in degrees."""
-    corners = vertices[tets]
-    normals = []
-    for face in ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)):
-        a, b, c = (corners[:, k] for k in face)
-        normal = np.cross(b - a, c - a)
-        normals.append(normal / np.linalg.norm(normal, axis=1, keepdims=True))
-    cosines = [np.sum(normals[i] * normals[j], axis=1) for i in range(4) for j in range(i)]
-    return np.asarray(180.0 - np.degrees(np.arccos(np.clip(np.stack(cosines, axis=1), -1, 1))))
+    return np.asarray(np.degrees(igl.dihedral_angles(vertices, tets)[0]))
 
 
 def _run_child(source: Path, target: Path) -> None:

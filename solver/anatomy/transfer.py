@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import igl
 import numpy as np
 import scipy.sparse as sp
 
-from solver.anatomy.domain import boundary
-from solver.anatomy.embedding import at_nearest
+from solver.anatomy.embedding import at_nearest, tet_binder
 from solver.anatomy.relaxation import Guides, relax
 from solver.anatomy.template import Muscle, Template, TemplateMesh
-from solver.anatomy.tetrahedra import barycentric_in_tets, dihedral_angles
+from solver.anatomy.tetrahedra import dihedral_angles
 from solver.anatomy.warp import SkinDepth, Warp, interpolate, spread
 from solver.errors import SolveError
 from solver.surface import Floats, Ints, Surface
@@ -126,20 +124,12 @@ def flesh_motion(
     vertices are interpolated in the tetrahedron around a point, or at the nearest point of the
     mesh's boundary. So muscles stay where S has them.
     """
-    outside, corrections = Surface(vertices, boundary(tets)), moved - warp(vertices)
-    tree = igl.AABB()
-    tree.init(vertices, tets)
+    corrections, bind = moved - warp(vertices), tet_binder(vertices, tets)
 
     def motion(points: Floats) -> Floats:
-        points = np.ascontiguousarray(points)
-        tet = np.asarray(igl.in_element(vertices, tets, points, tree))
-        correction, inside = np.empty_like(points), tet >= 0
-        corners = tets[tet[inside]]
-        shares = barycentric_in_tets(points[inside], vertices[corners])
-        correction[inside] = np.einsum("nk,nkd->nd", shares, corrections[corners])
-        if not inside.all():
-            correction[~inside] = at_nearest(points[~inside], outside, corrections)
-        return warp(points) + correction
+        tet, shares = bind(points)
+        correction = np.einsum("nk,nkd->nd", shares, corrections[tets[tet]])
+        return np.asarray(warp(points) + correction)
 
     return motion
 
@@ -181,9 +171,8 @@ def guidance(
     pull = np.where(np.isin(embedded, head.face_vertices), pulls.face, pulls.skin)
     to_skin = Guides(surface_rows, skin[embedded], pull)
     to_bones = Guides.of_vertices(held, held_at, pulls.bone, count)
-    return Guides.join(
-        [to_skin, to_bones, Guides.of_vertices(np.arange(count), start, pulls.stay, count)]
-    )
+    to_start = Guides.of_vertices(np.arange(count), start, pulls.stay, count)
+    return Guides.join([to_skin, to_bones, to_start])
 
 
 # A template's tetrahedra carried into a person: the same tets, muscles and S for everybody.
@@ -202,10 +191,8 @@ def transport(
     """Return the template's mesh in a person, and the person with muscles moved as their tets are.
 
     ``mesh`` was made for ``template``, which ``warp``, the map of space between their skins,
-    carried into ``person``.
-
-    Raises :class:`SolveError`: ``mesh.inverted``, or ``mesh.flat`` for a tet with a dihedral angle
-    below the least of ``options``.
+    carried into ``person``. Raises :class:`SolveError`: ``mesh.inverted``, or ``mesh.flat`` for a
+    tet with a dihedral angle below the least of ``options``.
     """
     start = warp(mesh.vertices)
     place, cranium = start.copy(), np.concatenate([mesh.cranium, mesh.sliding])

@@ -15,8 +15,7 @@ from scipy.linalg import solve
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
-from solver.anatomy.embedding import inside
-from solver.surface import Floats, Ints, Surface, directed_edges
+from solver.surface import Floats, Ints, Surface, inside
 
 
 @dataclass(frozen=True)
@@ -45,15 +44,11 @@ def interpolate(source: Floats, target: Floats, smoothing: float = 0.0) -> Warp:
 
     ``smoothing`` in mm lets it miss the targets for less bending; zero goes through them.
     """
-    count = len(source)
-    matrix = np.zeros((count + 4, count + 4))
-    values = basis(source, source)
+    count, values = len(source), basis(source, source)
     # -|r| is conditionally positive definite, hence the sign of the smoothing term.
-    matrix[:count] = values
-    matrix[:count, :count] -= smoothing * np.eye(count)
-    matrix[count:, :count] = values[:, count:].T
-    right = np.zeros((count + 4, 3))
-    right[:count] = target - source
+    values[:, :count] -= smoothing * np.eye(count)
+    matrix = np.vstack([values, np.pad(values[:, count:].T, ((0, 0), (0, 4)))])
+    right = np.vstack([target - source, np.zeros((4, 3))])
     return Warp(source, solve(matrix, right, assume_a="sym"))
 
 
@@ -91,16 +86,13 @@ def least_bending(centres: Floats, planes: PlaneConstraints, stiffness: float) -
     bending = -complement.T @ cdist(centres, centres) @ complement
     values = basis(planes.points, centres)
     values = np.hstack([values[:, :count] @ complement, values[:, count:]])
-    width = values.shape[1]
-    rows = np.einsum("nd,nk->ndk", planes.directions, values)
-    rows = rows.reshape(len(values), 3 * width)
+    rows = np.einsum("nd,nk->ndk", planes.directions, values).reshape(len(values), -1)
     root = np.linalg.cholesky(bending + 1e-9 * np.trace(bending) / count * np.eye(count - 4)).T
     regular = np.kron(np.eye(3), np.hstack([np.sqrt(stiffness) * root, np.zeros((count - 4, 4))]))
     normal = rows.T @ rows + regular.T @ regular
     right = rows.T @ planes.distances
     normal[np.diag_indices_from(normal)] += 1e-12 * np.trace(normal) / len(normal)
-    solution = solve(normal, right, assume_a="pos")
-    solution = solution.reshape(3, width).T
+    solution = solve(normal, right, assume_a="pos").reshape(3, -1).T
     coefficients = np.vstack([complement @ solution[: count - 4], solution[count - 4 :]])
     return Warp(centres, coefficients)
 
@@ -135,25 +127,18 @@ class SkinDepth:
 
 def close_holes(surface: Surface) -> Surface:
     """Return a surface with a fan of triangles over every hole, around its middle."""
-    edges, hole = boundary_edges(surface.faces)
-    centres = [
-        surface.vertices[np.unique(edges[hole == number])].mean(axis=0, keepdims=True)
-        for number in np.unique(hole)
-    ]
+    vertices, (edges, hole) = surface.vertices, boundary_edges(surface.faces)
+    rims = [np.unique(edges[hole == number]) for number in np.unique(hole)]
     # Turned round, the edges of a hole and its middle make faces that close it.
-    caps = np.column_stack([edges[:, ::-1], len(surface.vertices) + hole])
-    return Surface(np.vstack([surface.vertices, *centres]), np.vstack([surface.faces, caps]))
+    caps = np.column_stack([edges[:, ::-1], len(vertices) + hole])
+    centres = [vertices[rim].mean(axis=0) for rim in rims]
+    return Surface(np.vstack([vertices, *centres]), np.vstack([surface.faces, caps]))
 
 
 def boundary_edges(faces: Ints) -> tuple[Ints, Ints]:
     """Return the edges (e, 2) of only one face, in its direction, and the hole (e,) of each."""
-    edges = directed_edges(faces)
-    keys, key, count = np.unique(
-        np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
-    edges = edges[count[key.ravel()] == 1]
-    size = int(keys.max()) + 1
-    graph = sp.coo_array((np.ones(len(edges)), edges.T), shape=(size, size))
+    edges = np.asarray(igl.boundary_facets(faces)[0]).reshape(-1, 2)
+    graph = sp.coo_array((np.ones(len(edges)), edges.T), shape=(int(faces.max()) + 1,) * 2)
     piece = connected_components(graph, directed=False)[1]
     return edges, np.unique(piece[edges[:, 0]], return_inverse=True)[1]
 

@@ -77,6 +77,7 @@ def unfold(a: Floats) -> tuple[Floats, int]:
 
 
 FORMAT = 1  # of blendshapes.npz
+STORED = ("activations", "jaw", "mean_mm", "settled")  # its arrays
 CORRECTED = {"mouthClose": "jawOpen"}  # corrective shape -> the one it corrects
 # mm; a shape that moves no point of the face further is nothing for muscles: a tongue, a pupil
 LEAST_MOTION_MM = 0.05
@@ -110,8 +111,7 @@ class Blendshapes:
 
     def save(self, path: Path, model: SubjectModel, S: sp.csr_array) -> None:
         """Write the shapes as NPZ, replacing the file whole; they are of ``model`` with S."""
-        names, shapes = list(self.shapes), list(self.shapes.values())
-        blend = self.blend
+        blend, shapes = self.blend, self.shapes.values()
         arrays: Arrays = {
             "activations": blend.activations,
             "jaw": blend.jaw,
@@ -119,7 +119,7 @@ class Blendshapes:
             "settled": np.array([shape.settled for shape in shapes], bool),
         }
         header = {"format": FORMAT, "rig": _rig_hash(model, S), "muscles": self.muscles}
-        Archive({**header, "names": names}, arrays).write(path)
+        Archive({**header, "names": blend.names}, arrays).write(path)
 
     @classmethod
     def load(cls, path: Path, model: SubjectModel, S: sp.csr_array) -> Blendshapes:
@@ -129,28 +129,18 @@ class Blendshapes:
         ``blendshapes.model`` if they are another model's or another S's.
         """
         archive = Archive.read(path, "blendshapes", "a set of blendshapes", FORMAT)
-        data = archive.arrays
+        header, data = archive.header, archive.arrays
         try:
-            names, muscles = archive.header["names"], tuple(archive.header["muscles"])
-            rig = archive.header["rig"]
-            shapes = {
-                name: Solved(
-                    Pose(data["activations"][row], data["jaw"][row]),
-                    float(data["mean_mm"][row]),
-                    bool(data["settled"][row]),
-                )
-                for row, name in enumerate(names)
-            }
+            rig, muscles, shapes = header["rig"], tuple(header["muscles"]), {}
+            for row, name in enumerate(header["names"]):
+                a, b, mean, settled = (data[key][row] for key in STORED)
+                shapes[name] = Solved(Pose(a, b), float(mean), bool(settled))
         except (LookupError, TypeError, ValueError) as error:
-            raise InputError(
-                "blendshapes.unreadable",
-                f"{path.name} is not a set of blendshapes: {error}",
-                file=path.name,
-            ) from error
+            reason = f"{path.name} is not a set of blendshapes: {error}"
+            raise InputError("blendshapes.unreadable", reason, file=path.name) from error
         if rig != _rig_hash(model, S):
-            raise InputError(
-                "blendshapes.model", f"{path.name} belongs to another rig", file=path.name
-            )
+            reason = f"{path.name} belongs to another rig"
+            raise InputError("blendshapes.model", reason, file=path.name)
         return cls(muscles, shapes)
 
 
@@ -165,36 +155,26 @@ def _rig_hash(model: SubjectModel, S: sp.csr_array) -> str:
 def expression_targets(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, Floats]:
     """Return name -> the places (k, 3) of the face's points in every shape that ARKit drives.
 
-    A corrective comes after the shape it corrects, and has its motion too.
-
-    Raises :class:`InputError`: ``blendshapes.none`` if the template (whose ``shapes`` are
-    ``basis``) knows no expressions that ARKit drives, ``blendshapes.topology`` if they are of
-    another skin.
+    ``basis`` are the template's shapes. A corrective comes after the shape it corrects, and has its
+    motion too. Raises :class:`InputError`: ``blendshapes.none`` if ARKit drives no expression of
+    the template, ``blendshapes.topology`` if they are of another skin.
     """
-    vertices = len(model.skin.vertices)
-    if basis is not None and basis.expressions.shape[1] != vertices:
-        raise InputError(
-            "blendshapes.topology",
-            f"the template's expressions have {basis.expressions.shape[1]} vertices, the subject "
-            f"has {vertices}",
-            expected=vertices,
-            found=basis.expressions.shape[1],
-        )
-    shapes = (
-        {} if basis is None else dict(zip(basis.expression_names, basis.expressions, strict=True))
-    )
+    names, shapes = (basis.expression_names, basis.expressions) if basis else ((), ())
+    expected = len(model.skin.vertices)
+    if basis and basis.expressions.shape[1] != expected:
+        found = basis.expressions.shape[1]
+        reason = f"the template's expressions have {found} vertices, the subject has {expected}"
+        raise InputError("blendshapes.topology", reason, expected=expected, found=found)
     motions = {}
-    for name, shape in shapes.items():
+    for name, shape in zip(names, shapes, strict=True):
         motion = shape[model.face].astype(np.float64)
         moves = np.linalg.norm(motion, axis=1).max() > LEAST_MOTION_MM
         if moves and arkit_source(name) in ARKIT_NAMES:
             motions[name] = motion
     if not motions:
-        raise InputError(
-            "blendshapes.none",
-            f"the template {model.template.get('name', '')} has no expressions that a recording "
-            "could drive",
-        )
+        reason = "has no expressions that a recording could drive"
+        name = model.template.get("name", "")
+        raise InputError("blendshapes.none", f"the template {name} {reason}")
     neutral = model.skin.vertices[model.face]
     targets = {name: neutral + motion for name, motion in motions.items() if name not in CORRECTED}
     for name in motions.keys() - targets.keys():

@@ -11,14 +11,13 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
 from solver.animation.blendshapes import Blend, Blendshapes, unfold
-from solver.contact.obstacles import nearest_sphere
 from solver.errors import InputError
 from solver.fitting.face import Pose
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel
 from solver.scans.live_link import ARKIT_NAMES, LiveLinkTake
 from solver.similarity import Similarity
-from solver.surface import Floats
+from solver.surface import Floats, nearest_sphere
 from solver.templates.ict_facekit import arkit_source
 
 
@@ -62,7 +61,12 @@ def track(
     :class:`InputError` (``scene.times``) if a key is not later than the one before, or its time is
     no number; ``what`` is the list of the keys, as the scene calls it.
     """
-    check_times(times, what)
+    for number, time in enumerate(times):
+        if not np.isfinite(time):
+            raise InputError("scene.times", f"the time of {what}[{number}] is {time}", key=number)
+        if number and time - times[number - 1] < SHORTEST_SECONDS:
+            reason = f"{what}[{number}] at {time:g} s is not later than the one before"
+            raise InputError("scene.times", reason, key=number)
     if not len(times):
         return lambda _time: np.zeros(values.shape[1])
     if len(times) == 1:
@@ -72,19 +76,6 @@ def track(
         curve = PchipInterpolator(times, values)
         return lambda time: np.asarray(curve(min(max(time, first), last)))
     return lambda time: np.array([np.interp(time, times, column) for column in values.T])
-
-
-def check_times(times: Sequence[float], what: str) -> None:
-    """Raise ``scene.times`` unless every time is a number and later than the one before."""
-    for number, time in enumerate(times):
-        if not np.isfinite(time):
-            raise InputError("scene.times", f"the time of {what}[{number}] is {time}", key=number)
-        if number and time - times[number - 1] < SHORTEST_SECONDS:
-            raise InputError(
-                "scene.times",
-                f"{what}[{number}] at {time:g} s is not later than the one before",
-                key=number,
-            )
 
 
 # heads turn about the upper neck, so far from the middle of the jaw's condyles
@@ -114,26 +105,18 @@ def turn_about(pivot: Floats, rotation: Floats, shift: Floats) -> Similarity:
     return Similarity(1.0, matrix, pivot - matrix @ pivot + shift)
 
 
-class HeadMotion:
-    """The head between keys, before the first as there, after the last as there.
+def head_motion(
+    keys: Sequence[HeadKey], pivot: Floats, interpolation: Interpolation = "smooth"
+) -> Callable[[float], Similarity]:
+    """Return the head's motion into the world at any time in s, between keys and as at the ends.
 
-    Turns and shifts are interpolated by component. Without a key the head stays where it is.
-    Raises :class:`InputError` (``scene.times``) for keys that are not one after the other.
+    Turns and shifts are interpolated by component. Without a key the head stays where it is. Raises
+    as :func:`track`.
     """
-
-    def __init__(
-        self, keys: Sequence[HeadKey], pivot: Floats, interpolation: Interpolation = "smooth"
-    ) -> None:
-        self._pivot = pivot
-        values = [np.concatenate([key.rotation, key.shift]) for key in keys]
-        self._track = track(
-            [key.time for key in keys], np.reshape(values, (len(keys), 6)), "head", interpolation
-        )
-
-    def __call__(self, time: float) -> Similarity:
-        """Return the motion into the world at ``time`` in s."""
-        place = self._track(time)
-        return turn_about(self._pivot, place[:3], place[3:])
+    values = [np.concatenate([key.rotation, key.shift]) for key in keys]
+    times = [key.time for key in keys]
+    place = track(times, np.reshape(values, (len(keys), 6)), "head", interpolation)
+    return lambda time: turn_about(pivot, *np.split(place(time), 2))
 
 
 @dataclass(frozen=True)
@@ -153,10 +136,9 @@ class PoseKey:
 class KeyedDrives:
     """:class:`Drives` by ``keys``, with frames at ``times`` (f,) in s.
 
-    Weights of the expressions ``poses``, activations and jaw are interpolated, each by itself;
-    before the first key they are as there, after the last as there, at rest if there is none. The
-    ``head`` turns about the neck. Raises :class:`InputError`: ``scene.times`` for keys that are not
-    one after the other, ``scene.expression`` and ``scene.muscle`` for names that are not known.
+    Weights of the expressions ``poses``, activations and jaw are interpolated, each by itself, at
+    rest if there is no key. The ``head`` turns about the neck. Raises :class:`InputError` as
+    :func:`track`, and ``scene.expression`` and ``scene.muscle`` for names that are not known.
     """
 
     def __init__(
@@ -170,25 +152,18 @@ class KeyedDrives:
         interpolation: Interpolation = "smooth",
     ) -> None:
         self.times = times
-        self._head = HeadMotion(head, neck(model), interpolation)
+        self._head = head_motion(head, neck(model), interpolation)
         _check_names(keys, poses, model)
         used = _names_of(key.expressions for key in keys)
         self._blend = Blend.of({name: poses[name] for name in used}, model.muscle_count)
         moved = _names_of(key.activations for key in keys)
         self._muscles = [model.muscle_names.index(name) for name in moved]
-        values = [
-            np.concatenate(
-                [
-                    [key.expressions.get(name, 0.0) for name in used],
-                    *(key.activations.get(name, IDENTITY) - IDENTITY for name in moved),
-                    key.jaw,
-                ]
-            )
-            for key in keys
-        ]
-        width = len(used) + 6 * len(moved) + 5
-        moments = [key.time for key in keys]
-        self._track = track(moments, np.reshape(values, (len(keys), width)), "keys", interpolation)
+        values = np.empty((len(keys), len(used) + 6 * len(moved) + 5))
+        for row, key in zip(values, keys, strict=True):
+            weights = [key.expressions.get(name, 0.0) for name in used]
+            moves = [key.activations.get(name, IDENTITY) - IDENTITY for name in moved]
+            row[:] = np.concatenate([weights, *moves, key.jaw])
+        self._track = track([key.time for key in keys], values, "keys", interpolation)
 
     def __call__(self, time: float) -> PosedFrame:
         """See :class:`Drives`."""
@@ -213,13 +188,9 @@ def _check_names(keys: Sequence[PoseKey], poses: Mapping[str, Pose], model: Subj
         ):
             for name in names:
                 if name not in known:
-                    raise InputError(
-                        code,
-                        f"keys[{number}] names the {noun} {name!r}, which is not one of the face's",
-                        key=number,
-                        found=name,
-                        expected=known,
-                    )
+                    what = f"keys[{number}] names the {noun} {name!r}"
+                    reason = f"{what}, which is not one of the face's"
+                    raise InputError(code, reason, key=number, found=name, expected=known)
 
 
 class RecordedDrives:
@@ -227,8 +198,7 @@ class RecordedDrives:
 
     ``weights`` (f, e) are what drives each of the ``shapes`` in these frames. Times begin at 0.
     Weights and turns between frames lie on straight lines. The recorded head turns about the neck;
-    keys of the ``head`` come on top of that. Raises :class:`InputError` (``scene.frames``) if the
-    recording does not have those frames.
+    keys of the ``head`` come on top of that. Raises ``scene.frames`` if there are no such frames.
     """
 
     def __init__(
@@ -244,14 +214,9 @@ class RecordedDrives:
         count = len(take.times)
         last = count if end is None else end
         if not 0 <= start < last <= count:
-            raise InputError(
-                "scene.frames",
-                f"the recording has the frames 0 to {count - 1}: start {start} and end {last} are "
-                "not within it",
-                expected=count,
-                start=start,
-                end=last,
-            )
+            asked = f"start {start} and end {last} are not within it"
+            reason = f"the recording has the frames 0 to {count - 1}: {asked}"
+            raise InputError("scene.frames", reason, expected=count, start=start, end=last)
         frames = slice(start, last)
         self._blend = shapes.blend
         columns = [ARKIT_NAMES.index(arkit_source(name)) for name in self._blend.names]
@@ -261,7 +226,7 @@ class RecordedDrives:
         values = np.hstack([self.weights, turns])
         self._track = track(self.times, values, "frames", "linear")
         self._neck = neck(model)
-        self._head = HeadMotion(head, self._neck)
+        self._head = head_motion(head, self._neck)
 
     def __call__(self, time: float) -> PosedFrame:
         """See :class:`Drives`."""
@@ -272,18 +237,14 @@ class RecordedDrives:
         return PosedFrame(a, pose.b, motion, eyes.reshape(2, 3), clamped)
 
 
-SIDES = ("left", "right")
-
-
 class Gaze:
-    """Turns the eyeballs of a subject, the regions ``left_eyeball`` and ``right_eyeball``.
-
-    A skin without them stays as it is.
-    """
+    """Turns a subject's eyeballs, the regions ``left_eyeball`` and ``right_eyeball`` if any."""
 
     def __init__(self, model: SubjectModel) -> None:
         skin = model.skin.vertices
-        regions = [model.regions.get(f"{side}_eyeball", np.zeros(0, int)) for side in SIDES]
+        regions = [
+            model.regions.get(f"{side}_eyeball", np.zeros(0, int)) for side in ("left", "right")
+        ]
         self._balls = [(ids, nearest_sphere(skin[ids])[0]) for ids in regions]
 
     def turn(self, skin: Floats, eyes: Floats) -> Floats:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import ipctk
 import numba as nb
@@ -18,7 +17,7 @@ import scipy.sparse as sp
 
 from solver.contact.surface import ContactSurface, collision_mesh
 from solver.mechanics.boundary import Boundary, BoundaryRates
-from solver.surface import Floats, Surface
+from solver.surface import Floats, Surface, join_surfaces
 
 
 @dataclass(frozen=True)
@@ -36,15 +35,6 @@ class BarrierOptions:
 
 
 @dataclass(frozen=True)
-class _Contacts:
-    """Positions (v, 3) of the surfaces at x (p, 3), and what touches there."""
-
-    x: Floats
-    points: Floats
-    collisions: ipctk.NormalCollisions
-
-
-@dataclass(frozen=True)
 class _Friction:
     """Contacts at a step's start, ``points`` (v, 3) then, and the step's length in seconds."""
 
@@ -59,16 +49,9 @@ class _Friction:
 class Barrier:
     """A :class:`solver.mechanics.boundary.Potential` of the skin and of objects.
 
-    Parameters
-    ----------
-    surface, objects
-        The skin that may touch, and closed surfaces, where they are to begin with.
-    stiffness_pa
-        The flesh's.
-    itself
-        Whether skin meets skin; else only objects do.
-    friction
-        Coefficient of friction, of skin and of objects.
+    ``surface`` is the skin that may touch, also ``itself``, and ``objects`` are closed surfaces,
+    where they are to begin with. ``stiffness_pa`` is the flesh's, ``friction`` the coefficient of
+    skin and objects.
     """
 
     def __init__(
@@ -86,6 +69,7 @@ class Barrier:
         self._options = options
         self._surface = surface
         self._objects = [each.vertices for each in objects]
+        self._skin_size = 3 * len(surface.skin)  # coordinates, which come before the objects'
         self._rows = sp.csr_array(sp.kron(surface.rows, sp.eye_array(3), format="csr"))
         self._barrier = ipctk.BarrierPotential(
             options.distance_mm, options.stiffness_ratio * stiffness_pa
@@ -93,7 +77,8 @@ class Barrier:
         self._sliding = ipctk.FrictionPotential(options.slip_mm_s)
         self._friction = friction
         self._lagged: _Friction | None = None
-        self._last: _Contacts | None = None
+        # x (p, 3), the surfaces' points (v, 3) there, and what touches
+        self._last: tuple[Floats, Floats, ipctk.NormalCollisions] | None = None
         self._mesh = _join(surface, objects, itself=itself)
 
     def begin(self, x: Floats, now: Boundary, seconds: float) -> None:
@@ -101,9 +86,9 @@ class Barrier:
         self.place(now)
         if not self._friction:
             return
-        here, lagged = self._touching(x), ipctk.TangentialCollisions()
-        lagged.build(self._mesh, here.points, here.collisions, self._barrier, self._friction)
-        self._lagged = _Friction(here.points, lagged, seconds)
+        (points, collisions), lagged = self._touching(x), ipctk.TangentialCollisions()
+        lagged.build(self._mesh, points, collisions, self._barrier, self._friction)
+        self._lagged = _Friction(points, lagged, seconds)
 
     def place(self, boundary: Boundary) -> None:
         """See :class:`solver.mechanics.boundary.Potential`."""
@@ -112,19 +97,19 @@ class Barrier:
 
     def value(self, x: Floats) -> float:
         """See :class:`solver.mechanics.boundary.Potential`."""
-        now, lagged = self._touching(x), self._lagged
-        value = float(self._barrier(now.collisions, self._mesh, now.points))
+        (points, collisions), lagged = self._touching(x), self._lagged
+        value = float(self._barrier(collisions, self._mesh, points))
         if lagged is not None:
-            speed = lagged.velocity(now.points)
+            speed = lagged.velocity(points)
             value += lagged.seconds * float(self._sliding(lagged.collisions, self._mesh, speed))
         return value
 
     def gradient(self, x: Floats) -> Floats:
         """See :class:`solver.mechanics.boundary.Potential`."""
-        now, lagged = self._touching(x), self._lagged
-        force = self._barrier.gradient(now.collisions, self._mesh, now.points)
+        (points, collisions), lagged = self._touching(x), self._lagged
+        force = self._barrier.gradient(collisions, self._mesh, points)
         if lagged is not None:
-            speed = lagged.velocity(now.points)
+            speed = lagged.velocity(points)
             force = force + self._sliding.gradient(lagged.collisions, self._mesh, speed)
         return self._on_flesh(force)
 
@@ -166,21 +151,16 @@ class Barrier:
         )
         return part * float(step)
 
-    @cached_property
-    def _skin_size(self) -> int:
-        """Return the number of the skin's coordinates, which come before the objects'."""
-        return 3 * len(self._surface.skin)
-
     def _points(self, x: Floats, objects: Sequence[Floats]) -> Floats:
         return np.asfortranarray(np.vstack([self._surface.points(x), *objects]))
 
-    def _touching(self, x: Floats) -> _Contacts:
+    def _touching(self, x: Floats) -> tuple[Floats, ipctk.NormalCollisions]:
         """Find what touches at x; value, gradient and Hessian ask for the same x again."""
-        if self._last is None or not np.array_equal(self._last.x, x):
+        if self._last is None or not np.array_equal(self._last[0], x):
             points, collisions = self._points(x, self._objects), ipctk.NormalCollisions()
             collisions.build(self._mesh, points, self._options.distance_mm)
-            self._last = _Contacts(x.copy(), points, collisions)
-        return self._last
+            self._last = x.copy(), points, collisions
+        return self._last[1:]
 
     def _by_flesh(self, second: sp.csr_array) -> sp.csr_array:
         """Return the Hessian (3 p, 3 p) by the flesh from that by skin and objects."""
@@ -193,10 +173,10 @@ class Barrier:
 
     def _second(self, x: Floats, project: ipctk.PSDProjectionMethod) -> sp.csr_array:
         """Return the Hessian by the coordinates of skin and objects."""
-        now, lagged = self._touching(x), self._lagged
-        matrix = self._barrier.hessian(now.collisions, self._mesh, now.points, project)
+        (points, collisions), lagged = self._touching(x), self._lagged
+        matrix = self._barrier.hessian(collisions, self._mesh, points, project)
         if lagged is not None:
-            speed = lagged.velocity(now.points)
+            speed = lagged.velocity(points)
             drag = self._sliding.hessian(lagged.collisions, self._mesh, speed, project)
             matrix = matrix + drag / lagged.seconds
         return sp.csr_array(matrix)
@@ -211,12 +191,8 @@ def _join(
 ) -> ipctk.CollisionMesh:
     """Return skin and objects as one mesh, in which no object meets another one."""
     parts = [Surface(surface.rest, surface.faces), *objects]
+    mesh = collision_mesh(join_surfaces(parts))
     sizes = np.array([len(part.vertices) for part in parts])
-    starts = np.cumsum(sizes) - sizes
-    mesh = collision_mesh(
-        np.vstack([part.vertices for part in parts]),
-        np.vstack([part.faces + start for part, start in zip(parts, starts, strict=True)]),
-    )
     # vertices of one patch do not meet
     patches = np.arange(1, sizes.sum() + 1) if itself else np.repeat(np.arange(len(sizes)), sizes)
     if itself:

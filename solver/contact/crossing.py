@@ -14,9 +14,7 @@ from scipy.spatial import cKDTree
 
 from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
 from solver.errors import InputError
-from solver.surface import Floats, Ints, Surface
-
-INSIDE = 0.5  # winding number above which a place lies inside
+from solver.surface import Floats, Ints, Surface, inside
 
 
 @dataclass(frozen=True)
@@ -73,15 +71,15 @@ def between_lips(
     # the winding number of the skin around the mouth, an open surface, is above one in the flesh
     # of two lips, and well below a half outside
     just_outside = points[lips] + options.outside_mm * normals[lips]
-    inside = lips[is_inside(just_outside, Surface(points, mouth.flesh))]
-    if not len(inside):
+    deep = lips[inside(Surface(points, mouth.flesh), just_outside)]
+    if not len(deep):
         nothing = np.empty((0, 3))
-        return Overlap.at(points, inside, nothing.astype(np.int64), nothing)
+        return Overlap.at(points, deep, nothing.astype(np.int64), nothing)
     # a thin lip's own other side faces its vertices too, but nothing there is inside
-    beside, _ = cKDTree(points[inside]).query(points, distance_upper_bound=options.beside_mm)
+    beside, _ = cKDTree(points[deep]).query(points, distance_upper_bound=options.beside_mm)
     crossed = np.flatnonzero((mouth.label == LIPS) & np.isfinite(beside))
-    partner = _facing(points, normals, inside, crossed, options.deepest_mm)
-    ids, partner = inside[partner >= 0], partner[partner >= 0]
+    partner = _facing(points, normals, deep, crossed, options.deepest_mm)
+    ids, partner = deep[partner >= 0], partner[partner >= 0]
     found = Overlap.at(points, ids, *_nearest(mouth, points, ids, partner))
     other = np.einsum("hc,hci,hi->h", found.shares, normals[found.corners], found.out)
     own = np.einsum("hi,hi->h", normals[ids], found.out)
@@ -178,21 +176,10 @@ def _in_teeth(mouth: Mouth, points: Floats, part: int, teeth: int) -> float | No
     return float(np.maximum(-np.asarray(distance), 0.0).max(initial=0.0))
 
 
-def is_inside(points: Floats, surface: Surface) -> NDArray[np.bool_]:
-    """Tell which of points (k, 3) lie inside a surface.
-
-    One with holes, such as a face, has an inside by its generalised winding number (Jacobson et al.
-    2013).
-    """
-    places = np.ascontiguousarray(points)
-    winding = igl.fast_winding_number(surface.vertices, surface.faces, places)
-    return np.asarray(np.asarray(winding) > INSIDE)
-
-
 def depth_inside(points: Floats, surface: Surface) -> float:
     """Return how deep the deepest of points (k, 3) lies inside a surface, 0 if none does."""
-    inside = np.ascontiguousarray(points[is_inside(points, surface)])
-    if not len(inside):
+    deep = np.ascontiguousarray(points[inside(surface, points)])
+    if not len(deep):
         return 0.0
-    squared, *_ = igl.point_mesh_squared_distance(inside, surface.vertices, surface.faces)
+    squared, *_ = igl.point_mesh_squared_distance(deep, surface.vertices, surface.faces)
     return float(np.sqrt(np.max(squared)))

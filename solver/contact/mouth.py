@@ -120,16 +120,13 @@ class Mouth:
         lips = _lips(model, flesh, np.concatenate(teeth), options)
         around = np.intersect1d(flesh, np.flatnonzero(_within(vertices, lips, options.around_mm)))
         label = np.full(len(vertices), -1)
-        for name, ids in zip(
-            (AROUND, LIPS, UPPER_TEETH, LOWER_TEETH), (around, lips, *teeth), strict=True
-        ):
-            label[ids] = name
+        label[around] = AROUND
+        label[lips] = LIPS
+        label[teeth[0]], label[teeth[1]] = UPPER_TEETH, LOWER_TEETH
         skin = np.flatnonzero(label >= 0)
-        number = np.full(len(vertices), -1)
-        number[skin] = np.arange(len(skin))
         own = np.vstack([flesh, faces[(label[faces] >= UPPER_TEETH).all(axis=1)]])
-        own = own[(label[own] >= 0).all(axis=1)]
-        return cls(skin, label[skin], number[own], *_following(model, skin))
+        own = np.searchsorted(skin, own[(label[own] >= 0).all(axis=1)])
+        return cls(skin, label[skin], own, *_following(model, skin))
 
     def points(self, x: Floats) -> Floats:
         """Return the positions (m, 3) at the tets' vertices x (p, 3)."""
@@ -180,10 +177,7 @@ def _middle(model: SubjectModel, lip: str, up: float, width: float) -> Ints:
 
 def _within(skin: Floats, ids: Ints, reach: float) -> NDArray[np.bool_]:
     """Tell which skin vertices lie nearer than ``reach`` to the given ones."""
-    if not len(ids):
-        return np.zeros(len(skin), dtype=bool)
-    distance, _ = cKDTree(skin[ids]).query(skin, distance_upper_bound=reach)
-    return np.asarray(distance < reach)
+    return np.asarray(cKDTree(skin[ids]).query(skin, distance_upper_bound=reach)[0] < reach)
 
 
 def _following(model: SubjectModel, skin: Ints) -> tuple[sp.csr_array, Floats]:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import distance_transform_edt, gaussian_filter, grey_closing
 
-from solver.surface import Floats, Surface
+from solver.surface import Floats, Surface, nearest_sphere
 
 
 class DepthField(Protocol):
@@ -209,12 +209,3 @@ class Eyeball:
         arm = points - self.centre
         distance = np.maximum(np.linalg.norm(arm, axis=1), 1e-9)
         return distance, arm / distance[:, None]
-
-
-def nearest_sphere(points: Floats) -> tuple[Floats, float]:
-    """Return centre (3,) and radius of the sphere nearest to points (k, 3), by least squares."""
-    # |p - c|^2 = radius^2 is linear in c and radius^2 - |c|^2
-    system = np.column_stack([2.0 * points, np.ones(len(points))])
-    solution = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
-    centre = solution[:3]
-    return centre, float(np.sqrt(solution[3] + centre @ centre))

@@ -78,18 +78,9 @@ class Excess:
 class OneSided:
     """A :class:`solver.mechanics.boundary.Potential` of skin vertices and one obstacle.
 
-    Parameters
-    ----------
-    obstacle
-        Where it is at rest.
-    rows, offset
-        (k, p) CSR and (k, 3): the vertices are ``rows @ x + offset``.
-    free
-        (k,) how deep they may lie, mm: :func:`free_depths`.
-    stiffness
-        (k,) per vertex, energy over mm^2.
-    carried
-        The frame of the jaw that the obstacle moves with; None for what stays with the head.
+    The vertices ``rows @ x + offset``, (k, p) CSR and (k, 3), may lie in the ``obstacle``, which is
+    where it is at rest, ``free`` mm deep (k,): :func:`free_depths`. ``stiffness`` (k,) is energy
+    over mm^2. An obstacle ``carried`` moves with the jaw of that frame, others stay with the head.
     """
 
     def __init__(
@@ -221,8 +212,5 @@ def along(rows: sp.csr_array, directions: Floats) -> sp.csr_array:
     entries = sp.coo_array(rows)
     row, column = entries.coords
     values = entries.data[:, None] * directions[row]
-    columns = 3 * column[:, None] + np.arange(3)
-    return sp.csr_array(
-        (values.ravel(), (np.repeat(row, 3), columns.ravel())),
-        shape=(rows.shape[0], 3 * rows.shape[1]),
-    )
+    places = np.repeat(row, 3), (3 * column[:, None] + np.arange(3)).ravel()
+    return sp.csr_array((values.ravel(), places), shape=(rows.shape[0], 3 * rows.shape[1]))

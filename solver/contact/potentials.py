@@ -31,31 +31,16 @@ def contact_potentials(
 ) -> list[Potential]:
     """Return what keeps a face's flesh out of itself and of what is rigid.
 
-    Parameters
-    ----------
-    model
-        The face; at its rest nothing pushes (but for lips within a tenth of a millimetre, and
-        teeth that an edit has moved into them).
-    stiffness_pa
-        The flesh's.
-    unedited
-        The person before edits, the face itself by default: see :func:`arches`.
-    lips
-        Skin meets skin: lips, and lids with ``eyes``; all skin if there are ``objects``.
-    teeth
-        Lips meet teeth, where the model has both.
-    eyes
-        Lids meet eyeballs, where the model has both.
-    objects
-        Closed surfaces from outside, in the head's frame, where they are to begin with; that they
-        do not cross the skin there is for :func:`solver.scene.objects.check_objects`.
-    friction
-        Coefficient between skins and with objects.
+    At the rest of the ``model`` nothing pushes (but for lips within a tenth of a millimetre, and
+    teeth that an edit has moved into them). ``stiffness_pa`` is the flesh's, ``unedited`` the
+    person before edits, the face itself by default: see :func:`arches`. With ``lips`` skin meets
+    skin: lips, and lids with ``eyes``, or all skin if there are ``objects``. With ``teeth`` lips
+    meet these, with ``eyes`` lids meet eyeballs, where the model has both. ``objects`` are closed
+    surfaces from outside, in the head's frame, where they are to begin with; that they do not cross
+    the skin there is for :func:`solver.scene.objects.check_objects`. ``friction`` is the
+    coefficient between skins and with objects.
 
-    Raises
-    ------
-    InputError
-        ``contact.crossed`` where the neutral skin crosses itself widely.
+    Raises :class:`InputError` (``contact.crossed``) where the neutral skin crosses itself widely.
     """
     mouth = Mouth.of(unedited or model)
     potentials: list[Potential] = []
@@ -183,8 +168,7 @@ class Gauge:
         self._arches = [each for each in one_sided if isinstance(each.obstacle, Arch)]
         if self._mouth is not None and not self._arches:
             self._arches = arches(model, self._mouth, 1.0, unedited)
-        faces = model.skin.faces
-        on_flesh = faces[np.isin(faces, model.embedded).all(axis=1)]
+        on_flesh = touching(model, None, lips=False, eyes=False, objects=True)
         self._faces: Ints = np.searchsorted(model.embedded, on_flesh)
 
     def neutral(self) -> Penetration:
@@ -203,8 +187,8 @@ class Gauge:
         skin = np.asarray(self._model.embedding @ x + self._model.offset)
         own = Surface(skin, self._faces)
         pairs = [pair for each in objects for pair in ((skin, each), (each.vertices, own))]
-        depths = [depth_inside(points, surface) for points, surface in pairs]
-        return Penetration(lips, teeth, max(depths, default=0.0), behind)
+        depth = max((depth_inside(*pair) for pair in pairs), default=0.0)
+        return Penetration(lips, teeth, depth, behind)
 
     def _mouth_points(self, mouth: Mouth, x: Floats, b: Floats) -> Floats:
         """Return the positions (m, 3) of the mouth, teeth where edits and the jaw put them.

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from solver.anatomy.embedding import rows_of
 from solver.anatomy.tetrahedra import barycentric_in_tets
-from solver.contact.crossing import between_lips, is_inside
+from solver.contact.crossing import between_lips
 from solver.contact.mouth import Mouth, area_weighted_normals
 from solver.errors import InputError
 from solver.model import SubjectModel
-from solver.surface import Floats, Ints, Surface, adjacency
+from solver.surface import Floats, Ints, Surface, adjacency, inside, own_numbers
 
 
 @dataclass(frozen=True)
@@ -63,10 +63,8 @@ log = structlog.get_logger(__name__)
 class ContactSurface:
     """Skin vertices that follow the flesh, under the skin, and the triangles between them.
 
-    skin
-        (s,) skin vertices, sorted.
-    faces
-        (f, 3) triangles, numbered by ``skin``.
+    skin, faces
+        (s,) skin vertices, sorted, and (f, 3) triangles, numbered by these.
     rows, offset
         (s, p) CSR and (s, 3): positions are ``rows @ x + offset`` at the tets' vertices x. The
         inset is a part of ``rows``: it turns with the flesh.
@@ -96,8 +94,7 @@ class ContactSurface:
         The lips of a ``mouth`` are moved apart. Raises :class:`InputError` (``contact.crossed``)
         where the skin crosses itself widely.
         """
-        skin, own = np.unique(faces, return_inverse=True)
-        own = np.ascontiguousarray(own.reshape(faces.shape))
+        skin, own = own_numbers(faces)
         number = np.searchsorted(model.embedded, skin)
         rows, offset = sp.csr_array(model.embedding[number]), model.offset[number]
         points = np.asarray(rows @ model.rest + offset)
@@ -108,7 +105,7 @@ class ContactSurface:
             apart[mouth.skin] = part_lips(mouth, lips, options) - lips
         shift = apart[skin] - options.inset_mm * normals
         moved = points + shift
-        crossed = _mark_crossed(moved, own, normals, options.beside_mm)
+        crossed = _mark_crossed(Surface(moved, own), normals, options.beside_mm)
         if crossed[own].any(axis=1).mean() > options.most_crossed:
             vertex = int(skin[crossed][0])
             message = f"the neutral skin crosses itself widely, around vertex {vertex}: mend it"
@@ -124,32 +121,29 @@ class ContactSurface:
         return np.asarray(self.rows @ x + self.offset)
 
 
-def collision_mesh(points: Floats, faces: Ints) -> ipctk.CollisionMesh:
-    """Return triangles (f, 3) between points (s, 3) as ipctk takes them."""
-    corners = np.asfortranarray(faces, dtype=np.int32)
+def collision_mesh(surface: Surface) -> ipctk.CollisionMesh:
+    """Return a surface as ipctk takes it."""
+    corners = np.asfortranarray(surface.faces, dtype=np.int32)
     edges = np.asfortranarray(ipctk.edges(corners))
-    return ipctk.CollisionMesh(np.asfortranarray(points), edges, corners)
+    return ipctk.CollisionMesh(np.asfortranarray(surface.vertices), edges, corners)
 
 
-def _mark_crossed(
-    points: Floats, faces: Ints, normals: Floats, beside_mm: float
-) -> NDArray[np.bool_]:
+def _mark_crossed(surface: Surface, normals: Floats, beside_mm: float) -> NDArray[np.bool_]:
     """Mark (s,) the vertices that lie in flesh not under their own skin, or where skin crosses.
 
-    The former by the generalised winding number (Jacobson et al. 2013), as the lips' overlap is
-    found (:mod:`solver.contact.crossing`), with all that it marks about what crosses.
+    The former by the winding number, as lips' overlap is found (:mod:`solver.contact.crossing`).
     """
-    marks = np.zeros(len(points), dtype=np.bool_)
-    if ipctk.has_intersections(collision_mesh(points, faces), np.asfortranarray(points)):
-        marks = is_inside(points + beside_mm * normals, Surface(points, faces))
-        marks[crossing_vertices(points, faces)] = True
+    mesh = collision_mesh(surface)
+    if not ipctk.has_intersections(mesh, mesh.rest_positions):
+        return np.zeros(len(surface.vertices), dtype=np.bool_)
+    marks = inside(surface, surface.vertices + beside_mm * normals)
+    marks[crossing_vertices(mesh)] = True
     return marks
 
 
-def crossing_vertices(points: Floats, faces: Ints) -> Ints:
+def crossing_vertices(mesh: ipctk.CollisionMesh) -> Ints:
     """Return the corners of triangles and the ends of edges that cross each other, sorted."""
-    places, mesh = np.asfortranarray(points), collision_mesh(points, faces)
-    grid = ipctk.HashGrid()
+    places, grid = mesh.rest_positions, ipctk.HashGrid()
     grid.build(places, mesh.edges, mesh.faces)
     near = grid.detect_edge_face_candidates()
     if not near:
@@ -157,10 +151,7 @@ def crossing_vertices(points: Floats, faces: Ints) -> Ints:
     pairs = np.array([(each.edge_id, each.face_id) for each in near])
     corners = np.hstack([mesh.edges[pairs[:, 0]], mesh.faces[pairs[:, 1]]])
     crossed = [
-        ipctk.is_edge_intersecting_triangle(*places[each])
-        if each[0] not in each[2:] and each[1] not in each[2:]
-        else False
-        for each in corners
+        len({*each}) == 5 and ipctk.is_edge_intersecting_triangle(*places[each]) for each in corners
     ]
     return np.unique(corners[np.array(crossed)]).astype(np.int64)
 

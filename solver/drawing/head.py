@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from solver.drawing.render import GAMMA, DrawnBody, Lit
-from solver.surface import Floats, Ints, Surface, adjacency
+from solver.surface import Floats, Ints, Surface, adjacency, nearest_sphere, own_numbers
 
 # Colours, linear RGB but for the sRGB of muscles and of the error's scale.
 
@@ -128,9 +128,7 @@ def _eye_sphere(points: Floats, sizes: PartSizes) -> tuple[Floats, float] | None
     """Return centre and radius if the points lie on most of a sphere of an eye's size."""
     if len(points) < 12:
         return None
-    system = np.column_stack([2 * points, np.ones(len(points))])
-    solution = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
-    centre = solution[:3]
+    centre, _ = nearest_sphere(points)
     distance = np.linalg.norm(points - centre, axis=1)
     radius = float(distance.mean())
     is_round = distance.std() < sizes.roundness * radius
@@ -159,8 +157,7 @@ class DrawnHead:
         self.skin = parts["skin"]
         self.teeth = parts.get("teeth", NONE)
         self.mouth = parts.get("mouth", NONE)
-        self._eye_vertices, numbers = np.unique(parts.get("eyes", NONE), return_inverse=True)
-        self._eye_faces: Ints = numbers.reshape(-1, 3).astype(np.int64)
+        self._eye_vertices, self._eye_faces = own_numbers(parts.get("eyes", NONE))
         self.eyes = NONE
         if len(self._eye_vertices):
             fine, faces = igl.upsample(

@@ -7,7 +7,7 @@ vertex of the scan topology.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import igl
 import numpy as np
@@ -17,21 +17,18 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from solver.anatomy.embedding import LooseSkin
+from solver.anatomy.tetrahedra import ML, volumes
 from solver.edits.edit import Edited
 from solver.errors import InputError
-from solver.mechanics.flesh import shape_gradients
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints, Surface, adjacency, vertex_areas, vertex_normals
 
-MM3_PER_ML = 1000.0  # mm^3 in a ml
 STEEPEST = 8.0 / (3.0 * np.sqrt(3.0))  # the greatest slope of (1 - t^2)^2
 
 
 @dataclass(frozen=True)
 class Fat:
     """Growth f_i = f_min (1 - s_i0) + f_max s_i0 of F_p = f I, where a map says.
-
-    The equation is in ARCHITECTURE.md (fat).
 
     Muscle grows by ``f_min``, passive flesh by ``f_max``; s_i0 is S's passive share of a tet.
     (0.9, 1.0) is slim, (1.0, 1.2) fat. A ``painted`` map (V,) draws f towards 1, and so do the
@@ -50,11 +47,8 @@ class Fat:
         low, high = options.fat_growth
         for factor in (self.f_min, self.f_max):
             if not low <= factor <= high:
-                raise InputError(
-                    "scene.fat",
-                    f"flesh grows by a factor between {low} and {high}, not {factor}",
-                    found=factor,
-                )
+                reason = f"flesh grows by a factor between {low} and {high}, not {factor}"
+                raise InputError("scene.fat", reason, found=factor)
         passive = before.S[:, [0]].toarray()[:, 0]
         whole = self.f_min * (1.0 - passive) + self.f_max * passive
         share = into_volume(before.model, self.painted, options.blur_mm)
@@ -104,29 +98,22 @@ class Filler:
         """Return the person with it; raises ``scene.filler`` where there is no room for it."""
         model, options = before.model, before.options
         if not (self.ml > 0.0 and self.radius_mm > 0.0 and len(self.path)):
-            raise InputError(
-                "scene.filler", "a filler needs a path, and a volume and a radius above 0"
-            )
+            reason = "a filler needs a path, and a volume and a radius above 0"
+            raise InputError("scene.filler", reason)
         away = distance_to_path(_centres(model), self.path)
         shares = np.exp(-0.5 * (away / self.radius_mm) ** 2)
-        volumes = shape_gradients(model.rest, model.tets)[1] * before.growth**3
-        room = float(volumes @ shares)
+        room = float((volumes(model.rest, model.tets) * before.growth**3) @ shares)
+        near = f"within {self.radius_mm} mm of the path"
         if room < options.least_room_mm3:
-            raise InputError(
-                "scene.filler",
-                f"there is no flesh within {self.radius_mm} mm of the path: lay it under the skin, "
-                "or make the radius larger",
-            )
-        growth = np.cbrt(1.0 + self.ml * MM3_PER_ML / room * shares)
+            advice = "lay it under the skin, or make the radius larger"
+            raise InputError("scene.filler", f"there is no flesh {near}: {advice}")
+        growth = np.cbrt(1.0 + self.ml / ML / room * shares)
         if not growth.max() <= options.filler_growth:
-            most = (options.filler_growth**3 - 1.0) * room / MM3_PER_ML / shares.max()
-            raise InputError(
-                "scene.filler",
-                f"{self.ml} ml do not fit into the flesh within {self.radius_mm} mm of the path: "
-                f"at most {most:.2f} ml do; make the path longer or the radius larger",
-                found_ml=self.ml,
-                expected_ml=round(most, 3),
-            )
+            most = (options.filler_growth**3 - 1.0) * room * ML / shares.max()
+            advice = f"at most {most:.2f} ml do; make the path longer or the radius larger"
+            reason = f"{self.ml} ml do not fit into the flesh {near}: {advice}"
+            limits = {"found_ml": self.ml, "expected_ml": round(most, 3)}
+            raise InputError("scene.filler", reason, **limits)
         return replace(before, growth=before.growth * growth)
 
 
@@ -149,37 +136,25 @@ def distance_to_path(points: Floats, path: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class _Scaling:
+class Scaling:
+    """A ``quantity`` of the flesh times ``factor``^u, u being the share of a ``painted`` map (V,).
+
+    The quantity is ``stiffness_factor`` or ``density``.
+    """
+
+    quantity: Literal["stiffness_factor", "density"]
     factor: float
     painted: Floats | None = None
 
-    def _by_tet(self, before: Edited) -> Floats:
-        """Return ``factor``^u (n,); raises ``scene.factor``."""
+    def __call__(self, before: Edited) -> Edited:
+        """Return the person with it; raises ``scene.factor``."""
         most = before.options.factor
         if not 1.0 / most <= self.factor <= most:
-            raise InputError(
-                "scene.factor",
-                f"a factor lies between {1.0 / most} and {most:g}, not at {self.factor}",
-                found=self.factor,
-            )
+            reason = f"a factor lies between {1.0 / most} and {most:g}, not at {self.factor}"
+            raise InputError("scene.factor", reason, found=self.factor)
         share = into_volume(before.model, self.painted, before.options.blur_mm)
-        return np.asarray(self.factor**share)
-
-
-class Stiffening(_Scaling):
-    """Stiffness times ``factor``^u, u being the tet's share of a ``painted`` map (V,)."""
-
-    def __call__(self, before: Edited) -> Edited:
-        """Return the person with it; raises ``scene.factor``."""
-        return replace(before, stiffness_factor=before.stiffness_factor * self._by_tet(before))
-
-
-class Density(_Scaling):
-    """Density times ``factor``^u, u being the tet's share of a ``painted`` map (V,)."""
-
-    def __call__(self, before: Edited) -> Edited:
-        """Return the person with it; raises ``scene.factor``."""
-        return replace(before, density=before.density * self._by_tet(before))
+        changed: Any = {self.quantity: getattr(before, self.quantity) * self.factor**share}
+        return replace(before, **changed)
 
 
 @dataclass(frozen=True)
@@ -197,11 +172,8 @@ class Paralysis:
     def __call__(self, before: Edited) -> Edited:
         """Return the person with it; raises ``scene.muscle`` and ``scene.strength``."""
         if not 0.0 <= self.strength <= 1.0:
-            raise InputError(
-                "scene.strength",
-                f"a strength lies between 0 and 1, not at {self.strength}",
-                found=self.strength,
-            )
+            reason = f"a strength lies between 0 and 1, not at {self.strength}"
+            raise InputError("scene.strength", reason, found=self.strength)
         S, model = before.S, before.model
         rows, columns = S.tocoo().coords
         share = np.isin(columns, self._columns(model.muscle_names)).astype(np.float64)
@@ -222,12 +194,8 @@ class Paralysis:
             return np.arange(1, len(names) + 1)
         unknown = [name for name in self.muscles if name not in names]
         if unknown:
-            raise InputError(
-                "scene.muscle",
-                f"the subject has no muscle {unknown[0]!r}; it has {', '.join(names)}",
-                found=unknown,
-                expected=list(names),
-            )
+            reason = f"the subject has no muscle {unknown[0]!r}; it has {', '.join(names)}"
+            raise InputError("scene.muscle", reason, found=unknown, expected=list(names))
         return np.array([names.index(name) + 1 for name in self.muscles], dtype=np.int64)
 
 
@@ -252,14 +220,11 @@ class Bone:
         if self.bone not in model.bones:
             raise InputError("scene.bone", f"the subject has no bone {self.bone!r}")
         length = float(np.linalg.norm(self.move_mm))
-        if not STEEPEST * length / max(self.radius_mm, 1e-9) < 1.0:
-            least = STEEPEST * length
-            raise InputError(
-                "scene.bone",
-                f"a motion of {length:.1f} mm within {self.radius_mm} mm "
-                f"folds the bone; the radius must be above {least:.1f} mm",
-                expected_mm=round(least, 1),
-            )
+        least = STEEPEST * length
+        if not least / max(self.radius_mm, 1e-9) < 1.0:
+            folds = f"a motion of {length:.1f} mm within {self.radius_mm} mm folds the bone"
+            reason = f"{folds}; the radius must be above {least:.1f} mm"
+            raise InputError("scene.bone", reason, expected_mm=round(least, 1))
         surface = model.bones[self.bone]
         handle = self._handle(surface, before.options.handle_mm)
 
@@ -283,12 +248,9 @@ class Bone:
         squared, _, nearest = igl.point_mesh_squared_distance(at, surface.vertices, surface.faces)
         away = float(np.sqrt(squared[0]))
         if away > near_mm:
-            raise InputError(
-                "scene.bone",
-                f"the handle lies {away:.0f} mm off the {self.bone}, {near_mm:.0f} at most can be",
-                found_mm=round(away, 1),
-                expected_mm=near_mm,
-            )
+            place = f"the handle lies {away:.0f} mm off the {self.bone}"
+            limits = {"found_mm": round(away, 1), "expected_mm": near_mm}
+            raise InputError("scene.bone", f"{place}, {near_mm:.0f} at most can be", **limits)
         return np.asarray(nearest[0])
 
 
@@ -296,8 +258,7 @@ def _vertices(model: SubjectModel, bone: str) -> tuple[Ints, Ints]:
     """Return the flesh's vertices on a bone, and the skin's that stay with it."""
     if bone == "mandible":
         return model.mandible, model.attached_mandible
-    none = np.empty(0, np.int64)
-    eyes = [model.regions.get(f"{side}_eyeball", none) for side in ("left", "right")]
+    eyes = [model.regions.get(f"{side}_eyeball", model.cut[:0]) for side in ("left", "right")]
     # skin beyond the flesh follows the flesh that the bone moves
     follows = [model.embedded, LooseSkin(model).ids]
     others = np.concatenate([*follows, model.attached_mandible, *eyes])
@@ -310,24 +271,18 @@ def into_volume(model: SubjectModel, painted: Floats | None, blur_mm: float = 2.
 
     u on the tets' vertices minimises the integral of |grad u|^2 over the flesh plus that of
     (u - painted)^2 / ``blur_mm`` over the face's skin: heat that comes from there and leaves
-    nowhere. Raises :class:`InputError` (``scene.map``) for a map of another skin or with values
-    outside of [0, 1].
+    nowhere. Raises ``scene.map`` for a map of another skin or with values outside of [0, 1].
     """
     if painted is None:
         return np.ones(len(model.tets))
     _check(model, painted)
-    gradients, volumes = shape_gradients(model.rest, model.tets)
-    count = len(model.rest)
-    entries = np.einsum("t,tid,tjd->tij", volumes, gradients, gradients)
-    pairs = (np.repeat(model.tets, 4, axis=1).ravel(), np.tile(model.tets, 4).ravel())
-    stiffness = sp.csc_array((entries.ravel(), pairs), shape=(count, count))
     on_face = np.isin(model.embedded, model.face)
     skin = model.embedding[on_face]
     area = vertex_areas(model.skin.vertices, model.skin.faces)[model.embedded[on_face]] / blur_mm
     weighed = skin.T @ sp.diags_array(area)
-    system = stiffness + weighed @ skin
+    system = weighed @ skin - sp.csc_array(igl.cotmatrix(model.rest, model.tets))
     # a trace of stiffness for flesh in no contact with the face, which gets none of it
-    system += 1e-9 * system.diagonal().mean() * sp.eye_array(count)
+    system += 1e-9 * system.diagonal().mean() * sp.eye_array(len(model.rest))
     u = splu(system.tocsc()).solve(weighed @ painted[model.embedded[on_face]])
     return np.asarray(np.clip(u, 0.0, 1.0)[model.tets].mean(axis=1))
 
@@ -341,29 +296,17 @@ def spots(model: SubjectModel, centres: Floats, radius_mm: float) -> Floats:
     return _bump(np.linalg.norm(away, axis=2).min(axis=1, initial=np.inf), radius_mm)
 
 
-def patches(model: SubjectModel, vertices: Ints) -> Floats:
-    """Return a map (V,) that is 1 on ``vertices`` (k,) and 0 elsewhere."""
-    return np.isin(np.arange(len(model.skin.vertices)), vertices).astype(np.float64)
-
-
 def _check(model: SubjectModel, painted: Floats) -> None:
     expected = len(model.skin.vertices)
     if painted.shape != (expected,):
-        raise InputError(
-            "scene.map",
-            f"a map has one value for each of the skin's {expected} vertices, not the shape "
-            f"{painted.shape}",
-            expected=expected,
-            found=list(painted.shape),
-        )
+        wanted = f"a map has one value for each of the skin's {expected} vertices"
+        counts = {"expected": expected, "found": list(painted.shape)}
+        raise InputError("scene.map", f"{wanted}, not the shape {painted.shape}", **counts)
     wrong = np.flatnonzero(~((painted >= 0.0) & (painted <= 1.0)))
     if len(wrong):
-        raise InputError(
-            "scene.map",
-            f"a map's values lie between 0 and 1; {len(wrong)} do not, the first is "
-            f"{painted[wrong[0]]} at vertex {wrong[0]}",
-            vertex=int(wrong[0]),
-        )
+        first = f"{len(wrong)} do not, the first is {painted[wrong[0]]} at vertex {wrong[0]}"
+        reason = f"a map's values lie between 0 and 1; {first}"
+        raise InputError("scene.map", reason, vertex=int(wrong[0]))
 
 
 def _centres(model: SubjectModel) -> Floats:

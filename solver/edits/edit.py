@@ -78,10 +78,7 @@ class Change(Protocol):
     """A change of a person's anatomy, by what it does to all edits before it."""
 
     def __call__(self, before: Edited) -> Edited:
-        """Return what it makes of ``before``.
-
-        Raises :class:`~solver.errors.InputError` (``scene.*``) if it does not fit the person.
-        """
+        """Return what it makes of ``before``; raises ``scene.*`` if it does not fit the person."""
 
 
 def apply(
@@ -92,8 +89,8 @@ def apply(
 ) -> Edited:
     """Return what all ``edits``, in their order, make of a person with the S (n, m + 1).
 
-    Raises :class:`~solver.errors.InputError` as they do, and ``scene.growth`` where together they
-    make flesh grow or shrink out of all measure.
+    Raises :class:`InputError` as they do, and ``scene.growth`` where together they make flesh grow
+    or shrink out of all measure.
     """
     edited = Edited.nothing(model, S, options)
     low, high = options.growth
@@ -102,12 +99,9 @@ def apply(
         least, most = float(edited.growth.min()), float(edited.growth.max())
         if least < low or most > high:
             found = least if least < low else most
-            raise InputError(
-                "scene.growth",
-                f"the edits together make flesh grow to {found:.2f} of its length: it can be "
-                f"{low} to {high}",
-                found=round(found, 3),
-            )
+            growth = f"the edits together make flesh grow to {found:.2f} of its length"
+            reason = f"{growth}: it can be {low} to {high}"
+            raise InputError("scene.growth", reason, found=round(found, 3))
     return edited
 
 

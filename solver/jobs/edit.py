@@ -15,7 +15,7 @@ from solver.kinds.edit import Edit
 from solver.progress import Progress, Step
 from solver.rig.edit_report import Compared, EditedPerson, edit_picture, edit_report, write_edit
 from solver.rig.rig import ExpressionFit
-from solver.scene.stage import Physics, edits_of
+from solver.scene.stage import Physics, edit_of
 
 
 def run(task: Task[Edit]) -> list[Path]:
@@ -30,7 +30,7 @@ def run(task: Task[Edit]) -> list[Path]:
     rig, places = read_person(task)
     fits = rig.expressions
     unedited = Edited.nothing(rig.model, rig.weights)
-    edited = apply(edits_of(entries, places), rig.model, rig.weights)
+    edited = apply([edit_of(entry, places) for entry in entries], rig.model, rig.weights)
     before, all_before = _replay(unedited, physics, fits, "before the edits", 0.05, progress)
     after, all_after = _replay(edited, physics, fits, "after the edits", 0.45, progress)
     compared = [

@@ -31,6 +31,7 @@ from solver.surface import (
     Surface,
     adjacency,
     area_normals,
+    own_numbers,
     vertex_areas,
     vertex_normals,
 )
@@ -83,8 +84,7 @@ class Skin:
 
     def __init__(self, start: Floats, topology: Topology, options: FreeFormOptions) -> None:
         self._options = options
-        self.vertices, numbers = np.unique(topology.flesh, return_inverse=True)
-        self.faces: Ints = numbers.reshape(-1, 3).astype(np.int64)
+        self.vertices, self.faces = own_numbers(topology.flesh)
         self.start = start[self.vertices]
         self.outer = np.searchsorted(self.vertices, topology.outer)
         self._membrane, self.area = _laplacian(Surface(self.start, self.faces), options)

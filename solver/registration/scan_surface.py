@@ -15,7 +15,16 @@ from scipy.spatial import KDTree, cKDTree
 from solver.errors import InputError
 from solver.meshio.raw import RawScan
 from solver.similarity import Similarity
-from solver.surface import Floats, Ints, Surface, adjacency, area_normals, directed_edges
+from solver.surface import (
+    Floats,
+    Ints,
+    Surface,
+    adjacency,
+    area_normals,
+    directed_edges,
+    part_of,
+    unit_rows,
+)
 
 NEIGHBOURS = 12  # of a point of a cloud, on a plane
 
@@ -200,8 +209,7 @@ def _compact(vertices: Floats, faces: Ints) -> Surface:
     a, b, c = faces.T
     faces = faces[(a != b) & (b != c) & (c != a)]
     _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-    used, numbers = np.unique(faces[np.sort(first)], return_inverse=True)
-    return Surface(vertices[used], numbers.reshape(-1, 3).astype(np.int64))
+    return part_of(Surface(vertices, faces), np.sort(first))
 
 
 def _drop_debris(surface: Surface, least_share: float) -> Surface:
@@ -348,8 +356,3 @@ def orient_outward(samples: Samples) -> Samples:
         mean = normals[near].mean(axis=1)
         normals *= np.sign(np.einsum("nd,nd->n", normals, mean) + 1e-12)[:, None]
     return Samples(points, normals, False)
-
-
-def unit_rows(vectors: Floats) -> Floats:
-    """Return vectors (..., 3) of length 1; those of no length stay."""
-    return np.asarray(vectors / (np.linalg.norm(vectors, axis=-1, keepdims=True) + 1e-30))

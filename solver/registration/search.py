@@ -15,9 +15,9 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from solver.anatomy.warp import spread
-from solver.registration.scan_surface import Samples, cells, mean_by_cell, sample, unit_rows
+from solver.registration.scan_surface import Samples, cells, mean_by_cell, sample
 from solver.similarity import Similarity
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Floats, Ints, Surface, unit_rows
 
 Axes = tuple[Floats | None, Floats | None]
 

@@ -11,7 +11,6 @@ import igl
 import numpy as np
 from scipy.spatial import cKDTree
 
-from solver.anatomy.domain import join_surfaces
 from solver.anatomy.template import Template
 from solver.drawing.head import COLOURS, DrawnHead, both_sides, linear, muscle_colours
 from solver.drawing.render import GAMMA, Camera, DrawnBody, Lit, render, render_bust
@@ -19,7 +18,7 @@ from solver.drawing.sheet import HEADER, INK, MARGIN, Colour, Column, Sheet, She
 from solver.model import SubjectModel
 from solver.rig.frames import SequenceFrame
 from solver.rig.rig import ROLES, ExpressionFit
-from solver.surface import Floats, Ints, Surface, vertex_normals
+from solver.surface import Floats, Ints, Surface, join_surfaces, own_numbers, vertex_normals
 
 
 @dataclass(frozen=True)
@@ -225,8 +224,8 @@ def face_camera(skin: Floats, face: Ints, yaw: float) -> Camera:
 
 def _inside(anatomy: _Anatomy, palette: dict[str, Colour], organs: DrawnBody) -> DrawnBody:
     """Return bones, muscles, and the eyes and teeth of ``organs`` as one body."""
-    used, numbers = np.unique(organs.drawn.faces, return_inverse=True)
-    eyes_and_teeth = Surface(organs.drawn.vertices[used], numbers.reshape(-1, 3).astype(np.int64))
+    used, own = own_numbers(organs.drawn.faces)
+    eyes_and_teeth = Surface(organs.drawn.vertices[used], own)
     pieces = [eyes_and_teeth, *anatomy.bones.values(), *anatomy.muscles.values()]
     bones = [np.array(COLOURS["bone"])] * len(anatomy.bones)
     muscles = [linear(np.array(palette[both_sides(name)])) for name in anatomy.muscles]

@@ -29,7 +29,7 @@ from solver.registration.locate import (
     location_findings,
     scan_samples,
 )
-from solver.registration.scan_surface import Samples, estimated_normals, unit_rows
+from solver.registration.scan_surface import Samples, estimated_normals
 from solver.registration.search import face_points
 from solver.registration.shape_fit import LIKENESS, ShapeFit, anybody, fit_shapes, match_samples
 from solver.scans.cover import FAR_MM, Cover, cover, has_second_face, visible_part
@@ -48,7 +48,7 @@ from solver.scans.findings import (
 )
 from solver.scans.mouth import closed_eyes, lip_gap, roughness, spikes
 from solver.similarity import Similarity
-from solver.surface import Floats, Surface, area_normals, vertex_areas
+from solver.surface import Floats, Surface, area_normals, unit_rows, vertex_areas
 
 AROUND_FACE_MM = 25.0  # margin of the part that is looked at closely
 # Below and above the face along x, y, z: the head without neck and shoulders.

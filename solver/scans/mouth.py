@@ -11,9 +11,8 @@ from scipy.spatial import KDTree
 
 from solver.anatomy.template import Template
 from solver.registration.landmarks import landmark_vertices
-from solver.registration.scan_surface import unit_rows
 from solver.scans.cover import relief
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Floats, Ints, Surface, unit_rows
 
 
 @dataclass(frozen=True)

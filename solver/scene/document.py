@@ -102,13 +102,9 @@ def check_jaw(b: Floats, where: str) -> None:
         least, most = JAW_LIMITS[name]
         worst = float(values[np.argmax(np.abs(values))])
         if not least <= worst <= most:
-            raise InputError(
-                "scene.jaw",
-                f"{where}: the jaw's {name} is {worst:.1f}, with what its expressions do; a jaw "
-                f"gets from {least:g} to {most:g}",
-                found=worst,
-                expected=[least, most],
-            )
+            place = f"{where}: the jaw's {name} is {worst:.1f}, with what its expressions do"
+            reason = f"{place}; a jaw gets from {least:g} to {most:g}"
+            raise InputError("scene.jaw", reason, found=worst, expected=[least, most])
 
 
 def _activation(
@@ -120,9 +116,6 @@ def _activation(
     names = model.muscle_names
     tensor = tensors[names.index(name)] if name in names else np.eye(3)
     if np.isnan(tensor).any():
-        raise InputError(
-            "scene.muscle",
-            f"the muscle {name!r} has no fibres in this rig: give six numbers instead",
-            found=name,
-        )
+        reason = f"the muscle {name!r} has no fibres in this rig: give six numbers instead"
+        raise InputError("scene.muscle", reason, found=name)
     return shorten(tensor, how)

@@ -11,17 +11,17 @@ import numpy as np
 import trimesh
 
 from solver.animation.drives import Interpolation, Track, track
-from solver.contact.crossing import depth_inside, is_inside
+from solver.contact.crossing import depth_inside
 from solver.contact.potentials import touching
 from solver.contact.surface import ContactSurface, collision_mesh
 from solver.drawing.head import skin_parts
 from solver.errors import InputError
-from solver.kinds.scene import AssetMesh, Ball, Box, Object
+from solver.kinds.scene import Ball, Box, Object
 from solver.meshio.raw import read_raw
 from solver.model import SubjectModel
 from solver.scene.places import Places
 from solver.similarity import small_motion
-from solver.surface import Surface
+from solver.surface import Surface, inside, join_surfaces
 
 MOST_VERTICES = 20_000  # of one object: contact looks at every triangle in every step
 BALL_SUBDIVISIONS = 3  # of an icosahedron, for a round enough ball
@@ -48,9 +48,8 @@ def objects_of(
 ) -> list[SceneObject]:
     """Return the objects that a scene describes.
 
-    Raises :class:`InputError`: ``scene.object_name`` for two of one name, ``scene.times`` for keys
-    that are not one after the other, ``scene.object_large`` for one with too many vertices, as
-    :class:`Places`, and as :func:`~solver.meshio.raw.read_raw` for its file.
+    Raises :class:`InputError`: ``scene.object_name`` for two of one name, ``scene.object_large``
+    for one with too many vertices, and as :func:`track`, :class:`Places` and :func:`read_raw`.
     """
     names = [entry.name for entry in entries]
     for number, name in enumerate(names):
@@ -60,24 +59,17 @@ def objects_of(
 
 
 def _object(entry: Object, places: Places, interpolation: Interpolation) -> SceneObject:
-    name, origin, path = entry.name, places.point(entry.at), entry.path
-    shape = _shape(name, entry.mesh, places)
-    values = np.array(
-        [[*np.radians(key.rotation_deg), *origin + key.move_mm] for key in path]
-    ).reshape(len(path), 6)
-    if not path:
-        still = np.concatenate([np.zeros(3), origin])
-        return SceneObject(name, shape, lambda _time: still)
-    moved = track([key.time for key in path], values, f"{name}'s path", interpolation)
-    return SceneObject(name, shape, moved)
-
-
-def _shape(name: str, mesh: AssetMesh | Box | Ball, places: Places) -> Surface:
+    name, mesh, origin = entry.name, entry.mesh, places.point(entry.at)
     if isinstance(mesh, Box):
-        return _surface(trimesh.creation.box(mesh.box_mm))
-    if isinstance(mesh, Ball):
-        return _surface(trimesh.creation.icosphere(BALL_SUBDIVISIONS, mesh.ball_mm))
-    return _read(name, places.asset(mesh.asset))
+        shape = _surface(trimesh.creation.box(mesh.box_mm))
+    elif isinstance(mesh, Ball):
+        shape = _surface(trimesh.creation.icosphere(BALL_SUBDIVISIONS, mesh.ball_mm))
+    else:
+        shape = _read(name, places.asset(mesh.asset))
+    times = [key.time for key in entry.path] or [0.0]
+    motion = [[*np.radians(key.rotation_deg), *origin + key.move_mm] for key in entry.path]
+    values = np.array(motion or [[0.0, 0.0, 0.0, *origin]])
+    return SceneObject(name, shape, track(times, values, f"{name}'s path", interpolation))
 
 
 def _read(name: str, path: Path) -> Surface:
@@ -85,14 +77,11 @@ def _read(name: str, path: Path) -> Surface:
     raw = read_raw(path)
     vertices = raw.vertices * (raw.mm_per_unit or 1.0)
     whole = trimesh.Trimesh(vertices, raw.faces, process=True)
-    if len(whole.vertices) > MOST_VERTICES:
-        raise InputError(
-            "scene.object_large",
-            f"{name} has {len(whole.vertices)} vertices; at most {MOST_VERTICES} may meet a face",
-            file=path.name,
-            found=len(whole.vertices),
-            expected=MOST_VERTICES,
-        )
+    count = len(whole.vertices)
+    if count > MOST_VERTICES:
+        reason = f"{name} has {count} vertices; at most {MOST_VERTICES} may meet a face"
+        limits = {"found": count, "expected": MOST_VERTICES}
+        raise InputError("scene.object_large", reason, file=path.name, **limits)
     if whole.is_watertight and whole.volume < 0.0:
         whole.invert()
     return _surface(whole)
@@ -105,22 +94,15 @@ def _surface(mesh: trimesh.Trimesh) -> Surface:
 def check_objects(model: SubjectModel, objects: Mapping[str, Surface]) -> None:
     """Refuse objects, in the head's frame where they begin, that contact cannot start with.
 
-    Raises
-    ------
-    InputError
-        ``scene.object_open`` where one is not closed and turned outward, ``scene.object_inside``
-        where one begins inside the face, crosses its skin or is wholly in the head, from where it
-        would come out through the skin; ``contact.crossed`` as
-        :meth:`ContactSurface.of`.
+    Raises :class:`InputError`: ``scene.object_open`` where one is not closed and turned outward,
+    ``scene.object_inside`` where one begins inside the face, crosses its skin or is wholly in the
+    head, from where it would come out through the skin; and as :meth:`ContactSurface.of`.
     """
     for name, each in objects.items():
         # closed: every edge has two triangles, one to either side, that look outward
         if not trimesh.Trimesh(each.vertices, each.faces, process=False).is_volume:
-            raise InputError(
-                "scene.object_open",
-                f"{name} is not a closed surface whose triangles look outward",
-                object=name,
-            )
+            reason = f"{name} is not a closed surface whose triangles look outward"
+            raise InputError("scene.object_open", reason, object=name)
     if not objects:
         return
     skin = ContactSurface.of(model, touching(model, None, lips=False, eyes=False, objects=True))
@@ -128,19 +110,12 @@ def check_objects(model: SubjectModel, objects: Mapping[str, Surface]) -> None:
     head = Surface(model.skin.vertices, model.skin.faces[skin_parts(model.skin)["skin"]])
     for name, each in objects.items():
         depth = max(depth_inside(each.vertices, face), depth_inside(face.vertices, each))
-        if is_inside(each.vertices, head).all():
+        if inside(head, each.vertices).all():
             depth = depth_inside(each.vertices, head)
-        both = collision_mesh(
-            np.vstack([face.vertices, each.vertices]),
-            np.vstack([face.faces, each.faces + len(face.vertices)]),
-        )
+        both = collision_mesh(join_surfaces([face, each]))
         # parts of an object may cross each other, and so may the skin
         sides = np.repeat([0, 1], [len(face.vertices), len(each.vertices)])
         both.can_collide = ipctk.make_vertex_patches_filter(sides.astype(np.int32))
         if depth > 0.0 or ipctk.has_intersections(both, both.rest_positions):
-            raise InputError(
-                "scene.object_inside",
-                f"{name} begins in the face, {depth:.1f} mm deep: let it come from outside",
-                object=name,
-                depth_mm=round(depth, 2),
-            )
+            reason = f"{name} begins in the face, {depth:.1f} mm deep: let it come from outside"
+            raise InputError("scene.object_inside", reason, object=name, depth_mm=round(depth, 2))

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from solver.anatomy.template import Template
-from solver.edits.changes import patches, spots
+from solver.edits.changes import spots
 from solver.errors import InputError
 from solver.kinds.scene import AssetMap, RegionMap, SkinMap
 from solver.model import SubjectModel
@@ -47,13 +47,9 @@ class Places:
         else:
             return cls(model, {}, assets)
         if len(anatomy.skin.vertices) != len(model.skin.vertices):
-            raise InputError(
-                "scene.template",
-                f"the model was made with the template {model.template['name']}, not with "
-                f"{anatomy.name}",
-                expected=model.template["name"],
-                found=anatomy.name,
-            )
+            own = model.template["name"]
+            reason = f"the model was made with the template {own}, not with {anatomy.name}"
+            raise InputError("scene.template", reason, expected=own, found=anatomy.name)
         return cls(model, landmark_vertices(anatomy), assets)
 
     def vertex(self, place: Place) -> int:
@@ -65,22 +61,14 @@ class Places:
         if isinstance(place, str):
             if place not in self.landmarks:
                 known = sorted(self.landmarks)
-                raise InputError(
-                    "scene.landmark",
-                    f"there is no landmark {place!r}; there are "
-                    f"{', '.join(known) or 'none without the template of the model'}",
-                    found=place,
-                    expected=known,
-                )
+                listed = ", ".join(known) or "none without the template of the model"
+                reason = f"there is no landmark {place!r}; there are {listed}"
+                raise InputError("scene.landmark", reason, found=place, expected=known)
             return self.landmarks[place]
         if isinstance(place, int):
             if not 0 <= place < count:
-                raise InputError(
-                    "scene.vertex",
-                    f"the skin has the vertices 0 to {count - 1}, not {place}",
-                    found=place,
-                    expected=count,
-                )
+                reason = f"the skin has the vertices 0 to {count - 1}, not {place}"
+                raise InputError("scene.vertex", reason, found=place, expected=count)
             return place
         away = np.linalg.norm(self.model.skin.vertices - np.array(place, np.float64), axis=1)
         return int(np.argmin(away))
@@ -94,13 +82,10 @@ class Places:
     def asset(self, name: str) -> Path:
         """Return the file of an asset; raises ``scene.asset`` if the job was given none."""
         if name not in self.assets:
-            raise InputError(
-                "scene.asset",
-                f"the job was given no asset {name!r}; it was given "
-                f"{', '.join(sorted(self.assets)) or 'none'}",
-                found=name,
-                expected=sorted(self.assets),
-            )
+            known = sorted(self.assets)
+            given = ", ".join(known) or "none"
+            reason = f"the job was given no asset {name!r}; it was given {given}"
+            raise InputError("scene.asset", reason, found=name, expected=known)
         return self.assets[name]
 
     def map_of(self, given: SkinMap | None) -> Floats | None:
@@ -121,19 +106,15 @@ class Places:
         try:
             return np.array(map_array(path), dtype=np.float64)
         except (OSError, ValueError) as error:
-            raise InputError(
-                "scene.map", f"{path.name} is not an NPY file of numbers: {error}", file=path.name
-            ) from error
+            reason = f"{path.name} is not an NPY file of numbers: {error}"
+            raise InputError("scene.map", reason, file=path.name) from error
 
     def _regions(self, names: Sequence[str]) -> Floats:
         regions = self.model.regions
         for name in names:
             if name not in regions:
-                raise InputError(
-                    "scene.region",
-                    f"the subject has no region {name!r}; it has {', '.join(regions)}",
-                    found=name,
-                    expected=list(regions),
-                )
-        vertices = [regions[name] for name in names]
-        return patches(self.model, np.concatenate([np.zeros(0, np.int64), *vertices]))
+                reason = f"the subject has no region {name!r}; it has {', '.join(regions)}"
+                raise InputError("scene.region", reason, found=name, expected=list(regions))
+        vertices = [np.zeros(0, np.int64), *(regions[name] for name in names)]
+        numbers = np.arange(len(self.model.skin.vertices))
+        return np.isin(numbers, np.concatenate(vertices)).astype(np.float64)

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 
 from solver.animation.drives import Drives, Gaze, PosedFrame
 from solver.contact.potentials import Gauge, Penetration, contact_potentials
-from solver.edits.changes import Bone, Density, Fat, Filler, Paralysis, Stiffening, under_skin
+from solver.edits.changes import Bone, Fat, Filler, Paralysis, Scaling, under_skin
 from solver.edits.edit import Change, Edited, apply
 from solver.errors import InputError
 from solver.fitting.face import Face
@@ -25,16 +25,8 @@ from solver.simulation.simulator import Simulator
 from solver.surface import Floats, Surface
 
 
-def edits_of(entries: Sequence[scenes.Edit], places: Places) -> list[Change]:
-    """Return the edits that a scene describes.
-
-    Raises :class:`~solver.errors.InputError` as :class:`~solver.scene.places.Places` for places,
-    regions and maps that the person does not have.
-    """
-    return [_edit(entry, places) for entry in entries]
-
-
-def _edit(entry: scenes.Edit, places: Places) -> Change:
+def edit_of(entry: scenes.Edit, places: Places) -> Change:
+    """Return an edit that a scene describes; raises as :class:`Places`."""
     if isinstance(entry, scenes.FatEntry):
         return Fat(entry.f_min, entry.f_max, places.map_of(entry.map), entry.softening)
     if isinstance(entry, scenes.FillerEntry):
@@ -45,24 +37,18 @@ def _edit(entry: scenes.Edit, places: Places) -> Change:
         at, move = places.point(entry.at), np.array(entry.move_mm, np.float64)
         return Bone(entry.bone, at, entry.radius_mm, move)
     if isinstance(entry, scenes.StiffnessEntry):
-        return Stiffening(entry.factor, places.map_of(entry.map))
+        return Scaling("stiffness_factor", entry.factor, places.map_of(entry.map))
     if isinstance(entry, scenes.DensityEntry):
-        return Density(entry.factor, places.map_of(entry.map))
+        return Scaling("density", entry.factor, places.map_of(entry.map))
     muscles = None if entry.muscles is None else tuple(entry.muscles)
     return Paralysis(muscles, entry.side, entry.strength)
 
 
-def forces_of(
-    entries: Sequence[scenes.Force], face: Face, masses: Floats, places: Places
-) -> list[Force]:
-    """Return the forces that a scene describes; ``masses`` (p,) are in g.
+def force_of(entry: scenes.Force, face: Face, masses: Floats, places: Places) -> Force:
+    """Return a force that a scene describes; ``masses`` (p,) are in g.
 
-    Raises :class:`~solver.errors.InputError` as :meth:`Places.vertex`, and ``force.point``.
+    Raises as :meth:`Places.vertex`, and :class:`InputError` (``force.point``).
     """
-    return [_force(entry, face, masses, places) for entry in entries]
-
-
-def _force(entry: scenes.Force, face: Face, masses: Floats, places: Places) -> Force:
     if isinstance(entry, scenes.GravityEntry):
         return Gravity(masses, entry.mm_s2)
     if isinstance(entry, scenes.WindEntry):
@@ -143,23 +129,21 @@ class Stage:
     ) -> None:
         frames = len(drives.times)
         if frames > MOST_FRAMES:
-            raise InputError(
-                "scene.long",
-                f"the scene has {frames} frames; at most {MOST_FRAMES} can be simulated in one job",
-                found=frames,
-                expected=MOST_FRAMES,
-            )
+            reason = f"at most {MOST_FRAMES} can be simulated in one job"
+            message = f"the scene has {frames} frames; {reason}"
+            raise InputError("scene.long", message, found=frames, expected=MOST_FRAMES)
         self.drives = drives
         self._physics = Physics(scene)
-        self._edited = apply(edits_of(scene.edits, places), places.model, S)
+        edits = [edit_of(entry, places) for entry in scene.edits]
+        self._edited = apply(edits, places.model, S)
         self.model = self._edited.model
         self._face = self._physics.face(self._edited)
         if isinstance(scene, scenes.SimulateScene):
             self.objects = objects_of(scene.objects, places, scene.interpolation)
         else:
             self.objects = objects_of(scene.objects, places)
-        begin = self.drive(float(drives.times[0]), drives(float(drives.times[0])))
-        objects = self._seen(begin)
+        begin = float(drives.times[0])
+        objects = self._seen(self.drive(begin, drives(begin)))
         names = [each.name for each in self.objects]
         check_objects(self.model, dict(zip(names, objects, strict=True)))
         dynamic = scene.mode == "dynamic"
@@ -169,7 +153,7 @@ class Stage:
         self.simulator = Simulator(
             self._face,
             potentials,
-            forces_of(scene.forces, self._face, masses, places),
+            [force_of(entry, self._face, masses, places) for entry in scene.forces],
             dynamic=dynamic,
             density=self._edited.density,
             damping=scene.damping,

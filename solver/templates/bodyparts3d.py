@@ -14,20 +14,16 @@ import numpy as np
 import trimesh
 
 from solver.anatomy.data import read_table
-from solver.anatomy.domain import join_surfaces, part_of
 from solver.anatomy.muscle_weights import muscle_ends, with_axis
 from solver.anatomy.template import Muscle
 from solver.anatomy.warp import MIRROR
 from solver.errors import InputError
-from solver.surface import Floats, Surface
+from solver.surface import Floats, Surface, join_surfaces, part_of
 from solver.templates.downloads import PublicFile, obj_mesh, public_files
 from solver.templates.tables import file_fault
 
-# The download as DBCLS publishes it: release 3.0, one OBJ an organ, named by its FMA id.
-#
-# ``data/bodyparts3d_parts.csv`` says which of its organs the face needs and what they are. Release
-# 4.0 (``FJ1234.obj`` with element lists) has no muscles of facial expression or mastication, and
-# another pose; it cannot be used.
+# The download as DBCLS publishes it: release 3.0, one OBJ an organ, named by its FMA id. Release
+# 4.0 (``FJ1234.obj`` with element lists) has no muscles of the face and another pose.
 
 
 @dataclass(frozen=True)
@@ -39,13 +35,12 @@ class Part:
 
 
 def public_parts(folder: Path) -> dict[str, Part]:
-    """Return name -> the organs that the face needs.
+    """Return name -> the organs that the face needs, by ``data/bodyparts3d_parts.csv``.
 
     ``folder`` holds ``FMA*.obj`` at any depth, or the archive ``BodyParts3D_3.0_obj_99.zip``.
 
     Raises :class:`InputError`: ``anatomy.index`` if there is no such mesh, ``anatomy.release`` for
-    release 4.0, ``anatomy.part`` if an organ is missing, ``download.*`` for a file that cannot be
-    read.
+    release 4.0, ``anatomy.part`` if an organ is missing, ``download.*`` for an unreadable file.
     """
     files = {file.name: file for file in public_files(folder, ".obj")}
     if not any(name.startswith(("FMA", "FJ")) for name in files):
@@ -88,10 +83,7 @@ def to_subject_axes(points: Floats) -> Floats:
 
 
 def read_parts(folder: Path) -> dict[str, Part]:
-    """Return name -> :class:`Part`, in mm with y up.
-
-    With an ``index.csv`` they are the meshes that it lists; without one, ``folder`` is the download
-    as DBCLS publishes it.
+    """Return the parts by name: the meshes of an ``index.csv``, else those of the download.
 
     Raises :class:`InputError`: ``anatomy.index`` if there is neither or the index lacks a column,
     ``anatomy.mesh`` if a mesh it lists is missing or unreadable, or as :func:`public_parts`.
@@ -175,30 +167,24 @@ def reflect(points: Floats) -> Floats:
 def symmetric(parts: dict[str, Part]) -> dict[str, Part]:
     """Return parts of the same names that are the left half of the anatomy and its mirror image.
 
-    The man is nearly symmetric (muscles to 0.5 mm), and what is carried into a symmetric head is
-    wanted so.
+    The man is nearly so (muscles to 0.5 mm), and a symmetric head needs it.
     """
     result = {}
     for name, part in parts.items():
         left, surface = parts.get(name.replace("right", "left")), part.surface
         if "right" in name and left is not None:
             surface = _mirror_image(left.surface)
-        elif "left" not in name:
-            surface = _halves(surface)
+        elif "left" not in name:  # cut at the mid-plane
+            on_left = (surface.vertices[surface.faces, 0] > MIDDLE_X).any(axis=1)
+            half = part_of(surface, np.flatnonzero(on_left))
+            half = half.moved(np.maximum(half.vertices, [MIDDLE_X, -np.inf, -np.inf]))
+            surface = join_surfaces([half, _mirror_image(half)])
         result[name] = Part(part.category, surface)
     return result
 
 
 def _mirror_image(surface: Surface) -> Surface:
     return Surface(reflect(surface.vertices), surface.faces[:, ::-1].copy())
-
-
-def _halves(surface: Surface) -> Surface:
-    """Return the left half, cut at the mid-plane, and its mirror image."""
-    on_left = (surface.vertices[surface.faces, 0] > MIDDLE_X).any(axis=1)
-    left = part_of(surface, np.flatnonzero(on_left))
-    half = left.moved(np.maximum(left.vertices, [MIDDLE_X, -np.inf, -np.inf]))
-    return join_surfaces([half, _mirror_image(half)])
 
 
 def merge_parts(parts: dict[str, Part], *categories: str) -> Surface:

@@ -8,6 +8,7 @@ will do as well. See docs/guide/templates.md.
 from __future__ import annotations
 
 import tempfile
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
@@ -26,8 +27,8 @@ from solver.surface import Floats, Surface
 from solver.templates.tables import (
     Row,
     file_fault,
+    parse_file,
     read_table,
-    read_toml,
     read_vertex_sets,
     vertex_fault,
 )
@@ -43,13 +44,10 @@ BONES = ("cranium", "mandible")
 def read_template(path: Path) -> Template:
     """Return the template of a folder or of a ZIP of one.
 
-    Raises
-    ------
-    InputError
-        ``template.missing`` for a file that is not there, ``template.unreadable``,
-        ``template.table`` (with ``line``), ``template.vertex`` (with ``vertex``),
-        ``template.mesh``, ``template.frame`` or ``template.value`` for one that is wrong, and the
-        codes of :func:`solver.anatomy.template.check_arrays`.
+    Raises :class:`InputError`: ``template.missing`` for a file that is not there,
+    ``template.unreadable``, ``template.table`` (with ``line``), ``template.vertex`` (with
+    ``vertex``), ``template.mesh``, ``template.frame`` or ``template.value`` for one that is wrong,
+    and as :func:`check_arrays`.
     """
     if path.is_dir():
         return _TemplateFolder(path).template()
@@ -80,7 +78,7 @@ class _TemplateFolder:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.description = read_toml(folder / DESCRIPTION)
+        self.description: dict[str, Any] = parse_file(folder / DESCRIPTION, tomllib.loads)
         if self.description.get("format") != FORMAT:
             raise _value_fault(f"format is {self.description.get('format')}, not {FORMAT}")
         self.matrix = self._matrix()

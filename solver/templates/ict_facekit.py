@@ -40,7 +40,6 @@ _IDENTITY = re.compile(r"identity\d{3}")
 def public_facekit(folder: Path) -> dict[str, np.ndarray]:
     """Return the arrays of the published model under the names of ``ict_facekit.npz``, in cm.
 
-    ``V`` (n, 3), ``quads`` (f, 4), ``E`` (e, n, 3) with names ``ex`` (e), ``I`` (k, n, 3).
     ``folder`` holds the OBJs at any depth, or an archive of the repository.
 
     Raises :class:`InputError`: ``faces.unreadable`` if there is no neutral, ``faces.topology`` if a
@@ -191,8 +190,6 @@ def shape_basis(kit: FaceKit) -> ShapeBasis:
 
 # Captures of the subjects of a capture-sets file.
 
-Weights = dict[str, float]
-
 
 def ict_capture_set(faces: Path, subject: str, capture_sets: Path | None = None) -> CaptureSet:
     """Return the scans (mm) of one subject of a capture-sets file.
@@ -208,7 +205,7 @@ def ict_capture_set(faces: Path, subject: str, capture_sets: Path | None = None)
     kit = read_facekit(faces)
     neutral = ict_neutral(kit, faces, subject, capture_sets)
 
-    def scan(weights: Weights) -> Surface:
+    def scan(weights: dict[str, float]) -> Surface:
         unknown = [name for name in weights if name not in kit.deltas]
         if unknown:
             reason = f"ICT-FaceKit has no expression {unknown[0]}"
@@ -225,7 +222,7 @@ def ict_capture_set(faces: Path, subject: str, capture_sets: Path | None = None)
 def ict_neutral(
     kit: FaceKit, faces: Path, subject: str, capture_sets: Path | None = None
 ) -> Surface:
-    """Return the neutral of one subject of a capture-sets file; raises as its scans' function."""
+    """Return the neutral of one subject; arguments and errors as :func:`ict_capture_set`'s."""
     path = capture_sets or faces / "capture_sets.json"
     subjects = _read(path)["subjects"]
     if subject not in subjects:
@@ -316,18 +313,6 @@ class IctPerformance:
         return np.asarray(self.neutral + (self.weights[number] @ self.shapes).reshape(-1, 3))
 
 
-def performance_frames(
-    faces: Path, recording: Path, *, subject: str = "A", capture_sets: Path | None = None
-) -> IctPerformance:
-    """Return a Live Link Face recording as the skin of an ICT-FaceKit subject.
-
-    ``faces``, ``subject``, ``capture_sets`` and errors are as in :func:`ict_capture_set`; a
-    recording that cannot be used is :func:`~solver.scans.live_link.read_live_link`'s.
-    """
-    take, kit = read_live_link(recording), read_facekit(faces)
-    return drive(kit, ict_neutral(kit, faces, subject, capture_sets).vertices, take)
-
-
 def drive(kit: FaceKit, neutral: Floats, take: LiveLinkTake) -> IctPerformance:
     """Return the performance of a person with the skin ``neutral`` (V, 3), mm."""
     sources = {name: arkit_source(name) for name in kit.deltas}
@@ -340,8 +325,8 @@ def drive(kit: FaceKit, neutral: Floats, take: LiveLinkTake) -> IctPerformance:
 def model_performance(faces: Path, recording: Path, model: SubjectModel) -> IctPerformance:
     """Return a Live Link Face recording as the face's points (k, 3) of a subject's model.
 
-    Raises as :func:`performance_frames`, and ``performance.topology`` if the model's skin does not
-    have ICT-FaceKit's vertices.
+    Raises as :func:`read_facekit` and :func:`read_live_link`, and ``performance.topology`` if the
+    model's skin does not have ICT-FaceKit's vertices.
     """
     skin = model.skin.vertices
     if len(skin) != VERTEX_COUNT:

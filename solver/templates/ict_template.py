@@ -19,11 +19,10 @@ from scipy.spatial.distance import cdist
 from solver.anatomy.bones import VoxelGrid, wrap_bones
 from solver.anatomy.contact_regions import LOWER, UPPER, contact_regions, first_match, lips_apart
 from solver.anatomy.data import read_table
-from solver.anatomy.embedding import inside
 from solver.anatomy.template import Depth, Template
 from solver.anatomy.warp import MIRROR, DepthLimits, PointPairs, SkinDepth, depth_warp, spread
 from solver.similarity import Similarity, fit_similarity
-from solver.surface import Floats, Ints, Surface, adjacency
+from solver.surface import Floats, Ints, Surface, adjacency, inside, nearest_sphere
 from solver.templates import bodyparts3d, ict_facekit
 from solver.templates.bodyparts3d import Part, muscle_names
 from solver.templates.ict_facekit import EYEBALLS, FaceKit
@@ -69,7 +68,7 @@ def teeth_and_eyes(parts: dict[str, Part], kit: FaceKit) -> PointPairs:
             pairs.append((_crown(crown, jaw), _crown(skin.vertices[tooth], jaw)))
     eyes = bodyparts3d.part_surface(parts, "eyeball").vertices, skin.vertices[EYEBALLS]
     for side in (1, -1):
-        pairs.append(tuple(_sphere_centre(balls[balls[:, 0] * side > 0]) for balls in eyes))
+        pairs.append(tuple(nearest_sphere(balls[balls[:, 0] * side > 0])[0] for balls in eyes))
     return PointPairs(*np.array(pairs).transpose(1, 0, 2))
 
 
@@ -84,12 +83,6 @@ def _crown(tooth: Floats, jaw: str, height_mm: float = 8.0) -> Floats:
     height = tooth[:, 1] if jaw == "upper" else -tooth[:, 1]
     crown = tooth[height < height.min() + height_mm]
     return np.asarray((crown.min(axis=0) + crown.max(axis=0)) / 2)
-
-
-def _sphere_centre(points: Floats) -> Floats:
-    # |p|^2 = 2 p.c + (r^2 - |c|^2), linear in the centre c and the bracket.
-    system = np.column_stack([2 * points, np.ones(len(points))])
-    return np.asarray(np.linalg.lstsq(system, np.sum(points**2, axis=1), rcond=None)[0][:3])
 
 
 def depth_landmarks(skin: Surface) -> tuple[PointPairs, PointPairs, DepthTable]:
@@ -165,7 +158,7 @@ def carry_anatomy(parts: dict[str, Part], kit: FaceKit, options: CarryOptions = 
     teeth = teeth_and_eyes(parts, kit)
     anchors, muscle_anchors, depths = depth_landmarks(kit.skin)
     align = fit_similarity(teeth.source, teeth.target)
-    head, flesh = (kit.part(ict_facekit.HEAD), kit.part(ict_facekit.FLESH))
+    head, flesh = kit.part(ict_facekit.HEAD), kit.part(ict_facekit.FLESH)
     outer = SkinDepth(head)
     muscles = {name: align(parts[name].surface.vertices) for name in muscle_names(parts)}
     most = options.muscle_samples
@@ -183,13 +176,9 @@ def carry_anatomy(parts: dict[str, Part], kit: FaceKit, options: CarryOptions = 
         centres=300,
         stiffness=0.5,
     )
-    skull, jaw = (
-        surface.moved(first(align(surface.vertices)))
-        for surface in (
-            bodyparts3d.merge_parts(parts, "cranium"),
-            bodyparts3d.part_surface(parts, "mandible"),
-        )
-    )
+    skull = bodyparts3d.merge_parts(parts, "cranium")
+    jaw = bodyparts3d.part_surface(parts, "mandible")
+    skull, jaw = (bone.moved(first(align(bone.vertices))) for bone in (skull, jaw))
     cranium, mandible = wrap_bones(skull, jaw, head, VoxelGrid(WRAP_LO, WRAP_HI))
     sample = first(sample)
     wraps = [SkinDepth(cranium), SkinDepth(mandible)]
@@ -317,8 +306,7 @@ def build_ict_template(anatomy_dir: Path, faces_dir: Path) -> Template:
     ``anatomy_dir`` holds BodyParts3D and ``faces_dir`` ICT-FaceKit, in one of the forms that
     :mod:`solver.templates.bodyparts3d` and :mod:`solver.templates.ict_facekit` read.
 
-    Raises :class:`InputError`: ``anatomy.*``, ``faces.*`` or ``download.*`` where a folder lacks
-    what is needed.
+    Raises ``anatomy.*``, ``faces.*`` or ``download.*`` where a folder lacks what is needed.
     """
     parts = bodyparts3d.read_parts(anatomy_dir)
     kit = ict_facekit.read_facekit(faces_dir)

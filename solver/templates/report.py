@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any, cast
 
 import igl
@@ -58,9 +58,7 @@ BOUNDS = AnatomyBounds()
 PARTNERS = {"left": "right", "right": "left", "_l": "_r", "_r": "_l"}
 
 
-@cache
-def _wording() -> dict[str, dict[str, str]]:
-    return {row["finding"]: row for row in read_table("template_findings")}
+WORDING = {row["finding"]: row for row in read_table("template_findings")}
 
 
 def _find(key: str, about: str, *figures: object, severity: str = "") -> Finding:
@@ -68,7 +66,7 @@ def _find(key: str, about: str, *figures: object, severity: str = "") -> Finding
 
     The code is the first word of ``key``: a code may have several messages.
     """
-    row = _wording()[key]
+    row = WORDING[key]
     level = cast(Severity, severity or row["severity"])
     return Finding(key.split()[0], level, row["message"].format(*figures), context={"about": about})
 
@@ -213,10 +211,9 @@ class _Checks:
             if deep > bounds.touching_mm:
                 yield _find("bone.overlap", "mandible", deep)
         gap = barycentric(template.condyles, template.mandible)[2]
-        for side, sign, x, far in zip(
-            ("left", "right"), (1, -1), template.condyles[:, 0], gap, strict=True
-        ):
-            if x * sign <= 0:
+        outward = template.condyles[:, 0] * [1, -1]
+        for side, out, far in zip(("left", "right"), outward, gap, strict=True):
+            if out <= 0:
                 yield _find("condyle.side", f"{side} condyle")
             if far > bounds.condyle_mm:
                 yield _find("condyle.place", f"{side} condyle", far)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import re
-import tomllib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -84,19 +83,13 @@ def read_table(path: Path, columns: Iterable[str]) -> list[Row]:
     return rows
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """Return a TOML file; raises ``template.missing`` or ``template.unreadable``."""
-    description: dict[str, Any] = _parse(path, tomllib.loads)
-    return description
-
-
 def read_vertex_sets(path: Path, count: int) -> dict[str, Ints]:
     """Return name -> vertex numbers of a JSON object of lists of numbers and ranges "from-to".
 
     Raises :class:`InputError`: ``template.missing``, ``template.unreadable``, or
     ``template.vertex`` for what is no vertex of the ``count``.
     """
-    sets = _parse(path, json.loads)
+    sets = parse_file(path, json.loads)
     if not isinstance(sets, dict) or not all(isinstance(value, list) for value in sets.values()):
         raise file_fault("template.unreadable", f"{path.name} is no object of lists", path.name)
     return {name: _vertices(path.name, name, value, count) for name, value in sets.items()}
@@ -143,7 +136,8 @@ def _table_fault(file: str, line: int, reason: str) -> InputError:
     return file_fault("template.table", f"{file}, line {line}: {reason}", file, line=line)
 
 
-def _parse(path: Path, parse: Callable[[str], Any]) -> Any:
+def parse_file(path: Path, parse: Callable[[str], Any]) -> Any:
+    """Return what a text file holds; raises ``template.missing`` or ``template.unreadable``."""
     text = _read_text(path)
     try:
         return parse(text)

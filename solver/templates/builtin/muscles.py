@@ -20,7 +20,7 @@ from solver.anatomy.domain import grid_quads, split_quads
 from solver.anatomy.muscle_weights import signed_volume
 from solver.anatomy.template import Muscle
 from solver.anatomy.warp import MIRROR
-from solver.surface import Floats, Surface, adjacency
+from solver.surface import Floats, Surface, adjacency, unit_rows
 from solver.templates.builtin.head import Head
 from solver.templates.builtin.skull import OuterSkin
 
@@ -53,22 +53,16 @@ class MuscleRow:
     layer: str
 
 
-def read_muscles() -> tuple[MuscleRow, ...]:
+def read_muscles() -> list[MuscleRow]:
     """Return the muscle table."""
-    return tuple(_row(line) for line in read_table("muscles"))
-
-
-def _row(line: dict[str, str]) -> MuscleRow:
-    points = [point.split("+", 1) for point in line["path"].split()]
-    return MuscleRow(
-        name=line["name"],
-        paired=line["paired"] == "yes",
-        path=tuple((mark, np.array(offset.split("/"), dtype=float)) for mark, offset in points),
-        width=np.array(line["width_mm"].split(), dtype=float),
-        thickness=float(line["thickness_mm"]),
-        depth=np.array(line["depth_mm"].split(), dtype=float),
-        layer=line["layer"],
-    )
+    rows = []
+    for line in read_table("muscles"):
+        points = [point.split("+", 1) for point in line["path"].split()]
+        path = tuple((mark, np.array(offset.split("/"), dtype=float)) for mark, offset in points)
+        width, depth = (np.array(line[key].split(), float) for key in ("width_mm", "depth_mm"))
+        thickness, paired = float(line["thickness_mm"]), line["paired"] == "yes"
+        rows.append(MuscleRow(line["name"], paired, path, width, thickness, depth, line["layer"]))
+    return rows
 
 
 def build_muscles(
@@ -111,8 +105,7 @@ class _Sweep:
         centres, _ = self._on_skin(curve(along))
         _, normals = self._on_skin(centres)
         tangents = np.gradient(centres, axis=0)
-        sideways = np.cross(normals, tangents)
-        sideways /= np.linalg.norm(sideways, axis=1, keepdims=True)
+        sideways = unit_rows(np.cross(normals, tangents))
         half_width = np.interp(along, length, row.width) / 2
         grid = centres[:, None] + (half_width[:, None] * across)[..., None] * sideways[:, None]
         above, normals = self._on_skin(grid.reshape(-1, 3))
@@ -140,7 +133,7 @@ class _Sweep:
         """Return the closest skin points (k, 3) and the smoothed normals there."""
         _, face, closest = self._skin.closest(np.ascontiguousarray(points))
         normals = self._skin.interpolate(self._normals, face, closest)
-        return closest, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        return closest, unit_rows(normals)
 
     def _room(self, above: Floats, normals: Floats) -> Floats:
         """Return the soft-tissue thickness (k,) from the skin inwards to the bed, in mm."""

@@ -18,9 +18,9 @@ from scipy.ndimage import gaussian_filter
 from solver.anatomy.bones import largest_piece, level_set
 from solver.anatomy.data import read_json, read_table
 from solver.anatomy.domain import grid_quads, split_quads
-from solver.anatomy.embedding import barycentric, extend, inside
+from solver.anatomy.embedding import barycentric, extend
 from solver.anatomy.template import Depth
-from solver.surface import Floats, Ints, Surface, adjacency
+from solver.surface import Floats, Ints, Surface, adjacency, inside
 from solver.templates.builtin.head import Head
 
 NO_BONE = "aperture"  # source of rows where there is no bone, which only say that it is not near

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from solver.anatomy.bones import jaw_frame, jaw_residual
+from benchmarks.anatomy import jaw_residual
+from solver.anatomy.bones import jaw_frame
 from solver.mechanics.boundary import move_jaw
 from solver.templates import ict_facekit
 from tests.fixtures import data_folder

@@ -177,11 +177,12 @@ def test_friction_holds_back_and_obeys_coulomb():
 def test_crossing_triangles_are_found():
     upper, lower = ball([0.0, 1.8, 0.0], 2.0, 2), ball([0.05, -1.8, 0.03], 2.0, 2)
     both = on_itself(upper, lower)
-    found = crossing_vertices(both.rest, both.faces)
-    assert ipctk.has_intersections(collision_mesh(both.rest, both.faces), both.rest)
+    mesh = collision_mesh(Surface(both.rest, both.faces))
+    found = crossing_vertices(mesh)
+    assert ipctk.has_intersections(mesh, mesh.rest_positions)
     assert len(found) > 10
     assert np.abs(both.rest[found, 1]).max() < 1.0
-    assert not len(crossing_vertices(upper.vertices, upper.faces))
+    assert not len(crossing_vertices(collision_mesh(upper)))
 
 
 def test_the_contact_surface_lies_under_the_skin_and_turns_with_it():
@@ -211,7 +212,7 @@ def test_skin_that_crosses_itself_does_not_meet_itself_but_objects():
     model, faces = crumpled(40)
     surface = ContactSurface.of(model, faces)
     assert 0 < surface.crossed.sum() < 0.2 * len(surface.skin)
-    mesh = collision_mesh(surface.rest, surface.faces)
+    mesh = collision_mesh(Surface(surface.rest, surface.faces))
     assert ipctk.has_intersections(mesh, mesh.rest_positions)
     np.testing.assert_allclose(surface.points(model.rest), surface.rest, atol=1e-9)
     # a small ball just over a vertex that crosses
@@ -239,7 +240,7 @@ def test_lips_that_cross_are_moved_apart_and_meet():
     assert crossing(mouth, both.rest).lips == pytest.approx(deep, abs=0.05)
     apart = part_lips(mouth, both.rest)
     assert crossing(mouth, apart).lips == 0.0
-    mesh = collision_mesh(apart, both.faces)
+    mesh = collision_mesh(Surface(apart, both.faces))
     assert not ipctk.has_intersections(mesh, mesh.rest_positions)
     moved = apart - both.rest
     assert np.abs(moved).max() < deep

