@@ -18,6 +18,7 @@ from solver.meshio.mesh import Mesh, check_finite, check_suffix, read_content
 from solver.meshio.obj import read_obj
 from solver.meshio.ply import read_ply, write_ply
 from solver.meshio.stl import read_stl
+from solver.similarity import weighted_motion
 from solver.surface import Floats, Ints, Surface
 
 READERS: dict[str, Callable[..., Mesh]] = {
@@ -200,8 +201,13 @@ def _check_alignment(
     Scans of one session share the skull's place; the message says by how much this one is moved.
     One that is the neutral's mirror image rather than moved is ``scan.mirrored``.
     """
-    motion = _rigid_motion(neutral, vertices)
-    if motion.mirror_leaves < plausible.mirrored:
+    even, mirrored = np.ones(len(vertices)), neutral * [-1.0, 1.0, 1.0]
+    moved, flipped = (weighted_motion(start, vertices, even) for start in (neutral, mirrored))
+    left = np.sum((moved(neutral) - vertices) ** 2)
+    left_mirrored = np.sum((flipped(mirrored) - vertices) ** 2)
+    # distances too small tell nothing: a flat surface is its own mirror image
+    size = len(vertices) * float(np.var(neutral, axis=0).sum() + np.var(vertices, axis=0).sum())
+    if left > 1e-3 * size and left_mirrored < plausible.mirrored * left:
         message = (
             f"{file} is mirrored against the neutral (left and right exchanged, or inside out): "
             "switch off mirroring in the export"
@@ -210,40 +216,11 @@ def _check_alignment(
     median = float(np.median(np.linalg.norm(vertices - neutral, axis=1)))
     if median <= plausible.median_motion_mm:
         return
+    shift = float(np.linalg.norm(vertices.mean(axis=0) - neutral.mean(axis=0)))
     message = (
         f"{file} lies {median:.0f} mm off the neutral (median over all vertices): it is turned by "
-        f"{motion.degrees:.0f} degrees and moved by {motion.shift:.0f} mm; align its skull with "
-        "the neutral's"
+        f"{moved.degrees:.0f} degrees and moved by {shift:.0f} mm; align its skull with the "
+        "neutral's"
     )
     expected = plausible.median_motion_mm
     raise InputError("scan.misaligned", message, file=file, expected=expected, found=median)
-
-
-@dataclass(frozen=True)
-class _Motion:
-    """The best rigid motion, in degrees and mm.
-
-    ``mirror_leaves`` is what a mirror image leaves of its squared distances, as a part of them; 1
-    where they are too small to tell.
-    """
-
-    degrees: float
-    shift: float
-    mirror_leaves: float
-
-
-def _rigid_motion(start: Floats, end: Floats) -> _Motion:
-    """Return the best rigid motion of ``start`` (n, 3) onto ``end`` (Kabsch 1976)."""
-    centred, goal = start - start.mean(0), end - end.mean(0)
-    u, s, vt = np.linalg.svd(centred.T @ goal)
-    sign = np.sign(np.linalg.det(u @ vt))
-    cosine = (np.trace(u @ np.diag([1.0, 1.0, sign]) @ vt) - 1) / 2
-    # What is left of the squared distances by a rotation, and by a mirrored one; a flat surface is
-    # its own mirror image.
-    spread = np.sum(centred**2) + np.sum(goal**2)
-    left = [spread - 2.0 * (s[0] + s[1] + side * s[2]) for side in (sign, -sign)]
-    return _Motion(
-        float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))),
-        float(np.linalg.norm(end.mean(0) - start.mean(0))),
-        float(left[1] / left[0]) if left[0] > 1e-3 * spread else 1.0,
-    )

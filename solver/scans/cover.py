@@ -294,4 +294,4 @@ def has_second_face(
     if outside.sum() < options.other_share * len(outside):
         return False
     rest = Samples(scan.points[outside], scan.normals[outside], scan.oriented)
-    return find_pose(face, rest, [pose.motion.scale]).is_face()
+    return find_pose(face, rest, [pose.motion.scale]).is_face
