@@ -14,7 +14,7 @@ import numpy as np
 
 from solver.errors import InputError
 from solver.meshio.glb import MM_PER_METRE, read_glb
-from solver.meshio.mesh import Mesh, check_finite, check_suffix, read_content
+from solver.meshio.mesh import Mesh, check_finite, check_suffix, read_content, unsupported_error
 from solver.meshio.obj import read_obj
 from solver.meshio.ply import read_ply, write_ply
 from solver.meshio.stl import read_stl
@@ -63,7 +63,7 @@ class RegisteredScan:
 
 
 def write_registered(path: Path, surface: Surface, confidence: Floats) -> None:
-    """Write a registered scan as PLY; :func:`read_registered` reads it."""
+    """Write a registered scan as PLY."""
     write_ply(path, surface, {"confidence": confidence})
 
 
@@ -104,9 +104,8 @@ def read_registered(
             f"{file} has {len(vertices)} vertices; the template's topology has {vertex_count}; a "
             "raw scan is sent as raw and registered first"
         )
-        raise InputError(
-            "scan.vertex_count", message, file=file, expected=vertex_count, found=len(vertices)
-        )
+        about = {"file": file, "expected": vertex_count, "found": len(vertices)}
+        raise InputError("scan.vertex_count", message, **about)
     check_finite(file, vertices)
     _check_scale(file, vertices, plausible)
     _check_vertex_order(file, vertices, faces, plausible)
@@ -133,23 +132,18 @@ def _number_facets(
     STL shares no vertices, so its facets must be the template's ``faces`` (f, 3) in the same order;
     corners that are one vertex in the template must lie in one place.
     """
-    triangles, expected = len(corners) // 3, len(faces)
     if len(corners) != faces.size:
-        message = f"{file} has {triangles} triangles; the template has {expected}"
-        raise InputError(
-            "scan.vertex_count", message, file=file, expected=expected, found=triangles
-        )
+        found, expected = len(corners) // 3, len(faces)
+        message = f"{file} has {found} triangles; the template has {expected}"
+        raise InputError("scan.vertex_count", message, file=file, expected=expected, found=found)
     check_finite(file, corners)
     vertices = np.full((vertex_count, 3), np.nan)
     vertices[faces.ravel()] = corners
     loose = np.flatnonzero(np.isnan(vertices[:, 0]))
     if len(loose):
         vertex = int(loose[0])
-        message = (
-            f"{file}: STL cannot carry vertex {vertex}, which is in no triangle: use "
-            "OBJ, PLY or GLB"
-        )
-        raise InputError("scan.format", message, file=file, vertex=vertex)
+        reason = f"STL cannot carry vertex {vertex}, which is in no triangle: use OBJ, PLY or GLB"
+        raise unsupported_error(file, reason, vertex=vertex)
     apart = np.abs(vertices[faces] - corners.reshape(-1, 3, 3)).max(axis=(1, 2))
     if apart.max() > same_place_mm:
         triangle = int(np.argmax(apart > same_place_mm))
@@ -176,9 +170,7 @@ def _check_scale(file: str, vertices: Floats, plausible: PlausibleScan) -> None:
     else:
         hint = "it cannot be a head in mm"
     message = f"{file} is {extent:.4g} mm across, a head is {low:g} to {high:g} mm; {hint}"
-    raise InputError(
-        "scan.unit", message, file=file, expected=list(plausible.head_mm), found=extent
-    )
+    raise InputError("scan.unit", message, file=file, expected=[low, high], found=extent)
 
 
 def _check_vertex_order(file: str, vertices: Floats, faces: Ints, plausible: PlausibleScan) -> None:
